@@ -26,5 +26,7 @@ def unknown_name(kind: str, given: str, allowed: Iterable[str]) -> UserError:
     names = sorted(allowed)
     near = get_close_matches(given, names, n=3, cutoff=0.5)
     hint = f" Did you mean {', '.join(map(repr, near))}?" if near else ""
-    shown = ", ".join(names) if len(names) <= 24 else ", ".join(names[:24]) + f", ... ({len(names)})"
+    shown = (
+        ", ".join(names) if len(names) <= 24 else ", ".join(names[:24]) + f", ... ({len(names)})"
+    )
     return UserError(f"Unknown {kind} {given!r}.{hint} Available: {shown or 'none'}.")

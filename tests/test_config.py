@@ -1,0 +1,66 @@
+import dataclasses
+from typing import Literal
+
+import pytest
+
+from knowarm.config import from_dict, to_dict
+from knowarm.errors import UserError
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Slow:
+    name: Literal["slow"] = "slow"
+    workers: int = 17
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Fast:
+    name: Literal["fast"] = "fast"
+    rate: float = 1e-3
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Whole:
+    robot: str
+    algorithm: Slow | Fast = dataclasses.field(default_factory=Slow)
+    hidden: Literal["grow", "fixed"] | int = "grow"
+    targets: tuple[str, ...] = ("mug",)
+    limit: float | None = None
+
+
+def test_what_was_written_is_read_back():
+    whole = Whole(
+        robot="irb120", algorithm=Fast(rate=0.5), hidden=64, targets=("a", "b"), limit=2.0
+    )
+    assert from_dict(Whole, to_dict(whole)) == whole
+
+
+def test_the_kind_of_an_alternative_is_read_from_its_name():
+    assert from_dict(Whole, {"robot": "x", "algorithm": {"name": "fast"}}).algorithm == Fast()
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"robot": "x", "hiden": 3}, "Did you mean 'hidden'"),
+        ({"robot": "x", "algorithm": {"name": "slow", "workres": 3}}, "'workers'"),
+        ({"robot": "x", "algorithm": {"name": "medium"}}, "algorithm.name"),
+        ({}, "'robot' is missing"),
+        ({"robot": 3}, "robot must be of type str, got 3"),
+        ({"robot": "x", "targets": "mug"}, "targets must be a list"),
+        ({"robot": "x", "hidden": "shrink"}, "hidden"),
+        (
+            {"robot": "x", "algorithm": {"name": "slow", "workers": True}},
+            "workers must be of type int",
+        ),
+    ],
+)
+def test_errors_name_the_field_and_what_is_allowed(values, message):
+    with pytest.raises(UserError) as caught:
+        from_dict(Whole, values)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_whole_numbers_are_taken_for_floats():
+    assert from_dict(Whole, {"robot": "x", "limit": 3}).limit == 3.0
