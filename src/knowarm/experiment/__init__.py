@@ -1,0 +1,1 @@
+"""Names of experiments go in; run folders, evaluations and reports come out."""

@@ -1,0 +1,79 @@
+import os
+
+import numpy as np
+import pytest
+
+from knowarm.errors import UserError
+from knowarm.experiment.run_folder import CsvLog, RunFolder, read_csv, write_json
+
+
+def test_a_run_folder_is_created_once(tmp_path):
+    folder = RunFolder.create(tmp_path / "x" / "0")
+    folder.write_json("config.json", {"format": 1})
+    with pytest.raises(UserError, match="--resume"):
+        RunFolder.create(folder.path)
+    assert RunFolder.open(folder.path).config() == {"format": 1}
+
+
+def test_what_is_no_run_folder_is_refused(tmp_path):
+    with pytest.raises(UserError, match=r"has no config\.json"):
+        RunFolder.open(tmp_path)
+    with pytest.raises(UserError, match="does not exist"):
+        RunFolder.open(tmp_path / "nowhere")
+
+
+def test_another_format_is_refused(tmp_path):
+    write_json(tmp_path / "config.json", {"format": 99})
+    with pytest.raises(UserError, match="format 99"):
+        RunFolder.open(tmp_path)
+
+
+def test_an_unwritable_place_is_found_before_training(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UserError, match="Cannot write to the output folder"):
+        RunFolder.create(tmp_path / "file" / "0")
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_read_only_place_is_found_before_training(tmp_path):
+    tmp_path.chmod(0o500)
+    with pytest.raises(UserError, match="Cannot write"):
+        RunFolder.create(tmp_path / "0")
+
+
+def test_knowledge_survives_the_disk(tmp_path):
+    folder = RunFolder.create(tmp_path)
+    table = np.arange(6, dtype=np.float32).reshape(2, 3)
+    folder.write_knowledge(table)
+    np.testing.assert_array_equal(folder.knowledge(), table)
+    (tmp_path / "knowledge.safetensors").write_bytes(b"broken")
+    with pytest.raises(UserError, match="damaged"):
+        folder.knowledge()
+
+
+def test_a_log_takes_new_columns(tmp_path):
+    log = CsvLog(tmp_path / "metrics.csv")
+    log.write({"step": 1, "loss": 0.5})
+    log.write({"step": 2, "loss": 0.25, "entropy": 1.0})
+    log.write({"step": 3, "loss": 0.125})
+    rows = read_csv(tmp_path / "metrics.csv")
+    assert [row["entropy"] for row in rows] == ["", "1.0", ""]
+    assert [row["loss"] for row in rows] == ["0.5", "0.25", "0.125"]
+
+
+def test_resuming_drops_the_rows_that_will_come_again(tmp_path):
+    path = tmp_path / "metrics.csv"
+    log = CsvLog(path)
+    for step in (10, 20, 30):
+        log.write({"step": step})
+    path.write_text(path.read_text() + "4")  # a line cut short by a crash
+    log = CsvLog(path, keep_to_step=20)
+    log.write({"step": 30})
+    assert [row["step"] for row in read_csv(path)] == ["10", "20", "30"]
+
+
+def test_a_new_log_replaces_an_old_file(tmp_path):
+    path = tmp_path / "metrics.csv"
+    CsvLog(path).write({"step": 1})
+    CsvLog(path).write({"step": 2})
+    assert [row["step"] for row in read_csv(path)] == ["2"]
