@@ -1,0 +1,108 @@
+"""The task's (object, colour) pairs go in; one subgraph a slot comes out."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from knowarm.errors import UserError, unknown_name
+from knowarm.knowledge.config import KnowledgeConfig
+from knowarm.knowledge.graph import KnowledgeGraph
+from knowarm.knowledge.labels import label_of
+from knowarm.knowledge.subgraph import gamma
+from knowarm.knowledge.term import local_name
+
+
+@dataclass(frozen=True)
+class Facet:
+    """What one slot of the scene embedding describes."""
+
+    object: str
+    """The object, by its name in the task."""
+    colour: str | None
+    """The colour, by its name in the task; None describes the object whatever its colour."""
+
+    @property
+    def name(self) -> str:
+        """The slot's name in tables: "red mug", "mug"."""
+        words = self.object if self.colour is None else f"{self.colour} {self.object}"
+        return label_of(words, {})
+
+
+def slots_of(config: KnowledgeConfig, facets: Sequence[tuple[str, str]]) -> tuple[Facet, ...]:
+    """Return the slots, in the facets' order: one an object (partial) or one a facet (full)."""
+    if config.detail == "none":
+        return ()
+    if config.detail == "partial":
+        return tuple(Facet(name, None) for name in dict.fromkeys(pair[0] for pair in facets))
+    return tuple(Facet(*pair) for pair in dict.fromkeys(map(tuple, facets)))
+
+
+def facet_subgraph(
+    graph: KnowledgeGraph, facet: Facet, config: KnowledgeConfig, colour_index: int | None = None
+) -> KnowledgeGraph:
+    """Return what the graph says about a facet: Gamma of the object, with the facet's colour only.
+
+    Args:
+        graph: the whole graph.
+        facet: the object and its colour, or None for no colour fact.
+        config: hops, direction, relations and the name of the colour relation.
+        colour_index: take the object's colour with this number instead of the facet's own: for
+            a false graph, which does not know the true colour.
+
+    Raises:
+        UserError: the graph lacks the object, the colour relation, or that colour of the object.
+    """
+    names = config.entity_names
+    name = names.get(facet.object, facet.object)
+    around = gamma(
+        graph,
+        [name],
+        hops=config.hops,
+        direction=config.direction,
+        relations=config.relations,
+        max_degree=config.max_degree,
+    )
+    entity = graph.entity_id(name)
+    relation = _colour_relation(graph, config.colour_relation, required=facet.colour is not None)
+    colours = (around.heads == entity) & (around.relations == relation)
+    keep = ~colours
+    if facet.colour is not None:
+        keep[_colour_row(around, np.flatnonzero(colours), facet, names, colour_index)] = True
+    return around.rows(np.flatnonzero(keep), nodes=np.array([entity]))
+
+
+def _colour_relation(graph: KnowledgeGraph, name: str, *, required: bool) -> int:
+    """Return the relation's id; -1 where the graph has none and none is needed."""
+    try:
+        return graph.relation_id(name)
+    except UserError as error:
+        if not required:
+            return -1
+        known = [local_name(n) for n in graph.relation_names]
+        hint = " Name the graph's relation with --colour-relation, or take --detail partial."
+        raise UserError(str(unknown_name("colour relation", name, known)) + hint) from error
+
+
+def _colour_row(
+    around: KnowledgeGraph,
+    rows: np.ndarray,
+    facet: Facet,
+    names: Mapping[str, str],
+    colour_index: int | None,
+) -> int:
+    """Return the row of the facet's colour fact among the object's colour facts."""
+    if colour_index is not None and len(rows):
+        return int(rows[colour_index % len(rows)])
+    wanted = names.get(facet.colour or "", facet.colour or "")
+    for row in rows:
+        tail = around.names[around.tails[row]]
+        label = label_of(tail, around.labels)
+        if wanted in (tail, local_name(tail)) or label_of(wanted, {}) == label:
+            return int(row)
+    known = sorted(local_name(around.names[around.tails[row]]) for row in rows)
+    raise UserError(
+        f"The graph does not say that {facet.object!r} can be {wanted!r}. "
+        f"Its colours there: {', '.join(known) or 'none'}. "
+        f"Add that fact to the graph, or take --detail partial."
+    )

@@ -1,0 +1,184 @@
+"""Triples go in; a graph that answers who stands beside whom in microseconds comes out."""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from knowarm.errors import UserError, unknown_name
+from knowarm.knowledge.names import Names
+from knowarm.knowledge.term import local_name
+
+Triple = tuple[str, str, str]
+"""(head, relation, tail), e.g. ("mug", "hasColor", "red")."""
+
+_NEAREST_AMONG = 20_000  # beyond this many names the error lists no nearest ones: too slow
+
+
+class KnowledgeGraph:
+    """A set of triples over names, held as sorted integers.
+
+    Entities and relations are numbered in the order of their names. Triples are sorted by (head,
+    relation, tail), with a second order by tail, so that the edges of an entity are one slice in
+    either direction: about 20 bytes a triple and the names. A graph never changes.
+
+    A subgraph shares its parent's names, so that it costs only its own edges.
+
+    Attributes:
+        names, relation_names: the names that ids point into.
+        heads, relations, tails: ids, each (n,) int32, sorted by (head, relation, tail), no copies.
+        by_tail: rows in the order of their tails, (n,) int32; tails_sorted = tails[by_tail].
+        nodes: the ids of the entities in this graph, (m,) int32, sorted.
+        labels: written label (rdfs:label) by entity or relation name, where there is one.
+    """
+
+    def __init__(
+        self,
+        names: Names,
+        relation_names: Names,
+        triples: np.ndarray,
+        *,
+        nodes: np.ndarray | None = None,
+        labels: Mapping[str, str] | None = None,
+    ) -> None:
+        """Make a graph of id triples (n, 3) in any order, with or without duplicates."""
+        order = np.lexsort((triples[:, 2], triples[:, 1], triples[:, 0]))
+        triples = triples[order].astype(np.int32, copy=False)
+        if len(triples):
+            new = np.ones(len(triples), bool)
+            np.any(triples[1:] != triples[:-1], axis=1, out=new[1:])
+            triples = triples if new.all() else triples[new]
+        self.names, self.relation_names = names, relation_names
+        self.heads, self.relations, self.tails = (
+            np.ascontiguousarray(triples[:, i]) for i in range(3)
+        )
+        self.by_tail = np.argsort(self.tails, kind="stable").astype(np.int32)
+        self.tails_sorted = self.tails[self.by_tail]
+        ends = np.concatenate([self.heads, self.tails] + ([] if nodes is None else [nodes]))
+        self.nodes = np.unique(ends).astype(np.int32)
+        self.labels: Mapping[str, str] = {} if labels is None else labels
+
+    # ------------------------------------------------------------------ reading
+
+    def __len__(self) -> int:
+        return len(self.heads)
+
+    def __iter__(self) -> Iterator[Triple]:
+        """Yield (head, relation, tail) names, sorted."""
+        entity, relation = self.names, self.relation_names
+        for h, r, t in zip(self.heads, self.relations, self.tails, strict=True):
+            yield entity[h], relation[r], entity[t]
+
+    def __contains__(self, triple: Triple) -> bool:
+        head, tail = self.names.find(triple[0]), self.names.find(triple[2])
+        relation = self.relation_names.find(triple[1])
+        if head is None or tail is None or relation is None:
+            return False
+        rows = self.out_rows(head)
+        return bool(((self.relations[rows] == relation) & (self.tails[rows] == tail)).any())
+
+    def __eq__(self, other: object) -> bool:
+        """Two graphs are equal when they hold the same triples, entities and labels by name."""
+        if not isinstance(other, KnowledgeGraph):
+            return NotImplemented
+        if len(self) != len(other) or len(self.nodes) != len(other.nodes):
+            return False
+        return (
+            set(self) == set(other)
+            and set(self.entities) == set(other.entities)
+            and (self.own_labels() == other.own_labels())
+        )
+
+    __hash__ = None  # type: ignore[assignment]  # equality looks at every triple
+
+    def __repr__(self) -> str:
+        return (
+            f"KnowledgeGraph({len(self):,} triples, {len(self.nodes):,} entities, "
+            f"{len(self.relations_used):,} relations)"
+        )
+
+    @property
+    def entities(self) -> list[str]:
+        """The names of the entities in this graph, sorted."""
+        if len(self.nodes) == len(self.names):
+            return list(self.names)
+        return [self.names[i] for i in self.nodes]
+
+    @property
+    def relations_used(self) -> list[str]:
+        """The names of the relations in this graph, sorted."""
+        return [self.relation_names[i] for i in np.unique(self.relations)]
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes held by triples and names."""
+        arrays = (self.heads, self.relations, self.tails, self.by_tail, self.tails_sorted)
+        names = sum(len(n.blob) + n.offsets.nbytes for n in (self.names, self.relation_names))
+        return sum(a.nbytes for a in arrays) + self.nodes.nbytes + names
+
+    def own_labels(self) -> dict[str, str]:
+        """Return the labels of the entities and relations that this graph itself contains."""
+        inside = {*self.entities, *self.relations_used} if self.labels else set()
+        return {name: label for name, label in self.labels.items() if name in inside}
+
+    # ------------------------------------------------------------------ edges
+
+    def out_rows(self, entity: int) -> slice:
+        """Return the rows whose head is the entity id."""
+        low = np.searchsorted(self.heads, np.int32(entity))
+        return slice(int(low), int(np.searchsorted(self.heads, np.int32(entity), side="right")))
+
+    def in_rows(self, entity: int) -> np.ndarray:
+        """Return the rows whose tail is the entity id, (k,) int32."""
+        low = np.searchsorted(self.tails_sorted, np.int32(entity))
+        high = np.searchsorted(self.tails_sorted, np.int32(entity), side="right")
+        return self.by_tail[low:high]
+
+    def rows(self, rows: np.ndarray, nodes: np.ndarray | None = None) -> "KnowledgeGraph":
+        """Return the subgraph of some rows (k,) int and of nodes (m,) that may stand alone."""
+        triples = np.stack([self.heads[rows], self.relations[rows], self.tails[rows]], axis=1)
+        return KnowledgeGraph(
+            self.names, self.relation_names, triples, nodes=nodes, labels=self.labels
+        )
+
+    # ------------------------------------------------------------------ names
+
+    def entity_id(self, name: str) -> int:
+        """Return the id of an entity given by name, last part of its IRI, or label.
+
+        Raises:
+            UserError: nothing in this graph is called so, or several things are.
+        """
+        exact = self.names.find(name)
+        if exact is not None and self._has_node(exact):
+            return exact
+        found = [i for i in self.names.find_local(name) if self._has_node(i)]
+        if not found:
+            labelled = (self.names.find(n) for n, label in self.labels.items() if label == name)
+            found = [i for i in labelled if i is not None and self._has_node(i)]
+        if len(found) == 1:
+            return found[0]
+        if found:
+            full = ", ".join(sorted(self.names[i] for i in found)[:5])
+            raise UserError(
+                f"{name!r} names {len(found)} entities of the graph: {full}. "
+                f"Give the full name of the one you mean."
+            )
+        if len(self.nodes) > _NEAREST_AMONG:
+            raise UserError(
+                f"Unknown entity {name!r} among {len(self.nodes):,} entities of the graph, "
+                f"such as {self.names[self.nodes[0]]!r}. "
+                f"Give a name, the last part of an IRI, or a label."
+            )
+        raise unknown_name("entity", name, {local_name(n) for n in self.entities})
+
+    def relation_id(self, name: str) -> int:
+        """Return the id of a relation given by name or the last part of its IRI."""
+        exact = self.relation_names.find(name)
+        found = self.relation_names.find_local(name) if exact is None else [exact]
+        if len(found) == 1:
+            return found[0]
+        raise unknown_name("relation", name, [local_name(n) for n in self.relation_names])
+
+    def _has_node(self, entity: int) -> bool:
+        place = int(np.searchsorted(self.nodes, np.int32(entity)))
+        return place < len(self.nodes) and self.nodes[place] == entity

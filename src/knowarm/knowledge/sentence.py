@@ -1,0 +1,67 @@
+"""A subgraph goes in; one sentence about it, the same at any time and on any machine, comes out."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from knowarm.errors import UserError
+from knowarm.knowledge.graph import KnowledgeGraph
+from knowarm.knowledge.labels import label_of
+
+
+@dataclass(frozen=True)
+class Part:
+    """One label of a sentence."""
+
+    name: str
+    """The entity's or relation's name in the graph."""
+    label: str
+    """Its words, lower case, parted by spaces."""
+    is_relation: bool
+    """Whether it is the label of an edge."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SentenceConfig:
+    """How a subgraph becomes words."""
+
+    relation_words: bool = True
+    """Whether the labels of edges are said ("mug has color red") or left out ("mug red")."""
+    head_once: bool = False
+    """Whether an object is named once, before all its facts, or anew in each fact."""
+    templates: Mapping[str, str] = field(default_factory=dict)
+    """Words for a relation instead of its label, by its name: {"isMadeOf": "made of"}."""
+
+
+PAPER = SentenceConfig()
+"""The paper's form: the labels of nodes and edges, one after the other (section 4.1)."""
+
+
+def sentence_parts(graph: KnowledgeGraph, config: SentenceConfig = PAPER) -> list[Part]:
+    """Return the labels of a subgraph in the order of its triples: head, relation, tail names.
+
+    Raises:
+        UserError: the graph has no triple, so there is nothing to say.
+    """
+    if not len(graph):
+        asked = ", ".join(graph.entities[:8]) or "no entity"
+        raise UserError(
+            f"The subgraph of {asked} is empty: no fact is left to make a sentence of. "
+            f"Add facts about it, allow more relations, or take direction='both'."
+        )
+    parts: list[Part] = []
+    last = ""
+    for head, relation, tail in graph:
+        if not (config.head_once and head == last):
+            parts.append(Part(head, label_of(head, graph.labels), False))
+        if config.relation_words:
+            words = config.templates.get(relation)
+            label = label_of(relation, graph.labels) if words is None else words.lower()
+            parts.append(Part(relation, label, True))
+        parts.append(Part(tail, label_of(tail, graph.labels), False))
+        last = head
+    return parts
+
+
+def sentence(graph: KnowledgeGraph, config: SentenceConfig = PAPER) -> str:
+    """Return the sentence of a subgraph, e.g. "mug has color red mug has shape cylindrical"."""
+    return " ".join(part.label for part in sentence_parts(graph, config))

@@ -1,0 +1,88 @@
+"""A graph and the perceived objects go in; Gamma's subgraph of their neighbourhood comes out."""
+
+from collections.abc import Iterable, Sequence
+from typing import Literal, get_args
+
+import numpy as np
+
+from knowarm.errors import UserError, unknown_name
+from knowarm.knowledge.graph import KnowledgeGraph
+
+Direction = Literal["out", "in", "both"]
+
+
+def gamma(
+    graph: KnowledgeGraph,
+    entities: Sequence[str],
+    *,
+    hops: int = 1,
+    direction: Direction = "out",
+    relations: Iterable[str] | None = None,
+    max_degree: int | None = None,
+) -> KnowledgeGraph:
+    """Select the objects that are perceived and what stands at most `hops` edges from them.
+
+    Gamma(G, O) of the paper (section 4.1): "all the nodes representing the objects that the agent
+    is perceiving and the nodes at distance 1 from them", and the edges between the two.
+
+    Further hops never turn: what was reached along an edge's direction is left along the
+    direction only. So `mug -> red` may go on to `red -> color` and never comes back through
+    `red <- fire_truck`: an attribute that many things share stays a leaf.
+
+    Args:
+        graph: where to look.
+        entities: names of the perceived objects (or last parts of IRIs, or labels).
+        hops: how far, at least 0.
+        direction: edges to follow: "out" (the object is the head), "in", or "both".
+        relations: names of the relations to follow; None follows all.
+        max_degree: an entity reached on the way with more edges than this in the direction of
+            travel stays a leaf; None sets no limit.
+
+    Returns:
+        A graph that shares its names with `graph` and holds every asked entity, alone or not.
+
+    Raises:
+        UserError: an entity or relation is not in the graph, or `hops` < 0.
+    """
+    if hops < 0:
+        raise UserError(f"hops is {hops}; it must be 0 or more (the paper's value is 1).")
+    if direction not in get_args(Direction):
+        raise unknown_name("direction", direction, get_args(Direction))
+    asked = np.unique([graph.entity_id(name) for name in entities]).astype(np.int32)
+    allowed = None if relations is None else np.array([graph.relation_id(r) for r in relations])
+    found: list[np.ndarray] = []
+    for way in ("out", "in") if direction == "both" else (direction,):
+        found += _reach(graph, asked, hops, way == "out", allowed, max_degree)
+    rows = np.unique(np.concatenate(found)) if found else np.empty(0, np.int64)
+    return graph.rows(rows, nodes=asked)
+
+
+def _reach(
+    graph: KnowledgeGraph,
+    asked: np.ndarray,
+    hops: int,
+    outward: bool,
+    allowed: np.ndarray | None,
+    max_degree: int | None,
+) -> list[np.ndarray]:
+    """Return the rows of edges within `hops` of the asked ids, all in one direction."""
+    found: list[np.ndarray] = []
+    seen = set(asked.tolist())
+    frontier = asked.tolist()
+    for hop in range(hops):
+        reached: set[int] = set()
+        for entity in frontier:
+            if outward:
+                span = graph.out_rows(entity)
+                rows = np.arange(span.start, span.stop)
+            else:
+                rows = graph.in_rows(entity)
+            if hop and max_degree is not None and len(rows) > max_degree:
+                continue
+            if allowed is not None:
+                rows = rows[np.isin(graph.relations[rows], allowed)]
+            found.append(rows)
+            reached.update((graph.tails if outward else graph.heads)[rows].tolist())
+        frontier = sorted(reached - seen)
+        seen |= reached
+    return found

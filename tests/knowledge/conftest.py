@@ -1,0 +1,22 @@
+import pytest
+
+FACETS = [
+    ("mug", "red"),
+    ("mug", "blue"),
+    ("bottle", "yellow"),
+    ("bottle", "purple"),
+    ("cereal_box", "brown"),
+    ("cereal_box", "light_blue"),
+]
+
+
+@pytest.fixture
+def facets() -> list[tuple[str, str]]:
+    """The task's six facets (colours randomized)."""
+    return list(FACETS)
+
+
+@pytest.fixture
+def fixed_facets() -> list[tuple[str, str]]:
+    """The task's three facets (colours fixed)."""
+    return FACETS[::2]

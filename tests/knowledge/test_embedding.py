@@ -1,0 +1,135 @@
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from knowarm.errors import UserError
+from knowarm.knowledge import KNOWLEDGE, KnowledgeConfig, scene_embedding, scene_sentences
+from knowarm.knowledge.embedding import scene_subgraph
+
+
+def test_the_papers_sizes(facets, fixed_facets):
+    assert scene_embedding(KNOWLEDGE["bm"], facets).dim == 0
+    assert scene_embedding(KNOWLEDGE["partial"], facets).dim == 150
+    assert scene_embedding(KNOWLEDGE["partial"], fixed_facets).dim == 150
+    assert scene_embedding(KNOWLEDGE["full"], fixed_facets).dim == 150
+    assert scene_embedding(KNOWLEDGE["full"], facets).dim == 300
+
+
+@pytest.mark.parametrize("agent", KNOWLEDGE)
+def test_every_agent_gives_a_finite_table_of_its_size(agent, facets):
+    embedding = scene_embedding(KNOWLEDGE[agent], facets)
+    table = embedding.table(facets)
+    assert table.shape == (6, embedding.dim)
+    assert table.dtype == np.float32
+    assert np.isfinite(table).all()
+    assert embedding.constant == (embedding.dim > 0 and len(np.unique(table, axis=0)) == 1)
+    assert embedding.privileged == (embedding.dim > 0 and embedding.scope == "target")
+    json.dumps(embedding.describe())
+
+
+def test_scene_rows_are_the_vector_and_target_rows_are_slots(facets):
+    scene = scene_embedding(KNOWLEDGE["full"], facets)
+    assert (scene.table(facets) == scene.vector).all()
+    target = scene_embedding(KNOWLEDGE["target"], facets)
+    assert (target.table(facets) == target.matrix).all()
+    assert (target.table(facets[::-1]) == target.matrix[::-1]).all()
+    with pytest.raises(UserError, match="No slot describes 'green mug'"):
+        target.table([("mug", "green")])
+
+
+def test_a_slot_is_the_mean_of_the_words_of_its_sentence(facets):
+    from knowarm.knowledge.vectors.shipped import shipped_vectors
+
+    words = shipped_vectors("wordnet-gloss-50")
+    text = scene_sentences(KNOWLEDGE["full"], facets)["red mug"]
+    rows = [words.index[word] for word in text.split()]
+    expected = words.vectors[rows].mean(axis=0)
+    slot = scene_embedding(KNOWLEDGE["full"], facets).matrix[0]
+    np.testing.assert_allclose(slot, expected, rtol=1e-5)
+
+
+def test_partial_says_no_colour_and_full_says_its_own(facets):
+    partial = scene_sentences(KNOWLEDGE["partial"], facets)
+    assert list(partial) == ["mug", "bottle", "cereal box"]
+    assert "color" not in partial["mug"]
+    full = scene_sentences(KNOWLEDGE["full"], facets)
+    assert "has color red" in full["red mug"]
+    assert "blue" not in full["red mug"]
+    assert ("mug", "hasColor", "blue") in scene_subgraph(KNOWLEDGE["full"], facets)
+
+
+def test_placebos_copy_the_real_shape_and_norm(facets):
+    real = scene_embedding(KNOWLEDGE["full"], facets)
+    lengths = np.linalg.norm(real.matrix, axis=1)
+    for agent in ("random", "onehot"):
+        placebo = scene_embedding(KNOWLEDGE[agent], facets)
+        np.testing.assert_allclose(np.linalg.norm(placebo.matrix, axis=1), lengths, rtol=1e-5)
+    assert not scene_embedding(KNOWLEDGE["zeros"], facets).vector.any()
+    for agent in ("shuffled", "wrong-object"):
+        placebo = scene_embedding(KNOWLEDGE[agent], facets)
+        assert placebo.matrix.shape == real.matrix.shape
+        assert not np.allclose(placebo.matrix, real.matrix, atol=1e-3)
+        assert len(np.unique(placebo.matrix, axis=0)) == 6
+
+
+def test_the_seed_decides_a_placebo(facets):
+    def vector(source, seed):
+        config = KnowledgeConfig(detail="full", source=source, seed=seed)
+        return scene_embedding(config, facets).vector
+
+    for source in ("random", "shuffled", "wrong-object"):
+        assert (vector(source, 1) == vector(source, 1)).all()
+        assert (vector(source, 1) != vector(source, 2)).any()
+
+
+def test_wrong_objects_are_not_in_the_task(facets):
+    for sentence in scene_sentences(KNOWLEDGE["wrong-object"], facets).values():
+        assert sentence.split()[0] not in ("mug", "bottle", "cereal")
+
+
+def test_full_plus_tells_all_facets_apart(facets):
+    unit = scene_embedding(KNOWLEDGE["full+"], facets).matrix
+    cosine = unit @ unit.T
+    assert cosine[~np.eye(6, dtype=bool)].max() < 0.9
+    paper = scene_embedding(KNOWLEDGE["full"], facets).matrix
+    paper = paper / np.linalg.norm(paper, axis=1, keepdims=True)
+    assert (paper @ paper.T)[0, 1] > 0.99
+
+
+def test_errors_name_what_is_known(facets):
+    with pytest.raises(UserError, match="Did you mean 'mug'"):
+        scene_embedding(KNOWLEDGE["full"], [("mugg", "red")])
+    with pytest.raises(UserError, match="cannot|can be 'pink'.*blue, red"):
+        scene_embedding(KNOWLEDGE["full"], [("mug", "pink")])
+    with pytest.raises(UserError, match="vector source 'wordnet'"):
+        scene_embedding(KnowledgeConfig(detail="full", source="wordnet"), facets)
+    with pytest.raises(UserError, match="expects 60.*--dim 50"):
+        scene_embedding(KnowledgeConfig(detail="full", dim=60), facets)
+    with pytest.raises(UserError, match="colour relation 'paintedIn'.*--colour-relation"):
+        scene_embedding(KnowledgeConfig(detail="full", colour_relation="paintedIn"), facets)
+    with pytest.raises(UserError, match="between 0 and 1"):
+        scene_embedding(KnowledgeConfig(detail="full", colour_share=2.0), facets)
+    with pytest.raises(UserError, match="subgraph of mug is empty"):
+        scene_embedding(KnowledgeConfig(detail="partial", hops=0), facets)
+
+
+def test_the_same_bytes_in_any_process(facets):
+    code = (
+        "import hashlib; from knowarm.knowledge import *; from tests.knowledge.conftest import *\n"
+        "for n in ('full', 'full+', 'shuffled', 'wrong-object', 'random'):\n"
+        "    e = scene_embedding(KNOWLEDGE[n], FACETS)\n"
+        "    print(n, hashlib.sha256(e.vector.tobytes()).hexdigest(), e.sentences[0])\n"
+    )
+
+    def run(seed):
+        env = {**os.environ, "PYTHONHASHSEED": seed, "PYTHONPATH": str(Path.cwd())}
+        done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    assert run("0") == run("12345")
