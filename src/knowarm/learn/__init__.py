@@ -1,0 +1,22 @@
+"""A policy, environments and a knowledge table go in; a trained policy comes out.
+
+The path through the files: `collector` fills a `rollout`, `returns` and `losses` judge it, `ppo`
+and `a3c` learn from it, `guards` watch, `checkpoint` keeps.
+"""
+
+from knowarm.learn.checkpoint import Checkpoint, CheckpointStore, read_checkpoint
+from knowarm.learn.config import PPOConfig
+from knowarm.learn.ppo import PPOTrainer
+from knowarm.learn.trainer import Evaluate, Hooks, Metrics, TrainingResult
+
+__all__ = [
+    "Checkpoint",
+    "CheckpointStore",
+    "Evaluate",
+    "Hooks",
+    "Metrics",
+    "PPOConfig",
+    "PPOTrainer",
+    "TrainingResult",
+    "read_checkpoint",
+]

@@ -1,0 +1,108 @@
+"""Choices of a learning algorithm go in; checked, frozen configs come out."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from knowarm.errors import UserError
+
+
+@dataclass(frozen=True, kw_only=True)
+class PPOConfig:
+    """Recurrent PPO; the defaults are what learned fastest (docs/lab-notes.md).
+
+    Raises:
+        UserError: a value out of its range, or minibatches that do not divide the environments.
+    """
+
+    name: Literal["ppo"] = "ppo"
+    """Tells this config from the other algorithms' in a file."""
+
+    num_envs: int = 128
+    """Environments stepped together."""
+
+    rollout_steps: int = 25
+    """Steps of each environment between two updates."""
+
+    epochs: int = 2
+    """Passes over each rollout."""
+
+    minibatches: int = 4
+    """Parts the environments are divided into; each part is one gradient step a pass."""
+
+    learning_rate: float = 1e-3
+    """Adam's step size at the start."""
+
+    learning_rate_schedule: Literal["constant", "linear", "cosine"] = "linear"
+    """How the step size falls over the whole training."""
+
+    learning_rate_final: float = 0.1
+    """Step size at the end, as a share of the one at the start."""
+
+    adam_epsilon: float = 1e-5
+    """Adam's guard against division by zero."""
+
+    gamma: float = 0.99
+    """Discount factor."""
+
+    trace_decay: float = 0.95
+    """Lambda of the advantage estimate."""
+
+    clip: float = 0.2
+    """How far the probability ratio counts."""
+
+    value_weight: float = 0.5
+    """Weight of the value loss."""
+
+    entropy_weight: float = 0.01
+    """Weight of the entropy [1/nat]."""
+
+    reward_scale: float = 0.05
+    """Multiplies every reward before learning; reported returns are not scaled."""
+
+    normalize_advantages: bool = True
+    """Shift and scale the advantages of a rollout to mean 0, deviation 1."""
+
+    max_gradient_norm: float = 0.5
+    """Longer gradients are shortened to this norm."""
+
+    target_kl: float | None = None
+    """Stop the passes over a rollout when the policy has moved this far [nat]; None never."""
+
+    threads: int | None = None
+    """PyTorch threads; None takes one a core."""
+
+    def __post_init__(self) -> None:
+        _at_least(
+            self, 1, "num_envs", "rollout_steps", "epochs", "minibatches", *_threads(self.threads)
+        )
+        _positive(
+            self, "learning_rate", "adam_epsilon", "clip", "reward_scale", "max_gradient_norm"
+        )
+        _share(self, "gamma", "trace_decay", "learning_rate_final")
+        if self.num_envs % self.minibatches:
+            raise UserError(
+                f"minibatches ({self.minibatches}) must divide num_envs ({self.num_envs}): a "
+                "minibatch is a group of whole environments."
+            )
+
+
+def _threads(threads: int | None) -> list[str]:
+    return [] if threads is None else ["threads"]
+
+
+def _at_least(config: object, least: int, *names: str) -> None:
+    for name in names:
+        if getattr(config, name) < least:
+            raise UserError(f"{name} must be at least {least}, got {getattr(config, name)}.")
+
+
+def _positive(config: object, *names: str) -> None:
+    for name in names:
+        if not getattr(config, name) > 0:
+            raise UserError(f"{name} must be larger than 0, got {getattr(config, name)}.")
+
+
+def _share(config: object, *names: str) -> None:
+    for name in names:
+        if not 0 <= getattr(config, name) <= 1:
+            raise UserError(f"{name} must lie between 0 and 1, got {getattr(config, name)}.")

@@ -1,0 +1,66 @@
+"""Rewards, values and the two ways an episode ends go in; returns and advantages come out.
+
+All arrays are (T, B) float32 tensors, flags are (T, B) bool. An episode that *terminated* has no
+future; one that was *truncated* has one, worth the value of its final observation, but the next
+row belongs to another episode.
+"""
+
+import torch
+from torch import Tensor
+
+
+def next_values(
+    values: Tensor, last_values: Tensor, final_values: Tensor, terminated: Tensor, truncated: Tensor
+) -> Tensor:
+    """Value of what follows each step, within the same episode.
+
+    Args:
+        values: V of the observation each step was taken from.
+        last_values: (B,) V of the observation after the last step.
+        final_values: V of the final observation where ``truncated``; not read elsewhere.
+        terminated: the episode ended for good.
+        truncated: the time limit cut the episode.
+
+    Returns:
+        0 where terminated, ``final_values`` where truncated, else the next row's value.
+    """
+    following = torch.cat((values[1:], last_values[None]))
+    following = torch.where(truncated, final_values, following)
+    return torch.where(terminated, torch.zeros_like(following), following)
+
+
+def n_step_returns(rewards: Tensor, following: Tensor, done: Tensor, gamma: float) -> Tensor:
+    """Discounted sum of rewards until the episode or the rollout ends, then the value.
+
+    ``R_t = r_t + gamma R_{t+1}``, with ``following`` in place of ``R_{t+1}`` in the last row and
+    where ``done`` (paper section 4.2.1; Mnih et al. 2016).
+    """
+    returns = torch.empty_like(rewards)
+    future = following[-1]
+    for t in reversed(range(len(rewards))):
+        future = rewards[t] + gamma * torch.where(done[t], following[t], future)
+        returns[t] = future
+    return returns
+
+
+def advantages(
+    rewards: Tensor,
+    values: Tensor,
+    following: Tensor,
+    done: Tensor,
+    gamma: float,
+    trace_decay: float,
+) -> Tensor:
+    """Generalized advantage estimates (paper equations 3 and 4).
+
+    ``delta_t = r_t + gamma V(s_{t+1}) - V(s_t)``, ``A_t = delta_t + gamma lambda A_{t+1}``, the
+    sum cut where ``done``.
+    """
+    deltas = rewards + gamma * following - values
+    decay = gamma * trace_decay * (~done).to(rewards.dtype)
+    result = torch.empty_like(rewards)
+    carried = torch.zeros_like(rewards[0])
+    for t in reversed(range(len(rewards))):
+        carried = deltas[t] + decay[t] * carried
+        result[t] = carried
+    return result

@@ -1,0 +1,107 @@
+import math
+
+import pytest
+import torch
+
+from knowarm.learn.losses import a3c_loss, ppo_loss
+
+# One joint, two levels, probabilities 3/4 and 1/4.
+LOGITS = torch.tensor([[[math.log(3.0), 0.0]], [[math.log(3.0), 0.0]]])
+ACTIONS = torch.tensor([[0], [1]])
+ENTROPY = -(0.75 * math.log(0.75) + 0.25 * math.log(0.25))
+
+
+def test_a3c_terms_by_hand():
+    terms = a3c_loss(
+        LOGITS,
+        torch.tensor([1.0, 2.0]),
+        ACTIONS,
+        torch.tensor([2.0, -4.0]),
+        torch.tensor([3.0, 1.0]),
+        value_weight=0.5,
+        entropy_weight=0.01,
+    )
+    policy = -(math.log(0.75) * 2 + math.log(0.25) * -4) / 2
+    value = 0.5 * (2.0**2 + 1.0**2) / 2
+    assert terms.policy.item() == pytest.approx(policy, rel=1e-6)
+    assert terms.value.item() == pytest.approx(value)
+    assert terms.entropy.item() == pytest.approx(ENTROPY, rel=1e-6)
+    assert terms.total.item() == pytest.approx(policy + 0.5 * value - 0.01 * ENTROPY, rel=1e-6)
+
+
+@pytest.mark.parametrize("loss", ["a3c", "ppo"])
+def test_descending_the_loss_of_a_worthless_step_raises_the_entropy(loss):
+    logits = LOGITS.clone().requires_grad_()
+    zeros = torch.zeros(2)
+    if loss == "a3c":
+        terms = a3c_loss(
+            logits, zeros, ACTIONS, zeros, zeros, value_weight=0.5, entropy_weight=0.01
+        )
+    else:
+        old = torch.log(torch.tensor([0.75, 0.25]))
+        terms = ppo_loss(
+            logits, zeros, ACTIONS, old, zeros, zeros,
+            clip=0.2, value_weight=0.5, entropy_weight=0.01,
+        )  # fmt: skip
+    terms.total.backward()
+    # Gradient descent lowers the likelier level's logit and lifts the other's.
+    assert (logits.grad[:, 0, 0] > 0).all()
+    assert (logits.grad[:, 0, 1] < 0).all()
+
+
+def test_the_probability_of_an_action_is_the_product_over_joints():
+    logits = torch.tensor([[[math.log(3.0), 0.0], [0.0, 0.0]]])
+    terms = a3c_loss(
+        logits,
+        torch.zeros(1),
+        torch.tensor([[0, 1]]),
+        torch.ones(1),
+        torch.zeros(1),
+        value_weight=0.0,
+        entropy_weight=0.0,
+    )
+    assert terms.total.item() == pytest.approx(-math.log(0.75 * 0.5), rel=1e-6)
+    assert terms.entropy.item() == pytest.approx(ENTROPY + math.log(2), rel=1e-6)
+
+
+def ppo(old_probability, advantage):
+    logits = LOGITS[:1].clone().requires_grad_()
+    terms = ppo_loss(
+        logits,
+        torch.tensor([1.0]),
+        ACTIONS[:1],
+        torch.log(torch.tensor([old_probability])),
+        torch.tensor([advantage]),
+        torch.tensor([3.0]),
+        clip=0.2,
+        value_weight=0.5,
+        entropy_weight=0.0,
+    )
+    terms.policy.backward(retain_graph=True)
+    return terms, logits.grad
+
+
+def test_ppo_inside_the_clip_range_is_ratio_times_advantage():
+    terms, gradient = ppo(0.72, 2.0)
+    assert terms.policy.item() == pytest.approx(-0.75 / 0.72 * 2, rel=1e-6)
+    assert terms.value.item() == pytest.approx(2.0)
+    assert terms.clipped.item() == 0
+    assert gradient.abs().sum() > 0
+
+
+def test_ppo_gains_nothing_beyond_the_clip_range():
+    terms, gradient = ppo(0.5, 2.0)  # ratio 1.5
+    assert terms.policy.item() == pytest.approx(-1.2 * 2, rel=1e-6)
+    assert terms.clipped.item() == 1
+    assert gradient.abs().sum() == 0
+
+
+def test_ppo_still_corrects_a_bad_step_beyond_the_clip_range():
+    terms, gradient = ppo(0.5, -2.0)
+    assert terms.policy.item() == pytest.approx(1.5 * 2, rel=1e-6)
+    assert gradient.abs().sum() > 0
+
+
+def test_kl_estimate_by_hand():
+    terms, _ = ppo(0.5, 1.0)
+    assert terms.kl.item() == pytest.approx(1.5 - 1 - math.log(1.5), rel=1e-5)

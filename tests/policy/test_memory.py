@@ -1,0 +1,66 @@
+import pytest
+import torch
+
+from knowarm.policy.lstm_function import MaskedLSTM
+from knowarm.policy.memory import Memory
+
+T, B, N, H = 6, 3, 5, 4
+
+
+@pytest.fixture
+def memory():
+    torch.manual_seed(0)
+    memory = Memory(N, H).double()
+    for parameter in memory.parameters():
+        torch.nn.init.normal_(parameter)
+    return memory
+
+
+def random_case():
+    torch.manual_seed(1)
+    x = torch.randn(T, B, N, dtype=torch.float64)
+    state = (torch.randn(B, H, dtype=torch.float64), torch.randn(B, H, dtype=torch.float64))
+    return x, state, torch.rand(T, B) < 0.3
+
+
+def test_without_masks_it_is_pytorchs_lstm(memory):
+    x, (h, c), _ = random_case()
+    reference = torch.nn.LSTM(N, H).double()
+    reference.load_state_dict({f"{k}_l0": v for k, v in memory.state_dict().items()})
+    expected, (last_h, last_c) = reference(x, (h[None], c[None]))
+    hidden, state = memory.unroll(x, (h, c), torch.zeros(T, B, dtype=torch.bool))
+    torch.testing.assert_close(hidden, expected)
+    torch.testing.assert_close(state, (last_h[0], last_c[0]))
+
+
+def test_an_unroll_is_so_many_steps(memory):
+    x, state, start = random_case()
+    hidden, last = memory.unroll(x, state, start)
+    for t in range(T):
+        one, state = memory.step(x[t], state, start[t])
+        torch.testing.assert_close(one, hidden[t])
+    torch.testing.assert_close(state, last)
+
+
+def test_an_episode_start_forgets_everything_before(memory):
+    x, state, _ = random_case()
+    start = torch.zeros(T, B, dtype=torch.bool)
+    start[3] = True
+    x.requires_grad_()
+    hidden, _ = memory.unroll(x, state, start)
+    fresh, _ = memory.unroll(x[3:], memory.initial_state(B), start[3:])
+    torch.testing.assert_close(hidden[3:], fresh)
+    (gradient,) = torch.autograd.grad(hidden[3:].sum(), x)
+    assert (gradient[:3] == 0).all()
+    assert (gradient[3:] != 0).any()
+
+
+def test_gradients_agree_with_finite_differences():
+    torch.manual_seed(2)
+    keep = (torch.rand(T, B, 1) > 0.3).double()
+
+    def draw(*shape):
+        return torch.randn(*shape, dtype=torch.float64, requires_grad=True)
+
+    inputs = (draw(T, B, 4 * H), draw(4 * H, H), draw(B, H), draw(B, H))
+    assert torch.autograd.gradcheck(lambda *a: MaskedLSTM.apply(*a, keep), inputs)
