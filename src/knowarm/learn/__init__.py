@@ -5,11 +5,12 @@ and `a3c` learn from it, `guards` watch, `checkpoint` keeps.
 """
 
 from knowarm.learn.checkpoint import Checkpoint, CheckpointStore, read_checkpoint
-from knowarm.learn.config import PPOConfig
+from knowarm.learn.config import A3CConfig, PPOConfig
 from knowarm.learn.ppo import PPOTrainer
 from knowarm.learn.trainer import Evaluate, Hooks, Metrics, TrainingResult
 
 __all__ = [
+    "A3CConfig",
     "Checkpoint",
     "CheckpointStore",
     "Evaluate",

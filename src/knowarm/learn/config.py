@@ -86,6 +86,65 @@ class PPOConfig:
             )
 
 
+@dataclass(frozen=True, kw_only=True)
+class A3CConfig:
+    """Asynchronous advantage actor-critic; the defaults are the paper's (section 4.2.3).
+
+    What the paper leaves open (rollout, gradient limit, value weight, epsilon) follows its
+    public lineage of A3C for MuJoCo; see docs/decisions.md.
+
+    Raises:
+        UserError: a value out of its range.
+    """
+
+    name: Literal["a3c"] = "a3c"
+    """Tells this config from the other algorithms' in a file."""
+
+    workers: int = 17
+    """Processes that collect and learn; one more evaluates."""
+
+    envs_per_worker: int = 1
+    """Environments a worker steps together; 1 is the paper, more is faster."""
+
+    rollout_steps: int = 50
+    """Steps of each environment between two updates; 50 is a whole episode."""
+
+    learning_rate: float = 1e-4
+    """RMSprop's step size."""
+
+    rmsprop_decay: float = 0.99
+    """How slowly RMSprop forgets old squared gradients."""
+
+    rmsprop_epsilon: float = 1e-5
+    """Added to the root of the mean squared gradient."""
+
+    gamma: float = 0.99
+    """Discount factor."""
+
+    trace_decay: float = 1.0
+    """Lambda of the advantage estimate."""
+
+    value_weight: float = 0.5
+    """Weight of the value loss."""
+
+    entropy_weight: float = 0.01
+    """Weight of the entropy [1/nat]."""
+
+    reward_scale: float = 1.0
+    """Multiplies every reward before learning; reported returns are not scaled."""
+
+    max_gradient_norm: float = 40.0
+    """Longer gradients are shortened to this norm."""
+
+    log_every_steps: int = 10_000
+    """Environment steps, over all workers, between two rows of metrics."""
+
+    def __post_init__(self) -> None:
+        _at_least(self, 1, "workers", "envs_per_worker", "rollout_steps", "log_every_steps")
+        _positive(self, "learning_rate", "rmsprop_epsilon", "reward_scale", "max_gradient_norm")
+        _share(self, "gamma", "trace_decay", "rmsprop_decay")
+
+
 def _threads(threads: int | None) -> list[str]:
     return [] if threads is None else ["threads"]
 

@@ -41,6 +41,14 @@ class PolicyAgent:
         self.generator = generator
         self._table = torch.tensor(knowledge_table, dtype=torch.float32)
 
+    @classmethod
+    def seeded(
+        cls, policy: Policy, knowledge_table: np.ndarray, *, greedy: bool, seed: int
+    ) -> "PolicyAgent":
+        """Make an agent with a fresh generator of its own."""
+        generator = torch.Generator().manual_seed(seed)
+        return cls(policy, knowledge_table, greedy=greedy, generator=generator)
+
     def start(self, env: FacetEnv) -> None:
         """Forget the past: all episodes of ``env`` were just reset."""
         self._env = env
