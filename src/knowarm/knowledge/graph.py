@@ -1,6 +1,7 @@
 """Triples go in; a graph that answers who stands beside whom in microseconds comes out."""
 
 from collections.abc import Iterator, Mapping
+from functools import cached_property
 
 import numpy as np
 
@@ -26,8 +27,6 @@ class KnowledgeGraph:
     Attributes:
         names, relation_names: the names that ids point into.
         heads, relations, tails: ids, each (n,) int32, sorted by (head, relation, tail), no copies.
-        by_tail: rows in the order of their tails, (n,) int32; tails_sorted = tails[by_tail].
-        nodes: the ids of the entities in this graph, (m,) int32, sorted.
         labels: written label (rdfs:label) by entity or relation name, where there is one.
     """
 
@@ -51,11 +50,23 @@ class KnowledgeGraph:
         self.heads, self.relations, self.tails = (
             np.ascontiguousarray(triples[:, i]) for i in range(3)
         )
-        self.by_tail = np.argsort(self.tails, kind="stable").astype(np.int32)
-        self.tails_sorted = self.tails[self.by_tail]
-        ends = np.concatenate([self.heads, self.tails] + ([] if nodes is None else [nodes]))
-        self.nodes = np.unique(ends).astype(np.int32)
+        self._alone = np.empty(0, np.int32) if nodes is None else nodes
         self.labels: Mapping[str, str] = {} if labels is None else labels
+
+    @cached_property
+    def nodes(self) -> np.ndarray:
+        """The ids of the entities in this graph, (m,) int32, sorted."""
+        return np.unique(np.concatenate([self.heads, self.tails, self._alone])).astype(np.int32)
+
+    @cached_property
+    def by_tail(self) -> np.ndarray:
+        """Rows in the order of their tails, (n,) int32."""
+        return np.argsort(self.tails, kind="stable").astype(np.int32)
+
+    @cached_property
+    def tails_sorted(self) -> np.ndarray:
+        """Tails in the order of `by_tail`, (n,) int32."""
+        return self.tails[self.by_tail]
 
     # ------------------------------------------------------------------ reading
 
@@ -134,11 +145,16 @@ class KnowledgeGraph:
         return self.by_tail[low:high]
 
     def rows(self, rows: np.ndarray, nodes: np.ndarray | None = None) -> "KnowledgeGraph":
-        """Return the subgraph of some rows (k,) int and of nodes (m,) that may stand alone."""
-        triples = np.stack([self.heads[rows], self.relations[rows], self.tails[rows]], axis=1)
-        return KnowledgeGraph(
-            self.names, self.relation_names, triples, nodes=nodes, labels=self.labels
-        )
+        """Return the subgraph of rows (k,) int, ascending, and of nodes (m,) that may stand alone.
+
+        Rows keep their order, so nothing is sorted again.
+        """
+        part = object.__new__(KnowledgeGraph)
+        part.names, part.relation_names, part.labels = self.names, self.relation_names, self.labels
+        part.heads, part.relations = self.heads[rows], self.relations[rows]
+        part.tails = self.tails[rows]
+        part._alone = np.empty(0, np.int32) if nodes is None else nodes
+        return part
 
     # ------------------------------------------------------------------ names
 

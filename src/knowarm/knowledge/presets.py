@@ -22,6 +22,7 @@ KNOWLEDGE: dict[str, KnowledgeConfig] = {
     "partial": KnowledgeConfig(detail="partial"),
     "full": FULL,
     "full+": FULL_PLUS,
+    "analogy": replace(FULL, source="analogy", relation_words=False),
     "zeros": replace(FULL, source="zeros"),
     "random": replace(FULL, source="random"),
     "shuffled": replace(FULL, source="shuffled"),
@@ -32,4 +33,4 @@ KNOWLEDGE: dict[str, KnowledgeConfig] = {
     "target+": replace(FULL_PLUS, scope="target"),
     "target-onehot": replace(FULL, source="onehot", scope="target"),
 }
-"""Knowledge by agent: the paper's three, ours, the controls, and what knows the episode."""
+"""Knowledge by agent: the paper's three, ours, a graph embedding, controls, per-episode ones."""

@@ -48,12 +48,20 @@ def gamma(
         raise UserError(f"hops is {hops}; it must be 0 or more (the paper's value is 1).")
     if direction not in get_args(Direction):
         raise unknown_name("direction", direction, get_args(Direction))
-    asked = np.unique([graph.entity_id(name) for name in entities]).astype(np.int32)
+    asked = np.array(sorted({graph.entity_id(name) for name in entities}), np.int32)
     allowed = None if relations is None else np.array([graph.relation_id(r) for r in relations])
-    found: list[np.ndarray] = []
-    for way in ("out", "in") if direction == "both" else (direction,):
-        found += _reach(graph, asked, hops, way == "out", allowed, max_degree)
-    rows = np.unique(np.concatenate(found)) if found else np.empty(0, np.int64)
+    ways = ("out", "in") if direction == "both" else (direction,)
+    found = [
+        rows
+        for way in ways
+        for rows in _reach(graph, asked, hops, way == "out", allowed, max_degree)
+    ]
+    if not found:
+        rows = np.empty(0, np.int64)
+    elif len(found) == 1:
+        rows = found[0] if ways == ("out",) else np.sort(found[0])
+    else:
+        rows = np.unique(np.concatenate(found))
     return graph.rows(rows, nodes=asked)
 
 
@@ -67,10 +75,9 @@ def _reach(
 ) -> list[np.ndarray]:
     """Return the rows of edges within `hops` of the asked ids, all in one direction."""
     found: list[np.ndarray] = []
-    seen = set(asked.tolist())
-    frontier = asked.tolist()
+    seen = frontier = asked
     for hop in range(hops):
-        reached: set[int] = set()
+        fresh = []
         for entity in frontier:
             if outward:
                 span = graph.out_rows(entity)
@@ -81,8 +88,12 @@ def _reach(
                 continue
             if allowed is not None:
                 rows = rows[np.isin(graph.relations[rows], allowed)]
-            found.append(rows)
-            reached.update((graph.tails if outward else graph.heads)[rows].tolist())
-        frontier = sorted(reached - seen)
-        seen |= reached
+            fresh.append(rows)
+        found += fresh
+        if hop + 1 < hops and fresh:
+            reached = (graph.tails if outward else graph.heads)[np.concatenate(fresh)]
+            frontier = np.setdiff1d(reached, seen)
+            seen = np.union1d(seen, frontier)
+        elif not fresh:
+            break
     return found

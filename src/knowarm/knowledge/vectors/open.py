@@ -11,10 +11,18 @@ from knowarm.knowledge.graph import KnowledgeGraph
 from knowarm.knowledge.labels import label_of
 from knowarm.knowledge.sentence import Part
 from knowarm.knowledge.vectors.coverage import Coverage
+from knowarm.knowledge.vectors.forms import all_forms
+from knowarm.knowledge.vectors.glove import read_word_vectors
 from knowarm.knowledge.vectors.placebos import PLACEBOS
 from knowarm.knowledge.vectors.shipped import SHIPPED, shipped_vectors
 from knowarm.knowledge.vectors.source import VectorSource
 from knowarm.knowledge.vectors.words import WordSource
+
+KGE_MODELS = ("analogy", "transe", "distmult", "complex", "rotate")
+"""Sources that are trained on the graph itself; the same names as knowledge.kge.models.MODELS."""
+
+ENCODER = "sentence-transformers:"
+"""Prefix of a sentence encoder's name or path."""
 
 
 def open_source(
@@ -35,8 +43,24 @@ def open_source(
         source: VectorSource = WordSource(
             shipped_vectors(name), aliases=config.aliases, on_missing=config.on_missing
         )
+    elif name in KGE_MODELS:
+        # torch takes a second to import, and only graph embeddings need it
+        from knowarm.knowledge.kge.source import embed_graph
+
+        source = embed_graph(name, graph, dim=config.dim, seed=config.seed)
+    elif name.startswith(ENCODER):
+        from knowarm.knowledge.vectors.encoder import EncoderSource
+
+        source = EncoderSource(name.removeprefix(ENCODER))
+    elif is_path(name):
+        forms = {form for part in parts for form in all_forms(part.label, config.aliases)}
+        source = WordSource(
+            read_word_vectors(Path(name), forms),
+            aliases=config.aliases,
+            on_missing=config.on_missing,
+        )
     else:
-        raise unknown_name("vector source", name, [*SHIPPED, *PLACEBOS])
+        raise unknown_name("vector source", name, [*SHIPPED, *KGE_MODELS, *PLACEBOS])
     if source.dim != config.dim:
         raise UserError(
             f"{source.name} has {source.dim} numbers a word, but the experiment expects "

@@ -1,0 +1,1 @@
+"""Triples go in; a vector for every entity and relation comes out."""

@@ -1,0 +1,31 @@
+"""All that training a graph embedding needs to be told."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class KgeConfig:
+    """1-vs-all training with reciprocal relations (Lacroix, Usunier and Obozinski 2018)."""
+
+    model: str = "analogy"
+    """Key of MODELS: analogy, transe, distmult, complex, rotate."""
+    dim: int = 50
+    """Numbers an entity."""
+    epochs: int = 400
+    """Passes over the training triples, at most."""
+    batch_size: int = 128
+    """Queries a step."""
+    learning_rate: float | None = None
+    """Adam's step size; None takes the model's own."""
+    n3: float | None = None
+    """Weight of the N3 penalty; None takes the model's own."""
+    label_smoothing: float = 0.0
+    """Share of the target spread over all entities."""
+    evaluate_every: int = 20
+    """Epochs between looks at the validation triples."""
+    patience: int = 4
+    """Looks without a better MRR after which training stops."""
+    seed: int = 0
+    """Seed of the initial vectors and the order of triples."""
+    threads: int = 1
+    """CPU threads; with one, the same seed gives the same bytes on the same machine."""

@@ -1,0 +1,150 @@
+"""A text file of word vectors (GloVe, word2vec) goes in; those of the words asked for come out."""
+
+import re
+import zipfile
+from collections import Counter
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+
+from knowarm.errors import UserError
+from knowarm.knowledge.read.lines import decode, line_blocks, open_bytes
+from knowarm.knowledge.vectors.word_vectors import WordVectors
+
+_HEADER = re.compile(rb"\d+ \d+ *\r?")
+_NUMBER = re.compile(r"[-+]?\d+\.\d+(?:[eE][-+]?\d+)?")
+_LOOK_AT = 100
+
+
+def read_word_vectors(path: Path, wanted: Collection[str] | None = None) -> WordVectors:
+    """Read word vectors: `word number number ...` a line, most frequent word first.
+
+    Knows plain text, .gz, .bz2, .xz and .zip (its first .txt or .vec member), an optional
+    word2vec header, and words that hold spaces. Numbers are parsed for wanted words only: a file of
+    400,000 words x 50 takes about a second.
+
+    Args:
+        path: the file, e.g. glove.6B.50d.txt.
+        wanted: words to keep; None keeps all.
+
+    Raises:
+        UserError: no such file, a line of another dimension, or a wanted word whose vector holds
+            something that is no finite number; the line is named.
+    """
+    if not path.is_file():
+        raise UserError(
+            f"There is no word-vector file {path}. Give the path of a file in GloVe's format "
+            f"(glove.6B.50d.txt), or take --source wordnet-gloss-50, which comes with KnowArm."
+        )
+    if path.suffix.lower() in (".bin", ".model", ".npy"):
+        raise UserError(
+            f"{path}: binary vectors are not read. Save them as text: in gensim "
+            f"`KeyedVectors.load_word2vec_format(..., binary=True).save_word2vec_format('v.txt')`."
+        )
+    keep = None if wanted is None else {word.encode() for word in wanted}
+    first_words = None if keep is None else {word.split(b" ", 1)[0] for word in keep}
+    words: list[str] = []
+    rows: list[np.ndarray] = []
+    ranks: list[int] = []
+    seen: set[bytes] = set()
+    dim, count, header = 0, 0, 0
+    with _open(path) as file:
+        for first, lines in line_blocks(file, path):
+            if first == 1:
+                header = int(_HEADER.fullmatch(lines[0]) is not None)
+                dim = _dimension(lines[header : header + _LOOK_AT], path, header)
+            for number, line in enumerate(lines, first):
+                fields = line.count(b" ")
+                if fields != dim:
+                    if number <= header or not line.strip():
+                        continue
+                    line = line.rstrip(b" \r")
+                    fields = line.count(b" ")
+                    if fields != dim:
+                        _check_wide(line, dim, path, number)
+                count += 1
+                if first_words is not None and line[: line.find(b" ")] not in first_words:
+                    continue
+                word, *numbers = line.rsplit(b" ", dim)
+                if word in seen or (keep is not None and word not in keep):
+                    continue
+                seen.add(word)
+                words.append(decode(word, path, number))
+                rows.append(_vector(numbers, words[-1], path, number))
+                ranks.append(count)
+    vectors = np.array(rows, np.float32).reshape(len(rows), dim)
+    return WordVectors(
+        name=path.name, words=tuple(words), vectors=vectors, ranks=np.array(ranks), size=count
+    )
+
+
+def _dimension(lines: list[bytes], path: Path, header: int) -> int:
+    """Return how many numbers most of the first lines have."""
+    fields = Counter(len(line.split()) - 1 for line in lines if line.strip())
+    dim = max(fields, key=lambda n: fields[n], default=0)
+    if dim < 2:
+        raise UserError(
+            f"{path}, line {1 + header}: expected a word and its numbers, parted by spaces. "
+            f"Give a file in GloVe's format, e.g. glove.6B.50d.txt."
+        )
+    return dim
+
+
+def _check_wide(line: bytes, dim: int, path: Path, number: int) -> None:
+    """Let a line through whose word holds spaces; refuse one of another dimension."""
+    fields = line.split(b" ")
+    extra = [field.decode(errors="replace") for field in fields[1:-dim]]
+    if len(fields) - 1 < dim or (extra and all(_NUMBER.fullmatch(field) for field in extra)):
+        raise UserError(
+            f"{path}, line {number}: has {len(fields) - 1} numbers, the lines before {dim}. "
+            f"All words of a file must have the same dimension; fetch the file again."
+        )
+
+
+def _vector(numbers: list[bytes], word: str, path: Path, number: int) -> np.ndarray:
+    try:
+        vector = np.array(numbers, dtype=np.float32)
+    except ValueError:
+        bad = next(field for field in numbers if not _is_number(field))
+        raise UserError(
+            f"{path}, line {number}: {bad.decode(errors='replace')!r} in the vector of {word!r} "
+            f"is no number. Mend or drop that line."
+        ) from None
+    if not np.isfinite(vector).all():
+        raise UserError(
+            f"{path}, line {number}: the vector of {word!r} holds NaN or infinity. "
+            f"Mend or drop that line."
+        )
+    return vector
+
+
+def _is_number(field: bytes) -> bool:
+    try:
+        float(field)
+    except ValueError:
+        return False
+    return True
+
+
+@contextmanager
+def _open(path: Path) -> Iterator[IO[bytes]]:
+    if path.suffix.lower() != ".zip":
+        with open_bytes(path) as file:
+            yield file
+        return
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = [n for n in archive.namelist() if n.endswith((".txt", ".vec"))]
+            if len(members) != 1:
+                held = ", ".join(archive.namelist()[:6]) or "nothing"
+                raise UserError(
+                    f"{path} must hold one .txt or .vec file, but holds {held}. "
+                    f"Unpack it and name the file you want."
+                )
+            with archive.open(members[0]) as file:
+                yield file
+    except zipfile.BadZipFile as error:
+        raise UserError(f"{path} is no whole zip file: {error}. Fetch it again.") from error
