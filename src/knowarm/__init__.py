@@ -10,4 +10,8 @@ Folders show the same way: ``knowledge`` and ``world`` feed ``policy``, ``learn`
 ``experiment`` puts the parts together and ``cli`` is what people type.
 """
 
+from knowarm.world import register_environments
+
 __version__ = "0.1.0"
+
+register_environments()

@@ -1,0 +1,103 @@
+"""Pictures and a knowledge table go in; ``Dict(image, knowledge)`` observations come out."""
+
+from typing import Any, cast
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+from gymnasium.vector.utils import batch_space
+from numpy.typing import ArrayLike, NDArray
+
+from knowarm.errors import UserError
+from knowarm.world.env import ReachVectorEnv
+from knowarm.world.single import ReachEnv
+
+Observation = dict[str, NDArray[Any]]
+
+
+class KnowledgeObservation(gymnasium.Wrapper):
+    """Adds the knowledge vector of the running episode to a ``ReachEnv``'s picture.
+
+    Args:
+        env: a reaching environment.
+        table: (F, K) float32, one row for each of the environment's ``facets``.
+
+    Raises:
+        UserError: a table of another number of rows.
+    """
+
+    def __init__(self, env: gymnasium.Env, table: ArrayLike) -> None:
+        super().__init__(env)
+        assert isinstance(env.unwrapped, ReachEnv)
+        self._table = _checked_table(table, env.unwrapped.facets)
+        self.observation_space = _with_knowledge(env.observation_space, self._table)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start an episode; see ``ReachEnv.reset``."""
+        picture, info = self.env.reset(seed=seed, options=options)
+        return self._observe(picture, info), info
+
+    def step(self, action: Any) -> tuple[Observation, Any, bool, bool, dict[str, Any]]:
+        """Play one step; see ``ReachEnv.step``."""
+        picture, reward, terminated, truncated, info = self.env.step(action)
+        return self._observe(picture, info), reward, terminated, truncated, info
+
+    def _observe(self, picture: NDArray[np.uint8], info: dict[str, Any]) -> Observation:
+        return {"image": picture, "knowledge": self._table[info["facet"]].copy()}
+
+
+class VectorKnowledgeObservation(VectorWrapper):
+    """The same for a ``ReachVectorEnv``; ``final_obs`` carry the knowledge of what ended."""
+
+    def __init__(self, env: VectorEnv, table: ArrayLike) -> None:
+        super().__init__(env)
+        assert isinstance(env.unwrapped, ReachVectorEnv)
+        self._table = _checked_table(table, env.unwrapped.facets)
+        self.single_observation_space = _with_knowledge(env.single_observation_space, self._table)
+        self.observation_space = batch_space(self.single_observation_space, env.num_envs)
+
+    def reset(
+        self,
+        *,
+        seed: int | list[int | None] | None = None,  # wider than Gymnasium's annotation
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start episodes; see ``ReachVectorEnv.reset``."""
+        pictures, infos = self.env.reset(seed=cast(int, seed), options=options)
+        return self._observe(pictures, infos), infos
+
+    def step(
+        self, actions: Any
+    ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
+        """Play one step; see ``ReachVectorEnv.step``."""
+        pictures, rewards, terminated, truncated, infos = self.env.step(actions)
+        if self.env.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP and "final_obs" in infos:
+            final = infos["final_obs"].copy()
+            for i in np.flatnonzero(infos["_final_obs"]):
+                facet = infos["final_info"]["facet"][i]
+                final[i] = {"image": final[i], "knowledge": self._table[facet].copy()}
+            infos = infos | {"final_obs": final}
+        return self._observe(pictures, infos), rewards, terminated, truncated, infos
+
+    def _observe(self, pictures: NDArray[np.uint8], infos: dict[str, Any]) -> Observation:
+        return {"image": pictures, "knowledge": self._table[infos["facet"]]}
+
+
+def _checked_table(table: ArrayLike, facets: tuple[tuple[str, str], ...]) -> NDArray[np.float32]:
+    array = np.asarray(table, dtype=np.float32)
+    if array.ndim != 2 or len(array) != len(facets) or array.shape[1] == 0:
+        named = ", ".join("/".join(facet) for facet in facets)
+        raise UserError(
+            f"table must have one row for each of the {len(facets)} facets ({named}), got shape "
+            f"{array.shape}."
+        )
+    return array
+
+
+def _with_knowledge(image: spaces.Space, table: NDArray[np.float32]) -> spaces.Dict:
+    """Space of the picture beside a vector; its bounds are those of float32, as tables vary."""
+    knowledge = spaces.Box(-np.inf, np.inf, (table.shape[1],), np.float32)
+    return spaces.Dict({"image": image, "knowledge": knowledge})

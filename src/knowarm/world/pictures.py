@@ -1,0 +1,100 @@
+"""Geom poses and colours go in; the camera's pictures come out."""
+
+import copy
+from typing import Protocol
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from knowarm.errors import UserError
+from knowarm.world.config import EnvConfig
+from knowarm.world.scene import Scene
+
+
+class Pictures(Protocol):
+    """Draws environments; the ray caster and MuJoCo's renderer look the same from outside."""
+
+    def draw(
+        self,
+        geom_position: NDArray[np.float64],
+        geom_matrix: NDArray[np.float64],
+        geom_rgba: NDArray[np.float32],
+    ) -> NDArray[np.uint8]:
+        """Draw n pictures.
+
+        Args:
+            geom_position: (n, G, 3) [m], world.
+            geom_matrix: (n, G, 9), rotation from geom to world.
+            geom_rgba: (n, G, 4) in 0..1; alpha 0 hides a geom.
+
+        Returns:
+            (n, H, W, 3) uint8 RGB, a new array.
+        """
+
+
+def make_pictures(scene: Scene, config: EnvConfig, size: int) -> Pictures:
+    """Return the renderer the config asks for, drawing square pictures of a size [px]."""
+    if config.renderer == "opengl":
+        return OpenGLPictures(scene, size)
+    return RaycastPictures(scene, size, config.antialiasing)
+
+
+class RaycastPictures:
+    """Our own ray caster: needs no OpenGL."""
+
+    def __init__(self, scene: Scene, size: int, antialiasing: bool) -> None:
+        from knowarm.world.raycast import Raycaster
+
+        self._caster = Raycaster(scene.model, scene.camera, size, size, antialiasing=antialiasing)
+        self._size = size
+
+    def draw(
+        self,
+        geom_position: NDArray[np.float64],
+        geom_matrix: NDArray[np.float64],
+        geom_rgba: NDArray[np.float32],
+    ) -> NDArray[np.uint8]:
+        """Draw n pictures; see ``Pictures.draw``."""
+        out = np.empty((len(geom_position), self._size, self._size, 3), dtype=np.uint8)
+        return self._caster.render(geom_position, geom_matrix, geom_rgba, out)
+
+
+class OpenGLPictures:
+    """MuJoCo's own renderer without shadows and reflections: the reference, one by one and slow."""
+
+    def __init__(self, scene: Scene, size: int) -> None:
+        self._model = copy.copy(scene.model)
+        self._model.vis.global_.offwidth = max(self._model.vis.global_.offwidth, size)
+        self._model.vis.global_.offheight = max(self._model.vis.global_.offheight, size)
+        # Materials would hide the colours set here, one environment after the other.
+        self._model.geom_matid[:] = -1
+        self._camera = scene.camera
+        self._data = mujoco.MjData(self._model)
+        try:
+            self._renderer = mujoco.Renderer(self._model, size, size)
+        except Exception as error:
+            raise UserError(
+                f"EnvConfig.renderer 'opengl' found no OpenGL on this machine ({error}). Install "
+                "OSMesa (libosmesa6) and set MUJOCO_GL=osmesa, or use renderer 'raycast', which "
+                "needs none."
+            ) from error
+        for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
+            self._renderer.scene.flags[flag] = 0
+        mujoco.mj_forward(self._model, self._data)
+
+    def draw(
+        self,
+        geom_position: NDArray[np.float64],
+        geom_matrix: NDArray[np.float64],
+        geom_rgba: NDArray[np.float32],
+    ) -> NDArray[np.uint8]:
+        """Draw n pictures; see ``Pictures.draw``."""
+        pictures = []
+        for position, matrix, rgba in zip(geom_position, geom_matrix, geom_rgba, strict=True):
+            self._data.geom_xpos[:] = position
+            self._data.geom_xmat[:] = matrix
+            self._model.geom_rgba[:] = rgba
+            self._renderer.update_scene(self._data, camera=self._camera)
+            pictures.append(self._renderer.render())
+        return np.stack(pictures)

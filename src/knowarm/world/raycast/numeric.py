@@ -1,0 +1,68 @@
+"""A plain function over scalars goes in; one that compiles into CPU loops and CUDA kernels comes out.
+
+Every number is float32, and no fused or reordered arithmetic is allowed: the same state must give
+the same picture at any batch size, on any number of threads and on either device.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+Vector = tuple[np.float32, np.float32, np.float32]
+"""Three float32 scalars; compiled code keeps them in registers."""
+
+ZERO = np.float32(0)
+HALF = np.float32(0.5)
+ONE = np.float32(1)
+
+FAR = np.float32(1e9)
+"""Depth of a ray that meets nothing, and the far end of an open interval [m]."""
+
+TINY = np.float32(1e-12)
+"""Directions smaller than this count as parallel."""
+
+
+def scalar(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a function of scalars and tuples of scalars, to be inlined where it is called."""
+    compiled: Callable[..., Any] = njit(
+        forceinline=True, error_model="numpy", no_cpython_wrapper=False
+    )(function)
+    return compiled
+
+
+@scalar
+def dot(a: Vector, b: Vector) -> np.float32:
+    """Inner product of two vectors."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@scalar
+def along(origin: Vector, t: np.float32, direction: Vector) -> Vector:
+    """Point at parameter t of a ray."""
+    return (
+        origin[0] + t * direction[0],
+        origin[1] + t * direction[1],
+        origin[2] + t * direction[2],
+    )
+
+
+@scalar
+def to_local(matrix: tuple[np.float32, ...], v: Vector) -> Vector:
+    """Rotate a vector by the transpose of a row-major 3 x 3 matrix."""
+    return (
+        matrix[0] * v[0] + matrix[3] * v[1] + matrix[6] * v[2],
+        matrix[1] * v[0] + matrix[4] * v[1] + matrix[7] * v[2],
+        matrix[2] * v[0] + matrix[5] * v[1] + matrix[8] * v[2],
+    )
+
+
+@scalar
+def to_parent(matrix: tuple[np.float32, ...], v: Vector) -> Vector:
+    """Rotate a vector by a row-major 3 x 3 matrix."""
+    return (
+        matrix[0] * v[0] + matrix[1] * v[1] + matrix[2] * v[2],
+        matrix[3] * v[0] + matrix[4] * v[1] + matrix[5] * v[2],
+        matrix[6] * v[0] + matrix[7] * v[1] + matrix[8] * v[2],
+    )

@@ -1,0 +1,90 @@
+"""Gripper and grasp frames go in; distance, angle, success and the reward's terms come out."""
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+SUCCESS_REWARD = 100.0
+DISTANCE_WEIGHT = 2.0
+ANGLE_DIVISOR_DEG = 70.0
+
+
+@njit(cache=True, error_model="numpy")
+def measure(
+    tcp_position: NDArray[np.float64],
+    tcp_matrix: NDArray[np.float64],
+    grasp_position: NDArray[np.float64],
+    grasp_matrix: NDArray[np.float64],
+    ignore_roll: bool,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Measure how far each gripper is from its grasp frame.
+
+    The angle is the geodesic one, |log(Rt' Rg)|; or, ignoring the rotation about the approach axis,
+    the angle between the two z axes. Both are taken from sine and cosine, exact near 0 and 180.
+
+    Args:
+        tcp_position: (n, 3) [m], world.
+        tcp_matrix: (n, 9), rotation from gripper to world, row by row.
+        grasp_position: (n, 3) [m], world.
+        grasp_matrix: (n, 9), rotation from grasp frame to world, row by row.
+        ignore_roll: compare approach axes only.
+
+    Returns:
+        distance (n,) [m] and angle (n,) [deg].
+    """
+    n = tcp_position.shape[0]
+    distance = np.empty(n)
+    angle = np.empty(n)
+    for i in range(n):
+        square = 0.0
+        for k in range(3):
+            square += (tcp_position[i, k] - grasp_position[i, k]) ** 2
+        distance[i] = math.sqrt(square)
+        a, b = tcp_matrix[i], grasp_matrix[i]
+        if ignore_roll:
+            x = a[5] * b[8] - a[8] * b[5]
+            y = a[8] * b[2] - a[2] * b[8]
+            z = a[2] * b[5] - a[5] * b[2]
+            sine = math.sqrt(x * x + y * y + z * z)
+            cosine = a[2] * b[2] + a[5] * b[5] + a[8] * b[8]
+        else:
+            # R = A'B: trace = 1 + 2 cos, |R - R'| (Frobenius) = 2 sqrt(2) sin
+            trace = 0.0
+            for k in range(9):
+                trace += a[k] * b[k]
+            skew = 0.0
+            for p, q in ((0, 1), (1, 2), (2, 0)):
+                one = a[p] * b[q] + a[3 + p] * b[3 + q] + a[6 + p] * b[6 + q]
+                two = a[q] * b[p] + a[3 + q] * b[3 + p] + a[6 + q] * b[6 + p]
+                skew += (one - two) ** 2
+            sine = 0.5 * math.sqrt(skew)
+            cosine = 0.5 * (trace - 1.0)
+        angle[i] = math.degrees(math.atan2(sine, cosine))
+    return distance, angle
+
+
+def is_success(
+    distance: NDArray[np.float64],
+    angle: NDArray[np.float64],
+    success_distance_m: float,
+    success_angle_deg: float,
+) -> NDArray[np.bool_]:
+    """Tell which grippers are within both thresholds, (n,) bool."""
+    return (distance < success_distance_m) & (angle < success_angle_deg)
+
+
+def reward_terms(
+    distance: NDArray[np.float64], angle: NDArray[np.float64], success: NDArray[np.bool_]
+) -> dict[str, NDArray[np.float64]]:
+    """Compute the reward's terms, each (n,); the reward is their sum (paper, table 1).
+
+    100 on success, otherwise -2 d^2 - a / 70 with d in metres and a in degrees.
+    """
+    missed = ~success
+    return {
+        "success": SUCCESS_REWARD * success.astype(np.float64),
+        "distance": -DISTANCE_WEIGHT * distance**2 * missed,
+        "angle": -angle / ANGLE_DIVISOR_DEG * missed,
+    }

@@ -1,0 +1,212 @@
+"""A robot and targets go in; one compiled MuJoCo model with all that stands in it comes out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from knowarm.errors import UserError, unknown_name
+from knowarm.world.attach import ROBOT_PREFIX
+from knowarm.world.compose import compose
+from knowarm.world.objects import TARGETS
+from knowarm.world.robot import Robot
+from knowarm.world.robots import ROBOTS
+from knowarm.world.surroundings import CAMERA
+from knowarm.world.target import Target
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """The compiled model and where in its arrays things stand. J joints, K targets, G geoms."""
+
+    model: mujoco.MjModel
+    """Robot, table, floor, lights, the policy's camera, and the targets as mocap bodies."""
+
+    robot: Robot
+    targets: tuple[Target, ...]
+
+    qpos_index: NDArray[np.intp] = field(repr=False)
+    """Index in qpos of each joint, (J,)."""
+
+    joint_lower: NDArray[np.float64] = field(repr=False)
+    """Lower limit of each joint [rad], (J,)."""
+
+    joint_upper: NDArray[np.float64] = field(repr=False)
+    """Upper limit of each joint [rad], (J,)."""
+
+    home: NDArray[np.float64] = field(repr=False)
+    """Start angle of each joint before the random offset [rad], (J,)."""
+
+    tcp_site: int
+    """Id of the site at the tool centre point."""
+
+    camera: int
+    """Id of the policy's camera."""
+
+    geom_target: NDArray[np.intp] = field(repr=False)
+    """Index of the target each geom belongs to, -1 for none, (G,)."""
+
+    geom_coloured: NDArray[np.bool_] = field(repr=False)
+    """Whether a geom takes its target's colour, (G,)."""
+
+    target_colours: NDArray[np.float32] = field(repr=False)
+    """RGB by target and colour, (K, C, 3); unused colours repeat the first."""
+
+    colour_count: NDArray[np.intp] = field(repr=False)
+    """Number of colours of each target, (K,)."""
+
+    grasp_position: NDArray[np.float64] = field(repr=False)
+    """Grasp point relative to the target's place on the support, world axes [m], (K, 3)."""
+
+    grasp_matrix: NDArray[np.float64] = field(repr=False)
+    """Rotation from grasp frame to world, (K, 3, 3)."""
+
+    @property
+    def num_joints(self) -> int:
+        """Number of joints the agent moves."""
+        return len(self.qpos_index)
+
+    @property
+    def colour_names(self) -> tuple[tuple[str, ...], ...]:
+        """Names of each target's colours."""
+        return tuple(tuple(target.colours) for target in self.targets)
+
+
+def find_robot(name: str) -> Robot:
+    """Return the robot of this name.
+
+    Raises:
+        UserError: when there is none; the nearest names are in the message.
+    """
+    if name not in ROBOTS:
+        raise unknown_name("robot", name, ROBOTS)
+    return ROBOTS[name]
+
+
+def find_targets(names: Sequence[str]) -> tuple[Target, ...]:
+    """Return the targets of these names, in their order.
+
+    Raises:
+        UserError: for a name there is none of; the nearest names are in the message.
+    """
+    for name in names:
+        if name not in TARGETS:
+            raise unknown_name("target", name, TARGETS)
+    return tuple(TARGETS[name] for name in names)
+
+
+@lru_cache(maxsize=16)
+def load_scene(robot: str, targets: tuple[str, ...]) -> Scene:
+    """Build the scene of a named robot and named targets, once a process."""
+    return build_scene(find_robot(robot), find_targets(targets))
+
+
+def build_scene(robot: Robot, targets: Sequence[Target]) -> Scene:
+    """Compose and compile the scene, and find every joint, site and geom in it.
+
+    Raises:
+        UserError: an MJCF does not compile, a named joint, site or geom is missing, a joint has no
+            range, or a target can stand outside the picture.
+    """
+    model = compose(robot, targets).compile()
+    joint_ids = [model.joint(ROBOT_PREFIX + name).id for name in robot.joints]
+    lower, upper = model.jnt_range[joint_ids].T.copy()
+    home = np.array(robot.home, dtype=np.float64)
+    outside = (home < lower) | (home > upper)
+    if outside.any():
+        j = int(np.argmax(outside))
+        raise UserError(
+            f"Robot {robot.name!r}: home of joint {robot.joints[j]!r} is {home[j]:g}; its range is "
+            f"{lower[j]:g} to {upper[j]:g}."
+        )
+
+    geom_target = np.full(model.ngeom, -1, dtype=np.intp)
+    geom_coloured = np.zeros(model.ngeom, dtype=np.bool_)
+    most = max(len(target.colours) for target in targets)
+    colours = np.zeros((len(targets), most, 3), dtype=np.float32)
+    for k, target in enumerate(targets):
+        rgb = list(target.colours.values())
+        colours[k] = rgb + [rgb[0]] * (most - len(rgb))
+        for g in range(model.ngeom):
+            name = model.geom(g).name
+            if name.startswith(f"{target.name}/"):
+                geom_target[g] = k
+                geom_coloured[g] = name.removeprefix(f"{target.name}/") in target.coloured_geoms
+
+    grasp_position, grasp_matrix = _grasp_frames(model, robot, targets)
+    scene = Scene(
+        model=model,
+        robot=robot,
+        targets=tuple(targets),
+        qpos_index=model.jnt_qposadr[joint_ids].astype(np.intp),
+        joint_lower=lower,
+        joint_upper=upper,
+        home=home,
+        tcp_site=model.site(ROBOT_PREFIX + robot.tcp_site).id,
+        camera=model.camera(CAMERA).id,
+        geom_target=geom_target,
+        geom_coloured=geom_coloured,
+        target_colours=colours,
+        colour_count=np.array([len(target.colours) for target in targets], dtype=np.intp),
+        grasp_position=grasp_position,
+        grasp_matrix=grasp_matrix,
+    )
+    _check_in_picture(scene)
+    return scene
+
+
+def target_places(scene: Scene, position: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Put x, y positions (n, 2) [m] on the support: (n, 3) world positions [m]."""
+    height = np.full((len(position), 1), scene.robot.support_height_m)
+    return np.concatenate([position, height], axis=1)
+
+
+def project(scene: Scene, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Project world points (n, 3) [m] into the square picture.
+
+    Returns:
+        (n, 2): right and up from the middle of the picture, in half picture widths: inside is
+        -1 to 1. Points behind the camera come out as NaN.
+    """
+    model, data = scene.model, mujoco.MjData(scene.model)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_camlight(model, data)
+    local = (points - data.cam_xpos[scene.camera]) @ data.cam_xmat[scene.camera].reshape(3, 3)
+    depth = np.where(local[:, 2:] < 0, -local[:, 2:], np.nan)
+    half_height = np.tan(np.radians(model.cam_fovy[scene.camera]) / 2)
+    return np.asarray(local[:, :2] / (depth * half_height))
+
+
+def _grasp_frames(
+    model: mujoco.MjModel, robot: Robot, targets: Sequence[Target]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Grasp frames of the targets, at their yaw, relative to where they stand."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    ids = [model.site(f"{target.name}/{target.grasp_site}").id for target in targets]
+    bodies = model.site_bodyid[ids]
+    position = data.site_xpos[ids] - data.xpos[bodies]
+    return position, data.site_xmat[ids].reshape(-1, 3, 3).copy()
+
+
+def _check_in_picture(scene: Scene) -> None:
+    """Refuse a rectangle from whose corners a grasp point would be outside the picture."""
+    robot = scene.robot
+    centre, half = np.array(robot.rectangle_centre_m), np.array(robot.rectangle_half_size_m)
+    signs = np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)])
+    corners = target_places(scene, centre + signs * half)
+    for k, target in enumerate(scene.targets):
+        seen = project(scene, corners + scene.grasp_position[k])
+        inside = (np.abs(seen) <= 1).all(axis=1)
+        if not inside.all():
+            x, y, _ = corners[int(np.argmin(inside))]
+            raise UserError(
+                f"Robot {robot.name!r}: target {target.name!r} standing at x {x:.3f}, y {y:.3f} m "
+                "has its grasp point outside the picture. Allowed are rectangles "
+                "(rectangle_centre_m, rectangle_half_size_m) that camera_position_m, "
+                "camera_look_at_m and camera_fovy_deg show whole: widen the view or shrink the "
+                "rectangle."
+            )

@@ -1,0 +1,43 @@
+"""An object's MJCF file and its colours go in; a ``Target`` the robot can be sent to comes out."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from knowarm.errors import UserError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Target:
+    """An object to approach, drawn without physics: objects never collide.
+
+    The MJCF holds one body; its origin is the middle of the bottom, z up, and +x is the side from
+    which it is grasped. A site gives the grasp frame: z is the approach, y the finger opening.
+    """
+
+    name: str
+    """The name in the knowledge graph and on the command line."""
+
+    mjcf: Path
+    """MJCF file with one top-level body."""
+
+    colours: Mapping[str, tuple[float, float, float]]
+    """Possible colours by name, RGB in 0..1; the first is the fixed one."""
+
+    coloured_geoms: tuple[str, ...]
+    """Names of the geoms that take the colour; the others keep the file's."""
+
+    grasp_site: str = "grasp"
+    """Site of the grasp frame; it is never drawn."""
+
+    def __post_init__(self) -> None:
+        if not self.colours:
+            raise UserError(f"Target {self.name!r}: colours is empty; give at least one RGB.")
+        for colour, rgb in self.colours.items():
+            if len(rgb) != 3 or not all(0 <= value <= 1 for value in rgb):
+                raise UserError(
+                    f"Target {self.name!r}: colour {colour!r} must be three numbers in 0..1, "
+                    f"got {rgb}."
+                )
+        if not self.coloured_geoms:
+            raise UserError(f"Target {self.name!r}: coloured_geoms is empty; name a geom.")
