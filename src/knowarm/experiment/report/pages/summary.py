@@ -1,0 +1,197 @@
+"""Study and claims go in; the page that says what was found comes out."""
+
+from typing import Literal
+
+from knowarm.experiment.report import format
+from knowarm.experiment.report.blocks import (
+    Block,
+    Column,
+    Figure,
+    Page,
+    Panel,
+    Row,
+    Table,
+    Tile,
+    Tiles,
+    Tone,
+    Verdict,
+)
+from knowarm.experiment.report.claims import Claim, count
+from knowarm.experiment.report.figures import Dot, dot_chart
+from knowarm.experiment.report.levels import cells, level, own_level
+from knowarm.experiment.report.palette import colours
+from knowarm.experiment.report.study import Study, Task
+from knowarm.experiment.report.verdict import finding
+from knowarm.experiment.statistics import Interval
+
+Widths = tuple[tuple[Literal["", "wide", "narrow"], float], ...]
+
+WIDTHS: Widths = (("", 400),)
+WIDTHS_ALONE: Widths = (("wide", 760), ("narrow", 350))
+"""Screens and widths of the drawing of one task [px]."""
+
+NAMES = 118
+"""Room for the agents' names [px]."""
+
+
+def summary_page(study: Study, decided: list[Claim]) -> Page:
+    """What the runs show, in sentences made from their numbers, then the numbers."""
+    blocks: list[Block] = []
+    for task in study.tasks:
+        blocks.append(finding(task, decided).verdict())
+        learned = learning_verdict(task)
+        if learned:
+            blocks.append(learned)
+    if len(study.tasks) == 1:
+        blocks.append(_tiles(study.tasks[0]))
+    if any(task.label for task in study.tasks):
+        blocks.append(_results(study))
+    if study.problems:
+        blocks.append(
+            Verdict(
+                tone="bad",
+                sentence=f"{count(len(study.problems), 'thing')} about the run folders "
+                "should be known before these numbers are used.",
+                reasons=["Each is named, with what was done about it, under Runs."],
+            )
+        )
+    runs = len(study.runs)
+    return Page(
+        name="summary",
+        title="Summary",
+        lead=f"{count(runs, 'training run')}, {count(len(study.tasks), 'task')}. "
+        "Every sentence on this page is generated from the intervals beside it.",
+        blocks=blocks,
+    )
+
+
+def learning_verdict(task: Task) -> Verdict | None:
+    """Whether the trained networks do better than a policy that was never trained."""
+    floors = [
+        own_level(each.judged.summary, "return_mean")
+        for each in task.references
+        if each.name.startswith("untrained")
+    ]
+    # The best of several untrained policies is the one to beat.
+    floor = max((each for each in floors if each), key=lambda each: each.high, default=None)
+    groups = [(group, level(group, "return_mean")) for group in task.groups]
+    known = [(group, value) for group, value in groups if value is not None]
+    if floor is None or not known:
+        return None
+    better = [group.name for group, value in known if value.low > floor.high]
+    others = [group.name for group, value in known if value.low <= floor.high]
+    reasons = [f"{task.title}: untrained {_shown(floor)}."]
+    reasons += [f"{group.name}: mean return {_shown(value)}." for group, value in known]
+    if better and not others:
+        sentence = f"Training worked: {_listed(better)} scored above the untrained policy."
+    elif better:
+        sentence = f"{_listed(better)} scored above the untrained policy, {_listed(others)} not."
+    else:
+        sentence = "No trained agent scored clearly above the untrained policy."
+    reasons.append("Same episodes for all; separate 95 % intervals are asked for.")
+    tone: Tone = "good" if not others else "open" if better else "bad"
+    return Verdict(sentence=sentence, reasons=reasons, tone=tone)
+
+
+def _tiles(task: Task) -> Tiles:
+    tiles = []
+    chosen = colours(group.name for group in task.groups)
+    for group in task.groups:
+        success = level(group, "success")
+        if success is None:
+            continue
+        interval = f"{format.percent(success.low)} to {format.percent(success.high)}"
+        over = "over episodes" if len(group.judged_runs) == 1 else "over seeds"
+        tiles.append(
+            Tile(
+                label=group.name,
+                value=format.percent(success.estimate),
+                detail=f"success; 95 % {interval} {over}, "
+                f"{count(len(group.judged_runs), 'training seed')}",
+                colour=chosen[group.name],
+            )
+        )
+    return Tiles(tiles=tiles)
+
+
+def _results(study: Study) -> Figure:
+    rows: list[Row] = []
+    panels: list[Panel] = []
+    for task in study.tasks:
+        dots = []
+        for name, colour, values, seeds, accuracy, single in _rows(task):
+            rows.append(
+                {"task": task.title, "agent": name, "seeds": seeds, "_colour": colour}
+                | cells("success", values)
+                | cells("accuracy", accuracy)
+            )
+            dots.append(
+                Dot(
+                    name=name,
+                    colour=colour,
+                    value=values.estimate if values else None,
+                    low=values.low if values else None,
+                    high=values.high if values else None,
+                    single=single,
+                )
+            )
+        alone = len(study.tasks) == 1
+        for only, width in WIDTHS_ALONE if alone else WIDTHS:
+            svg = dot_chart(
+                dots,
+                f"Success of each agent on {task.title}",
+                x_title="success",
+                x_format=lambda v: format.percent(v, 0),
+                x_range=(0, 1),
+                width=width,
+                left=NAMES,
+            )
+            panels.append(Panel(svg=svg, title="" if alone else task.title, only=only))
+    columns = [
+        Column(key="task", label="task"),
+        Column(key="agent", label="agent"),
+        Column(key="seeds", label="seeds", format="integer"),
+        Column(key="success", label="success", format="percent", interval=True),
+        Column(key="accuracy", label="accuracy", format="percent", interval=True),
+    ]
+    return Figure(
+        title="Success after training",
+        caption="Dot: mean over training seeds. Line: its 95 % interval, over seeds where there "
+        "are several, over episodes where there is one. Small dots: single seeds.",
+        panels=panels,
+        table=Table(
+            name="summary-success",
+            title="Success and accuracy after training",
+            columns=columns,
+            rows=rows,
+            sources=[run.path for run in study.runs],
+            note="success: distance and angle within the thresholds at once; accuracy: the "
+            "paper's, final distance alone.",
+        ),
+    )
+
+
+def _rows(
+    task: Task,
+) -> list[tuple[str, str, Interval | None, int | None, Interval | None, list[float]]]:
+    chosen = colours(group.name for group in task.groups)
+    rows: list[tuple[str, str, Interval | None, int | None, Interval | None, list[float]]] = []
+    for group in task.groups:
+        single = group.scores("success").tolist() if len(group.judged_runs) > 1 else []
+        success, accuracy = level(group, "success"), level(group, "accuracy")
+        name = group.name
+        rows.append((name, chosen[name], success, len(group.judged_runs), accuracy, single))
+    for each in task.references:
+        summary = each.judged.summary
+        success, accuracy = own_level(summary, "success"), own_level(summary, "accuracy")
+        rows.append((each.name, "c-faint", success, None, accuracy, []))
+    return rows
+
+
+def _shown(value: Interval) -> str:
+    ends = f"{format.number(value.low, 1)} to {format.number(value.high, 1)}"
+    return f"{format.number(value.estimate, 1)} ({ends})"
+
+
+def _listed(names: list[str]) -> str:
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
