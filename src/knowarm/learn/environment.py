@@ -14,8 +14,11 @@ class VectorEnvironment(Protocol):
     """
 
     num_envs: int
-    facet_ids: np.ndarray
-    """(n,) int64: row of the knowledge table of each episode now running."""
+
+    @property
+    def facet_ids(self) -> np.ndarray:
+        """(n,) int64: row of the knowledge table of each episode now running."""
+        ...
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

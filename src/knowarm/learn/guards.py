@@ -10,6 +10,8 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from knowarm.errors import UserError
+from knowarm.learn.losses import LossTerms
+from knowarm.learn.rollout import Rollout
 
 log = logging.getLogger("knowarm.learn")
 
@@ -24,6 +26,7 @@ class NotFiniteError(UserError):
             "learning rate or gradient limit is the usual remedy; the last checkpoint is whole."
         )
         self.term = term
+        self.step = step
         self.batch = batch
 
 
@@ -52,17 +55,37 @@ class FiniteGuard:
             if not bool(torch.isfinite(value).all()):
                 raise NotFiniteError(name, step, self._save(step, batch))
 
-    def check_gradients(self, policy: nn.Module, step: int, batch: Mapping[str, Tensor]) -> None:
-        """Raise if a gradient is not finite, naming the parameter."""
-        self.check(
-            {
-                f"the gradient of {n}": p.grad
-                for n, p in policy.named_parameters()
-                if p.grad is not None
-            },
-            step,
-            batch,
-        )
+    def check_rollout(self, rollout: Rollout, knowledge: Tensor, step: int) -> None:
+        """Raise if what was observed, rewarded or valued is not finite."""
+        terms = {
+            "the knowledge": knowledge,
+            "the reward": rollout.reward,
+            "the value": rollout.value,
+            "the last value": rollout.last_value,
+        }
+        self.check(terms, step, rollout.tensors())
+
+    def check_update(
+        self, policy: nn.Module, loss: LossTerms, norm: Tensor, step: int, rollout: Rollout
+    ) -> None:
+        """Raise if a loss or a gradient is not finite, naming the term or the parameter.
+
+        The scalars ``loss.total`` and ``norm`` (of the whole gradient) tell whether a closer look
+        is needed.
+        """
+        if bool(torch.isfinite(norm + loss.total.detach())):
+            return
+        terms = {
+            "the policy loss": loss.policy,
+            "the value loss": loss.value,
+            "the entropy": loss.entropy,
+        }
+        gradients = {
+            f"the gradient of {name}": parameter.grad
+            for name, parameter in policy.named_parameters()
+            if parameter.grad is not None
+        }
+        self.check({**terms, **gradients, "the gradient's norm": norm}, step, rollout.tensors())
 
     def _save(self, step: int, batch: Mapping[str, Tensor]) -> Path | None:
         if self._folder is None:

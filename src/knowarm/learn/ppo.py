@@ -15,7 +15,7 @@ from knowarm.learn.config import PPOConfig
 from knowarm.learn.environment import VectorEnvironment
 from knowarm.learn.guards import FiniteGuard, HealthMonitor
 from knowarm.learn.losses import PPOLossTerms, ppo_loss
-from knowarm.learn.returns import advantages, next_values
+from knowarm.learn.returns import advantages
 from knowarm.learn.rollout import Rollout
 from knowarm.learn.schedule import step_size
 from knowarm.learn.trainer import Best, Evaluate, Hooks, Metrics, TrainingResult, crossed
@@ -190,15 +190,7 @@ class PPOTrainer:
         self._collector.collect(self.policy, rollout)
         collected = time.perf_counter()
         self.step += rollout.reward.numel()
-        self._guard.check(
-            {
-                "the knowledge": self._table,
-                "the reward": rollout.reward,
-                "the value": rollout.value,
-            },
-            self.step,
-            rollout.tensors(),
-        )
+        self._guard.check_rollout(rollout, self._table, self.step)
         reward = rollout.reward * config.reward_scale
         targets = self._targets(reward)
         terms, norms = self._learn(targets)
@@ -227,13 +219,7 @@ class PPOTrainer:
 
     def _targets(self, reward: Tensor) -> "Targets":
         config, rollout = self.config, self._rollout
-        following = next_values(
-            rollout.value,
-            rollout.last_value,
-            rollout.final_value,
-            rollout.terminated,
-            rollout.truncated,
-        )
+        following = rollout.following()
         advantage = advantages(
             reward, rollout.value, following, rollout.done, config.gamma, config.trace_decay
         )
@@ -254,7 +240,7 @@ class PPOTrainer:
                 terms.append(loss)
                 if config.target_kl is not None and float(loss.kl.detach()) > config.target_kl:
                     return terms, norms or [torch.zeros(())]
-                norms.append(self._descend(loss, columns))
+                norms.append(self._descend(loss))
         return terms, norms
 
     def _loss(self, targets: "Targets", columns: Tensor) -> PPOLossTerms:
@@ -279,21 +265,13 @@ class PPOTrainer:
             entropy_weight=self.config.entropy_weight,
         )
 
-    def _descend(self, loss: PPOLossTerms, columns: Tensor) -> Tensor:
+    def _descend(self, loss: PPOLossTerms) -> Tensor:
         """Take one gradient step; return the norm of the gradient before it was shortened."""
         self._optimizer.zero_grad(set_to_none=False)
         loss.total.backward()
         gradients = [p.grad for p in self.policy.parameters() if p.grad is not None]
         norm = torch.stack([torch.linalg.vector_norm(g) for g in gradients]).norm()
-        if not bool(torch.isfinite(norm + loss.total.detach())):
-            batch = {**self._rollout.tensors(), "columns": columns}
-            named = {
-                "the policy loss": loss.policy,
-                "the value loss": loss.value,
-                "the entropy": loss.entropy,
-            }
-            self._guard.check(named, self.step, batch)
-            self._guard.check_gradients(self.policy, self.step, batch)
+        self._guard.check_update(self.policy, loss, norm, self.step, self._rollout)
         if norm > self.config.max_gradient_norm:
             for gradient in gradients:
                 gradient.mul_(self.config.max_gradient_norm / norm)

@@ -3,6 +3,7 @@
 import torch
 from torch import Tensor
 
+from knowarm.learn.returns import next_values
 from knowarm.policy.memory import State
 
 
@@ -43,6 +44,12 @@ class Rollout:
     def done(self) -> Tensor:
         """(T, B) bool: an episode ended with this step."""
         return self.terminated | self.truncated
+
+    def following(self) -> Tensor:
+        """(T, B) value of what follows each step within its episode; see `returns.next_values`."""
+        return next_values(
+            self.value, self.last_value, self.final_value, self.terminated, self.truncated
+        )
 
     def tensors(self) -> dict[str, Tensor]:
         """All buffers by name, for saving a batch that went wrong."""

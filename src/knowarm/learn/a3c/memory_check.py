@@ -1,0 +1,36 @@
+"""A number of workers and their sizes go in; an error comes out if the machine cannot hold them."""
+
+import psutil
+
+from knowarm.errors import UserError
+from knowarm.learn.config import A3CConfig
+
+PROCESS_BYTES = 160 * 2**20
+"""Private memory of one worker before its environments; measured (docs/learning.md)."""
+
+PICTURE_COPIES = 6
+"""How often a rollout's pictures exist at once in a gradient step, as bytes: uint8 and float32."""
+
+
+def check_memory(config: A3CConfig, *, image_bytes: int, parameters: int) -> None:
+    """Refuse more workers than the free memory holds.
+
+    Args:
+        config: number of workers and environments.
+        image_bytes: size of one picture.
+        parameters: P; a worker holds values, gradient and temporaries of that size.
+
+    Raises:
+        UserError: naming the number of workers that would fit.
+    """
+    rollout = config.rollout_steps * config.envs_per_worker * image_bytes * PICTURE_COPIES
+    each = PROCESS_BYTES + rollout + 5 * 4 * parameters
+    available = psutil.virtual_memory().available
+    fitting = max(0, int(available // each) - 1)
+    if config.workers > fitting:
+        raise UserError(
+            f"{config.workers} workers and the evaluator need about "
+            f"{(config.workers + 1) * each / 2**30:.1f} GiB of memory and "
+            f"{available / 2**30:.1f} GiB are free: choose at most {fitting} workers (or fewer "
+            "envs_per_worker)."
+        )

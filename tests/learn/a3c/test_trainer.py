@@ -1,0 +1,226 @@
+import dataclasses
+import logging
+import os
+import signal
+import subprocess
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+from knowarm.errors import UserError
+from knowarm.learn.a3c import A3CTrainer
+from knowarm.learn.checkpoint import CheckpointStore
+from knowarm.learn.config import A3CConfig
+from knowarm.learn.guards import NotFiniteError
+from knowarm.learn.trainer import Hooks
+from tests.learn.test_ppo import TABLE, small_policy, successes
+from tests.learn.toys import ToyEnv
+
+FAST = A3CConfig(
+    workers=2,
+    envs_per_worker=16,
+    rollout_steps=6,
+    learning_rate=3e-3,
+    gamma=0.5,
+    trace_decay=1.0,
+    log_every_steps=960,
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Make:
+    """Environments for the workers; ``cut`` makes every reward of a seed NaN."""
+
+    recall: bool
+    length: int
+    poison: bool = False
+
+    def __call__(self, num_envs, num_threads):
+        assert num_threads == 1
+        env = ToyEnv(num_envs, recall=self.recall, length=self.length)
+        if self.poison:
+            step = env.step
+            env.step = lambda actions: (
+                *step(actions)[:1],
+                np.full(num_envs, np.nan),
+                *step(actions)[2:],
+            )
+        return env
+
+
+def make_play(recall, length):
+    def play(policy):
+        return {"return_mean": float(successes(policy, recall=recall, length=length))}
+
+    return play
+
+
+@pytest.mark.slow
+def test_identity_task_is_solved():
+    policy = small_policy()
+    trainer = A3CTrainer(FAST, policy, Make(False, 5), TABLE, seed=0)
+    trainer.train(40_000)
+    assert successes(policy, recall=False, length=5) > 0.95
+
+
+@pytest.mark.slow
+def test_memory_task_is_solved():
+    policy = small_policy()
+    config = dataclasses.replace(FAST, gamma=0.99, learning_rate=1e-3)
+    A3CTrainer(config, policy, Make(True, 3), TABLE, seed=0).train(120_000)
+    assert successes(policy, recall=True, length=3) > 0.95
+
+
+def test_updates_of_both_workers_arrive_and_are_recorded():
+    rows = []
+    policy = small_policy()
+    trainer = A3CTrainer(
+        FAST, policy, Make(False, 5), TABLE, seed=0, hooks=Hooks(on_metrics=rows.append)
+    )
+    before = trainer._values()
+    result = trainer.train(20_000)
+    assert result.step >= 20_000
+    assert trainer._shared.steps.sum() == result.step
+    assert (trainer._shared.updates >= 10).all()
+    assert (trainer._shared.steps == trainer._shared.updates * 96).all()
+    assert not np.array_equal(before, trainer._values())
+    assert rows[-1]["worker_0_steps"] > 0
+    assert rows[-1]["worker_1_steps"] > 0
+    # Both work at the same time, so some gradients meet parameters the other has moved.
+    assert sum(row["stale_share"] for row in rows) > 0
+    assert all(row["updates_per_s"] > 0 for row in rows)
+
+
+@pytest.mark.slow
+def test_a_killed_worker_is_reported_and_replaced(caplog):
+    killed = []
+
+    def kill(row):
+        if not killed:
+            killed.append(trainer._crew.workers[1].process.pid)
+            os.kill(killed[0], signal.SIGKILL)
+
+    trainer = A3CTrainer(
+        FAST, small_policy(), Make(False, 5), TABLE, seed=0, hooks=Hooks(on_metrics=kill)
+    )
+    with caplog.at_level(logging.WARNING, "knowarm.learn"):
+        result = trainer.train(20_000)
+    assert result.reason == "finished"
+    assert trainer.restarts == 1
+    assert "worker 1 was killed by signal 9; another takes its place" in caplog.text
+    assert not psutil.pid_exists(killed[0])
+
+
+@pytest.mark.slow
+def test_a_worker_that_always_fails_stops_the_training():
+    with pytest.raises(RuntimeError, match=r"again and again(.|\n)*takes 2 positional"):
+        A3CTrainer(FAST, small_policy(), partial(ToyEnv), TABLE, seed=0).train(1000)
+
+
+def test_a_nan_in_a_worker_stops_the_training_and_names_the_term(tmp_path):
+    trainer = A3CTrainer(
+        FAST, small_policy(), Make(False, 5, poison=True), TABLE, seed=0, failure_folder=tmp_path
+    )
+    before = trainer._values()
+    with pytest.raises(NotFiniteError, match="the reward") as caught:
+        trainer.train(1000)
+    assert caught.value.batch.exists()
+    np.testing.assert_array_equal(trainer._values(), before)
+
+
+def test_a_users_mistake_in_a_worker_is_said_as_one():
+    with pytest.raises(UserError, match="0 rows"):
+        A3CTrainer(FAST, small_policy(), Make(False, 5), TABLE[:0], seed=0).train(1000)
+
+
+def test_more_workers_than_memory_holds_are_refused_before_the_start():
+    config = dataclasses.replace(FAST, workers=100_000)
+    with pytest.raises(UserError, match=r"choose at most \d+ workers"):
+        A3CTrainer(config, small_policy(), Make(False, 5), TABLE, seed=0)
+
+
+def build(folder, **hooks):
+    rows, evaluations = [], []
+    policy = small_policy()
+    trainer = A3CTrainer(
+        dataclasses.replace(FAST, workers=1),
+        policy,
+        Make(True, 7),
+        TABLE,
+        seed=3,
+        make_evaluate=partial(make_play, True, 7),
+        evaluate_every=1000,
+        hooks=Hooks(
+            on_metrics=rows.append,
+            on_evaluation=lambda *result: evaluations.append(result),
+            **hooks,
+        ),
+        checkpoints=CheckpointStore(folder, {"network": "small"}),
+        checkpoint_every=1500,
+    )
+    return trainer, rows, evaluations
+
+
+TIMING = {"wall_time_s", "steps_per_s", "updates_per_s"}
+
+
+def untimed(rows):
+    return [{k: v for k, v in row.items() if k not in TIMING} for row in rows]
+
+
+@pytest.mark.slow
+def test_one_worker_stopped_and_resumed_equals_an_uninterrupted_one_to_the_byte(tmp_path):
+    whole, rows, evaluations = build(tmp_path / "whole")
+    whole.train(6000)
+    stopped, first, seen = build(tmp_path / "cut", should_stop=lambda: len(first) >= 2)
+    assert stopped.train(6000).reason == "stopped"
+    assert 1920 <= stopped.step < 6000
+    resumed, second, seen_later = build(tmp_path / "cut")
+    resumed.resume()
+    resumed.train(6000)
+    assert untimed(first + second) == untimed(rows)
+    assert seen + seen_later == evaluations
+    assert [step // 1000 for step, *_ in evaluations] == [0, 1, 2, 3, 4, 5, 6]
+    for file in ("policy", "optimizer", "state"):
+        name = f"latest/{file}.safetensors"
+        assert (tmp_path / "whole" / name).read_bytes() == (tmp_path / "cut" / name).read_bytes()
+
+
+SCRIPT = """
+from pathlib import Path
+from tests.learn.a3c.test_trainer import build
+
+if __name__ == "__main__":
+    trainer, rows, _ = build(Path(__import__("sys").argv[1]))
+    trainer.train(10**9)
+"""
+
+
+@pytest.mark.slow
+def test_killing_the_trainer_leaves_a_checkpoint_and_no_orphans(tmp_path):
+    script = tmp_path / "train.py"
+    script.write_text(SCRIPT)
+    root = Path(__file__).parents[3]
+    process = subprocess.Popen(
+        [sys.executable, script, tmp_path / "run"], env={**os.environ, "PYTHONPATH": str(root)}
+    )
+    deadline = time.monotonic() + 60
+    while not (tmp_path / "run/previous").exists() and time.monotonic() < deadline:
+        time.sleep(0.1)
+    family = psutil.Process(process.pid).children(recursive=True)
+    assert len(family) >= 3  # fork server, worker, evaluator
+    process.kill()
+    process.wait()
+    _, alive = psutil.wait_procs(family, timeout=20)
+    assert not alive
+    trainer, _, _ = build(tmp_path / "run")
+    trainer.resume()
+    step = trainer.step
+    assert step >= 1500
+    result = trainer.train(step + 2000)
+    assert result.step >= step + 2000
