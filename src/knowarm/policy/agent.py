@@ -13,8 +13,11 @@ class FacetEnv(Protocol):
     """What a policy needs to know of a vector environment."""
 
     num_envs: int
-    facet_ids: np.ndarray
-    """(n,) int64: which row of the knowledge table belongs to each running episode."""
+
+    @property
+    def facet_ids(self) -> np.ndarray:
+        """(n,) int64: which row of the knowledge table belongs to each running episode."""
+        ...
 
 
 class PolicyAgent:
