@@ -103,6 +103,11 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
         return self.simulation.joint_positions
 
     @property
+    def joint_targets(self) -> NDArray[np.float64]:
+        """Where the servos are sent, (n, J) [rad]; actions add to it."""
+        return self._joint_targets.copy()
+
+    @property
     def grasp_position(self) -> NDArray[np.float64]:
         """Grasp point of each environment, world, (n, 3) [m]: for scripted agents."""
         return self._grasp_position.copy()
@@ -170,7 +175,7 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
                 environment that has ended.
         """
         mode = self.metadata["autoreset_mode"]
-        restart = self._ended
+        restart = self._ended.copy()
         if mode == AutoresetMode.DISABLED and restart.any():
             raise UserError(
                 f"Environment {int(np.argmax(restart))} has ended; reset it before the next step "

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.world.env import ACTION_LEVELS, ReachVectorEnv
+from knowarm.world.oracle import OracleAgent
 from knowarm.world.play import Agent
 
 
@@ -39,5 +40,6 @@ class RandomAgent:
 SCRIPTED: dict[str, Callable[[int], Agent]] = {
     "zero": lambda seed: ZeroAgent(),
     "random": RandomAgent,
+    "oracle": OracleAgent,
 }
 """Agents by name, each made from a seed."""

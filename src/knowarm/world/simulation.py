@@ -90,11 +90,15 @@ class Simulation:
     def step(self, joint_targets: NDArray[np.float64]) -> None:
         """Move every environment for one control period towards joint targets (n, J) [rad]."""
         if self.dynamics == "kinematic":
-            self._qpos[:, self.scene.qpos_index] = joint_targets
-            self.batch.forward(stage=_POSES)
+            self.set_joints(joint_targets)
         else:
             self._ctrl[:] = joint_targets
             self.batch.step(nstep=SUBSTEPS, stage=_POSES)
+
+    def set_joints(self, joint_positions: NDArray[np.float64]) -> None:
+        """Set the joints (n, J) [rad] and compute poses, without moving time."""
+        self._qpos[:, self.scene.qpos_index] = joint_positions
+        self.batch.forward(stage=_POSES)
 
     def get_state(self) -> NDArray[np.float64]:
         """Copy everything the physics continues from, (n, S)."""

@@ -58,9 +58,7 @@ def hull(a: Rectangle, b: Rectangle) -> Rectangle:
 
 
 @scalar
-def long_bounds(
-    p: Vector, m: tuple[np.float32, ...], half: np.float32, end: Vector
-) -> Rectangle:
+def long_bounds(p: Vector, m: tuple[np.float32, ...], half: np.float32, end: Vector) -> Rectangle:
     """Bounds of the hull of two equal round ends at +-half along the local z axis."""
     dx, dy, dz = m[2] * half, m[5] * half, m[8] * half
     return hull(

@@ -1,0 +1,25 @@
+import pytest
+
+from knowarm.errors import UserError
+from knowarm.world.config import EnvConfig
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"mpi_rad": 0}, r"mpi_rad must be greater than 0, got 0"),
+        ({"mpi_rad": float("nan")}, r"mpi_rad must be greater than 0, got nan"),
+        ({"image_size": 0}, r"image_size must lie in 1 to 4096, got 0"),
+        ({"success_distance_m": -1.0}, r"success_distance_m must be greater than 0"),
+        ({"success_angle_deg": 0.0}, r"success_angle_deg must be greater than 0"),
+        ({"max_episode_steps": 0}, r"max_episode_steps must be at least 1"),
+        ({"targets": ()}, r"targets is empty"),
+        ({"targets": ("mug", "mug")}, r"holds a name twice"),
+        ({"colours": "any"}, r"colours must be one of fixed, randomized, got 'any'"),
+        ({"dynamics": "fast"}, r"dynamics must be one of dynamic, kinematic"),
+        ({"renderer": "raster"}, r"renderer must be one of raycast, opengl"),
+    ],
+)
+def test_each_bad_field_is_named_with_what_is_allowed(options: dict, message: str) -> None:
+    with pytest.raises(UserError, match=rf"EnvConfig\.?.*{message}"):
+        EnvConfig(**options)

@@ -1,0 +1,68 @@
+import numpy as np
+import pytest
+from conftest import MakeEnv
+
+from knowarm.world.episodes import evaluation_episodes
+from knowarm.world.objects import TARGETS
+from knowarm.world.oracle import OracleAgent
+from knowarm.world.play import play
+from knowarm.world.robots import ROBOTS
+from knowarm.world.scripted import RandomAgent, ZeroAgent
+
+
+@pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_the_oracle_solves_every_task(robot: str, target: str, make_env: MakeEnv) -> None:
+    env = make_env(40, robot=robot, targets=(target,), image_size=8, num_threads=0)
+    result = play(OracleAgent(), env, evaluation_episodes(env.scene, env.config, 40, seed=1))
+    assert result.success.mean() >= 0.97
+    assert (result.distance[result.success] < 0.05).all()
+    assert (result.angle[result.success] < 15).all()
+
+
+def test_a_random_agent_does_not(make_env: MakeEnv) -> None:
+    env = make_env(60, image_size=8)
+    episodes = evaluation_episodes(env.scene, env.config, 60, seed=1)
+    result = play(RandomAgent(0), env, episodes)
+    assert result.success.mean() < 0.05
+    assert (result.length[~result.success] == 50).all()
+    assert (play(RandomAgent(0), env, episodes).distance == result.distance).all()
+
+
+def test_chunks_of_any_size_give_the_same_result(make_env: MakeEnv) -> None:
+    results = []
+    for num_envs in (3, 7, 10):
+        env = make_env(num_envs, colours="randomized")
+        episodes = evaluation_episodes(env.scene, env.config, 10, seed=2)
+        results.append(play(OracleAgent(), env, episodes, record_steps=True, record_images=4))
+    for other in results[1:]:
+        for name in ("episode_return", "length", "distance", "success", "facet"):
+            assert (getattr(results[0], name) == getattr(other, name)).all()
+        assert (results[0].steps.joint_positions == other.steps.joint_positions).all()
+        for one, two in zip(results[0].images, other.images, strict=True):
+            assert (one == two).all()
+
+
+def test_the_step_table_holds_every_step_of_every_episode(make_env: MakeEnv) -> None:
+    env = make_env(4)
+    episodes = evaluation_episodes(env.scene, env.config, 6, seed=3)
+    result = play(OracleAgent(), env, episodes, record_steps=True, record_images=2)
+    steps = result.steps
+    assert steps is not None
+    assert (np.bincount(steps.episode) == result.length).all()
+    for i in range(6):
+        rows = steps.episode == i
+        assert (steps.step[rows] == np.arange(1, result.length[i] + 1)).all()
+        assert steps.reward[rows].sum() == pytest.approx(result.episode_return[i])
+        assert steps.distance[rows][-1] == result.distance[i]
+    assert [len(film) for film in result.images] == (result.length[:2] + 1).tolist()
+
+
+def test_zero_stays_at_the_start(make_env: MakeEnv) -> None:
+    env = make_env(2, max_episode_steps=5)
+    episodes = evaluation_episodes(env.scene, env.config, 2, seed=3)
+    result = play(ZeroAgent(), env, episodes, record_steps=True)
+    assert result.steps is not None
+    assert result.steps.joint_positions == pytest.approx(
+        np.repeat(env.scene.home + episodes.joint_offsets, 5, axis=0), abs=1e-6
+    )

@@ -1,0 +1,103 @@
+import subprocess
+import sys
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+
+from knowarm.errors import UserError
+from knowarm.world import ENV_IDS
+from knowarm.world.env import ReachVectorEnv
+from knowarm.world.knowledge_observation import KnowledgeObservation, VectorKnowledgeObservation
+from knowarm.world.single import ReachEnv
+
+
+@pytest.mark.parametrize("env_id", ENV_IDS)
+def test_gymnasium_s_checker_passes_without_a_warning(env_id: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env = gymnasium.make(env_id, render_mode="rgb_array")
+        check_env(env.unwrapped)
+
+
+@pytest.mark.parametrize("env_id", ENV_IDS)
+def test_stable_baselines3_s_checker_passes_without_a_warning(env_id: str) -> None:
+    checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        checker.check_env(gymnasium.make(env_id).unwrapped)
+        env = KnowledgeObservation(gymnasium.make(env_id), np.eye(3))
+        checker.check_env(env)
+
+
+def test_make_vec_gives_our_own_vector() -> None:
+    env = gymnasium.make_vec(
+        "knowarm/TiagoReach-v0", num_envs=3, image_size=16, colours="randomized"
+    )
+    assert isinstance(env.unwrapped, ReachVectorEnv)
+    assert env.unwrapped.config.robot == "tiago"
+    observations, _ = env.reset(seed=0)
+    assert observations.shape == (3, 16, 16, 3)
+
+
+def test_render_gives_a_large_picture() -> None:
+    env = gymnasium.make("knowarm/IRB120Reach-v0", image_size=16, render_mode="rgb_array")
+    env.reset(seed=0)
+    picture = env.render()
+    assert isinstance(picture, np.ndarray)
+    assert picture.shape == (480, 480, 3)
+    assert picture.dtype == np.uint8
+    with pytest.raises(UserError, match="render_mode must be 'rgb_array' or None, got 'human'"):
+        ReachEnv(render_mode="human")
+
+
+def test_an_unseeded_environment_is_not_the_same_every_time() -> None:
+    starts = {
+        gymnasium.make("knowarm/IRB120Reach-v0", image_size=8).reset()[1]["distance"]
+        for _ in range(3)
+    }
+    assert len(starts) == 3
+
+
+def test_knowledge_of_the_running_episode_stands_beside_the_picture() -> None:
+    table = np.arange(12).reshape(6, 2)
+    env = KnowledgeObservation(
+        gymnasium.make("knowarm/IRB120Reach-v0", image_size=16, colours="randomized"), table
+    )
+    for seed in range(5):
+        observation, info = env.reset(seed=seed)
+        assert env.observation_space.contains(observation)
+        assert (observation["knowledge"] == table[info["facet"]]).all()
+    with pytest.raises(UserError, match=r"one row for each of the 3 facets \(mug/red, "):
+        KnowledgeObservation(gymnasium.make("knowarm/IRB120Reach-v0"), table)
+
+
+def test_final_observations_carry_the_knowledge_of_the_episode_that_ended() -> None:
+    table = np.arange(6).reshape(6, 1)
+    inner = gymnasium.make_vec(
+        "knowarm/IRB120Reach-v0",
+        num_envs=16,
+        image_size=8,
+        colours="randomized",
+        max_episode_steps=2,
+        autoreset=AutoresetMode.SAME_STEP,
+    )
+    env = VectorKnowledgeObservation(inner, table)
+    observations, infos = env.reset(seed=0)
+    assert env.observation_space.contains(observations)
+    before = infos["facet"]
+    for _ in range(2):
+        observations, _, _, truncated, infos = env.step(env.action_space.sample() * 0)
+    assert truncated.all()
+    after = infos["facet"]
+    assert (after != before).any()
+    assert (observations["knowledge"][:, 0] == after).all()
+    assert [final["knowledge"][0] for final in infos["final_obs"]] == before.tolist()
+
+
+def test_importing_the_package_imports_no_simulator() -> None:
+    code = "import sys, knowarm; sys.exit('mujoco' in sys.modules or 'numba' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
