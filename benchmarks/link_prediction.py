@@ -85,7 +85,7 @@ def theirs(name: str, split: Split, seed: int, epochs: int) -> dict[str, float]:
     result = pipeline(
         training=training, validation=factory(split.valid), testing=factory(split.test),
         training_kwargs={"num_epochs": epochs, "use_tqdm": False},
-        stopper="early", stopper_kwargs={"frequency": 50, "patience": 4,
+        stopper="early", stopper_kwargs={"frequency": 50, "patience": 10,
                                          "metric": "inverse_harmonic_mean_rank"},
         evaluation_kwargs={"use_tqdm": False}, random_seed=seed, device="cpu", **model,
     )  # fmt: skip

@@ -21,8 +21,9 @@ class KnowledgeConfig:
     source: str = "wordnet-gloss-50"
     """Where vectors come from: shipped word vectors ("wordnet-gloss-50"), the path of a file in
     GloVe's format, a graph embedding trained on the graph ("analogy", "transe", "distmult",
-    "complex", "rotate"), a sentence encoder ("sentence-transformers:PATH"), or a placebo ("zeros",
-    "random", "onehot", "shuffled", "wrong-object", "learned")."""
+    "complex", "rotate") or the .safetensors file of one fitted before, a sentence encoder
+    ("sentence-transformers:PATH"), or a placebo ("zeros", "random", "onehot", "shuffled",
+    "wrong-object", "learned")."""
     matches: str = "wordnet-gloss-50"
     """The real source whose shape and norm a placebo copies; unused without a placebo."""
     graph: str | None = None

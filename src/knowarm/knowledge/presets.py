@@ -12,7 +12,7 @@ FULL_PLUS = KnowledgeConfig(
     relation_words=False,
     pooling="sif",
     centring=True,
-    colour_share=0.5,
+    colour_share=0.6,
     slot_norm=1.0,
 )
 """Tells every pair of facets apart: see `knowarm knowledge probe`."""

@@ -1,14 +1,29 @@
 """What several `knowledge` commands ask: which objects, which graph, which settings."""
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
 from knowarm.errors import unknown_name
-from knowarm.knowledge import KNOWLEDGE, KnowledgeConfig
+from knowarm.knowledge import KNOWLEDGE, KnowledgeConfig, KnowledgeGraph, household, read_graph
 from knowarm.knowledge.embedding import load_graph
 from knowarm.knowledge.task import TASK_COLOURS, task_facets
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraphOptions:
+    """The graph that a command works on."""
+
+    graph: Annotated[Path | None, tyro.conf.Positional] = None
+    """A graph file, or an OpenKE folder; left out, the shipped household graph."""
+    format: str | None = None
+    """The file's format ("turtle", "ntriples", ...); left out, by its suffix."""
+
+    def read(self) -> KnowledgeGraph:
+        """Read the graph."""
+        return household() if self.graph is None else read_graph(self.graph, self.format)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,7 +15,7 @@ class Analogy(KgeModel):
     """
 
     learning_rate = 0.01
-    n3 = 0.01
+    n3 = 0.03
 
     def init(
         self, entities: int, relations: int, dim: int, generator: torch.Generator

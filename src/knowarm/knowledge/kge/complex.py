@@ -10,7 +10,7 @@ class ComplEx(KgeModel):
     """score(h, r, t) = Re(<h, r, conj(t)>), D/2 complex numbers: real half, imaginary half."""
 
     learning_rate = 0.01
-    n3 = 0.01
+    n3 = 0.03
     divisor = 2
 
     def init(

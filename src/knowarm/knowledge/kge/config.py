@@ -21,9 +21,9 @@ class KgeConfig:
     """Weight of the N3 penalty; None takes the model's own."""
     label_smoothing: float = 0.0
     """Share of the target spread over all entities."""
-    evaluate_every: int = 20
+    evaluate_every: int = 10
     """Epochs between looks at the validation triples."""
-    patience: int = 4
+    patience: int = 8
     """Looks without a better MRR after which training stops."""
     seed: int = 0
     """Seed of the initial vectors and the order of triples."""

@@ -10,7 +10,7 @@ class DistMult(KgeModel):
     """score(h, r, t) = <h, r, t> = sum_i h_i r_i t_i."""
 
     learning_rate = 0.01
-    n3 = 0.01
+    n3 = 0.03
 
     def init(
         self, entities: int, relations: int, dim: int, generator: torch.Generator

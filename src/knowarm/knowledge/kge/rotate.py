@@ -9,7 +9,7 @@ from knowarm.knowledge.kge.model import KgeModel, normal, real_and_imaginary
 class RotatE(KgeModel):
     """score(h, r, t) = -sum_i |h_i exp(i phase_i) - t_i|, D/2 complex numbers, D/2 phases."""
 
-    learning_rate = 0.01
+    learning_rate = 0.003
     n3 = 0.0
     divisor = 2
 

@@ -1,13 +1,16 @@
 """A graph goes in; a source that gives every entity and relation its trained vector comes out."""
 
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 
+from knowarm.errors import UserError
 from knowarm.knowledge.graph import KnowledgeGraph
 from knowarm.knowledge.household import household
 from knowarm.knowledge.kge.config import KgeConfig
 from knowarm.knowledge.kge.split import all_triples
+from knowarm.knowledge.kge.store import load_model
 from knowarm.knowledge.kge.train import train
 from knowarm.knowledge.sentence import Part
 from knowarm.knowledge.vectors.coverage import Coverage
@@ -34,7 +37,7 @@ class EntitySource:
         self.relation_shares = uses / max(len(graph), 1)
 
     def find(self, part: Part, coverage: Coverage) -> Found:
-        """Return the one vector of an entity or relation; its share of the triples is its frequency."""
+        """Return the vector of an entity or relation; its frequency is its share of triples."""
         coverage.how[part.label] = "entity"
         if part.is_relation:
             row = self.graph.relation_id(part.name)
@@ -48,6 +51,30 @@ def embed_graph(model: str, graph: KnowledgeGraph, *, dim: int, seed: int) -> En
     if graph is household():
         return _embed_household(model, dim, seed)
     return _embed(model, graph, dim, seed)
+
+
+def stored_source(path: Path, graph: KnowledgeGraph) -> EntitySource:
+    """Take the vectors of a model that `knowarm knowledge fit --out` wrote.
+
+    Raises:
+        UserError: the model does not know an entity or relation of the graph.
+    """
+    stored = load_model(path)
+    vectors = {
+        "entity": (stored.entities, stored.model.entity, graph.names),
+        "relation": (stored.relations, stored.model.relation_vectors(), graph.relation_names),
+    }
+    tables = []
+    for kind, (known, matrix, names) in vectors.items():
+        row = {name: i for i, name in enumerate(known)}
+        missing = [name for name in names if name not in row]
+        if missing:
+            raise UserError(
+                f"{path} has no vector for {len(missing)} of the graph's names, first the {kind} "
+                f"{missing[0]!r}. Fit the model on this graph."
+            )
+        tables.append(matrix.detach().numpy()[[row[name] for name in names]])
+    return EntitySource(path.name, graph, tables[0], tables[1])
 
 
 @cache

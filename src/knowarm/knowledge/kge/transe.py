@@ -9,7 +9,7 @@ from knowarm.knowledge.kge.model import KgeModel, normal
 class TransE(KgeModel):
     """score(h, r, t) = -||h + r - t||_1."""
 
-    learning_rate = 0.01
+    learning_rate = 0.003
     n3 = 0.0
 
     def init(

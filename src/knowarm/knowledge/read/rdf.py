@@ -58,13 +58,14 @@ def graph_of_rdflib(parsed: rdflib.Graph) -> KnowledgeGraph:
     """Turn an rdflib graph into a KnowledgeGraph."""
     builder, labels = GraphBuilder(), LabelChoice()
     for head, relation, tail in parsed:
-        if labels.take(_name(head), str(relation), _name(tail)):
+        if labels.take(name_of_term(head), str(relation), name_of_term(tail)):
             continue
-        builder.add(_name(head), _name(relation), _name(tail))
+        builder.add(name_of_term(head), name_of_term(relation), name_of_term(tail))
     return builder.build(labels.chosen())
 
 
-def _name(term: Node) -> str:
+def name_of_term(term: Node) -> str:
+    """Return the graph's name of an rdflib term."""
     if isinstance(term, Literal):
         datatype = None if term.datatype is None else str(term.datatype)
         return literal(str(term), language=term.language, datatype=datatype)

@@ -52,6 +52,10 @@ def open_source(
         from knowarm.knowledge.vectors.encoder import EncoderSource
 
         source = EncoderSource(name.removeprefix(ENCODER))
+    elif name.endswith(".safetensors"):
+        from knowarm.knowledge.kge.source import stored_source
+
+        source = stored_source(Path(name), graph)
     elif is_path(name):
         forms = {form for part in parts for form in all_forms(part.label, config.aliases)}
         source = WordSource(

@@ -1,0 +1,49 @@
+"""`knowarm knowledge probe`: objects go in; what their vectors keep of them comes out."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from knowarm.cli.knowledge.options import SceneOptions
+from knowarm.cli.tables import check_json_path, print_table, write_json_table
+from knowarm.knowledge.probe import NEARLY_SAME, probe
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProbeCommand(SceneOptions):
+    """Ask whether the vectors keep what they were given."""
+
+    json: Path | None = None
+    """Write the same as JSON to this file."""
+
+    def run(self) -> None:
+        """Print cosines, what a linear probe recovers, and a warning where facets are alike."""
+        check_json_path(self.json)
+        config = self.config()
+        found = probe(config, self.facets())
+        what = self.agent or config.source
+        numbers = [str(i) for i in range(1, len(found.slots) + 1)]
+        print_table(
+            f"Cosine of facets: {what}",
+            ["", "facet", *numbers],
+            [
+                [numbers[i], name, *(None if np.isnan(x) else float(x) for x in found.cosine[i])]
+                for i, name in enumerate(found.slots)
+            ],
+        )
+        if found.recovered:
+            print_table(
+                "Share recovered by a linear probe",
+                ["asked", "the task's", "all objects'", "by guessing"],
+                [[asked, s["task"], s["all"], s["guess"]] for asked, s in found.recovered.items()],
+            )
+        else:
+            print("Nothing to recover: these numbers are not made from the objects' facts.")
+        for first, second, cosine in found.nearly_same:
+            print(f"Warning: {first} and {second} are nearly the same (cosine {cosine:.3f}).")
+        if found.nearly_same:
+            print("A policy can hardly tell these apart. `--agent full+` can.")
+        elif found.recovered:
+            print(f"Every pair of facets is told apart: all cosines below {NEARLY_SAME}.")
+        write_json_table(self.json, found.describe())

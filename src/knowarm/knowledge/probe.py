@@ -1,0 +1,186 @@
+"""An embedding's settings go in; what can be read back from its vectors comes out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from knowarm.knowledge.config import KnowledgeConfig
+from knowarm.knowledge.embedding import load_graph, scene_embedding
+from knowarm.knowledge.graph import KnowledgeGraph
+from knowarm.knowledge.term import local_name
+from knowarm.knowledge.vectors.placebos import PLACEBOS
+
+NEARLY_SAME = 0.9
+"""Cosine from which two facets count as nearly the same."""
+
+RIDGE = 1e-2
+"""Penalty of the linear probe, on slots scaled to length 1: it cannot use differences much below
+a tenth of a slot's length, as a policy in training cannot."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Probe:
+    """What the vectors keep of what they were given."""
+
+    slots: tuple[str, ...]
+    """The task's facets."""
+    cosine: np.ndarray
+    """Cosine of every two facets, (S, S) float64; NaN where a slot is zero."""
+    recovered: dict[str, dict[str, float]]
+    """By what is asked ("object", "colour", a relation): share recovered for the task's facets
+    ("task") and for those of all objects of the graph ("all"), and by guessing the most frequent
+    ("guess"). Empty for placebos, whose numbers mean nothing."""
+
+    @property
+    def nearly_same(self) -> list[tuple[str, str, float]]:
+        """The pairs of facets that are nearly the same, and their cosine."""
+        pairs = np.argwhere(np.triu(self.cosine, 1) >= NEARLY_SAME)
+        return [(self.slots[i], self.slots[j], float(self.cosine[i, j])) for i, j in pairs]
+
+    @property
+    def largest(self) -> float:
+        """The largest cosine of two different facets."""
+        upper = self.cosine[np.triu_indices(len(self.slots), 1)]
+        return float(np.nanmax(upper)) if np.isfinite(upper).any() else float("nan")
+
+    def describe(self) -> dict[str, Any]:
+        """Return everything as JSON-able values."""
+        cosine = [[None if np.isnan(x) else float(x) for x in row] for row in self.cosine]
+        largest = None if np.isnan(self.largest) else self.largest
+        return {
+            "slots": list(self.slots),
+            "cosine": cosine,
+            "largest_cosine": largest,
+            "nearly_same": [list(pair) for pair in self.nearly_same],
+            "recovered": self.recovered,
+        }
+
+
+def probe(config: KnowledgeConfig, facets: Sequence[tuple[str, str]]) -> Probe:
+    """Ask the vectors what they were given.
+
+    Every object of the graph that has a colour is embedded by the same settings, one slot a
+    colour. A linear probe (ridge regression to one-hot answers) is fitted on all slots but the one
+    that is asked, and must name its object and its colour. For attributes, all slots of the asked
+    object are left out, and of the relation's values the k likeliest are taken, k = as many as
+    are true.
+    """
+    task = scene_embedding(config, facets)
+    cosine = _cosine(task.matrix)
+    names = tuple(slot.name for slot in task.slots)
+    if config.source in PLACEBOS or config.detail == "none":
+        return Probe(slots=names, cosine=cosine, recovered={})
+    graph = load_graph(config)
+    pairs = _population(graph, facets, config)
+    everything = scene_embedding(config, pairs)
+    vectors = everything.matrix.astype(np.float64)
+    vectors /= np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
+    in_task = np.array([slot in task.slots for slot in everything.slots])
+    objects = np.array([slot.object for slot in everything.slots])
+    recovered: dict[str, dict[str, float]] = {}
+    if config.detail == "full":
+        colours = np.array([slot.colour for slot in everything.slots])
+        for asked, answers in (("object", objects), ("colour", colours)):
+            scores = _single(vectors, answers, in_task)
+            if scores:
+                recovered[asked] = scores
+    recovered |= _attributes(graph, vectors, objects, in_task, config)
+    return Probe(slots=names, cosine=cosine, recovered=recovered)
+
+
+def _cosine(matrix: np.ndarray) -> np.ndarray:
+    wide = matrix.astype(np.float64)
+    length = np.linalg.norm(wide, axis=1, keepdims=True)
+    unit = np.divide(wide, length, out=np.full_like(wide, np.nan), where=length > 0)
+    return unit @ unit.T
+
+
+def _population(
+    graph: KnowledgeGraph, facets: Sequence[tuple[str, str]], config: KnowledgeConfig
+) -> list[tuple[str, str]]:
+    """Return the task's facets, then those of all other objects that have a colour."""
+    rows = np.flatnonzero(graph.relations == graph.relation_id(config.colour_relation))
+    known = {graph.entity_id(config.entity_names.get(name, name)) for name, _ in facets}
+    others = [
+        (graph.names[graph.heads[row]], graph.names[graph.tails[row]])
+        for row in rows
+        if int(graph.heads[row]) not in known
+    ]
+    return [*facets, *others]
+
+
+def _predict(vectors: np.ndarray, targets: np.ndarray, held: np.ndarray) -> np.ndarray:
+    """Fit ridge regression without the held rows; return scores for them, (h, classes)."""
+    train = ~held
+    mean, centre = vectors[train].mean(axis=0), targets[train].mean(axis=0)
+    x, y = vectors[train] - mean, targets[train] - centre
+    gram = x @ x.T + RIDGE * np.eye(len(x))
+    return (vectors[held] - mean) @ x.T @ np.linalg.solve(gram, y) + centre
+
+
+def _single(vectors: np.ndarray, answers: np.ndarray, in_task: np.ndarray) -> dict[str, float]:
+    """Recover one answer a slot, leaving one slot out; only answers that occur elsewhere too."""
+    classes, index, counts = np.unique(answers, return_inverse=True, return_counts=True)
+    targets = np.eye(len(classes))[index]
+    rows = np.flatnonzero(counts[index] > 1)
+    right = {}
+    for row in rows:
+        held = np.zeros(len(vectors), bool)
+        held[row] = True
+        right[int(row)] = int(_predict(vectors, targets, held)[0].argmax()) == index[row]
+    in_rows = [right[int(row)] for row in rows if in_task[row]]
+    if not in_rows:
+        return {}
+    return {
+        "task": float(np.mean(in_rows)),
+        "all": float(np.mean(list(right.values()))),
+        "guess": float(counts.max() / len(answers)),
+    }
+
+
+def _attributes(
+    graph: KnowledgeGraph,
+    vectors: np.ndarray,
+    objects: np.ndarray,
+    in_task: np.ndarray,
+    config: KnowledgeConfig,
+) -> dict[str, dict[str, float]]:
+    """Recover the values of each relation, leaving all slots of the asked object out."""
+    colour = graph.relation_id(config.colour_relation)
+    ids = np.array([graph.entity_id(config.entity_names.get(name, name)) for name in objects])
+    scores = {}
+    for relation in np.unique(graph.relations[np.isin(graph.heads, ids)]):
+        rows = np.flatnonzero((graph.relations == relation) & np.isin(graph.heads, ids))
+        tails, place, counts = np.unique(graph.tails[rows], return_inverse=True, return_counts=True)
+        if relation == colour or (counts > 1).sum() < 2:
+            continue
+        true = np.zeros((len(objects), len(tails)))
+        for row, column in zip(rows, place, strict=True):
+            true[ids == graph.heads[row], column] = 1.0
+        true = true[:, counts > 1]  # a value of one object cannot be learned from the others
+        asked = true.sum(axis=1) > 0
+        found = np.full(len(objects), np.nan)
+        guess = np.full(len(objects), np.nan)
+        for name in np.unique(objects[asked]):
+            held = objects == name
+            predicted = _predict(vectors, true, held)
+            frequent = true[~held].mean(axis=0)
+            for row, score in zip(np.flatnonzero(held), predicted, strict=True):
+                found[row] = _share_found(score, true[row])
+                guess[row] = _share_found(frequent, true[row])
+        if asked[in_task].any():
+            scores[local_name(graph.relation_names[int(relation)])] = {
+                "task": float(np.nanmean(found[in_task])),
+                "all": float(np.nanmean(found)),
+                "guess": float(np.nanmean(guess)),
+            }
+    return scores
+
+
+def _share_found(scores: np.ndarray, true: np.ndarray) -> float:
+    """Return the share of the k true values that are among the k highest scores."""
+    k = int(true.sum())
+    best = np.argsort(-scores, kind="stable")[:k]
+    return float(true[best].sum() / k)

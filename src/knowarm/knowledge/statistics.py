@@ -1,0 +1,102 @@
+"""A graph goes in; its sizes, hubs, and what may be wrong with it come out."""
+
+from collections import defaultdict
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components
+
+from knowarm.knowledge.graph import KnowledgeGraph
+from knowarm.knowledge.labels import label_of
+from knowarm.knowledge.term import local_name
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraphStatistics:
+    """What a person wants to know before using a graph."""
+
+    triples: int
+    entities: int
+    relations: int
+    labelled: int
+    """Entities with a written label."""
+    alone: int
+    """Entities without any triple."""
+    components: int
+    """Parts of the graph that no edge joins."""
+    max_degree: int
+    hubs: tuple[tuple[str, int], ...]
+    """The entities with most edges, and how many."""
+    by_relation: dict[str, int]
+    """Triples of each relation."""
+    cycles: tuple[tuple[str, tuple[str, ...]], ...]
+    """(relation, entities) that lead back to themselves: at most ten. In a hierarchy (isA) that
+    is a mistake; Gamma stops at such cycles all the same."""
+    same_labels: dict[str, tuple[str, ...]]
+    """Entities that share a label, so that the label alone does not name one: at most ten."""
+
+    def describe(self) -> dict[str, Any]:
+        """Return all fields as JSON-able values."""
+        return asdict(self)
+
+
+def graph_statistics(graph: KnowledgeGraph, hubs: int = 10) -> GraphStatistics:
+    """Count."""
+    size = len(graph.names)
+    degree = np.bincount(graph.heads, minlength=size) + np.bincount(graph.tails, minlength=size)
+    own = degree[graph.nodes]
+    edges = csr_matrix((np.ones(len(graph), bool), (graph.heads, graph.tails)), (size, size))
+    _, part = connected_components(edges, directed=False)
+    inside = len(np.unique(part[graph.nodes])) if size else 0
+    order = graph.nodes[np.lexsort((graph.nodes, -own))][:hubs]
+    counts = np.bincount(graph.relations, minlength=len(graph.relation_names))
+    used = sorted(np.flatnonzero(counts), key=lambda i: (-counts[i], i))
+    return GraphStatistics(
+        triples=len(graph),
+        entities=len(graph.nodes),
+        relations=len(used),
+        labelled=sum(graph.names.find(name) is not None for name in graph.own_labels()),
+        alone=int((own == 0).sum()),
+        components=inside,
+        max_degree=int(own.max()) if len(own) else 0,
+        hubs=tuple((graph.names[int(i)], int(degree[i])) for i in order),
+        by_relation={graph.relation_names[int(i)]: int(counts[i]) for i in used},
+        cycles=_cycles(graph),
+        same_labels=_same_labels(graph),
+    )
+
+
+def _cycles(graph: KnowledgeGraph, most: int = 10) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    """Find groups of entities that reach each other along one relation, of two or more edges.
+
+    A symmetric relation (isNextTo) makes such groups everywhere, so relations in which most edges
+    have their reverse are left out.
+    """
+    size, found = len(graph.names), []
+    for relation in np.unique(graph.relations):
+        rows = graph.relations == relation
+        heads, tails = graph.heads[rows].astype(np.int64), graph.tails[rows].astype(np.int64)
+        reverse = np.isin(tails * size + heads, heads * size + tails)
+        if reverse.mean() > 0.5 and len(heads) > 2:
+            continue
+        edges = csr_matrix((np.ones(len(heads), bool), (heads, tails)), (size, size))
+        _, part = connected_components(edges, directed=True, connection="strong")
+        together = np.flatnonzero(np.bincount(part) > 1)
+        groups = [np.flatnonzero(part == group) for group in together[:most]]
+        groups += [np.array([node]) for node in np.unique(heads[heads == tails])[:most]]
+        name = graph.relation_names[int(relation)]
+        found += [(name, tuple(graph.names[i] for i in group[:8])) for group in groups]
+    return tuple(found[:most])
+
+
+def _same_labels(graph: KnowledgeGraph, most: int = 10) -> dict[str, tuple[str, ...]]:
+    """Find written labels that another entity has too, as its label or its name."""
+    if not graph.labels:
+        return {}
+    owners: dict[str, list[str]] = defaultdict(list)
+    for name in graph.entities:
+        owners[label_of(name, graph.labels)].append(local_name(name))
+    double = {label: tuple(names) for label, names in sorted(owners.items()) if len(names) > 1}
+    return dict(list(double.items())[:most])
