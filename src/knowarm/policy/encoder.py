@@ -39,4 +39,4 @@ class ImageEncoder(nn.Module):
         pixels = image.permute(0, 3, 1, 2).contiguous().to(weight.dtype)
         x = torch.relu(F.conv2d(pixels, weight, bias, stride=4))
         x = torch.relu(self.conv2(x))
-        return x.permute(0, 2, 3, 1).reshape(len(x), self.width)
+        return x.permute(0, 2, 3, 1).reshape(x.shape[0], self.width)

@@ -1,5 +1,6 @@
 """Shared parameters and own environments go in; updates of the shared parameters come out."""
 
+import contextlib
 import os
 import signal
 import traceback
@@ -40,7 +41,8 @@ def run_worker(job: WorkerJob, shared: SharedLearning, connection: Connection) -
         # The trainer is gone: nobody is left to work for.
         os._exit(0)
     except Exception as error:
-        connection.send(_failure(error))
+        with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+            connection.send(_failure(error))
 
 
 def prepare_process() -> None:

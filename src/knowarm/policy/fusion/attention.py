@@ -33,7 +33,7 @@ class Attention(Fusion):
 
     def before_lstm(self, x: Tensor, knowledge: Tensor) -> Tensor:
         """(N, F) -> (N, F + K / slots)."""
-        slots = knowledge.view(len(knowledge), self.slots, -1)
+        slots = knowledge.view(knowledge.shape[0], self.slots, -1)
         scores = (self.query(x)[:, None] * self.key(slots)).sum(2) / math.sqrt(slots.shape[2])
         answer = (torch.softmax(scores, 1)[:, :, None] * self.value(slots)).sum(1)
         return torch.cat((x, answer), 1)

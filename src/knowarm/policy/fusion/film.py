@@ -26,5 +26,5 @@ class FiLM(Fusion):
     def before_fc(self, x: Tensor, knowledge: Tensor) -> Tensor:
         """(N, positions * channels) -> the same shape."""
         gamma, beta = self.modulation(knowledge)[:, None].chunk(2, 2)
-        maps = x.view(len(x), -1, CHANNELS)
+        maps = x.view(x.shape[0], -1, CHANNELS)
         return torch.addcmul(beta, 1 + gamma, maps).flatten(1)
