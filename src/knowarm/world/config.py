@@ -13,10 +13,10 @@ class EnvConfig:
     """The reaching task (paper, section 3). Defaults are the paper's training settings."""
 
     robot: str = "irb120"
-    """A name in ``ROBOTS``."""
+    """A name in ``ROBOTS``, or the TOML file of a robot of your own."""
 
     targets: tuple[str, ...] = ("mug", "bottle", "cereal_box")
-    """Names in ``TARGETS``; one is drawn uniformly for each episode."""
+    """Names in ``TARGETS`` or TOML files; one is drawn uniformly for each episode."""
 
     colours: Literal["fixed", "randomized"] = "fixed"
     """Always a target's first colour, or one of its colours drawn for each episode."""

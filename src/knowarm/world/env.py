@@ -39,7 +39,7 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
     Args:
         config: the task.
         num_envs: n.
-        num_threads: threads of the physics, 0 for one a core.
+        num_threads: threads of physics and pictures, 0 for one a core.
         autoreset: Gymnasium's mode; SAME_STEP also gives ``final_obs`` and ``final_info``.
 
     Attributes:
@@ -67,7 +67,7 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
         }
         self.scene: Scene = load_scene(config.robot, tuple(config.targets))
         self.simulation = Simulation(self.scene, num_envs, num_threads, config.dynamics)
-        self._pictures = make_pictures(self.scene, config, config.image_size)
+        self._pictures = make_pictures(self.scene, config, config.image_size, num_threads)
         self._large_pictures: Pictures | None = None
         self._increments = config.mpi_rad * np.array(ACTION_LEVELS)
         self.facets, self._first_facet = _facets(self.scene, config)

@@ -1,6 +1,7 @@
 """Geom poses and colours go in; the camera's pictures come out."""
 
 import copy
+import os
 from typing import Protocol
 
 import mujoco
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig
+from knowarm.world.raycast import Raycaster
 from knowarm.world.scene import Scene
 
 
@@ -33,20 +35,31 @@ class Pictures(Protocol):
         """
 
 
-def make_pictures(scene: Scene, config: EnvConfig, size: int) -> Pictures:
-    """Return the renderer the config asks for, drawing square pictures of a size [px]."""
+def make_pictures(scene: Scene, config: EnvConfig, size: int, num_threads: int = 0) -> Pictures:
+    """Return the renderer the config asks for, drawing square pictures of a size [px].
+
+    Args:
+        scene: what is drawn.
+        config: names the renderer.
+        size: side of the pictures [px].
+        num_threads: threads that share a batch, 0 for one a core; OpenGL takes one.
+    """
     if config.renderer == "opengl":
         return OpenGLPictures(scene, size)
-    return RaycastPictures(scene, size, config.antialiasing)
+    return RaycastPictures(scene, size, config.antialiasing, num_threads)
 
 
 class RaycastPictures:
     """Our own ray caster: needs no OpenGL."""
 
-    def __init__(self, scene: Scene, size: int, antialiasing: bool) -> None:
-        from knowarm.world.raycast import Raycaster
-
-        self._caster = Raycaster(scene.model, scene.camera, size, size, antialiasing=antialiasing)
+    def __init__(self, scene: Scene, size: int, antialiasing: bool, num_threads: int) -> None:
+        self._caster = Raycaster(
+            scene.model,
+            scene.camera,
+            size,
+            size,
+            num_threads=num_threads or len(os.sched_getaffinity(0)),
+        )
         self._size = size
 
     def draw(

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from knowarm.errors import UserError, unknown_name
 from knowarm.world.attach import ROBOT_PREFIX
 from knowarm.world.compose import compose
+from knowarm.world.description_file import SUFFIX, read_robot, read_target
 from knowarm.world.objects import TARGETS
 from knowarm.world.robot import Robot
 from knowarm.world.robots import ROBOTS
@@ -58,6 +60,9 @@ class Scene:
     colour_count: NDArray[np.intp] = field(repr=False)
     """Number of colours of each target, (K,)."""
 
+    target_mocap: NDArray[np.intp] = field(repr=False)
+    """Index in the mocap arrays of each target, (K,)."""
+
     grasp_position: NDArray[np.float64] = field(repr=False)
     """Grasp point relative to the target's place on the support, world axes [m], (K, 3)."""
 
@@ -76,26 +81,33 @@ class Scene:
 
 
 def find_robot(name: str) -> Robot:
-    """Return the robot of this name.
+    """Return the robot of this name, or of this TOML file (see ``description_file``).
 
     Raises:
         UserError: when there is none; the nearest names are in the message.
     """
+    if name.endswith(SUFFIX):
+        return read_robot(Path(name))
     if name not in ROBOTS:
         raise unknown_name("robot", name, ROBOTS)
     return ROBOTS[name]
 
 
 def find_targets(names: Sequence[str]) -> tuple[Target, ...]:
-    """Return the targets of these names, in their order.
+    """Return the targets of these names or TOML files, in their order.
 
     Raises:
         UserError: for a name there is none of; the nearest names are in the message.
     """
+    targets = []
     for name in names:
-        if name not in TARGETS:
+        if name.endswith(SUFFIX):
+            targets.append(read_target(Path(name)))
+        elif name in TARGETS:
+            targets.append(TARGETS[name])
+        else:
             raise unknown_name("target", name, TARGETS)
-    return tuple(TARGETS[name] for name in names)
+    return tuple(targets)
 
 
 @lru_cache(maxsize=16)
@@ -151,6 +163,7 @@ def build_scene(robot: Robot, targets: Sequence[Target]) -> Scene:
         geom_coloured=geom_coloured,
         target_colours=colours,
         colour_count=np.array([len(target.colours) for target in targets], dtype=np.intp),
+        target_mocap=_target_mocap(model, targets),
         grasp_position=grasp_position,
         grasp_matrix=grasp_matrix,
     )
@@ -190,6 +203,14 @@ def _grasp_frames(
     bodies = model.site_bodyid[ids]
     position = data.site_xpos[ids] - data.xpos[bodies]
     return position, data.site_xmat[ids].reshape(-1, 3, 3).copy()
+
+
+def _target_mocap(model: mujoco.MjModel, targets: Sequence[Target]) -> NDArray[np.intp]:
+    """Index in the mocap arrays of each target; a robot's file may bring mocap bodies too."""
+    bodies = [
+        model.site_bodyid[model.site(f"{target.name}/{target.grasp_site}").id] for target in targets
+    ]
+    return model.body_mocapid[model.body_rootid[bodies]].astype(np.intp)
 
 
 def _check_in_picture(scene: Scene) -> None:

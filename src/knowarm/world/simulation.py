@@ -84,7 +84,8 @@ class Simulation:
         self._qvel[ids] = 0.0
         self._warmstart[ids] = 0.0
         self._ctrl[ids] = joint_positions
-        self._mocap[ids] = target_places(self.scene, target_position)[:, None, :]
+        places = target_places(self.scene, target_position)
+        self._mocap[ids[:, None], self.scene.target_mocap] = places[:, None, :]
         self.batch.forward(ids=ids, stage=_POSES)
 
     def step(self, joint_targets: NDArray[np.float64]) -> None:

@@ -1,0 +1,62 @@
+"""A TOML file of a user's own robot or target goes in; its ``Robot`` or ``Target`` comes out."""
+
+import importlib.util
+import tomllib
+from pathlib import Path
+from typing import Any, TypeVar
+
+from knowarm.config import from_dict
+from knowarm.errors import UserError
+from knowarm.world.robot import Robot
+from knowarm.world.target import Target
+
+T = TypeVar("T", Robot, Target)
+
+SUFFIX = ".toml"
+
+
+def read_robot(path: Path) -> Robot:
+    """Read a robot: the fields of ``Robot``, with ``mjcf`` relative to the file.
+
+    ``mjcf = "package:inside/it.xml"`` names a file of an installed Python package.
+
+    Raises:
+        UserError: no such file, not TOML, or a field that is unknown, missing or of another type.
+    """
+    return _read(path, Robot)
+
+
+def read_target(path: Path) -> Target:
+    """Read a target: the fields of ``Target``; else as ``read_robot``."""
+    return _read(path, Target)
+
+
+def _read(path: Path, kind: type[T]) -> T:
+    try:
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UserError(f"Cannot read {str(path)!r}: {error.strerror}.") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UserError(f"{str(path)!r} is not TOML: {error}.") from None
+    if not isinstance(values.get("mjcf"), str):
+        raise UserError(
+            f"{str(path)!r}: field mjcf must be the path of an MJCF file, got "
+            f"{values.get('mjcf')!r}."
+        )
+    known: dict[str, Any] = {"name": path.stem} | values
+    known["mjcf"] = _resolve(values["mjcf"], path)
+    return from_dict(kind, known, where=str(path))
+
+
+def _resolve(mjcf: str, path: Path) -> Path:
+    """Turn ``mjcf`` into a path: of a package when it names one, else relative to the TOML file."""
+    package, colon, inside = mjcf.partition(":")
+    if not colon or not package.isidentifier():
+        return path.parent / mjcf
+    found = importlib.util.find_spec(package)
+    if found is None or not found.submodule_search_locations:
+        raise UserError(
+            f"{str(path)!r}: mjcf is {mjcf!r}, and the Python package {package!r} is not "
+            f"installed. Install it, or give the path of a file."
+        )
+    return Path(found.submodule_search_locations[0]) / inside

@@ -1,0 +1,93 @@
+"""A random generator goes in; MuJoCo models and states to draw come out."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from numpy.typing import NDArray
+
+from knowarm.world.scene import Scene, load_scene
+
+CAMERA = "eye"
+
+SHAPES = {
+    "plane": ".3 .2 .1",
+    "sphere": ".12",
+    "capsule": ".05 .15",
+    "ellipsoid": ".08 .15 .05",
+    "cylinder": ".09 .12",
+    "box": ".1 .06 .14",
+}
+
+
+def every_primitive() -> mujoco.MjModel:
+    """A floor, a table and three free copies of every primitive, before a tilted camera."""
+    bodies = "".join(
+        f"""<body name="{kind}{i}" pos="{0.3 * (k % 3) - 0.3} {0.3 * i - 0.3} {0.3 + 0.3 * (k // 3)}">
+        <freejoint/><geom type="{kind}" size="{size}" rgba="{0.2 + 0.1 * k} {0.9 - 0.2 * i} .4 1"
+        contype="0" conaffinity="0" mass="1"/></body>"""
+        for k, (kind, size) in enumerate(SHAPES.items())
+        for i in range(3)
+    )
+    # A free body must not be a plane: planes stay with the world or move as mocap bodies.
+    bodies = bodies.replace(
+        '<freejoint/><geom type="plane"', '<geom type="plane"'
+    ).replace('<body name="plane', '<body mocap="true" name="plane')
+    return mujoco.MjModel.from_xml_string(f"""
+    <mujoco>
+      <visual><headlight ambient=".3 .3 .3" diffuse=".4 .4 .4" specular="0 0 0"/></visual>
+      <worldbody>
+        <light type="directional" dir="-.3 .4 -.9" diffuse=".4 .4 .3" specular="0 0 0"/>
+        <camera name="{CAMERA}" pos="1.3 -1.1 1.2" xyaxes=".65 .76 .02 -.36 .32 .87" fovy="50"/>
+        <geom type="plane" size="0 0 .1" rgba=".6 .6 .6 1"/>
+        <geom type="box" size=".4 .3 .05" pos="0 0 .05" rgba=".5 .5 .7 1"/>
+        {bodies}
+      </worldbody>
+    </mujoco>""")
+
+
+@dataclass(frozen=True)
+class States:
+    """n states of a model: its batch, and geom poses (n, G, 3) and (n, G, 9)."""
+
+    model: mujoco.MjModel
+    batch: Batch
+    geom_xpos: NDArray[np.float64]
+    geom_xmat: NDArray[np.float64]
+
+
+def random_states(model: mujoco.MjModel, count: int, seed: int) -> States:
+    """States of ``every_primitive`` or a scene with joints drawn anew in their neighbourhood."""
+    rng = np.random.default_rng(seed)
+    batch = Batch(model, count, 2)
+    positions, matrices = batch.bind("geom_xpos"), batch.bind("geom_xmat")
+    qpos = batch.bind("qpos")
+    qpos[:] += rng.uniform(-0.4, 0.4, qpos.shape)
+    if model.nmocap:
+        place, turn = batch.bind("mocap_pos"), batch.bind("mocap_quat")
+        place[:] += rng.uniform(-0.2, 0.2, place.shape)
+        turn[:] += rng.uniform(-0.4, 0.4, turn.shape)
+    batch.forward(stage=mujoco.mjtStage.mjSTAGE_POS)
+    return States(model, batch, positions.reshape(count, -1, 3), matrices.reshape(count, -1, 9))
+
+
+def robot_scene(robot: str) -> Scene:
+    """The scene of a shipped robot with the paper's targets."""
+    return load_scene(robot, ("mug", "bottle", "cereal_box"))
+
+
+def camera_rays(
+    model: mujoco.MjModel, camera: int | str, width: int, height: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The eye (3,) and unit directions (H * W, 3) through the pixels' middles, in the world."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_camlight(model, data)
+    eye = data.camera(camera)
+    pixel = 2 * np.tan(np.radians(model.cam_fovy[eye.id]) / 2) / height
+    x = (np.arange(width) + 0.5 - width / 2) * pixel
+    y = (height / 2 - np.arange(height) - 0.5) * pixel
+    rays = np.stack([*np.meshgrid(x, y), np.full((height, width), -1.0)], axis=-1).reshape(-1, 3)
+    rays = rays @ eye.xmat.reshape(3, 3).T
+    return eye.xpos.copy(), rays / np.linalg.norm(rays, axis=1, keepdims=True)
