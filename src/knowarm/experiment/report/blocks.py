@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from knowarm.experiment.report.study import Task
+
 Row = dict[str, Any]
 
 Tone = Literal["good", "bad", "open", "note"]
@@ -96,6 +98,9 @@ class Figure:
     legend: Sequence[tuple[str, str]] = ()
     """Pairs of name and palette class; names can be switched off and on."""
 
+    open_table: bool = False
+    """Whether the table is shown without being asked for."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Text:
@@ -178,14 +183,32 @@ class Pair:
     right: Sequence["Block"]
 
 
-Block = Text | Verdict | Tiles | Table | Figure | Films | Pair
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """The blocks of one task; where there are several tasks, one is looked at at a time."""
+
+    name: str
+    """Name of the task."""
+
+    title: str
+    """Title of the task."""
+
+    blocks: Sequence["Block"]
+
+
+Block = Text | Verdict | Tiles | Table | Figure | Films | Pair | Part
 
 
 def flat(blocks: Sequence[Block]) -> list[Block]:
     """Blocks in reading order, those in columns too."""
     found: list[Block] = []
     for block in blocks:
-        found += flat([*block.left, *block.right]) if isinstance(block, Pair) else [block]
+        if isinstance(block, Pair):
+            found += flat([*block.left, *block.right])
+        elif isinstance(block, Part):
+            found += flat(block.blocks)
+        else:
+            found.append(block)
     return found
 
 
@@ -201,6 +224,11 @@ class Page:
     """One sentence under the title."""
 
     blocks: list[Block] = field(default_factory=list)
+
+    def add(self, task: Task, blocks: Sequence[Block]) -> None:
+        """Add the blocks of one task, if there are any."""
+        if blocks:
+            self.blocks.append(Part(name=task.name, title=task.title, blocks=blocks))
 
     def tables(self) -> list[Table]:
         """Every table of the page, those under figures too."""

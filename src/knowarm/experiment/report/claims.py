@@ -1,6 +1,7 @@
-"""A study goes in; every comparison the report decides on, corrected as one family, comes out."""
+"""A study goes in; every difference the report decides on, and the verdict on each, comes out."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -19,7 +20,7 @@ FEWEST_SEEDS = 3
 """Training seeds of each agent below which no difference is called real."""
 
 ALPHA = 0.05
-"""Share of studies without any effect in which at least one claim may be wrong."""
+"""Share of studies without any effect in which the report may claim one."""
 
 Outcome = Literal["success", "speed"]
 
@@ -28,6 +29,11 @@ OUTCOMES: dict[Outcome, str] = {
     "speed": "mean success during training",
 }
 """What is decided on. Everything else a report shows is described, not tested."""
+
+Role = Literal["gate", "control", "described"]
+"""Against the baseline; against a control, asked once the gate is passed; only described."""
+
+Decision = Literal["better", "worse", "undecided", "too few seeds", "not asked", "described"]
 
 
 @dataclass(frozen=True)
@@ -39,16 +45,18 @@ class Claim:
         first: agent whose advantage is asked for.
         second: agent it is compared with.
         outcome: what is compared.
+        role: how the difference enters the verdict.
         comparison: Welch's comparison over training seeds; None below two seeds a side.
-        adjusted_p: Holm's, over every comparison of the report; None without a comparison.
+        adjusted_p: see `claims`; None where nothing is decided.
     """
 
     task: Task
     first: Group
     second: Group
     outcome: Outcome
-    comparison: Comparison | None
-    adjusted_p: float | None
+    role: Role
+    comparison: Comparison | None = None
+    adjusted_p: float | None = None
 
     @property
     def seeds(self) -> int:
@@ -56,14 +64,18 @@ class Claim:
         return min(len(scores(self.first, self.outcome)), len(scores(self.second, self.outcome)))
 
     @property
-    def verdict(self) -> Literal["better", "worse", "undecided", "too few seeds"]:
+    def verdict(self) -> Decision:
         """What the numbers allow to say about the first agent.
 
-        A difference is real when Holm's adjusted p is at most .05. The adjusted p is never below
-        the plain one, so the 95 % interval then leaves out zero as well.
+        A difference is real when its adjusted p is at most .05. That p is never below the plain
+        one, so the plain 95 % interval then leaves out zero as well.
         """
-        if self.comparison is None or self.adjusted_p is None or self.seeds < FEWEST_SEEDS:
+        if self.role == "described":
+            return "described"
+        if self.comparison is None or self.seeds < FEWEST_SEEDS:
             return "too few seeds"
+        if self.adjusted_p is None:
+            return "not asked"
         if self.adjusted_p > ALPHA:
             return "undecided"
         return "better" if self.comparison.difference.estimate > 0 else "worse"
@@ -75,48 +87,73 @@ class Claim:
         return seeds_needed(size) if size else None
 
     def sentence(self) -> str:
-        """The verdict in words, with the interval it follows from."""
-        names = f"{self.first.name} against {self.second.name}, {OUTCOMES[self.outcome]}"
+        """The difference in words, with its interval and what follows from it."""
         if self.comparison is None:
             return (
-                f"{names}: {count(self.seeds, 'training seed')}, so no difference between the "
-                "methods can be called real."
+                f"Against {self.second.name}: {count(self.seeds, 'training seed')}, so no "
+                "difference between the methods can be called real."
             )
         interval = self.comparison.difference
-        shown = (
-            f"{format.points(interval.estimate)} points "
-            f"(95 % interval {format.points(interval.low)} to {format.points(interval.high)}; "
-            f"{self.comparison.first_count} and {self.comparison.second_count} seeds; "
-            f"adjusted p {format.p_value(self.adjusted_p)})"
-        )
-        ends = {
+        seeds = f"{self.comparison.first_count} and {self.comparison.second_count} seeds"
+        ends: dict[Decision, str] = {
             "better": "a real advantage",
             "worse": "a real disadvantage",
             "undecided": "not told apart from chance",
-            "too few seeds": f"fewer than {FEWEST_SEEDS} seeds: no claim",
+            "too few seeds": f"no claim below {FEWEST_SEEDS} seeds",
+            "not asked": "not asked, since no advantage over the baseline is shown",
+            "described": "described only",
         }
-        return f"{names}: {shown}, {ends[self.verdict]}."
+        p = f", adjusted p {format.p_value(self.adjusted_p)}" if self.adjusted_p is not None else ""
+        return (
+            f"Against {self.second.name}: {format.points(interval.estimate)} points "
+            f"(95 % interval {format.points(interval.low)} to {format.points(interval.high)}; "
+            f"{seeds}{p}): {ends[self.verdict]}."
+        )
 
 
 def claims(study: Study) -> list[Claim]:
-    """Compare, on every task, the agent with the most knowledge with all others, and all with BM.
+    """Every difference of a report, decided in an order that keeps false claims at 5 %.
 
-    One family: Holm's correction runs over every comparison of the report, both outcomes.
+    The gates are the comparisons of the knowledge agent with the baseline, one a task and
+    outcome; Holm's correction runs over all of the report's gates. Behind a gate that is passed,
+    the controls of its task and outcome are asked, each at the gate's share of the 5 %
+    (multiplied by the number of gates). They are not corrected for their own number, since
+    `verdict.finding` calls a question settled only when every control of its kind is beaten (an
+    intersection-union test). Without any effect a claim therefore takes a falsely passed gate.
+
+    Without a baseline every comparison with the knowledge agent is a gate.
     """
-    open_claims: list[Claim] = []
-    for task in study.tasks:
-        for first, second in pairs(task):
-            for outcome in OUTCOMES:
-                compared = _compare(scores(first, outcome), scores(second, outcome))
-                open_claims.append(Claim(task, first, second, outcome, compared, None))
-    tested = [claim for claim in open_claims if claim.comparison]
-    adjusted = iter(holm([claim.comparison.p_value for claim in tested if claim.comparison]))
-    return [
-        Claim(c.task, c.first, c.second, c.outcome, c.comparison, float(next(adjusted)))
-        if c.comparison
-        else c
-        for c in open_claims
+    found = [
+        Claim(task, first, second, outcome, role, _compare(first, second, outcome))
+        for task in study.tasks
+        for first, second, role in pairs(task)
+        for outcome in OUTCOMES
     ]
+    gates = [c for c in found if c.role == "gate" and _decidable(c)]
+    adjusted = holm([c.comparison.p_value for c in gates if c.comparison])
+    passed = {id(gate): float(p) for gate, p in zip(gates, adjusted, strict=True)}
+    return [_decide(claim, found, passed) for claim in found]
+
+
+def _decide(claim: Claim, found: Sequence[Claim], passed: dict[int, float]) -> Claim:
+    if claim.role == "gate" and id(claim) in passed:
+        return replace(claim, adjusted_p=passed[id(claim)])
+    if claim.role != "control" or not _decidable(claim) or claim.comparison is None:
+        return claim
+    own = [
+        passed[id(gate)]
+        for gate in found
+        if id(gate) in passed and gate.task is claim.task and gate.outcome == claim.outcome
+    ]
+    if not own or min(own) > ALPHA:
+        return claim
+    return replace(
+        claim, adjusted_p=max(min(own), min(1.0, claim.comparison.p_value * len(passed)))
+    )
+
+
+def _decidable(claim: Claim) -> bool:
+    return claim.comparison is not None and claim.seeds >= FEWEST_SEEDS
 
 
 def subject(task: Task) -> Group | None:
@@ -128,19 +165,22 @@ def subject(task: Task) -> Group | None:
     return None
 
 
-def pairs(task: Task) -> list[tuple[Group, Group]]:
-    """Pairs that the report decides on."""
+def pairs(task: Task) -> list[tuple[Group, Group, Role]]:
+    """Pairs that are compared on a task, and what each is for."""
     asked = subject(task)
     baseline = next((group for group in task.groups if group.agent == "bm"), None)
-    found: list[tuple[Group, Group]] = []
+    found: list[tuple[Group, Group, Role]] = []
+    if asked is None:
+        first = baseline or task.groups[0]
+        return [(group, first, "described") for group in task.groups if group is not first]
     for group in task.groups:
-        if asked and group is not asked:
-            found.append((asked, group))
-        if baseline and group is not baseline and group is not asked:
-            found.append((group, baseline))
-    if not asked and not baseline and len(task.groups) > 1:
-        found = [(group, task.groups[0]) for group in task.groups[1:]]
-    return found
+        if group is not asked:
+            gate = group is baseline or baseline is None
+            found.append((asked, group, "gate" if gate else "control"))
+    if baseline:
+        others = [group for group in task.groups if group not in (asked, baseline)]
+        found += [(group, baseline, "described") for group in others]
+    return sorted(found, key=lambda pair: ("gate", "control", "described").index(pair[2]))
 
 
 def scores(group: Group, outcome: Outcome) -> np.ndarray:
@@ -166,5 +206,6 @@ def count(number: int, what: str) -> str:
     return f"{number} {what}" + ("" if number == 1 else "s")
 
 
-def _compare(first: np.ndarray, second: np.ndarray) -> Comparison | None:
-    return welch(first, second) if min(first.size, second.size) >= 2 else None
+def _compare(first: Group, second: Group, outcome: Outcome) -> Comparison | None:
+    one, other = scores(first, outcome), scores(second, outcome)
+    return welch(one, other) if min(one.size, other.size) >= 2 else None

@@ -59,6 +59,8 @@ def render(study: Study, pages: Sequence[Page], out: Path) -> str:
     return environment.get_template("report.html.j2").render(
         title=_title(study),
         pages=pages,
+        tasks=study.tasks,
+        many_tasks=len(study.tasks) > 1,
         style=parts["style.css"],
         script=parts["script.js"],
         version=knowarm.__version__,

@@ -67,6 +67,8 @@ def finding(task: Task, decided: Sequence[Claim], outcome: Outcome = "success") 
     3. Better than every vector without meaning (random, shuffled, onehot)? If not, an input
        helps, and its meaning is not shown to.
 
+    The later questions are not asked before the earlier ones are answered.
+
     Args:
         task: the task.
         decided: every claim of the report; those of other tasks and outcomes are passed over.
@@ -77,7 +79,8 @@ def finding(task: Task, decided: Sequence[Claim], outcome: Outcome = "success") 
     if asked is None or not mine:
         what = "no agent with knowledge" if asked is None else "only one agent"
         return Finding("nothing to compare", f"{task.title}: {what} among these runs.")
-    reasons = tuple(claim.sentence() for claim in mine)
+    about = f"{asked.name}, {OUTCOMES[outcome]}."
+    reasons = (about, *(claim.sentence() for claim in mine))
     against = {claim.second.agent: claim for claim in mine}
     if all(claim.verdict == "too few seeds" for claim in against.values()):
         fewest = min(claim.seeds for claim in against.values())

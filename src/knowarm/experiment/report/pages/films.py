@@ -31,7 +31,7 @@ def films_page(study: Study) -> Page:
         lead="Agents on the same episode, as the policy saw it. Press play to watch.",
     )
     for task in study.tasks:
-        page.blocks.extend(_task_films(task))
+        page.add(task, _task_films(task))
     return page
 
 

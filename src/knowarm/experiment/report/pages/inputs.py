@@ -37,7 +37,7 @@ def inputs_page(study: Study) -> Page:
         lead="The picture is the same for all agents; they differ in what else they are told.",
     )
     for task in study.tasks:
-        page.blocks.extend(_task_blocks(task))
+        page.add(task, _task_blocks(task))
     return page
 
 

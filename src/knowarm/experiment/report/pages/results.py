@@ -29,11 +29,9 @@ def results_page(study: Study) -> Page:
     for task in study.tasks:
         if task.label is None:
             continue
-        page.blocks.append(_table(task))
-        for part, what in (("per_target", "target"), ("per_facet", "target and colour")):
-            figure = _parts(task, part, what)
-            if figure:
-                page.blocks.append(figure)
+        parts = (("per_target", "target"), ("per_facet", "target and colour"))
+        figures = [_parts(task, part, what) for part, what in parts]
+        page.add(task, [_table(task), *(figure for figure in figures if figure)])
     return page
 
 

@@ -80,15 +80,18 @@ def learning_verdict(task: Task) -> Verdict | None:
         return None
     better = [group.name for group, value in known if value.low > floor.high]
     others = [group.name for group, value in known if value.low <= floor.high]
-    reasons = [f"{task.title}: untrained {_shown(floor)}."]
-    reasons += [f"{group.name}: mean return {_shown(value)}." for group, value in known]
+    shown = "; ".join(f"{group.name} {_shown(value)}" for group, value in known)
     if better and not others:
-        sentence = f"Training worked: {_listed(better)} scored above the untrained policy."
+        sentence = (
+            f"{task.title}: training worked, {_listed(better)} scored above the untrained policy."
+        )
     elif better:
         sentence = f"{_listed(better)} scored above the untrained policy, {_listed(others)} not."
     else:
         sentence = "No trained agent scored clearly above the untrained policy."
-    reasons.append("Same episodes for all; separate 95 % intervals are asked for.")
+    reasons = [
+        f"Mean return on the same episodes, 95 % intervals: {shown}; untrained {_shown(floor)}."
+    ]
     tone: Tone = "good" if not others else "open" if better else "bad"
     return Verdict(sentence=sentence, reasons=reasons, tone=tone)
 

@@ -44,9 +44,8 @@ def training_page(study: Study) -> Page:
         lead="Interim evaluations on the same fixed episodes, by the training thresholds.",
     )
     for task in study.tasks:
-        if any(run.interim for run in task.runs):
-            page.blocks.append(_curves(task))
-        page.blocks.append(_speed(task))
+        curves = [_curves(task)] if any(run.interim for run in task.runs) else []
+        page.add(task, [*curves, _speed(task)])
     return page
 
 

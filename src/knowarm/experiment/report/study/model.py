@@ -28,7 +28,7 @@ class Problem:
     done: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Judged:
     """One post-training evaluation.
 
@@ -59,7 +59,7 @@ class Judged:
         return {int(path.stem): path for path in sorted(found) if path.stem.isdigit()}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Run:
     """One run folder that could be read.
 
@@ -111,7 +111,7 @@ class Run:
         return float(self.interim["step"][int(np.nanargmax(returns))])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Group:
     """Runs of one agent on one task that differ in nothing but the training seed.
 
@@ -162,7 +162,7 @@ class Reference:
     judged: Judged
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Task:
     """Everything that was trained on one robot, colour setting and algorithm.
 

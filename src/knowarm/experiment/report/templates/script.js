@@ -13,20 +13,33 @@
   button.addEventListener("click", () => { const name = dark() ? "light" : "dark"; apply(name); store.set(name); });
 })();
 
-// The page in view is marked in the navigation.
+// One page at a time, by the address; without a script all of them stand below one another.
 (() => {
   const links = new Map([...document.querySelectorAll("nav a")].map((a) => [a.hash.slice(1), a]));
-  const seen = new IntersectionObserver((entries) => {
-    for (const entry of entries) {
-      if (!entry.isIntersecting) continue;
-      for (const link of links.values()) link.removeAttribute("aria-current");
-      const link = links.get(entry.target.id);
-      link.setAttribute("aria-current", "true");
-      const bar = link.parentElement;
-      bar.scrollTo({ left: link.offsetLeft - bar.offsetLeft - 24 });
+  const pages = [...document.querySelectorAll("main > section")];
+  const show = () => {
+    const wanted = links.has(location.hash.slice(1)) ? location.hash.slice(1) : pages[0].id;
+    for (const page of pages) page.hidden = page.id !== wanted;
+    for (const [name, link] of links) {
+      if (name === wanted) link.setAttribute("aria-current", "page"); else link.removeAttribute("aria-current");
     }
-  }, { rootMargin: "-20% 0px -75% 0px" });
-  document.querySelectorAll("main > section").forEach((section) => seen.observe(section));
+    const link = links.get(wanted), bar = link.parentElement;
+    bar.scrollTo({ left: link.offsetLeft - bar.offsetLeft - 24 });
+    window.scrollTo({ top: 0, behavior: "instant" });
+  };
+  window.addEventListener("hashchange", show);
+  show();
+})();
+
+// One task at a time.
+(() => {
+  const select = document.querySelector("[data-tasks]");
+  if (!select) return;
+  const parts = [...document.querySelectorAll("[data-part]")];
+  const show = () => parts.forEach((part) => { part.hidden = select.value !== "" && part.dataset.part !== select.value; });
+  select.hidden = false;
+  select.addEventListener("change", show);
+  show();
 })();
 
 // A name in a legend switches its series off and on.
