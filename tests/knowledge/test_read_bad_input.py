@@ -94,7 +94,7 @@ def test_files_that_are_none(tmp_path):
     odd.touch()
     with pytest.raises(UserError, match=r"the suffix '\.xyz' tells no graph format"):
         read_graph(odd)
-    with pytest.raises(UserError, match="graph format 'turtel'.*'turtle'"):
+    with pytest.raises(UserError, match=r"graph format 'turtel'.*'turtle'"):
         read_graph(odd, "turtel")
     with pytest.raises(UserError, match="is a folder"):
         read_graph(tmp_path, "turtle")

@@ -1,0 +1,92 @@
+import pytest
+
+from knowarm.errors import UserError
+from knowarm.knowledge import graph_of, household
+from knowarm.knowledge.household import HOUSEHOLD
+from knowarm.knowledge.labels import label_of
+from knowarm.knowledge.names import Names
+from knowarm.knowledge.statistics import graph_statistics
+from knowarm.knowledge.task import TASK_COLOURS
+
+
+def test_the_shipped_graph_holds_what_the_task_needs():
+    graph = household()
+    for name, colours in TASK_COLOURS.items():
+        for colour in colours:
+            assert (name, "hasColor", colour) in graph
+    objects = {head for head, relation, _ in graph if relation == "hasColor"}
+    assert len(objects) >= 15
+    assert len(graph) >= 400
+    assert graph.own_labels()["cereal_box"] == "cereal box"
+    used = {relation for _, relation, _ in graph}
+    assert {"hasShape", "isMadeOf", "isConnectedTo", "usedFor", "graspedAt", "isLocatedIn"} <= used
+    assert HOUSEHOLD.exists()
+
+
+def test_names_are_found_by_bisection():
+    words = sorted({"", "a", "aa", "b", "é", "mug", "cereal box", "😀"})
+    names = Names.from_sorted(words)
+    assert list(names) == words
+    assert [names.find(word) for word in words] == list(range(len(words)))
+    assert names.find("zz") is None
+    assert names.find("aaa") is None
+    assert len(Names.from_sorted([])) == 0
+
+
+def test_entities_by_iri_last_part_and_label():
+    graph = graph_of(
+        [("http://a.org/k#Mug01", "http://a.org/k#isA", "http://a.org/k#Cup")],
+        labels={"http://a.org/k#Mug01": "my mug"},
+    )
+    full = graph.entity_id("http://a.org/k#Mug01")
+    assert graph.entity_id("Mug01") == full
+    assert graph.entity_id("my mug") == full
+    assert graph.relation_id("isA") == 0
+    with pytest.raises(UserError, match=r"Unknown entity 'Mug1'.*'Mug01'"):
+        graph.entity_id("Mug1")
+
+
+def test_duplicate_labels_are_ambiguous():
+    graph = graph_of([("a:1", "r", "a:2")], labels={"a:1": "mug", "a:2": "mug"})
+    with pytest.raises(UserError, match="'mug' names 2 entities of the graph: a:1, a:2"):
+        graph.entity_id("mug")
+    assert graph_statistics(graph).same_labels == {"mug": ("1", "2")}
+    same_end = graph_of([("http://a/x", "r", "http://b/x")])
+    with pytest.raises(UserError, match=r"'x' names 2 entities.*Give the full name"):
+        same_end.entity_id("x")
+
+
+def test_statistics():
+    graph = graph_of(
+        [
+            ("a", "isA", "b"),
+            ("b", "isA", "c"),
+            ("c", "isA", "a"),
+            ("x", "isNextTo", "y"),
+            ("y", "isNextTo", "x"),
+            ("y", "isNextTo", "z"),
+            ("z", "isNextTo", "y"),
+        ],
+        nodes=["alone"],
+    )
+    found = graph_statistics(graph, hubs=1)
+    assert (found.triples, found.entities, found.relations) == (7, 7, 2)
+    assert found.alone == 1
+    assert found.components == 3
+    assert found.hubs == (("y", 4),)
+    assert found.by_relation == {"isNextTo": 4, "isA": 3}
+    assert found.cycles == (("isA", ("a", "b", "c")),)  # isNextTo is symmetric, not a cycle
+
+
+def test_labels():
+    assert label_of("hasColor", {}) == "has color"
+    assert label_of("light_blue", {}) == "light blue"
+    assert label_of("http://a.org/x#CerealBox", {}) == "cereal box"
+    assert label_of("isMadeOfABS", {}) == "is made of abs"
+    assert label_of('"Big Mug"@en', {}) == "big mug"
+    assert label_of("m1", {"m1": "Light-Blue  Mug"}) == "light blue mug"
+
+
+def test_memory_is_small():
+    graph = graph_of((f"e{i}", f"r{i % 5}", f"e{i * 7 % 1000}") for i in range(1000))
+    assert graph.nbytes / len(graph) < 80

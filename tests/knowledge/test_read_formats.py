@@ -1,0 +1,121 @@
+import json
+
+import pytest
+
+from knowarm.knowledge import graph_of, household, read_graph
+from knowarm.knowledge.kge.split import split_graph
+from knowarm.knowledge.read.conceptnet import read_conceptnet
+from knowarm.knowledge.read.openke import read_openke_split
+from knowarm.knowledge.sparql import sparql
+from knowarm.knowledge.write.openke import write_openke
+
+OWL = """<?xml version="1.0"?>
+<rdf:RDF xmlns="http://a.org/home#" xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"
+         xmlns:rdfs="http://www.w3.org/2000/01/rdf-schema#" xmlns:owl="http://www.w3.org/2002/07/owl#">
+  <owl:Class rdf:about="http://a.org/home#Mug">
+    <rdfs:label xml:lang="en">coffee mug</rdfs:label>
+    <rdfs:label xml:lang="de">Tasse</rdfs:label>
+    <rdfs:subClassOf rdf:resource="http://a.org/home#Cup"/>
+  </owl:Class>
+</rdf:RDF>"""
+
+
+def test_owl_in_rdf_xml(tmp_path):
+    path = tmp_path / "home.owl"
+    path.write_text(OWL)
+    graph = read_graph(path)
+    assert len(graph) == 2
+    assert graph.labels == {"http://a.org/home#Mug": "coffee mug"}
+    assert graph.entity_id("Mug") == graph.entity_id("coffee mug")
+
+
+def test_json_ld(tmp_path):
+    path = tmp_path / "home.jsonld"
+    content = {
+        "@context": {"@vocab": "urn:knowarm:", "isA": {"@type": "@id"}},
+        "@id": "urn:knowarm:mug",
+        "isA": "urn:knowarm:cup",
+        "weight": 0.5,
+    }
+    path.write_text(json.dumps(content))
+    graph = read_graph(path)
+    assert ("mug", "isA", "cup") in graph
+    assert len(graph) == 2
+
+
+def test_tables_with_and_without_a_header(tmp_path):
+    for name, text in {
+        "a.csv": 'head,relation,tail\nmug,isA,cup\n"mug, big",isA,"the ""cup"""\n\n',
+        "b.tsv": 'mug\tisA\tcup\nmug, big\tisA\tthe "cup"\n',
+    }.items():
+        path = tmp_path / name
+        path.write_text(text)
+        expected = {("mug", "isA", "cup"), ("mug, big", "isA", 'the "cup"')}
+        assert set(read_graph(path)) == expected
+
+
+def test_openke_keeps_its_split(tmp_path):
+    split = split_graph(household())
+    write_openke(split, tmp_path)
+    back = read_openke_split(tmp_path)
+    assert back.graph == graph_of(household())
+    assert read_graph(tmp_path) == back.graph
+    for part in ("train", "valid", "test"):
+        ours, theirs = getattr(split, part), getattr(back, part)
+        assert sorted(map(tuple, ours)) == sorted(map(tuple, theirs))
+
+
+def test_openke_ids_may_come_in_any_order(tmp_path):
+    (tmp_path / "entity2id.txt").write_text("3\nred\t1\nmug\t0\nbig cup\t2\n")
+    (tmp_path / "relation2id.txt").write_text("2\nisA\t1\nhasColor\t0\n")
+    (tmp_path / "train2id.txt").write_text("2\n0 1 0\n0 2 1\n")
+    assert set(read_graph(tmp_path)) == {("mug", "hasColor", "red"), ("mug", "isA", "big cup")}
+
+
+CONCEPTNET = "\n".join(
+    f"/a/[{i}]\t{line}"
+    for i, line in enumerate(
+        [
+            '/r/UsedFor\t/c/en/mug/n\t/c/en/drink_coffee\t{"weight": 2.0}',
+            '/r/IsA\t/c/en/mug\t/c/en/cup\t{"weight": 1.0}',
+            '/r/IsA\t/c/en/mug\t/c/en/face\t{"weight": 0.5}',
+            '/r/IsA\t/c/de/tasse\t/c/de/gefäß\t{"weight": 2.0}',
+            '/r/Synonym\t/c/en/mug\t/c/de/tasse\t{"weight": 2.0}',
+        ]
+    )
+)
+
+
+def test_conceptnet_is_filtered_while_it_is_read(tmp_path):
+    path = tmp_path / "conceptnet-assertions-5.7.0.csv"
+    path.write_text(CONCEPTNET)
+    used = ("mug", "UsedFor", "drink_coffee")
+    assert set(read_graph(path)) == {used, ("mug", "IsA", "cup")}
+    assert set(read_conceptnet(path, relations=["UsedFor"])) == {used}
+    assert set(read_conceptnet(path, languages=["de"])) == {("tasse", "IsA", "gefäß")}
+    assert len(read_conceptnet(path, min_weight=0)) == 3
+    cache = tmp_path / "mug.nt"
+    first = read_conceptnet(path, cache=cache)
+    path.unlink()
+    assert read_conceptnet(path, cache=cache) == first
+
+
+def test_sparql():
+    graph = household()
+    answer = sparql(graph, "SELECT ?c WHERE { :mug :hasColor ?c }")
+    assert answer.columns == ("c",)
+    assert answer.rows == (("blue",), ("red",))
+    assert sparql(graph, "ASK { :mug :isA :fruit }").rows == (("no",),)
+    built = sparql(graph, "CONSTRUCT { ?x :isA :red_thing } WHERE { ?x :hasColor :red }").graph
+    assert built is not None
+    assert ("apple", "isA", "red_thing") in built
+    text = 'SELECT ?x WHERE { ?x <http://www.w3.org/2000/01/rdf-schema#label> "cereal box" }'
+    assert sparql(graph, text).rows == (("cereal_box",),)
+
+
+@pytest.mark.parametrize("query", ["SELECT ?c WHERE {", "SELECT ?c WHERE { x:a ?b ?c }"])
+def test_bad_sparql(query):
+    from knowarm.errors import UserError
+
+    with pytest.raises(UserError, match="SPARQL query"):
+        sparql(household(), query)
