@@ -3,10 +3,16 @@
 import mujoco
 import numpy as np
 import pytest
+from raycast_scenes import (
+    CAMERA,
+    States,
+    camera_rays,
+    every_primitive,
+    random_states,
+    robot_scene,
+)
 
 from knowarm.world.raycast import Raycaster
-from tests.world.raycast.scenes import CAMERA, States, camera_rays, every_primitive, random_states
-from tests.world.raycast.scenes import robot_scene
 
 SIDE = 64
 

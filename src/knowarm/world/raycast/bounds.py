@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from knowarm.world.raycast.numeric import ONE, ZERO, Vector, scalar
+from knowarm.world.raycast.numeric import ONE, ZERO, Matrix, Vector, scalar
 
 Rectangle = tuple[np.float32, np.float32, np.float32, np.float32]
 
@@ -36,7 +36,7 @@ def _interval(
 
 
 @scalar
-def round_bounds(p: Vector, m: tuple[np.float32, ...], axes: Vector) -> Rectangle:
+def round_bounds(p: Vector, m: Matrix, axes: Vector) -> Rectangle:
     """Bounds of an ellipsoid of half-axes ``axes`` (0 for a disc) at p with rotation m."""
     x, y, z = axes[0] * axes[0], axes[1] * axes[1], axes[2] * axes[2]
     a_zz = m[6] * m[6] * x + m[7] * m[7] * y + m[8] * m[8] * z
@@ -58,7 +58,7 @@ def hull(a: Rectangle, b: Rectangle) -> Rectangle:
 
 
 @scalar
-def long_bounds(p: Vector, m: tuple[np.float32, ...], half: np.float32, end: Vector) -> Rectangle:
+def long_bounds(p: Vector, m: Matrix, half: np.float32, end: Vector) -> Rectangle:
     """Bounds of the hull of two equal round ends at +-half along the local z axis."""
     dx, dy, dz = m[2] * half, m[5] * half, m[8] * half
     return hull(
@@ -68,7 +68,7 @@ def long_bounds(p: Vector, m: tuple[np.float32, ...], half: np.float32, end: Vec
 
 
 @scalar
-def box_bounds(p: Vector, m: tuple[np.float32, ...], size: Vector) -> Rectangle:
+def box_bounds(p: Vector, m: Matrix, size: Vector) -> Rectangle:
     """Bounds of a box of half-sizes ``size``: its eight corners."""
     x0, x1, y0, y1 = WIDE, -WIDE, WIDE, -WIDE
     for corner in range(8):

@@ -1,4 +1,4 @@
-"""A plain function over scalars goes in; one that compiles into CPU loops and CUDA kernels comes out.
+"""A function of scalars goes in; one that compiles into CPU loops and CUDA kernels comes out.
 
 Every number is float32, and no fused or reordered arithmetic is allowed: the same state must give
 the same picture at any batch size, on any number of threads and on either device.
@@ -9,9 +9,22 @@ from typing import Any
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 Vector = tuple[np.float32, np.float32, np.float32]
 """Three float32 scalars; compiled code keeps them in registers."""
+
+Matrix = tuple[np.float32, ...]
+"""Nine float32 scalars, row-major."""
+
+Planes = tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]
+"""Depth [m], owner (geom id, -1 for none) and packed colour, (H, W) each."""
+
+Grid = tuple[np.float32, np.float32, np.float32]
+"""Picture coordinates X and Y of the middle of the first pixel, and the size of a pixel."""
+
+Look = tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]
+"""Type (G,), ``geom_size`` (G, 3) and emission (G,) of the geoms."""
 
 ZERO = np.float32(0)
 HALF = np.float32(0.5)
@@ -26,9 +39,7 @@ TINY = np.float32(1e-12)
 
 def scalar(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a function of scalars and tuples of scalars, to be inlined where it is called."""
-    compiled: Callable[..., Any] = njit(
-        forceinline=True, error_model="numpy", no_cpython_wrapper=False
-    )(function)
+    compiled: Callable[..., Any] = njit(forceinline=True, error_model="numpy")(function)
     return compiled
 
 
@@ -49,7 +60,7 @@ def along(origin: Vector, t: np.float32, direction: Vector) -> Vector:
 
 
 @scalar
-def to_local(matrix: tuple[np.float32, ...], v: Vector) -> Vector:
+def to_local(matrix: Matrix, v: Vector) -> Vector:
     """Rotate a vector by the transpose of a row-major 3 x 3 matrix."""
     return (
         matrix[0] * v[0] + matrix[3] * v[1] + matrix[6] * v[2],
@@ -59,7 +70,7 @@ def to_local(matrix: tuple[np.float32, ...], v: Vector) -> Vector:
 
 
 @scalar
-def to_parent(matrix: tuple[np.float32, ...], v: Vector) -> Vector:
+def to_parent(matrix: Matrix, v: Vector) -> Vector:
     """Rotate a vector by a row-major 3 x 3 matrix."""
     return (
         matrix[0] * v[0] + matrix[1] * v[1] + matrix[2] * v[2],

@@ -1,7 +1,7 @@
 """A surface's normal and the lights go in; the packed colour of a pixel comes out.
 
 MuJoCo's fixed-function shading without specular highlights: for each colour channel
-``rgb * (emission + sum of ambient) + sum over lights of rgb * diffuse * max(0, n.l)``, clipped to 1.
+``rgb * (emission + sum of ambient + sum over lights of diffuse * max(0, n.l))``, at most 1.
 The headlight is directional, along the camera's view, so every light here is a direction.
 """
 

@@ -23,17 +23,19 @@ SHAPES = {
 
 def every_primitive() -> mujoco.MjModel:
     """A floor, a table and three free copies of every primitive, before a tilted camera."""
-    bodies = "".join(
-        f"""<body name="{kind}{i}" pos="{0.3 * (k % 3) - 0.3} {0.3 * i - 0.3} {0.3 + 0.3 * (k // 3)}">
-        <freejoint/><geom type="{kind}" size="{size}" rgba="{0.2 + 0.1 * k} {0.9 - 0.2 * i} .4 1"
-        contype="0" conaffinity="0" mass="1"/></body>"""
-        for k, (kind, size) in enumerate(SHAPES.items())
-        for i in range(3)
+    bodies = ""
+    for k, (kind, size) in enumerate(SHAPES.items()):
+        for i in range(3):
+            place = f"{0.3 * (k % 3) - 0.3} {0.3 * i - 0.3} {0.3 + 0.3 * (k // 3)}"
+            colour = f"{0.2 + 0.1 * k} {0.9 - 0.2 * i} .4 1"
+            # A plane cannot be free: it stays with the world or moves with a mocap body.
+            mocap, joint = ('mocap="true"', "") if kind == "plane" else ("", "<freejoint/>")
+            bodies += f"""<body name="{kind}{i}" pos="{place}" {mocap}>{joint}
+                <geom type="{kind}" size="{size}" rgba="{colour}" contype="0" conaffinity="0"
+                mass="1"/></body>"""
+    bodies = bodies.replace('<freejoint/><geom type="plane"', '<geom type="plane"').replace(
+        '<body name="plane', '<body mocap="true" name="plane'
     )
-    # A free body must not be a plane: planes stay with the world or move as mocap bodies.
-    bodies = bodies.replace(
-        '<freejoint/><geom type="plane"', '<geom type="plane"'
-    ).replace('<body name="plane', '<body mocap="true" name="plane')
     return mujoco.MjModel.from_xml_string(f"""
     <mujoco>
       <visual><headlight ambient=".3 .3 .3" diffuse=".4 .4 .4" specular="0 0 0"/></visual>
