@@ -33,9 +33,6 @@ def every_primitive() -> mujoco.MjModel:
             bodies += f"""<body name="{kind}{i}" pos="{place}" {mocap}>{joint}
                 <geom type="{kind}" size="{size}" rgba="{colour}" contype="0" conaffinity="0"
                 mass="1"/></body>"""
-    bodies = bodies.replace('<freejoint/><geom type="plane"', '<geom type="plane"').replace(
-        '<body name="plane', '<body mocap="true" name="plane'
-    )
     return mujoco.MjModel.from_xml_string(f"""
     <mujoco>
       <visual><headlight ambient=".3 .3 .3" diffuse=".4 .4 .4" specular="0 0 0"/></visual>
