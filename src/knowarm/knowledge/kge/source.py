@@ -16,7 +16,7 @@ from knowarm.knowledge.sentence import Part
 from knowarm.knowledge.vectors.coverage import Coverage
 from knowarm.knowledge.vectors.source import Found
 
-EMBED_EPOCHS = 150
+EMBED_EPOCHS = 100
 """Epochs when all triples are trained on and none is left to stop by."""
 
 

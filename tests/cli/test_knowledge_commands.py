@@ -1,0 +1,125 @@
+import json
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+
+from knowarm.cli.main import main
+from knowarm.knowledge import household
+from knowarm.knowledge.household import HOUSEHOLD
+
+
+def run(capsys, *words):
+    code = main(["knowledge", *map(str, words)])
+    printed = capsys.readouterr()
+    return code, printed.out, printed.err
+
+
+def test_show(capsys, tmp_path):
+    out = tmp_path / "show.json"
+    objects = ("--objects", "mug", "bottle", "cereal_box")
+    code, text, _ = run(capsys, "show", *objects, "--detail", "full", "--json", out)
+    assert code == 0
+    for piece in ("hasColor", "light_blue", "mug has color", "shape (300,)", "norm", "100 %"):
+        assert piece in text.replace("\n", " ").replace("\n", " ")
+    values = json.loads(out.read_text())
+    assert values["shape"] == [300]
+    assert len(values["vector"]) == 300
+    assert values["constant"]
+    assert ["mug", "hasColor", "red"] in values["triples"]
+    assert "mug has color red" in values["sentences"]["red mug"]
+    code, text, _ = run(capsys, "show", "--agent", "target", "--colours", "fixed")
+    assert "shape (50,)" in text
+    assert "privileged" in text
+
+
+def test_subgraph(capsys, tmp_path):
+    out = tmp_path / "mug.ttl"
+    code, text, _ = run(capsys, "subgraph", "--objects", "mug", "--out", out)
+    assert code == 0
+    assert "ceramic" in text
+    code, text, _ = run(capsys, "subgraph", out, "--sparql", "SELECT ?c WHERE {:mug :hasColor ?c}")
+    assert code == 0
+    assert "blue" in text
+    assert "red" in text
+    query = tmp_path / "q.rq"
+    query.write_text("CONSTRUCT {?x :isA :y} WHERE {?x :hasColor :red}")
+    found = tmp_path / "found.json"
+    code, *_ = run(capsys, "subgraph", "--sparql", query, "--json", found)
+    assert ["mug", "isA", "y"] in json.loads(found.read_text())["facts"]
+    code, *_ = run(capsys, "subgraph", "--minus", out, "--json", found)
+    assert json.loads(found.read_text())["triples"] == len(household()) - 15
+    code, *_ = run(capsys, "subgraph", out, "--union", HOUSEHOLD, "--json", found)
+    assert json.loads(found.read_text())["triples"] == len(household())
+    code, text, _ = run(capsys, "subgraph", "--statistics", "--json", found)
+    assert code == 0
+    assert json.loads(found.read_text())["triples"] > 400
+    assert "orange" in text  # a fruit and a colour share the label
+
+
+def test_embed(capsys, tmp_path):
+    for suffix in (".npy", ".csv", ".safetensors"):
+        code, text, _ = run(capsys, "embed", "--agent", "full+", "--out", tmp_path / f"v{suffix}")
+        assert code == 0
+        assert "6 slots of 50 numbers" in text
+    table = np.genfromtxt(tmp_path / "v.csv", delimiter=",", skip_header=1)[:, 1:]
+    np.testing.assert_allclose(np.load(tmp_path / "v.npy"), table, rtol=1e-6)
+
+
+def test_fit_and_evaluate(capsys, tmp_path):
+    model, fitted, tested = (tmp_path / n for n in ("m.safetensors", "fit.json", "test.json"))
+    options = ("--model", "distmult", "--dim", "16", "--epochs", "30")
+    code, text, _ = run(capsys, "fit", *options, "--out", model, "--json", fitted)
+    assert code == 0
+    assert "hits_at_10" in text
+    code, text, _ = run(capsys, "evaluate", model, "--json", tested)
+    assert code == 0
+    first, second = json.loads(fitted.read_text()), json.loads(tested.read_text())
+    assert first["mrr"] == second["mrr"] > 0.1
+    assert 0 < first["hits_at_10"] <= 1
+    code, text, _ = run(capsys, "embed", "--source", model, "--dim", "16")
+    assert "6 slots of 16 numbers" in text
+
+
+def test_probe(capsys, tmp_path):
+    out = tmp_path / "probe.json"
+    code, text, _ = run(capsys, "probe", "--json", out)
+    assert code == 0
+    assert "Warning: red mug and blue mug are nearly the same" in text
+    code, text, _ = run(capsys, "probe", "--agent", "full+", "--json", out)
+    assert "Every pair of facets is told apart" in text
+    assert json.loads(out.read_text())["recovered"]["colour"]["task"] == 1.0
+    code, text, _ = run(capsys, "probe", "--agent", "zeros")
+    assert "Nothing to recover" in text
+
+
+def test_draw(capsys, tmp_path):
+    out = tmp_path / "g.svg"
+    code, *_ = run(capsys, "draw", "--out", out, "--objects", "mug", "--hops", "2")
+    assert code == 0
+    ET.parse(out)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("show", "--objects", "mugg"), "Did you mean 'mug'"),
+        (("show", "--agent", "ful"), "Did you mean 'full'"),
+        (("show", "--source", "none.txt"), "no word-vector file none.txt"),
+        (("show", "--graph", "none.ttl"), "no graph file none.ttl"),
+        (("show", "--json", "/proc/none/x.json"), "Cannot write the JSON file"),
+        (("subgraph", "none.ttl"), "no graph file none.ttl"),
+        (("subgraph", "--out", "a.xml"), "graphs are written as"),
+        (("embed", "--out", "a.txt"), "vectors are written as"),
+        (("fit", "--model", "analog"), "Did you mean 'analogy'"),
+        (("fit", "--out", "a.pt"), "written as .safetensors"),
+        (("evaluate", "none.safetensors"), "no model file"),
+        (("draw", "--out", "/proc/none/a.svg"), "Cannot write"),
+        (("sho",), "Did you mean 'show'"),
+    ],
+)
+def test_mistakes_end_in_one_line_and_code_2(capsys, words, message):
+    code, _, error = run(capsys, *words)
+    assert code == 2
+    assert message in error
+    assert error.count("\n") == 1

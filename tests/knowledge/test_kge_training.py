@@ -1,0 +1,215 @@
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from knowarm.errors import UserError
+from knowarm.knowledge import KNOWLEDGE, KnowledgeConfig, graph_of, household, scene_embedding
+from knowarm.knowledge.kge.config import KgeConfig
+from knowarm.knowledge.kge.model import KgeModel
+from knowarm.knowledge.kge.models import MODELS
+from knowarm.knowledge.kge.rank import LinkPrediction, rank, reciprocal
+from knowarm.knowledge.kge.split import all_triples, split_graph
+from knowarm.knowledge.kge.store import load_model, save_model
+from knowarm.knowledge.kge.train import new_model, train
+
+
+class Fixed(KgeModel):
+    """Scores tails by a given table, whatever the head."""
+
+    learning_rate, n3 = 0.1, 0.0
+
+    def __init__(self, scores, relations):
+        torch.nn.Module.__init__(self)
+        self.relations, self.scores = relations, torch.tensor(scores)
+
+    def init(self, entities, relations, dim, generator):
+        raise NotImplementedError
+
+    def query(self, head, relation):
+        raise NotImplementedError
+
+    def compare(self, query, tail):
+        raise NotImplementedError
+
+    def forward(self, head, relation):
+        return self.scores.repeat(len(head), 1).clone()
+
+
+def test_ranks_by_hand():
+    # scores of entities 0..4; the true tail is 2
+    model = Fixed([5.0, 4.0, 3.0, 3.0, 1.0], 1)
+    triple = np.array([[4, 0, 2]])
+    ranks = rank(model, triple, triple).ranks
+    assert ranks.tolist() == [3.5, 5.0]  # two above and one equal; the head 4 is last
+    known = np.array([[4, 0, 2], [4, 0, 0], [4, 0, 3], [1, 0, 0]])
+    assert rank(model, triple, known).ranks[0] == 2.0  # 0 and 3 are true too, so only 1 counts
+    flat = Fixed([0.0] * 5, 1)
+    assert rank(flat, triple, triple).ranks.tolist() == [3.0, 3.0]  # the middle, not the first
+    found = LinkPrediction(ranks=np.array([1.0, 2.0, 4.0, 20.0]))
+    assert found.mrr == pytest.approx((1 + 0.5 + 0.25 + 0.05) / 4)
+    assert found.hits_at(10) == 0.75
+    assert found.describe()["mrr_heads"] == pytest.approx(0.15)
+
+
+def test_reciprocal():
+    assert reciprocal(np.array([[1, 0, 2]]), 5).tolist() == [[2, 5, 1]]
+
+
+def test_a_split_keeps_every_name_in_training():
+    split = split_graph(household(), valid=0.1, test=0.2, seed=1)
+    triples = all_triples(household())
+    assert len(split.train) + len(split.valid) + len(split.test) == len(triples)
+    assert len(split.test) == pytest.approx(2 * len(split.valid), abs=2)
+    assert len(np.unique(split.everything, axis=0)) == len(triples)
+    assert set(split.train[:, [0, 2]].ravel()) == set(range(split.entities))
+    assert set(split.train[:, 1]) == set(range(split.relations))
+    again = split_graph(household(), valid=0.1, test=0.2, seed=1)
+    assert (again.test == split.test).all()
+    with pytest.raises(UserError, match="No triple of 1 can be held out"):
+        split_graph(graph_of([("a", "r", "b")]))
+    with pytest.raises(UserError, match="Shares to hold out"):
+        split_graph(household(), valid=0.6, test=0.6)
+
+
+def family_graph(size=24):
+    """A ring with its symmetric and inverse relations: all that is held out can be inferred."""
+    triples = []
+    for i in range(size):
+        a, b = f"p{i}", f"p{(i + 1) % size}"
+        triples += [(a, "next", b), (b, "previous", a), (a, "beside", b), (b, "beside", a)]
+        triples += [(a, "in", f"room{i % 3}"), (f"room{i % 3}", "holds", a)]
+    return graph_of(triples)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_every_model_learns(name):
+    split = split_graph(family_graph(), valid=0.05, test=0.15)
+    config = KgeConfig(model=name, dim=20, epochs=150, learning_rate=0.02)
+    untrained = rank(
+        new_model(config, split.entities, split.relations), split.test, split.everything
+    )
+    done = train(
+        config, split.train, split.entities, split.relations,
+        valid=split.valid, known=split.everything,
+    )  # fmt: skip
+    trained = rank(done.model, split.test, split.everything)
+    assert untrained.mrr < 0.3
+    gain = 0.15 if name == "transe" else 0.3  # a translation cannot be its own inverse (beside)
+    assert trained.mrr > untrained.mrr + gain
+    assert done.losses[-1] < done.losses[0]
+    assert max(mrr for _, mrr in done.valid_mrr) == pytest.approx(
+        rank(done.model, split.valid, split.everything).mrr
+    )
+
+
+def test_early_stopping_keeps_the_best():
+    split = split_graph(family_graph())
+    config = KgeConfig(model="distmult", dim=8, epochs=400, evaluate_every=5, patience=2)
+    done = train(
+        config, split.train, split.entities, split.relations,
+        valid=split.valid, known=split.everything,
+    )  # fmt: skip
+    assert done.epochs < 400
+    assert done.epochs == done.best_epoch + 10
+    assert dict(done.valid_mrr)[done.best_epoch] == max(mrr for _, mrr in done.valid_mrr)
+
+
+def test_the_seed_gives_the_bytes():
+    triples = all_triples(family_graph())
+
+    def vectors(seed):
+        config = KgeConfig(dim=8, epochs=3, seed=seed)
+        return train(config, triples, 27, 5).model.entity.detach().numpy()
+
+    assert (vectors(1) == vectors(1)).all()
+    assert (vectors(1) != vectors(2)).any()
+
+
+def test_threads_are_given_back():
+    before = torch.get_num_threads()
+    with pytest.raises(UserError):
+        train(KgeConfig(model="none"), all_triples(family_graph()), 27, 5)
+    train(KgeConfig(dim=8, epochs=1), all_triples(family_graph()), 27, 5)
+    assert torch.get_num_threads() == before
+    with pytest.raises(UserError, match="no triple to train on"):
+        train(KgeConfig(), np.empty((0, 3), np.int64), 3, 1)
+
+
+def test_a_stored_model_is_the_same_and_serves_as_vectors(tmp_path, facets):
+    graph = household()
+    config = KgeConfig(model="rotate", dim=12, epochs=2)
+    done = train(config, all_triples(graph), len(graph.names), len(graph.relation_names))
+    path = tmp_path / "rotate.safetensors"
+    save_model(done.model, config, graph, path)
+    stored = load_model(path)
+    assert stored.config == config
+    assert stored.entities == tuple(graph.names)
+    assert torch.equal(stored.model.relation, done.model.relation)
+    knowledge = KnowledgeConfig(detail="full", source=str(path), dim=12)
+    embedding = scene_embedding(knowledge, facets)
+    assert embedding.dim == 72
+    assert embedding.coverage.describe()["by_kind"] == {"entity": 50}
+
+
+def test_what_is_no_stored_model(tmp_path, facets):
+    with pytest.raises(UserError, match="no model file"):
+        load_model(tmp_path / "none.safetensors")
+    cut = tmp_path / "cut.safetensors"
+    cut.write_bytes(b"\x10\0\0\0\0\0\0\0{")
+    with pytest.raises(UserError, match="no whole safetensors file"):
+        load_model(cut)
+    from knowarm.knowledge.vectors.shipped import SHIPPED
+
+    with pytest.raises(UserError, match="holds no graph embedding of KnowArm"):
+        load_model(SHIPPED["wordnet-gloss-50"])
+    other = tmp_path / "other.safetensors"
+    graph = family_graph()
+    config = KgeConfig(dim=50)
+    save_model(new_model(config, len(graph.names), 5), config, graph, other)
+    with pytest.raises(UserError, match=r"has no vector for 169 of the graph's names"):
+        scene_embedding(KnowledgeConfig(detail="full", source=str(other)), facets)
+
+
+def test_analogy_goes_through_the_same_door(facets):
+    embedding = scene_embedding(KNOWLEDGE["analogy"], facets)
+    assert embedding.dim == 300
+    again = scene_embedding(KNOWLEDGE["analogy"], facets)
+    assert (embedding.vector == again.vector).all()
+    json.dumps(embedding.describe())
+
+
+def test_metrics_agree_with_pykeen():
+    pytest.importorskip("pykeen", reason="PyKEEN, the oracle, is not installed")
+    from pykeen.evaluation import RankBasedEvaluator
+    from pykeen.models import DistMult
+    from pykeen.triples import CoreTriplesFactory
+
+    split = split_graph(family_graph(12))
+
+    def factory(triples):
+        ids = torch.from_numpy(triples)
+        return CoreTriplesFactory(ids, num_entities=split.entities, num_relations=split.relations)
+
+    theirs = DistMult(triples_factory=factory(split.train), embedding_dim=6, random_seed=1)
+    ours = new_model(KgeConfig(model="distmult", dim=6), split.entities, split.relations)
+    with torch.no_grad():
+        entity = torch.round(ours.entity * 10) / 10  # equal scores, so that ties are compared too
+        ours.entity.copy_(entity)
+        theirs.entity_representations[0]._embeddings.weight.copy_(entity)
+        relation = theirs.relation_representations[0]._embeddings.weight
+        ours.relation[: split.relations] = relation
+        ours.relation[split.relations :] = relation  # DistMult is symmetric
+    result = RankBasedEvaluator().evaluate(
+        theirs,
+        mapped_triples=torch.from_numpy(split.test),
+        additional_filter_triples=[torch.from_numpy(split.train), torch.from_numpy(split.valid)],
+        use_tqdm=False,
+        batch_size=8,
+    )
+    found = rank(ours, split.test, split.everything)
+    for side, mrr in (("both", found.mrr), ("tail", found.describe()["mrr_tails"])):
+        expected = result.get_metric(f"{side}.realistic.inverse_harmonic_mean_rank")
+        assert mrr == pytest.approx(expected, rel=1e-5)
+    assert found.hits_at(10) == pytest.approx(result.get_metric("both.realistic.hits_at_10"))
