@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
+from knowarm.knowledge.sentence import SentenceConfig
 from knowarm.knowledge.subgraph import Direction
 from knowarm.knowledge.vectors.words import OnMissing
 
@@ -45,6 +46,10 @@ class KnowledgeConfig:
     """The relation whose tails are an object's colours."""
     relation_words: bool = True
     """Whether the labels of edges belong to the sentence."""
+    head_once: bool = False
+    """Whether the sentence names the object once, or anew in each fact (the paper's)."""
+    templates: dict[str, str] = field(default_factory=dict)
+    """Words for a relation instead of its label: {"isMadeOf": "made of"}."""
     pooling: Pooling = "mean"
     """How the vectors of a sentence become one: their mean (the paper's), or a mean weighted by
     a / (a + frequency), a = 0.001 (SIF: Arora, Liang and Ma 2017)."""
@@ -65,3 +70,10 @@ class KnowledgeConfig:
     random vector made of its letters)."""
     seed: int = 0
     """Seed of graph embeddings and placebos."""
+
+    @property
+    def sentence(self) -> SentenceConfig:
+        """How a subgraph becomes words."""
+        return SentenceConfig(
+            relation_words=self.relation_words, head_once=self.head_once, templates=self.templates
+        )

@@ -17,7 +17,7 @@ from knowarm.knowledge.household import household
 from knowarm.knowledge.labels import label_of
 from knowarm.knowledge.pooling import slot_vector
 from knowarm.knowledge.read import read_graph
-from knowarm.knowledge.sentence import Part, SentenceConfig, sentence, sentence_parts
+from knowarm.knowledge.sentence import Part, sentence, sentence_parts
 from knowarm.knowledge.vectors.coverage import Coverage
 from knowarm.knowledge.vectors.open import centre_of, graph_parts, open_source
 from knowarm.knowledge.vectors.placebos import SLOT_PLACEBOS, shuffle_tails
@@ -197,8 +197,10 @@ def scene_subgraph(config: KnowledgeConfig, facets: Facets) -> KnowledgeGraph:
 
 def scene_sentences(config: KnowledgeConfig, facets: Facets) -> dict[str, str]:
     """Return the sentence of each slot, by the slot's name."""
-    said = SentenceConfig(relation_words=config.relation_words)
-    return {name: sentence(sub, said) for name, sub in scene_subgraphs(config, facets).items()}
+    return {
+        name: sentence(sub, config.sentence)
+        for name, sub in scene_subgraphs(config, facets).items()
+    }
 
 
 def _real_slots(
@@ -206,9 +208,8 @@ def _real_slots(
 ) -> tuple[np.ndarray, Coverage, tuple[str, ...]]:
     """Return the slots' vectors (S, D) float32 before any placebo, coverage and sentences."""
     graph = load_graph(config)
-    said = SentenceConfig(relation_words=config.relation_words)
     subgraphs, colours = _subgraphs(graph, slots, config)
-    sentences = [sentence_parts(sub, said) for sub in subgraphs]
+    sentences = [sentence_parts(sub, config.sentence) for sub in subgraphs]
     everything = graph_parts(graph, relation_words=config.relation_words) if config.centring else []
     needed: list[Part] = [part for parts in sentences for part in parts]
     source = open_source(config, graph, needed + everything)

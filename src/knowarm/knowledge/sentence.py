@@ -29,7 +29,7 @@ class SentenceConfig:
     head_once: bool = False
     """Whether an object is named once, before all its facts, or anew in each fact."""
     templates: Mapping[str, str] = field(default_factory=dict)
-    """Words for a relation instead of its label, by its name: {"isMadeOf": "made of"}."""
+    """Words for a relation instead of its label, by its name: {"isMadeOf": "made of"}; "" for none."""
 
 
 PAPER = SentenceConfig()
@@ -56,7 +56,8 @@ def sentence_parts(graph: KnowledgeGraph, config: SentenceConfig = PAPER) -> lis
         if config.relation_words:
             words = config.templates.get(relation)
             label = label_of(relation, graph.labels) if words is None else words.lower()
-            parts.append(Part(relation, label, True))
+            if label:
+                parts.append(Part(relation, label, True))
         parts.append(Part(tail, label_of(tail, graph.labels), False))
         last = head
     return parts
