@@ -1,0 +1,99 @@
+import json
+
+import pytest
+
+from knowarm.cli import main as cli
+from knowarm.cli.main import COMMANDS, main
+
+
+def run(capsys, *arguments: str) -> tuple[int, str, str]:
+    code = main(arguments)
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def test_help_lists_every_command(capsys):
+    code, out, _ = run(capsys)
+    assert code == 0
+    assert all(name in out for name in COMMANDS)
+
+
+def test_every_command_exists(capsys):
+    for name in COMMANDS:
+        with pytest.raises(SystemExit) as ended:
+            cli._parse(name, ["--help"])
+        assert ended.value.code in (0, None), name
+        assert "usage" in capsys.readouterr().out
+
+
+def test_list_shows_and_writes_the_names(capsys, tmp_path):
+    file = tmp_path / "names.json"
+    code, out, _ = run(capsys, "list", "--json", str(file))
+    assert code == 0
+    assert "wide" in out
+    names = json.loads(file.read_text())
+    assert {"irb120", "tiago"} <= set(names["robots"])
+    assert "irb120-full-a3c" in names["experiments"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["trian"], ["Unknown command 'trian'", "'train'"]),
+        (["train", "irb120-fulll-ppo"], ["Unknown agent", "'full'"]),
+        (["train", "irb121-full-ppo"], ["Unknown robot", "'irb120'"]),
+        (["train", "--seed", "1"], ["first word"]),
+        (["train", "irb120-bm-ppo", "--env.targets", "mgu"], ["mgu", "'mug'"]),
+        (["train", "irb120-bm-ppo", "--resume", "--runs", "nowhere"], ["is not a run folder"]),
+        (["evaluate", "runs/none/0"], ["is not a run folder"]),
+        (["evaluate", "orakle"], ["'oracle'"]),
+        (["evaluate", "zero", "--json", "/proc/none/x.json"], ["--json"]),
+        (["knowledge", "shwo"], ["'show'"]),
+        (["knowledge", "show", "--objects", "mgu"], ["mgu", "mug"]),
+    ],
+)
+def test_mistakes_end_in_one_line_and_code_2(capsys, tmp_path, monkeypatch, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = run(capsys, *arguments)
+    assert code == 2, err
+    assert err.startswith("knowarm: ")
+    assert err.count("\n") == 1
+    for word in words:
+        assert word in err
+    assert list(tmp_path.iterdir()) == []  # nothing half-written
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["train", "irb120-bm-ppo", "--env.mpi-rad", "0"], "mpi_rad must be greater than 0"),
+        (["train", "irb120-bm-ppo", "--algorithm.minibatches", "3"], "must divide num_envs"),
+        (["evaluate", "zero", "--episodes", "0"], "episodes must be at least 1"),
+        (["evaluate", "zero", "--episodes", "many"], "many"),
+        (["evaluate", "zero", "--epsiodes", "3"], "--episodes"),
+    ],
+)
+def test_wrong_values_name_the_option_and_end_with_code_2(capsys, arguments, words):
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == 2
+    error = " ".join(capsys.readouterr().err.split())
+    assert words in error
+    assert "Traceback" not in error
+
+
+def test_an_unwritable_runs_folder_is_found_before_training(capsys, tmp_path):
+    (tmp_path / "file").write_text("")
+    code, _, err = run(capsys, "train", "irb120-bm-ppo", "--runs", str(tmp_path / "file"))
+    assert code == 2
+    assert "Cannot write to the output folder" in err
+
+
+def test_evaluate_prints_and_writes_the_table(capsys, tmp_path):
+    file = tmp_path / "table.json"
+    code, out, _ = run(capsys, "evaluate", "oracle", "--episodes", "6", "--json", str(file))
+    assert code == 0
+    table = json.loads(file.read_text())
+    assert {"return_mean", "accuracy", "success", "length_mean"} <= set(table)
+    assert table["episodes"] == 6
+    assert "success" in out

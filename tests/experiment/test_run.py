@@ -1,0 +1,179 @@
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+from knowarm.config import from_dict, to_dict
+from knowarm.errors import UserError
+from knowarm.experiment.agents import AGENTS
+from knowarm.experiment.build import build
+from knowarm.experiment.config import ExperimentConfig, InterimConfig
+from knowarm.experiment.load import load_agent
+from knowarm.experiment.registry import EXPERIMENTS, experiment
+from knowarm.experiment.run import stored_config, train
+from knowarm.experiment.run_folder import RunFolder, read_csv
+from knowarm.learn.config import A3CConfig, PPOConfig
+
+TIMES = {"wall_time_s", "steps_per_s", "collect_s", "learn_s"}
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+def short(name: str = "irb120-full-ppo", **changes) -> ExperimentConfig:
+    config = experiment(name)
+    algorithm = dataclasses.replace(
+        config.algorithm, num_envs=4, rollout_steps=5, minibatches=2, threads=1
+    )
+    values = {
+        "total_steps": 160,
+        "checkpoint_every_steps": 40,
+        "interim": InterimConfig(every_steps=80, episodes=2),
+        "algorithm": algorithm,
+    }
+    return dataclasses.replace(config, **{**values, **changes})
+
+
+def curve(folder: RunFolder) -> list[dict[str, str]]:
+    rows = read_csv(folder.metrics_path)
+    return [{name: value for name, value in row.items() if name not in TIMES} for row in rows]
+
+
+def test_a_run_folder_tells_all(tmp_path):
+    run = train(short(), tmp_path)
+    assert run.result.step == 160
+    assert stored_config(run.folder) == short()
+    assert [int(row["step"]) for row in read_csv(run.folder.evaluations_path)] == [0, 80, 160]
+    assert len(curve(run.folder)) == 8
+    provenance = run.folder.provenance()
+    assert provenance["parameter_counts"]["memory"] == 620_496  # paper: LSTM grown to 278
+    assert provenance["knowledge"]["constant"]
+    assert provenance["facets"][0] == ["mug", "red"]
+    assert run.folder.knowledge().shape == (3, 150)
+    assert any(run.folder.tensorboard.iterdir())
+    with pytest.raises(UserError, match="--resume"):
+        train(short(), tmp_path)
+
+
+def test_stop_and_resume_give_the_same_bytes(tmp_path):
+    whole = train(short(), tmp_path / "whole")
+    asked = []
+
+    def after_four_updates() -> bool:
+        asked.append(0)
+        return len(asked) > 4
+
+    part = train(short(), tmp_path / "part", should_stop=after_four_updates)
+    assert part.result.reason == "stopped"
+    assert part.result.step == 80
+    resumed = train(short(), tmp_path / "part", resume=True)
+    assert curve(whole.folder) == curve(resumed.folder)
+    for name in ("policy", "optimizer", "state"):
+        file = f"latest/{name}.safetensors"
+        a = (whole.folder.checkpoints / file).read_bytes()
+        assert a == (resumed.folder.checkpoints / file).read_bytes(), name
+    assert (
+        whole.folder.evaluations_path.read_bytes() == resumed.folder.evaluations_path.read_bytes()
+    )
+
+
+def test_another_config_is_not_resumed(tmp_path):
+    train(short(total_steps=20), tmp_path)
+    changed = dataclasses.replace(
+        short(), network=dataclasses.replace(short().network, features=64)
+    )
+    with pytest.raises(UserError, match=r"network\.features: 128 \| 64"):
+        train(changed, tmp_path, resume=True)
+    assert train(short(total_steps=40), tmp_path, resume=True).result.step == 40
+
+
+def test_nothing_to_resume_is_said(tmp_path):
+    with pytest.raises(UserError, match="is not a run folder"):
+        train(short(), tmp_path, resume=True)
+
+
+def test_the_trained_agent_is_the_one_that_was_saved(tmp_path):
+    folder = train(short(), tmp_path).folder
+    latest, untrained = (load_agent(folder.path, which=which) for which in ("latest", "untrained"))
+    assert latest.step == 160
+    assert untrained.step == 0
+    fresh = build(short()).new_policy(0).state_dict()
+    for name, value in untrained.policy.state_dict().items():
+        torch.testing.assert_close(value, fresh[name], rtol=0, atol=0)
+    assert not torch.equal(latest.policy.critic.weight, untrained.policy.critic.weight)
+
+
+def test_a_truncated_checkpoint_is_refused(tmp_path):
+    folder = train(short(total_steps=20), tmp_path).folder
+    file = folder.checkpoints / "best" / "policy.safetensors"
+    file.write_bytes(file.read_bytes()[:1000])
+    with pytest.raises(UserError, match="damaged"):
+        load_agent(folder.path)
+
+
+def test_a_checkpoint_of_another_network_is_refused(tmp_path):
+    bm = train(short("irb120-bm-ppo", total_steps=20), tmp_path).folder
+    full = train(short("irb120-full-ppo", total_steps=20), tmp_path).folder
+    for part in (full.checkpoints / "best").iterdir():
+        part.write_bytes((bm.checkpoints / "best" / part.name).read_bytes())
+    with pytest.raises(UserError, match=r"memory\.weight_hh"):
+        load_agent(full.path)
+
+
+SLOW = {"analogy"}  # trains a graph embedding
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in AGENTS]
+)
+def test_every_agent_can_be_built(name):
+    config = experiment(f"irb120-{name}-dr-ppo")
+    parts = build(config)
+    assert parts.table.shape == (6, parts.policy_config.knowledge_dim) or config.network.wide
+    assert np.isfinite(parts.table).all()
+    assert parts.new_policy(0).parameter_counts()["total"] > 0
+
+
+def test_wide_matches_full():
+    full, wide = (
+        build(experiment(f"irb120-{name}-ppo")).new_policy(0) for name in ("full", "wide")
+    )
+    assert wide.config.hidden_size == full.config.hidden_size
+    counts = [policy.parameter_counts()["total"] for policy in (wide, full)]
+    assert abs(counts[0] / counts[1] - 1) < 0.005
+
+
+@pytest.mark.parametrize("name", ["irb120-full-ppo", "tiago-bm-dr-a3c"])
+def test_configs_survive_json(name):
+    config = experiment(name)
+    assert from_dict(ExperimentConfig, to_dict(config)) == config
+
+
+def test_names_say_what_they_are():
+    config = experiment("tiago-partial-dr-a3c")
+    assert config.env.robot == "tiago"
+    assert config.env.colours == "randomized"
+    assert config.agent == "partial"
+    assert isinstance(config.algorithm, A3CConfig)
+    assert isinstance(experiment("irb120-bm-ppo").algorithm, PPOConfig)
+    assert experiment("irb120-bm-ppo").env.colours == "fixed"
+    assert all(name == config.name for name, config in EXPERIMENTS.items())
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("irb12-full-ppo", "Did you mean 'irb120'"),
+        ("irb120-ful-ppo", "Did you mean 'full'"),
+        ("irb120-full-pp", "irb120-full-ppo"),
+    ],
+)
+def test_unknown_names_offer_the_nearest(name, message):
+    with pytest.raises(UserError, match=message):
+        experiment(name)
