@@ -1,8 +1,10 @@
 """A truth goes in; run folders that trainings with this truth could have left come out."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +13,7 @@ from knowarm.experiment.evaluation_files import EPISODE_COLUMNS, step_columns, w
 from knowarm.experiment.evaluation_summary import summarize
 from knowarm.experiment.film import write_film
 from knowarm.experiment.run_folder import RunFolder
-from knowarm.knowledge import KNOWLEDGE, scene_embedding
+from knowarm.knowledge import KNOWLEDGE, SceneEmbedding, scene_embedding
 
 FACETS = {
     "fixed": [("mug", "red"), ("bottle", "yellow"), ("cereal_box", "brown")],
@@ -33,8 +35,29 @@ class Truth:
     """What is true of every agent of a study."""
 
     success: dict[str, float]
-    spread: float = 0.06
-    speed: dict[str, float] | None = None
+    """Mean success of each agent's trainings."""
+    spread: float = 0.05
+    """Standard deviation of success from training seed to training seed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Size:
+    """How much each run folder holds."""
+
+    points: int = 40
+    episodes: int = 200
+    films: int = 0
+    steps: bool = False
+    tables: bool = True
+    """Whether the Parquet files and the knowledge are written, or only what verdicts need."""
+    total_steps: int = 4_000_000
+    evaluation: dict[str, Any] = field(default_factory=dict)
+    """Fields of the evaluation's config that differ from the usual ones."""
+
+
+def env_of(robot: str = "irb120", colours: str = "fixed") -> dict[str, Any]:
+    """The task, as ``config.json`` has it."""
+    return {"robot": robot, "targets": ["mug", "bottle", "cereal_box"], "colours": colours}
 
 
 def write_study(
@@ -44,18 +67,18 @@ def write_study(
     seeds: int,
     robot: str = "irb120",
     colours: str = "fixed",
-    generator: np.random.Generator | None = None,
-    **options: int,
+    seed: int = 0,
+    size: Size = Size(),
 ) -> list[Path]:
-    """Write one run folder for each agent and seed; returns their paths."""
-    generator = generator or np.random.default_rng(0)
+    """Write one run folder for each agent and training seed; returns their paths."""
+    generator = np.random.default_rng(seed)
     paths = []
     for agent, mean in truth.success.items():
-        speed = (truth.speed or {}).get(agent, 1.0)
-        for seed in range(seeds):
-            path = folder / f"{robot}-{colours}-{agent}-ppo" / str(seed)
+        for number in range(seeds):
+            path = folder / f"{robot}-{colours}-{agent}-ppo" / str(number)
             level = float(np.clip(generator.normal(mean, truth.spread), 0.01, 0.99))
-            write_run(path, agent, seed, level, robot, colours, speed, generator, **options)
+            env = env_of(robot, colours)
+            write_run(path, agent, number, level, env=env, generator=generator, size=size)
             paths.append(path)
     return paths
 
@@ -65,82 +88,77 @@ def write_run(
     agent: str,
     seed: int,
     success: float,
-    robot: str,
-    colours: str,
-    speed: float,
-    generator: np.random.Generator,
     *,
-    points: int = 40,
-    episodes: int = 200,
-    films: int = 0,
-    steps: bool = False,
-    total_steps: int = 4_000_000,
-) -> None:
-    """Write a whole run folder."""
+    env: dict[str, Any] | None = None,
+    generator: np.random.Generator | None = None,
+    size: Size = Size(),
+    algorithm: str = "ppo",
+) -> Path:
+    """Write one whole run folder."""
+    env = env or env_of()
+    generator = generator or np.random.default_rng(seed)
     folder = RunFolder.create(path)
-    facets = FACETS[colours]
+    facets = FACETS[env["colours"]]
     known = KNOWLEDGE.get(agent, KNOWLEDGE["full"])
-    env = {"robot": robot, "targets": ["mug", "bottle", "cereal_box"], "colours": colours}
-    config = {
-        "format": 1,
-        "name": path.parent.name,
-        "agent": agent,
-        "seed": seed,
-        "env": env,
-        "knowledge": to_dict(known),
-        "network": {"fusion": "before_lstm", "wide": agent == "wide"},
-        "algorithm": {"name": "ppo", "learning_rate": 1e-3},
-        "total_steps": total_steps,
-    }
-    folder.write_json("config.json", config)
-    embedding = scene_embedding(known, facets)
-    width = embedding.dim
     folder.write_json(
-        "provenance.json",
+        "config.json",
         {
-            "versions": {"knowarm": "0.1.0", "torch": "2.13.0", "mujoco": "4.0.0"},
-            "commit": "0123456789abcdef",
-            "machine": {"processor": "a processor", "cores": 2},
-            "parameter_counts": {
-                "encoder": 161_168,
-                "memory": 4 * (128 + width) * (128 + 128 + 2 * width + 2),
-                "heads": 43 * (129 + width),
-                "total": 161_168 + 4 * (128 + width) * (258 + 2 * width) + 43 * (129 + width),
-            },
-            "facets": facets,
-            "knowledge": embedding.describe(),
+            "format": 1,
+            "name": path.parent.name,
+            "agent": agent,
+            "seed": seed,
+            "env": env,
+            "knowledge": to_dict(known),
+            "network": {"fusion": "before_lstm", "wide": agent == "wide"},
+            "algorithm": {"name": algorithm, "learning_rate": 1e-3},
+            "total_steps": size.total_steps,
         },
     )
-    table = embedding.table(facets)
-    folder.write_knowledge(table[:, :0] if agent == "wide" else table)
-    _write_curves(folder, success, speed, generator, points, total_steps)
-    write_evaluation(
-        path / "evaluation" / LABEL, agent, success, env, generator, episodes, films, steps
-    )
+    _write_curves(folder, success, generator, size)
+    if size.tables:
+        embedding = _embedding(agent, env["colours"])
+        table = embedding.table(facets)
+        folder.write_json("provenance.json", _provenance(embedding, facets))
+        folder.write_knowledge(table[:, :0] if agent == "wide" else table)
+    write_evaluation(path / "evaluation" / LABEL, agent, success, env, generator, size)
+    return path
+
+
+@lru_cache
+def _embedding(agent: str, colours: str) -> SceneEmbedding:
+    return scene_embedding(KNOWLEDGE.get(agent, KNOWLEDGE["full"]), FACETS[colours])
+
+
+def _provenance(embedding: SceneEmbedding, facets: list[tuple[str, str]]) -> dict[str, Any]:
+    hidden = 128 + embedding.dim
+    counts = {"encoder": 161_168, "memory": 8 * hidden * (hidden + 1), "heads": 43 * (hidden + 1)}
+    return {
+        "versions": {"knowarm": "0.1.0", "torch": "2.13.0", "mujoco": "4.0.0"},
+        "commit": "0123456789abcdef",
+        "machine": {"processor": "a processor", "cores": 2},
+        "parameter_counts": counts | {"total": sum(counts.values())},
+        "facets": facets,
+        "knowledge": embedding.describe(),
+    }
 
 
 def _write_curves(
-    folder: RunFolder,
-    success: float,
-    speed: float,
-    generator: np.random.Generator,
-    points: int,
-    total_steps: int,
+    folder: RunFolder, success: float, generator: np.random.Generator, size: Size
 ) -> None:
-    ends = np.linspace(total_steps / points, total_steps, points).round()
-    share = success / (1 + np.exp(-8 * (ends / total_steps * speed - 0.4)))
-    share = np.clip(share + generator.normal(0, 0.03, points), 0, 1)
+    ends = np.linspace(size.total_steps / size.points, size.total_steps, size.points).round()
+    share = success / (1 + np.exp(-8 * (ends / size.total_steps - 0.4)))
+    share = np.clip(share + generator.normal(0, 0.03, size.points), 0, 1)
     lines = ["step,wall_time_s,return_mean,return_std,length_mean,success,accuracy,best"]
     metrics = ["step,wall_time_s,steps_per_s,episodes,return_mean,policy_loss,entropy"]
     best = -np.inf
     for end, value in zip(ends, share, strict=True):
         gain = -40 + 140 * value
-        lines.append(
-            f"{end:.0f},{end / 2500:.1f},{gain:.3f},40,30,{value:.4f},{value:.4f},"
-            f"{int(gain > best)}"
+        cells = [f"{end:.0f}", f"{end / 2500:.1f}", f"{gain:.3f}"]
+        lines.append(",".join([*cells, "40", "30", *2 * [f"{value:.4f}"], str(int(gain > best))]))
+        metrics.append(
+            ",".join([*cells[:2], "2500", "40", cells[2], ".1", f"{11 - 5 * value:.3f}"])
         )
         best = max(best, gain)
-        metrics.append(f"{end:.0f},{end / 2500:.1f},2500,40,{gain:.3f},.1,{11 - 5 * value:.3f}")
     folder.evaluations_path.write_text("\n".join(lines) + "\n")
     folder.metrics_path.write_text("\n".join(metrics) + "\n")
 
@@ -149,64 +167,67 @@ def write_evaluation(
     folder: Path,
     agent: str,
     success: float,
-    env: dict,
+    env: dict[str, Any],
     generator: np.random.Generator,
-    episodes: int = 200,
-    films: int = 0,
-    steps: bool = False,
+    size: Size = Size(),
 ) -> None:
-    """Write one evaluation folder in which a share ``success`` of episodes succeeded."""
+    """Write one evaluation folder in which about a share ``success`` of episodes succeeded."""
     folder.mkdir(parents=True)
-    facets = FACETS[env["colours"]]
-    which = np.random.default_rng(7).integers(0, len(facets), episodes)
-    reached = generator.random(episodes) < success
-    length = np.where(reached, generator.integers(6, 40, episodes), 50)
-    distance = np.where(reached, generator.uniform(0.02, 0.1, episodes), 0.25)
-    distance[~reached] += generator.uniform(-0.17, 0.2, np.count_nonzero(~reached))
-    angle = np.where(
-        reached, generator.uniform(2, 17, episodes), generator.uniform(5, 70, episodes)
-    )
-    columns = {
-        "episode": np.arange(episodes),
-        "evaluation_seed": np.full(episodes, 1_000_003),
+    config = {
+        "episodes": size.episodes,
+        "seed": 1_000_003,
+        "seeds": 1,
+        "distance_m": 0.1,
+        "angle_deg": 17.0,
+        "wide_angle_deg": 20.0,
+        "actions": "greedy",
+    } | size.evaluation
+    known = {"format": 1, "agent": agent, "label": folder.name, "config": config, "env": env}
+    if not size.tables:
+        share = generator.binomial(size.episodes, success) / size.episodes
+        flat = {"success": share, "accuracy": share, "return_mean": 140 * share - 40}
+        (folder / "summary.json").write_text(json.dumps(known | {"episodes": size.episodes} | flat))
+        return
+    columns = _episodes(success, env, generator, size, int(config["seeds"]))
+    write_table(folder / "episodes.parquet", columns, EPISODE_COLUMNS)
+    if size.steps:
+        shift = 0.2 * (agent == "full")
+        _write_steps(folder, columns, JOINTS[env["robot"]], generator, shift)
+    for number in range(size.films):
+        write_film(folder / "films" / f"{number}.webp", _pictures(int(columns["length"][number])))
+    (folder / "summary.json").write_text(json.dumps(known | summarize(columns), indent=2))
+
+
+def _episodes(
+    success: float, env: dict[str, Any], generator: np.random.Generator, size: Size, seeds: int
+) -> dict[str, np.ndarray]:
+    count, facets = size.episodes, FACETS[env["colours"]]
+    which = np.random.default_rng(7).integers(0, len(facets), count)
+    reached = generator.random(count) < success
+    near, far = generator.uniform(0.02, 0.1, count), generator.uniform(0.08, 0.45, count)
+    length = np.where(reached, generator.integers(6, 40, count), 50)
+    distance = np.where(reached, near, far)
+    return {
+        "episode": np.arange(count),
+        "evaluation_seed": 1_000_003 + np.repeat(np.arange(seeds), count // seeds),
         "target": np.array([facets[i][0] for i in which]),
         "facet": np.array(["/".join(facets[i]) for i in which]),
         "return": np.where(reached, 100.0, 0.0) - 0.5 * length,
         "length": length,
         "distance_m": distance,
-        "angle_deg": angle,
+        "angle_deg": np.where(reached, 8.0, generator.uniform(5, 70, count)),
         "success": reached,
         "accurate": distance <= 0.1,
         "success_wide": reached,
     }
-    write_table(folder / "episodes.parquet", columns, EPISODE_COLUMNS)
-    if steps:
-        _write_steps(
-            folder, columns, JOINTS[env["robot"]], generator, shift=0.2 * (agent == "full")
-        )
-    for number in range(films):
-        write_film(folder / "films" / f"{number}.webp", _pictures(int(length[number]), number))
-    summary = {
-        "format": 1,
-        "agent": agent,
-        "label": LABEL,
-        "config": {
-            "episodes": episodes,
-            "seed": 1_000_003,
-            "seeds": 1,
-            "distance_m": 0.1,
-            "angle_deg": 17.0,
-            "wide_angle_deg": 20.0,
-            "actions": "greedy",
-        },
-        "env": env,
-        **summarize(columns),
-    }
-    (folder / "summary.json").write_text(json.dumps(summary, indent=2))
 
 
 def _write_steps(
-    folder: Path, episodes: dict, joints: int, generator: np.random.Generator, shift: float
+    folder: Path,
+    episodes: dict[str, np.ndarray],
+    joints: int,
+    generator: np.random.Generator,
+    shift: float,
 ) -> None:
     lengths = episodes["length"]
     total = int(lengths.sum())
@@ -223,10 +244,10 @@ def _write_steps(
     write_table(folder / "steps.parquet", columns, step_columns(joints))
 
 
-def _pictures(length: int, number: int) -> np.ndarray:
+def _pictures(length: int) -> np.ndarray:
     frames = np.full((length + 1, 64, 64, 3), (150, 152, 158), np.uint8)
     for t, frame in enumerate(frames):
         at = 4 + int(40 * t / (length + 1))
-        frame[at : at + 14, 20 + number : 32 + number] = (255, 115, 13)
+        frame[at : at + 14, 20:32] = (255, 115, 13)
         frame[46:58, 30:40] = (255, 0, 0)
     return frames

@@ -123,6 +123,9 @@ class Verdict:
     reasons: Sequence[str] = ()
     """What it follows from, a sentence each."""
 
+    shown_reasons: int = 99
+    """Reasons that are seen at once; the others on request."""
+
     tone: Tone = "note"
     """How it is coloured."""
 
@@ -219,7 +222,12 @@ class Page:
     name: str
     """Anchor in the address."""
 
+    short: str
+    """Name in the navigation."""
+
     title: str
+    """Heading."""
+
     lead: str = ""
     """One sentence under the title."""
 

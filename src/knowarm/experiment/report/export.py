@@ -13,6 +13,9 @@ from knowarm.experiment.report.blocks import Page, Table, Verdict, flat
 from knowarm.experiment.report.study import Study
 from knowarm.experiment.run_folder import write_json
 
+DIGITS = 9
+"""Significant digits of every written number."""
+
 FORMAT = 1
 """Version of ``report.json``."""
 
@@ -102,6 +105,6 @@ def _plain_row(table: Table, row: dict[str, Any], start: Path) -> dict[str, Any]
 def _plain(value: Any, start: Path) -> Any:
     if isinstance(value, Path):
         return relative(value, start)
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
+    if isinstance(value, float):
+        return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
     return value

@@ -8,17 +8,19 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescap
 from markupsafe import Markup, escape
 
 import knowarm
-from knowarm.experiment.report import blocks
 from knowarm.experiment.report.blocks import Column, Page, Row, Table
 from knowarm.experiment.report.export import data_folder, raw, relative
 from knowarm.experiment.report.format import FORMATS, MISSING
 from knowarm.experiment.report.study import Study
 
-MOST_SOURCES = 12
+MOST_SOURCES = 40
 """Links under a table; all sources stand in ``report.json``."""
 
 LONG_TABLE = 400
 """Rows of a table that are written into the page; the CSV has all of them."""
+
+FOLDED_ROWS = 16
+"""Rows above which a table is shown on request."""
 
 
 def render(study: Study, pages: Sequence[Page], out: Path) -> str:
@@ -40,7 +42,7 @@ def render(study: Study, pages: Sequence[Page], out: Path) -> str:
 
     def source_links(table: Table) -> list[tuple[str, str]]:
         shown = dict.fromkeys(relative(path, start) for path in table.sources)
-        return [(quote(path), path) for path in list(shown)[:MOST_SOURCES]]
+        return [(quote(path), path) for path in shown]
 
     environment.filters["raw"] = lambda value: raw(value, start)
     environment.globals.update(
@@ -50,7 +52,8 @@ def render(study: Study, pages: Sequence[Page], out: Path) -> str:
         kind=lambda block: type(block).__name__,
         numeric=lambda column: column.format not in ("text", "path"),
         long_table=LONG_TABLE,
-        blocks=blocks,
+        folded_rows=FOLDED_ROWS,
+        most_sources=MOST_SOURCES,
     )
     parts = {
         name: Markup((Path(__file__).parent / "templates" / name).read_text(encoding="utf-8"))

@@ -49,10 +49,13 @@ class Finding:
     sentence: str
     reasons: tuple[str, ...] = ()
 
-    def verdict(self) -> Verdict:
+    def verdict(self, shown_reasons: int = 99) -> Verdict:
         """The finding as a block of a page."""
         return Verdict(
-            sentence=self.sentence, reasons=self.reasons, tone=TONES.get(self.kind, "open")
+            sentence=self.sentence,
+            reasons=self.reasons,
+            shown_reasons=shown_reasons,
+            tone=TONES.get(self.kind, "open"),
         )
 
 
@@ -79,20 +82,19 @@ def finding(task: Task, decided: Sequence[Claim], outcome: Outcome = "success") 
     if asked is None or not mine:
         what = "no agent with knowledge" if asked is None else "only one agent"
         return Finding("nothing to compare", f"{task.title}: {what} among these runs.")
-    about = f"{asked.name}, {OUTCOMES[outcome]}."
-    reasons = (about, *(claim.sentence() for claim in mine))
+    reasons = tuple(claim.sentence() for claim in mine)
     against = {claim.second.agent: claim for claim in mine}
     if all(claim.verdict == "too few seeds" for claim in against.values()):
         fewest = min(claim.seeds for claim in against.values())
         seeds = f"from {count(fewest, 'training seed')} an agent" if fewest else "without results"
         return Finding(
             "too few seeds",
-            f"{task.title}: whether knowledge helps cannot be said {seeds}.",
+            f"{task.title}, {OUTCOMES[outcome]}: whether knowledge helps cannot be said {seeds}.",
             (
-                *reasons,
                 f"At least {FEWEST_SEEDS} seeds of each agent are needed: two networks of one "
                 "method that differ in their training seed alone can differ as much as two "
                 "methods.",
+                *reasons,
             ),
         )
     kind, words = _judge(asked.name, against)

@@ -56,7 +56,7 @@ def axes(
         level = y(value)
         parts.append(element("line", class_="grid", x1=left, x2=right, y1=level, y2=level))
         parts.append(label(left - 6, level + 4, y_format(value), class_="tick", text_anchor="end"))
-    for value in x.ticks(max(2, int((right - left) / 85))):
+    for value in x.ticks(max(4, int((right - left) / 85))):
         place = x(value)
         parts.append(element("line", class_="mark", x1=place, x2=place, y1=bottom, y2=bottom + 4))
         parts.append(

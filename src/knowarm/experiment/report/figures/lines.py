@@ -99,7 +99,7 @@ def line_chart(
         box.height,
         name,
         *parts,
-        class_="chart lines",
+        class_="chart lines many" if len(series) > 3 else "chart lines",
         data_plot=" ".join(f"{value:.10g}" for value in plot),
         data_y=f"{scale_y.low:.10g} {scale_y.high:.10g}",
     )
@@ -122,7 +122,7 @@ def _series(series: Series, x: Scale, y: Scale) -> str:
         if len(points) == 1:
             parts.append(element("circle", cx=points[0][0], cy=points[0][1], r=3, class_="dot"))
     data = ";".join(
-        f"{a!r},{b!r}"
+        f"{a:.9g},{b:.9g}"
         for a, b in zip(series.x.tolist(), series.y.tolist(), strict=True)
         if np.isfinite(b)
     )

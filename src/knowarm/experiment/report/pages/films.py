@@ -27,6 +27,7 @@ def films_page(study: Study) -> Page:
     """The agents on the same episodes: what the policy saw, in steps and moving."""
     page = Page(
         name="films",
+        short="Episodes",
         title="Episodes",
         lead="Agents on the same episode, as the policy saw it. Press play to watch.",
     )

@@ -29,10 +29,14 @@ MOST_PICTURES = 4
 """Different knowledge vectors that are drawn; all stand in the table."""
 
 
+DRAWN_FIRST = ("full", "full+", "partial", "target")
+
+
 def inputs_page(study: Study) -> Page:
     """The graph, the sentences, the vector, and how many parameters see it."""
     page = Page(
         name="inputs",
+        short="Inputs",
         title="What went in",
         lead="The picture is the same for all agents; they differ in what else they are told.",
     )
@@ -46,7 +50,7 @@ def _task_blocks(task: Task) -> list[Block]:
     blocks: list[Block] = [_constants(task, shown), _table(task, shown)]
     drawn: set[str] = set()
     graphs: set[str] = set()
-    for name, run in reversed(shown):
+    for name, run in sorted(shown, key=lambda each: _rank(each[1].agent)):
         known = _known(run)
         key = json.dumps(known.get("config", known), sort_keys=True)
         if not known.get("slots") or key in drawn or len(drawn) >= MOST_PICTURES:
@@ -55,6 +59,11 @@ def _task_blocks(task: Task) -> list[Block]:
         blocks += _knowledge(task, name, run, known, graphs)
     parameters = _parameters(task, shown)
     return [*blocks, parameters] if parameters else blocks
+
+
+def _rank(agent: str) -> int:
+    """Agents with knowledge come before controls, whose vectors copy theirs."""
+    return DRAWN_FIRST.index(agent) if agent in DRAWN_FIRST else len(DRAWN_FIRST)
 
 
 def _constants(task: Task, shown: Sequence[tuple[str, Run]]) -> Verdict:

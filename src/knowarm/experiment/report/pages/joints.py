@@ -16,6 +16,7 @@ def joints_page(study: Study) -> Page:
     """Where two agents moved each joint, and how widely (paper sections 5.1 and 5.2)."""
     page = Page(
         name="joints",
+        short="Joints",
         title="Joint angles",
         lead="Angles of every step of the evaluation: each agent's best run.",
     )

@@ -16,6 +16,7 @@ def paper_page(study: Study) -> Page:
     """Accuracy, best-model step and learning time, ours and the paper's."""
     page = Page(
         name="paper",
+        short="Paper",
         title="Beside the paper",
         lead="The paper's numbers come from one training seed an agent, A3C and 70 M steps.",
     )

@@ -23,6 +23,7 @@ def results_page(study: Study) -> Page:
     """Every agent, and the untrained policy, on the same fixed episodes."""
     page = Page(
         name="results",
+        short="Results",
         title="Evaluation after training",
         lead="The best model of every run on the same fixed episodes, which none was trained on.",
     )

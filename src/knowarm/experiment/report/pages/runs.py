@@ -27,6 +27,7 @@ def runs_page(study: Study) -> Page:
                 )
     page = Page(
         name="runs",
+        short="Runs",
         title="Runs and sources",
         lead="Every number of this report is computed from these folders.",
     )

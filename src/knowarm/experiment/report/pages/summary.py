@@ -38,7 +38,7 @@ def summary_page(study: Study, decided: list[Claim]) -> Page:
     """What the runs show, in sentences made from their numbers, then the numbers."""
     blocks: list[Block] = []
     for task in study.tasks:
-        blocks.append(finding(task, decided).verdict())
+        blocks.append(finding(task, decided).verdict(shown_reasons=1))
         learned = learning_verdict(task)
         if learned:
             blocks.append(learned)
@@ -58,6 +58,7 @@ def summary_page(study: Study, decided: list[Claim]) -> Page:
     runs = len(study.runs)
     return Page(
         name="summary",
+        short="Summary",
         title="Summary",
         lead=f"{count(runs, 'training run')}, {count(len(study.tasks), 'task')}. "
         "Every sentence on this page is generated from the intervals beside it.",

@@ -40,6 +40,7 @@ def training_page(study: Study) -> Page:
     """How each agent learned: interim evaluations on fixed episodes, and the losses."""
     page = Page(
         name="training",
+        short="Training",
         title="Training",
         lead="Interim evaluations on the same fixed episodes, by the training thresholds.",
     )

@@ -21,6 +21,7 @@ def read_run(path: Path, problems: list[Problem]) -> Run | None:
         The run, or None when the folder is none, of another format or without its config.
     """
     try:
+        _object(path / "config.json")
         folder = RunFolder.open(path)
         config = folder.config()
     except UserError as error:
@@ -31,7 +32,7 @@ def read_run(path: Path, problems: list[Problem]) -> Run | None:
         problems.append(Problem(path, f"config.json lacks {', '.join(missing)}", "left out"))
         return None
     try:
-        provenance = folder.provenance()
+        provenance = _object(path / "provenance.json")
     except UserError as error:
         problems.append(Problem(path, str(error), "kept; versions and parameters unknown"))
         provenance = {}
@@ -102,13 +103,25 @@ def read_judged(folder: Path) -> Judged:
     Raises:
         UserError: no summary, or one that lacks the numbers every report needs.
     """
-    summary = read_json(folder / "summary.json")
+    summary = _object(folder / "summary.json")
     missing = [name for name in NEEDED_NUMBERS if not isinstance(summary.get(name), int | float)]
     if missing:
         raise UserError(
             f"{folder / 'summary.json'} lacks {', '.join(missing)}. Evaluate the run again."
         )
     return Judged(folder, summary)
+
+
+def _object(path: Path) -> dict[str, Any]:
+    """Read a JSON file that must hold named values.
+
+    Raises:
+        UserError: the file is missing, not JSON, or holds something else.
+    """
+    values: object = read_json(path)
+    if not isinstance(values, dict):
+        raise UserError(f"{path} must hold named values, it holds a {type(values).__name__}.")
+    return values
 
 
 def _read_judged(parent: Path, problems: list[Problem]) -> dict[str, Judged]:

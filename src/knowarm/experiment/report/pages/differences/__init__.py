@@ -31,6 +31,7 @@ def differences_page(study: Study, decided: list[Claim]) -> Page:
     """The statistics over training seeds, and the paper's, each with what it shows."""
     page = Page(
         name="differences",
+        short="Differences",
         title="Are the differences real?",
         lead="Training seeds are the unit; the paper's own test stands at the end.",
         blocks=[Text(paragraphs=EXPLANATION)],

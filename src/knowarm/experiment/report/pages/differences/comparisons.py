@@ -93,8 +93,8 @@ def forest(claims: Sequence[Claim], name: str) -> str:
         x_title="difference [points]",
         x_format=lambda value: format.points(value, 0),
         zero=True,
-        width=500,
-        left=150,
+        width=390,
+        left=132,
     )
 
 

@@ -10,7 +10,7 @@ from knowarm.experiment.report.palette import colours
 from knowarm.experiment.report.study import Task
 from knowarm.experiment.statistics import performance_profile
 
-LEVELS = np.linspace(0, 1, 41)
+LEVELS = np.linspace(0, 1, 21)
 
 BOXES = (("wide", Box(width=640, height=300)), ("narrow", Box(width=350, height=250, left=44)))
 

@@ -13,6 +13,7 @@ def knowledge_page(study: Study, decided: list[Claim]) -> Page:
     """The knowledge agent against every control, as a whole and part by part."""
     page = Page(
         name="knowledge",
+        short="Knowledge",
         title="Does the knowledge matter?",
         lead="Each control takes one thing away. The verdicts follow from the intervals below.",
     )
