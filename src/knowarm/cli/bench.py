@@ -1,0 +1,39 @@
+"""``knowarm bench``: this machine goes in; speeds as ratios, measured in one run, come out."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from knowarm.bench.learn import BenchConfig, bench_learn
+from knowarm.cli.tables import check_json_path, print_table, write_json_table
+
+
+@dataclass(frozen=True, kw_only=True)
+class Learn:
+    """Measure training speed: our PPO and A3C against sb3-contrib's RecurrentPPO."""
+
+    config: Annotated[BenchConfig, tyro.conf.OmitArgPrefixes] = field(default_factory=BenchConfig)
+    """What is measured, and for how long."""
+    json: Path | None = None
+    """Also write the table to this JSON file."""
+
+    def run(self) -> None:
+        """Measure and print."""
+        check_json_path(self.json)
+        result = bench_learn(self.config)
+        names = list(dict.fromkeys(name for row in result["rows"] for name in row))
+        print_table(
+            f"Training {result['experiment']}, {result['threads']} threads or processes each",
+            names,
+            [[row.get(name) for name in names] for row in result["rows"]],
+        )
+        for name in ("ratio_vs_sb3", "ratio_vs_sb3_opengl", "ratio_a3c_batched"):
+            if result[name] is not None:
+                print(f"{name}: {result[name]:.2f}")
+        write_json_table(self.json, result)
+
+
+COMMANDS: dict[str, type] = {"learn": Learn}
+"""The commands of the group, by name."""
