@@ -29,7 +29,7 @@ class SentenceConfig:
     head_once: bool = False
     """Whether an object is named once, before all its facts, or anew in each fact."""
     templates: Mapping[str, str] = field(default_factory=dict)
-    """Words for a relation instead of its label, by its name: {"isMadeOf": "made of"}; "" for none."""
+    """Words for a relation, by its name: {"isMadeOf": "made of"}; "" leaves it out."""
 
 
 PAPER = SentenceConfig()
