@@ -74,7 +74,7 @@ class EvaluationConfig:
         if self.wide_angle_deg < self.angle_deg:
             raise UserError(
                 f"wide_angle_deg ({self.wide_angle_deg}) must not be below angle_deg "
-                f"({self.angle_deg})."
+                f"({self.angle_deg}); give a larger wide_angle_deg as well."
             )
         if self.episodes % self.seeds:
             raise UserError(

@@ -1,0 +1,116 @@
+import numpy as np
+import pytest
+
+from knowarm.errors import UserError
+from knowarm.experiment.evaluate import EvaluationConfig, evaluate
+from knowarm.experiment.evaluation_files import read_table
+from knowarm.experiment.film import read_film
+from knowarm.world.config import EnvConfig
+from knowarm.world.scripted import RandomAgent, ZeroAgent
+
+ENV = EnvConfig(image_size=32, max_episode_steps=12, dynamics="kinematic")
+SMALL = EvaluationConfig(
+    episodes=24, num_envs=10, record_films=2, distance_m=0.4, angle_deg=80.0, wide_angle_deg=80.0
+)
+SMALL_WIDE = EvaluationConfig(
+    episodes=24, num_envs=10, record_films=0, distance_m=0.4, angle_deg=40, wide_angle_deg=180
+)
+
+
+@pytest.fixture(scope="module")
+def result():
+    return evaluate(RandomAgent(1), ENV, SMALL, agent_name="random")
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("episodes", 0),
+        ("seeds", 0),
+        ("num_envs", 0),
+        ("distance_m", 0.0),
+        ("angle_deg", -1.0),
+        ("wide_angle_deg", 10.0),
+        ("seeds", 7),
+    ],
+)
+def test_settings_that_cannot_be_are_refused(field, value):
+    with pytest.raises(UserError, match=field.rstrip("s")):
+        EvaluationConfig(**{field: value})
+
+
+def test_it_plays_by_its_own_thresholds(result):
+    episodes = result.episodes
+    assert result.summary["env"]["success_distance_m"] == 0.4
+    assert result.summary["episodes"] == len(episodes["episode"]) == 24
+    assert (episodes["distance_m"][episodes["success"]] < 0.4).all()
+    assert (episodes["angle_deg"][episodes["success"]] < 80).all()
+    assert (episodes["length"][~episodes["success"]] == 12).all()
+    assert 0 < result.summary["success"] < 1
+
+
+def test_steps_belong_to_their_episodes(result):
+    steps, episodes = result.steps, result.episodes
+    np.testing.assert_array_equal(np.bincount(steps["episode"]), episodes["length"])
+    last = np.cumsum(episodes["length"]) - 1
+    np.testing.assert_allclose(steps["distance_m"][last], episodes["distance_m"])
+    sums = np.bincount(steps["episode"], steps["reward"])
+    np.testing.assert_allclose(sums, episodes["return"])
+    assert {"joint_6_rad", "action_6"} <= set(steps)
+
+
+def test_the_same_evaluation_gives_the_same_bytes(result, tmp_path):
+    again = evaluate(RandomAgent(1), ENV, SMALL, agent_name="random")
+    result.write(tmp_path / "a")
+    again.write(tmp_path / "b")
+    names = sorted(p.relative_to(tmp_path / "a") for p in (tmp_path / "a").rglob("*.*"))
+    assert [str(name) for name in names] == [
+        "episodes.parquet",
+        "films/0.webp",
+        "films/1.webp",
+        "steps.parquet",
+        "summary.json",
+    ]
+    for name in names:
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_what_was_written_is_what_was_found(result, tmp_path):
+    result.write(tmp_path)
+    read = read_table(tmp_path / "episodes.parquet")
+    np.testing.assert_array_equal(read["return"], result.episodes["return"])
+    frames = read_film(tmp_path / "films" / "0.webp")
+    np.testing.assert_array_equal(frames, result.films[0])
+    assert len(frames) == result.episodes["length"][0] + 1
+
+
+def test_agents_play_the_same_episodes_at_any_batch_size():
+    one = evaluate(ZeroAgent(), ENV, SMALL)
+    other = evaluate(ZeroAgent(), ENV, EvaluationConfig(**{**vars(SMALL), "num_envs": 24}))
+    for name in ("facet", "distance_m", "angle_deg", "return"):
+        np.testing.assert_array_equal(one.episodes[name], other.episodes[name])
+
+
+def test_the_wider_angle_is_judged_as_if_it_had_been_played():
+    narrow = evaluate(ZeroAgent(), ENV, SMALL_WIDE)
+    played = evaluate(
+        ZeroAgent(), ENV, EvaluationConfig(**{**vars(SMALL_WIDE), "angle_deg": 180.0})
+    )
+    assert narrow.summary["success"] < narrow.summary["success_wide"]
+    np.testing.assert_array_equal(narrow.episodes["success_wide"], played.episodes["success"])
+
+
+def test_evaluation_seeds_share_the_episodes():
+    config = EvaluationConfig(episodes=12, seeds=3, seed=5, num_envs=12, record_films=0)
+    whole = evaluate(ZeroAgent(), ENV, config)
+    np.testing.assert_array_equal(whole.episodes["evaluation_seed"], np.repeat([5, 6, 7], 4))
+    second = evaluate(
+        ZeroAgent(), ENV, EvaluationConfig(episodes=4, seed=6, num_envs=4, record_films=0)
+    )
+    np.testing.assert_array_equal(whole.episodes["distance_m"][4:8], second.episodes["distance_m"])
+
+
+def test_an_unwritable_place_is_named(result, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UserError, match="Cannot write"):
+        result.write(tmp_path / "file" / "evaluation")
