@@ -9,6 +9,9 @@ from knowarm.errors import UserError
 from knowarm.knowledge.graph import KnowledgeGraph
 from knowarm.knowledge.labels import label_of
 
+TALL = 16
+"""A column of as many neighbours is split over both sides."""
+
 MOST_ENTITIES = 300
 """More than this nobody can read."""
 
@@ -61,6 +64,7 @@ def draw_svg(graph: KnowledgeGraph, roots: Sequence[str] = (), title: str = "") 
         )
     first = [graph.entity_id(name) for name in dict.fromkeys(roots)] or _sources(graph)
     boxes, colours = _columns(graph, first)
+    _use_both_sides(boxes)
     headings = _place(graph, boxes)
     right = max(box.x + box.width for box in boxes.values()) + 24
     bottom = max(box.y for box in boxes.values()) + ROW + 16
@@ -119,12 +123,29 @@ def _columns(graph: KnowledgeGraph, first: list[int]) -> tuple[dict[int, _Box], 
     return boxes, colours
 
 
+def _use_both_sides(boxes: dict[int, _Box]) -> None:
+    """Move half of a long single column of neighbours to the other side of the roots."""
+    ring = [box for box in boxes.values() if box.column == 1]
+    if len(ring) < TALL or any(box.column > 1 for box in boxes.values()):
+        return
+    groups = sorted({box.group for box in ring})
+    left = 0
+    for group in groups:
+        inside = [box for box in ring if box.group == group]
+        if 2 * left + len(inside) > len(ring):
+            break
+        for box in inside:
+            box.column = -1
+        left += len(inside)
+
+
 def _place(graph: KnowledgeGraph, boxes: dict[int, _Box]) -> list[tuple[float, float, str]]:
     """Set every box's place; return the headings of the groups: x, y, text."""
     headings: list[tuple[float, float, str]] = []
     x = 24.0
     tallest = 0.0
-    for column in range(1 + max(box.column for box in boxes.values())):
+    columns = {box.column for box in boxes.values()}
+    for column in range(min(columns), max(columns) + 1):
         inside = sorted(
             (i for i, box in boxes.items() if box.column == column),
             key=lambda i: (boxes[i].group, _barycentre(graph, boxes, i), boxes[i].label),
@@ -139,7 +160,11 @@ def _place(graph: KnowledgeGraph, boxes: dict[int, _Box]) -> list[tuple[float, f
             box.x, box.y = x, y
             y += ROW
         tallest = max(tallest, y)
-        x += max(boxes[i].width for i in inside) + COLUMN
+        widest = max(boxes[i].width for i in inside)
+        for i in inside:
+            if column < 0:  # flush right, towards the roots
+                boxes[i].x = x + widest - boxes[i].width
+        x += widest + COLUMN
     roots = [i for i, box in boxes.items() if box.column == 0]
     step = (tallest - TOP) / len(roots)
     if step > ROW:  # spread the roots over the height of their neighbours

@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from knowarm.cli.knowledge.options import GraphOptions
-from knowarm.errors import UserError
+from knowarm.cli.knowledge.options import GraphOptions, write_text
 from knowarm.knowledge import gamma
 from knowarm.knowledge.draw import draw_svg
 from knowarm.knowledge.subgraph import Direction
@@ -40,11 +39,5 @@ class Draw(GraphOptions):
                 relations=self.relations,
             )
         text = draw_svg(graph, self.objects, self.title)
-        try:
-            self.out.parent.mkdir(parents=True, exist_ok=True)
-            self.out.write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise UserError(
-                f"Cannot write {self.out}: {error.strerror}. Give another place."
-            ) from error
-        print(f"Wrote {self.out}: {len(graph)} triples, {len(graph.nodes)} entities")
+        write_text(self.out, text)
+        print(f"{len(graph)} triples, {len(graph.nodes)} entities")

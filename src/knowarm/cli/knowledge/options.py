@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from knowarm.errors import unknown_name
+from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge import KNOWLEDGE, KnowledgeConfig, KnowledgeGraph, household, read_graph
 from knowarm.knowledge.embedding import load_graph
 from knowarm.knowledge.task import TASK_COLOURS, task_facets
@@ -54,3 +54,17 @@ class SceneOptions:
         config = self.config()
         graph = load_graph(config)
         return task_facets(self.objects, self.colours, graph, config.colour_relation)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file and say so.
+
+    Raises:
+        UserError: it cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"Cannot write {path}: {error.strerror}. Give another place.") from error
+    print(f"Wrote {path}")

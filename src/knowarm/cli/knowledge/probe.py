@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from knowarm.cli.knowledge.options import SceneOptions
+from knowarm.cli.knowledge.options import SceneOptions, write_text
 from knowarm.cli.tables import check_json_path, print_table, write_json_table
+from knowarm.knowledge.heatmap import heatmap_svg
 from knowarm.knowledge.probe import NEARLY_SAME, probe
 
 
@@ -14,6 +15,8 @@ from knowarm.knowledge.probe import NEARLY_SAME, probe
 class ProbeCommand(SceneOptions):
     """Ask whether the vectors keep what they were given."""
 
+    svg: Path | None = None
+    """Draw the cosines to this SVG file."""
     json: Path | None = None
     """Write the same as JSON to this file."""
 
@@ -46,4 +49,8 @@ class ProbeCommand(SceneOptions):
             print("A policy can hardly tell these apart. `--agent full+` can.")
         elif found.recovered:
             print(f"Every pair of facets is told apart: all cosines below {NEARLY_SAME}.")
+        if self.svg is not None:
+            note = f"the largest of two different facets: {found.largest:.3f}"
+            picture = heatmap_svg(found.cosine, found.slots, f"Cosine of facets: {what}", note)
+            write_text(self.svg, picture)
         write_json_table(self.json, found.describe())
