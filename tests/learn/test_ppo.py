@@ -112,7 +112,7 @@ def test_a_stopped_and_resumed_training_equals_an_uninterrupted_one_to_the_byte(
     for name, value in expected.state_dict().items():
         assert value.numpy().tobytes() == got.state_dict()[name].numpy().tobytes(), name
     assert second == evaluations
-    timing = {"wall_time_s", "steps_per_s", "collect_s", "learn_s"}
+    timing = {"wall_time_s", "steps_per_s", "environment_s", "inference_s", "learn_s"}
     assert [{k: v for k, v in row.items() if k not in timing} for row in first] == [
         {k: v for k, v in row.items() if k not in timing} for row in rows
     ]

@@ -1,5 +1,7 @@
 """A policy and a vector environment go in; rollouts come out, episodes running on between them."""
 
+import time
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -21,6 +23,9 @@ class Collector:
         policy: gives the recurrent state its size; `collect` takes the policy to play.
         table: (F, K) float32 knowledge, one row a facet.
         seed: of the episodes and of the drawn actions.
+
+    Attributes:
+        environment_s: time the environments' steps have taken so far [s].
     """
 
     def __init__(self, env: VectorEnvironment, policy: Policy, table: Tensor, *, seed: int) -> None:
@@ -28,6 +33,7 @@ class Collector:
         self.table = table
         self.statistics = EpisodeStatistics(env.num_envs)
         self.generator = torch.Generator().manual_seed(seed)
+        self.environment_s = 0.0
         self._observation, _ = env.reset(seed=seed)
         self._start = np.ones(env.num_envs, bool)
         self._state: State = policy.initial_state(env.num_envs)
@@ -61,9 +67,9 @@ class Collector:
             )
             logits.append(logit)
             rollout.action[t] = sample(logit, self.generator)
-            self._observation, rewards, terminated, truncated, infos = self.env.step(
-                rollout.action[t].numpy()
-            )
+            actions, begin = rollout.action[t].numpy(), time.perf_counter()
+            self._observation, rewards, terminated, truncated, infos = self.env.step(actions)
+            self.environment_s += time.perf_counter() - begin
             rollout.reward[t] = torch.from_numpy(np.asarray(rewards, np.float32))
             rollout.terminated[t] = torch.from_numpy(terminated)
             rollout.truncated[t] = torch.from_numpy(truncated)

@@ -186,9 +186,10 @@ class PPOTrainer:
         )
         for group in self._optimizer.param_groups:
             group["lr"] = rate
-        start = time.perf_counter()
+        start, environment_s = time.perf_counter(), self._collector.environment_s
         self._collector.collect(self.policy, rollout)
         collected = time.perf_counter()
+        environment_s = self._collector.environment_s - environment_s
         self.step += rollout.reward.numel()
         self._guard.check_rollout(rollout, self._table, self.step)
         reward = rollout.reward * config.reward_scale
@@ -213,7 +214,8 @@ class PPOTrainer:
             "gradient_norm": float(torch.stack(norms).mean()),
             "learning_rate": rate,
             "gradient_steps": len(terms),
-            "collect_s": collected - start,
+            "environment_s": environment_s,
+            "inference_s": collected - start - environment_s,
             "learn_s": learnt - collected,
         }
 

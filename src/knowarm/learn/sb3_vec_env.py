@@ -1,0 +1,82 @@
+"""A Gymnasium vector environment goes in; the VecEnv that Stable-Baselines3 trains on comes out.
+
+Needs ``pip install 'knowarm[sb3]'``; nothing else in `knowarm.learn` does.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import VectorEnv
+from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
+
+Observations = np.ndarray | dict[str, np.ndarray]
+
+
+class SB3VecEnv(VecEnv):
+    """Steps all environments at once where Stable-Baselines3 would step them one by one.
+
+    Args:
+        env: a vector environment that resets within the step (SAME_STEP); its observations may
+            be a ``Dict``, as those of `knowarm.world.VectorKnowledgeObservation`.
+        seed: of the first reset.
+    """
+
+    def __init__(self, env: VectorEnv[Any, Any, Any], *, seed: int | None = None) -> None:
+        super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
+        self.env = env
+        self._seed = seed
+        self._actions = np.zeros(0)
+
+    def reset(self) -> Observations:
+        """Start new episodes; the first call uses the seed."""
+        observations, self.reset_infos = self.env.reset(seed=self._seed), [{}] * self.num_envs
+        self._seed = None
+        return observations[0]
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Take the actions (n, J) for `step_wait`."""
+        self._actions = actions
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Step; infos hold ``terminal_observation`` and ``TimeLimit.truncated`` at an end."""
+        observations, rewards, terminated, truncated, infos = self.env.step(self._actions)
+        done = terminated | truncated
+        listed: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        for i in np.flatnonzero(done):
+            listed[i] = {
+                "terminal_observation": infos["final_obs"][i],
+                "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
+                "is_success": bool(infos["final_info"]["is_success"][i]),
+            }
+        return observations, np.asarray(rewards, np.float32), done, listed
+
+    def close(self) -> None:
+        """Close the vector environment."""
+        self.env.close()
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """Return an attribute of the vector environment, once for each index."""
+        return [getattr(self.env, attr_name)] * len(self._indices(indices))
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Set an attribute of the vector environment."""
+        setattr(self.env, attr_name, value)
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """Call a method of the vector environment once; its result for each index."""
+        result = getattr(self.env, method_name)(*method_args, **method_kwargs)
+        return [result] * len(self._indices(indices))
+
+    def env_is_wrapped(
+        self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: Any = None
+    ) -> list[bool]:
+        """No single environment is wrapped: there are none."""
+        return [False] * len(self._indices(indices))
+
+    def _indices(self, indices: Any) -> Sequence[int]:
+        return list(self._get_indices(indices))
