@@ -1,6 +1,7 @@
 """A robot and targets go in; one ``MjSpec`` of the whole scene comes out."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -50,14 +51,7 @@ def _add_servos(spec: mujoco.MjSpec, robot: Robot) -> None:
     ids = []
     for name, angle in zip(robot.joints, robot.home, strict=True):
         joint = model.joint(ROBOT_PREFIX + name)
-        if not joint.limited[0] or int(joint.type[0]) not in (
-            mujoco.mjtJoint.mjJNT_HINGE,
-            mujoco.mjtJoint.mjJNT_SLIDE,
-        ):
-            raise UserError(
-                f"Robot {robot.name!r}: joint {name!r} must be a hinge or slide with a range, as "
-                "actions are clipped to it; give it a range in the MJCF."
-            )
+        _check_joint(robot, name, joint)
         data.qpos[model.jnt_qposadr[joint.id]] = angle
         ids.append(model.jnt_dofadr[joint.id])
     mujoco.mj_forward(model, data)
@@ -70,3 +64,14 @@ def _add_servos(spec: mujoco.MjSpec, robot: Robot) -> None:
             name=name, target=ROBOT_PREFIX + name, trntype=mujoco.mjtTrn.mjTRN_JOINT
         )
         actuator.set_to_position(kp=mass * frequency**2, kv=2 * mass * frequency)
+
+
+def _check_joint(robot: Robot, name: str, joint: Any) -> None:
+    """Refuse joints whose angle is not one number between two limits."""
+    kind, limited = int(joint.type[0]), bool(joint.limited[0])
+    hinge, slide = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+    if kind not in (hinge, slide) or (kind == slide and not limited):
+        raise UserError(
+            f"Robot {robot.name!r}: joint {name!r} must be a hinge, or a slide with a range, as "
+            "actions are clipped to it; give it a range in the MJCF or leave it out of joints."
+        )

@@ -103,6 +103,21 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
         return self.simulation.joint_positions
 
     @property
+    def target(self) -> NDArray[np.int64]:
+        """Index of each environment's target, (n,)."""
+        return self._target.copy()
+
+    @property
+    def colour(self) -> NDArray[np.int64]:
+        """Index of each environment's colour among its target's, (n,)."""
+        return self._colour.copy()
+
+    @property
+    def geom_rgba(self) -> NDArray[np.float32]:
+        """Colour of every geom, alpha 0 where it is hidden, (n, G, 4)."""
+        return self._geom_rgba.copy()
+
+    @property
     def joint_targets(self) -> NDArray[np.float64]:
         """Where the servos are sent, (n, J) [rad]; actions add to it."""
         return self._joint_targets.copy()

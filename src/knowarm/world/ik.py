@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,6 +13,9 @@ from knowarm.world.simulation import Simulation
 ITERATIONS = 80
 DAMPING = 0.05
 MAX_STEP_RAD = 0.3
+ATTEMPTS = 6
+GOOD_M, GOOD_DEG = 0.01, 3.0
+"""What counts as there; far within any threshold of the task."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +59,7 @@ class InverseKinematics:
         model = scene.model
         self._body = int(model.site_bodyid[scene.tcp_site])
         joints = [model.joint(f"robot/{name}").id for name in scene.robot.joints]
+        self._is_hinge = model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_HINGE
         self._dofs = model.jnt_dofadr[joints]
 
     def solve(
@@ -63,16 +68,36 @@ class InverseKinematics:
         matrix: NDArray[np.float64],
         start: NDArray[np.float64],
     ) -> Reach:
-        """Find joint angles for n gripper poses.
+        """Find joint angles for n gripper poses; what fails is tried again from other starts.
 
         Args:
             position: wanted gripper positions, world [m], (n, 3).
             matrix: wanted rotations from gripper to world, row by row, (n, 9).
             start: joints from which the way should be short [rad], (n, J).
         """
+        reach = self._solve_once(position, matrix, start, self._seed)
+        for attempt in range(1, ATTEMPTS):
+            missed = np.flatnonzero(~reach.within(GOOD_M, GOOD_DEG))
+            if not len(missed):
+                break
+            again = self._solve_once(
+                position[missed], matrix[missed], start[missed], self._seed + attempt
+            )
+            better = again.within(GOOD_M, GOOD_DEG)
+            for name in ("joints", "distance", "angle", "contact"):
+                getattr(reach, name)[missed[better]] = getattr(again, name)[better]
+        return reach
+
+    def _solve_once(
+        self,
+        position: NDArray[np.float64],
+        matrix: NDArray[np.float64],
+        start: NDArray[np.float64],
+        seed: int,
+    ) -> Reach:
         n, joints = start.shape
         lower, upper = self.scene.joint_lower, self.scene.joint_upper
-        generator = np.random.default_rng(self._seed)
+        generator = np.random.default_rng(seed)
         q = generator.uniform(lower, upper, (self._starts, n, joints))
         q[0] = start
         if self._starts > 1:
@@ -91,6 +116,7 @@ class InverseKinematics:
             damped = jacobian @ transposed + DAMPING**2 * np.eye(6)
             step = (transposed @ np.linalg.solve(damped, error[..., None]))[..., 0]
             q = np.clip(q + np.clip(step, -MAX_STEP_RAD, MAX_STEP_RAD), lower, upper)
+        q = self._unwind(q, np.tile(start, (self._starts, 1)))
         simulation.set_joints(q)
         distance, angle = measure(
             simulation.tcp_position, simulation.tcp_matrix, position, matrix, False
@@ -98,11 +124,18 @@ class InverseKinematics:
         way = np.abs(q - np.tile(start, (self._starts, 1))).max(axis=1)
         touches = contacts.reshape(len(q)) > 0
         # Shortest way first, far behind it what touches, and last what does not get there.
-        cost = way + 100.0 * touches + 1000.0 * (distance / 0.01 + angle / 3.0).clip(min=1.0)
+        cost = way + 100.0 * touches + 1000.0 * (distance / GOOD_M + angle / GOOD_DEG).clip(min=1.0)
         best = cost.reshape(self._starts, n).argmin(axis=0) * n + np.arange(n)
         return Reach(
             joints=q[best], distance=distance[best], angle=angle[best], contact=touches[best]
         )
+
+    def _unwind(self, q: NDArray[np.float64], start: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Turn hinges by whole turns to where the way from the start is shortest."""
+        turns = np.round((q - start) / (2 * np.pi)) * self._is_hinge
+        unwound = q - 2 * np.pi * turns
+        inside = (unwound >= self.scene.joint_lower) & (unwound <= self.scene.joint_upper)
+        return np.where(inside, unwound, q)
 
 
 def _pose_error(

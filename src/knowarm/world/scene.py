@@ -19,6 +19,9 @@ from knowarm.world.robots import ROBOTS
 from knowarm.world.surroundings import CAMERA
 from knowarm.world.target import Target
 
+ENDLESS_RANGE_RAD = (-2 * np.pi, 2 * np.pi)
+"""Range given to hinges that have none [rad]."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
@@ -125,7 +128,10 @@ def build_scene(robot: Robot, targets: Sequence[Target]) -> Scene:
     """
     model = compose(robot, targets).compile()
     joint_ids = [model.joint(ROBOT_PREFIX + name).id for name in robot.joints]
-    lower, upper = model.jnt_range[joint_ids].T.copy()
+    endless = model.jnt_limited[joint_ids] == 0
+    lower, upper = np.where(
+        endless[:, None], ENDLESS_RANGE_RAD, model.jnt_range[joint_ids]
+    ).T.copy()
     home = np.array(robot.home, dtype=np.float64)
     outside = (home < lower) | (home > upper)
     if outside.any():

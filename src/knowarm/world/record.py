@@ -1,0 +1,160 @@
+"""An agent and one episode go in; its frames come out, as a film strip or as a video."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from knowarm.errors import UserError
+from knowarm.world.env import RENDER_SIZE, ReachVectorEnv
+from knowarm.world.episodes import Episodes
+from knowarm.world.play import Agent
+
+FRAMES_PER_S = 10
+"""Frames of the video a second: one a step, the real robot's speed."""
+
+_LAST_FRAMES = 10
+_MARGIN, _LINE = 8, 28
+_PAPER, _INK = (255, 255, 255), (30, 30, 30)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frame:
+    """One moment of an episode."""
+
+    policy: NDArray[np.uint8]
+    """What the policy sees, (H, W, 3)."""
+
+    large: NDArray[np.uint8]
+    """The same view, large, (480, 480, 3)."""
+
+    step: int
+    """Steps played so far."""
+
+    distance: float
+    """Gripper to grasp point [m]."""
+
+    angle: float
+    """Angle between gripper and grasp frame [deg]."""
+
+    success: bool
+    """Whether the target is reached."""
+
+
+def record_episode(agent: Agent, env: ReachVectorEnv, episode: Episodes) -> list[Frame]:
+    """Play one episode and keep every frame, from the start pose to the end.
+
+    Args:
+        agent: whoever chooses the actions.
+        env: the environment, n = 1.
+        episode: what to play, of length 1.
+    """
+    observations, infos = env.reset(options={"episodes": episode})
+    agent.start(env)
+    frames: list[Frame] = []
+    running = np.ones(1, dtype=np.bool_)
+    while True:
+        frames.append(
+            Frame(
+                policy=observations[0].copy(),
+                large=env.render()[0],
+                step=len(frames),
+                distance=float(infos["distance"][0]),
+                angle=float(infos["angle"][0]),
+                success=bool(infos["is_success"][0]),
+            )
+        )
+        if not running[0]:
+            return frames
+        observations, _, terminated, truncated, infos = env.advance(
+            agent.act(observations), running
+        )
+        running = ~(terminated | truncated)
+
+
+def write_strip(path: Path, episodes: Sequence[Sequence[Frame]], columns: int = 6) -> None:
+    """Write a film strip: a row an episode, moments evenly spaced from start to end.
+
+    Args:
+        path: a picture file; its suffix names the format.
+        episodes: frames of each episode.
+        columns: pictures a row.
+
+    Raises:
+        UserError: the file cannot be written.
+    """
+    side = 240
+    width = columns * (side + _MARGIN) + _MARGIN
+    height = len(episodes) * (side + _LINE + _MARGIN) + _MARGIN
+    strip = Image.new("RGB", (width, height), _PAPER)
+    draw, font = ImageDraw.Draw(strip), ImageFont.load_default(14)
+    for row, frames in enumerate(episodes):
+        top = _MARGIN + row * (side + _LINE + _MARGIN)
+        chosen = np.unique(np.linspace(0, len(frames) - 1, columns).round().astype(int))
+        for column, index in enumerate(chosen):
+            frame = frames[index]
+            left = _MARGIN + column * (side + _MARGIN)
+            picture = Image.fromarray(frame.large).resize((side, side), Image.Resampling.LANCZOS)
+            strip.paste(picture, (left, top))
+            draw.text((left, top + side + 5), _caption(frame), _INK, font)
+    _save(path, lambda: strip.save(path))
+
+
+def write_video(path: Path, episodes: Sequence[Sequence[Frame]]) -> None:
+    """Write an H.264 video: what the policy sees beside the large view.
+
+    Args:
+        path: an .mp4 file.
+        episodes: frames of each episode, shown one after the other.
+
+    Raises:
+        UserError: PyAV is not installed, the suffix is not .mp4, or the file cannot be written.
+    """
+    try:
+        import av
+    except ImportError:
+        raise UserError("Videos need PyAV: pip install 'knowarm[video]'.") from None
+    if path.suffix.lower() != ".mp4":
+        raise UserError(f"--video must name an .mp4 file, got {path.name!r}.")
+
+    def write() -> None:
+        with av.open(str(path), "w") as container:
+            stream = container.add_stream("libx264", rate=FRAMES_PER_S)
+            stream.width, stream.height = 2 * RENDER_SIZE + 3 * _MARGIN, RENDER_SIZE + 44
+            stream.pix_fmt = "yuv420p"
+            stream.options = {"crf": "20"}
+            for frames in episodes:
+                for frame in [*frames, *[frames[-1]] * _LAST_FRAMES]:
+                    picture = av.VideoFrame.from_ndarray(_side_by_side(frame), format="rgb24")
+                    container.mux(stream.encode(picture))
+            container.mux(stream.encode())
+
+    _save(path, write)
+
+
+def _side_by_side(frame: Frame) -> NDArray[np.uint8]:
+    """The policy's picture with visible pixels, and the large one: (H, W, 3), sides even."""
+    sheet = Image.new("RGB", (2 * RENDER_SIZE + 3 * _MARGIN, RENDER_SIZE + 44), _PAPER)
+    size = (RENDER_SIZE, RENDER_SIZE)
+    small = Image.fromarray(frame.policy).resize(size, Image.Resampling.NEAREST)
+    sheet.paste(small, (_MARGIN, _MARGIN))
+    sheet.paste(Image.fromarray(frame.large), (RENDER_SIZE + 2 * _MARGIN, _MARGIN))
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(16)
+    draw.text((_MARGIN, RENDER_SIZE + _MARGIN + 6), _caption(frame), _INK, font)
+    return np.asarray(sheet)
+
+
+def _caption(frame: Frame) -> str:
+    reached = ", reached" if frame.success else ""
+    return f"step {frame.step}: {100 * frame.distance:.1f} cm, {frame.angle:.0f} deg{reached}"
+
+
+def _save(path: Path, write: Callable[[], None]) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write()
+    except (OSError, ValueError) as error:
+        raise UserError(f"Cannot write {str(path)!r}: {error}. Name another file.") from error

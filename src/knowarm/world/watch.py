@@ -1,0 +1,128 @@
+"""An agent and a task go in; MuJoCo's web viewer shows episode after episode."""
+
+import copy
+import time
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+
+from knowarm.errors import UserError
+from knowarm.world.appearance import resting_colours, show_targets
+from knowarm.world.compose import CONTROL_PERIOD_S
+from knowarm.world.env import ReachVectorEnv
+from knowarm.world.episodes import Episodes
+from knowarm.world.play import Agent
+
+PAUSE_S = 1.0
+"""How long the end of an episode stays on the screen [s]."""
+
+FAR_BELOW_M = -100.0
+"""Where hidden targets wait [m]."""
+
+
+def watch(
+    agent: Agent,
+    env: ReachVectorEnv,
+    episodes: Episodes,
+    *,
+    port: int = 0,
+    open_browser: bool = True,
+    on_episode: Callable[[int], None] = lambda number: None,
+) -> None:
+    """Serve the viewer until it is closed or the episodes are over; blocks.
+
+    Args:
+        agent: whoever chooses the actions.
+        env: the environment, n = 1.
+        episodes: what to play, one after the other, at the speed of the real robot.
+        port: of the page; 0 takes the first free one from 8080 on.
+        open_browser: open the page in the user's browser.
+        on_episode: called with the number of each episode that begins.
+
+    Raises:
+        UserError: ``mujoco-studio`` is not installed.
+    """
+    try:
+        from mujoco.studio import launch_web
+        from mujoco.studio.viewer_protocol import ViewerConfig
+    except ImportError as error:
+        raise UserError(
+            f"The web viewer needs mujoco-studio ({error}): pip install mujoco-studio. Or record "
+            "with --video or --strip, which need no viewer."
+        ) from None
+    config = ViewerConfig(
+        title=f"KnowArm: {env.scene.robot.name}",
+        gfx="web",
+        http_port=port,
+        open_browser=open_browser,
+    )
+    # The browser loads its page anew for another model, so the same one serves as long as no
+    # target needs another colour: hidden targets are put far below the floor.
+    model, data = None, None
+    colours = tuple(0 for _ in env.scene.targets)
+    with launch_web.launch(config) as viewer:
+        for number in range(len(episodes)):
+            observations, _ = env.reset(options={"episodes": episodes[number : number + 1]})
+            agent.start(env)
+            on_episode(number)
+            if (paint := _paint(env, colours)) != colours or model is None:
+                colours = paint
+                model = _painted(env, colours)
+                data = mujoco.MjData(model)
+                viewer.set_model(model, data=data)
+            _copy_pose(env, data)
+            running = np.ones(1, dtype=np.bool_)
+            while running[0]:
+                observations, _, terminated, truncated, _ = env.advance(
+                    agent.act(observations), running
+                )
+                _copy_pose(env, data)
+                if not _show(viewer, CONTROL_PERIOD_S):
+                    return
+                running = ~(terminated | truncated)
+            if not _show(viewer, PAUSE_S):
+                return
+
+
+def _show(viewer: object, seconds: float) -> bool:
+    """Keep the viewer in touch for a while; False when it was closed."""
+    end = time.monotonic() + seconds
+    while True:
+        if not viewer.is_running():  # type: ignore[attr-defined]
+            return False
+        viewer.sync()  # type: ignore[attr-defined]
+        left = end - time.monotonic()
+        if left <= 0:
+            return True
+        time.sleep(min(left, 0.02))
+
+
+def _paint(env: ReachVectorEnv, colours: tuple[int, ...]) -> tuple[int, ...]:
+    """Colour of each target, with that of the running episode brought up to date."""
+    target, colour = int(env.target[0]), int(env.colour[0])
+    return (*colours[:target], colour, *colours[target + 1 :])
+
+
+def _painted(env: ReachVectorEnv, colours: tuple[int, ...]) -> mujoco.MjModel:
+    """The scene with every target shown, each in its colour."""
+    scene, model = env.scene, copy.copy(env.scene.model)
+    rgba = resting_colours(scene, len(colours))
+    every = np.arange(len(colours))
+    show_targets(scene, rgba, every, every, np.array(colours))
+    model.geom_matid[:] = -1
+    model.geom_rgba[:] = rgba[0]
+    for k in every:
+        of_target = scene.geom_target == k
+        model.geom_rgba[of_target] = rgba[k, of_target]
+    return model
+
+
+def _copy_pose(env: ReachVectorEnv, data: mujoco.MjData) -> None:
+    batch, scene = env.simulation.batch, env.scene
+    data.qpos[:] = batch.bind("qpos")[0]
+    data.mocap_pos[:] = batch.bind("mocap_pos")[0]
+    data.mocap_quat[:] = batch.bind("mocap_quat")[0]
+    hidden = np.arange(len(scene.targets)) != env.target[0]
+    data.mocap_pos[scene.target_mocap[hidden], 2] = FAR_BELOW_M
+    mujoco.mj_forward(env.scene.model, data)

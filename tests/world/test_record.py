@@ -1,0 +1,59 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import MakeEnv
+from PIL import Image
+
+from knowarm.errors import UserError
+from knowarm.world.episodes import evaluation_episodes
+from knowarm.world.oracle import OracleAgent
+from knowarm.world.record import record_episode, write_strip, write_video
+
+
+@pytest.fixture
+def films(make_env: MakeEnv) -> list:
+    env = make_env(1, image_size=32)
+    episodes = evaluation_episodes(env.scene, env.config, 2, seed=0)
+    return [record_episode(OracleAgent(), env, episodes[i : i + 1]) for i in range(2)]
+
+
+def test_a_recorded_episode_runs_from_the_start_to_success(films: list) -> None:
+    for film in films:
+        assert [frame.step for frame in film] == list(range(len(film)))
+        assert [frame.success for frame in film] == [False] * (len(film) - 1) + [True]
+        assert film[-1].distance < 0.05
+        assert film[0].policy.shape == (32, 32, 3)
+        assert film[0].large.shape == (480, 480, 3)
+        assert (film[-1].policy != film[0].policy).any()
+
+
+def test_a_strip_has_a_row_an_episode(films: list, tmp_path: Path) -> None:
+    write_strip(tmp_path / "new" / "strip.png", films, columns=4)
+    with Image.open(tmp_path / "new" / "strip.png") as strip:
+        picture = np.asarray(strip)
+    assert picture.shape == (2 * (240 + 36) + 8, 4 * 248 + 8, 3)
+    for row in range(2):
+        top = 8 + row * 276
+        assert picture[top : top + 240, 8:248].std() > 10, "a picture"
+        assert picture[top + 240 : top + 268, 8:248].min() < 100, "its caption"
+
+
+def test_a_video_holds_every_frame(films: list, tmp_path: Path) -> None:
+    av = pytest.importorskip("av", exc_type=ImportError)
+    path = tmp_path / "film.mp4"
+    write_video(path, films)
+    with av.open(str(path)) as container:
+        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+    assert len(frames) == sum(len(film) + 10 for film in films)
+    assert frames[0].std() > 10
+    with pytest.raises(UserError, match=r"must name an .mp4 file, got 'film.gif'"):
+        write_video(tmp_path / "film.gif", films)
+
+
+def test_an_unwritable_or_unknown_file_is_named(films: list, tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"Cannot write .*strip.nothing"):
+        write_strip(tmp_path / "strip.nothing", films)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UserError, match="Cannot write"):
+        write_strip(tmp_path / "file" / "strip.png", films)
