@@ -25,6 +25,7 @@ class SB3VecEnv(VecEnv):
     """
 
     def __init__(self, env: VectorEnv[Any, Any, Any], *, seed: int | None = None) -> None:
+        self.render_mode = env.render_mode
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
         self.env = env
         self._seed = seed

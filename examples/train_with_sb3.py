@@ -1,0 +1,57 @@
+"""Train sb3-contrib's RecurrentPPO on KnowArm's pictures and knowledge.
+
+    pip install 'knowarm[sb3]'
+    python examples/train_with_sb3.py --steps 200000
+
+The observation is a Dict of ``image`` and ``knowledge``, so that ``MultiInputLstmPolicy`` works
+unchanged. `SB3VecEnv` steps all environments at once; the ordinary way, a list of single
+environments in a ``DummyVecEnv``, works too and is slower (see ``--single``).
+"""
+
+import argparse
+
+from sb3_contrib import RecurrentPPO
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from knowarm.experiment.build import build
+from knowarm.experiment.registry import experiment
+from knowarm.learn.sb3_vec_env import SB3VecEnv
+from knowarm.world.env import ReachVectorEnv
+from knowarm.world.knowledge_observation import KnowledgeObservation, VectorKnowledgeObservation
+from knowarm.world.single import ReachEnv
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--experiment", default="irb120-full-ppo")
+    parser.add_argument("--steps", type=int, default=200_000)
+    parser.add_argument("--envs", type=int, default=64)
+    parser.add_argument("--single", action="store_true", help="step environments one by one")
+    arguments = parser.parse_args()
+
+    chosen = experiment(arguments.experiment)
+    table = build(chosen).table
+    if arguments.single:
+        options = vars(chosen.env)
+        env = DummyVecEnv(
+            [lambda: KnowledgeObservation(ReachEnv(**options), table)] * arguments.envs
+        )
+    else:
+        vector = ReachVectorEnv(chosen.env, arguments.envs)
+        env = SB3VecEnv(VectorKnowledgeObservation(vector, table), seed=0)
+    model = RecurrentPPO(
+        "MultiInputLstmPolicy",
+        env,
+        n_steps=25,
+        batch_size=25 * arguments.envs // 4,
+        n_epochs=2,
+        gae_lambda=0.95,
+        ent_coef=0.01,
+        verbose=1,
+    )
+    model.learn(arguments.steps)
+    model.save("sb3-irb120")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,36 @@
+"""Stop and resume on the real environment, whose state is the large part of a checkpoint."""
+
+import numpy as np
+import pytest
+
+from knowarm.learn import CheckpointStore, Hooks, PPOConfig, PPOTrainer
+from knowarm.policy import Policy, PolicyConfig
+from knowarm.world.config import EnvConfig
+from knowarm.world.env import ReachVectorEnv
+
+CONFIG = PPOConfig(num_envs=4, rollout_steps=6, minibatches=2, threads=1)
+
+
+def trainer(folder, colours, stop_after=None):
+    env = ReachVectorEnv(EnvConfig(max_episode_steps=8, colours=colours), 4, num_threads=1)
+    table = np.eye(len(env.facets), dtype=np.float32)
+    policy = Policy(PolicyConfig(joints=6, knowledge_dim=table.shape[1]))
+    rows = []
+    hooks = Hooks(on_metrics=rows.append, should_stop=lambda: len(rows) == stop_after)
+    store = CheckpointStore(folder, {"robot": "irb120"})
+    return PPOTrainer(CONFIG, policy, env, table, seed=5, hooks=hooks, checkpoints=store), rows
+
+
+@pytest.mark.parametrize("colours", ["fixed", "randomized"])
+def test_a_stopped_and_resumed_training_equals_an_uninterrupted_one_to_the_byte(tmp_path, colours):
+    whole, rows = trainer(tmp_path / "whole", colours)
+    whole.train(6 * 24)
+    stopped, first = trainer(tmp_path / "cut", colours, stop_after=2)
+    stopped.train(6 * 24)
+    resumed, second = trainer(tmp_path / "cut", colours)
+    resumed.resume()
+    resumed.train(6 * 24)
+    assert [row["policy_loss"] for row in first + second] == [row["policy_loss"] for row in rows]
+    for part in ("policy", "optimizer", "state"):
+        name = f"latest/{part}.safetensors"
+        assert (tmp_path / "whole" / name).read_bytes() == (tmp_path / "cut" / name).read_bytes()

@@ -1,0 +1,67 @@
+import numpy as np
+import pytest
+
+pytest.importorskip("sb3_contrib")
+
+from sb3_contrib import RecurrentPPO
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from knowarm.learn.sb3_vec_env import SB3VecEnv
+from knowarm.world.config import EnvConfig
+from knowarm.world.env import ReachVectorEnv
+from knowarm.world.knowledge_observation import KnowledgeObservation, VectorKnowledgeObservation
+from knowarm.world.single import ReachEnv
+
+TABLE = np.random.default_rng(0).standard_normal((3, 5)).astype(np.float32)
+SHORT = {"dynamics": "kinematic", "max_episode_steps": 6}
+
+
+def vectorized(n=4):
+    env = ReachVectorEnv(EnvConfig(**SHORT), n)
+    return SB3VecEnv(VectorKnowledgeObservation(env, TABLE), seed=7)
+
+
+def test_episodes_ends_are_told_as_stable_baselines_wants_them():
+    env, plain = vectorized(), ReachVectorEnv(EnvConfig(**SHORT), 4)
+    observation = env.reset()
+    expected, _ = plain.reset(seed=7)
+    np.testing.assert_array_equal(observation["image"], expected)
+    np.testing.assert_array_equal(observation["knowledge"], TABLE[plain.facet_ids])
+    still = np.zeros((4, 6), np.int64)
+    for _ in range(5):
+        _, _, done, infos = env.step(still)
+        before, *_ = plain.step(still)
+        assert not done.any()
+        assert infos == [{}] * 4
+    facets = plain.facet_ids
+    _, rewards, done, infos = env.step(still)
+    _, _, _, _, plain_infos = plain.step(still)
+    assert done.all()
+    assert rewards.dtype == np.float32
+    for i, info in enumerate(infos):
+        assert info["TimeLimit.truncated"]
+        assert not info["is_success"]
+        last = info["terminal_observation"]
+        np.testing.assert_array_equal(last["image"], plain_infos["final_obs"][i])
+        np.testing.assert_array_equal(last["knowledge"], TABLE[facets[i]])
+    assert not np.array_equal(infos[0]["terminal_observation"]["image"], before[1])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["vectorized", "single"])
+def test_multi_input_lstm_policy_trains_unchanged(kind):
+    if kind == "vectorized":
+        env = vectorized()
+    else:
+        env = DummyVecEnv([lambda: KnowledgeObservation(ReachEnv(**SHORT), TABLE)] * 2)
+    model = RecurrentPPO(
+        "MultiInputLstmPolicy", env, n_steps=8, batch_size=16, n_epochs=1, device="cpu"
+    )
+    before = [p.detach().clone() for p in model.policy.parameters()]
+    model.learn(32)
+    assert model.num_timesteps >= 32
+    changed = [
+        not np.array_equal(b, p.detach())
+        for b, p in zip(before, model.policy.parameters(), strict=True)
+    ]
+    assert all(changed)
