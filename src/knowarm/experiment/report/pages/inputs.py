@@ -21,6 +21,7 @@ from knowarm.experiment.report.blocks import (
     Verdict,
 )
 from knowarm.experiment.report.figures import graph_drawing, heat_strip, stacked_bars
+from knowarm.experiment.report.slug import slugs
 from knowarm.experiment.report.study import Run, Study, Task
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.knowledge import KnowledgeConfig, scene_subgraph
@@ -48,6 +49,7 @@ def inputs_page(study: Study) -> Page:
 def _task_blocks(task: Task) -> list[Block]:
     shown = [(group.name, group.runs[0]) for group in task.groups if group.runs]
     blocks: list[Block] = [_constants(task, shown), _table(task, shown)]
+    stems = slugs(group.name for group in task.groups)
     drawn: set[str] = set()
     graphs: set[str] = set()
     for name, run in sorted(shown, key=lambda each: _rank(each[1].agent)):
@@ -56,7 +58,7 @@ def _task_blocks(task: Task) -> list[Block]:
         if not known.get("slots") or key in drawn or len(drawn) >= MOST_PICTURES:
             continue
         drawn.add(key)
-        blocks += _knowledge(task, name, run, known, graphs)
+        blocks += _knowledge(name, f"{task.name}-{stems[name]}", run, known, graphs)
     parameters = _parameters(task, shown)
     return [*blocks, parameters] if parameters else blocks
 
@@ -138,12 +140,11 @@ def _table(task: Task, shown: Sequence[tuple[str, Run]]) -> Table:
 
 
 def _knowledge(
-    task: Task, name: str, run: Run, known: Mapping[str, Any], graphs: set[str]
+    name: str, stem: str, run: Run, known: Mapping[str, Any], graphs: set[str]
 ) -> list[Block]:
     blocks: list[Block] = []
     left: list[Block] = []
     right: list[Block] = []
-    stem = f"{task.name}-{name.replace(' · ', '-')}"
     try:
         triples = _triples(run, known)
     except (UserError, OSError, KeyError, TypeError, ValueError) as error:

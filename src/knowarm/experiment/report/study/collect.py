@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from knowarm.errors import UserError
+from knowarm.experiment.report.slug import slugs
 from knowarm.experiment.report.study.model import (
     Group,
     Judged,
@@ -57,8 +58,9 @@ def collect(paths: Sequence[Path], references: Mapping[str, Path] | None = None)
     for run in readable:
         by_task[task_key(run)].append(run)
     titles = _titles(list(by_task.values()))
+    names = slugs(titles)
     tasks = [
-        _task(title, runs, [each for each in known if each], problems)
+        _task(title, names[title], runs, [each for each in known if each], problems)
         for title, runs in zip(titles, by_task.values(), strict=True)
     ]
     _name_versions(readable, problems)
@@ -82,7 +84,7 @@ def _run_folders(paths: Sequence[Path], problems: list[Problem]) -> list[Path]:
 
 
 def _task(
-    title: str, runs: list[Run], references: list[Reference], problems: list[Problem]
+    title: str, name: str, runs: list[Run], references: list[Reference], problems: list[Problem]
 ) -> Task:
     label = _label(runs)
     runs = _comparable(runs, label, problems)
@@ -103,7 +105,7 @@ def _task(
     first = runs[0]
     judged = next((run.judged[label] for run in runs if label in run.judged), None)
     return Task(
-        name="-".join(title.lower().replace("·", " ").split()),
+        name=name,
         title=title,
         robot=str(first.config["env"].get("robot", first.config.get("robot", "robot"))),
         colours=str(first.config["env"].get("colours", "fixed")),

@@ -25,7 +25,7 @@
     }
     const link = links.get(wanted), bar = link.parentElement;
     bar.scrollTo({ left: link.offsetLeft - bar.offsetLeft - 24 });
-    window.scrollTo({ top: 0, behavior: "instant" });
+    window.scrollTo(0, 0);
   };
   window.addEventListener("hashchange", show);
   show();
