@@ -13,7 +13,7 @@ _:b1 <http://a.org/p> _:b2 . # trailing comment
 <http://a.org/x> <http://a.org/p> "tab\t quote\" back\\slash \n \u00e9 \U0001F600" .
 <http://a.org/x> <http://a.org/p> "hallo"@de-AT .
 	<http://a.org/x>	<http://a.org/p>	"1.5"^^<http://www.w3.org/2001/XMLSchema#decimal>	.
-<http://a.org/caf\u00e9> <http://a.org/p> <http://a.org/é> .
+<http://a.org/caf\u00e9> <http://a.org/p> <http://a.org/\U000000e9> .
 
 <urn:knowarm:cereal%20box> <urn:knowarm:isA> <urn:knowarm:box> .
 <http://a.org/x> <http://www.w3.org/2000/01/rdf-schema#label> "ex"@en .

@@ -100,6 +100,11 @@ def _colour_row(
         label = label_of(tail, around.labels)
         if wanted in (tail, local_name(tail)) or label_of(wanted, {}) == label:
             return int(row)
+    if not wanted:
+        raise UserError(
+            f"{facet.object!r} has no colour in the graph, so detail 'full' cannot describe it. "
+            f"Add its colours to the graph, or take --detail partial."
+        )
     known = sorted(local_name(around.names[around.tails[row]]) for row in rows)
     raise UserError(
         f"The graph does not say that {facet.object!r} can be {wanted!r}. "

@@ -12,7 +12,8 @@ from knowarm.knowledge.term import local_name
 Triple = tuple[str, str, str]
 """(head, relation, tail), e.g. ("mug", "hasColor", "red")."""
 
-_NEAREST_AMONG = 20_000  # beyond this many names the error lists no nearest ones: too slow
+_FEW = 20_000
+"""With more entities than this, an error looks for nearest names among likely ones only."""
 
 
 class KnowledgeGraph:
@@ -179,13 +180,10 @@ class KnowledgeGraph:
                 f"{name!r} names {len(found)} entities of the graph: {full}. "
                 f"Give the full name of the one you mean."
             )
-        if len(self.nodes) > _NEAREST_AMONG:
-            raise UserError(
-                f"Unknown entity {name!r} among {len(self.nodes):,} entities of the graph, "
-                f"such as {self.names[self.nodes[0]]!r}. "
-                f"Give a name, the last part of an IRI, or a label."
-            )
-        raise unknown_name("entity", name, {local_name(n) for n in self.entities})
+        names = {local_name(n) for n in self.entities}
+        if len(names) > _FEW:
+            names = {n for n in names if n[:1] == name[:1] and abs(len(n) - len(name)) < 3}
+        raise unknown_name("entity", name, names)
 
     def relation_id(self, name: str) -> int:
         """Return the id of a relation given by name or the last part of its IRI."""

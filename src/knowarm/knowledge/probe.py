@@ -9,6 +9,7 @@ import numpy as np
 from knowarm.knowledge.config import KnowledgeConfig
 from knowarm.knowledge.embedding import load_graph, scene_embedding
 from knowarm.knowledge.graph import KnowledgeGraph
+from knowarm.knowledge.labels import label_of
 from knowarm.knowledge.term import local_name
 from knowarm.knowledge.vectors.placebos import PLACEBOS
 
@@ -18,6 +19,10 @@ NEARLY_SAME = 0.9
 RIDGE = 1e-2
 """Penalty of the linear probe, on slots scaled to length 1: it cannot use differences much below
 a tenth of a slot's length, as a policy in training cannot."""
+
+
+MOST_OTHERS = 600
+"""Facets beyond the task's that a probe is fitted on; of a larger graph, as many are drawn."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,11 +82,13 @@ def probe(config: KnowledgeConfig, facets: Sequence[tuple[str, str]]) -> Probe:
     everything = scene_embedding(config, pairs)
     vectors = everything.matrix.astype(np.float64)
     vectors /= np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
-    in_task = np.array([slot in task.slots for slot in everything.slots])
-    objects = np.array([slot.object for slot in everything.slots])
+    slots = everything.slots
+    in_task = np.array([slot in task.slots for slot in slots])
+    objects = np.array([slot.object for slot in slots])
     recovered: dict[str, dict[str, float]] = {}
     if config.detail == "full":
-        colours = np.array([slot.colour for slot in everything.slots])
+        named = [config.entity_names.get(slot.colour or "", slot.colour or "") for slot in slots]
+        colours = np.array([label_of(name, graph.labels) for name in named])
         for asked, answers in (("object", objects), ("colour", colours)):
             scores = _single(vectors, answers, in_task)
             if scores:
@@ -108,6 +115,9 @@ def _population(
         for row in rows
         if int(graph.heads[row]) not in known
     ]
+    if len(others) > MOST_OTHERS:
+        drawn = np.random.default_rng(config.seed).choice(len(others), MOST_OTHERS, replace=False)
+        others = [others[i] for i in np.sort(drawn)]
     return [*facets, *others]
 
 

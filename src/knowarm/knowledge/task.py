@@ -25,7 +25,7 @@ def task_facets(
     """Return (object, colour) pairs in the environment's order.
 
     Objects beyond the paper's three take the colours that the graph gives them, by name; one
-    without a colour gets the pair (object, "").
+    without a colour gets the pair (object, ""), which only `detail="partial"` takes.
     """
     pairs = []
     for name in objects:
@@ -36,6 +36,7 @@ def task_facets(
 
 def _graph_colours(name: str, graph: KnowledgeGraph, relation: str) -> tuple[str, ...]:
     rows = graph.out_rows(graph.entity_id(name))
-    wanted = graph.relation_names.find(relation)
-    tails = graph.tails[rows][graph.relations[rows] == (-1 if wanted is None else wanted)]
+    exact = graph.relation_names.find(relation)
+    wanted = graph.relation_names.find_local(relation) if exact is None else [exact]
+    tails = graph.tails[rows][np.isin(graph.relations[rows], wanted)]
     return tuple(local_name(graph.names[i]) for i in np.sort(tails))

@@ -10,7 +10,8 @@ from knowarm.knowledge.read.label_choice import LABEL_RELATIONS, LabelChoice
 from knowarm.knowledge.read.lines import decode, line_blocks, open_bytes
 from knowarm.knowledge.term import NAMESPACE, literal, name_of_iri, unescape
 
-_IRI = r'<([^\x00-\x20<>"{}|\\^`]*(?:\\u[0-9A-Fa-f]{4}[^\x00-\x20<>"{}|\\^`]*)*)>'
+_PLAIN = r'[^\x00-\x20<>"{}|\\^`]*'
+_IRI = rf"<({_PLAIN}(?:\\(?:u[0-9A-Fa-f]{{4}}|U[0-9A-Fa-f]{{8}}){_PLAIN})*)>"
 _BLANK = r"(_:[A-Za-z0-9_](?:[\w.\-·]*[\w\-·])?)"
 _LITERAL = (
     r'("(?:[^"\\\n\r]|\\["\\bfnrt\']|\\u[0-9A-Fa-f]{4}|\\U[0-9A-Fa-f]{8})*"'
