@@ -9,7 +9,7 @@ import pytest
 
 from knowarm.errors import UserError
 from knowarm.knowledge import KNOWLEDGE, KnowledgeConfig, scene_embedding, scene_sentences
-from knowarm.knowledge.embedding import scene_subgraph
+from knowarm.knowledge.scene import scene_subgraph
 
 
 def test_the_papers_sizes(facets, fixed_facets):

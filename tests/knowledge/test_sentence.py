@@ -7,7 +7,7 @@ import pytest
 from knowarm.config import from_dict, to_dict
 from knowarm.errors import UserError
 from knowarm.knowledge import KNOWLEDGE, KnowledgeConfig, graph_of, scene_embedding, sentence
-from knowarm.knowledge.embedding import scene_sentences
+from knowarm.knowledge.scene import scene_sentences
 from knowarm.knowledge.sentence import SentenceConfig, sentence_parts
 
 MUG = graph_of(

@@ -4,26 +4,22 @@ graph -> Gamma -> sentence -> vectors -> one slot a facet -> slots side by side
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 
 from knowarm.errors import UserError
 from knowarm.knowledge.config import KnowledgeConfig, Scope
-from knowarm.knowledge.facets import Facet, facet_subgraph, slots_of
+from knowarm.knowledge.facets import Facet, slots_of
 from knowarm.knowledge.graph import KnowledgeGraph
-from knowarm.knowledge.household import household
 from knowarm.knowledge.labels import label_of
 from knowarm.knowledge.pooling import slot_vector
-from knowarm.knowledge.read import read_graph
-from knowarm.knowledge.sentence import Part, sentence, sentence_parts
+from knowarm.knowledge.scene import Facets, load_graph, slot_subgraphs
+from knowarm.knowledge.sentence import Part, sentence_parts
 from knowarm.knowledge.vectors.coverage import Coverage
 from knowarm.knowledge.vectors.open import centre_of, graph_parts, open_source
-from knowarm.knowledge.vectors.placebos import SLOT_PLACEBOS, shuffle_tails
-
-Facets = Sequence[tuple[str, str]]
-"""The task's (object, colour) pairs, in the environment's order."""
+from knowarm.knowledge.vectors.placebos import SLOT_PLACEBOS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,50 +161,12 @@ NOTES = {
 """What reports say beside a placebo."""
 
 
-def load_graph(config: KnowledgeConfig) -> KnowledgeGraph:
-    """Return the config's graph, shuffled where it is the placebo that asks for it."""
-    graph = household() if config.graph is None else read_graph(config.graph)
-    return shuffle_tails(graph, config.seed) if config.source == "shuffled" else graph
-
-
-def scene_subgraphs(config: KnowledgeConfig, facets: Facets) -> dict[str, KnowledgeGraph]:
-    """Return what the graph says about each slot, by the slot's name."""
-    graph, slots = load_graph(config), slots_of(config, facets)
-    return {
-        slot.name: sub for slot, sub in zip(slots, _subgraphs(graph, slots, config)[0], strict=True)
-    }
-
-
-def scene_subgraph(config: KnowledgeConfig, facets: Facets) -> KnowledgeGraph:
-    """Return what the graph says about all slots together."""
-    graph = load_graph(config)
-    subgraphs, _ = _subgraphs(graph, slots_of(config, facets), config)
-    triples = [np.stack([s.heads, s.relations, s.tails], axis=1) for s in subgraphs]
-    nodes = [s.nodes for s in subgraphs]
-    empty = np.empty((0, 3), np.int32)
-    return KnowledgeGraph(
-        graph.names,
-        graph.relation_names,
-        np.concatenate([empty, *triples]),
-        nodes=np.concatenate([empty[:, 0], *nodes]),
-        labels=graph.labels,
-    )
-
-
-def scene_sentences(config: KnowledgeConfig, facets: Facets) -> dict[str, str]:
-    """Return the sentence of each slot, by the slot's name."""
-    return {
-        name: sentence(sub, config.sentence)
-        for name, sub in scene_subgraphs(config, facets).items()
-    }
-
-
 def _real_slots(
     config: KnowledgeConfig, slots: Sequence[Facet]
 ) -> tuple[np.ndarray, Coverage, tuple[str, ...]]:
     """Return the slots' vectors (S, D) float32 before any placebo, coverage and sentences."""
     graph = load_graph(config)
-    subgraphs, colours = _subgraphs(graph, slots, config)
+    subgraphs, colours = slot_subgraphs(graph, slots, config)
     sentences = [sentence_parts(sub, config.sentence) for sub in subgraphs]
     everything = graph_parts(graph, relation_words=config.relation_words) if config.centring else []
     needed: list[Part] = [part for parts in sentences for part in parts]
@@ -231,52 +189,3 @@ def _colours(graph: KnowledgeGraph, config: KnowledgeConfig) -> list[Part]:
     rows = graph.relations == graph.relation_id(config.colour_relation)
     names = [graph.names[i] for i in np.unique(graph.tails[rows])]
     return [Part(name, label_of(name, graph.labels), False) for name in names]
-
-
-def _subgraphs(
-    graph: KnowledgeGraph, slots: Sequence[Facet], config: KnowledgeConfig
-) -> tuple[list[KnowledgeGraph], list[str | None]]:
-    """Return each slot's subgraph and its colour's name in the graph."""
-    false = config.source in ("shuffled", "wrong-object")
-    described = _wrong_objects(graph, slots, config) if config.source == "wrong-object" else slots
-    subgraphs: list[KnowledgeGraph] = []
-    colours: list[str | None] = []
-    for place, facet in enumerate(described):
-        index = None
-        if false and facet.colour is not None:
-            index = sum(other.object == facet.object for other in described[:place])
-        subgraph = facet_subgraph(graph, facet, config, index)
-        subgraphs.append(subgraph)
-        colours.append(_colour_of(subgraph, facet, config))
-    return subgraphs, colours
-
-
-def _colour_of(subgraph: KnowledgeGraph, facet: Facet, config: KnowledgeConfig) -> str | None:
-    """Return the graph's name of the one colour that is left in a facet's subgraph."""
-    if facet.colour is None:
-        return None
-    entity = subgraph.entity_id(config.entity_names.get(facet.object, facet.object))
-    relation = subgraph.relation_id(config.colour_relation)
-    rows = np.flatnonzero((subgraph.heads == entity) & (subgraph.relations == relation))
-    return subgraph.names[subgraph.tails[rows[0]]] if len(rows) else None
-
-
-def _wrong_objects(
-    graph: KnowledgeGraph, slots: Sequence[Facet], config: KnowledgeConfig
-) -> list[Facet]:
-    """Give each object another one of the graph with as many colours, drawn by the seed."""
-    true = list(dict.fromkeys(slot.object for slot in slots))
-    needed = max(sum(slot.object == name for slot in slots) for name in true)
-    in_task = {graph.entity_id(config.entity_names.get(name, name)) for name in true}
-    relation = graph.relation_id(config.colour_relation)
-    heads, colours = np.unique(graph.heads[graph.relations == relation], return_counts=True)
-    heads = heads[colours >= needed]
-    others = [graph.names[i] for i in heads if i not in in_task]
-    if len(others) < len(true):
-        raise UserError(
-            f"The placebo 'wrong-object' needs {len(true)} other objects with {needed} "
-            f"colours in the graph, which has {len(others)}. Take another placebo, e.g. 'shuffled'."
-        )
-    drawn = np.random.default_rng(config.seed).choice(len(others), len(true), replace=False)
-    false = {name: others[i] for name, i in zip(true, drawn, strict=True)}
-    return [replace(slot, object=false[slot.object]) for slot in slots]

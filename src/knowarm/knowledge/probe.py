@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 
 from knowarm.knowledge.config import KnowledgeConfig
-from knowarm.knowledge.embedding import load_graph, scene_embedding
+from knowarm.knowledge.embedding import scene_embedding
 from knowarm.knowledge.graph import KnowledgeGraph
 from knowarm.knowledge.labels import label_of
+from knowarm.knowledge.scene import load_graph
 from knowarm.knowledge.term import local_name
 from knowarm.knowledge.vectors.placebos import PLACEBOS
 

@@ -33,7 +33,8 @@ class Embed(SceneOptions):
             [slot.name, " ".join(f"{x:.3f}" for x in row[:6]) + " ...", float(np.linalg.norm(row))]
             for slot, row in zip(embedding.slots, embedding.matrix, strict=True)
         ]
-        title = f"{len(rows)} slots of {embedding.slot_dim} numbers, {embedding.dim} to the policy"
+        slots = f"{len(rows)} slot{'s' * (len(rows) != 1)} of {embedding.slot_dim} numbers"
+        title = f"{slots}, {embedding.dim} to the policy"
         print_table(title, ["slot", "numbers", "norm"], rows)
         if self.out is not None:
             _write(embedding, self.out)

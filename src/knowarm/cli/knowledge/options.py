@@ -8,7 +8,7 @@ import tyro
 
 from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge import KNOWLEDGE, KnowledgeConfig, KnowledgeGraph, household, read_graph
-from knowarm.knowledge.embedding import load_graph
+from knowarm.knowledge.scene import load_graph
 from knowarm.knowledge.task import TASK_COLOURS, task_facets
 
 
