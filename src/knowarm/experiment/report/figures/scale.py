@@ -34,9 +34,9 @@ class Scale:
 
 
 def round_step(rough: float) -> float:
-    """The nearest of 1, 2, 2.5, 5 times a power of ten that is not below ``rough``."""
+    """Whichever of 1, 2, 2.5, 5 times a power of ten is nearest to ``rough``, as a ratio."""
     power = 10.0 ** math.floor(math.log10(rough))
-    return next(m * power for m in (1, 2, 2.5, 5, 10) if m * power >= rough * 0.999)
+    return min((m * power for m in (1, 2, 2.5, 5, 10)), key=lambda s: abs(math.log(s / rough)))
 
 
 def fit(values: list[float], start: float, end: float, *, pad: float = 0.06) -> Scale:
