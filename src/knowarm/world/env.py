@@ -43,6 +43,7 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
         autoreset: Gymnasium's mode; SAME_STEP also gives ``final_obs`` and ``final_info``.
 
     Attributes:
+        pictures: what draws the observations; anything with its ``draw`` may take its place.
         facets: (target, colour) names, targets in config order, colours in theirs.
         facet_ids: facet of the episode now running, (n,) int64.
     """
@@ -67,7 +68,7 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
         }
         self.scene: Scene = load_scene(config.robot, tuple(config.targets))
         self.simulation = Simulation(self.scene, num_envs, num_threads, config.dynamics)
-        self._pictures = make_pictures(self.scene, config, config.image_size, num_threads)
+        self.pictures: Pictures = make_pictures(self.scene, config, config.image_size, num_threads)
         self._large_pictures: Pictures | None = None
         self._increments = config.mpi_rad * np.array(ACTION_LEVELS)
         self.facets, self._first_facet = _facets(self.scene, config)
@@ -334,7 +335,7 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
 
     def _draw_pictures(self, ids: NDArray[np.intp] | slice = slice(None)) -> NDArray[np.uint8]:
         simulation = self.simulation
-        return self._pictures.draw(
+        return self.pictures.draw(
             simulation.geom_position[ids], simulation.geom_matrix[ids], self._geom_rgba[ids]
         )
 

@@ -1,0 +1,88 @@
+"""Whether each task can be solved: reachability, oracle, random agent, servo error, as a table.
+
+python benchmarks/oracle.py --episodes 300 --json oracle.json
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+
+from knowarm.world.env import EnvConfig, ReachVectorEnv
+from knowarm.world.episodes import evaluation_episodes
+from knowarm.world.ik import InverseKinematics
+from knowarm.world.objects import TARGETS
+from knowarm.world.oracle import OracleAgent
+from knowarm.world.play import play
+from knowarm.world.robots import ROBOTS
+from knowarm.world.scripted import RandomAgent
+
+SEED = 7
+
+
+def task_row(robot: str, target: str, dynamics: str, episodes: int) -> dict:
+    """One line of the table."""
+    config = EnvConfig(robot=robot, targets=(target,), dynamics=dynamics, image_size=8)
+    env = ReachVectorEnv(config, episodes)
+    fixed = evaluation_episodes(env.scene, config, episodes, SEED)
+    env.reset(options={"episodes": fixed})
+    reach = InverseKinematics(env.scene).solve(
+        env.grasp_position, env.grasp_matrix, env.joint_positions
+    )
+    oracle = play(OracleAgent(), env, fixed)
+    random = play(RandomAgent(SEED), env, fixed)
+    reached = reach.within(config.success_distance_m, config.success_angle_deg)
+    return {
+        "robot": robot,
+        "target": target,
+        "dynamics": dynamics,
+        "reachable": float(reached.mean()),
+        "oracle_success": float(oracle.success.mean()),
+        "oracle_steps_median": float(np.median(oracle.length)),
+        "oracle_steps_p95": float(np.percentile(oracle.length, 95)),
+        "random_success": float(random.success.mean()),
+        "random_return": float(random.episode_return.mean()),
+    }
+
+
+def tracking_row(robot: str, dynamics: str, episodes: int) -> dict:
+    """How far the joints are from their targets after a step of a random agent [rad]."""
+    env = ReachVectorEnv(EnvConfig(robot=robot, dynamics=dynamics, image_size=8), episodes)
+    env.reset(options={"episodes": evaluation_episodes(env.scene, env.config, episodes, SEED)})
+    agent = RandomAgent(SEED)
+    agent.start(env)
+    everyone = np.ones(episodes, dtype=np.bool_)
+    lags = []
+    for _ in range(env.config.max_episode_steps):
+        env.advance(agent.act(np.empty(0, dtype=np.uint8)), ~everyone)
+        lags.append(np.abs(env.joint_positions - env.joint_targets))
+    lag = np.stack(lags)
+    return {
+        "robot": robot,
+        "dynamics": dynamics,
+        "tracking_mean_rad": float(lag.mean()),
+        "tracking_p99_rad": float(np.percentile(lag, 99)),
+        "tracking_max_rad": float(lag.max()),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--episodes", type=int, default=300)
+    parser.add_argument("--json", type=Path)
+    arguments = parser.parse_args()
+    tasks, tracking = [], []
+    for robot in ROBOTS:
+        for dynamics in ("dynamic", "kinematic"):
+            for target in TARGETS:
+                tasks.append(task_row(robot, target, dynamics, arguments.episodes))
+                print(tasks[-1], flush=True)
+            tracking.append(tracking_row(robot, dynamics, arguments.episodes))
+            print(tracking[-1], flush=True)
+    if arguments.json:
+        arguments.json.write_text(json.dumps({"tasks": tasks, "tracking": tracking}, indent=2))
+
+
+if __name__ == "__main__":
+    main()
