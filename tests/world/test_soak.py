@@ -5,7 +5,7 @@ import psutil
 import pytest
 from conftest import MakeEnv
 
-STEPS = 1_000_000
+STEPS = 1_000_000  # over both robots
 MAX_GROWTH_MIB = 30
 
 
@@ -32,6 +32,6 @@ def test_a_million_random_steps_leave_no_nan_and_no_growing_memory(
             assert observations.any(axis=(1, 2, 3)).all()
             gc.collect()
             memory.append(process.memory_info().rss / 2**20)
-    assert ended >= STEPS // 2 // 50
+    assert ended >= STEPS // 2 // 50 - env.num_envs
     assert memory[-1] - memory[len(memory) // 4] < MAX_GROWTH_MIB
     assert (env.simulation.batch.warning == 0).all(), "MuJoCo warned"
