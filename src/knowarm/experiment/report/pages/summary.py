@@ -30,7 +30,7 @@ WIDTHS: Widths = (("", 400),)
 WIDTHS_ALONE: Widths = (("wide", 760), ("narrow", 350))
 """Screens and widths of the drawing of one task [px]."""
 
-NAMES = 118
+NAMES = 124
 """Room for the agents' names [px]."""
 
 

@@ -29,6 +29,9 @@ PREFERRED_LABEL = "post-training-greedy"
 UNTRAINED, LATEST = "-untrained", "-latest"
 """Ends of the labels of evaluations that are not of the best model."""
 
+UNTRAINED_FIRST = {"bm": 0, "full": 1}
+"""Whose untrained policies are shown: their networks differ in size."""
+
 AGENT_ORDER = ("bm", "partial", "full", "full+", "target")
 ROBOTS = {"irb120": "IRB120", "tiago": "TIAGo"}
 COLOURS = {"fixed": "fixed colours", "randomized": "randomized colours"}
@@ -112,14 +115,24 @@ def _task(
         algorithm=algorithm(first),
         label=label,
         groups=groups,
-        references=tuple(r for r in references if judged and _same_episodes(r.judged, judged)),
+        references=_references(references, judged),
     )
 
 
+def _references(known: list[Reference], judged: Judged | None) -> tuple[Reference, ...]:
+    """Those that played the task's episodes; of untrained policies two are enough to compare."""
+    fitting = [each for each in known if judged and _same_episodes(each.judged, judged)]
+    raw = [each for each in fitting if each.name.startswith("untrained ")]
+    return (*raw[:2], *(each for each in fitting if each not in raw))
+
+
 def untrained(runs: list[Run]) -> list[Reference]:
-    """The evaluation of one untrained policy of each agent, from its lowest seed that has one."""
+    """The evaluation of one untrained policy of each agent, from its lowest seed that has one.
+
+    The baseline's and full's come first.
+    """
     found: dict[tuple[str, str], Reference] = {}
-    for run in sorted(runs, key=lambda run: run.seed):
+    for run in sorted(runs, key=lambda run: (UNTRAINED_FIRST.get(run.agent, 2), run.seed)):
         for label, judged in run.judged.items():
             if label.endswith(UNTRAINED):
                 key = (task_key(run), run.agent)
