@@ -11,6 +11,7 @@ from knowarm.experiment.registry import experiment
 from knowarm.experiment.report import report
 from knowarm.experiment.run import run_path, train
 from knowarm.experiment.run_folder import RunFolder
+from knowarm.learn.config import PPOConfig
 
 AGENTS = ("bm", "full")
 """The agents compared: no knowledge, and object types with colours."""
@@ -55,16 +56,14 @@ def demo_experiments(steps: int) -> list[ExperimentConfig]:
     One thread: it is no slower than two where other programs want the second core, and gives
     everybody on machines of one kind the same bytes.
     """
-    interim = InterimConfig(every_steps=max(1, steps // 10))
-    shipped = [experiment(f"irb120-{agent}-ppo") for agent in AGENTS]
     return [
         dataclasses.replace(
-            config,
+            experiment(f"irb120-{agent}-ppo"),
             total_steps=steps,
-            interim=interim,
-            algorithm=dataclasses.replace(config.algorithm, threads=1),
+            interim=InterimConfig(every_steps=max(1, steps // 10)),
+            algorithm=PPOConfig(threads=1),
         )
-        for config in shipped
+        for agent in AGENTS
     ]
 
 
