@@ -1,14 +1,13 @@
 """Our pictures beside those of MuJoCo's OpenGL renderer, shadows and reflections off."""
 
-import os
-import subprocess
-import sys
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from raycast_scenes import CAMERA, States, every_primitive, random_states, robot_scene
+from opengl_pictures import NoOpenGL, opengl_pictures
+from raycast_scenes import CAMERA, every_primitive, random_states, robot_scene
 from scipy.ndimage import gaussian_filter
 
 from knowarm.world.raycast import Raycaster
@@ -34,52 +33,26 @@ def ssim(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> float:
     return float(np.mean(values))
 
 
-@pytest.fixture(scope="module")
-def opengl() -> None:
-    """Software OpenGL, or the reason why there is none."""
-    # MuJoCo aborts the interpreter where a context cannot be made, so another one tries first.
-    check = "import mujoco; mujoco.Renderer(mujoco.MjModel.from_xml_string('<mujoco/>'), 8, 8)"
-    os.environ.setdefault("MUJOCO_GL", "egl")
-    tried = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True)
-    if tried.returncode:
-        last = (tried.stderr.strip().splitlines() or ["no message"])[-1]
-        pytest.skip(
-            f"no OpenGL for MuJoCo's renderer (MUJOCO_GL={os.environ['MUJOCO_GL']}): {last}"
-        )
-
-
-def mujoco_pictures(states: States, camera: int | str, samples: int) -> NDArray[np.uint8]:
-    """Draw all states with MuJoCo's renderer, with or without multisampling."""
-    model, batch = states.model, states.batch
-    before = model.vis.quality.offsamples
-    model.vis.quality.offsamples = samples
-    data = mujoco.MjData(model)
-    pictures = []
-    with mujoco.Renderer(model, SIDE, SIDE) as renderer:
-        renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
-        renderer.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
-        for e in range(batch.nsim):
-            batch.get_data(e, data)
-            mujoco.mj_forward(model, data)
-            renderer.update_scene(data, camera)
-            pictures.append(renderer.render())
-    model.vis.quality.offsamples = before
-    return np.array(pictures)
-
-
-def similarity(states: States, camera: int | str) -> float:
-    ours = Raycaster(states.model, camera, SIDE, SIDE).render(states.geom_xpos, states.geom_xmat)
-    theirs = mujoco_pictures(states, camera, samples=0)
+def similarity(model: mujoco.MjModel, camera: int | str, folder: Path, smooth: bool) -> float:
+    """Mean SSIM between our pictures and MuJoCo's, both with or both without anti-aliasing."""
+    states = random_states(model, STATES, seed=1)
+    poses = states.geom_xpos, states.geom_xmat
+    ours = Raycaster(model, camera, SIDE, SIDE, antialiasing=smooth).render(*poses)
+    samples = 4 if smooth else 0
+    try:
+        theirs = opengl_pictures(model, model.camera(camera).id, *poses, SIDE, samples, folder)
+    except NoOpenGL as reason:
+        pytest.skip(str(reason))
     return float(np.mean([ssim(a, b) for a, b in zip(ours, theirs, strict=True)]))
 
 
-@pytest.mark.usefixtures("opengl")
+@pytest.mark.parametrize("smooth", [False, True])
 @pytest.mark.parametrize("robot", ["irb120", "tiago"])
-def test_robots(robot: str) -> None:
+def test_robots(robot: str, smooth: bool, tmp_path: Path) -> None:
     scene = robot_scene(robot)
-    assert similarity(random_states(scene.model, STATES, seed=1), scene.camera) >= 0.95
+    assert similarity(scene.model, scene.camera, tmp_path, smooth) >= 0.95
 
 
-@pytest.mark.usefixtures("opengl")
-def test_every_primitive() -> None:
-    assert similarity(random_states(every_primitive(), STATES, seed=2), CAMERA) >= 0.95
+@pytest.mark.parametrize("smooth", [False, True])
+def test_every_primitive(smooth: bool, tmp_path: Path) -> None:
+    assert similarity(every_primitive(), CAMERA, tmp_path, smooth) >= 0.95

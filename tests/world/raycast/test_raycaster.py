@@ -66,6 +66,58 @@ def test_colours_are_those_of_each_environment() -> None:
     np.testing.assert_array_equal((plain != blue).any(axis=-1), shows)
 
 
+def test_antialiasing_is_the_mean_of_four_rays_in_a_rotated_grid() -> None:
+    states = random_states(every_primitive(), 3, seed=1)
+    poses = states.geom_xpos, states.geom_xmat
+    smooth = Raycaster(states.model, CAMERA, SMALL, SMALL, antialiasing=True).render(*poses)
+    fine = Raycaster(states.model, CAMERA, 4 * SMALL, 4 * SMALL).render(*poses)
+    fine = fine.reshape(3, SMALL, 4, SMALL, 4, 3).astype(int)
+    total = sum(fine[:, :, row, :, column] for row, column in enumerate((1, 3, 0, 2)))
+    # Rounding may put a ray on the other side of an edge.
+    assert ((total + 2) // 4 == smooth).all(axis=-1).mean() > 0.999
+
+
+def test_antialiasing_sees_what_lies_between_the_middles() -> None:
+    """A bar a tenth of a pixel wide, between two columns of rays, darkens its pixels."""
+    model = mujoco.MjModel.from_xml_string(f"""
+    <mujoco><visual><headlight ambient="1 1 1" diffuse="0 0 0"/></visual><worldbody>
+      <camera name="{CAMERA}" pos="0 0 1" fovy="90"/>
+      <geom type="plane" size="9 9 1" rgba="1 1 1 1"/>
+      <geom type="box" size=".01 9 .01" pos=".095 0 0" rgba="0 0 0 1"/>
+    </worldbody></mujoco>""")
+    positions, matrices = model.geom_pos[None], np.tile(np.eye(3).reshape(9), (1, 2, 1))
+    sharp = Raycaster(model, CAMERA, 8, 8).render(positions, matrices)
+    smooth = Raycaster(model, CAMERA, 8, 8, antialiasing=True).render(positions, matrices)
+    assert sharp.min() == 255
+    assert (smooth[0, :, 4] == 191).all()
+
+
+def test_camera_of_each_environment() -> None:
+    states = random_states(every_primitive(), 3, seed=1)
+    caster = Raycaster(states.model, CAMERA, SMALL, SMALL)
+    poses = states.geom_xpos, states.geom_xmat
+    views = np.repeat(caster.view[None], 3, axis=0)
+    np.testing.assert_array_equal(caster.render(*poses, views=views), caster.render(*poses))
+    views[1, :3] += [0.1, -0.2, 0.1]
+    moved = every_primitive()
+    moved.cam_pos[0] = views[1, :3]
+    expected = Raycaster(moved, CAMERA, SMALL, SMALL).render(*poses)
+    np.testing.assert_array_equal(caster.render(*poses, views=views)[1], expected[1])
+
+
+def test_lights_of_each_environment() -> None:
+    states = random_states(every_primitive(), 2, seed=1)
+    caster = Raycaster(states.model, CAMERA, SMALL, SMALL)
+    poses = states.geom_xpos, states.geom_xmat
+    lamps = np.repeat(caster.lamps[None], 2, axis=0)
+    lamps[1, 3] = [0, 0, 1]
+    lit = caster.render(*poses, lamps=lamps)
+    np.testing.assert_array_equal(lit[0], caster.render(*poses)[0])
+    model = every_primitive()
+    model.light_dir[0] = [0, 0, -1]
+    np.testing.assert_array_equal(lit[1], Raycaster(model, CAMERA, SMALL, SMALL).render(*poses)[1])
+
+
 def test_nothing_in_sight_is_background() -> None:
     model = mujoco.MjModel.from_xml_string(
         f"<mujoco><worldbody><camera name='{CAMERA}'/>"

@@ -9,22 +9,12 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 Vector = tuple[np.float32, np.float32, np.float32]
 """Three float32 scalars; compiled code keeps them in registers."""
 
 Matrix = tuple[np.float32, ...]
 """Nine float32 scalars, row-major."""
-
-Planes = tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]
-"""Depth [m], owner (geom id, -1 for none) and packed colour, (H, W) each."""
-
-Grid = tuple[np.float32, np.float32, np.float32]
-"""Picture coordinates X and Y of the middle of the first pixel, and the size of a pixel."""
-
-Look = tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]
-"""Type (G,), ``geom_size`` (G, 3) and emission (G,) of the geoms."""
 
 ZERO = np.float32(0)
 HALF = np.float32(0.5)

@@ -8,11 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.errors import UserError
-from knowarm.world.raycast.draw import LANES
-from knowarm.world.raycast.numeric import FAR, Planes
-from knowarm.world.raycast.render import render_range
+from knowarm.world.raycast.fill import Field
+from knowarm.world.raycast.grid import ANTIALIASING, TILE, Grid, make_grid
+from knowarm.world.raycast.numeric import FAR
+from knowarm.world.raycast.prepare import EXTENT, RECORD
+from knowarm.world.raycast.render import Scenery, Scratch, render_range
 from knowarm.world.raycast.tables import read_tables
-from knowarm.world.raycast.trace import trace_planes
+from knowarm.world.raycast.trace import trace_field
 
 MAX_SIDE = 4096
 
@@ -40,12 +42,15 @@ class Raycaster:
         camera: name or id of a perspective camera that stands still.
         width: width of the picture [px].
         height: height of the picture [px]; fovy spans it.
+        antialiasing: four rays a pixel in a rotated grid instead of one through its middle.
         num_threads: threads that share a batch.
         geom_groups: geom groups that are drawn; MuJoCo's renderer draws 0, 1 and 2.
         background: RGB where no geom is, 0 to 1.
 
     Attributes:
-        geom_rgba: (G, 4) float32, colours as MuJoCo would draw them.
+        view: (12,) float32, position [m] and row-major rotation of the camera in the world.
+        lamps: (4, 3) float32: sum of ambient colours, diffuse colours of headlight and directional
+            light, and the unit vector towards the latter, world.
 
     Raises:
         UserError: a size is out of range, or the model holds what cannot be drawn.
@@ -58,6 +63,7 @@ class Raycaster:
         width: int,
         height: int,
         *,
+        antialiasing: bool = False,
         num_threads: int = 1,
         geom_groups: tuple[int, ...] = (0, 1, 2),
         background: tuple[float, float, float] = (0.0, 0.0, 0.0),
@@ -70,27 +76,24 @@ class Raycaster:
         self.width, self.height = width, height
         tables = read_tables(model, camera, geom_groups)
         self._tables = tables
-        self._look = (tables.kind, tables.size, tables.glow)
-        pixel = 2 * tables.half_height / height
-        self._grid = (
-            np.float32((1 - width) / 2 * pixel),
-            np.float32((height - 1) / 2 * pixel),
-            np.float32(pixel),
+        self._grid = make_grid(
+            width, height, tables.half_height, ANTIALIASING if antialiasing else 1
         )
-        red, green, blue = (int(min(max(c, 0.0), 1.0) * 255 + 0.5) for c in background)
-        self._background = np.int32(red | green << 8 | blue << 16)
-        self._view, self._lamps = tables.camera[None], tables.lamps[None]
-        self._planes = [self._empty_planes() for _ in range(num_threads)]
+        self.view, self.lamps = tables.camera, tables.lamps
+        self._pool = ThreadPoolExecutor(num_threads) if num_threads > 1 else None
         self._positions = np.empty((0, 0, 3), dtype=np.float32)
         self._matrices = np.empty((0, 0, 9), dtype=np.float32)
-        self._pool = ThreadPoolExecutor(num_threads) if num_threads > 1 else None
-        # What stands still, drawn over nothing, is what every environment's picture begins with.
-        self._cached = self._empty_planes()
-        self._fixed, self._moving = tables.fixed[:0], tables.fixed
-        standing = self._empty_planes()
-        self._draw(0, 1, *self._poses(tables.position[None], tables.matrix[None]), None, standing)
-        self._cached = standing
-        self._fixed, self._moving = tables.fixed, tables.moving
+
+        rgb = [int(min(max(channel, 0.0), 1.0) * 255 + 0.5) for channel in background]
+        packed = rgb[0] | rgb[1] << 8 | rgb[2] << 16
+        empty = _make_field(self._grid, packed)
+        self._scratch = [_make_scratch(self._grid, len(tables.kind)) for _ in range(num_threads)]
+        nothing = np.tile(np.array(rgb, dtype=np.uint8), height * width)
+        self._scenery = Scenery(
+            tables.kind, tables.size, tables.glow, tables.rgba, tables.fixed, tables.moving,
+            empty=empty, backdrop=empty, nothing=nothing, picture=nothing,
+        )  # fmt: skip
+        self._keep_fixed()
 
     @property
     def geom_rgba(self) -> NDArray[np.float32]:
@@ -103,6 +106,9 @@ class Raycaster:
         geom_xmat: NDArray[Any],
         geom_rgba: NDArray[np.float32] | None = None,
         out: NDArray[np.uint8] | None = None,
+        *,
+        views: NDArray[np.float32] | None = None,
+        lamps: NDArray[np.float32] | None = None,
     ) -> NDArray[np.uint8]:
         """Draw a batch.
 
@@ -112,6 +118,9 @@ class Raycaster:
             geom_rgba: (n, G, 4) colours, alpha 0 hides a geom and any other draws it opaque; None
                 for the model's.
             out: (n, H, W, 3) to write into; None for a new array.
+            views: (n, 12) a camera for each environment, as ``view``; None for the model's.
+            lamps: (n, 4, 3) lights for each environment, as ``lamps``; None for the model's. With
+                either, the geoms that stand still are drawn anew in every picture.
 
         Returns:
             (n, H, W, 3) uint8 RGB.
@@ -121,23 +130,15 @@ class Raycaster:
             out = np.empty((count, self.height, self.width, 3), dtype=np.uint8)
         assert out.shape == (count, self.height, self.width, 3)
         assert out.flags.c_contiguous
-        positions, matrices = self._poses(geom_xpos, geom_xmat)
+        poses = self._poses(geom_xpos, geom_xmat)
+        seen = self._appearance(count, geom_rgba, views, lamps)
         if self._pool is None or count == 1:
-            self._draw(0, count, positions, matrices, geom_rgba, self._planes[0], out)
+            self._draw(0, count, poses, seen, 0, out)
             return out
-        threads = min(len(self._planes), count)
+        threads = min(len(self._scratch), count)
         cuts = [count * t // threads for t in range(threads + 1)]
         tasks = [
-            self._pool.submit(
-                self._draw,
-                cuts[t],
-                cuts[t + 1],
-                positions,
-                matrices,
-                geom_rgba,
-                self._planes[t],
-                out,
-            )
+            self._pool.submit(self._draw, cuts[t], cuts[t + 1], poses, seen, t, out)
             for t in range(threads)
         ]
         for task in tasks:
@@ -150,43 +151,76 @@ class Raycaster:
         geom_xmat: NDArray[Any],
         geom_rgba: NDArray[np.float32] | None = None,
     ) -> Trace:
-        """Find what each pixel's middle shows, with the loops that draw; takes as ``render``."""
-        positions, matrices = self._poses(geom_xpos, geom_xmat)
+        """Find what each pixel's middle shows, with the loops that draw; takes as ``render``.
+
+        Raises:
+            UserError: the ray caster anti-aliases.
+        """
+        if self._grid.mask:
+            raise UserError(
+                "Raycaster.trace needs antialiasing=False, as several rays of a pixel can show "
+                "several geoms; make another Raycaster for it."
+            )
+        positions, matrices = poses = self._poses(geom_xpos, geom_xmat)
+        seen = self._appearance(len(positions), geom_rgba, None, None)
         shape = (len(positions), self.height, self.width)
         result = Trace(
             np.empty(shape, dtype=np.int32),
             np.empty(shape, dtype=np.float32),
             np.empty((*shape, 3), dtype=np.float32),
         )
-        planes = self._planes[0]
         for e in range(len(positions)):
-            self._draw(e, e + 1, positions, matrices, geom_rgba, planes)
-            trace_planes(
-                planes, positions[e], matrices[e], self._view[0], self._look, self._grid,
-                result.geom[e], result.distance[e], result.normal[e],
+            self._draw(e, e + 1, poses, seen, 0, None)
+            trace_field(
+                self._scratch[0].field, positions[e], matrices[e], self.view, self._scenery,
+                self._grid, result.geom[e], result.distance[e], result.normal[e],
             )  # fmt: skip
         return result
+
+    def _keep_fixed(self) -> None:
+        """Draw what stands still: samples and picture that every environment begins with."""
+        tables, scenery = self._tables, self._scenery
+        picture = np.empty((1, self.height, self.width, 3), dtype=np.uint8)
+        self._scenery = scenery._replace(fixed=tables.fixed[:0], moving=tables.fixed)
+        poses = self._poses(tables.position[None], tables.matrix[None])
+        self._draw(0, 1, poses, self._appearance(1, None, None, None), 0, picture)
+        # Only the tiles that were touched are in the scratch field.
+        drawn, kept = self._scratch[0].field, (scenery.empty[0].copy(), scenery.empty[1].copy())
+        for strip, dirty in enumerate(self._scratch[0].dirty):
+            first, last = (strip * self._grid.rows + dirty) * TILE
+            for to, of in zip(kept, drawn, strict=True):
+                to[first:last] = of[first:last]
+        self._scenery = scenery._replace(backdrop=kept, picture=picture.reshape(-1))
 
     def _draw(
         self,
         start: int,
         stop: int,
-        positions: NDArray[np.float32],
-        matrices: NDArray[np.float32],
-        geom_rgba: NDArray[np.float32] | None,
-        planes: Planes,
-        out: NDArray[np.uint8] | None = None,
+        poses: tuple[NDArray[np.float32], NDArray[np.float32]],
+        seen: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
+        thread: int,
+        out: NDArray[np.uint8] | None,
     ) -> None:
-        """Draw environments start .. stop - 1; without ``out`` only the last one's planes."""
-        rgba = self._tables.rgba[None] if geom_rgba is None else geom_rgba
-        assert rgba.shape[1:] == self._tables.rgba.shape
-        assert len(rgba) in (1, len(positions))
+        """Draw environments start .. stop - 1; without ``out``, leave geom ids in the scratch."""
         render_range(
-            start, stop, positions, matrices, np.ascontiguousarray(rgba, dtype=np.float32),
-            self._view, self._lamps, self._look, self._fixed, self._moving, self._tables.rgba,
-            self._cached, self._grid, self._background, planes,
-            np.empty((stop, 0, 0, 3), dtype=np.uint8) if out is None else out,
+            start, stop, *poses, *seen, self._grid, self._scenery, self._scratch[thread],
+            out is None, np.empty((0, 0, 0, 3), dtype=np.uint8) if out is None else out,
         )  # fmt: skip
+
+    def _appearance(
+        self,
+        count: int,
+        geom_rgba: NDArray[np.float32] | None,
+        views: NDArray[np.float32] | None,
+        lamps: NDArray[np.float32] | None,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+        """Colours, cameras and lights: one for all environments, or one for each."""
+        result = []
+        for given, own in ((geom_rgba, self._tables.rgba), (views, self.view), (lamps, self.lamps)):
+            assert given is None or given.shape == (count, *own.shape), given.shape
+            values = own[None] if given is None else given
+            result.append(np.ascontiguousarray(values, dtype=np.float32))
+        return result[0], result[1], result[2].reshape(-1, 12)
 
     def _poses(
         self, geom_xpos: NDArray[Any], geom_xmat: NDArray[Any]
@@ -203,11 +237,16 @@ class Raycaster:
         np.copyto(matrices, geom_xmat, casting="same_kind")
         return positions, matrices
 
-    def _empty_planes(self) -> Planes:
-        """Depth, owner and colour planes of nothing, rows padded to whole blocks."""
-        shape = (self.height, -(-self.width // LANES) * LANES)
-        return (
-            np.full(shape, FAR, dtype=np.float32),
-            np.full(shape, -1, dtype=np.int32),
-            np.full(shape, self._background, dtype=np.int32),
-        )
+
+def _make_field(grid: Grid, value: int) -> Field:
+    count = grid.strips * grid.rows * TILE
+    return np.full(count, FAR, dtype=np.float32), np.full(count, value, dtype=np.int32)
+
+
+def _make_scratch(grid: Grid, geoms: int) -> Scratch:
+    return Scratch(
+        field=_make_field(grid, 0),
+        record=np.empty((geoms, RECORD), dtype=np.float32),
+        extent=np.empty((geoms, EXTENT), dtype=np.int32),
+        dirty=np.empty((grid.strips, 2), dtype=np.int32),
+    )

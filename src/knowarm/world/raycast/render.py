@@ -1,74 +1,152 @@
-"""Poses and colours of a batch go in; pictures come out, on one CPU thread."""
+"""Poses and colours of a batch go in; pictures come out, on one CPU thread.
+
+Every picture begins as that of the geoms that stand still. The other geoms are prepared first, so
+that only the tiles which any of them can touch are drawn again.
+"""
+
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from knowarm.world.raycast.draw import draw_geom
-from knowarm.world.raycast.numeric import FAR, Grid, Look, Matrix, Planes, Vector
+from knowarm.world.raycast.fill import Field, fill
+from knowarm.world.raycast.grid import BITS, TILE, Grid
+from knowarm.world.raycast.prepare import nine, prepare, triple
+
+
+class Scenery(NamedTuple):
+    """What all environments share. G geoms, F fixed and M moving ones that are drawn."""
+
+    kind: NDArray[np.int32]
+    """Types of the geoms, (G,)."""
+
+    size: NDArray[np.float32]
+    """``geom_size`` [m], (G, 3)."""
+
+    glow: NDArray[np.float32]
+    """Emission of the geoms' materials, (G,)."""
+
+    rgba: NDArray[np.float32]
+    """The model's colours, (G, 4)."""
+
+    fixed: NDArray[np.int32]
+    """Ids of the geoms that stand still, (F,)."""
+
+    moving: NDArray[np.int32]
+    """Ids of the other geoms, (M,)."""
+
+    empty: Field
+    """Samples of nothing."""
+
+    backdrop: Field
+    """Samples of the fixed geoms."""
+
+    nothing: NDArray[np.uint8]
+    """Picture of nothing, (H * W * 3,)."""
+
+    picture: NDArray[np.uint8]
+    """Picture of the fixed geoms, (H * W * 3,)."""
+
+
+class Scratch(NamedTuple):
+    """What a thread draws in."""
+
+    field: Field
+    """The samples, (strips * rows * TILE,) each."""
+
+    record: NDArray[np.float32]
+    """Records of the visible geoms, (G, RECORD)."""
+
+    extent: NDArray[np.int32]
+    """Extents of the visible geoms, (G, EXTENT)."""
+
+    dirty: NDArray[np.int32]
+    """First and one past the last row of each strip that a geom can touch, (strips, 2)."""
 
 
 @njit(error_model="numpy")
-def triple(array: NDArray[np.float32], i: int) -> Vector:
-    """Row of three numbers as a tuple."""
-    return np.float32(array[i, 0]), np.float32(array[i, 1]), np.float32(array[i, 2])
-
-
-@njit(error_model="numpy")
-def nine(array: NDArray[np.float32], i: int) -> Matrix:
-    """Row of nine numbers as a tuple."""
-    return (
-        np.float32(array[i, 0]), np.float32(array[i, 1]), np.float32(array[i, 2]),
-        np.float32(array[i, 3]), np.float32(array[i, 4]), np.float32(array[i, 5]),
-        np.float32(array[i, 6]), np.float32(array[i, 7]), np.float32(array[i, 8]),
-    )  # fmt: skip
-
-
-@njit(error_model="numpy")
-def draw_list(
+def _prepare_list(
     geoms: NDArray[np.int32],
-    positions: NDArray[np.float32],
-    matrices: NDArray[np.float32],
+    position: NDArray[np.float32],
+    matrix: NDArray[np.float32],
     rgba: NDArray[np.float32],
     view: NDArray[np.float32],
     lamps: NDArray[np.float32],
-    look: Look,
     grid: Grid,
-    planes: Planes,
-) -> None:
-    """Draw the visible geoms of a list, in its order, over what the planes hold."""
-    kind, size, glow = look
-    light = (triple(lamps, 0), triple(lamps, 1), triple(lamps, 2), triple(lamps, 3))
+    scenery: Scenery,
+    scratch: Scratch,
+    count: int,
+) -> int:
+    """Prepare the visible geoms of a list after the ``count`` that are; return how many are now."""
     for g in geoms:
-        if rgba[g, 3] > 0:
-            draw_geom(
-                kind[g], triple(size, g), triple(positions, g), nine(matrices, g), view,
-                triple(rgba, g), glow[g], light, grid, planes, np.int32(g),
-            )  # fmt: skip
+        if rgba[g, 3] > 0 and prepare(
+            scenery.kind[g], np.int32(g), triple(scenery.size[g], 0), triple(position[g], 0),
+            nine(matrix[g], 0), view, triple(rgba[g], 0), scenery.glow[g], lamps, grid,
+            scratch.record[count], scratch.extent[count],
+        ):  # fmt: skip
+            extent = scratch.extent[count]
+            count += 1
+            upper = np.int32(extent[4] >> BITS << BITS)
+            lower = np.int32((extent[5] >> BITS << BITS) + TILE)
+            for strip in range(extent[2] >> BITS, (extent[3] >> BITS) + 1):
+                scratch.dirty[strip, 0] = min(scratch.dirty[strip, 0], upper)
+                scratch.dirty[strip, 1] = max(scratch.dirty[strip, 1], lower)
+    return count
 
 
 @njit(error_model="numpy")
-def _as_cached(
-    geoms: NDArray[np.int32], rgba: NDArray[np.float32], expected: NDArray[np.float32]
-) -> bool:
-    """Whether the fixed geoms look as in the cached picture."""
-    for g in geoms:
+def _as_fixed(scenery: Scenery, rgba: NDArray[np.float32]) -> bool:
+    """Whether the fixed geoms look as in the kept picture."""
+    for g in scenery.fixed:
         for c in range(4):
-            if rgba[g, c] != expected[g, c]:
+            if rgba[g, c] != scenery.rgba[g, c]:
                 return False
     return True
 
 
 @njit(error_model="numpy")
-def unpack(colour: NDArray[np.int32], out: NDArray[np.uint8]) -> None:
-    """Write packed colours (H, W or wider) into a picture (H, W, 3) uint8."""
-    height, width = out.shape[0], out.shape[1]
-    for j in range(height):
-        for i in range(width):
-            packed = colour[j, i]
-            out[j, i, 0] = packed & 255
-            out[j, i, 1] = (packed >> 8) & 255
-            out[j, i, 2] = (packed >> 16) & 255
+def _begin(field: Field, source: Field, dirty: NDArray[np.int32], grid: Grid) -> None:
+    """Copy the dirty samples of a kept field."""
+    for strip in range(dirty.shape[0]):
+        start, stop = (
+            (strip * grid.rows + dirty[strip, 0]) * TILE,
+            (strip * grid.rows + dirty[strip, 1]) * TILE,
+        )
+        depth, value = field[0][start:stop], field[1][start:stop]
+        old_depth, old_value = source[0][start:stop], source[1][start:stop]
+        for k in range(stop - start):
+            depth[k] = old_depth[k]
+            value[k] = old_value[k]
+
+
+@njit(error_model="numpy")
+def _average(
+    value: NDArray[np.int32],
+    dirty: NDArray[np.int32],
+    grid: Grid,
+    width: int,
+    out: NDArray[np.uint8],
+) -> None:
+    """Average the samples of the dirty pixels into a picture (H * W * 3,)."""
+    samples = np.int32(grid.mask + 1)
+    power = np.int32(samples >> 1)  # 1 is 2 ** 0, and 4 is 2 ** 2
+    height = np.int32(out.shape[0] // (3 * width))
+    half = np.int32(samples >> 1)
+    for strip in range(grid.strips):
+        for j in range(dirty[strip, 0] >> power, min(dirty[strip, 1] >> power, height)):
+            first = (strip * grid.rows + j * samples) * TILE
+            pixel = (j * width + strip * TILE) * 3
+            for lane in range(min(TILE, width - strip * TILE)):
+                # Red and blue are summed in one integer, sixteen bits apart.
+                outer, green = np.int32(half | half << 16), half
+                for s in range(samples):
+                    packed = value[first + s * TILE + lane]
+                    outer += packed & np.int32(0xFF00FF)
+                    green += (packed >> np.int32(8)) & np.int32(0xFF)
+                out[pixel + 3 * lane] = (outer >> power) & 0xFF
+                out[pixel + 3 * lane + 1] = green >> power
+                out[pixel + 3 * lane + 2] = outer >> (power + 16)
 
 
 @njit(error_model="numpy", nogil=True, cache=True)
@@ -80,14 +158,10 @@ def render_range(
     rgba: NDArray[np.float32],
     views: NDArray[np.float32],
     lamps: NDArray[np.float32],
-    look: Look,
-    fixed: NDArray[np.int32],
-    moving: NDArray[np.int32],
-    own_rgba: NDArray[np.float32],
-    cached: Planes,
     grid: Grid,
-    background: np.int32,
-    planes: Planes,
+    scenery: Scenery,
+    scratch: Scratch,
+    ids: bool,
     out: NDArray[np.uint8],
 ) -> None:
     """Draw environments start .. stop - 1.
@@ -97,31 +171,45 @@ def render_range(
         stop: one past the last.
         positions: (n, G, 3) world positions of geoms.
         matrices: (n, G, 9) row-major rotations from geom to world.
-        rgba: (n or 1, G, 4) float32; alpha 0 hides.
-        views: (n or 1, 12) float32 cameras; with one for all, the cached picture serves.
-        lamps: (n or 1, 4, 3) float32, as in ``Tables.lamps``; likewise.
-        look: kind (G,), size (G, 3) and glow (G,).
-        fixed: ids of geoms in the cached picture.
-        moving: ids of the others.
-        own_rgba: (G, 4) the colours of the cached picture.
-        cached: planes of the cached picture.
-        grid: as in ``draw_geom``.
-        background: packed colour where nothing is.
-        planes: planes to draw in.
-        out: (n, H, W, 3) uint8.
+        rgba: (n or 1, G, 4); alpha 0 hides.
+        views: (n or 1, 12) cameras; with one for all, the kept picture of fixed geoms serves.
+        lamps: (n or 1, 12) as ``Tables.lamps``; likewise.
+        grid: the samples.
+        scenery: what all environments share.
+        scratch: what to draw in; the last environment's samples stay there.
+        ids: write geom ids instead of colours, and no picture.
+        out: (n, H, W, 3) pictures to write; with ``ids`` untouched.
     """
-    shared = (views.shape[0] == 1) & (lamps.shape[0] == 1)
+    field, dirty = scratch.field, scratch.dirty
+    size = scenery.nothing.shape[0]
+    shared = (views.shape[0] == 1) & (lamps.shape[0] == 1) & (not ids)
     for e in range(start, stop):
         colours = rgba[min(e, rgba.shape[0] - 1)]
         view, light = views[min(e, views.shape[0] - 1)], lamps[min(e, lamps.shape[0] - 1)]
-        if shared and _as_cached(fixed, colours, own_rgba):
-            planes[0][:] = cached[0]
-            planes[1][:] = cached[1]
-            planes[2][:] = cached[2]
-        else:
-            planes[0][:] = FAR
-            planes[1][:] = -1
-            planes[2][:] = background
-            draw_list(fixed, positions[e], matrices[e], colours, view, light, look, grid, planes)
-        draw_list(moving, positions[e], matrices[e], colours, view, light, look, grid, planes)
-        unpack(planes[2], out[e])
+        keeps = shared and _as_fixed(scenery, colours)
+        dirty[:, 0] = grid.rows
+        dirty[:, 1] = 0
+        count = 0
+        if not keeps:
+            count = _prepare_list(
+                scenery.fixed, positions[e], matrices[e], colours, view, light, grid, scenery,
+                scratch, count,
+            )  # fmt: skip
+        count = _prepare_list(
+            scenery.moving, positions[e], matrices[e], colours, view, light, grid, scenery,
+            scratch, count,
+        )  # fmt: skip
+        source = scenery.backdrop if keeps else scenery.empty
+        if ids:
+            dirty[:, 0] = 0
+            dirty[:, 1] = grid.rows
+        _begin(field, source, dirty, grid)
+        if ids:
+            field[1][:] = -1
+        for i in range(count):
+            fill(scratch.record[i], scratch.extent[i], grid, field, ids)
+        if not ids:
+            picture, kept = out[e].reshape(size), scenery.picture if keeps else scenery.nothing
+            for i in range(size):
+                picture[i] = kept[i]
+            _average(field[1], dirty, grid, out.shape[2], picture)

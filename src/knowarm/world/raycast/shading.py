@@ -7,32 +7,34 @@ The headlight is directional, along the camera's view, so every light here is a 
 
 import numpy as np
 
-from knowarm.world.raycast.numeric import HALF, ONE, ZERO, Vector, dot, scalar
+from knowarm.world.raycast.numeric import HALF, ZERO, Vector, dot, scalar
 
 FULL = np.float32(255)
 
 Paint = tuple[Vector, Vector, Vector]
-"""Colour of a geom where no light shines, and what each of the two lights adds to it, 0 to 1."""
+"""Colour without light, plus a half, and what each of the two lights adds to it, 0 to 255."""
 
 
 @scalar
 def paint(rgb: Vector, glow: np.float32, lamps: tuple[Vector, Vector, Vector]) -> Paint:
     """Multiply a geom's colour with the light: the sum of ambients, and two diffuse colours."""
     ambient, first, second = lamps
+    r, g, b = rgb[0] * FULL, rgb[1] * FULL, rgb[2] * FULL
     return (
-        (rgb[0] * (ambient[0] + glow), rgb[1] * (ambient[1] + glow), rgb[2] * (ambient[2] + glow)),
-        (rgb[0] * first[0], rgb[1] * first[1], rgb[2] * first[2]),
-        (rgb[0] * second[0], rgb[1] * second[1], rgb[2] * second[2]),
+        (
+            r * (ambient[0] + glow) + HALF,
+            g * (ambient[1] + glow) + HALF,
+            b * (ambient[2] + glow) + HALF,
+        ),
+        (r * first[0], g * first[1], b * first[2]),
+        (r * second[0], g * second[1], b * second[2]),
     )
 
 
 @scalar
-def pack(red: np.float32, green: np.float32, blue: np.float32) -> np.int32:
-    """Put a colour of 0 to 1 a channel (more is clipped) into one integer, red lowest."""
-    r = np.int32(min(red, ONE) * FULL + HALF)
-    g = np.int32(min(green, ONE) * FULL + HALF)
-    b = np.int32(min(blue, ONE) * FULL + HALF)
-    return np.int32(r | (g << np.int32(8)) | (b << np.int32(16)))
+def _channel(value: np.float32) -> np.int32:
+    """Round down to a byte; the half that rounds to the nearest is in the paint already."""
+    return np.int32(min(value, FULL))
 
 
 @scalar
@@ -40,8 +42,7 @@ def shade(normal: Vector, first: Vector, second: Vector, colours: Paint) -> np.i
     """Light a surface. Normal and the unit vectors towards both lights share one frame."""
     dark, head, sun = colours
     a, b = max(dot(normal, first), ZERO), max(dot(normal, second), ZERO)
-    return pack(
-        dark[0] + a * head[0] + b * sun[0],
-        dark[1] + a * head[1] + b * sun[1],
-        dark[2] + a * head[2] + b * sun[2],
-    )
+    red = _channel(dark[0] + a * head[0] + b * sun[0])
+    green = _channel(dark[1] + a * head[1] + b * sun[1])
+    blue = _channel(dark[2] + a * head[2] + b * sun[2])
+    return np.int32(red | np.int32(green << np.int32(8)) | np.int32(blue << np.int32(16)))

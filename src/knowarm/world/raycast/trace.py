@@ -1,4 +1,4 @@
-"""Planes that were drawn go in; geom ids, distances and normals of the pixels come out."""
+"""Geom ids and depths that were drawn go in; distances and normals of the pixels come out too."""
 
 import math
 
@@ -7,17 +7,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from knowarm.world.raycast import geometry
-from knowarm.world.raycast.numeric import (
-    Grid,
-    Look,
-    Planes,
-    Vector,
-    dot,
-    scalar,
-    to_local,
-    to_parent,
-)
-from knowarm.world.raycast.render import nine, triple
+from knowarm.world.raycast.fill import Field
+from knowarm.world.raycast.grid import BITS, TILE, Grid, sample_point
+from knowarm.world.raycast.numeric import ONE, Vector, dot, scalar, to_local, to_parent
+from knowarm.world.raycast.prepare import nine, triple
+from knowarm.world.raycast.render import Scenery
 from knowarm.world.raycast.tables import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 
 
@@ -40,47 +34,46 @@ def meet_geom(
 
 
 @njit(error_model="numpy", nogil=True, cache=True)
-def trace_planes(
-    planes: Planes,
-    positions: NDArray[np.float32],
-    matrices: NDArray[np.float32],
+def trace_field(
+    field: Field,
+    position: NDArray[np.float32],
+    matrix: NDArray[np.float32],
     view: NDArray[np.float32],
-    look: Look,
+    scenery: Scenery,
     grid: Grid,
     geom: NDArray[np.int32],
     distance: NDArray[np.float32],
     normal: NDArray[np.float32],
 ) -> None:
-    """Write what the planes of one environment show.
+    """Write what one environment's samples show, one sample a pixel.
 
     Args:
-        planes: depth, owner and colour, as drawn.
-        positions: (G, 3) world positions.
-        matrices: (G, 9) rotations from geom to world.
+        field: depths and geom ids, as drawn.
+        position: (G, 3) world positions.
+        matrix: (G, 9) rotations from geom to world.
         view: (12,) camera.
-        look: kind, size and glow of the geoms.
-        grid: picture coordinates of the first pixel, and a pixel's size.
-        geom: (H, W) to write ids into.
-        distance: (H, W) to write distances [m] into.
-        normal: (H, W, 3) to write world normals into.
+        scenery: what all environments share.
+        grid: the samples.
+        geom: (H, W) to write ids into, -1 for none.
+        distance: (H, W) to write distances [m] into, -1 for none.
+        normal: (H, W, 3) to write world normals into, 0 for none.
     """
-    left, top, pixel = grid
-    eye = (view[0], view[1], view[2])
-    camera = (
-        view[3], view[4], view[5], view[6], view[7], view[8], view[9], view[10], view[11],
-    )  # fmt: skip
+    camera = nine(view, 3)
     for j in range(geom.shape[0]):
         for i in range(geom.shape[1]):
-            g = planes[1][j, i]
+            place = ((i >> BITS) * grid.rows + j) * TILE + (i & (TILE - 1))
+            g = field[1][place]
             geom[j, i] = g
             distance[j, i] = -1
             normal[j, i] = 0
             if g < 0:
                 continue
-            ray = (left + np.float32(i) * pixel, top - np.float32(j) * pixel, np.float32(-1))
-            distance[j, i] = planes[0][j, i] * math.sqrt(dot(ray, ray))
-            p, matrix = triple(positions, g), nine(matrices, g)
-            origin = to_local(matrix, (eye[0] - p[0], eye[1] - p[1], eye[2] - p[2]))
-            direction = to_local(matrix, to_parent(camera, ray))
-            n = to_parent(matrix, meet_geom(look[0][g], origin, direction, triple(look[1], g))[1])
-            normal[j, i, 0], normal[j, i, 1], normal[j, i, 2] = n[0], n[1], n[2]
+            x, y = sample_point(np.int32(i), np.int32(j), grid)
+            ray = (x, y, -ONE)
+            distance[j, i] = field[0][place] * math.sqrt(dot(ray, ray))
+            p, m = triple(position[g], 0), nine(matrix[g], 0)
+            origin = to_local(m, (view[0] - p[0], view[1] - p[1], view[2] - p[2]))
+            direction = to_local(m, to_parent(camera, ray))
+            size = triple(scenery.size[g], 0)
+            n = to_parent(m, meet_geom(scenery.kind[g], origin, direction, size)[1])
+            normal[j, i, 0], normal[j, i, 1], normal[j, i, 2] = n
