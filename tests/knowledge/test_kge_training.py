@@ -1,4 +1,7 @@
 import json
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -213,3 +216,20 @@ def test_metrics_agree_with_pykeen():
         expected = result.get_metric(f"{side}.realistic.inverse_harmonic_mean_rank")
         assert mrr == pytest.approx(expected, rel=1e-5)
     assert found.hits_at(10) == pytest.approx(result.get_metric("both.realistic.hits_at_10"))
+
+
+@pytest.mark.slow
+def test_graph_embeddings_are_the_same_in_any_process():
+    code = (
+        "import hashlib; from knowarm.knowledge import KNOWLEDGE, scene_embedding\n"
+        "e = scene_embedding(KNOWLEDGE['analogy'], [('mug', 'red'), ('bottle', 'yellow')])\n"
+        "print(hashlib.sha256(e.vector.tobytes()).hexdigest())\n"
+    )
+
+    def run(seed):
+        env = {**os.environ, "PYTHONHASHSEED": seed}
+        done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    assert run("1") == run("4242")

@@ -25,7 +25,7 @@ _SKIP = re.compile(r"[ \t]*(?:#.*)?")
 
 
 def read_ntriples(path: Path) -> KnowledgeGraph:
-    """Read N-Triples (.nt, also packed), about 300,000 triples a second.
+    """Read N-Triples (.nt, also packed), some 200,000 triples a second of CPU time.
 
     Labels (rdfs:label, skos:prefLabel) become labels, as with the other RDF formats.
 
