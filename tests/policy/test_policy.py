@@ -75,6 +75,26 @@ def test_every_live_parameter_gets_a_gradient(fusion):
         assert parameter.grad.abs().sum() > 0, name
 
 
+def test_bfloat16_products_give_nearly_the_same_numbers_and_gradients():
+    image, knowledge, start = inputs()
+    results = {}
+    for precision in ("float32", "bfloat16"):
+        policy = Policy(config("before_lstm", pixel_shift=0.5, actor_gain=1.0), seed=1)
+        policy.precision = precision
+        state = policy.initial_state(B)
+        logits, values, last = policy.unroll(image, knowledge, state, start)
+        one, _, _ = policy.step(image[0], knowledge[0], state, start[0])
+        torch.testing.assert_close(one, logits[0], atol=2e-2, rtol=0)
+        assert logits.dtype == values.dtype == last[0].dtype == torch.float32
+        (logits.square().sum() + values.square().sum()).backward()
+        gradient = torch.cat([p.grad.flatten() for p in policy.parameters()])
+        results[precision] = logits.detach(), values.detach(), gradient
+    for exact, low in zip(*results.values(), strict=True):
+        assert not torch.equal(exact, low)
+        similarity = torch.cosine_similarity(exact.flatten(), low.flatten(), dim=0)
+        assert similarity > 0.999
+
+
 @pytest.mark.parametrize("fusion", USED)
 def test_knowledge_reaches_what_the_fusion_promises(fusion):
     policy = Policy(config(fusion, actor_gain=1.0))
@@ -95,9 +115,10 @@ def test_without_fusion_knowledge_changes_nothing():
 
 
 def test_pixels_are_scaled_and_shifted():
-    policy = Policy(config("none", pixel_shift=0.5))
+    policy = Policy(config("none", pixel_shift=0.5, pixel_scale=3.0))
     image = inputs()[0][0]
-    pixels = image.permute(0, 3, 1, 2).float() / 255 - 0.5
+    pixels = image.permute(0, 3, 1, 2).float() / 255
+    pixels = 3 * (pixels - 0.5)
     expected = policy.encoder.conv2(torch.relu(policy.encoder.conv1(pixels))).relu()
     expected = expected.permute(0, 2, 3, 1).flatten(1)
     torch.testing.assert_close(policy.encoder(image), expected)

@@ -68,6 +68,10 @@ class PPOConfig:
     target_kl: float | None = None
     """Stop the passes over a rollout when the policy has moved this far [nat]; None never."""
 
+    precision: Literal["auto", "float32", "bfloat16"] = "auto"
+    """Of the products in encoder and LSTM while training: ``auto`` takes bfloat16 where the
+    processor computes it, else float32. Parameters, cell, heads and losses are float32 always."""
+
     threads: int | None = None
     """PyTorch threads; None takes one a core."""
 

@@ -15,6 +15,7 @@ from knowarm.learn.config import PPOConfig
 from knowarm.learn.environment import VectorEnvironment
 from knowarm.learn.guards import FiniteGuard, HealthMonitor
 from knowarm.learn.losses import PPOLossTerms, ppo_loss
+from knowarm.learn.precision import resolve_precision
 from knowarm.learn.returns import advantages
 from knowarm.learn.rollout import Rollout
 from knowarm.learn.schedule import step_size
@@ -37,6 +38,11 @@ class PPOTrainer:
         checkpoints: where checkpoints go; None keeps none.
         checkpoint_every: steps between two checkpoints.
         failure_folder: where a batch with a NaN is saved; None saves nothing.
+
+    Attributes:
+        step: environment steps taken so far.
+        best: the best interim evaluation so far.
+        precision: what ``config.precision`` means on this machine.
     """
 
     def __init__(
@@ -62,6 +68,7 @@ class PPOTrainer:
         self.policy = policy
         self.step = 0
         self.best = Best()
+        self.precision = resolve_precision(config.precision)
         self._hooks = hooks or Hooks()
         self._evaluate = evaluate
         self._evaluate_every = evaluate_every
@@ -100,7 +107,9 @@ class PPOTrainer:
                 reason = "stopped"
                 break
             before, start = self.step, time.perf_counter()
+            self.policy.precision = self.precision
             metrics = self._update(total_steps)
+            self.policy.precision = "float32"
             now = time.perf_counter()
             self._hooks.on_metrics(
                 {

@@ -25,9 +25,8 @@ class SB3VecEnv(VecEnv):
     """
 
     def __init__(self, env: VectorEnv[Any, Any, Any], *, seed: int | None = None) -> None:
-        self.render_mode = env.render_mode
+        self.env = env  # the constructor of VecEnv asks for its render_mode
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
-        self.env = env
         self._seed = seed
         self._actions = np.zeros(0)
 
@@ -80,4 +79,4 @@ class SB3VecEnv(VecEnv):
         return [False] * len(self._indices(indices))
 
     def _indices(self, indices: Any) -> Sequence[int]:
-        return list(self._get_indices(indices))
+        return range(self.env.num_envs) if indices is None else list(self._get_indices(indices))

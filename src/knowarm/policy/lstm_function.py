@@ -18,6 +18,9 @@ class MaskedLSTM(torch.autograd.Function):
     PyTorch's own kernel knows no masks inside a sequence, and a Python loop under autograd
     multiplies weight gradients T times. Here the backward pass computes every factor that does
     not depend on the recursion for all T at once, and each weight gradient as one product.
+
+    Matrix products take the type of ``projected`` (float32, or bfloat16 for speed); everything
+    else, the cell above all, stays in the type of ``weight_hh``.
     """
 
     @staticmethod
@@ -39,15 +42,21 @@ class MaskedLSTM(torch.autograd.Function):
         """
         steps, batch, _ = projected.shape
         size = weight_hh.shape[1]
-        gates = torch.empty_like(projected)
+        low, full = projected.dtype, weight_hh.dtype
+        gates = projected.to(full, copy=True)
         h_in = projected.new_empty(steps, batch, size)
-        c_in, c_tanh, hidden = (torch.empty_like(h_in) for _ in range(3))
-        recurrent = weight_hh.t()
+        c_in = torch.empty(steps, batch, size, dtype=full)
+        c_tanh, hidden = torch.empty_like(c_in), torch.empty_like(c_in)
+        weight = weight_hh.to(low)
+        recurrent = weight.t()
         for t in range(steps):
-            torch.mul(h, keep[t], out=h_in[t])
+            h_in[t] = h * keep[t]
             torch.mul(c, keep[t], out=c_in[t])
             gate = gates[t]
-            torch.addmm(projected[t], h_in[t], recurrent, out=gate)
+            if low == full:
+                gate.addmm_(h_in[t], recurrent)
+            else:
+                gate.add_(torch.mm(h_in[t], recurrent))
             gate[:, : 2 * size].sigmoid_()
             gate[:, 2 * size : 3 * size].tanh_()
             gate[:, 3 * size :].sigmoid_()
@@ -55,7 +64,7 @@ class MaskedLSTM(torch.autograd.Function):
             c = torch.addcmul(f * c_in[t], i, g)
             torch.tanh(c, out=c_tanh[t])
             h = torch.mul(o, c_tanh[t], out=hidden[t])
-        ctx.save_for_backward(gates, weight_hh, h_in, c_in, c_tanh, keep)
+        ctx.save_for_backward(gates, weight, h_in, c_in, c_tanh, keep)
         return hidden, h.clone(), c
 
     @staticmethod
@@ -63,7 +72,7 @@ class MaskedLSTM(torch.autograd.Function):
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, None]:
         """Return the gradients of all inputs but ``keep``."""
         d_hidden, dh, dc = grads
-        gates, weight_hh, h_in, c_in, c_tanh, keep = ctx.saved_tensors
+        gates, weight, h_in, c_in, c_tanh, keep = ctx.saved_tensors
         steps, batch, size = h_in.shape
         i, f, g, o = gates.view(steps, batch, 4, size).unbind(2)
         # d(gate before its nonlinearity) per d(cell), and for the output gate per d(hidden).
@@ -81,7 +90,8 @@ class MaskedLSTM(torch.autograd.Function):
             d_gate[:, :3].mul_(dc[:, None])
             d_gate[:, 3].mul_(dh)
             dc = dc * forget[t]
-            dh = torch.mm(d_gate.view(batch, 4 * size), weight_hh).mul_(keep[t])
-        d_projected = factor.view(steps, batch, 4 * size)
+            low = d_gate.view(batch, 4 * size).to(weight.dtype)
+            dh = torch.mm(low, weight).to(keep.dtype).mul_(keep[t])
+        d_projected = factor.view(steps, batch, 4 * size).to(weight.dtype)
         d_weight = d_projected.view(-1, 4 * size).t() @ h_in.view(-1, size)
-        return d_projected, d_weight, dh, dc, None
+        return d_projected, d_weight.to(keep.dtype), dh, dc, None

@@ -42,8 +42,8 @@ class Memory(nn.Module):
         """
         keep = (~episode_start).to(x.dtype)[:, None]
         h, c = state[0] * keep, state[1] * keep
-        gates = torch.addmm(self._project(x), h, self.weight_hh.t())
-        i, f, g, o = gates.chunk(4, 1)
+        gates = self._project(x) + F.linear(h, self.weight_hh)
+        i, f, g, o = gates.to(c.dtype).chunk(4, 1)
         c = torch.sigmoid(f) * c + torch.sigmoid(i) * torch.tanh(g)
         h = torch.sigmoid(o) * torch.tanh(c)
         return h, (h, c)

@@ -4,6 +4,8 @@ Dimension letters here and in `knowarm.learn`: T time, B batch, H height (of a p
 hidden size (of a state), W width, C colours, K knowledge, J joints, A levels of an action.
 """
 
+from typing import Literal
+
 import torch
 from torch import Tensor, nn
 
@@ -13,6 +15,8 @@ from knowarm.policy.fusion import FUSIONS
 from knowarm.policy.initialization import RELU_GAIN, orthogonal
 from knowarm.policy.memory import Memory, State
 
+Precision = Literal["float32", "bfloat16"]
+
 
 class Policy(nn.Module):
     """The paper's network (section 4.2.2): two convolutions, one layer, an LSTM, J + 1 heads.
@@ -20,12 +24,16 @@ class Policy(nn.Module):
     Args:
         config: sizes and the place where knowledge enters.
         seed: draws the weights; the same seed gives the same policy.
+
+    Attributes:
+        precision: of the products in encoder and memory; parameters, cell, heads and losses are
+            float32 always. "bfloat16" is for training on processors that have it in hardware.
     """
 
     def __init__(self, config: PolicyConfig, *, seed: int = 0) -> None:
         super().__init__()
         self.config = config
-        self.encoder = ImageEncoder(config.image_size, config.pixel_shift)
+        self.encoder = ImageEncoder(config.image_size, config.pixel_shift, config.pixel_scale)
         self.knowledge_encoder = (
             nn.Linear(config.knowledge_dim, config.encoded_width, bias=False)
             if config.knowledge_encoder == "learned" and config.fusion != "none"
@@ -38,6 +46,7 @@ class Policy(nn.Module):
             config.hidden_size + self.fusion.actor_growth, config.joints * config.levels
         )
         self.critic = nn.Linear(config.hidden_size + self.fusion.critic_growth, 1)
+        self.precision: Precision = "float32"
         self.reset_parameters(torch.Generator().manual_seed(seed))
 
     def reset_parameters(self, generator: torch.Generator) -> None:
@@ -73,7 +82,9 @@ class Policy(nn.Module):
             logits (B, J, A), values (B,), next state.
         """
         knowledge = self.knowledge_encoder(knowledge)
-        hidden, state = self.memory.step(self._features(image, knowledge), state, episode_start)
+        with self._products():
+            features = self._features(image, knowledge)
+            hidden, state = self.memory.step(features, state, episode_start)
         logits, value = self._heads(hidden, knowledge)
         return logits, value, state
 
@@ -93,8 +104,9 @@ class Policy(nn.Module):
         """
         steps, batch = episode_start.shape
         knowledge = self.knowledge_encoder(knowledge.flatten(0, 1))
-        features = self._features(image.flatten(0, 1), knowledge).view(steps, batch, -1)
-        hidden, state = self.memory.unroll(features, state, episode_start)
+        with self._products():
+            features = self._features(image.flatten(0, 1), knowledge).view(steps, batch, -1)
+            hidden, state = self.memory.unroll(features, state, episode_start)
         logits, value = self._heads(hidden.flatten(0, 1), knowledge)
         return logits.view(steps, batch, *logits.shape[1:]), value.view(steps, batch), state
 
@@ -112,6 +124,11 @@ class Policy(nn.Module):
             for name, modules in groups.items()
         }
         return {**counts, "total": sum(counts.values())}
+
+    def _products(self) -> torch.autocast:
+        """Context in which matrix products and convolutions have the policy's precision."""
+        low = self.precision == "bfloat16"
+        return torch.autocast("cpu", torch.bfloat16, enabled=low)
 
     def _features(self, image: Tensor, knowledge: Tensor) -> Tensor:
         """(N, H, W, C) and (N, K) -> inputs of the LSTM."""
