@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -6,6 +8,7 @@ from knowarm.experiment.evaluate import EvaluationConfig, evaluate
 from knowarm.experiment.evaluation_files import read_table
 from knowarm.experiment.film import read_film
 from knowarm.world.config import EnvConfig
+from knowarm.world.held_out import HeldOut
 from knowarm.world.scripted import RandomAgent, ZeroAgent
 
 ENV = EnvConfig(image_size=32, max_episode_steps=12, dynamics="kinematic")
@@ -86,16 +89,14 @@ def test_what_was_written_is_what_was_found(result, tmp_path):
 
 def test_agents_play_the_same_episodes_at_any_batch_size():
     one = evaluate(ZeroAgent(), ENV, SMALL)
-    other = evaluate(ZeroAgent(), ENV, EvaluationConfig(**{**vars(SMALL), "num_envs": 24}))
+    other = evaluate(ZeroAgent(), ENV, replace(SMALL, num_envs=24))
     for name in ("facet", "distance_m", "angle_deg", "return"):
         np.testing.assert_array_equal(one.episodes[name], other.episodes[name])
 
 
 def test_the_wider_angle_is_judged_as_if_it_had_been_played():
     narrow = evaluate(ZeroAgent(), ENV, SMALL_WIDE)
-    played = evaluate(
-        ZeroAgent(), ENV, EvaluationConfig(**{**vars(SMALL_WIDE), "angle_deg": 180.0})
-    )
+    played = evaluate(ZeroAgent(), ENV, replace(SMALL_WIDE, angle_deg=180.0))
     assert narrow.summary["success"] < narrow.summary["success_wide"]
     np.testing.assert_array_equal(narrow.episodes["success_wide"], played.episodes["success"])
 
@@ -114,3 +115,18 @@ def test_an_unwritable_place_is_named(result, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(UserError, match="Cannot write"):
         result.write(tmp_path / "file" / "evaluation")
+
+
+def test_held_out_colours_are_played_when_asked_for():
+    held_out = HeldOut(colours=("blue", "purple"))
+    env = replace(ENV, colours="randomized", held_out=held_out)
+    config = EvaluationConfig(episodes=30, num_envs=30, record_films=0)
+    seen = evaluate(ZeroAgent(), env, config).episodes["facet"]
+    asked = replace(config, held_out=True)
+    unseen = evaluate(ZeroAgent(), env, asked)
+    assert not {"mug/blue", "bottle/purple"} & set(seen)
+    assert {"mug/blue", "bottle/purple"} < set(unseen.episodes["facet"])
+    assert "mug/red" not in unseen.episodes["facet"]
+    assert unseen.summary["label"] == "post-training-greedy-held-out"
+    with pytest.raises(UserError, match="holds none out"):
+        evaluate(ZeroAgent(), ENV, asked)

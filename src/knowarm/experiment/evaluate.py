@@ -52,8 +52,12 @@ class EvaluationConfig:
     actions: Literal["greedy", "sampled"] = "greedy"
     """Whether the agent takes its most probable action or draws one."""
 
+    held_out: bool = False
+    """Play the colours and places that the run's environment held out of its training."""
+
     label: str | None = None
-    """Name of the folder the evaluation is kept in; None takes ``post-training-<actions>``."""
+    """Name of the folder the evaluation is kept in; None takes ``post-training-<actions>``, with
+    ``-held-out`` behind it where that is played."""
 
     record_steps: bool = True
     """Whether joint angles, actions, distances and angles of every step are kept."""
@@ -85,7 +89,9 @@ class EvaluationConfig:
     @property
     def folder(self) -> str:
         """Name of the folder the evaluation is kept in."""
-        return self.label or f"post-training-{self.actions}"
+        return self.label or (
+            f"post-training-{self.actions}" + ("-held-out" if self.held_out else "")
+        )
 
 
 @dataclass(frozen=True)
@@ -138,11 +144,23 @@ def evaluate(
         env_config: the task; its success thresholds are replaced by those of ``config``.
         config: what to play and how to judge.
         agent_name: goes into the summary.
+
+    Raises:
+        UserError: held-out episodes were asked for, and the environment holds none out.
     """
+    held_out = env_config.held_out
+    if config.held_out:
+        if held_out is None:
+            raise UserError(
+                "held_out asks for episodes that training never showed, and this environment "
+                "holds none out. Train with env.held_out, or leave held_out away."
+            )
+        held_out = dataclasses.replace(held_out, play="held_out")
     judged = dataclasses.replace(
         env_config,
         success_distance_m=config.distance_m,
         success_angle_deg=config.angle_deg,
+        held_out=held_out,
     )
     env = ReachVectorEnv(judged, min(config.num_envs, config.episodes))
     try:

@@ -240,3 +240,19 @@ def test_an_unwritable_place_is_refused(tmp_path):
         report(paths, tmp_path / "file" / "report.html")
     with pytest.raises(UserError, match=r"\.html"):
         report(paths, tmp_path / "report.pdf")
+
+
+def test_held_out_colours_are_shown_beside_and_never_instead(tmp_path):
+    paths = study(tmp_path, seeds=3)
+    generator = np.random.default_rng(0)
+    for path in paths:
+        if path.name == "0":  # more runs have the held-out evaluation than the usual one
+            shutil.rmtree(path / "evaluation" / LABEL)
+        folder = path / "evaluation" / f"{LABEL}-held-out"
+        write_evaluation(folder, "x", 0.3, env_of(), generator, LIGHT)
+    assert collect(paths).tasks[0].label == LABEL
+    report(paths, tmp_path / "report.html")
+    tables = json.loads((tmp_path / "report.json").read_text())["tables"]
+    rows = tables["elsewhere-irb120-fixed-colours-ppo"]["rows"]
+    assert [(row["agent"], row["seeds"]) for row in rows] == [("bm", 3), ("full", 3)]
+    assert rows[0]["difference_low"] < rows[0]["difference"] < rows[0]["difference_high"]

@@ -26,8 +26,8 @@ from knowarm.experiment.report.study.settings import (
 )
 
 PREFERRED_LABEL = "post-training-greedy"
-UNTRAINED, LATEST = "-untrained", "-latest"
-"""Ends of the labels of evaluations that are not of the best model."""
+UNTRAINED, LATEST, HELD_OUT = "-untrained", "-latest", "-held-out"
+"""Ends of the labels of evaluations that are not of the best model on the task it learned."""
 
 UNTRAINED_FIRST = {"bm": 0, "full": 1}
 """Whose untrained policies are shown: their networks differ in size."""
@@ -143,7 +143,7 @@ def untrained(runs: list[Run]) -> list[Reference]:
 def _label(runs: list[Run]) -> str | None:
     """The evaluation of the best model that most runs have; the greedy one among equals."""
     labels = (label for run in runs for label in run.judged)
-    counts = Counter(label for label in labels if not label.endswith((UNTRAINED, LATEST)))
+    counts = Counter(label for label in labels if not label.endswith((UNTRAINED, LATEST, HELD_OUT)))
     if not counts:
         return None
     return max(sorted(counts), key=lambda name: (counts[name], name == PREFERRED_LABEL))
