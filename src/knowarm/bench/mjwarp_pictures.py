@@ -68,8 +68,12 @@ class MjWarpPictures:
         geom_position: NDArray[np.float64],
         geom_matrix: NDArray[np.float64],
         geom_rgba: NDArray[np.float32],
+        views: NDArray[np.float32] | None = None,
+        lamps: NDArray[np.float32] | None = None,
     ) -> NDArray[np.uint8]:
         """Draw at most n pictures; see ``knowarm.world.pictures.Pictures.draw``."""
+        assert views is None
+        assert lamps is None
         count = len(geom_position)
         self._position[:count] = geom_position
         self._matrix[:count] = geom_matrix

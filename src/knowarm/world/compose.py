@@ -9,7 +9,7 @@ import numpy as np
 from knowarm.errors import UserError
 from knowarm.world.attach import ROBOT_PREFIX, attach_robot, attach_target
 from knowarm.world.robot import Robot
-from knowarm.world.surroundings import add_surroundings
+from knowarm.world.surroundings import add_distractors, add_surroundings
 from knowarm.world.target import Target
 
 CONTROL_PERIOD_S = 0.1
@@ -19,7 +19,7 @@ SUBSTEPS = 5
 """Physics steps in a control period."""
 
 
-def compose(robot: Robot, targets: Sequence[Target]) -> mujoco.MjSpec:
+def compose(robot: Robot, targets: Sequence[Target], distractors: int = 0) -> mujoco.MjSpec:
     """Write the scene: floor, table, lights, camera, robot with servos, targets as mocap bodies.
 
     Every robot body is gravity compensated. Contacts exist between robot and support only.
@@ -36,6 +36,7 @@ def compose(robot: Robot, targets: Sequence[Target]) -> mujoco.MjSpec:
     attach_robot(spec, robot)
     for target in targets:
         attach_target(spec, robot, target)
+    add_distractors(spec, robot, distractors)
     _add_servos(spec, robot)
     return spec
 

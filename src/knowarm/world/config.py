@@ -1,9 +1,11 @@
 """What a user sets about the task goes in, checked; every part of the world reads it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from knowarm.errors import UserError
+from knowarm.world.held_out import HeldOut
+from knowarm.world.visual_randomization import VisualRandomization
 
 MAX_IMAGE_SIZE = 4096
 
@@ -47,6 +49,12 @@ class EnvConfig:
 
     antialiasing: bool = True
     """Average several rays where a pixel holds an edge (ray caster only)."""
+
+    randomization: VisualRandomization = field(default_factory=VisualRandomization)
+    """What varies in the picture besides the paper's colours: all off by default."""
+
+    held_out: HeldOut | None = None
+    """Colours and places kept for a test of generalization; None keeps none."""
 
     def __post_init__(self) -> None:
         _one_of("colours", self.colours, ("fixed", "randomized"))

@@ -12,6 +12,7 @@ from knowarm.errors import UserError
 from knowarm.world.appearance import resting_colours, show_targets
 from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import Episodes, draw_episodes
+from knowarm.world.looks import looks
 from knowarm.world.pictures import Pictures, make_pictures
 from knowarm.world.rewards import is_success, measure, reward_terms
 from knowarm.world.scene import Scene, load_scene, target_places
@@ -66,7 +67,9 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
             "render_fps": 10,
             "autoreset_mode": autoreset,
         }
-        self.scene: Scene = load_scene(config.robot, tuple(config.targets))
+        self.scene: Scene = load_scene(
+            config.robot, tuple(config.targets), config.randomization.distractors
+        )
         self.simulation = Simulation(self.scene, num_envs, num_threads, config.dynamics)
         self.pictures: Pictures = make_pictures(self.scene, config, config.image_size, num_threads)
         self._large_pictures: Pictures | None = None
@@ -92,9 +95,13 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
         self._target = np.zeros(n, dtype=np.int64)
         self._colour = np.zeros(n, dtype=np.int64)
         self._position = np.zeros((n, 2))
+        self._look = np.zeros((n, config.randomization.draws))
+        self._views: NDArray[np.float32] | None = None
+        self._lamps: NDArray[np.float32] | None = None
         self._grasp_position = np.zeros((n, 3))
         self._grasp_matrix = np.zeros((n, 9))
         self._geom_rgba = resting_colours(self.scene, n)
+        draw_episodes(self.scene, config, self._streams[:1], self._next_episode[:1])  # checks it
         self._show(np.arange(n))
         self._measure()
 
@@ -244,7 +251,11 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
         simulation = self.simulation
         return tuple(
             self._large_pictures.draw(
-                simulation.geom_position, simulation.geom_matrix, self._geom_rgba
+                simulation.geom_position,
+                simulation.geom_matrix,
+                self._geom_rgba,
+                self._views,
+                self._lamps,
             )
         )
 
@@ -292,18 +303,37 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
         self._target[ids] = episodes.target
         self._colour[ids] = episodes.colour
         self._position[ids] = episodes.position
+        self._look[ids] = self._fitting_look(episodes)
         self._steps[ids] = 0
         self._ended[ids] = False
-        self._show(ids)
-        self.simulation.reset(ids, joints, episodes.position)
+        distractors = self._show(ids)
+        self.simulation.reset(ids, joints, episodes.position, distractors)
 
-    def _show(self, ids: NDArray[np.intp]) -> None:
-        """Bring grasp frames and colours in line with the episodes' targets."""
+    def _fitting_look(self, episodes: Episodes) -> NDArray[np.float64]:
+        if episodes.look.shape[1] != self.config.randomization.draws:
+            raise UserError(
+                f"The episodes hold {episodes.look.shape[1]} draws of visual randomization, this "
+                f"environment needs {self.config.randomization.draws}: draw them with its config."
+            )
+        return episodes.look
+
+    def _show(self, ids: NDArray[np.intp]) -> NDArray[np.float64] | None:
+        """Bring grasp frames and looks in line with the episodes; places of distractors."""
         scene, target = self.scene, self._target[ids]
         places = target_places(scene, self._position[ids])
         self._grasp_position[ids] = places + scene.grasp_position[target]
         self._grasp_matrix[ids] = scene.grasp_matrix[target].reshape(-1, 9)
         show_targets(scene, self._geom_rgba, ids, target, self._colour[ids])
+        if not self.config.randomization.draws:
+            return None
+        look = looks(scene, self.config.randomization, self._look[ids], self._position[ids])
+        self._views = _updated(self._views, ids, look.views, self.num_envs)
+        self._lamps = _updated(self._lamps, ids, look.lamps, self.num_envs)
+        if look.surface_rgb is not None:
+            self._geom_rgba[ids[:, None], list(scene.surface_geoms), :3] = look.surface_rgb
+        if len(scene.distractor_geoms):
+            self._geom_rgba[ids[:, None], scene.distractor_geoms, :3] = look.distractor_rgb
+        return look.distractor_position
 
     def _move(self, actions: NDArray[np.int64]) -> None:
         """Add the increments to the joint targets and follow them for one control period."""
@@ -336,7 +366,11 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
     def _draw_pictures(self, ids: NDArray[np.intp] | slice = slice(None)) -> NDArray[np.uint8]:
         simulation = self.simulation
         return self.pictures.draw(
-            simulation.geom_position[ids], simulation.geom_matrix[ids], self._geom_rgba[ids]
+            simulation.geom_position[ids],
+            simulation.geom_matrix[ids],
+            self._geom_rgba[ids],
+            None if self._views is None else self._views[ids],
+            None if self._lamps is None else self._lamps[ids],
         )
 
     def _infos(self) -> dict[str, Any]:
@@ -423,8 +457,24 @@ _STATE = (
     "target",
     "colour",
     "position",
+    "look",
 )
 """Arrays of ``ReachVectorEnv`` that, with the simulation's state, determine everything else."""
+
+
+def _updated(
+    array: NDArray[np.float32] | None,
+    ids: NDArray[np.intp],
+    values: NDArray[np.float32] | None,
+    count: int,
+) -> NDArray[np.float32] | None:
+    """Write values (k, ...) at ids into an array (n, ...) that is made when first needed."""
+    if values is None:
+        return None
+    if array is None:
+        array = np.zeros((count, *values.shape[1:]), dtype=np.float32)
+    array[ids] = values
+    return array
 
 
 def _facets(

@@ -98,7 +98,9 @@ class InverseKinematics:
         n, joints = start.shape
         lower, upper = self.scene.joint_lower, self.scene.joint_upper
         generator = np.random.default_rng(seed)
-        q = generator.uniform(lower, upper, (self._starts, n, joints))
+        # The same random starts for every pose: a result depends on its pose alone.
+        starts = generator.uniform(lower, upper, (self._starts, 1, joints))
+        q = np.repeat(starts, n, axis=1)
         q[0] = start
         if self._starts > 1:
             q[1] = self.scene.home

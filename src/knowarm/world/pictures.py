@@ -22,6 +22,8 @@ class Pictures(Protocol):
         geom_position: NDArray[np.float64],
         geom_matrix: NDArray[np.float64],
         geom_rgba: NDArray[np.float32],
+        views: NDArray[np.float32] | None = None,
+        lamps: NDArray[np.float32] | None = None,
     ) -> NDArray[np.uint8]:
         """Draw n pictures.
 
@@ -29,6 +31,10 @@ class Pictures(Protocol):
             geom_position: (n, G, 3) [m], world.
             geom_matrix: (n, G, 9), rotation from geom to world.
             geom_rgba: (n, G, 4) in 0..1; alpha 0 hides a geom.
+            views: position [m] and row-major rotation of each camera, (n, 12); None for the
+                model's.
+            lamps: sum of ambient colours, headlight's and sun's diffuse colours, direction
+                towards the sun, (n, 4, 3); None for the model's.
 
         Returns:
             (n, H, W, 3) uint8 RGB, a new array.
@@ -58,6 +64,7 @@ class RaycastPictures:
             scene.camera,
             size,
             size,
+            antialiasing=antialiasing,
             num_threads=num_threads or len(os.sched_getaffinity(0)),
         )
         self._size = size
@@ -67,10 +74,14 @@ class RaycastPictures:
         geom_position: NDArray[np.float64],
         geom_matrix: NDArray[np.float64],
         geom_rgba: NDArray[np.float32],
+        views: NDArray[np.float32] | None = None,
+        lamps: NDArray[np.float32] | None = None,
     ) -> NDArray[np.uint8]:
         """Draw n pictures; see ``Pictures.draw``."""
         out = np.empty((len(geom_position), self._size, self._size, 3), dtype=np.uint8)
-        return self._caster.render(geom_position, geom_matrix, geom_rgba, out)
+        return self._caster.render(
+            geom_position, geom_matrix, geom_rgba, out, views=views, lamps=lamps
+        )
 
 
 class OpenGLPictures:
@@ -101,13 +112,28 @@ class OpenGLPictures:
         geom_position: NDArray[np.float64],
         geom_matrix: NDArray[np.float64],
         geom_rgba: NDArray[np.float32],
+        views: NDArray[np.float32] | None = None,
+        lamps: NDArray[np.float32] | None = None,
     ) -> NDArray[np.uint8]:
         """Draw n pictures; see ``Pictures.draw``."""
         pictures = []
-        for position, matrix, rgba in zip(geom_position, geom_matrix, geom_rgba, strict=True):
-            self._data.geom_xpos[:] = position
-            self._data.geom_xmat[:] = matrix
-            self._model.geom_rgba[:] = rgba
+        for i in range(len(geom_position)):
+            self._data.geom_xpos[:] = geom_position[i]
+            self._data.geom_xmat[:] = geom_matrix[i]
+            self._model.geom_rgba[:] = geom_rgba[i]
+            if views is not None:
+                self._data.cam_xpos[self._camera] = views[i, :3]
+                self._data.cam_xmat[self._camera] = views[i, 3:]
+            if lamps is not None:
+                self._light(lamps[i])
             self._renderer.update_scene(self._data, camera=self._camera)
             pictures.append(self._renderer.render())
         return np.stack(pictures)
+
+    def _light(self, lamps: NDArray[np.float32]) -> None:
+        """Set the headlight and the sun to lamps (4, 3)."""
+        head = self._model.vis.headlight
+        head.ambient[:], head.diffuse[:] = lamps[0], lamps[1]
+        self._model.light_ambient[:] = 0
+        self._model.light_diffuse[0] = lamps[2]
+        self._data.light_xdir[0] = -lamps[3]

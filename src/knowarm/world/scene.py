@@ -16,7 +16,7 @@ from knowarm.world.description_file import SUFFIX, read_robot, read_target
 from knowarm.world.objects import TARGETS
 from knowarm.world.robot import Robot
 from knowarm.world.robots import ROBOTS
-from knowarm.world.surroundings import CAMERA
+from knowarm.world.surroundings import CAMERA, DISTRACTOR
 from knowarm.world.target import Target
 
 ENDLESS_RANGE_RAD = (-2 * np.pi, 2 * np.pi)
@@ -51,6 +51,12 @@ class Scene:
     camera: int
     """Id of the policy's camera."""
 
+    camera_position: NDArray[np.float64] = field(repr=False)
+    """Where the camera is, world [m], (3,)."""
+
+    camera_matrix: NDArray[np.float64] = field(repr=False)
+    """Rotation from camera (x right, y up, z backward) to world, (3, 3)."""
+
     geom_target: NDArray[np.intp] = field(repr=False)
     """Index of the target each geom belongs to, -1 for none, (G,)."""
 
@@ -62,6 +68,15 @@ class Scene:
 
     colour_count: NDArray[np.intp] = field(repr=False)
     """Number of colours of each target, (K,)."""
+
+    surface_geoms: tuple[int, ...]
+    """Ids of the floor and, where there is one, the table top."""
+
+    distractor_geoms: NDArray[np.intp] = field(repr=False)
+    """Ids of the distractors' geoms, (D,)."""
+
+    distractor_mocap: NDArray[np.intp] = field(repr=False)
+    """Index in the mocap arrays of each distractor, (D,)."""
 
     target_mocap: NDArray[np.intp] = field(repr=False)
     """Index in the mocap arrays of each target, (K,)."""
@@ -114,19 +129,19 @@ def find_targets(names: Sequence[str]) -> tuple[Target, ...]:
 
 
 @lru_cache(maxsize=16)
-def load_scene(robot: str, targets: tuple[str, ...]) -> Scene:
+def load_scene(robot: str, targets: tuple[str, ...], distractors: int = 0) -> Scene:
     """Build the scene of a named robot and named targets, once a process."""
-    return build_scene(find_robot(robot), find_targets(targets))
+    return build_scene(find_robot(robot), find_targets(targets), distractors)
 
 
-def build_scene(robot: Robot, targets: Sequence[Target]) -> Scene:
+def build_scene(robot: Robot, targets: Sequence[Target], distractors: int = 0) -> Scene:
     """Compose and compile the scene, and find every joint, site and geom in it.
 
     Raises:
         UserError: an MJCF does not compile, a named joint, site or geom is missing, a joint has no
             range, or a target can stand outside the picture.
     """
-    model = compose(robot, targets).compile()
+    model = compose(robot, targets, distractors).compile()
     joint_ids = [model.joint(ROBOT_PREFIX + name).id for name in robot.joints]
     endless = model.jnt_limited[joint_ids] == 0
     lower, upper = np.where(
@@ -154,7 +169,13 @@ def build_scene(robot: Robot, targets: Sequence[Target]) -> Scene:
                 geom_target[g] = k
                 geom_coloured[g] = name.removeprefix(f"{target.name}/") in target.coloured_geoms
 
-    grasp_position, grasp_matrix = _grasp_frames(model, robot, targets)
+    surfaces = ["floor", "table"] if robot.table else ["floor"]
+    others = [f"{DISTRACTOR}{i}" for i in range(distractors)]
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_camlight(model, data)
+    camera = model.camera(CAMERA).id
+    grasp_position, grasp_matrix = _grasp_frames(data, targets)
     scene = Scene(
         model=model,
         robot=robot,
@@ -164,11 +185,16 @@ def build_scene(robot: Robot, targets: Sequence[Target]) -> Scene:
         joint_upper=upper,
         home=home,
         tcp_site=model.site(ROBOT_PREFIX + robot.tcp_site).id,
-        camera=model.camera(CAMERA).id,
+        camera=camera,
+        camera_position=data.cam_xpos[camera].copy(),
+        camera_matrix=data.cam_xmat[camera].reshape(3, 3).copy(),
         geom_target=geom_target,
         geom_coloured=geom_coloured,
         target_colours=colours,
         colour_count=np.array([len(target.colours) for target in targets], dtype=np.intp),
+        surface_geoms=tuple(model.geom(name).id for name in surfaces),
+        distractor_geoms=np.array([model.geom(name).id for name in others], dtype=np.intp),
+        distractor_mocap=np.array([model.body(name).mocapid[0] for name in others], dtype=np.intp),
         target_mocap=_target_mocap(model, targets),
         grasp_position=grasp_position,
         grasp_matrix=grasp_matrix,
@@ -190,21 +216,17 @@ def project(scene: Scene, points: NDArray[np.float64]) -> NDArray[np.float64]:
         (n, 2): right and up from the middle of the picture, in half picture widths: inside is
         -1 to 1. Points behind the camera come out as NaN.
     """
-    model, data = scene.model, mujoco.MjData(scene.model)
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_camlight(model, data)
-    local = (points - data.cam_xpos[scene.camera]) @ data.cam_xmat[scene.camera].reshape(3, 3)
+    local = (points - scene.camera_position) @ scene.camera_matrix
     depth = np.where(local[:, 2:] < 0, -local[:, 2:], np.nan)
-    half_height = np.tan(np.radians(model.cam_fovy[scene.camera]) / 2)
+    half_height = np.tan(np.radians(scene.model.cam_fovy[scene.camera]) / 2)
     return np.asarray(local[:, :2] / (depth * half_height))
 
 
 def _grasp_frames(
-    model: mujoco.MjModel, robot: Robot, targets: Sequence[Target]
+    data: mujoco.MjData, targets: Sequence[Target]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Grasp frames of the targets, at their yaw, relative to where they stand."""
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
+    model = data.model
     ids = [model.site(f"{target.name}/{target.grasp_site}").id for target in targets]
     bodies = model.site_bodyid[ids]
     position = data.site_xpos[ids] - data.xpos[bodies]

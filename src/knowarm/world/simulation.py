@@ -72,6 +72,7 @@ class Simulation:
         ids: NDArray[np.intp],
         joint_positions: NDArray[np.float64],
         target_position: NDArray[np.float64],
+        distractor_position: NDArray[np.float64] | None = None,
     ) -> None:
         """Put environments to rest at joint angles, with the targets at a place.
 
@@ -79,6 +80,7 @@ class Simulation:
             ids: the environments, (k,).
             joint_positions: (k, J) [rad].
             target_position: x and y of the targets (one is visible) [m], (k, 2).
+            distractor_position: x and y of the distractors [m], (k, D, 2); None without any.
         """
         self._qpos[ids[:, None], self.scene.qpos_index] = joint_positions
         self._qvel[ids] = 0.0
@@ -86,6 +88,9 @@ class Simulation:
         self._ctrl[ids] = joint_positions
         places = target_places(self.scene, target_position)
         self._mocap[ids[:, None], self.scene.target_mocap] = places[:, None, :]
+        if distractor_position is not None:
+            at = ids[:, None], self.scene.distractor_mocap
+            self._mocap[(*at, slice(2))] = distractor_position
         self.batch.forward(ids=ids, stage=_POSES)
 
     def step(self, joint_targets: NDArray[np.float64]) -> None:

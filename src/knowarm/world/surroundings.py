@@ -9,6 +9,9 @@ from knowarm.world.robot import Robot, Table
 CAMERA = "policy"
 """Name of the camera that draws the observations."""
 
+DISTRACTOR = "distractor_"
+"""What the names of distractors begin with."""
+
 FLOOR_RGBA = (0.60, 0.61, 0.63, 1.0)
 TABLE_RGBA = (0.52, 0.54, 0.57, 1.0)
 LEG_RGBA = (0.35, 0.36, 0.38, 1.0)
@@ -86,6 +89,30 @@ def _add_table(world: mujoco.MjsBody, table: Table) -> None:
             size=[leg, leg, height],
             pos=[x + sx * (half_x - leg), y + sy * (half_y - leg), height],
             rgba=LEG_RGBA,
+            contype=0,
+            conaffinity=0,
+        )
+
+
+def add_distractors(spec: mujoco.MjSpec, robot: Robot, count: int) -> None:
+    """Add objects without physics that nobody is sent to, each of another shape."""
+    shapes = mujoco.mjtGeom
+    kinds = [
+        (shapes.mjGEOM_BOX, [0.035, 0.035, 0.05], 0.05),
+        (shapes.mjGEOM_SPHERE, [0.045, 0, 0], 0.045),
+        (shapes.mjGEOM_CYLINDER, [0.05, 0.03, 0], 0.03),
+        (shapes.mjGEOM_CAPSULE, [0.025, 0.05, 0], 0.075),
+    ]
+    x, y = robot.rectangle_centre_m
+    for i, (kind, size, height) in enumerate(kinds[:count]):
+        body = spec.worldbody.add_body(
+            name=f"{DISTRACTOR}{i}", pos=[x, y, robot.support_height_m], mocap=True
+        )
+        body.add_geom(
+            name=f"{DISTRACTOR}{i}",
+            type=kind,
+            size=size,
+            pos=[0, 0, height],
             contype=0,
             conaffinity=0,
         )
