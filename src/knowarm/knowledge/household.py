@@ -7,7 +7,7 @@ from knowarm.knowledge.graph import KnowledgeGraph
 from knowarm.knowledge.read import read_graph
 
 HOUSEHOLD = Path(__file__).parent / "data" / "household.ttl"
-"""The shipped graph: thirty household objects and what a robot arm should know about them."""
+"""The shipped graph: 31 household objects and what a robot arm should know about them."""
 
 
 @cache
