@@ -7,6 +7,7 @@ from typing import Annotated
 import tyro
 
 from knowarm.bench.learn import BenchConfig, bench_learn
+from knowarm.bench.world import WorldBenchConfig, bench_world
 from knowarm.cli.tables import check_json_path, print_table, write_json_table
 
 
@@ -35,5 +36,27 @@ class Learn:
         write_json_table(self.json, result)
 
 
-COMMANDS: dict[str, type] = {"learn": Learn}
+@dataclass(frozen=True, kw_only=True)
+class World:
+    """Measure simulation with pictures: ours against Gymnasium with OpenGL and MuJoCo Warp."""
+
+    config: Annotated[WorldBenchConfig, tyro.conf.OmitArgPrefixes] = field(
+        default_factory=WorldBenchConfig
+    )
+    """What is measured, and for how long."""
+    json: Path | None = None
+    """Also write the tables to this JSON file."""
+
+    def run(self) -> None:
+        """Measure and print."""
+        check_json_path(self.json)
+        result = bench_world(self.config)
+        for name in ("rows", "raycaster", "growth"):
+            rows = result.get(name)
+            if rows:
+                print_table(name, list(rows[0]), [list(row.values()) for row in rows])
+        write_json_table(self.json, result)
+
+
+COMMANDS: dict[str, type] = {"world": World, "learn": Learn}
 """The commands of the group, by name."""

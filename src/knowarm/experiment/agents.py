@@ -1,6 +1,6 @@
 """Names of agents and what each is told, and by which network: the paper's, ours, the controls."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from knowarm.experiment.config import NetworkConfig
 from knowarm.knowledge.config import KnowledgeConfig
@@ -28,7 +28,7 @@ AGENTS: dict[str, AgentConfig] = {
     ),
     "analogy": AgentConfig(
         about="as full, from ANALOGY embeddings (the paper's first choice)",
-        knowledge=replace(FULL, source="analogy"),
+        knowledge=KNOWLEDGE["analogy"],
     ),
     "target": AgentConfig(
         about="told the episode's own object and colour (privileged)",
