@@ -79,6 +79,7 @@ class MjWarpPictures:
         self._matrix[:count] = geom_matrix
         self._position[:count, :, 2][geom_rgba[..., 3] == 0] = FAR_BELOW_M
         with self._device:
+            self._mjw.refit_bvh(self._model, self._data, self._context)
             self._mjw.render(self._model, self._data, self._context)
         packed = self._packed[:count].reshape(count, self._size, self._size)
         return np.stack([packed >> 16 & 255, packed >> 8 & 255, packed & 255], axis=-1).astype(

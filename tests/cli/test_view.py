@@ -1,0 +1,36 @@
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from knowarm.cli.main import main
+
+
+def test_a_scripted_agent_is_drawn_as_a_strip(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    path = tmp_path / "strip.png"
+    arguments = ["tiago", "--episodes", "2", "--targets", "mug", "--strip", str(path)]
+    assert main(["view", *arguments]) == 0
+    assert "2 of 2 episodes reached their target" in capsys.readouterr().out
+    with Image.open(path) as strip:
+        assert strip.height == 2 * 276 + 8
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["tiaga", "--strip", "x.png"], "Unknown robot 'tiaga'. Did you mean 'tiago'"),
+        (["irb120", "--agent", "orakle"], "Unknown agent or run folder 'orakle'"),
+        (["irb120", "--targets", "bttle", "--strip", "x.png"], "Did you mean 'bottle'"),
+        (["irb120", "--episodes", "0"], "--episodes must be at least 1, got 0"),
+        (["irb120", "--agent", "runs/none/0", "--strip", "x.png"], "runs/none/0"),
+    ],
+)
+def test_mistakes_are_one_line_and_exit_code_2(
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture
+) -> None:
+    assert main(["view", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
