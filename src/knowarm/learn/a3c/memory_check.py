@@ -8,8 +8,8 @@ from knowarm.learn.config import A3CConfig
 PROCESS_BYTES = 160 * 2**20
 """Private memory of one worker before its environments; measured (docs/learning.md)."""
 
-PICTURE_COPIES = 6
-"""How often a rollout's pictures exist at once in a gradient step, as bytes: uint8 and float32."""
+PICTURE_COPIES = 12
+"""Memory of a gradient step as a multiple of the rollout's pictures in bytes; measured (11)."""
 
 
 def check_memory(config: A3CConfig, *, image_bytes: int, parameters: int) -> None:
