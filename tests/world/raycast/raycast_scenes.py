@@ -46,6 +46,51 @@ def every_primitive() -> mujoco.MjModel:
     </mujoco>""")
 
 
+def torus(rings: int = 16, sides: int = 10) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """A torus of radius .15 m and thickness .05 m: vertices (V, 3) and triangles (T, 3)."""
+    u, v = np.meshgrid(
+        np.arange(rings) * 2 * np.pi / rings, np.arange(sides) * 2 * np.pi / sides, indexing="ij"
+    )
+    out = 0.15 + 0.05 * np.cos(v)
+    vertices = np.stack([out * np.cos(u), out * np.sin(u), 0.05 * np.sin(v)], axis=-1)
+    i, j = (grid.ravel() for grid in np.meshgrid(np.arange(rings), np.arange(sides), indexing="ij"))
+    a, b = i * sides + j, (i + 1) % rings * sides + j
+    c, d = (i + 1) % rings * sides + (j + 1) % sides, i * sides + (j + 1) % sides
+    triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    return vertices.reshape(-1, 3), triangles
+
+
+def mesh_scene(rings: int = 16, sides: int = 10) -> mujoco.MjModel:
+    """Free tori, tetrahedra and a ball among them, over a floor and a mesh that stands still."""
+    vertices, triangles = torus(rings, sides)
+    numbers = " ".join(f"{x:.6f}" for x in vertices.ravel())
+    faces = " ".join(map(str, triangles.ravel()))
+    bodies = "".join(
+        f"""<body pos="{0.3 * (k % 3) - 0.3} {0.25 * (k // 3) - 0.3} {0.3 + 0.1 * (k % 2)}">
+        <freejoint/><geom {what} rgba="{0.2 + 0.09 * k} {1 - 0.1 * k} .5 1" mass="1"
+        contype="0" conaffinity="0"/></body>"""
+        for k, what in enumerate(
+            ['type="mesh" mesh="torus"', 'type="mesh" mesh="point"', 'type="sphere" size=".1"'] * 3
+        )
+    )
+    return mujoco.MjModel.from_xml_string(f"""
+    <mujoco>
+      <visual><headlight ambient=".3 .3 .3" diffuse=".4 .4 .4" specular="0 0 0"/></visual>
+      <asset>
+        <mesh name="torus" vertex="{numbers}" face="{faces}"/>
+        <mesh name="point" vertex="0 0 0 .2 0 0 0 .2 0 .05 .05 .3"/>
+        <mesh name="large" vertex="{numbers}" face="{faces}" scale="2 2 2"/>
+      </asset>
+      <worldbody>
+        <light type="directional" dir="-.3 .4 -.9" diffuse=".4 .4 .3" specular="0 0 0"/>
+        <camera name="{CAMERA}" pos="1.3 -1.1 1.2" xyaxes=".65 .76 .02 -.36 .32 .87" fovy="50"/>
+        <geom type="plane" size="0 0 .1" rgba=".6 .6 .6 1"/>
+        <geom type="mesh" mesh="large" pos="0 0 .1" rgba=".5 .5 .7 1"/>
+        {bodies}
+      </worldbody>
+    </mujoco>""")
+
+
 @dataclass(frozen=True)
 class States:
     """n states of a model: its batch, and geom poses (n, G, 3) and (n, G, 9)."""

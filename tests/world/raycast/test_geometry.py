@@ -8,6 +8,7 @@ from raycast_scenes import (
     States,
     camera_rays,
     every_primitive,
+    mesh_scene,
     random_states,
     robot_scene,
 )
@@ -39,6 +40,17 @@ def test_robots(robot: str) -> None:
 def test_every_primitive() -> None:
     states = random_states(every_primitive(), 200, seed=2)
     assert agreement(states, CAMERA) >= 0.999
+
+
+def test_meshes() -> None:
+    states = random_states(mesh_scene(), 200, seed=5)
+    assert agreement(states, CAMERA) >= 0.999
+
+
+def test_mesh_that_reaches_behind_the_eye() -> None:
+    model = mesh_scene()
+    model.cam_pos[0] = [0.25, 0.1, 0.2]
+    assert agreement(random_states(model, 20, seed=6), CAMERA) >= 0.999
 
 
 def test_picture_that_is_not_square() -> None:

@@ -1,5 +1,6 @@
 """Our pictures beside those of MuJoCo's OpenGL renderer, shadows and reflections off."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from opengl_pictures import NoOpenGL, opengl_pictures
-from raycast_scenes import CAMERA, every_primitive, random_states, robot_scene
+from raycast_scenes import CAMERA, every_primitive, mesh_scene, random_states, robot_scene
 from scipy.ndimage import gaussian_filter
 
 from knowarm.world.raycast import Raycaster
@@ -54,5 +55,6 @@ def test_robots(robot: str, smooth: bool, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("smooth", [False, True])
-def test_every_primitive(smooth: bool, tmp_path: Path) -> None:
-    assert similarity(every_primitive(), CAMERA, tmp_path, smooth) >= 0.95
+@pytest.mark.parametrize("make", [every_primitive, mesh_scene])
+def test_shapes(make: Callable[[], mujoco.MjModel], smooth: bool, tmp_path: Path) -> None:
+    assert similarity(make(), CAMERA, tmp_path, smooth) >= 0.95

@@ -4,7 +4,11 @@ Every number is float32, and no fused or reordered arithmetic is allowed: the sa
 the same picture at any batch size, on any number of threads and on either device.
 """
 
+import hashlib
 from collections.abc import Callable
+from functools import update_wrapper
+from pathlib import Path
+from types import CellType, FunctionType
 from typing import Any
 
 import numpy as np
@@ -33,10 +37,38 @@ def scalar(function: Callable[..., Any]) -> Callable[..., Any]:
     return compiled
 
 
+def entry(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a function that Python calls, without the interpreter's lock, and keep it on disk.
+
+    Numba keys its cache by the file of this function alone. What it calls lies in other files, so
+    a digest of them all is put where the key takes it from: a closed-over variable.
+    """
+    files = sorted(Path(__file__).parent.glob("*.py"))
+    digest = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+    code = function.__code__.replace(co_freevars=("digest",))
+    keyed = FunctionType(code, function.__globals__, closure=(CellType(digest),))
+    compiled: Callable[..., Any] = njit(nogil=True, cache=True, error_model="numpy")(
+        update_wrapper(keyed, function)
+    )
+    return compiled
+
+
 @scalar
 def dot(a: Vector, b: Vector) -> np.float32:
     """Inner product of two vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@scalar
+def cross(a: Vector, b: Vector) -> Vector:
+    """Vector product."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@scalar
+def minus(a: Vector, b: Vector) -> Vector:
+    """Difference of two vectors."""
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
 @scalar

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from knowarm.world.raycast import bounds
 from knowarm.world.raycast.grid import TILE, Grid
-from knowarm.world.raycast.numeric import ONE, ZERO, Matrix, Vector, scalar, to_local
+from knowarm.world.raycast.numeric import FAR, ZERO, Matrix, Vector, scalar, to_local, to_parent
 from knowarm.world.raycast.shading import Paint, paint
-from knowarm.world.raycast.tables import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE
+from knowarm.world.raycast.tables import BOX, CAPSULE, CYLINDER, ELLIPSOID, MESH, PLANE, SPHERE
 
 RECORD, EXTENT = 30, 6
 SLACK = np.float32(0.02)
@@ -49,13 +49,30 @@ def record_paint(record: NDArray[np.float32]) -> Paint:
 
 
 @scalar
-def _floor(value: np.float32, length: int) -> int:
-    """Round down to an integer in -1 .. length."""
-    return math.floor(min(max(value, -ONE), np.float32(length)))
+def _floor(value: np.float32) -> int:
+    """Round down, where an integer can hold it."""
+    return math.floor(min(max(value, -FAR), FAR))
 
 
 @scalar
-def _bounds(kind: np.int32, p: Vector, frame: Matrix, size: Vector) -> bounds.Rectangle:
+def first_sample(way: np.float32, step: np.float32, reach: np.float32) -> int:
+    """Number of the first sample beyond a way from sample 0, with room for shift and rounding."""
+    return _floor(way / step - SLACK - reach) + 1
+
+
+@scalar
+def last_sample(way: np.float32, step: np.float32, reach: np.float32) -> int:
+    """Number of the last sample within a way from sample 0, with room for shift and rounding."""
+    return _floor(way / step + SLACK + reach)
+
+
+@scalar
+def _bounds(
+    kind: np.int32, p: Vector, frame: Matrix, size: Vector, middle: Vector, half: Vector
+) -> bounds.Rectangle:
+    if kind == MESH:
+        off = to_parent(frame, middle)
+        return bounds.box_bounds((p[0] + off[0], p[1] + off[1], p[2] + off[2]), frame, half)
     radius = size[0]
     if kind == BOX:
         return bounds.box_bounds(p, frame, size)
@@ -77,6 +94,8 @@ def prepare(
     kind: np.int32,
     geom: np.int32,
     size: Vector,
+    middle: Vector,
+    half: Vector,
     position: Vector,
     matrix: Matrix,
     view: NDArray[np.float32],
@@ -93,6 +112,8 @@ def prepare(
         kind: MuJoCo's geom type.
         geom: id of the geom.
         size: ``geom_size``.
+        middle: of a mesh, middle of its bounding box in the geom's frame [m].
+        half: half-sizes of that box [m].
         position: position in the world [m].
         matrix: row-major rotation from geom to world.
         view: (12,) position and row-major rotation of the camera in the world.
@@ -112,13 +133,11 @@ def prepare(
     c1 = to_local(camera, (matrix[1], matrix[4], matrix[7]))
     c2 = to_local(camera, (matrix[2], matrix[5], matrix[8]))
     frame = (c0[0], c1[0], c2[0], c0[1], c1[1], c2[1], c0[2], c1[2], c2[2])
-    x0, x1, y0, y1 = _bounds(kind, p, frame, size)
-    margin = SLACK + grid.reach
-    columns, rows = grid.strips * TILE, grid.rows
-    first = max(_floor((x0 - grid.left) / grid.pixel - margin, columns) + 1, 0)
-    last = min(_floor((x1 - grid.left) / grid.pixel + margin, columns), columns - 1)
-    upper = max(_floor((grid.top - y1) / grid.step - SLACK, rows) + 1, 0)
-    lower = min(_floor((grid.top - y0) / grid.step + SLACK, rows), rows - 1)
+    x0, x1, y0, y1 = _bounds(kind, p, frame, size, middle, half)
+    first = max(first_sample(x0 - grid.left, grid.pixel, grid.reach), 0)
+    last = min(last_sample(x1 - grid.left, grid.pixel, grid.reach), grid.strips * TILE - 1)
+    upper = max(first_sample(grid.top - y1, grid.step, ZERO), 0)
+    lower = min(last_sample(grid.top - y0, grid.step, ZERO), grid.rows - 1)
     if (first > last) | (upper > lower):
         return False
     extent[0], extent[1] = kind, geom

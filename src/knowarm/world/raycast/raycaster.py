@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 
 from knowarm.errors import UserError
 from knowarm.world.raycast.fill import Field
+from knowarm.world.raycast.fill_mesh import PROJECTION
 from knowarm.world.raycast.grid import ANTIALIASING, TILE, Grid, make_grid
+from knowarm.world.raycast.meshes import read_meshes
 from knowarm.world.raycast.numeric import FAR
 from knowarm.world.raycast.prepare import EXTENT, RECORD
 from knowarm.world.raycast.render import Scenery, Scratch, render_range
@@ -87,10 +89,14 @@ class Raycaster:
         rgb = [int(min(max(channel, 0.0), 1.0) * 255 + 0.5) for channel in background]
         packed = rgb[0] | rgb[1] << 8 | rgb[2] << 16
         empty = _make_field(self._grid, packed)
-        self._scratch = [_make_scratch(self._grid, len(tables.kind)) for _ in range(num_threads)]
+        meshes = read_meshes(model)
+        largest = int((meshes.span[:, 1] - meshes.span[:, 0]).max(initial=0))
+        self._scratch = [
+            _make_scratch(self._grid, len(tables.kind), largest) for _ in range(num_threads)
+        ]
         nothing = np.tile(np.array(rgb, dtype=np.uint8), height * width)
         self._scenery = Scenery(
-            tables.kind, tables.size, tables.glow, tables.rgba, tables.fixed, tables.moving,
+            tables.kind, tables.size, tables.glow, meshes, tables.rgba, tables.fixed, tables.moving,
             empty=empty, backdrop=empty, nothing=nothing, picture=nothing,
         )  # fmt: skip
         self._keep_fixed()
@@ -243,10 +249,11 @@ def _make_field(grid: Grid, value: int) -> Field:
     return np.full(count, FAR, dtype=np.float32), np.full(count, value, dtype=np.int32)
 
 
-def _make_scratch(grid: Grid, geoms: int) -> Scratch:
+def _make_scratch(grid: Grid, geoms: int, vertices: int) -> Scratch:
     return Scratch(
         field=_make_field(grid, 0),
         record=np.empty((geoms, RECORD), dtype=np.float32),
         extent=np.empty((geoms, EXTENT), dtype=np.int32),
+        projection=np.empty((PROJECTION, vertices), dtype=np.float32),
         dirty=np.empty((grid.strips, 2), dtype=np.int32),
     )

@@ -11,8 +11,12 @@ from numba import njit
 from numpy.typing import NDArray
 
 from knowarm.world.raycast.fill import Field, fill
+from knowarm.world.raycast.fill_mesh import fill_mesh
 from knowarm.world.raycast.grid import BITS, TILE, Grid
+from knowarm.world.raycast.meshes import Meshes
+from knowarm.world.raycast.numeric import entry
 from knowarm.world.raycast.prepare import nine, prepare, triple
+from knowarm.world.raycast.tables import MESH
 
 
 class Scenery(NamedTuple):
@@ -26,6 +30,9 @@ class Scenery(NamedTuple):
 
     glow: NDArray[np.float32]
     """Emission of the geoms' materials, (G,)."""
+
+    meshes: Meshes
+    """The triangles of mesh geoms."""
 
     rgba: NDArray[np.float32]
     """The model's colours, (G, 4)."""
@@ -61,6 +68,9 @@ class Scratch(NamedTuple):
     extent: NDArray[np.int32]
     """Extents of the visible geoms, (G, EXTENT)."""
 
+    projection: NDArray[np.float32]
+    """Projected vertices of a mesh, (PROJECTION, vertices of the largest)."""
+
     dirty: NDArray[np.int32]
     """First and one past the last row of each strip that a geom can touch, (strips, 2)."""
 
@@ -81,7 +91,9 @@ def _prepare_list(
     """Prepare the visible geoms of a list after the ``count`` that are; return how many are now."""
     for g in geoms:
         if rgba[g, 3] > 0 and prepare(
-            scenery.kind[g], np.int32(g), triple(scenery.size[g], 0), triple(position[g], 0),
+            scenery.kind[g], np.int32(g), triple(scenery.size[g], 0),
+            triple(scenery.meshes.middle[g], 0), triple(scenery.meshes.half[g], 0),
+            triple(position[g], 0),
             nine(matrix[g], 0), view, triple(rgba[g], 0), scenery.glow[g], lamps, grid,
             scratch.record[count], scratch.extent[count],
         ):  # fmt: skip
@@ -149,7 +161,7 @@ def _average(
                 out[pixel + 3 * lane + 2] = outer >> (power + 16)
 
 
-@njit(error_model="numpy", nogil=True, cache=True)
+@entry
 def render_range(
     start: int,
     stop: int,
@@ -207,7 +219,11 @@ def render_range(
         if ids:
             field[1][:] = -1
         for i in range(count):
-            fill(scratch.record[i], scratch.extent[i], grid, field, ids)
+            record, extent = scratch.record[i], scratch.extent[i]
+            if extent[0] == MESH:
+                fill_mesh(record, extent, grid, scenery.meshes, scratch.projection, field, ids)
+            else:
+                fill(record, extent, grid, field, ids)
         if not ids:
             picture, kept = out[e].reshape(size), scenery.picture if keeps else scenery.nothing
             for i in range(size):

@@ -68,12 +68,12 @@ def read_tables(model: mujoco.MjModel, camera: int | str, geom_groups: tuple[int
 
     drawn = np.flatnonzero(np.isin(model.geom_group, geom_groups))
     for g in drawn:
-        if model.geom_type[g] not in (PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX):
+        if model.geom_type[g] not in (PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH):
             raise UserError(
                 f"Geom {model.geom(g).name or g!r} is of type "
                 f"{mujoco.mjtGeom(model.geom_type[g]).name.removeprefix('mjGEOM_').lower()}, which "
                 "the ray caster does not draw. Allowed are plane, sphere, capsule, ellipsoid, "
-                "cylinder and box: draw it with renderer='opengl', or put it in a "
+                "cylinder, box and mesh: draw it with renderer='opengl', or put it in a "
                 "geom group that is not drawn."
             )
     standing = np.array([is_fixed(model, b) for b in model.geom_bodyid], dtype=np.bool_)

@@ -9,10 +9,24 @@ from numpy.typing import NDArray
 from knowarm.world.raycast import geometry
 from knowarm.world.raycast.fill import Field
 from knowarm.world.raycast.grid import BITS, TILE, Grid, sample_point
-from knowarm.world.raycast.numeric import ONE, Vector, dot, scalar, to_local, to_parent
+from knowarm.world.raycast.meshes import Meshes
+from knowarm.world.raycast.numeric import (
+    FAR,
+    ONE,
+    TINY,
+    ZERO,
+    Vector,
+    dot,
+    entry,
+    minus,
+    scalar,
+    to_local,
+    to_parent,
+)
 from knowarm.world.raycast.prepare import nine, triple
 from knowarm.world.raycast.render import Scenery
-from knowarm.world.raycast.tables import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
+from knowarm.world.raycast.tables import BOX, CAPSULE, CYLINDER, ELLIPSOID, MESH, SPHERE
+from knowarm.world.raycast.triangle import face_planes, meet_triangle
 
 
 @scalar
@@ -33,7 +47,25 @@ def meet_geom(
     return geometry.plane(origin, direction, size)
 
 
-@njit(error_model="numpy", nogil=True, cache=True)
+@njit(error_model="numpy")
+def mesh_normal(meshes: Meshes, geom: int, origin: Vector, direction: Vector) -> Vector:
+    """Unit normal of the triangle that a ray meets first, in the geom's frame."""
+    best, result = FAR, (ZERO, ZERO, ZERO)
+    for f in range(meshes.span[geom, 2], meshes.span[geom, 3]):
+        a, b, c = meshes.face[f, 0], meshes.face[f, 1], meshes.face[f, 2]
+        planes = face_planes(
+            minus(triple(meshes.vertex[a], 0), origin),
+            minus(triple(meshes.vertex[b], 0), origin),
+            minus(triple(meshes.vertex[c], 0), origin),
+        )
+        t, _ = meet_triangle(direction, planes)
+        if t < best:
+            best, result = t, planes[3]
+    scale = ONE / math.sqrt(max(dot(result, result), TINY * TINY))
+    return result[0] * scale, result[1] * scale, result[2] * scale
+
+
+@entry
 def trace_field(
     field: Field,
     position: NDArray[np.float32],
@@ -74,6 +106,9 @@ def trace_field(
             p, m = triple(position[g], 0), nine(matrix[g], 0)
             origin = to_local(m, (view[0] - p[0], view[1] - p[1], view[2] - p[2]))
             direction = to_local(m, to_parent(camera, ray))
-            size = triple(scenery.size[g], 0)
-            n = to_parent(m, meet_geom(scenery.kind[g], origin, direction, size)[1])
+            if scenery.kind[g] == MESH:
+                n = to_parent(m, mesh_normal(scenery.meshes, g, origin, direction))
+            else:
+                size = triple(scenery.size[g], 0)
+                n = to_parent(m, meet_geom(scenery.kind[g], origin, direction, size)[1])
             normal[j, i, 0], normal[j, i, 1], normal[j, i, 2] = n
