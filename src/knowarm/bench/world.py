@@ -6,10 +6,11 @@ import platform
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import gymnasium
 import numpy as np
+import psutil
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode
 
 from knowarm.bench.mjwarp_pictures import MjWarpPictures
@@ -18,6 +19,16 @@ from knowarm.world import ENV_IDS
 from knowarm.world.env import ACTION_LEVELS, EnvConfig, ReachVectorEnv
 
 DYNAMICS: tuple[Literal["dynamic", "kinematic"], ...] = ("dynamic", "kinematic")
+
+
+class Speed(NamedTuple):
+    """How fast something steps."""
+
+    steps_per_s: float
+    """Environment steps a second on the clock."""
+
+    steps_per_cpu_s: float
+    """Environment steps a second of CPU time, all processes and threads together."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,8 +81,9 @@ def bench_world(
 
     Returns:
         ``rows``: robot, dynamics, steps_per_s of ours, opengl and mjwarp, ratio_vs_opengl and
-        ratio_vs_mjwarp. ``raycaster``: frames_per_s a core by robot and anti-aliasing. ``growth``:
-        ours by number of environments and by image size. ``machine`` and ``config``.
+        ratio_vs_mjwarp, and the same by CPU time, which neighbours on a shared machine disturb
+        less. ``raycaster``: frames_per_s a core by robot and anti-aliasing. ``growth``: ours by
+        number of environments and by image size. ``machine`` and ``config``.
 
     Raises:
         UserError: a row needs what is not installed.
@@ -82,13 +94,18 @@ def bench_world(
         for dynamics in DYNAMICS:
             env_config = EnvConfig(robot=robot, dynamics=dynamics, image_size=config.image_size)
             row: dict[str, Any] = {"robot": robot, "dynamics": dynamics}
-            row["steps_per_s"] = _ours(env_config, config.num_envs, config.workers, config.seconds)
+            ours = _ours(env_config, config.num_envs, config.workers, config.seconds)
+            row |= ours._asdict()
+            others: dict[str, Callable[[EnvConfig, WorldBenchConfig], Speed]] = {}
             if config.opengl:
-                row["opengl_steps_per_s"] = _async_opengl(env_config, config)
-                row["ratio_vs_opengl"] = row["steps_per_s"] / row["opengl_steps_per_s"]
+                others["opengl"] = _async_opengl
             if config.mjwarp:
-                row["mjwarp_steps_per_s"] = _mjwarp(env_config, config)
-                row["ratio_vs_mjwarp"] = row["steps_per_s"] / row["mjwarp_steps_per_s"]
+                others["mjwarp"] = _mjwarp
+            for name, measure in others.items():
+                theirs = measure(env_config, config)
+                row |= {f"{name}_{key}": value for key, value in theirs._asdict().items()}
+                row[f"ratio_vs_{name}"] = ours.steps_per_s / theirs.steps_per_s
+                row[f"cpu_ratio_vs_{name}"] = ours.steps_per_cpu_s / theirs.steps_per_cpu_s
             on_row(row)
             rows.append(row)
     return {
@@ -114,8 +131,8 @@ def bench_world(
     }
 
 
-def _steps_per_s(env: gymnasium.vector.VectorEnv, seconds: float) -> float:
-    """Step with random actions for a while, after one episode that warms everything up."""
+def _steps_per_s(env: gymnasium.vector.VectorEnv, seconds: float) -> Speed:
+    """Step with random actions for a while, after a few steps that warm everything up."""
     env.reset(seed=0)
     generator = np.random.default_rng(0)
     joints = env.single_action_space.shape
@@ -123,18 +140,25 @@ def _steps_per_s(env: gymnasium.vector.VectorEnv, seconds: float) -> float:
     actions = generator.integers(len(ACTION_LEVELS), size=(64, env.num_envs, *joints))
     for i in range(3):
         env.step(actions[i])
-    count, start = 0, time.perf_counter()
+    count, start, cpu = 0, time.perf_counter(), _cpu_s()
     while (elapsed := time.perf_counter() - start) < seconds:
         env.step(actions[count % 64])
         count += 1
-    return count * env.num_envs / elapsed
+    steps = count * env.num_envs
+    return Speed(steps / elapsed, steps / (_cpu_s() - cpu))
 
 
-def _ours(config: EnvConfig, num_envs: int, threads: int, seconds: float) -> float:
+def _cpu_s() -> float:
+    """CPU time used so far by this process and those it started [s]."""
+    processes = [psutil.Process(), *psutil.Process().children(recursive=True)]
+    return sum(sum(process.cpu_times()[:2]) for process in processes)
+
+
+def _ours(config: EnvConfig, num_envs: int, threads: int, seconds: float) -> Speed:
     return _steps_per_s(ReachVectorEnv(config, num_envs, threads), seconds)
 
 
-def _async_opengl(config: EnvConfig, bench: WorldBenchConfig) -> float:
+def _async_opengl(config: EnvConfig, bench: WorldBenchConfig) -> Speed:
     """Gymnasium's AsyncVectorEnv: a process a worker, each a single environment with OpenGL."""
     env_id = {robot: env_id for env_id, robot in ENV_IDS.items()}[config.robot]
     options: dict[str, Any] = {
@@ -153,14 +177,18 @@ def _async_opengl(config: EnvConfig, bench: WorldBenchConfig) -> float:
         env.close()
 
 
-def _mjwarp(config: EnvConfig, bench: WorldBenchConfig) -> float:
+def _mjwarp(config: EnvConfig, bench: WorldBenchConfig) -> Speed:
     """Our environment on MuJoCo's batch, drawn by MuJoCo Warp: a process a worker."""
     context = multiprocessing.get_context("spawn")
     share = bench.num_envs // bench.workers
     barrier = context.Barrier(bench.workers)
     with context.Pool(bench.workers, _remember, (barrier,)) as pool:
         tasks = [(config, share, bench.seconds)] * bench.workers
-        return float(sum(pool.starmap(_mjwarp_worker, tasks, chunksize=1)))
+        speeds = pool.starmap(_mjwarp_worker, tasks, chunksize=1)
+    return Speed(
+        sum(speed.steps_per_s for speed in speeds),
+        float(np.mean([speed.steps_per_cpu_s for speed in speeds])),
+    )
 
 
 _barrier: Any = None
@@ -172,7 +200,7 @@ def _remember(barrier: Any) -> None:
     _barrier = barrier
 
 
-def _mjwarp_worker(config: EnvConfig, num_envs: int, seconds: float) -> float:
+def _mjwarp_worker(config: EnvConfig, num_envs: int, seconds: float) -> Speed:
     env = ReachVectorEnv(config, num_envs, num_threads=1)
     env.pictures = MjWarpPictures(env.scene, config.image_size, num_envs)
     env.reset(seed=0)  # compiles Warp's kernels, before anybody's time is taken
@@ -181,16 +209,16 @@ def _mjwarp_worker(config: EnvConfig, num_envs: int, seconds: float) -> float:
 
 
 def _frames_per_s(config: EnvConfig, bench: WorldBenchConfig) -> float:
-    """Our ray caster alone, one core: the same states again and again."""
+    """Our ray caster alone, frames a second of CPU time: the same states again and again."""
     env = ReachVectorEnv(config, bench.num_envs, num_threads=1)
     env.reset(seed=0)
     poses = env.simulation.geom_position, env.simulation.geom_matrix, env.geom_rgba
     env.pictures.draw(*poses)
-    count, start = 0, time.perf_counter()
-    while (elapsed := time.perf_counter() - start) < bench.seconds / 2:
+    count, start, cpu = 0, time.perf_counter(), _cpu_s()
+    while time.perf_counter() - start < bench.seconds / 2:
         env.pictures.draw(*poses)
         count += 1
-    return count * bench.num_envs / elapsed
+    return count * bench.num_envs / (_cpu_s() - cpu)
 
 
 def _growth(bench: WorldBenchConfig) -> list[dict[str, Any]]:
@@ -202,9 +230,9 @@ def _growth(bench: WorldBenchConfig) -> list[dict[str, Any]]:
         {
             "num_envs": num_envs,
             "image_size": pixels,
-            "steps_per_s": _ours(
-                replace(base, image_size=pixels), num_envs, bench.workers, bench.seconds / 2
-            ),
         }
+        | _ours(
+            replace(base, image_size=pixels), num_envs, bench.workers, bench.seconds / 2
+        )._asdict()
         for num_envs, pixels in sizes
     ]
