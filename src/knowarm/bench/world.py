@@ -89,6 +89,8 @@ def bench_world(
         UserError: a row needs what is not installed.
     """
     config = config or WorldBenchConfig()
+    # The single environments' processes read it when they start.
+    os.environ.setdefault("MUJOCO_GL", "egl")
     rows = []
     for robot in config.robots:
         for dynamics in DYNAMICS:
