@@ -92,6 +92,11 @@ def fill_mesh(
     span = meshes.span[extent[1]]
     eye, frame = triple(record, 0), nine(record, 3)
     first = span[0]
+    # Seen from outside, the far side of a closed mesh is hidden by its near side.
+    away = minus(eye, triple(meshes.middle[extent[1]], 0))
+    half = triple(meshes.half[extent[1]], 0)
+    outside = (abs(away[0]) > half[0]) | (abs(away[1]) > half[1]) | (abs(away[2]) > half[2])
+    winding = np.float32(meshes.winding[extent[1]]) if outside else ZERO
     for i in range(span[1] - first):
         p = to_parent(frame, minus(triple(meshes.vertex[first + i], 0), eye))
         behind = p[2] > -NEAR
@@ -105,6 +110,9 @@ def fill_mesh(
         left, right, upper, lower = extent[2], extent[3], extent[4], extent[5]
         if max(projection[2, i], projection[2, j], projection[2, k]) < 0:
             x, y = projection[0], projection[1]
+            turn = (x[j] - x[i]) * (y[k] - y[i]) - (x[k] - x[i]) * (y[j] - y[i])
+            if turn * winding < ZERO:
+                continue
             left = max(
                 left, first_sample(min(x[i], x[j], x[k]) - grid.left, grid.pixel, grid.reach)
             )
