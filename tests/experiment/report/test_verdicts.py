@@ -15,7 +15,7 @@ LIGHT = Size(points=12, tables=False)
 AGENTS = ("bm", "full", "wide", "zeros", "random", "shuffled", "onehot")
 REAL = dict.fromkeys(AGENTS, 0.5) | {"full": 0.75}
 CAPACITY = dict.fromkeys(AGENTS, 0.75) | {"bm": 0.5}
-NOTHING = dict.fromkeys(AGENTS, 0.6)
+NOTHING = dict.fromkeys(("bm", "full", "wide", "random"), 0.6)
 
 
 def found(
