@@ -2,10 +2,14 @@
 
 import sys
 import time
+from collections import deque
 from collections.abc import Mapping
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+EPISODES_SHOWN = 500
+"""Episodes that the shown return and success are means of, at least, once there are so many."""
 
 
 class TrainingProgress:
@@ -22,6 +26,7 @@ class TrainingProgress:
         self._console = Console(stderr=True)
         self._bar: Progress | None = None
         self._figures = ""
+        self._episodes: deque[tuple[float, float, float]] = deque()
         self._began = self._said = time.monotonic()
         self._first_step: int | None = None
 
@@ -54,10 +59,8 @@ class TrainingProgress:
             self._first_step, self._began = step, now
         elapsed = now - self._began
         rate = (step - self._first_step) / elapsed if elapsed > 0 else 0.0
-        if "return_mean" in row:
-            self._figures = (
-                f"return {row['return_mean']:.1f} success {100 * row.get('success', 0):.0f} %"
-            )
+        if row.get("episodes"):
+            self._remember(row["episodes"], row["return_mean"], row["success"])
         speed = f"{rate:,.0f} steps/s" if rate else ""
         if self._bar is not None:
             self._bar.update(self._task, completed=step, rate=speed, figures=self._figures)
@@ -66,6 +69,20 @@ class TrainingProgress:
             left = f", {(self._total - step) / rate / 60:.1f} min left" if rate else ""
             share = 100 * step / self._total
             self.say(f"{step:,} steps ({share:.1f} %), {speed}{left}, {self._figures}")
+
+    def _remember(self, count: float, return_mean: float, success: float) -> None:
+        """Average over the last episodes.
+
+        One update's episodes will not do: where few of them end, they are the ones that
+        succeeded early.
+        """
+        self._episodes.append((count, return_mean, success))
+        while sum(entry[0] for entry in self._episodes) - self._episodes[0][0] >= EPISODES_SHOWN:
+            self._episodes.popleft()
+        total = sum(entry[0] for entry in self._episodes)
+        mean = sum(entry[0] * entry[1] for entry in self._episodes) / total
+        share = sum(entry[0] * entry[2] for entry in self._episodes) / total
+        self._figures = f"return {mean:.1f} success {100 * share:.0f} %"
 
     def evaluation(self, step: int, results: Mapping[str, float], is_best: bool) -> None:
         """Say the result of an interim evaluation."""
