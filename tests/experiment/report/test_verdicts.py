@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from synthetic_study import Size, Truth, write_study
 
-from knowarm.experiment.report.claims import claims
+from knowarm.experiment.report.claims import claims, horizon, scores
 from knowarm.experiment.report.study import collect
 from knowarm.experiment.report.verdict import Finding, finding
+from knowarm.experiment.statistics import holm, welch
 
 LIGHT = Size(points=12, tables=False)
 
@@ -109,8 +110,6 @@ def test_without_any_effect_at_most_one_study_in_twenty_claims_one(tmp_path, see
 @pytest.mark.slow
 def test_the_promise_holds_over_many_tasks_and_many_studies():
     """The same rule on bare scores, often enough to measure its rate."""
-    from knowarm.experiment.statistics import holm, welch
-
     generator = np.random.default_rng(0)
     loud = 0
     for _ in range(2_000):
@@ -120,3 +119,19 @@ def test_the_promise_holds_over_many_tasks_and_many_studies():
         ]
         loud += bool((holm(gates) <= 0.05).any())
     assert loud / 2_000 <= 0.06
+
+
+def test_curves_are_compared_as_far_as_every_agent_has_a_run(tmp_path):
+    paths = write_study(tmp_path, Truth(success={"bm": 0.5, "full": 0.5}), seeds=2, size=LIGHT)
+    for path in (paths[0], paths[2], paths[3]):  # one run of bm stopped, both of full
+        for name in ("evaluations.csv", "metrics.csv"):
+            lines = (path / name).read_text().splitlines(keepends=True)
+            (path / name).write_text("".join(lines[:7]))
+    task = collect(paths).tasks[0]
+    assert horizon(task) == 2_000_000
+    bm, full = (task.group(name) for name in ("bm", "full"))
+    long, short = bm.runs[1], full.runs[0]
+    assert long.interim["step"][-1] == 4_000_000
+    early = long.interim["success"][long.interim["step"] <= 2_000_000]
+    assert scores(task, bm, "speed")[1] <= early.max()
+    assert scores(task, full, "speed")[0] <= short.interim["success"].max()

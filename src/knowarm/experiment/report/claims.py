@@ -61,7 +61,8 @@ class Claim:
     @property
     def seeds(self) -> int:
         """Training seeds of the agent that has fewer."""
-        return min(len(scores(self.first, self.outcome)), len(scores(self.second, self.outcome)))
+        groups = (self.first, self.second)
+        return min(len(scores(self.task, group, self.outcome)) for group in groups)
 
     @property
     def verdict(self) -> Decision:
@@ -124,7 +125,7 @@ def claims(study: Study) -> list[Claim]:
     Without a baseline every comparison with the knowledge agent is a gate.
     """
     found = [
-        Claim(task, first, second, outcome, role, _compare(first, second, outcome))
+        Claim(task, first, second, outcome, role, _compare(task, first, second, outcome))
         for task in study.tasks
         for first, second, role in pairs(task)
         for outcome in OUTCOMES
@@ -183,17 +184,32 @@ def pairs(task: Task) -> list[tuple[Group, Group, Role]]:
     return sorted(found, key=lambda pair: ("gate", "control", "described").index(pair[2]))
 
 
-def scores(group: Group, outcome: Outcome) -> np.ndarray:
-    """(n,) float64: one score in 0..1 a training run."""
+def scores(task: Task, group: Group, outcome: Outcome) -> np.ndarray:
+    """(n,) float64: one score in 0..1 a training run.
+
+    The mean success during training runs to the same step for all agents of a task; a run that
+    stopped before keeps its last value.
+    """
     if outcome == "success":
         return group.scores("success")
-    curves = [run for run in group.runs if has_curve(run)]
-    if not curves:
-        return np.empty(0)
-    until = max(run.steps_done for run in group.runs)
+    until = horizon(task)
     return np.array(
-        [area_under_curve(run.interim["step"], run.interim["success"], until) for run in curves]
+        [
+            area_under_curve(run.interim["step"], run.interim["success"], until)
+            for run in group.runs
+            if has_curve(run)
+        ]
     )
+
+
+def horizon(task: Task) -> float:
+    """Steps to which every agent of a task has at least one run; 0 without curves."""
+    longest = [
+        max(run.interim["step"][-1] for run in group.runs if has_curve(run))
+        for group in task.groups
+        if any(has_curve(run) for run in group.runs)
+    ]
+    return float(min(longest, default=0.0))
 
 
 def has_curve(run: Run) -> bool:
@@ -206,6 +222,6 @@ def count(number: int, what: str) -> str:
     return f"{number} {what}" + ("" if number == 1 else "s")
 
 
-def _compare(first: Group, second: Group, outcome: Outcome) -> Comparison | None:
-    one, other = scores(first, outcome), scores(second, outcome)
+def _compare(task: Task, first: Group, second: Group, outcome: Outcome) -> Comparison | None:
+    one, other = scores(task, first, outcome), scores(task, second, outcome)
     return welch(one, other) if min(one.size, other.size) >= 2 else None

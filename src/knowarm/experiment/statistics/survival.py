@@ -78,8 +78,7 @@ def restricted_mean_steps(
     Args:
         steps: (n,) step of the crossing, or of the end of a run that never crossed.
         reached: (n,) bool; False marks a censored run.
-        until: the restriction [steps]; at most the shortest censored run's end, or the area
-            would go on over steps that run never saw.
+        until: the restriction [steps]; at least one run must have been watched that long.
         confidence: coverage in 0..1.
     """
     steps, reached = np.asarray(steps, np.float64), np.asarray(reached, bool)

@@ -55,7 +55,11 @@ def read_run(path: Path, problems: list[Problem]) -> Run | None:
     if run.total_steps and 0 < run.steps_done < 0.98 * run.total_steps:
         share = run.steps_done / run.total_steps
         problems.append(
-            Problem(path, f"stopped after {share:.0%} of its steps", "kept; censored at its end")
+            Problem(
+                path,
+                f"stopped after {share:.0%} of its steps",
+                "kept; censored at its end, its last success carried on",
+            )
         )
     return run
 

@@ -20,7 +20,7 @@ def profiles(task: Task) -> list[Block]:
     chosen = colours(group.name for group in task.groups)
     series, rows = [], []
     for group in task.groups:
-        final = scores(group, "success")
+        final = scores(task, group, "success")
         if final.size < FEWEST_SEEDS:
             continue
         share, low, high = performance_profile([final], LEVELS)

@@ -14,8 +14,8 @@ def scores_table(task: Task) -> list[Block]:
     chosen = colours(group.name for group in task.groups)
     rows: list[Row] = []
     for group in task.groups:
-        final, speed = scores(group, "success"), scores(group, "speed")
-        base = scores(baseline, "success")
+        final, speed = scores(task, group, "success"), scores(task, group, "speed")
+        base = scores(task, baseline, "success")
         row: Row = {"agent": group.name, "seeds": len(final), "_colour": chosen[group.name]}
         for key, values, statistic in (
             ("mean", final, None),

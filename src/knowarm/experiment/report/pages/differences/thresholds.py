@@ -3,7 +3,7 @@
 import numpy as np
 
 from knowarm.experiment.report.blocks import Block, Column, Row, Table
-from knowarm.experiment.report.claims import has_curve
+from knowarm.experiment.report.claims import has_curve, horizon
 from knowarm.experiment.report.levels import cells
 from knowarm.experiment.report.palette import colours
 from knowarm.experiment.report.paper import learning_time_reduction
@@ -26,7 +26,7 @@ def thresholds(task: Task) -> list[Block]:
         return []
     chosen = colours(group.name for group in task.groups)
     baseline = next((group for group in groups if group.agent == "bm"), None)
-    until = min(run.steps_done for group in groups for run in group.runs if has_curve(run))
+    until = horizon(task)
     rows: list[Row] = []
     for wanted in LEVELS:
         base = _restricted(baseline, wanted, until) if baseline else None
@@ -67,8 +67,8 @@ def thresholds(task: Task) -> list[Block]:
             note="From interim evaluations at the training thresholds. A run that ended below a "
             "level is censored at its end, never counted as reaching it. Median: Kaplan-Meier with "
             "Brookmeyer and Crowley's interval (log-log), empty where the runs do not show it. "
-            f"Restricted mean: mean steps counting at most {until / 1e6:g} M a run, the "
-            "shortest run's length; it is defined however many runs are censored.",
+            f"Restricted mean: mean steps counting at most {until / 1e6:g} M a run, as far as "
+            "every agent has a run; it is defined however many runs are censored.",
         )
     ]
 
