@@ -78,6 +78,7 @@ def test_distractors_keep_away_from_the_target(make_env: MakeEnv) -> None:
     assert np.linalg.norm(places - target, axis=-1).min() > 0.139
 
 
+@pytest.mark.opengl
 def test_the_opengl_renderer_varies_alike(make_env: MakeEnv) -> None:
     pytest.importorskip("OpenGL")
     pairs = []

@@ -9,10 +9,10 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from knowarm.errors import UserError
-from knowarm.world.appearance import resting_colours, show_targets
+from knowarm.world.appearance import Appearance
+from knowarm.world.arguments import checked_actions, masked_ids, spread_seeds
 from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import Episodes, draw_episodes
-from knowarm.world.looks import looks
 from knowarm.world.pictures import Pictures, make_pictures
 from knowarm.world.rewards import is_success, measure, reward_terms
 from knowarm.world.scene import Scene, load_scene, target_places
@@ -96,11 +96,9 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
         self._colour = np.zeros(n, dtype=np.int64)
         self._position = np.zeros((n, 2))
         self._look = np.zeros((n, config.randomization.draws))
-        self._views: NDArray[np.float32] | None = None
-        self._lamps: NDArray[np.float32] | None = None
         self._grasp_position = np.zeros((n, 3))
         self._grasp_matrix = np.zeros((n, 9))
-        self._geom_rgba = resting_colours(self.scene, n)
+        self._appearance = Appearance(self.scene, config.randomization, n)
         draw_episodes(self.scene, config, self._streams[:1], self._next_episode[:1])  # checks it
         self._show(np.arange(n))
         self._measure()
@@ -123,7 +121,7 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
     @property
     def geom_rgba(self) -> NDArray[np.float32]:
         """Colour of every geom, alpha 0 where it is hidden, (n, G, 4)."""
-        return self._geom_rgba.copy()
+        return self._appearance.rgba.copy()
 
     @property
     def joint_targets(self) -> NDArray[np.float64]:
@@ -163,9 +161,11 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
             UserError: a seed, mask or list of episodes of another length.
         """
         options = options or {}
-        mask = options.get("reset_mask")
-        ids = np.arange(self.num_envs) if mask is None else self._masked(mask)
-        self._seed(seed, ids)
+        ids = masked_ids(options.get("reset_mask"), self.num_envs)
+        seeds = spread_seeds(seed, self.num_envs)
+        seeded = ids[seeds.given[ids]]
+        self._streams[seeded] = seeds.values[seeded]
+        self._next_episode[seeded] = 0
         episodes = options.get("episodes")
         if episodes is None:
             self._start_next(ids)
@@ -204,7 +204,7 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
                 f"Environment {int(np.argmax(restart))} has ended; reset it before the next step "
                 "(options={'reset_mask': ...}), or use another autoreset mode."
             )
-        self._move(self._checked(actions))
+        self._move(actions)
         if mode == AutoresetMode.NEXT_STEP and restart.any():
             self._start_next(np.flatnonzero(restart))
             self._measure()
@@ -235,7 +235,7 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
             actions: (n, J) integers in 0..6.
             active: (n,) bool, the environments whose pictures are wanted; the others' are black.
         """
-        self._move(self._checked(actions))
+        self._move(actions)
         rewards, terminated, truncated = self._judge()
         self._ended = terminated | truncated
         pictures = np.zeros((self.num_envs, *self._picture_shape), dtype=np.uint8)
@@ -253,9 +253,7 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
             self._large_pictures.draw(
                 simulation.geom_position,
                 simulation.geom_matrix,
-                self._geom_rgba,
-                self._views,
-                self._lamps,
+                *self._appearance.of(slice(None)),
             )
         )
 
@@ -294,6 +292,7 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
 
     def _start(self, ids: NDArray[np.intp], episodes: Episodes) -> None:
         """Put environments at the start of given episodes."""
+        self._appearance.check(episodes)
         joints = np.clip(
             self.scene.home + episodes.joint_offsets,
             self.scene.joint_lower,
@@ -303,19 +302,11 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
         self._target[ids] = episodes.target
         self._colour[ids] = episodes.colour
         self._position[ids] = episodes.position
-        self._look[ids] = self._fitting_look(episodes)
+        self._look[ids] = episodes.look
         self._steps[ids] = 0
         self._ended[ids] = False
         distractors = self._show(ids)
         self.simulation.reset(ids, joints, episodes.position, distractors)
-
-    def _fitting_look(self, episodes: Episodes) -> NDArray[np.float64]:
-        if episodes.look.shape[1] != self.config.randomization.draws:
-            raise UserError(
-                f"The episodes hold {episodes.look.shape[1]} draws of visual randomization, this "
-                f"environment needs {self.config.randomization.draws}: draw them with its config."
-            )
-        return episodes.look
 
     def _show(self, ids: NDArray[np.intp]) -> NDArray[np.float64] | None:
         """Bring grasp frames and looks in line with the episodes; places of distractors."""
@@ -323,21 +314,19 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
         places = target_places(scene, self._position[ids])
         self._grasp_position[ids] = places + scene.grasp_position[target]
         self._grasp_matrix[ids] = scene.grasp_matrix[target].reshape(-1, 9)
-        show_targets(scene, self._geom_rgba, ids, target, self._colour[ids])
-        if not self.config.randomization.draws:
-            return None
-        look = looks(scene, self.config.randomization, self._look[ids], self._position[ids])
-        self._views = _updated(self._views, ids, look.views, self.num_envs)
-        self._lamps = _updated(self._lamps, ids, look.lamps, self.num_envs)
-        if look.surface_rgb is not None:
-            self._geom_rgba[ids[:, None], list(scene.surface_geoms), :3] = look.surface_rgb
-        if len(scene.distractor_geoms):
-            self._geom_rgba[ids[:, None], scene.distractor_geoms, :3] = look.distractor_rgb
-        return look.distractor_position
+        running = Episodes(
+            self._joint_targets[ids],
+            target,
+            self._position[ids],
+            self._colour[ids],
+            self._look[ids],
+        )
+        return self._appearance.show(ids, running)
 
-    def _move(self, actions: NDArray[np.int64]) -> None:
+    def _move(self, actions: ArrayLike) -> None:
         """Add the increments to the joint targets and follow them for one control period."""
-        targets = self._joint_targets + self._increments[actions]
+        levels = checked_actions(actions, self._joint_targets.shape, len(ACTION_LEVELS))
+        targets = self._joint_targets + self._increments[levels]
         self._joint_targets = np.clip(targets, self.scene.joint_lower, self.scene.joint_upper)
         self.simulation.step(self._joint_targets)
         self._steps += 1
@@ -366,11 +355,7 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
     def _draw_pictures(self, ids: NDArray[np.intp] | slice = slice(None)) -> NDArray[np.uint8]:
         simulation = self.simulation
         return self.pictures.draw(
-            simulation.geom_position[ids],
-            simulation.geom_matrix[ids],
-            self._geom_rgba[ids],
-            None if self._views is None else self._views[ids],
-            None if self._lamps is None else self._lamps[ids],
+            simulation.geom_position[ids], simulation.geom_matrix[ids], *self._appearance.of(ids)
         )
 
     def _infos(self) -> dict[str, Any]:
@@ -402,51 +387,6 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
             "_final_info": ended.copy(),
         }
 
-    def _checked(self, actions: ArrayLike) -> NDArray[np.int64]:
-        array = np.asarray(actions)
-        wanted = (self.num_envs, self.scene.num_joints)
-        if array.shape != wanted or array.dtype.kind not in "iu":
-            raise UserError(
-                f"actions must be integers of shape {wanted} (environments, joints), got "
-                f"{array.dtype} of shape {array.shape}."
-            )
-        if array.min() < 0 or array.max() >= len(ACTION_LEVELS):
-            raise UserError(
-                f"actions must lie in 0 to {len(ACTION_LEVELS) - 1}, got {array.min()} to "
-                f"{array.max()}."
-            )
-        return array.astype(np.int64, copy=False)
-
-    def _masked(self, mask: ArrayLike) -> NDArray[np.intp]:
-        array = np.asarray(mask)
-        if array.shape != (self.num_envs,) or array.dtype != np.bool_ or not array.any():
-            raise UserError(
-                f"options['reset_mask'] must be a bool array of shape ({self.num_envs},) with at "
-                f"least one True, got {array.dtype} of shape {array.shape}."
-            )
-        return np.flatnonzero(array)
-
-    def _seed(self, seed: int | list[int | None] | None, ids: NDArray[np.intp]) -> None:
-        """Point the streams of the environments that are reset at the given seeds."""
-        if seed is None:
-            return
-        if isinstance(seed, (int, np.integer)):
-            seeds: list[int | None] = [int(seed) + i for i in range(self.num_envs)]
-        else:
-            seeds = list(seed)
-        if len(seeds) != self.num_envs:
-            raise UserError(
-                f"seed must be an integer or a list of {self.num_envs} (one an environment), got "
-                f"{len(seeds)}."
-            )
-        if any(value is not None and value < 0 for value in seeds):
-            raise UserError(f"seed must not be negative, got {seed}.")
-        chosen = np.array([value is not None for value in seeds])
-        values = np.array([(value or 0) % 2**64 for value in seeds], dtype=np.uint64)
-        ids = ids[chosen[ids]]
-        self._streams[ids] = values[ids]
-        self._next_episode[ids] = 0
-
 
 _STATE = (
     "streams",
@@ -460,21 +400,6 @@ _STATE = (
     "look",
 )
 """Arrays of ``ReachVectorEnv`` that, with the simulation's state, determine everything else."""
-
-
-def _updated(
-    array: NDArray[np.float32] | None,
-    ids: NDArray[np.intp],
-    values: NDArray[np.float32] | None,
-    count: int,
-) -> NDArray[np.float32] | None:
-    """Write values (k, ...) at ids into an array (n, ...) that is made when first needed."""
-    if values is None:
-        return None
-    if array is None:
-        array = np.zeros((count, *values.shape[1:]), dtype=np.float32)
-    array[ids] = values
-    return array
 
 
 def _facets(

@@ -1,0 +1,79 @@
+"""What a caller gave to ``step`` and ``reset`` goes in; checked arrays come out."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from knowarm.errors import UserError
+
+
+class Seeds(NamedTuple):
+    """Seed of each environment's stream."""
+
+    given: NDArray[np.bool_]
+    """Where there is one, (n,)."""
+
+    values: NDArray[np.uint64]
+    """The seeds, 0 where there is none, (n,)."""
+
+
+def checked_actions(actions: ArrayLike, shape: tuple[int, int], levels: int) -> NDArray[np.int64]:
+    """Return actions as int64 of a shape (n, J).
+
+    Raises:
+        UserError: another shape, no integers, or a level outside 0 to levels - 1.
+    """
+    array = np.asarray(actions)
+    if array.shape != shape or array.dtype.kind not in "iu":
+        raise UserError(
+            f"actions must be integers of shape {shape} (environments, joints), got "
+            f"{array.dtype} of shape {array.shape}."
+        )
+    if array.min() < 0 or array.max() >= levels:
+        raise UserError(
+            f"actions must lie in 0 to {levels - 1}, got {array.min()} to {array.max()}."
+        )
+    return array.astype(np.int64, copy=False)
+
+
+def masked_ids(mask: ArrayLike | None, num_envs: int) -> NDArray[np.intp]:
+    """Return the environments of a reset mask, all for None.
+
+    Raises:
+        UserError: the mask is not (n,) bool with at least one True.
+    """
+    if mask is None:
+        return np.arange(num_envs)
+    array = np.asarray(mask)
+    if array.shape != (num_envs,) or array.dtype != np.bool_ or not array.any():
+        raise UserError(
+            f"options['reset_mask'] must be a bool array of shape ({num_envs},) with at "
+            f"least one True, got {array.dtype} of shape {array.shape}."
+        )
+    return np.flatnonzero(array)
+
+
+def spread_seeds(seed: int | list[int | None] | None, num_envs: int) -> Seeds:
+    """Turn Gymnasium's seed argument into one seed an environment: seed, seed + 1, ...
+
+    Raises:
+        UserError: a list of another length, or a negative seed.
+    """
+    if seed is None:
+        seeds: list[int | None] = [None] * num_envs
+    elif isinstance(seed, (int, np.integer)):
+        seeds = [int(seed) + i for i in range(num_envs)]
+    else:
+        seeds = list(seed)
+    if len(seeds) != num_envs:
+        raise UserError(
+            f"seed must be an integer or a list of {num_envs} (one an environment), got "
+            f"{len(seeds)}."
+        )
+    if any(value is not None and value < 0 for value in seeds):
+        raise UserError(f"seed must not be negative, got {seed}.")
+    return Seeds(
+        given=np.array([value is not None for value in seeds]),
+        values=np.array([(value or 0) % 2**64 for value in seeds], dtype=np.uint64),
+    )
