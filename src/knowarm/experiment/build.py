@@ -79,6 +79,7 @@ def policy_sizes(
         fusion=network.fusion if embedding.dim else "none",
         hidden=network.hidden,
         pixel_shift=network.pixel_shift,
+        pixel_scale=network.pixel_scale,
         actor_gain=network.actor_gain,
     )
     return matched_without_knowledge(sizes) if network.wide else sizes

@@ -34,6 +34,9 @@ class NetworkConfig:
     pixel_shift: float = 0.0
     """Subtracted from the pixels after they were scaled to 0..1."""
 
+    pixel_scale: float = 1.0
+    """Multiplies the shifted pixels; .5 and 4 give pictures mean 0 and deviation about 1."""
+
     actor_gain: float = 0.01
     """Gain of the orthogonal initialization of the actor heads."""
 

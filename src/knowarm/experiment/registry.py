@@ -4,6 +4,7 @@ Names are ``<robot>-<agent>[-dr]-<algorithm>``: ``irb120-full-ppo``, ``tiago-bm-
 randomizes the targets' colours (paper section 4.2.5).
 """
 
+from dataclasses import replace
 from typing import Literal
 
 from knowarm.errors import unknown_name
@@ -15,6 +16,9 @@ from knowarm.world.robots import ROBOTS
 
 ALGORITHMS: dict[str, Algorithm] = {"ppo": PPOConfig(), "a3c": A3CConfig()}
 """Each algorithm with the numbers an experiment of that name starts from."""
+
+PIXELS = {"ppo": {"pixel_shift": 0.5, "pixel_scale": 4.0}, "a3c": {}}
+"""How pictures are normalized by algorithm: for A3C as in the paper, not beyond 0..1."""
 
 TOTAL_STEPS = {"ppo": 10_000_000, "a3c": 70_000_000}
 """Environment steps by algorithm: A3C's is the paper's."""
@@ -37,7 +41,7 @@ def _experiments() -> dict[str, ExperimentConfig]:
                         total_steps=TOTAL_STEPS[algorithm],
                         env=EnvConfig(robot=robot, colours=colours),
                         knowledge=choices.knowledge,
-                        network=choices.network,
+                        network=replace(choices.network, **PIXELS[algorithm]),
                         algorithm=numbers,
                     )
     return experiments
