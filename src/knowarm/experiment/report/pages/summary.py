@@ -1,6 +1,7 @@
 """Study and claims go in; the page that says what was found comes out."""
 
-from typing import Literal
+from collections.abc import Callable
+from dataclasses import dataclass
 
 from knowarm.experiment.report import format
 from knowarm.experiment.report.blocks import (
@@ -24,11 +25,13 @@ from knowarm.experiment.report.study import Study, Task
 from knowarm.experiment.report.verdict import finding
 from knowarm.experiment.statistics import Interval
 
-Widths = tuple[tuple[Literal["", "wide", "narrow"], float], ...]
+Measure = tuple[str, str, Callable[[float], str], tuple[float, float] | None]
 
-WIDTHS: Widths = (("", 400),)
-WIDTHS_ALONE: Widths = (("wide", 760), ("narrow", 350))
-"""Screens and widths of the drawing of one task [px]."""
+MEASURES: tuple[Measure, ...] = (
+    ("success", "success", lambda value: format.percent(value, 0), (0.0, 1.0)),
+    ("return_mean", "mean return", format.decimals(0), None),
+)
+"""Number of the summary, its name, its format and the ends of its axis."""
 
 NAMES = 124
 """Room for the agents' names [px]."""
@@ -118,55 +121,66 @@ def _tiles(task: Task) -> Tiles:
     return Tiles(tiles=tiles)
 
 
+@dataclass(frozen=True)
+class _Line:
+    """An agent, or a reference, as the figure draws it."""
+
+    name: str
+    colour: str
+    seeds: int | None
+    values: dict[str, Interval | None]
+    single: dict[str, list[float]]
+
+    def dot(self, key: str) -> Dot:
+        """The row of one measure's drawing."""
+        value = self.values[key]
+        return Dot(
+            name=self.name,
+            colour=self.colour,
+            value=value.estimate if value else None,
+            low=value.low if value else None,
+            high=value.high if value else None,
+            single=self.single.get(key, []),
+        )
+
+
 def _results(study: Study) -> Figure:
     rows: list[Row] = []
     panels: list[Panel] = []
+    alone = len(study.tasks) == 1
     for task in study.tasks:
-        dots = []
-        for name, colour, values, seeds, accuracy, single in _rows(task):
-            rows.append(
-                {"task": task.title, "agent": name, "seeds": seeds, "_colour": colour}
-                | cells("success", values)
-                | cells("accuracy", accuracy)
-            )
-            dots.append(
-                Dot(
-                    name=name,
-                    colour=colour,
-                    value=values.estimate if values else None,
-                    low=values.low if values else None,
-                    high=values.high if values else None,
-                    single=single,
-                )
-            )
-        alone = len(study.tasks) == 1
-        for only, width in WIDTHS_ALONE if alone else WIDTHS:
+        lines = _lines(task)
+        for line in lines:
+            row: Row = {"task": task.title, "agent": line.name, "seeds": line.seeds}
+            for key in ("success", "accuracy", "return_mean"):
+                row |= cells(key, line.values[key])
+            rows.append(row | {"_colour": line.colour})
+        for key, name, shown, ends in MEASURES if alone else MEASURES[:1]:
             svg = dot_chart(
-                dots,
-                f"Success of each agent on {task.title}",
-                x_title="success",
-                x_format=lambda v: format.percent(v, 0),
-                x_range=(0, 1),
-                width=width,
+                [line.dot(key) for line in lines],
+                f"{name} of each agent on {task.title}",
+                x_title=name,
+                x_format=shown,
+                x_range=ends,
                 left=NAMES,
             )
-            panels.append(Panel(svg=svg, title="" if alone else task.title, only=only))
-    columns = [
-        Column(key="task", label="task"),
-        Column(key="agent", label="agent"),
-        Column(key="seeds", label="seeds", format="integer"),
-        Column(key="success", label="success", format="percent", interval=True),
-        Column(key="accuracy", label="accuracy", format="percent", interval=True),
-    ]
+            panels.append(Panel(svg=svg, title=name if alone else task.title))
     return Figure(
-        title="Success after training",
+        title="After training",
         caption="Dot: mean over training seeds. Line: its 95 % interval, over seeds where there "
         "are several, over episodes where there is one. Small dots: single seeds.",
         panels=panels,
         table=Table(
-            name="summary-success",
-            title="Success and accuracy after training",
-            columns=columns,
+            name="summary",
+            title="Success, accuracy and return after training",
+            columns=[
+                Column(key="task", label="task"),
+                Column(key="agent", label="agent"),
+                Column(key="seeds", label="seeds", format="integer"),
+                Column(key="success", label="success", format="percent", interval=True),
+                Column(key="accuracy", label="accuracy", format="percent", interval=True),
+                Column(key="return_mean", label="mean return", format="number1", interval=True),
+            ],
             rows=rows,
             sources=[run.path for run in study.runs],
             note="success: distance and angle within the thresholds at once; accuracy: the "
@@ -175,21 +189,19 @@ def _results(study: Study) -> Figure:
     )
 
 
-def _rows(
-    task: Task,
-) -> list[tuple[str, str, Interval | None, int | None, Interval | None, list[float]]]:
+def _lines(task: Task) -> list[_Line]:
     chosen = colours(group.name for group in task.groups)
-    rows: list[tuple[str, str, Interval | None, int | None, Interval | None, list[float]]] = []
+    keys = ("success", "accuracy", "return_mean")
+    lines = []
     for group in task.groups:
-        single = group.scores("success").tolist() if len(group.judged_runs) > 1 else []
-        success, accuracy = level(group, "success"), level(group, "accuracy")
-        name = group.name
-        rows.append((name, chosen[name], success, len(group.judged_runs), accuracy, single))
+        count_of_seeds = len(group.judged_runs)
+        single = {key: group.scores(key).tolist() for key in keys} if count_of_seeds > 1 else {}
+        values = {key: level(group, key) for key in keys}
+        lines.append(_Line(group.name, chosen[group.name], count_of_seeds, values, single))
     for each in task.references:
-        summary = each.judged.summary
-        success, accuracy = own_level(summary, "success"), own_level(summary, "accuracy")
-        rows.append((each.name, "c-faint", success, None, accuracy, []))
-    return rows
+        values = {key: own_level(each.judged.summary, key) for key in keys}
+        lines.append(_Line(each.name, "c-faint", None, values, {}))
+    return lines
 
 
 def _shown(value: Interval) -> str:
