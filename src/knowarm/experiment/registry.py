@@ -17,8 +17,8 @@ from knowarm.world.robots import ROBOTS
 ALGORITHMS: dict[str, Algorithm] = {"ppo": PPOConfig(), "a3c": A3CConfig()}
 """Each algorithm with the numbers an experiment of that name starts from."""
 
-PIXELS = {"ppo": {"pixel_shift": 0.5, "pixel_scale": 4.0}, "a3c": {}}
-"""How pictures are normalized by algorithm: for A3C as in the paper, not beyond 0..1."""
+PIXELS = {"ppo": (0.5, 4.0), "a3c": (0.0, 1.0)}
+"""Shift and scale of the pixels by algorithm: A3C gets them as the paper does, 0 to 1."""
 
 TOTAL_STEPS = {"ppo": 10_000_000, "a3c": 70_000_000}
 """Environment steps by algorithm: A3C's is the paper's."""
@@ -34,6 +34,7 @@ def _experiments() -> dict[str, ExperimentConfig]:
         for agent, choices in AGENTS.items():
             for suffix, colours in COLOURS.items():
                 for algorithm, numbers in ALGORITHMS.items():
+                    shift, scale = PIXELS[algorithm]
                     name = f"{robot}-{agent}{suffix}-{algorithm}"
                     experiments[name] = ExperimentConfig(
                         name=name,
@@ -41,7 +42,7 @@ def _experiments() -> dict[str, ExperimentConfig]:
                         total_steps=TOTAL_STEPS[algorithm],
                         env=EnvConfig(robot=robot, colours=colours),
                         knowledge=choices.knowledge,
-                        network=replace(choices.network, **PIXELS[algorithm]),
+                        network=replace(choices.network, pixel_shift=shift, pixel_scale=scale),
                         algorithm=numbers,
                     )
     return experiments
