@@ -11,6 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from knowarm.world.raycast import geometry
+from knowarm.world.raycast.cast import sample_direction
 from knowarm.world.raycast.grid import BITS, TILE, Grid, sample_point
 from knowarm.world.raycast.numeric import Vector
 from knowarm.world.raycast.prepare import nine, record_paint, triple
@@ -32,7 +33,7 @@ def _fill(
 ) -> None:
     """Draw a geom whose intersection function is ``meet``; write its id if ``ids``."""
     origin, frame, size = triple(record, 0), nine(record, 3), triple(record, 12)
-    head, sun, colours = triple(record, 15), triple(record, 18), record_paint(record)
+    head, sun, colours = triple(record, 9), triple(record, 15), record_paint(record)
     geom = extent[1]
     upper = extent[4] >> BITS << BITS
     rows = (extent[5] >> BITS << BITS) + TILE - upper
@@ -45,11 +46,7 @@ def _fill(
             lane = np.int32(k)
             column = np.int32(left + (lane & np.int32(TILE - 1)))
             x, y = sample_point(column, np.int32(top + (lane >> np.int32(BITS))), grid)
-            direction = (
-                x * frame[0] + y * frame[3] - frame[6],
-                x * frame[1] + y * frame[4] - frame[7],
-                x * frame[2] + y * frame[5] - frame[8],
-            )
+            direction = sample_direction(x, y, frame)
             t, normal = meet(origin, direction, size)
             colour = shade(normal, head, sun, colours)
             farther, other = depth[k], value[k]

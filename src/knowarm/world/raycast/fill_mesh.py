@@ -9,6 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from knowarm.world.raycast.bounds import NEAR
+from knowarm.world.raycast.cast import sample_direction
 from knowarm.world.raycast.fill import Field
 from knowarm.world.raycast.grid import BITS, TILE, Grid, sample_point
 from knowarm.world.raycast.meshes import Meshes
@@ -40,7 +41,7 @@ def _fill_triangle(
 ) -> None:
     """Draw a triangle, its corners seen from the eye, into columns and rows of samples."""
     planes = face_planes(corners[0], corners[1], corners[2])
-    frame, head, sun = nine(record, 3), triple(record, 15), triple(record, 18)
+    frame, head, sun = nine(record, 3), triple(record, 9), triple(record, 15)
     colours = record_paint(record)
     upper = window[2] >> BITS << BITS
     rows = (window[3] >> BITS << BITS) + TILE - upper
@@ -53,11 +54,7 @@ def _fill_triangle(
             lane = np.int32(k)
             column = np.int32(left + (lane & np.int32(TILE - 1)))
             x, y = sample_point(column, np.int32(top + (lane >> np.int32(BITS))), grid)
-            direction = (
-                x * frame[0] + y * frame[3] - frame[6],
-                x * frame[1] + y * frame[4] - frame[7],
-                x * frame[2] + y * frame[5] - frame[8],
-            )
+            direction = sample_direction(x, y, frame)
             t, weights = meet_triangle(direction, planes)
             normal = blend(weights, normals[0], normals[1], normals[2])
             colour = shade(normal, head, sun, colours)

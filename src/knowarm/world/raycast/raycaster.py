@@ -51,6 +51,8 @@ class Raycaster:
 
     Attributes:
         view: (12,) float32, position [m] and row-major rotation of the camera in the world.
+        grid: where the samples lie.
+        scenery: what all environments share.
         lamps: (4, 3) float32: sum of ambient colours, diffuse colours of headlight and directional
             light, and the unit vector towards the latter, world.
 
@@ -78,7 +80,7 @@ class Raycaster:
         self.width, self.height = width, height
         tables = read_tables(model, camera, geom_groups)
         self._tables = tables
-        self._grid = make_grid(
+        self.grid = make_grid(
             width, height, tables.half_height, ANTIALIASING if antialiasing else 1
         )
         self.view, self.lamps = tables.camera, tables.lamps
@@ -88,14 +90,14 @@ class Raycaster:
 
         rgb = [int(min(max(channel, 0.0), 1.0) * 255 + 0.5) for channel in background]
         packed = rgb[0] | rgb[1] << 8 | rgb[2] << 16
-        empty = _make_field(self._grid, packed)
+        empty = _make_field(self.grid, packed)
         meshes = read_meshes(model)
         largest = int((meshes.span[:, 1] - meshes.span[:, 0]).max(initial=0))
         self._scratch = [
-            _make_scratch(self._grid, len(tables.kind), largest) for _ in range(num_threads)
+            _make_scratch(self.grid, len(tables.kind), largest) for _ in range(num_threads)
         ]
         nothing = np.tile(np.array(rgb, dtype=np.uint8), height * width)
-        self._scenery = Scenery(
+        self.scenery = Scenery(
             tables.kind, tables.size, tables.glow, meshes, tables.rgba, tables.fixed, tables.moving,
             empty=empty, backdrop=empty, nothing=nothing, picture=nothing,
         )  # fmt: skip
@@ -162,7 +164,7 @@ class Raycaster:
         Raises:
             UserError: the ray caster anti-aliases.
         """
-        if self._grid.mask:
+        if self.grid.mask:
             raise UserError(
                 "Raycaster.trace needs antialiasing=False, as several rays of a pixel can show "
                 "several geoms; make another Raycaster for it."
@@ -178,25 +180,25 @@ class Raycaster:
         for e in range(len(positions)):
             self._draw(e, e + 1, poses, seen, 0, None)
             trace_field(
-                self._scratch[0].field, positions[e], matrices[e], self.view, self._scenery,
-                self._grid, result.geom[e], result.distance[e], result.normal[e],
+                self._scratch[0].field, positions[e], matrices[e], self.view, self.scenery,
+                self.grid, result.geom[e], result.distance[e], result.normal[e],
             )  # fmt: skip
         return result
 
     def _keep_fixed(self) -> None:
         """Draw what stands still: samples and picture that every environment begins with."""
-        tables, scenery = self._tables, self._scenery
+        tables, scenery = self._tables, self.scenery
         picture = np.empty((1, self.height, self.width, 3), dtype=np.uint8)
-        self._scenery = scenery._replace(fixed=tables.fixed[:0], moving=tables.fixed)
+        self.scenery = scenery._replace(fixed=tables.fixed[:0], moving=tables.fixed)
         poses = self._poses(tables.position[None], tables.matrix[None])
         self._draw(0, 1, poses, self._appearance(1, None, None, None), 0, picture)
         # Only the tiles that were touched are in the scratch field.
         drawn, kept = self._scratch[0].field, (scenery.empty[0].copy(), scenery.empty[1].copy())
         for strip, dirty in enumerate(self._scratch[0].dirty):
-            first, last = (strip * self._grid.rows + dirty) * TILE
+            first, last = (strip * self.grid.rows + dirty) * TILE
             for to, of in zip(kept, drawn, strict=True):
                 to[first:last] = of[first:last]
-        self._scenery = scenery._replace(backdrop=kept, picture=picture.reshape(-1))
+        self.scenery = scenery._replace(backdrop=kept, picture=picture.reshape(-1))
 
     def _draw(
         self,
@@ -209,7 +211,7 @@ class Raycaster:
     ) -> None:
         """Draw environments start .. stop - 1; without ``out``, leave geom ids in the scratch."""
         render_range(
-            start, stop, *poses, *seen, self._grid, self._scenery, self._scratch[thread],
+            start, stop, *poses, *seen, self.grid, self.scenery, self._scratch[thread],
             out is None, np.empty((0, 0, 0, 3), dtype=np.uint8) if out is None else out,
         )  # fmt: skip
 

@@ -14,8 +14,8 @@ from knowarm.world.raycast.fill import Field, fill
 from knowarm.world.raycast.fill_mesh import fill_mesh
 from knowarm.world.raycast.grid import BITS, TILE, Grid
 from knowarm.world.raycast.meshes import Meshes
-from knowarm.world.raycast.numeric import entry
-from knowarm.world.raycast.prepare import nine, prepare, triple
+from knowarm.world.raycast.numeric import Vector, entry, scalar
+from knowarm.world.raycast.prepare import nine, prepare, prepare_light, triple
 from knowarm.world.raycast.tables import MESH
 
 
@@ -75,6 +75,11 @@ class Scratch(NamedTuple):
     """First and one past the last row of each strip that a geom can touch, (strips, 2)."""
 
 
+@scalar
+def _write(numbers: NDArray[np.float32], start: int, v: Vector) -> None:
+    numbers[start], numbers[start + 1], numbers[start + 2] = v
+
+
 @njit(error_model="numpy")
 def _prepare_list(
     geoms: NDArray[np.int32],
@@ -89,21 +94,36 @@ def _prepare_list(
     count: int,
 ) -> int:
     """Prepare the visible geoms of a list after the ``count`` that are; return how many are now."""
+    eye, camera = triple(view, 0), nine(view, 3)
+    lights = (triple(lamps, 0), triple(lamps, 3), triple(lamps, 6), triple(lamps, 9))
+    meshes, dirty = scenery.meshes, scratch.dirty
     for g in geoms:
-        if rgba[g, 3] > 0 and prepare(
-            scenery.kind[g], np.int32(g), triple(scenery.size[g], 0),
-            triple(scenery.meshes.middle[g], 0), triple(scenery.meshes.half[g], 0),
-            triple(position[g], 0),
-            nine(matrix[g], 0), view, triple(rgba[g], 0), scenery.glow[g], lamps, grid,
-            scratch.record[count], scratch.extent[count],
-        ):  # fmt: skip
-            extent = scratch.extent[count]
-            count += 1
-            upper = np.int32(extent[4] >> BITS << BITS)
-            lower = np.int32((extent[5] >> BITS << BITS) + TILE)
-            for strip in range(extent[2] >> BITS, (extent[3] >> BITS) + 1):
-                scratch.dirty[strip, 0] = min(scratch.dirty[strip, 0], upper)
-                scratch.dirty[strip, 1] = max(scratch.dirty[strip, 1], lower)
+        if rgba[g, 3] <= 0:
+            continue
+        kind, size, own = scenery.kind[g], triple(scenery.size[g], 0), nine(matrix[g], 0)
+        visible, window, origin, frame = prepare(
+            kind, size, triple(meshes.middle[g], 0), triple(meshes.half[g], 0),
+            triple(position[g], 0), own, eye, camera, grid,
+        )  # fmt: skip
+        if not visible:
+            continue
+        record, extent = scratch.record[count], scratch.extent[count]
+        count += 1
+        extent[0], extent[1] = kind, g
+        extent[2], extent[3], extent[4], extent[5] = window
+        sun, colours = prepare_light(triple(rgba[g], 0), scenery.glow[g], lights, own)
+        _write(record, 0, origin)
+        for i in range(9):
+            record[3 + i] = frame[i]
+        _write(record, 12, size)
+        _write(record, 15, sun)
+        for i in range(3):
+            _write(record, 18 + 3 * i, colours[i])
+        upper = np.int32(extent[4] >> BITS << BITS)
+        lower = np.int32((extent[5] >> BITS << BITS) + TILE)
+        for strip in range(extent[2] >> BITS, (extent[3] >> BITS) + 1):
+            dirty[strip, 0] = min(dirty[strip, 0], upper)
+            dirty[strip, 1] = max(dirty[strip, 1], lower)
     return count
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from knowarm.world.raycast import geometry
+from knowarm.world.raycast.cast import meet_geom
 from knowarm.world.raycast.fill import Field
 from knowarm.world.raycast.grid import BITS, TILE, Grid, sample_point
 from knowarm.world.raycast.meshes import Meshes
@@ -19,32 +19,13 @@ from knowarm.world.raycast.numeric import (
     dot,
     entry,
     minus,
-    scalar,
     to_local,
     to_parent,
 )
 from knowarm.world.raycast.prepare import nine, triple
 from knowarm.world.raycast.render import Scenery
-from knowarm.world.raycast.tables import BOX, CAPSULE, CYLINDER, ELLIPSOID, MESH, SPHERE
+from knowarm.world.raycast.tables import MESH
 from knowarm.world.raycast.triangle import face_planes, meet_triangle
-
-
-@scalar
-def meet_geom(
-    kind: np.int32, origin: Vector, direction: Vector, size: Vector
-) -> tuple[np.float32, Vector]:
-    """Meet one geom of any primitive type: t and normal in its frame."""
-    if kind == BOX:
-        return geometry.box(origin, direction, size)
-    if kind == CYLINDER:
-        return geometry.cylinder(origin, direction, size)
-    if kind == CAPSULE:
-        return geometry.capsule(origin, direction, size)
-    if kind == SPHERE:
-        return geometry.sphere(origin, direction, size)
-    if kind == ELLIPSOID:
-        return geometry.ellipsoid(origin, direction, size)
-    return geometry.plane(origin, direction, size)
 
 
 @njit(error_model="numpy")
