@@ -5,6 +5,8 @@ PY := $(VENV)/bin/python
 PIP := $(PY) -m pip --disable-pip-version-check install --quiet
 # One exact pin: a looser one may pull gigabytes of GPU packages onto a machine without a GPU.
 TORCH := torch==2.13.0
+# Only the comparison with MuJoCo's own renderer draws with OpenGL; EGL needs no display.
+export MUJOCO_GL ?= egl
 
 .PHONY: help demo test check format lint types fast-tests bench clean
 
