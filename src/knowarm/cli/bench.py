@@ -36,6 +36,14 @@ class Learn:
         write_json_table(self.json, result)
 
 
+WORLD_TABLES = {
+    "rows": "Environment steps with a picture, all threads or processes together",
+    "raycaster": "The ray caster alone",
+    "growth": "How ours grows",
+}
+"""Tables of ``bench world``: field of the JSON, and its title."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class World:
     """Measure simulation with pictures: ours against Gymnasium with OpenGL and MuJoCo Warp."""
@@ -51,10 +59,11 @@ class World:
         """Measure and print."""
         check_json_path(self.json)
         result = bench_world(self.config)
-        for name in ("rows", "raycaster", "growth"):
-            rows = result.get(name)
+        for name, title in WORLD_TABLES.items():
+            # Figures of CPU time are for the JSON: with the others they fill no terminal.
+            rows = [{k: v for k, v in row.items() if "cpu" not in k} for row in result[name]]
             if rows:
-                print_table(name, list(rows[0]), [list(row.values()) for row in rows])
+                print_table(title, list(rows[0]), [list(row.values()) for row in rows])
         write_json_table(self.json, result)
 
 
