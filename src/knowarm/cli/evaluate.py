@@ -37,17 +37,18 @@ class Evaluate:
     def run(self) -> None:
         """Play, print, and keep."""
         check_json_path(self.json)
-        agent, env, out = self._agent()
-        result = evaluate(agent, env, self.evaluation, agent_name=self.agent)
+        name, agent, env, out = self._agent()
+        result = evaluate(agent, env, self.evaluation, agent_name=name)
         _print(result.summary)
         if out is not None and self.save:
             result.write(out)
             print(f"Kept in {out}")
         write_json_table(self.json, result.summary)
 
-    def _agent(self) -> tuple[Agent, EnvConfig, Path | None]:
+    def _agent(self) -> tuple[str, Agent, EnvConfig, Path | None]:
+        """Name, agent, its world, and where its evaluation is kept."""
         if self.agent in SCRIPTED:
-            return SCRIPTED[self.agent](self.evaluation.seed), self.env, None
+            return self.agent, SCRIPTED[self.agent](self.evaluation.seed), self.env, None
         if "/" not in self.agent and not Path(self.agent).exists():
             raise unknown_name("agent or run folder", self.agent, SCRIPTED)
         if self.env != EnvConfig():
@@ -61,7 +62,8 @@ class Evaluate:
             seed=self.evaluation.seed,
         )
         label = self.evaluation.folder + ("" if self.which == "best" else f"-{self.which}")
-        return trained.agent, trained.config.env, trained.folder.evaluation(label)
+        name = f"{trained.config.name}/{trained.config.seed}"
+        return name, trained.agent, trained.config.env, trained.folder.evaluation(label)
 
 
 def _print(summary: dict[str, Any]) -> None:
