@@ -41,8 +41,9 @@ class PPOConfig:
     adam_epsilon: float = 1e-5
     """Adam's guard against division by zero."""
 
-    gamma: float = 0.99
-    """Discount factor."""
+    gamma: float = 0.95
+    """Discount factor. The paper's A3C has .99; with .95 three times as many episodes succeeded
+    after 600,000 steps, since a reach takes 5 to 16 steps (docs/lab-notes.md)."""
 
     trace_decay: float = 0.95
     """Lambda of the advantage estimate."""
