@@ -7,11 +7,11 @@ first imported: ``NUMBA_ENABLE_CUDASIM=1 python cuda_pictures.py SIDE STATES``.
 import sys
 
 import numpy as np
-from knowarm.world.raycast.cuda import CudaRaycaster
 from numba import cuda
 from raycast_scenes import CAMERA, every_primitive, mesh_scene, random_states
 
 from knowarm.world.raycast import Raycaster
+from knowarm.world.raycast.cuda import CudaRaycaster
 
 
 def main(side: int, count: int) -> None:
