@@ -22,6 +22,13 @@ def test_what_is_no_run_folder_is_refused(tmp_path):
         RunFolder.open(tmp_path / "nowhere")
 
 
+@pytest.mark.parametrize("text", ["[]", "3", "{", ""])
+def test_a_damaged_config_is_refused(tmp_path, text):
+    (tmp_path / "config.json").write_text(text)
+    with pytest.raises(UserError, match="JSON"):
+        RunFolder.open(tmp_path)
+
+
 def test_another_format_is_refused(tmp_path):
     write_json(tmp_path / "config.json", {"format": 99})
     with pytest.raises(UserError, match="format 99"):

@@ -7,6 +7,7 @@ import tyro
 
 from knowarm.cli.tables import check_json_path
 from knowarm.experiment.report import report
+from knowarm.experiment.run_folder import read_json
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,6 +25,9 @@ class Report:
         """Write the report."""
         check_json_path(self.json)
         path = report(self.runs, self.out)
+        values = read_json(path.with_suffix(".json"))
+        for problem in values["problems"]:
+            print(f"Note: {': '.join(map(str, problem.values()))}")
         print(f"Wrote {path}: open it in a browser.")
         if self.json is not None:
             self.json.write_bytes(path.with_suffix(".json").read_bytes())

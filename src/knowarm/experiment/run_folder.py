@@ -196,14 +196,17 @@ def read_json(path: Path) -> dict[str, Any]:
     """Values of a JSON file.
 
     Raises:
-        UserError: the file is missing or not JSON.
+        UserError: the file is missing, not JSON, or holds no object.
     """
     try:
-        return json.loads(path.read_text())
+        values = json.loads(path.read_text())
     except OSError as error:
         raise UserError(f"Cannot read {path}: {error.strerror}.") from error
     except ValueError as error:
         raise UserError(f"{path} is not valid JSON: {error}.") from error
+    if not isinstance(values, dict):
+        raise UserError(f"{path} must hold a JSON object, got {type(values).__name__}.")
+    return values
 
 
 def write_json(path: Path, values: Mapping[str, Any]) -> None:
