@@ -4,4 +4,5 @@ import sys
 
 from knowarm.cli.main import main
 
-sys.exit(main())
+if __name__ == "__main__":  # processes that a command starts import this module again
+    sys.exit(main())
