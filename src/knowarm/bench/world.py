@@ -169,7 +169,8 @@ def _async_opengl(config: EnvConfig, bench: WorldBenchConfig) -> Speed:
 
 def _async_worker(config: EnvConfig, bench: WorldBenchConfig) -> Speed:
     """Gymnasium's AsyncVectorEnv: a process a worker, each a single environment with OpenGL."""
-    env_id = {robot: env_id for env_id, robot in ENV_IDS.items()}[config.robot]
+    # The prefix makes Gymnasium import the package in each worker, which registers the id.
+    env_id = {robot: f"knowarm:{env_id}" for env_id, robot in ENV_IDS.items()}[config.robot]
     options: dict[str, Any] = {
         "dynamics": config.dynamics,
         "image_size": config.image_size,

@@ -24,7 +24,9 @@ class Learn:
         """Measure and print."""
         check_json_path(self.json)
         result = bench_learn(self.config)
-        names = list(dict.fromkeys(name for row in result["rows"] for name in row))
+        hidden = {"what", "parameters", "parameters_ours"}  # for the JSON
+        found = dict.fromkeys(name for row in result["rows"] for name in row)
+        names = [name for name in found if name not in hidden]
         print_table(
             f"Training {result['experiment']}, {result['threads']} threads or processes each",
             names,

@@ -12,7 +12,7 @@ from knowarm.errors import UserError
 
 
 def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """Print a table; numbers are right-aligned, floats get three decimals."""
+    """Print a table; numbers are right-aligned, floats below 1,000 get three decimals."""
     rows = [list(row) for row in rows]
     table = Table(title=title, title_justify="left", title_style="bold")
     for i, name in enumerate(columns):
@@ -28,7 +28,9 @@ def _cell(value: Any) -> str:
         return {True: "yes", False: "no", None: "-"}[value]
     if isinstance(value, int):
         return f"{value:,}"
-    return f"{value:,.3f}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:,.3f}"
+    return str(value)
 
 
 def check_json_path(path: Path | None) -> None:
