@@ -21,6 +21,7 @@ SMALL = PPOConfig(
     minibatches=2,
     learning_rate=3e-3,
     reward_scale=1.0,
+    entropy_weight=0.01,
     precision="float32",
     threads=1,
 )
