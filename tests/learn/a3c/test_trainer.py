@@ -60,12 +60,12 @@ def make_play(recall, length):
     return play
 
 
-@pytest.mark.slow
 SOLVED = 0.75
 """Workers update in another order each time, so the last few per cent come and go (.91 was seen). A
 policy that does not look, or does not remember, is right in a third of the episodes at most."""
 
 
+@pytest.mark.slow
 def test_identity_task_is_solved():
     policy = small_policy()
     trainer = A3CTrainer(FAST, policy, Make(False, 5), TABLE, seed=0)
