@@ -1,11 +1,14 @@
 """Targets and colours of episodes go in; the colour of every geom comes out."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.errors import UserError
+from knowarm.world.arrays import Array, Place, array_namespace, here
 from knowarm.world.episodes import Episodes
-from knowarm.world.looks import looks
+from knowarm.world.looks import LookSource
 from knowarm.world.scene import Scene
 from knowarm.world.visual_randomization import VisualRandomization
 
@@ -20,33 +23,96 @@ def resting_colours(scene: Scene, num_envs: int) -> NDArray[np.float32]:
     return np.repeat(rgba[None].astype(np.float32), num_envs, axis=0)
 
 
-def show_targets(
-    scene: Scene,
-    geom_rgba: NDArray[np.float32],
-    ids: NDArray[np.intp],
-    target: NDArray[np.int64],
-    colour: NDArray[np.int64],
-) -> None:
-    """Show one target in its colour and hide the others, in place.
+class TargetColours:
+    """Shows one target in its colour and hides the others.
 
     Args:
         scene: where the targets' geoms are.
-        geom_rgba: (n, G, 4), written at ``ids``.
-        ids: the environments, (k,).
-        target: index of the visible target, (k,).
-        colour: index into its colours, (k,).
+        place: puts the constants where colours will be computed; on the CPU by default.
     """
-    geoms = np.flatnonzero(scene.geom_target >= 0)
-    visible = scene.geom_target[geoms] == target[:, None]
-    painted = visible & scene.geom_coloured[geoms]
-    rgb = scene.target_colours[target, colour][:, None, :]
-    at = ids[:, None], geoms
-    geom_rgba[(*at, slice(3))] = np.where(painted[..., None], rgb, geom_rgba[(*at, slice(3))])
-    geom_rgba[(*at, 3)] = visible
+
+    def __init__(self, scene: Scene, place: Place = here) -> None:
+        self._resting = place(resting_colours(scene, 1)[0])
+        self._owner = place(scene.geom_target)
+        self._coloured = place(scene.geom_coloured)
+        self._colours = place(scene.target_colours)
+
+    def __call__(self, target: Array, colour: Array) -> Array:
+        """Colours of every geom, new, (k, G, 4) float32 in 0..1; alpha 0 hides.
+
+        Args:
+            target: index of the visible target, (k,) int64, NumPy or torch.
+            colour: index into its colours, (k,) int64.
+        """
+        xp = array_namespace(target)
+        visible = self._owner == target[:, None]
+        own, others = self._resting[:, :3], self._resting[:, 3:]
+        painted = (visible & self._coloured)[..., None]
+        rgb = xp.where(painted, self._colours[target, colour][:, None, :], own)
+        alpha = xp.astype(visible, xp.float32)[..., None] + others
+        return xp.concat([rgb, alpha], axis=-1)
+
+
+class Shown(NamedTuple):
+    """How k environments look: what ``Pictures.draw`` takes besides the poses."""
+
+    rgba: Array
+    """Colours of the geoms, alpha 0 where one is hidden, (k, G, 4) float32."""
+
+    views: Array | None
+    """Cameras, (k, 12) float32; None for the model's."""
+
+    lamps: Array | None
+    """Lights, (k, 4, 3) float32; None for the model's."""
+
+    distractor_position: Array | None
+    """Where distractors stand, x and y [m], (k, D, 2) float64; None when nothing is randomized."""
+
+
+class AppearanceSource:
+    """Computes how episodes look, on the CPU or on a device.
+
+    Args:
+        scene: what stands in the picture.
+        randomization: what varies in it.
+        place: puts the constants where looks will be computed; on the CPU by default.
+    """
+
+    def __init__(
+        self, scene: Scene, randomization: VisualRandomization, place: Place = here
+    ) -> None:
+        self._draws = randomization.draws
+        self._colours = TargetColours(scene, place)
+        self._looks = LookSource(scene, randomization, place)
+        self._surfaces = place(np.array(scene.surface_geoms, dtype=np.int64))
+        self._distractors = place(scene.distractor_geoms.astype(np.int64))
+
+    def check(self, episodes: Episodes) -> None:
+        """Refuse episodes that were drawn for another randomization.
+
+        Raises:
+            UserError: their look has another number of draws.
+        """
+        if episodes.look.shape[1] != self._draws:
+            raise UserError(
+                f"The episodes hold {episodes.look.shape[1]} draws of visual randomization, this "
+                f"environment needs {self._draws}: draw them with its config."
+            )
+
+    def __call__(self, target: Array, colour: Array, position: Array, look: Array) -> Shown:
+        """Show k episodes; takes the fields of ``Episodes``, NumPy or torch."""
+        rgba = self._colours(target, colour)
+        if not self._draws:
+            return Shown(rgba, None, None, None)
+        seen = self._looks(look, position)
+        if seen.surface_rgb is not None:
+            rgba[:, self._surfaces, :3] = seen.surface_rgb
+        rgba[:, self._distractors, :3] = seen.distractor_rgb
+        return Shown(rgba, seen.views, seen.lamps, seen.distractor_position)
 
 
 class Appearance:
-    """How n environments look: what ``Pictures.draw`` takes besides the poses.
+    """How n environments of the CPU look.
 
     Attributes:
         rgba: (n, G, 4) float32, alpha 0 where a geom is hidden.
@@ -55,24 +121,12 @@ class Appearance:
     """
 
     def __init__(self, scene: Scene, randomization: VisualRandomization, num_envs: int) -> None:
-        self._scene = scene
-        self._randomization = randomization
+        self._source = AppearanceSource(scene, randomization)
         self._count = num_envs
+        self.check = self._source.check
         self.rgba = resting_colours(scene, num_envs)
         self.views: NDArray[np.float32] | None = None
         self.lamps: NDArray[np.float32] | None = None
-
-    def check(self, episodes: Episodes) -> None:
-        """Refuse episodes that were drawn for another randomization.
-
-        Raises:
-            UserError: their look has another number of draws.
-        """
-        if episodes.look.shape[1] != self._randomization.draws:
-            raise UserError(
-                f"The episodes hold {episodes.look.shape[1]} draws of visual randomization, this "
-                f"environment needs {self._randomization.draws}: draw them with its config."
-            )
 
     def show(self, ids: NDArray[np.intp], episodes: Episodes) -> NDArray[np.float64] | None:
         """Make environments look as their episodes want it.
@@ -84,18 +138,11 @@ class Appearance:
         Returns:
             Where the distractors stand, x and y [m], (k, D, 2); None when nothing is randomized.
         """
-        scene = self._scene
-        show_targets(scene, self.rgba, ids, episodes.target, episodes.colour)
-        if not self._randomization.draws:
-            return None
-        look = looks(scene, self._randomization, episodes.look, episodes.position)
-        self.views = self._written(self.views, ids, look.views)
-        self.lamps = self._written(self.lamps, ids, look.lamps)
-        if look.surface_rgb is not None:
-            self.rgba[ids[:, None], list(scene.surface_geoms), :3] = look.surface_rgb
-        if len(scene.distractor_geoms):
-            self.rgba[ids[:, None], scene.distractor_geoms, :3] = look.distractor_rgb
-        return look.distractor_position
+        shown = self._source(episodes.target, episodes.colour, episodes.position, episodes.look)
+        self.rgba[ids] = shown.rgba
+        self.views = self._written(self.views, ids, shown.views)
+        self.lamps = self._written(self.lamps, ids, shown.lamps)
+        return shown.distractor_position
 
     def of(
         self, ids: NDArray[np.intp] | slice

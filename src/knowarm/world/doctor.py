@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from knowarm.errors import UserError
-from knowarm.world.appearance import resting_colours, show_targets
+from knowarm.world.appearance import TargetColours, resting_colours
 from knowarm.world.attach import read_mjcf
 from knowarm.world.config import EnvConfig
 from knowarm.world.description_file import SUFFIX
@@ -197,10 +197,8 @@ def _check_visible(env: ReachVectorEnv) -> list[Check]:
     hidden = pictures.draw(*poses, resting_colours(scene, SAMPLES)).astype(np.int16)
     checks = []
     for c, colour in enumerate(scene.colour_names[0]):
-        rgba = resting_colours(scene, SAMPLES)
-        every = np.arange(SAMPLES)
-        show_targets(scene, rgba, every, np.zeros_like(every), np.full_like(every, c))
-        shown = pictures.draw(*poses, rgba)
+        first = np.zeros(SAMPLES, dtype=np.int64)
+        shown = pictures.draw(*poses, TargetColours(scene)(first, np.full_like(first, c)))
         pixels = (np.abs(shown - hidden).max(axis=-1) > 25).sum(axis=(1, 2))
         few = float(np.percentile(pixels, 5))
         well = few >= MIN_PIXELS

@@ -6,30 +6,32 @@ splitmix64's finalizer (Steele, Lea and Flood 2014) applied to each number in tu
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-_GAMMA = np.uint64(0x9E3779B97F4A7C15)
-_MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
-_MIX_2 = np.uint64(0x94D049BB133111EB)
+from knowarm.world.arrays import Array, array_namespace
+
+# Constants as signed numbers: torch shifts no unsigned ones, and modulo 2**64 it is all the same.
+_GAMMA = 0x9E3779B97F4A7C15 - 2**64
+_MIX_1 = 0xBF58476D1CE4E5B9 - 2**64
+_MIX_2 = 0x94D049BB133111EB - 2**64
 
 
-def uniforms(
-    streams: NDArray[np.uint64], episodes: NDArray[np.uint64], count: int
-) -> NDArray[np.float64]:
+def uniforms(streams: Array, episodes: Array, count: int) -> Array:
     """Draw the uniforms of episodes.
 
     Args:
-        streams: seed of each episode's stream, (n,) uint64.
-        episodes: index of the episode within its stream, (n,) uint64.
+        streams: seed of each episode's stream, (n,) uint64, or int64 with the same bits.
+        episodes: index of the episode within its stream, (n,) likewise.
         count: numbers drawn for each episode.
 
     Returns:
-        (n, count) float64 in [0, 1).
+        (n, count) float64 in [0, 1), the same numbers from NumPy and torch.
     """
-    key = _mix(_mix(streams.astype(np.uint64)) ^ episodes.astype(np.uint64))
-    draws = np.arange(count, dtype=np.uint64)
+    xp = array_namespace(streams, episodes)
+    streams, episodes = xp.astype(streams, xp.int64), xp.astype(episodes, xp.int64)
+    key = _mix(_mix(streams) ^ episodes)
+    draws = xp.arange(count, dtype=xp.int64, device=streams.device)
     bits = _mix(key[:, None] ^ _mix(draws)[None, :])
-    return (bits >> np.uint64(11)).astype(np.float64) * 2.0**-53
+    return xp.astype(_shifted(bits, 11), xp.float64) * 2.0**-53
 
 
 def derive(seed: int, label: str) -> int:
@@ -42,15 +44,20 @@ def derive(seed: int, label: str) -> int:
     Returns:
         An integer in [0, 2**64).
     """
-    digest = np.array([seed % 2**64], dtype=np.uint64)
+    digest = np.array([seed % 2**64], dtype=np.uint64).view(np.int64)
     for byte in label.encode():
-        digest = _mix(digest ^ np.uint64(byte))
-    return int(digest[0])
+        digest = _mix(digest ^ byte)
+    return int(digest[0]) % 2**64
 
 
-def _mix(x: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Add the golden gamma and apply splitmix64's finalizer, modulo 2**64."""
+def _mix(x: Array) -> Array:
+    """Add the golden gamma and apply splitmix64's finalizer, modulo 2**64, to int64 numbers."""
     x = x + _GAMMA
-    x = (x ^ (x >> np.uint64(30))) * _MIX_1
-    x = (x ^ (x >> np.uint64(27))) * _MIX_2
-    return x ^ (x >> np.uint64(31))
+    x = (x ^ _shifted(x, 30)) * _MIX_1
+    x = (x ^ _shifted(x, 27)) * _MIX_2
+    return x ^ _shifted(x, 31)
+
+
+def _shifted(x: Array, bits: int) -> Array:
+    """Shift int64 numbers right and fill up with zeros, as if they had no sign."""
+    return (x >> bits) & ((1 << (64 - bits)) - 1)

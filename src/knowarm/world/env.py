@@ -12,7 +12,7 @@ from knowarm.errors import UserError
 from knowarm.world.appearance import Appearance
 from knowarm.world.arguments import checked_actions, masked_ids, spread_seeds
 from knowarm.world.config import EnvConfig
-from knowarm.world.episodes import Episodes, draw_episodes
+from knowarm.world.episodes import Episodes, EpisodeSource
 from knowarm.world.pictures import Pictures, make_pictures
 from knowarm.world.rewards import is_success, measure, reward_terms
 from knowarm.world.scene import Scene, load_scene, target_places
@@ -74,7 +74,7 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
         self.pictures: Pictures = make_pictures(self.scene, config, config.image_size, num_threads)
         self._large_pictures: Pictures | None = None
         self._increments = config.mpi_rad * np.array(ACTION_LEVELS)
-        self.facets, self._first_facet = _facets(self.scene, config)
+        self.facets, self._first_facet = list_facets(self.scene, config)
 
         self._picture_shape = (config.image_size, config.image_size, 3)
         self.single_observation_space = spaces.Box(0, 255, self._picture_shape, np.uint8)
@@ -99,7 +99,7 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
         self._grasp_position = np.zeros((n, 3))
         self._grasp_matrix = np.zeros((n, 9))
         self._appearance = Appearance(self.scene, config.randomization, n)
-        draw_episodes(self.scene, config, self._streams[:1], self._next_episode[:1])  # checks it
+        self._episodes = EpisodeSource(self.scene, config)
         self._show(np.arange(n))
         self._measure()
 
@@ -288,7 +288,7 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
         """Start the next drawn episode of each environment's stream."""
         streams, numbers = self._streams[ids], self._next_episode[ids]
         self._next_episode[ids] += np.uint64(1)
-        self._start(ids, draw_episodes(self.scene, self.config, streams, numbers))
+        self._start(ids, self._episodes(streams, numbers))
 
     def _start(self, ids: NDArray[np.intp], episodes: Episodes) -> None:
         """Put environments at the start of given episodes."""
@@ -402,7 +402,7 @@ _STATE = (
 """Arrays of ``ReachVectorEnv`` that, with the simulation's state, determine everything else."""
 
 
-def _facets(
+def list_facets(
     scene: Scene, config: EnvConfig
 ) -> tuple[tuple[tuple[str, str], ...], NDArray[np.int64]]:
     """List the (target, colour) pairs of a config, and the index of each target's first."""

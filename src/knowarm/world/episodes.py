@@ -5,6 +5,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from knowarm.world.arrays import Array, Place, array_namespace, here
 from knowarm.world.config import EnvConfig
 from knowarm.world.draws import derive, uniforms
 from knowarm.world.held_out import TRIES, allowed_colours, check_names, choose_places
@@ -15,7 +16,10 @@ _TARGET, _X, _Y, _COLOUR, _JOINTS = range(5)  # order of an episode's draws
 
 @dataclass(frozen=True)
 class Episodes:
-    """Where n episodes start. Drawn first and played later, so a fixed set is just this."""
+    """Where n episodes start. Drawn first and played later, so a fixed set is just this.
+
+    On a GPU the same fields hold torch tensors of the same shapes and dtypes.
+    """
 
     joint_offsets: NDArray[np.float64]
     """Start angle of each joint relative to home [rad], (n, J)."""
@@ -40,47 +44,73 @@ class Episodes:
         return Episodes(*(getattr(self, field.name)[index] for field in fields(self)))
 
 
-def draw_episodes(
-    scene: Scene, config: EnvConfig, streams: NDArray[np.uint64], indices: NDArray[np.uint64]
-) -> Episodes:
-    """Draw episodes by number (paper, table 1).
+class EpisodeSource:
+    """Draws the episodes of a scene and config by their numbers (paper, table 1).
 
     Target, place in the rectangle and colour are uniform; the start joints begin within
     +-start_fraction of half their range about home.
 
     Args:
         scene: the robot and targets.
-        config: whether colours are randomized.
-        streams: seed of each episode's stream, (n,) uint64.
-        indices: number of the episode in its stream, (n,) uint64.
+        config: which colours and places are drawn, and how many draws the picture takes.
+        place: puts the constants where episodes will be drawn; on the CPU by default.
 
-    Returns:
-        n episodes; the same numbers give the same episode at any n.
+    Raises:
+        UserError: held-out colours that no target has, or that leave a target none.
     """
-    robot = scene.robot
-    looks = _JOINTS + scene.num_joints
-    places = looks + config.randomization.draws
-    count = places + (2 * TRIES if config.held_out and config.held_out.places else 0)
-    u = uniforms(streams, indices, count)
-    target = (u[:, _TARGET] * len(scene.targets)).astype(np.int64)
-    centre, half = np.array(robot.rectangle_centre_m), np.array(robot.rectangle_half_size_m)
-    candidates = np.concatenate([u[:, _X : _Y + 1], u[:, places:]], axis=1).reshape(len(u), -1, 2)
-    position = centre + choose_places(config.held_out, 2 * candidates - 1) * half
-    colour = _colours(scene, config, target, u[:, _COLOUR])
-    start = list(robot.start_joints)
-    reach = robot.start_fraction * (scene.joint_upper - scene.joint_lower)[start] / 2
-    offsets = np.zeros((len(target), scene.num_joints))
-    offsets[:, start] = (2 * u[:, _JOINTS:][:, start] - 1) * reach
-    return Episodes(offsets, target, position, colour, u[:, looks:places])
+
+    def __init__(self, scene: Scene, config: EnvConfig, place: Place = here) -> None:
+        robot = scene.robot
+        self._joints = scene.num_joints
+        self._targets = len(scene.targets)
+        self._look_draws = config.randomization.draws
+        self._held_out = config.held_out
+        self._centre = place(np.array(robot.rectangle_centre_m))
+        self._half = place(np.array(robot.rectangle_half_size_m))
+        moved = np.isin(np.arange(scene.num_joints), robot.start_joints)
+        self._moved = place(moved)
+        self._reach = place(robot.start_fraction * (scene.joint_upper - scene.joint_lower) / 2)
+        table, count = _allowed_colours(scene, config)
+        self._colours, self._colour_count = place(table), place(count)
+
+    def __call__(self, streams: Array, indices: Array) -> Episodes:
+        """Draw episodes.
+
+        Args:
+            streams: seed of each episode's stream, (n,) uint64, or int64 with the same bits.
+            indices: number of the episode in its stream, (n,) likewise.
+
+        Returns:
+            n episodes, as arrays of the same library; the same numbers give the same episode at
+            any n and on any device.
+        """
+        xp = array_namespace(streams, indices)
+        looks = _JOINTS + self._joints
+        places = looks + self._look_draws
+        tries = TRIES if self._held_out and self._held_out.places else 0
+        u = uniforms(streams, indices, places + 2 * tries)
+        target = xp.astype(u[:, _TARGET] * self._targets, xp.int64)
+        candidates = xp.concat([u[:, _X : _Y + 1], u[:, places:]], axis=1)
+        signed = 2 * xp.reshape(candidates, (u.shape[0], 1 + tries, 2)) - 1
+        position = self._centre + choose_places(self._held_out, signed) * self._half
+        choice = xp.astype(u[:, _COLOUR] * self._colour_count[target], xp.int64)
+        offsets = xp.where(self._moved, (2 * u[:, _JOINTS:looks] - 1) * self._reach, 0.0)
+        return Episodes(
+            offsets, target, position, self._colours[target, choice], u[:, looks:places]
+        )
 
 
-def _colours(
-    scene: Scene,
-    config: EnvConfig,
-    target: NDArray[np.int64],
-    draws: NDArray[np.float64],
-) -> NDArray[np.int64]:
-    """Index of each episode's colour among its target's, of those that may be drawn, (n,)."""
+def draw_episodes(
+    scene: Scene, config: EnvConfig, streams: NDArray[np.uint64], indices: NDArray[np.uint64]
+) -> Episodes:
+    """Draw episodes of a scene and config once; see ``EpisodeSource``."""
+    return EpisodeSource(scene, config)(streams, indices)
+
+
+def _allowed_colours(
+    scene: Scene, config: EnvConfig
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Indices of the colours each target may be drawn in, (K, C), and how many they are, (K,)."""
     every = [names if config.colours == "randomized" else names[:1] for names in scene.colour_names]
     check_names(config.held_out, [name for names in every for name in names])
     allowed = [
@@ -90,8 +120,7 @@ def _colours(
     table = np.zeros((len(allowed), max(map(len, allowed))), dtype=np.int64)
     for k, indices in enumerate(allowed):
         table[k, : len(indices)] = indices
-    count = np.array([len(indices) for indices in allowed])
-    return table[target, (draws * count[target]).astype(np.int64)]
+    return table, np.array([len(indices) for indices in allowed])
 
 
 def evaluation_episodes(scene: Scene, config: EnvConfig, count: int, seed: int) -> Episodes:

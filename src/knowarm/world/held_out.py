@@ -4,10 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
 from knowarm.errors import UserError, unknown_name
+from knowarm.world.arrays import Array, array_namespace
 
 TRIES = 32
 """Places drawn for an episode; the first allowed one is taken. At most half of the rectangle is
@@ -79,21 +77,24 @@ def check_names(held_out: HeldOut | None, names: Sequence[str]) -> None:
             raise unknown_name("held-out colour", name, names)
 
 
-def choose_places(held_out: HeldOut | None, signed: NDArray[np.float64]) -> NDArray[np.float64]:
+def choose_places(held_out: HeldOut | None, signed: Array) -> Array:
     """Take the first place of each episode that is on the side to be played.
 
     Args:
         held_out: the places held out; None allows all.
-        signed: candidates in -1..1, (n, T, 2).
+        signed: candidates in -1..1, (n, T, 2) float64, NumPy or torch.
 
     Returns:
         (n, 2), uniform on that side.
     """
     if held_out is None or held_out.places is None:
         return signed[:, 0]
+    xp = array_namespace(signed)
     x0, x1, y0, y1 = held_out.places
-    low, high = np.array([x0, y0]), np.array([x1, y1])
     if held_out.play == "held_out":
-        return low + (signed[:, 0] + 1) / 2 * (high - low)
-    outside = ((signed < low) | (signed > high)).any(axis=-1)
-    return signed[np.arange(len(signed)), outside.argmax(axis=1)]
+        x, y = (signed[:, 0, 0] + 1) / 2, (signed[:, 0, 1] + 1) / 2
+        return xp.stack([x0 + x * (x1 - x0), y0 + y * (y1 - y0)], axis=-1)
+    x, y = signed[..., 0], signed[..., 1]
+    outside = (x < x0) | (x > x1) | (y < y0) | (y > y1)
+    first = xp.argmax(xp.astype(outside, xp.uint8), axis=1)
+    return signed[xp.arange(signed.shape[0], device=signed.device), first]

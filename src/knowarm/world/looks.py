@@ -3,11 +3,13 @@
 It changes pictures only, never what a robot can reach.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from knowarm.world.arrays import Array, Place, array_namespace, here
 from knowarm.world.scene import Scene
 from knowarm.world.visual_randomization import (
     DRAWS_PER_DISTRACTOR,
@@ -40,89 +42,95 @@ class Look(NamedTuple):
     """Colours of the distractors, (k, D, 3)."""
 
 
-def looks(
-    scene: Scene,
-    config: VisualRandomization,
-    uniforms: NDArray[np.float64],
-    position: NDArray[np.float64],
-) -> Look:
-    """Turn draws into the looks of k episodes.
+class LookSource:
+    """Turns draws into the looks of episodes.
 
     Args:
         scene: whose camera, lights and colours vary.
         config: by how much.
-        uniforms: draws in [0, 1), (k, ``config.draws``).
-        position: where the targets stand, x and y [m], (k, 2); distractors keep away from it.
+        place: puts the constants where looks will be computed; on the CPU by default.
     """
-    signed = 2 * uniforms - 1
-    moved = config.camera_shift_m > 0 or config.camera_turn_deg > 0
-    lit = config.light > 0 or config.light_angle_deg > 0
-    rest = uniforms[:, FIXED_DRAWS:].reshape(
-        len(uniforms), config.distractors, DRAWS_PER_DISTRACTOR
-    )
-    return Look(
-        views=_views(scene, config, signed) if moved else None,
-        lamps=_lamps(scene, config, signed) if lit else None,
-        surface_rgb=_surfaces(scene, config, signed) if config.surface_colour > 0 else None,
-        distractor_position=_places(scene, 2 * rest[..., :2] - 1, position),
-        distractor_rgb=rest[..., 2:].astype(np.float32),
-    )
+
+    def __init__(self, scene: Scene, config: VisualRandomization, place: Place = here) -> None:
+        model, robot = scene.model, scene.robot
+        self._config = config
+        self._camera_position = place(scene.camera_position)
+        self._camera_matrix = place(scene.camera_matrix)
+        self._ambient = place(
+            np.array(model.vis.headlight.ambient) + model.light_ambient.sum(axis=0)
+        )
+        self._headlight = place(np.array(model.vis.headlight.diffuse, dtype=np.float64))
+        self._sunlight = place(model.light_diffuse[0].astype(np.float64))
+        self._sun_direction = place(model.light_dir[0].astype(np.float64))
+        self._surface_rgb = place(model.geom_rgba[list(scene.surface_geoms), :3])
+        self._centre = place(np.array(robot.rectangle_centre_m))
+        self._half = place(_SPREAD * np.array(robot.rectangle_half_size_m))
+
+    def __call__(self, uniforms: Array, position: Array) -> Look:
+        """Compute the looks of k episodes.
+
+        Args:
+            uniforms: draws in [0, 1), (k, ``config.draws``) float64, NumPy or torch.
+            position: where the targets stand, x and y [m], (k, 2); distractors keep away from it.
+        """
+        config, xp = self._config, array_namespace(uniforms)
+        signed = 2 * uniforms - 1
+        moved = config.camera_shift_m > 0 or config.camera_turn_deg > 0
+        lit = config.light > 0 or config.light_angle_deg > 0
+        rest = xp.reshape(
+            uniforms[:, FIXED_DRAWS:],
+            (uniforms.shape[0], config.distractors, DRAWS_PER_DISTRACTOR),
+        )
+        return Look(
+            views=self._views(signed) if moved else None,
+            lamps=self._lamps(signed) if lit else None,
+            surface_rgb=self._surfaces(signed) if config.surface_colour > 0 else None,
+            distractor_position=self._places(2 * rest[..., :2] - 1, position),
+            distractor_rgb=xp.astype(rest[..., 2:], xp.float32),
+        )
+
+    def _views(self, signed: Array) -> Array:
+        xp = array_namespace(signed)
+        shift = self._config.camera_shift_m * signed[:, _SHIFT:_TURN]
+        turn = math.radians(self._config.camera_turn_deg) * signed[:, _TURN:_SURFACE]
+        turned = xp.reshape(self._camera_matrix @ rotations(turn), (-1, 9))
+        views = xp.concat([self._camera_position + shift, turned], axis=1)
+        return xp.astype(views, xp.float32)
+
+    def _lamps(self, signed: Array) -> Array:
+        xp = array_namespace(signed)
+        head = 1 + self._config.light * signed[:, _LIGHT : _LIGHT + 1]
+        sun = 1 + self._config.light * signed[:, _LIGHT + 1 : _LIGHT + 2]
+        turn = math.radians(self._config.light_angle_deg) * signed[:, _LIGHT + 2 : _LIGHT + 4]
+        turn = xp.concat([turn, xp.zeros_like(turn[:, :1])], axis=1)
+        towards = -(rotations(turn) @ self._sun_direction)
+        lamps = [self._ambient * head, self._headlight * head, self._sunlight * sun, towards]
+        return xp.astype(xp.stack(lamps, axis=1), xp.float32)
+
+    def _surfaces(self, signed: Array) -> Array:
+        xp = array_namespace(signed)
+        draws = xp.reshape(signed[:, _SURFACE:FIXED_DRAWS], (-1, 2, 3))
+        change = self._config.surface_colour * draws[:, : self._surface_rgb.shape[0]]
+        return xp.astype(xp.clip(self._surface_rgb + change, 0, 1), xp.float32)
+
+    def _places(self, signed: Array, position: Array) -> Array:
+        """Places in a rectangle wider than the targets', pushed away from the target itself."""
+        xp = array_namespace(signed)
+        place = self._centre + signed * self._half
+        way = place - position[:, None, :]
+        distance = xp.linalg.vector_norm(way, axis=-1, keepdims=True)
+        pushed = position[:, None, :] + way / xp.clip(distance, 1e-9, None) * _CLEARANCE_M
+        return xp.where(distance < _CLEARANCE_M, pushed, place)
 
 
-def _views(
-    scene: Scene, config: VisualRandomization, signed: NDArray[np.float64]
-) -> NDArray[np.float32]:
-    shift = config.camera_shift_m * signed[:, _SHIFT:_TURN]
-    turn = np.radians(config.camera_turn_deg) * signed[:, _TURN:_SURFACE]
-    turned = scene.camera_matrix @ rotations(turn)
-    return np.concatenate([scene.camera_position + shift, turned.reshape(-1, 9)], axis=1).astype(
-        np.float32
-    )
-
-
-def _lamps(
-    scene: Scene, config: VisualRandomization, signed: NDArray[np.float64]
-) -> NDArray[np.float32]:
-    model = scene.model
-    lamps = np.zeros((len(signed), 4, 3))
-    lamps[:, 0] = np.array(model.vis.headlight.ambient) + model.light_ambient.sum(axis=0)
-    lamps[:, 1] = model.vis.headlight.diffuse
-    lamps[:, 2] = model.light_diffuse[0]
-    lamps[:, :2] *= 1 + config.light * signed[:, None, _LIGHT : _LIGHT + 1]
-    lamps[:, 2] *= 1 + config.light * signed[:, _LIGHT + 1 : _LIGHT + 2]
-    turn = np.zeros((len(signed), 3))
-    turn[:, :2] = np.radians(config.light_angle_deg) * signed[:, _LIGHT + 2 : _LIGHT + 4]
-    lamps[:, 3] = -(rotations(turn) @ model.light_dir[0])
-    return lamps.astype(np.float32)
-
-
-def _surfaces(
-    scene: Scene, config: VisualRandomization, signed: NDArray[np.float64]
-) -> NDArray[np.float32]:
-    own = scene.model.geom_rgba[list(scene.surface_geoms), :3]
-    change = config.surface_colour * signed[:, _SURFACE:FIXED_DRAWS].reshape(-1, 2, 3)
-    return np.clip(own + change[:, : len(own)], 0, 1).astype(np.float32)
-
-
-def _places(
-    scene: Scene, signed: NDArray[np.float64], position: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Places in a rectangle wider than the targets', pushed away from the target itself."""
-    centre = np.array(scene.robot.rectangle_centre_m)
-    half = _SPREAD * np.array(scene.robot.rectangle_half_size_m)
-    place = centre + signed * half
-    way = place - position[:, None, :]
-    distance = np.linalg.norm(way, axis=-1, keepdims=True)
-    pushed = position[:, None, :] + way / np.maximum(distance, 1e-9) * _CLEARANCE_M
-    return np.where(distance < _CLEARANCE_M, pushed, place)
-
-
-def rotations(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def rotations(vectors: Array) -> Array:
     """Rotation matrices (k, 3, 3) of rotation vectors (k, 3) [rad], by Rodrigues' formula."""
-    angle = np.linalg.norm(vectors, axis=1)
-    axis = vectors / np.maximum(angle, 1e-12)[:, None]
-    cross = np.zeros((len(vectors), 3, 3))
-    cross[:, [2, 0, 1], [1, 2, 0]] = axis
-    cross[:, [1, 2, 0], [2, 0, 1]] = -axis
-    sine, cosine = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-    return np.asarray(np.eye(3) + sine * cross + (1 - cosine) * (cross @ cross))
+    xp = array_namespace(vectors)
+    angle = xp.linalg.vector_norm(vectors, axis=1)
+    axis = vectors / xp.clip(angle, 1e-12, None)[:, None]
+    x, y, z = axis[:, 0], axis[:, 1], axis[:, 2]
+    zero = xp.zeros_like(x)
+    cross = xp.reshape(xp.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1), (-1, 3, 3))
+    one = xp.eye(3, dtype=vectors.dtype, device=vectors.device)
+    sine, cosine = xp.sin(angle)[:, None, None], xp.cos(angle)[:, None, None]
+    return one + sine * cross + (1 - cosine) * (cross @ cross)

@@ -6,6 +6,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from knowarm.world.arrays import Array, array_namespace
+
 SUCCESS_REWARD = 100.0
 DISTANCE_WEIGHT = 2.0
 ANGLE_DIVISOR_DEG = 70.0
@@ -66,25 +68,26 @@ def measure(
 
 
 def is_success(
-    distance: NDArray[np.float64],
-    angle: NDArray[np.float64],
-    success_distance_m: float,
-    success_angle_deg: float,
-) -> NDArray[np.bool_]:
-    """Tell which grippers are within both thresholds, (n,) bool."""
+    distance: Array, angle: Array, success_distance_m: float, success_angle_deg: float
+) -> Array:
+    """Tell which grippers are within both thresholds, (n,) bool, NumPy or torch as given."""
     return (distance < success_distance_m) & (angle < success_angle_deg)
 
 
-def reward_terms(
-    distance: NDArray[np.float64], angle: NDArray[np.float64], success: NDArray[np.bool_]
-) -> dict[str, NDArray[np.float64]]:
+def reward_terms(distance: Array, angle: Array, success: Array) -> dict[str, Array]:
     """Compute the reward's terms, each (n,); the reward is their sum (paper, table 1).
 
     100 on success, otherwise -2 d^2 - a / 70 with d in metres and a in degrees.
+
+    Args:
+        distance: (n,) [m], NumPy or torch, whose dtype is also the terms'.
+        angle: (n,) [deg].
+        success: (n,) bool.
     """
+    xp = array_namespace(distance)
     missed = ~success
     return {
-        "success": SUCCESS_REWARD * success.astype(np.float64),
+        "success": SUCCESS_REWARD * xp.astype(success, distance.dtype),
         "distance": -DISTANCE_WEIGHT * distance**2 * missed,
         "angle": -angle / ANGLE_DIVISOR_DEG * missed,
     }

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.errors import UserError, unknown_name
+from knowarm.world.arrays import Array, array_namespace
 from knowarm.world.attach import ROBOT_PREFIX
 from knowarm.world.compose import compose
 from knowarm.world.description_file import SUFFIX, read_robot, read_target
@@ -203,10 +204,11 @@ def build_scene(robot: Robot, targets: Sequence[Target], distractors: int = 0) -
     return scene
 
 
-def target_places(scene: Scene, position: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Put x, y positions (n, 2) [m] on the support: (n, 3) world positions [m]."""
-    height = np.full((len(position), 1), scene.robot.support_height_m)
-    return np.concatenate([position, height], axis=1)
+def target_places(scene: Scene, position: Array) -> Array:
+    """Put x, y positions (n, 2) [m] on the support: (n, 3) world positions [m]; also of torch."""
+    xp = array_namespace(position)
+    height = xp.full_like(position[:, :1], scene.robot.support_height_m)
+    return xp.concat([position, height], axis=1)
 
 
 def project(scene: Scene, points: NDArray[np.float64]) -> NDArray[np.float64]:

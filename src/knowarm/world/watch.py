@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from knowarm.errors import UserError
-from knowarm.world.appearance import resting_colours, show_targets
+from knowarm.world.appearance import TargetColours
 from knowarm.world.compose import CONTROL_PERIOD_S
 from knowarm.world.env import ReachVectorEnv
 from knowarm.world.episodes import Episodes
@@ -107,9 +107,8 @@ def _paint(env: ReachVectorEnv, colours: tuple[int, ...]) -> tuple[int, ...]:
 def _painted(env: ReachVectorEnv, colours: tuple[int, ...]) -> mujoco.MjModel:
     """The scene with every target shown, each in its colour."""
     scene, model = env.scene, copy.copy(env.scene.model)
-    rgba = resting_colours(scene, len(colours))
     every = np.arange(len(colours))
-    show_targets(scene, rgba, every, every, np.array(colours))
+    rgba = TargetColours(scene)(every, np.array(colours))
     model.geom_matid[:] = -1
     model.geom_rgba[:] = rgba[0]
     for k in every:

@@ -1,0 +1,99 @@
+"""The functions that draw and show episodes give the same numbers from NumPy and from torch."""
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+import torch
+
+from knowarm.world.appearance import AppearanceSource
+from knowarm.world.config import EnvConfig
+from knowarm.world.draws import uniforms
+from knowarm.world.episodes import EpisodeSource
+from knowarm.world.held_out import HeldOut
+from knowarm.world.rewards import is_success, reward_terms
+from knowarm.world.robots import ROBOTS
+from knowarm.world.scene import Scene, load_scene, target_places
+from knowarm.world.visual_randomization import VisualRandomization
+
+EVERYTHING = VisualRandomization(
+    light=0.3,
+    light_angle_deg=15,
+    camera_shift_m=0.05,
+    camera_turn_deg=2,
+    surface_colour=0.15,
+    distractors=3,
+)
+STREAMS = np.array([0, 1, 7, 2**63 - 1, 2**63, 2**64 - 1] * 50, dtype=np.uint64)
+NUMBERS = np.arange(len(STREAMS), dtype=np.uint64)
+
+
+def as_tensor(array: np.ndarray) -> torch.Tensor:
+    return torch.from_numpy(array.view(np.int64))
+
+
+def scene_of(config: EnvConfig) -> Scene:
+    return load_scene(config.robot, tuple(config.targets), config.randomization.distractors)
+
+
+def test_torch_draws_the_same_uniforms() -> None:
+    numbers = uniforms(STREAMS, NUMBERS, 40)
+    drawn = uniforms(as_tensor(STREAMS), as_tensor(NUMBERS), 40)
+    assert drawn.dtype == torch.float64
+    assert drawn.numpy().tobytes() == numbers.tobytes()
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"colours": "randomized", "randomization": EVERYTHING},
+        {"colours": "randomized", "held_out": HeldOut(colours=("blue",), places=(0, 1, 0, 1))},
+        {"held_out": HeldOut(places=(-1, 0, -0.5, 1), play="held_out")},
+    ],
+    ids=["plain", "looks", "rest", "held_out"],
+)
+def test_torch_draws_the_same_episodes(robot: str, options: dict) -> None:
+    config = EnvConfig(robot=robot, **options)
+    scene = scene_of(config)
+    episodes = EpisodeSource(scene, config)(STREAMS, NUMBERS)
+    drawn = EpisodeSource(scene, config, torch.as_tensor)(as_tensor(STREAMS), as_tensor(NUMBERS))
+    for field in fields(episodes):
+        expected, got = getattr(episodes, field.name), getattr(drawn, field.name)
+        assert isinstance(got, torch.Tensor)
+        assert got.numpy().dtype == expected.dtype, field.name
+        assert (got.numpy() == expected).all(), field.name
+    assert (
+        target_places(scene, drawn.position).numpy() == target_places(scene, episodes.position)
+    ).all()
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("randomization", [VisualRandomization(), EVERYTHING])
+def test_torch_shows_the_same_looks(robot: str, randomization: VisualRandomization) -> None:
+    config = EnvConfig(robot=robot, colours="randomized", randomization=randomization)
+    scene = scene_of(config)
+    e = EpisodeSource(scene, config)(STREAMS, NUMBERS)
+    given = e.target, e.colour, e.position, e.look
+    expected = AppearanceSource(scene, randomization)(*given)
+    shown = AppearanceSource(scene, randomization, torch.as_tensor)(*map(torch.as_tensor, given))
+    for name, want, got in zip(expected._fields, expected, shown, strict=True):
+        if want is None:
+            assert got is None, name
+            continue
+        assert got.numpy().dtype == want.dtype, name
+        assert got.numpy() == pytest.approx(want, abs=1e-6), name
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_torch_rewards_alike(dtype: torch.dtype) -> None:
+    distance, angle = np.array([0.01, 0.04, 0.3, 1.0]), np.array([3.0, 20.0, 4.0, 170.0])
+    success = is_success(distance, angle, 0.05, 15.0)
+    terms = reward_terms(distance, angle, success)
+    measured = torch.tensor(distance, dtype=dtype), torch.tensor(angle, dtype=dtype)
+    reached = is_success(*measured, 0.05, 15.0)
+    assert reached.tolist() == success.tolist() == [True, False, False, False]
+    for name, values in reward_terms(*measured, reached).items():
+        assert values.dtype == dtype
+        assert values.numpy() == pytest.approx(terms[name], rel=1e-6)
