@@ -27,7 +27,7 @@ def one_thread():
 def short(name: str = "irb120-full-ppo", **changes) -> ExperimentConfig:
     config = experiment(name)
     algorithm = dataclasses.replace(
-        config.algorithm, num_envs=4, rollout_steps=5, minibatches=2, threads=1
+        config.algorithm, num_envs=4, rollout_steps=5, minibatches=2, processes=1
     )
     values = {
         "total_steps": 160,

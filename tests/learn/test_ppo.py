@@ -3,6 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import load_file
 
 from knowarm.errors import UserError
 from knowarm.learn.checkpoint import CheckpointStore
@@ -23,7 +24,7 @@ SMALL = PPOConfig(
     reward_scale=1.0,
     entropy_weight=0.01,
     precision="float32",
-    threads=1,
+    processes=1,
 )
 
 
@@ -153,9 +154,10 @@ def test_truncation_bootstraps_from_the_final_observation():
             policy.critic.weight.zero_()
             policy.critic.bias.fill_(1.0)
         trainer = PPOTrainer(SMALL, policy, ToyEnv(32, recall=recall, length=5), TABLE, seed=0)
-        trainer._collector.collect(policy, trainer._rollout)
-        assert trainer._rollout.done[4].all()
-        assert (trainer._rollout.final_value[4] == expected).all()
+        rollout = trainer._team.rollout
+        trainer._collector.collect(trainer._team, rollout)
+        assert rollout.done[4].all()
+        assert (rollout.final_value[4] == expected).all()
 
 
 @pytest.mark.parametrize(
@@ -171,7 +173,9 @@ def test_a_nan_stops_training_names_the_term_and_saves_the_batch(tmp_path, spoil
     spoil(trainer)
     with pytest.raises(NotFiniteError, match=term) as caught:
         trainer.train(320)
-    assert caught.value.batch.stat().st_size > 32 * 10 * SIDE * SIDE * 3
+    batch = load_file(caught.value.batch)
+    assert batch["windows"].shape == (10, 32, *trainer.policy.encoder.window_shape)
+    assert batch["windows"].any()
 
 
 def test_a_nan_gradient_names_the_parameter(tmp_path):

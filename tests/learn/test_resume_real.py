@@ -8,7 +8,7 @@ from knowarm.policy import Policy, PolicyConfig
 from knowarm.world.config import EnvConfig
 from knowarm.world.env import ReachVectorEnv
 
-CONFIG = PPOConfig(num_envs=4, rollout_steps=6, minibatches=2, threads=1)
+CONFIG = PPOConfig(num_envs=4, rollout_steps=6, minibatches=2, processes=1)
 
 
 def trainer(folder, colours, stop_after=None):

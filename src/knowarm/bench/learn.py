@@ -9,7 +9,9 @@ import time
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from knowarm.errors import UserError
 from knowarm.experiment.build import EnvFactory, build
@@ -34,7 +36,7 @@ class BenchConfig:
     robot: str = "irb120"
     """Robot of the experiment ``<robot>-full``."""
 
-    threads: int = 2
+    cores: int = 2
     """Threads or processes everybody may use."""
 
     seconds: float = 15.0
@@ -69,8 +71,8 @@ def bench_learn(config: BenchConfig | None = None) -> dict[str, Any]:
     config = config or BenchConfig()
     # The single environments' processes read it when they start.
     os.environ.setdefault("MUJOCO_GL", "egl")
-    torch.set_num_threads(config.threads)
-    rows = [_ppo(config), _a3c(config, 17, 1), _a3c(config, config.threads, 64)]
+    torch.set_num_threads(config.cores)
+    rows = [_ppo(config), _a3c(config, 17, 1), _a3c(config, config.cores, 64)]
     rows.append(_sb3(config, opengl=False))
     if config.opengl:
         rows.append(_sb3(config, opengl=True))
@@ -78,7 +80,7 @@ def bench_learn(config: BenchConfig | None = None) -> dict[str, Any]:
     ours, theirs_opengl = speed["ppo"], speed.get("sb3-opengl")
     return {
         "experiment": f"{config.robot}-full",
-        "threads": config.threads,
+        "cores": config.cores,
         "epochs": config.epochs,
         "machine": f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores",
         "torch": torch.__version__,
@@ -95,7 +97,7 @@ def _ppo(config: BenchConfig) -> dict[str, Any]:
     chosen = experiment(f"{config.robot}-full-ppo")
     parts = build(chosen)
     numbers = _ppo_numbers(config)
-    env = ReachVectorEnv(chosen.env, numbers.num_envs, num_threads=config.threads)
+    env = ReachVectorEnv(chosen.env, numbers.num_envs, num_threads=config.cores)
     drawing = _DrawingClock(env)
     rows: list[Metrics] = []
     drawn: list[float] = []
@@ -136,7 +138,11 @@ def _a3c(config: BenchConfig, workers: int, envs_per_worker: int) -> dict[str, A
     chosen = experiment(f"{config.robot}-full-a3c")
     parts = build(chosen)
     numbers = A3CConfig(
-        workers=workers, envs_per_worker=envs_per_worker, log_every_steps=50 * envs_per_worker
+        workers=workers,
+        envs_per_worker=envs_per_worker,
+        # 17 x 1 is the paper's and has its precision.
+        precision="float32" if envs_per_worker == 1 else "auto",
+        log_every_steps=50 * envs_per_worker,
     )
     marks: list[tuple[float, float, float]] = []
 
@@ -188,7 +194,7 @@ def _sb3(config: BenchConfig, *, opengl: bool) -> dict[str, Any]:
         numbers = replace(numbers, num_envs=config.opengl_envs, rollout_steps=100)
         env = single_environments(env_config, parts.table, config.opengl_envs)
     else:
-        vector = ReachVectorEnv(chosen.env, numbers.num_envs, num_threads=config.threads)
+        vector = ReachVectorEnv(chosen.env, numbers.num_envs, num_threads=config.cores)
         env = SB3VecEnv(VectorKnowledgeObservation(vector, parts.table), seed=config.seed)
     clock = RolloutClock(config.seconds)
     model = recurrent_ppo(parts.policy_config, numbers, env, seed=config.seed)
@@ -208,20 +214,21 @@ def _sb3(config: BenchConfig, *, opengl: bool) -> dict[str, Any]:
 
 def _ppo_numbers(config: BenchConfig) -> PPOConfig:
     return PPOConfig(
-        num_envs=128, rollout_steps=25, minibatches=4, epochs=config.epochs, threads=config.threads
+        num_envs=128, rollout_steps=25, minibatches=4, epochs=config.epochs, processes=config.cores
     )
 
 
 class _DrawingClock:
-    """Adds up the time a vector environment spends on pictures."""
+    """Stands before what draws the pictures and adds up its time."""
 
     def __init__(self, env: ReachVectorEnv) -> None:
         self.seconds = 0.0
-        self._draw = env._draw_pictures
-        env._draw_pictures = self._timed  # type: ignore[assignment]
+        self._pictures = env.pictures
+        env.pictures = self
 
-    def _timed(self, *arguments: Any) -> Any:
+    def draw(self, *arguments: Any, **options: Any) -> NDArray[np.uint8]:
+        """As `Pictures.draw`."""
         begin = time.perf_counter()
-        pictures = self._draw(*arguments)
+        pictures = self._pictures.draw(*arguments, **options)
         self.seconds += time.perf_counter() - begin
         return pictures

@@ -28,7 +28,7 @@ class Learn:
         found = dict.fromkeys(name for row in result["rows"] for name in row)
         names = [name for name in found if name not in hidden]
         print_table(
-            f"Training {result['experiment']}, {result['threads']} threads or processes each",
+            f"Training {result['experiment']}, {result['cores']} threads or processes each",
             names,
             [[row.get(name) for name in names] for row in result["rows"]],
         )

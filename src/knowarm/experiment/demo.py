@@ -11,7 +11,6 @@ from knowarm.experiment.registry import experiment
 from knowarm.experiment.report import report
 from knowarm.experiment.run import run_path, train
 from knowarm.experiment.run_folder import RunFolder
-from knowarm.learn.config import PPOConfig
 
 AGENTS = ("bm", "full")
 """The agents compared: no knowledge, and object types with colours."""
@@ -51,17 +50,12 @@ def demo(folder: Path, *, steps: int = STEPS, should_stop: Callable[[], bool]) -
 
 
 def demo_experiments(steps: int) -> list[ExperimentConfig]:
-    """The experiments of the demo: the shipped ones, but shorter.
-
-    One thread: it is no slower than two where other programs want the second core, and gives
-    everybody on machines of one kind the same bytes.
-    """
+    """The experiments of the demo: the shipped ones, but shorter."""
     return [
         dataclasses.replace(
             experiment(f"irb120-{agent}-ppo"),
             total_steps=steps,
             interim=InterimConfig(every_steps=max(1, steps // 10)),
-            algorithm=PPOConfig(threads=1),
         )
         for agent in AGENTS
     ]

@@ -85,7 +85,8 @@ def _policy() -> str:
     policy = parts.new_policy(0)
     image = torch.zeros(1, 64, 64, 3, dtype=torch.uint8)
     knowledge = torch.from_numpy(parts.table[:1])
-    logits, _, _ = policy.step(image, knowledge, policy.initial_state(1), torch.ones(1).bool())
+    windows = policy.windows(image)
+    logits, _, _ = policy.step(windows, knowledge, policy.initial_state(1), torch.ones(1).bool())
     if not bool(torch.isfinite(logits).all()):
         raise UserError("the network's outputs are not finite")
     return f"{policy.parameter_counts()['total']:,} parameters, {torch.get_num_threads()} threads"

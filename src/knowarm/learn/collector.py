@@ -8,6 +8,7 @@ from torch import Tensor
 
 from knowarm.errors import UserError
 from knowarm.learn.environment import VectorEnvironment
+from knowarm.learn.player import Player
 from knowarm.learn.rollout import Rollout
 from knowarm.learn.statistics import EpisodeStatistics
 from knowarm.policy import Policy
@@ -20,7 +21,7 @@ class Collector:
 
     Args:
         env: the vector environment; it is reset with ``seed``.
-        policy: gives the recurrent state its size; `collect` takes the policy to play.
+        policy: gives the recurrent state its size; `collect` takes what plays.
         table: (F, K) float32 knowledge, one row a facet.
         seed: of the episodes and of the drawn actions.
 
@@ -44,27 +45,18 @@ class Collector:
                 f"{highest}; build the table from the facets of this environment."
             )
 
-    @property
-    def image_shape(self) -> tuple[int, ...]:
-        """(H, W, 3) of one observation."""
-        return self._observation.shape[1:]
-
     @torch.no_grad()
-    def collect(self, policy: Policy, rollout: Rollout) -> None:
+    def collect(self, player: Player, rollout: Rollout) -> None:
         """Fill the rollout with the next T steps of all environments."""
         steps, _ = rollout.shape
         logits = []
-        rollout.start_state = (self._state[0].clone(), self._state[1].clone())
+        rollout.start_h.copy_(self._state[0])
+        rollout.start_c.copy_(self._state[1])
         for t in range(steps):
-            rollout.image[t] = torch.from_numpy(self._observation)
-            rollout.facet[t] = torch.from_numpy(np.asarray(self.env.facet_ids, np.int64))
+            rollout.facet[t] = self._facets()
             rollout.episode_start[t] = torch.from_numpy(self._start)
-            logit, rollout.value[t], self._state = policy.step(
-                rollout.image[t],
-                self.table[rollout.facet[t]],
-                self._state,
-                rollout.episode_start[t],
-            )
+            image = torch.from_numpy(self._observation)
+            logit, self._state = player.play(rollout, t, image, self._state)
             logits.append(logit)
             rollout.action[t] = sample(logit, self.generator)
             actions, begin = rollout.action[t].numpy(), time.perf_counter()
@@ -76,28 +68,28 @@ class Collector:
             rollout.final_value[t] = 0.0
             cut = np.flatnonzero(truncated & ~terminated)
             if len(cut):
-                rollout.final_value[t, cut] = self._value_of_final(
-                    policy, np.stack([infos["final_obs"][i] for i in cut]), rollout.facet[t], cut
+                final = np.stack([infos["final_obs"][i] for i in cut])
+                state = (self._state[0][cut], self._state[1][cut])
+                going_on = np.zeros(len(cut), np.bool_)
+                rollout.final_value[t, cut] = self._value(
+                    player.policy, final, rollout.facet[t, cut], state, going_on
                 )
             self.statistics.add(rewards, terminated, truncated, infos)
             self._start = terminated | truncated
         rollout.log_probability.copy_(log_probability(torch.stack(logits), rollout.action))
-        _, rollout.last_value, _ = policy.step(
-            torch.from_numpy(self._observation),
-            self.table[torch.from_numpy(np.asarray(self.env.facet_ids, np.int64))],
-            self._state,
-            torch.from_numpy(self._start),
+        rollout.last_value.copy_(
+            self._value(player.policy, self._observation, self._facets(), self._state, self._start)
         )
 
-    def _value_of_final(
-        self, policy: Policy, observation: np.ndarray, facet: Tensor, cut: np.ndarray
+    def _facets(self) -> Tensor:
+        return torch.from_numpy(np.asarray(self.env.facet_ids, np.int64))
+
+    def _value(
+        self, policy: Policy, image: np.ndarray, facet: Tensor, state: State, start: np.ndarray
     ) -> Tensor:
-        """Value of the final observations (n, H, W, 3) of the environments ``cut``."""
-        state = (self._state[0][cut], self._state[1][cut])
-        going_on = torch.zeros(len(cut), dtype=torch.bool)
-        _, value, _ = policy.step(
-            torch.from_numpy(observation), self.table[facet[cut]], state, going_on
-        )
+        """Values (n,) of observations (n, H, W, 3)."""
+        windows = policy.windows(torch.from_numpy(image))
+        _, value, _ = policy.step(windows, self.table[facet], state, torch.from_numpy(start))
         return value
 
     def get_state(self) -> dict[str, np.ndarray]:

@@ -73,12 +73,19 @@ class PPOConfig:
     """Of the products in encoder and LSTM while training: ``auto`` takes bfloat16 where the
     processor computes it, else float32. Parameters, cell, heads and losses are float32 always."""
 
-    threads: int | None = None
-    """PyTorch threads; None takes one a core."""
+    processes: int | None = None
+    """Processes that share the network's work, one thread each; None takes one a core, and never
+    more than every eighth environment of a minibatch. Another number rounds sums differently."""
 
     def __post_init__(self) -> None:
         _at_least(
-            self, 1, "num_envs", "rollout_steps", "epochs", "minibatches", *_threads(self.threads)
+            self,
+            1,
+            "num_envs",
+            "rollout_steps",
+            "epochs",
+            "minibatches",
+            *_given(self, "processes"),
         )
         _positive(
             self, "learning_rate", "adam_epsilon", "clip", "reward_scale", "max_gradient_norm"
@@ -141,6 +148,10 @@ class A3CConfig:
     max_gradient_norm: float = 40.0
     """Longer gradients are shortened to this norm."""
 
+    precision: Literal["auto", "float32", "bfloat16"] = "float32"
+    """Of the products in encoder and LSTM, as PPO's; ``auto`` makes many environments a worker
+    about twice as fast where the processor computes bfloat16."""
+
     log_every_steps: int = 10_000
     """Environment steps, over all workers, between two rows of metrics."""
 
@@ -150,8 +161,8 @@ class A3CConfig:
         _share(self, "gamma", "trace_decay", "rmsprop_decay")
 
 
-def _threads(threads: int | None) -> list[str]:
-    return [] if threads is None else ["threads"]
+def _given(config: object, *names: str) -> list[str]:
+    return [name for name in names if getattr(config, name) is not None]
 
 
 def _at_least(config: object, least: int, *names: str) -> None:

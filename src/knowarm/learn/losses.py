@@ -4,12 +4,12 @@ Logits are (..., J, A), all else (...); every term is a mean over the leading ax
 and log-probabilities are sums over joints [nat].
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import torch
 from torch import Tensor
 
-from knowarm.policy.actions import entropy, log_probability
+from knowarm.policy.actions import entropy, log_probabilities, log_probability
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +30,30 @@ class PPOLossTerms(LossTerms):
     """Estimate of KL(old, new) [nat]: mean of ratio - 1 - log ratio."""
     clipped: Tensor
     """Share of steps whose ratio was clipped."""
+
+    @classmethod
+    def names(cls) -> list[str]:
+        """Names of the terms, in the order of `vector`."""
+        return [field.name for field in fields(cls)]
+
+    def vector(self) -> Tensor:
+        """All terms as one tensor, without gradients."""
+        return torch.stack([getattr(self, name).detach() for name in self.names()])
+
+    @classmethod
+    def from_vector(cls, vector: Tensor) -> "PPOLossTerms":
+        """Return the terms that made a `vector`, which is copied."""
+        return cls(**dict(zip(cls.names(), vector.clone(), strict=True)))
+
+    def times(self, share: float) -> "PPOLossTerms":
+        """Every term times a number, without gradients."""
+        return PPOLossTerms(**{name: term.detach() * share for name, term in vars(self).items()})
+
+    def __add__(self, other: "PPOLossTerms") -> "PPOLossTerms":
+        """Every term added to the other's: the terms of a batch from those of its parts."""
+        return PPOLossTerms(
+            **{name: term + getattr(other, name) for name, term in vars(self).items()}
+        )
 
 
 def a3c_loss(
@@ -72,7 +96,7 @@ def ppo_loss(
     ``policy = -mean(min(r A, clip(r, 1 - clip, 1 + clip) A))`` with ``r`` the ratio of new to old
     probability; ``value`` and ``total`` as in `a3c_loss`.
     """
-    log_p = torch.log_softmax(logits, -1)
+    log_p = log_probabilities(logits)
     log_ratio = log_p.gather(-1, actions[..., None]).squeeze(-1).sum(-1) - old_log_probability
     ratio = log_ratio.exp()
     surrogate = torch.min(ratio * advantages, ratio.clamp(1 - clip, 1 + clip) * advantages)

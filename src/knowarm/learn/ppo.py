@@ -1,7 +1,6 @@
 """A policy, environments and knowledge go in; a trained policy and its learning curve come out."""
 
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +13,11 @@ from knowarm.learn.collector import Collector, below
 from knowarm.learn.config import PPOConfig
 from knowarm.learn.environment import VectorEnvironment
 from knowarm.learn.guards import FiniteGuard, HealthMonitor
-from knowarm.learn.losses import PPOLossTerms, ppo_loss
+from knowarm.learn.losses import PPOLossTerms
 from knowarm.learn.precision import resolve_precision
 from knowarm.learn.returns import advantages
-from knowarm.learn.rollout import Rollout
 from knowarm.learn.schedule import step_size
+from knowarm.learn.team import Team
 from knowarm.learn.trainer import Best, Evaluate, Hooks, Metrics, TrainingResult, crossed
 from knowarm.policy import Policy
 
@@ -62,13 +61,12 @@ class PPOTrainer:
     ) -> None:
         assert env.num_envs == config.num_envs, (env.num_envs, config.num_envs)
         keep_freed_memory()
-        if config.threads is not None:
-            torch.set_num_threads(config.threads)
         self.config = config
         self.policy = policy
         self.step = 0
         self.best = Best()
         self.precision = resolve_precision(config.precision)
+        self._team = Team(policy, config, knowledge_table, self.precision)
         self._hooks = hooks or Hooks()
         self._evaluate = evaluate
         self._evaluate_every = evaluate_every
@@ -76,12 +74,6 @@ class PPOTrainer:
         self._checkpoint_every = checkpoint_every
         self._table = torch.tensor(knowledge_table, dtype=torch.float32)
         self._collector = Collector(env, policy, self._table, seed=seed)
-        self._rollout = Rollout(
-            config.rollout_steps,
-            config.num_envs,
-            self._collector.image_shape,
-            policy.config.joints,
-        )
         self._order = torch.Generator().manual_seed(seed)
         self._optimizer = torch.optim.Adam(
             policy.parameters(), lr=config.learning_rate, eps=config.adam_epsilon, fused=True
@@ -99,6 +91,10 @@ class PPOTrainer:
             NotFiniteError: a loss, gradient or input is NaN or infinite.
             UserError: a checkpoint cannot be written.
         """
+        with self._team.at_work():
+            return self._train(total_steps)
+
+    def _train(self, total_steps: int) -> TrainingResult:
         begin, reason = time.perf_counter(), "finished"
         if self.step == 0:
             self._run_evaluation()
@@ -186,7 +182,7 @@ class PPOTrainer:
 
     def _update(self, total_steps: int) -> Metrics:
         """Collect one rollout, learn from it, and describe both."""
-        config, rollout = self.config, self._rollout
+        config, rollout = self.config, self._team.rollout
         rate = step_size(
             config.learning_rate_schedule,
             config.learning_rate,
@@ -196,17 +192,17 @@ class PPOTrainer:
         for group in self._optimizer.param_groups:
             group["lr"] = rate
         start, environment_s = time.perf_counter(), self._collector.environment_s
-        self._collector.collect(self.policy, rollout)
+        self._collector.collect(self._team, rollout)
         collected = time.perf_counter()
         environment_s = self._collector.environment_s - environment_s
         self.step += rollout.reward.numel()
         self._guard.check_rollout(rollout, self._table, self.step)
         reward = rollout.reward * config.reward_scale
-        targets = self._targets(reward)
-        terms, norms = self._learn(targets)
+        self._set_targets(reward)
+        terms, norms = self._learn()
         learnt = time.perf_counter()
         means = {
-            f"{name}": float(torch.stack([getattr(term, name).detach() for term in terms]).mean())
+            f"{name}": float(torch.stack([getattr(term, name) for term in terms]).mean())
             for name in ("policy", "value", "entropy", "kl", "clipped")
         }
         self._health.watch(
@@ -219,7 +215,7 @@ class PPOTrainer:
             "entropy": means["entropy"],
             "kl": means["kl"],
             "clipped": means["clipped"],
-            "explained_variance": explained_variance(rollout.value, targets.returns),
+            "explained_variance": explained_variance(rollout.value, self._team.targets.returns),
             "gradient_norm": float(torch.stack(norms).mean()),
             "learning_rate": rate,
             "gradient_steps": len(terms),
@@ -228,18 +224,23 @@ class PPOTrainer:
             "learn_s": learnt - collected,
         }
 
-    def _targets(self, reward: Tensor) -> "Targets":
-        config, rollout = self.config, self._rollout
-        following = rollout.following()
+    def _set_targets(self, reward: Tensor) -> None:
+        """Write the advantages and returns of (scaled) rewards (T, B)."""
+        config, rollout, targets = self.config, self._team.rollout, self._team.targets
         advantage = advantages(
-            reward, rollout.value, following, rollout.done, config.gamma, config.trace_decay
+            reward,
+            rollout.value,
+            rollout.following(),
+            rollout.done,
+            config.gamma,
+            config.trace_decay,
         )
-        returns = advantage + rollout.value
+        targets.returns.copy_(advantage + rollout.value)
         if config.normalize_advantages:
             advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
-        return Targets(advantage=advantage, returns=returns)
+        targets.advantage.copy_(advantage)
 
-    def _learn(self, targets: "Targets") -> tuple[list[PPOLossTerms], list[Tensor]]:
+    def _learn(self) -> tuple[list[PPOLossTerms], list[Tensor]]:
         """Pass over the rollout ``epochs`` times; return the loss terms of every minibatch."""
         config = self.config
         terms: list[PPOLossTerms] = []
@@ -247,55 +248,22 @@ class PPOTrainer:
         for _ in range(config.epochs):
             order = torch.randperm(config.num_envs, generator=self._order)
             for columns in order.chunk(config.minibatches):
-                loss = self._loss(targets, columns)
+                loss = self._team.differentiate(columns)
                 terms.append(loss)
-                if config.target_kl is not None and float(loss.kl.detach()) > config.target_kl:
+                if config.target_kl is not None and float(loss.kl) > config.target_kl:
                     return terms, norms or [torch.zeros(())]
                 norms.append(self._descend(loss))
         return terms, norms
 
-    def _loss(self, targets: "Targets", columns: Tensor) -> PPOLossTerms:
-        """Evaluate the policy on the environments ``columns`` (b,) of the rollout."""
-        rollout = self._rollout
-        h, c = rollout.start_state
-        logits, values, _ = self.policy.unroll(
-            rollout.image[:, columns],
-            self._table[rollout.facet[:, columns]],
-            (h[columns], c[columns]),
-            rollout.episode_start[:, columns],
-        )
-        return ppo_loss(
-            logits,
-            values,
-            rollout.action[:, columns],
-            rollout.log_probability[:, columns],
-            targets.advantage[:, columns],
-            targets.returns[:, columns],
-            clip=self.config.clip,
-            value_weight=self.config.value_weight,
-            entropy_weight=self.config.entropy_weight,
-        )
-
     def _descend(self, loss: PPOLossTerms) -> Tensor:
         """Take one gradient step; return the norm of the gradient before it was shortened."""
-        self._optimizer.zero_grad(set_to_none=False)
-        loss.total.backward()
-        gradients = [p.grad for p in self.policy.parameters() if p.grad is not None]
-        norm = torch.stack([torch.linalg.vector_norm(g) for g in gradients]).norm()
-        self._guard.check_update(self.policy, loss, norm, self.step, self._rollout)
-        if norm > self.config.max_gradient_norm:
-            for gradient in gradients:
-                gradient.mul_(self.config.max_gradient_norm / norm)
+        gradient, limit = self._team.gradient, self.config.max_gradient_norm
+        norm = torch.linalg.vector_norm(gradient)
+        self._guard.check_update(self.policy, loss, norm, self.step, self._team.rollout)
+        if norm > limit:
+            gradient.mul_(limit / norm)
         self._optimizer.step()
         return norm
-
-
-@dataclass(frozen=True)
-class Targets:
-    """What a rollout teaches, each (T, B)."""
-
-    advantage: Tensor
-    returns: Tensor
 
 
 def explained_variance(values: Tensor, returns: Tensor) -> float:

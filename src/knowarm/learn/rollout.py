@@ -1,44 +1,64 @@
 """Sizes go in; preallocated buffers for T steps of B environments come out."""
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 
 from knowarm.learn.returns import next_values
+from knowarm.learn.shared import Shapes
+from knowarm.policy import Policy
 from knowarm.policy.memory import State
 
 
+@dataclass(frozen=True)
 class Rollout:
-    """What T steps of B environments saw, did and got, one tensor each.
+    """What T steps of B environments saw, did and got; the tensors are written in place."""
 
-    Args:
-        steps: T.
-        batch: B.
-        image_shape: (H, W, 3).
-        joints: J.
-    """
+    windows: Tensor
+    """(T, B, S, L) uint8: what the policy looks at of the pictures; see `Policy.windows`."""
+    facet: Tensor
+    """(T, B) int64: row of the knowledge table."""
+    episode_start: Tensor
+    """(T, B) bool: the picture is the first of its episode."""
+    action: Tensor
+    """(T, B, J) int64."""
+    log_probability: Tensor
+    """(T, B) float32, of the whole action [nat]."""
+    value: Tensor
+    """(T, B) float32."""
+    reward: Tensor
+    """(T, B) float32, as the environment gives it."""
+    terminated: Tensor
+    """(T, B) bool."""
+    truncated: Tensor
+    """(T, B) bool."""
+    final_value: Tensor
+    """(T, B) float32: value of the final observation where truncated, else 0."""
+    last_value: Tensor
+    """(B,) float32: value of the observation after the last step."""
+    start_h: Tensor
+    """(B, H) float32: hidden state before the first step."""
+    start_c: Tensor
+    """(B, H) float32: cell before the first step."""
 
-    def __init__(self, steps: int, batch: int, image_shape: tuple[int, ...], joints: int) -> None:
-        self.image = torch.zeros((steps, batch, *image_shape), dtype=torch.uint8)
-        self.facet = torch.zeros((steps, batch), dtype=torch.int64)
-        self.episode_start = torch.zeros((steps, batch), dtype=torch.bool)
-        self.action = torch.zeros((steps, batch, joints), dtype=torch.int64)
-        self.log_probability = torch.zeros(steps, batch)
-        self.value = torch.zeros(steps, batch)
-        self.reward = torch.zeros(steps, batch)
-        self.terminated = torch.zeros((steps, batch), dtype=torch.bool)
-        self.truncated = torch.zeros((steps, batch), dtype=torch.bool)
-        self.final_value = torch.zeros(steps, batch)
-        """Value of the final observation where truncated, else 0."""
-        self.last_value = torch.zeros(batch)
-        """Value of the observation after the last step."""
-        self.start_state: State = (torch.zeros(0), torch.zeros(0))
-        """Recurrent state before the first step."""
+    @classmethod
+    def zeros(cls, shapes: Shapes) -> "Rollout":
+        """Make the tensors of `rollout_shapes`."""
+        return cls(
+            **{name: torch.zeros(shape, dtype=kind) for name, (shape, kind) in shapes.items()}
+        )
 
     @property
     def shape(self) -> tuple[int, int]:
         """(T, B)."""
         steps, batch = self.reward.shape
         return steps, batch
+
+    @property
+    def start_state(self) -> State:
+        """Recurrent state before the first step."""
+        return self.start_h, self.start_c
 
     @property
     def done(self) -> Tensor:
@@ -53,5 +73,30 @@ class Rollout:
 
     def tensors(self) -> dict[str, Tensor]:
         """All buffers by name, for saving a batch that went wrong."""
-        named = {name: value for name, value in vars(self).items() if isinstance(value, Tensor)}
-        return {**named, "start_h": self.start_state[0], "start_c": self.start_state[1]}
+        return dict(vars(self))
+
+
+def rollout_shapes(steps: int, batch: int, policy: Policy) -> Shapes:
+    """Shapes and types of a rollout's tensors.
+
+    Args:
+        steps: T.
+        batch: B.
+        policy: gives windows, joints and state their sizes.
+    """
+    table, state = (steps, batch), (batch, policy.config.hidden_size)
+    return {
+        "windows": ((*table, *policy.encoder.window_shape), torch.uint8),
+        "facet": (table, torch.int64),
+        "episode_start": (table, torch.bool),
+        "action": ((*table, policy.config.joints), torch.int64),
+        "log_probability": (table, torch.float32),
+        "value": (table, torch.float32),
+        "reward": (table, torch.float32),
+        "terminated": (table, torch.bool),
+        "truncated": (table, torch.bool),
+        "final_value": (table, torch.float32),
+        "last_value": ((batch,), torch.float32),
+        "start_h": (state, torch.float32),
+        "start_c": (state, torch.float32),
+    }

@@ -24,12 +24,20 @@ def greedy(logits: Tensor) -> Tensor:
     return logits.argmax(-1)
 
 
+def log_probabilities(logits: Tensor) -> Tensor:
+    """Log of softmax(logits) over the levels: shape (..., J, A).
+
+    ``torch.log_softmax`` takes four times as long on rows of so few numbers.
+    """
+    return logits - logits.logsumexp(-1, keepdim=True)
+
+
 def log_probability(logits: Tensor, actions: Tensor) -> Tensor:
     """Log-probability of whole actions (..., J): shape (...)."""
-    return torch.log_softmax(logits, -1).gather(-1, actions[..., None]).squeeze(-1).sum(-1)
+    return log_probabilities(logits).gather(-1, actions[..., None]).squeeze(-1).sum(-1)
 
 
 def entropy(logits: Tensor) -> Tensor:
     """Entropy of whole actions [nat]: shape (...)."""
-    log_p = torch.log_softmax(logits, -1)
+    log_p = log_probabilities(logits)
     return -(log_p.exp() * log_p).sum((-2, -1))

@@ -49,21 +49,24 @@ class MaskedLSTM(torch.autograd.Function):
         c_tanh, hidden = torch.empty_like(c_in), torch.empty_like(c_in)
         weight = weight_hh.to(low)
         recurrent = weight.t()
-        for t in range(steps):
-            h_in[t] = h * keep[t]
-            torch.mul(c, keep[t], out=c_in[t])
-            gate = gates[t]
+        # All views at once: taking them step by step costs as much as the arithmetic.
+        views = zip(
+            gates.unbind(), gates[:, :, : 2 * size].unbind(), *_four(gates), keep.unbind(),
+            h_in.unbind(), c_in.unbind(), c_tanh.unbind(), hidden.unbind(), strict=True,
+        )  # fmt: skip
+        for gate, i_and_f, i, f, g, o, kept, h_t, c_t, tanh_t, hidden_t in views:
+            torch.mul(h, kept, out=h_t)
+            torch.mul(c, kept, out=c_t)
             if low == full:
-                gate.addmm_(h_in[t], recurrent)
+                gate.addmm_(h_t, recurrent)
             else:
-                gate.add_(torch.mm(h_in[t], recurrent))
-            gate[:, : 2 * size].sigmoid_()
-            gate[:, 2 * size : 3 * size].tanh_()
-            gate[:, 3 * size :].sigmoid_()
-            i, f, g, o = gate.split(size, 1)
-            c = torch.addcmul(f * c_in[t], i, g)
-            torch.tanh(c, out=c_tanh[t])
-            h = torch.mul(o, c_tanh[t], out=hidden[t])
+                gate.add_(torch.mm(h_t, recurrent))
+            i_and_f.sigmoid_()
+            g.tanh_()
+            o.sigmoid_()
+            c = torch.mul(f, c_t).addcmul_(i, g)
+            torch.tanh(c, out=tanh_t)
+            h = torch.mul(o, tanh_t, out=hidden_t)
         ctx.save_for_backward(gates, weight, h_in, c_in, c_tanh, keep)
         return hidden, h.clone(), c
 
@@ -83,15 +86,30 @@ class MaskedLSTM(torch.autograd.Function):
         torch.mul(c_tanh * o, 1 - o, out=factor[:, :, 3])
         through_tanh = o * (1 - c_tanh * c_tanh)
         forget = f * keep
-        for t in reversed(range(steps)):
-            dh = dh + d_hidden[t]
-            dc = torch.addcmul(dc, dh, through_tanh[t])
-            d_gate = factor[t]
-            d_gate[:, :3].mul_(dc[:, None])
-            d_gate[:, 3].mul_(dh)
-            dc = dc * forget[t]
-            low = d_gate.view(batch, 4 * size).to(weight.dtype)
-            dh = torch.mm(low, weight).to(keep.dtype).mul_(keep[t])
-        d_projected = factor.view(steps, batch, 4 * size).to(weight.dtype)
+        d_gates = factor.view(steps, batch, 4 * size)
+        d_projected = (
+            d_gates
+            if weight.dtype == factor.dtype
+            else torch.empty_like(d_gates, dtype=weight.dtype)
+        )
+        views = zip(
+            d_hidden.unbind(), through_tanh.unbind(), d_gates.unbind(),
+            factor[:, :, :3].unbind(), factor[:, :, 3].unbind(), forget.unbind(), keep.unbind(),
+            d_projected.unbind(), strict=True,
+        )  # fmt: skip
+        for d_h, tanh_t, d_gate, d_ifg, d_o, forget_t, kept, low in reversed(list(views)):
+            dh = dh + d_h
+            dc = torch.addcmul(dc, dh, tanh_t)
+            d_ifg.mul_(dc[:, None])
+            d_o.mul_(dh)
+            dc = dc * forget_t
+            if d_projected is not d_gates:
+                low.copy_(d_gate)
+            dh = torch.mul(torch.mm(low, weight), kept)
         d_weight = d_projected.view(-1, 4 * size).t() @ h_in.view(-1, size)
         return d_projected, d_weight.to(keep.dtype), dh, dc, None
+
+
+def _four(gates: Tensor) -> tuple[tuple[Tensor, ...], ...]:
+    """Views of the four gates (T, B, 4H) of every step: 4 tuples of T tensors (B, H)."""
+    return tuple(gate.unbind() for gate in gates.chunk(4, 2))

@@ -22,7 +22,9 @@ class _Step(nn.Module):
     def forward(
         self, image: Tensor, knowledge: Tensor, h: Tensor, c: Tensor, episode_start: Tensor
     ) -> tuple[Tensor, ...]:
-        logits, value, (h, c) = self.policy.step(image, knowledge, (h, c), episode_start)
+        logits, value, (h, c) = self.policy.step(
+            self.policy.windows(image), knowledge, (h, c), episode_start
+        )
         return logits.argmax(-1), logits, value, h, c
 
 

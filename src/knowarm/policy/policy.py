@@ -1,7 +1,8 @@
 """Pictures, knowledge and a state go in; action logits, values and the next state come out.
 
 Dimension letters here and in `knowarm.learn`: T time, B batch, H height (of a picture) or
-hidden size (of a state), W width, C colours, K knowledge, J joints, A levels of an action.
+hidden size (of a state), W width, K knowledge, J joints, A levels of an action, S and L blocks
+and pixel values of a picture's windows.
 """
 
 from typing import Literal
@@ -66,13 +67,21 @@ class Policy(nn.Module):
         """Return the state before the first step: (h, c), each (B, H) of zeros."""
         return self.memory.initial_state(batch)
 
+    def windows(self, image: Tensor) -> Tensor:
+        """Take the pixels the network looks at: (..., H, W, 3) uint8 -> (..., S, L) uint8.
+
+        They have no gradient and depend on no parameter: a rollout keeps them in place of the
+        pictures, and spares every pass over it the cutting; see `ImageEncoder.windows`.
+        """
+        return self.encoder.windows(image)
+
     def step(
-        self, image: Tensor, knowledge: Tensor, state: State, episode_start: Tensor
+        self, windows: Tensor, knowledge: Tensor, state: State, episode_start: Tensor
     ) -> tuple[Tensor, Tensor, State]:
         """Advance every environment by one step.
 
         Args:
-            image: (B, H, W, 3) uint8.
+            windows: (B, S, L) uint8, `windows` of the pictures.
             knowledge: (B, K) float32.
             state: (h, c) after the step before, each (B, H).
             episode_start: (B,) bool, true where the picture is the first of an episode; the
@@ -83,18 +92,18 @@ class Policy(nn.Module):
         """
         knowledge = self.knowledge_encoder(knowledge)
         with self._products():
-            features = self._features(image, knowledge)
+            features = self._features(windows, knowledge)
             hidden, state = self.memory.step(features, state, episode_start)
         logits, value = self._heads(hidden, knowledge)
         return logits, value, state
 
     def unroll(
-        self, image: Tensor, knowledge: Tensor, state: State, episode_start: Tensor
+        self, windows: Tensor, knowledge: Tensor, state: State, episode_start: Tensor
     ) -> tuple[Tensor, Tensor, State]:
         """Advance T steps at once, for training.
 
         Args:
-            image: (T, B, H, W, 3) uint8.
+            windows: (T, B, S, L) uint8, `windows` of the pictures.
             knowledge: (T, B, K) float32.
             state: (h, c) before the first step, each (B, H).
             episode_start: (T, B) bool.
@@ -105,7 +114,7 @@ class Policy(nn.Module):
         steps, batch = episode_start.shape
         knowledge = self.knowledge_encoder(knowledge.flatten(0, 1))
         with self._products():
-            features = self._features(image.flatten(0, 1), knowledge).view(steps, batch, -1)
+            features = self._features(windows.flatten(0, 1), knowledge).view(steps, batch, -1)
             hidden, state = self.memory.unroll(features, state, episode_start)
         logits, value = self._heads(hidden.flatten(0, 1), knowledge)
         return logits.view(steps, batch, *logits.shape[1:]), value.view(steps, batch), state
@@ -130,9 +139,9 @@ class Policy(nn.Module):
         low = self.precision == "bfloat16"
         return torch.autocast("cpu", torch.bfloat16, enabled=low)
 
-    def _features(self, image: Tensor, knowledge: Tensor) -> Tensor:
-        """(N, H, W, C) and (N, K) -> inputs of the LSTM."""
-        x = self.fusion.before_fc(self.encoder(image), knowledge)
+    def _features(self, windows: Tensor, knowledge: Tensor) -> Tensor:
+        """(N, S, L) and (N, K) -> inputs of the LSTM."""
+        x = self.fusion.before_fc(self.encoder(windows), knowledge)
         return self.fusion.before_lstm(torch.relu(self.fc(x)), knowledge)
 
     def _heads(self, hidden: Tensor, knowledge: Tensor) -> tuple[Tensor, Tensor]:

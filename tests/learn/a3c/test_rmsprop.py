@@ -4,9 +4,9 @@ import multiprocessing
 import pytest
 import torch
 
-from knowarm.learn.a3c.flat import FlatParameters
 from knowarm.learn.a3c.rmsprop import rmsprop_update
 from knowarm.learn.a3c.shared import SharedLearning
+from knowarm.learn.flat import FlatParameters
 
 NUMBERS = {"learning_rate": 0.1, "decay": 0.9, "epsilon": 0.01}
 

@@ -6,8 +6,8 @@ from typing import Any
 
 from knowarm.errors import UserError
 from knowarm.learn.a3c.messages import Failure, Record, Restarted
-from knowarm.learn.a3c.processes import Child, wait_for
 from knowarm.learn.guards import NotFiniteError
+from knowarm.learn.processes import Child, wait_for
 
 log = logging.getLogger("knowarm.learn")
 

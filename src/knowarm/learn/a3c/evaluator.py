@@ -6,9 +6,9 @@ from multiprocessing.connection import Connection
 
 import torch
 
-from knowarm.learn.a3c.flat import FlatParameters
 from knowarm.learn.a3c.messages import Evaluation, Snapshot
-from knowarm.learn.a3c.worker import prepare_process
+from knowarm.learn.flat import FlatParameters
+from knowarm.learn.processes import prepare_process
 from knowarm.learn.trainer import Evaluate
 from knowarm.policy import Policy, PolicyConfig
 

@@ -10,7 +10,6 @@ import torch
 
 from knowarm.learn.a3c.crew import Crew
 from knowarm.learn.a3c.evaluator import MakeEvaluate, run_evaluator
-from knowarm.learn.a3c.flat import FlatParameters
 from knowarm.learn.a3c.memory_check import check_memory
 from knowarm.learn.a3c.messages import (
     Evaluation,
@@ -24,13 +23,14 @@ from knowarm.learn.a3c.messages import (
     WorkerJob,
     WorkerState,
 )
-from knowarm.learn.a3c.processes import Child, process_context
 from knowarm.learn.a3c.shared import SharedLearning
 from knowarm.learn.a3c.window import Window
 from knowarm.learn.a3c.worker import run_worker
 from knowarm.learn.checkpoint import Arrays, Checkpoint, CheckpointStore, policy_arrays
 from knowarm.learn.collector import below
 from knowarm.learn.config import A3CConfig
+from knowarm.learn.flat import FlatParameters
+from knowarm.learn.processes import Child, process_context
 from knowarm.learn.trainer import Best, Hooks, TrainingResult, crossed
 from knowarm.policy import Policy
 

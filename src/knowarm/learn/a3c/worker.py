@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-import signal
 import traceback
 from multiprocessing.connection import Connection
 
@@ -10,7 +9,6 @@ import numpy as np
 import torch
 
 from knowarm.errors import UserError
-from knowarm.learn.a3c.flat import FlatParameters
 from knowarm.learn.a3c.messages import (
     Failure,
     Finished,
@@ -23,12 +21,15 @@ from knowarm.learn.a3c.messages import (
 )
 from knowarm.learn.a3c.rmsprop import rmsprop_update
 from knowarm.learn.a3c.shared import SharedLearning
-from knowarm.learn.allocator import keep_freed_memory
 from knowarm.learn.collector import Collector
+from knowarm.learn.flat import FlatParameters
 from knowarm.learn.guards import FiniteGuard, NotFiniteError
 from knowarm.learn.losses import LossTerms, a3c_loss
+from knowarm.learn.player import SoloPlayer
+from knowarm.learn.precision import resolve_precision
+from knowarm.learn.processes import prepare_process
 from knowarm.learn.returns import advantages, n_step_returns
-from knowarm.learn.rollout import Rollout
+from knowarm.learn.rollout import Rollout, rollout_shapes
 from knowarm.policy import Policy
 
 
@@ -45,13 +46,6 @@ def run_worker(job: WorkerJob, shared: SharedLearning, connection: Connection) -
             connection.send(_failure(error))
 
 
-def prepare_process() -> None:
-    """Settings of every child process: one thread, and Ctrl-C is the trainer's business."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    torch.set_num_threads(1)
-    keep_freed_memory()
-
-
 class Worker:
     """Reads the shared parameters, plays, computes a gradient, updates them, again and again."""
 
@@ -61,18 +55,17 @@ class Worker:
         self._shared = shared
         self._connection = connection
         self._policy = Policy(job.policy)
+        self._policy.precision = resolve_precision(job.config.precision)
         self._flat = FlatParameters(self._policy)
         self._table = torch.tensor(job.table, dtype=torch.float32)
         env = job.make_env(self.config.envs_per_worker, 1)
         self._collector = Collector(env, self._policy, self._table, seed=job.seed)
         if job.state is not None:
             self._collector.set_state(job.state)
-        self._rollout = Rollout(
-            self.config.rollout_steps,
-            self.config.envs_per_worker,
-            self._collector.image_shape,
-            self._policy.config.joints,
+        self._rollout = Rollout.zeros(
+            rollout_shapes(self.config.rollout_steps, self.config.envs_per_worker, self._policy)
         )
+        self._player = SoloPlayer(self._policy, self._table)
         self._guard = FiniteGuard(job.failure_folder)
         self._total_steps = 0
 
@@ -100,7 +93,7 @@ class Worker:
         config, shared, rollout = self.config, self._shared, self._rollout
         seen = int(shared.updates.sum())
         self._flat.values.copy_(shared.values)
-        self._collector.collect(self._policy, rollout)
+        self._collector.collect(self._player, rollout)
         steps = rollout.reward.numel()
         self._guard.check_rollout(rollout, self._table, int(shared.steps.sum()) + steps)
         loss = self._loss()
@@ -141,7 +134,7 @@ class Worker:
         )
         returns = n_step_returns(reward, following, rollout.done, config.gamma)
         logits, values, _ = self._policy.unroll(
-            rollout.image,
+            rollout.windows,
             self._table[rollout.facet],
             rollout.start_state,
             rollout.episode_start,

@@ -1,11 +1,16 @@
 """A function and its arguments go in; a watched child process with a pipe comes out."""
 
 import multiprocessing
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import BaseContext
 from typing import Any
+
+import torch
+
+from knowarm.learn.allocator import keep_freed_memory
 
 
 def process_context(preload: Sequence[str] = ()) -> BaseContext:
@@ -22,6 +27,13 @@ def process_context(preload: Sequence[str] = ()) -> BaseContext:
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(list(preload))
     return context
+
+
+def prepare_process() -> None:
+    """Settings of every child process: one thread, and Ctrl-C is the trainer's business."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    torch.set_num_threads(1)
+    keep_freed_memory()
 
 
 @dataclass
