@@ -1,6 +1,6 @@
 """What a caller gave to ``step`` and ``reset`` goes in; checked arrays come out."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,6 +35,22 @@ def checked_actions(actions: ArrayLike, shape: tuple[int, int], levels: int) -> 
             f"actions must lie in 0 to {levels - 1}, got {array.min()} to {array.max()}."
         )
     return array.astype(np.int64, copy=False)
+
+
+def check_state(mine: dict[str, NDArray[Any]], state: dict[str, NDArray[Any]]) -> None:
+    """Refuse a state whose arrays are not named and shaped as an environment's own.
+
+    Raises:
+        UserError: the state is another kind of environment's.
+    """
+    described = [
+        {name: array.shape for name, array in sorted(arrays.items())} for arrays in (mine, state)
+    ]
+    if described[0] != described[1]:
+        raise UserError(
+            f"The state is of another environment: its arrays are {described[1]}, this one's "
+            f"are {described[0]}. Use the same robot, targets and number of environments."
+        )
 
 
 def masked_ids(mask: ArrayLike | None, num_envs: int) -> NDArray[np.intp]:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from knowarm.errors import UserError
 from knowarm.world.appearance import Appearance
-from knowarm.world.arguments import checked_actions, masked_ids, spread_seeds
+from knowarm.world.arguments import check_state, checked_actions, masked_ids, spread_seeds
 from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import Episodes, EpisodeSource
 from knowarm.world.pictures import Pictures, make_pictures
@@ -268,16 +268,7 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
         Raises:
             UserError: the state is another kind of environment's.
         """
-        mine = self.get_state()
-        described = [
-            {name: array.shape for name, array in sorted(arrays.items())}
-            for arrays in (mine, state)
-        ]
-        if described[0] != described[1]:
-            raise UserError(
-                f"The state is of another environment: its arrays are {described[1]}, this one's "
-                f"are {described[0]}. Use the same robot, targets and number of environments."
-            )
+        check_state(self.get_state(), state)
         for name in _STATE:
             setattr(self, f"_{name}", np.asarray(state[name]).copy())
         self.simulation.set_state(state["simulation"])

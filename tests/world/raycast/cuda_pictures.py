@@ -28,9 +28,13 @@ def main(side: int, count: int) -> None:
             rgba[-1, 1, 3] = 0
             views = np.repeat(host.view[None], count, axis=0)
             views[0, 0] += 0.1
-            for options in ({}, {"geom_rgba": rgba}, {"views": views}):
-                expected = host.render(*poses, **options)
+            # Of the last, one picture in two is asked for; the others stay as they were.
+            half = np.arange(count) % 2 == 0
+            for options in ({}, {"geom_rgba": rgba}, {"views": views}, {"wanted": half}):
+                wanted = options.get("wanted", np.ones(count, dtype=np.bool_))
                 given = {name: cuda.to_device(value) for name, value in options.items()}
+                seen = {name: value for name, value in options.items() if name != "wanted"}
+                expected = host.render(*poses, **seen) * wanted[:, None, None, None]
                 out = cuda.to_device(np.zeros_like(expected))
                 device.render(*on_device, out=out, **given)
                 drawn = out.copy_to_host()

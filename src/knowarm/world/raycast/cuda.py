@@ -8,9 +8,10 @@ Kernels are written so that Numba's simulator runs them too: a compiled function
 to its caller there, which are float32 numbers of type float64 until ``np.float32`` takes them back.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
+from inspect import signature
 from typing import Any
 
 import mujoco
@@ -42,6 +43,14 @@ THREADS = 128
 HIDDEN = -1
 """Kind in the extent of a geom that is not to be drawn."""
 
+# Link-time optimization, numba-cuda's default, would fuse what the compiler was told not to.
+_UNFUSED_LINK = {"lto": False} if "lto" in signature(cuda.jit).parameters else {}
+
+
+def kernel(function: Callable[..., None]) -> Any:
+    """Compile a kernel when it is first launched, to be linked as it was compiled."""
+    return cuda.jit(function, **_UNFUSED_LINK)
+
 
 @cuda.jit(device=True)
 def _three(numbers: Array, start: int) -> Vector:
@@ -68,7 +77,7 @@ def _floats(v: Vector) -> Vector:
     return np.float32(v[0]), np.float32(v[1]), np.float32(v[2])
 
 
-@cuda.jit
+@kernel
 def fill_kernel(numbers: Array, value: int) -> None:
     """Set all numbers to a value."""
     index = cuda.grid(1)
@@ -76,7 +85,7 @@ def fill_kernel(numbers: Array, value: int) -> None:
         numbers[index] = value
 
 
-@cuda.jit
+@kernel
 def prepare_kernel(
     order: Array,
     fixed: int,
@@ -91,6 +100,7 @@ def prepare_kernel(
     record: Array,
     extent: Array,
     anew: Array,
+    wanted: Array,
 ) -> None:
     """Place one geom of one environment before its camera.
 
@@ -108,10 +118,11 @@ def prepare_kernel(
         record: (n, D, RECORD) to write.
         extent: (n, D, EXTENT) to write; kind ``HIDDEN`` for what is not to be seen.
         anew: (n,) set to 1 where the kept picture of the fixed geoms does not serve.
+        wanted: (n or 1,) bool; the other environments are not placed.
     """
     index = cuda.grid(1)
     e, slot = index // order.shape[0], index % order.shape[0]
-    if e >= position.shape[0]:
+    if e >= position.shape[0] or not wanted[min(e, wanted.shape[0] - 1)]:
         return
     g = order[slot]
     colour = rgba[min(e, rgba.shape[0] - 1), g]
@@ -142,7 +153,7 @@ def prepare_kernel(
         _write(numbers, 18 + 3 * i, colours[i])
 
 
-@cuda.jit
+@kernel
 def draw_kernel(
     record: Array,
     extent: Array,
@@ -152,6 +163,7 @@ def draw_kernel(
     kept: tuple[Array, Array],
     background: int,
     triangles: tuple[Array, Array, Array, Array],
+    wanted: Array,
     out: Array,
 ) -> None:
     """Draw one pixel of one environment.
@@ -165,12 +177,13 @@ def draw_kernel(
         kept: depth and packed colour of the fixed geoms' samples.
         background: packed colour of nothing.
         triangles: ``Meshes.vertex``, ``face``, ``normal`` and ``span``.
+        wanted: (n or 1,) bool; the other environments are not drawn.
         out: (n, H, W, 3) uint8 to write.
     """
     index = cuda.grid(1)
     height, width = out.shape[1], out.shape[2]
     e, pixel = index // (height * width), index % (height * width)
-    if e >= out.shape[0]:
+    if e >= out.shape[0] or not wanted[min(e, wanted.shape[0] - 1)]:
         return
     j, i = pixel // width, pixel % width
     vertex, face, corner_normal, span = triangles
@@ -266,6 +279,7 @@ class CudaRaycaster:
         self._rgba, self._own, self._view, self._lamps = _on_device(
             scenery.rgba, scenery.rgba[None], host.view[None], host.lamps.reshape(1, 12)
         )
+        self._everywhere = cuda.to_device(np.ones(1, dtype=np.bool_))
         self._record = self._extent = self._anew = cuda.device_array((0,), dtype=np.int32)
 
     def render(
@@ -277,6 +291,7 @@ class CudaRaycaster:
         *,
         views: Any = None,
         lamps: Any = None,
+        wanted: Any = None,
         stream: Any = 0,
     ) -> Any:
         """Draw a batch; arguments are device arrays shaped as those of ``Raycaster.render``.
@@ -288,6 +303,8 @@ class CudaRaycaster:
             out: (n, H, W, 3) uint8 to write into, None for a new Numba device array.
             views: (n, 12) float32 cameras, None for the model's.
             lamps: (n, 12) float32 lights, the rows of ``Raycaster.lamps``; None for the model's.
+            wanted: (n,) bool, the environments to draw, whose pictures alone are written; None
+                draws all.
             stream: the Numba stream to launch on, 0 for the default one.
 
         Returns:
@@ -303,6 +320,7 @@ class CudaRaycaster:
             out = cuda.device_array(shape, dtype=np.uint8)
         own = views is None and lamps is None
         record, extent, anew = self._record[:count], self._extent[:count], self._anew[:count]
+        drawn = self._everywhere if wanted is None else _taken(wanted)
         with _unfused():
             fill_kernel[_blocks(count), THREADS, stream](anew, 0 if own else 1)
             prepare_kernel[_blocks(count * slots), THREADS, stream](
@@ -310,11 +328,11 @@ class CudaRaycaster:
                 _taken(geom_xmat), self._own if geom_rgba is None else _taken(geom_rgba),
                 self._view if views is None else _taken(views),
                 self._lamps if lamps is None else _taken(lamps),
-                self._grid, record, extent, anew,
+                self._grid, record, extent, anew, drawn,
             )  # fmt: skip
             draw_kernel[_blocks(count * self._height * self._width), THREADS, stream](
                 record, extent, self._fixed, anew, self._grid, self._kept, self._background,
-                self._triangles, _taken(out),
+                self._triangles, drawn, _taken(out),
             )  # fmt: skip
         return out
 
@@ -328,9 +346,9 @@ def _on_device(*arrays: NDArray[Any]) -> tuple[Array, ...]:
 
 
 def _taken(array: Any) -> Array:
-    """A foreign device array as Numba's own, without a copy."""
+    """A foreign device array as Numba's own, without a copy and without waiting for its stream."""
     foreign = hasattr(array, "__cuda_array_interface__") and hasattr(cuda, "as_cuda_array")
-    return cuda.as_cuda_array(array) if foreign else array
+    return cuda.as_cuda_array(array, sync=False) if foreign else array
 
 
 @contextmanager

@@ -1,0 +1,46 @@
+"""Options go in; the same tasks on the CPU and on a device come out."""
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import pytest
+import torch
+
+from knowarm.world.env import EnvConfig, ReachVectorEnv
+from knowarm.world.gpu.env import DeviceReachVectorEnv
+
+DEVICES = [
+    "cpu",
+    pytest.param(
+        "cuda",
+        marks=[
+            pytest.mark.cuda,
+            pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device"),
+        ],
+    ),
+]
+COUNT = 6
+EPISODE_STEPS = 12
+
+
+@dataclass(frozen=True)
+class Pair:
+    """The same tasks twice: NumPy's on the CPU, and tensors on a device."""
+
+    host: ReachVectorEnv
+    device: DeviceReachVectorEnv
+
+
+def make_pair(device: str, count: int = COUNT, **options: Any) -> Pair:
+    """Build a pair of environments of small pictures and short episodes."""
+    config = EnvConfig(
+        **{"image_size": 16, "max_episode_steps": EPISODE_STEPS, "colours": "randomized"} | options
+    )
+    return Pair(ReachVectorEnv(config, count, 1), DeviceReachVectorEnv(config, count, device))
+
+
+@cache
+def shared_pair(device: str, robot: str) -> Pair:
+    """The pair of dynamic environments that tests share; reset it with a seed before use."""
+    return make_pair(device, robot=robot)
