@@ -4,7 +4,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium.vector import AutoresetMode
+from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
 from knowarm.errors import UserError
@@ -77,10 +77,36 @@ def make_vector_env(
     num_threads: int = 0,
     autoreset: AutoresetMode = AutoresetMode.SAME_STEP,
     render_mode: str | None = None,
+    device: str | None = None,
     **options: Any,
-) -> ReachVectorEnv:
-    """Build the vector environment from fields of ``EnvConfig``: the ``make_vec`` entry point."""
-    return ReachVectorEnv(EnvConfig(**options), num_envs, num_threads, autoreset, render_mode)
+) -> VectorEnv[Any, Any, Any]:
+    """Build the vector environment: the ``make_vec`` entry point.
+
+    Args:
+        num_envs: n.
+        num_threads: threads of physics and pictures, 0 for one a core.
+        autoreset: Gymnasium's mode.
+        render_mode: "rgb_array", or None.
+        device: None for ``ReachVectorEnv``, which takes and gives NumPy arrays; "cuda", or "cpu"
+            for checking, for ``DeviceReachVectorEnv``, which takes and gives torch tensors.
+        options: fields of ``EnvConfig``.
+
+    Raises:
+        UserError: a device together with what only NumPy's environment has.
+    """
+    config = EnvConfig(**options)
+    if device is None:
+        return ReachVectorEnv(config, num_envs, num_threads, autoreset, render_mode)
+    if (num_threads, autoreset, render_mode) != (0, AutoresetMode.SAME_STEP, None):
+        raise UserError(
+            f"With device {device!r} environments begin anew in the same step, without threads and "
+            f"large pictures; got num_threads {num_threads}, autoreset {autoreset.value} and "
+            f"render_mode {render_mode!r}. Leave these out, or leave out device."
+        )
+    # Torch and Warp take seconds to import; NumPy's environment needs neither.
+    from knowarm.world.gpu.env import DeviceReachVectorEnv
+
+    return DeviceReachVectorEnv(config, num_envs, device)
 
 
 def _first(infos: dict[str, Any]) -> dict[str, Any]:

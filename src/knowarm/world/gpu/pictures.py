@@ -8,6 +8,7 @@ from torch import Tensor
 from knowarm.errors import UserError
 from knowarm.world.appearance import Shown
 from knowarm.world.config import EnvConfig
+from knowarm.world.gpu.device import INSTALL
 from knowarm.world.gpu.simulation import DeviceSimulation
 from knowarm.world.pictures import make_pictures
 from knowarm.world.scene import Scene
@@ -87,6 +88,24 @@ class CudaPictures:
             config.image_size,
             antialiasing=config.antialiasing,
         )
+        self._compile(scene.model.ngeom)
+
+    def _compile(self, geoms: int) -> None:
+        """Draw one picture, which compiles the kernels.
+
+        Raises:
+            UserError: they do not compile or run with what is installed.
+        """
+        poses = [torch.zeros((1, geoms, k), device=self._device) for k in (3, 9)]
+        try:
+            self._caster.render(*poses)
+            torch.cuda.synchronize(self._device)
+        except Exception as error:  # of Numba, NVVM, the linker or the driver
+            raise UserError(
+                f"Numba could not compile or run the ray caster on the GPU ({error}). Its CUDA "
+                f"must be the driver's and torch's ({torch.version.cuda}): {INSTALL}, and with it "
+                "numba-cuda[cu12] or numba-cuda[cu13]; or use the CPU."
+            ) from error
 
     def draw(self, simulation: DeviceSimulation, shown: Shown, out: Tensor, wanted: Any) -> None:
         """Draw pictures; see ``DevicePictures.draw``."""
