@@ -1,6 +1,7 @@
 import pytest
 import torch
 
+from knowarm.policy import lstm_cell
 from knowarm.policy.lstm_function import MaskedLSTM
 from knowarm.policy.memory import Memory
 
@@ -64,3 +65,21 @@ def test_gradients_agree_with_finite_differences():
 
     inputs = (draw(T, B, 4 * H), draw(4 * H, H), draw(B, H), draw(B, H))
     assert torch.autograd.gradcheck(lambda *a: MaskedLSTM.apply(*a, keep), inputs)
+
+
+def test_the_compiled_loops_do_what_the_operations_do(monkeypatch):
+    results = []
+    for compiled in (True, False):
+        monkeypatch.setattr(lstm_cell, "_can_compile", lambda tensor, answer=compiled: answer)
+        torch.manual_seed(3)
+        keep = (torch.rand(T, B, 1) > 0.3).float()
+        shapes = ((T, B, 4 * H), (4 * H, H), (B, H), (B, H))
+        inputs = [3 * torch.randn(shape) for shape in shapes]
+        inputs[0][0, 0, :] = torch.linspace(-200, 200, 4 * H)  # beyond where exp overflows
+        for tensor in inputs:
+            tensor.requires_grad_()
+        hidden, h, c = MaskedLSTM.apply(*inputs, keep)
+        (hidden.square().sum() + h.sin().sum() + c.cos().sum()).backward()
+        results.append([hidden, h, c, *(tensor.grad for tensor in inputs)])
+    for one, other in zip(*results, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-5, atol=2e-6)

@@ -77,11 +77,12 @@ def test_every_live_parameter_gets_a_gradient(fusion):
         assert parameter.grad.abs().sum() > 0, name
 
 
-def test_bfloat16_products_give_nearly_the_same_numbers_and_gradients():
+@pytest.mark.parametrize("fusion", ["before_lstm", "none"])
+def test_bfloat16_products_give_nearly_the_same_numbers_and_gradients(fusion):
     image, knowledge, start = inputs()
     results = {}
     for precision in ("float32", "bfloat16"):
-        policy = Policy(config("before_lstm", pixel_shift=0.5, actor_gain=1.0), seed=1)
+        policy = Policy(config(fusion, pixel_shift=0.5, actor_gain=1.0), seed=1)
         policy.precision = precision
         state = policy.initial_state(B)
         logits, values, last = policy.unroll(policy.windows(image), knowledge, state, start)

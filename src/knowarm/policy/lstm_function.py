@@ -6,6 +6,8 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from knowarm.policy.lstm_cell import backward_step, forward_step
+
 
 class MaskedLSTM(torch.autograd.Function):
     """An LSTM over T steps whose state is multiplied by ``keep`` before every step.
@@ -16,8 +18,8 @@ class MaskedLSTM(torch.autograd.Function):
         c_t = f * keep_t c_{t-1} + i * g         h_t = o * tanh(c_t)
 
     PyTorch's own kernel knows no masks inside a sequence, and a Python loop under autograd
-    multiplies weight gradients T times. Here the backward pass computes every factor that does
-    not depend on the recursion for all T at once, and each weight gradient as one product.
+    multiplies weight gradients T times. Here each weight gradient is one product, and what happens
+    to a cell between two products is one loop (`lstm_cell`).
 
     Matrix products take the type of ``projected`` (float32, or bfloat16 for speed); everything
     else, the cell above all, stays in the type of ``weight_hh``.
@@ -43,32 +45,20 @@ class MaskedLSTM(torch.autograd.Function):
         steps, batch, _ = projected.shape
         size = weight_hh.shape[1]
         low, full = projected.dtype, weight_hh.dtype
-        gates = projected.to(full, copy=True)
+        gates = projected.to(full, copy=True).contiguous()
         h_in = projected.new_empty(steps, batch, size)
-        c_in = torch.empty(steps, batch, size, dtype=full)
+        c_in = gates.new_empty(steps, batch, size)
         c_tanh, hidden = torch.empty_like(c_in), torch.empty_like(c_in)
         weight = weight_hh.to(low)
-        recurrent = weight.t()
-        # All views at once: taking them step by step costs as much as the arithmetic.
-        views = zip(
-            gates.unbind(), gates[:, :, : 2 * size].unbind(), *_four(gates), keep.unbind(),
-            h_in.unbind(), c_in.unbind(), c_tanh.unbind(), hidden.unbind(), strict=True,
-        )  # fmt: skip
-        for gate, i_and_f, i, f, g, o, kept, h_t, c_t, tanh_t, hidden_t in views:
-            torch.mul(h, kept, out=h_t)
-            torch.mul(c, kept, out=c_t)
-            if low == full:
-                gate.addmm_(h_t, recurrent)
-            else:
-                gate.add_(torch.mm(h_t, recurrent))
-            i_and_f.sigmoid_()
-            g.tanh_()
-            o.sigmoid_()
-            c = torch.mul(f, c_t).addcmul_(i, g)
-            torch.tanh(c, out=tanh_t)
-            h = torch.mul(o, tanh_t, out=hidden_t)
+        recurrent, added = weight.t(), torch.empty_like(gates[0])
+        h, c = h * keep[0], c.clone()
+        step = forward_step(added, keep, gates, c_in, c_tanh, hidden, h, c)
+        for t, h_t in enumerate(h_in.unbind()):
+            h_t.copy_(h)
+            added.copy_(torch.mm(h_t, recurrent))
+            step(t)
         ctx.save_for_backward(gates, weight, h_in, c_in, c_tanh, keep)
-        return hidden, h.clone(), c
+        return hidden, h, c
 
     @staticmethod
     @once_differentiable
@@ -76,40 +66,13 @@ class MaskedLSTM(torch.autograd.Function):
         """Return the gradients of all inputs but ``keep``."""
         d_hidden, dh, dc = grads
         gates, weight, h_in, c_in, c_tanh, keep = ctx.saved_tensors
-        steps, batch, size = h_in.shape
-        i, f, g, o = gates.view(steps, batch, 4, size).unbind(2)
-        # d(gate before its nonlinearity) per d(cell), and for the output gate per d(hidden).
-        factor = torch.empty_like(gates).view(steps, batch, 4, size)
-        torch.mul(g * i, 1 - i, out=factor[:, :, 0])
-        torch.mul(c_in * f, 1 - f, out=factor[:, :, 1])
-        torch.mul(i, 1 - g * g, out=factor[:, :, 2])
-        torch.mul(c_tanh * o, 1 - o, out=factor[:, :, 3])
-        through_tanh = o * (1 - c_tanh * c_tanh)
-        forget = f * keep
-        d_gates = factor.view(steps, batch, 4 * size)
-        d_projected = (
-            d_gates
-            if weight.dtype == factor.dtype
-            else torch.empty_like(d_gates, dtype=weight.dtype)
-        )
-        views = zip(
-            d_hidden.unbind(), through_tanh.unbind(), d_gates.unbind(),
-            factor[:, :, :3].unbind(), factor[:, :, 3].unbind(), forget.unbind(), keep.unbind(),
-            d_projected.unbind(), strict=True,
-        )  # fmt: skip
-        for d_h, tanh_t, d_gate, d_ifg, d_o, forget_t, kept, low in reversed(list(views)):
-            dh = dh + d_h
-            dc = torch.addcmul(dc, dh, tanh_t)
-            d_ifg.mul_(dc[:, None])
-            d_o.mul_(dh)
-            dc = dc * forget_t
-            if d_projected is not d_gates:
-                low.copy_(d_gate)
-            dh = torch.mul(torch.mm(low, weight), kept)
+        size = weight.shape[1]
+        d_projected = torch.empty_like(gates, dtype=weight.dtype)
+        d_gates, d_next, dc = torch.empty_like(gates[0]), dh.clone(), dc.clone()
+        step = backward_step(d_next, d_hidden.contiguous(), keep, gates, c_in, c_tanh, d_gates, dc)
+        for t, low in reversed(list(enumerate(d_projected.unbind()))):
+            step(t)
+            low.copy_(d_gates)
+            d_next.copy_(torch.mm(low, weight))
         d_weight = d_projected.view(-1, 4 * size).t() @ h_in.view(-1, size)
-        return d_projected, d_weight.to(keep.dtype), dh, dc, None
-
-
-def _four(gates: Tensor) -> tuple[tuple[Tensor, ...], ...]:
-    """Views of the four gates (T, B, 4H) of every step: 4 tuples of T tensors (B, H)."""
-    return tuple(gate.unbind() for gate in gates.chunk(4, 2))
+        return d_projected, d_weight.to(keep.dtype), d_next * keep[0], dc, None

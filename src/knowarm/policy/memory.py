@@ -59,7 +59,7 @@ class Memory(nn.Module):
         Returns:
             hidden states (T, B, H) and the state after the last step.
         """
-        keep = (~episode_start).to(x.dtype)[:, :, None]
+        keep = (~episode_start).to(self.weight_hh.dtype)[:, :, None]
         hidden, h, c = MaskedLSTM.apply(self._project(x), self.weight_hh, *state, keep)
         return hidden, (h, c)
 
