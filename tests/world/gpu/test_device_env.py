@@ -207,3 +207,10 @@ def test_actions_out_of_range_are_refused_on_the_cpu() -> None:
     env.reset(seed=0)
     with pytest.raises(UserError, match="0 to 6, got 0 to 7"):
         env.step(torch.tensor([[0] * 5 + [7]] * 2))
+
+
+def test_an_environment_is_closed_once(device: str) -> None:
+    env = make_pair(device, 2, dynamics="kinematic").device
+    env.reset(seed=0)
+    env.close()
+    env.close()
