@@ -8,6 +8,7 @@ import torch
 from device_pairs import DEVICES, make_pair
 from torch.utils._python_dispatch import TorchDispatchMode
 
+from knowarm.world.gpu import env as device_env
 from knowarm.world.gpu.env import DeviceReachVectorEnv
 from knowarm.world.held_out import HeldOut
 from knowarm.world.visual_randomization import VisualRandomization
@@ -52,7 +53,7 @@ def test_no_operation_of_a_step_waits(options: dict, monkeypatch: pytest.MonkeyP
     stay = torch.zeros((6, 6), dtype=torch.int64)
     # What only the CPU does: pictures of chosen environments, and a look at actions and overflows.
     monkeypatch.setattr(env.pictures, "draw", lambda *args, **kwargs: None)
-    monkeypatch.setattr(env, "_check", lambda actions: None)
+    monkeypatch.setattr(device_env, "check_actions", lambda *args: None)
     monkeypatch.setattr(env.simulation, "check_overflow", lambda: None)
     with Recorder() as recorder:
         env.step(stay)

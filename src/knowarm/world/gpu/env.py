@@ -16,6 +16,7 @@ from knowarm.world.arguments import check_state, masked_ids, spread_seeds
 from knowarm.world.config import EnvConfig
 from knowarm.world.env import ACTION_LEVELS, list_facets
 from knowarm.world.episodes import EpisodeSource
+from knowarm.world.gpu.actions import check_actions
 from knowarm.world.gpu.device import find_device
 from knowarm.world.gpu.measure import measure
 from knowarm.world.gpu.memory import check_memory, free_memory
@@ -170,7 +171,7 @@ class DeviceReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         Raises:
             UserError: actions of another shape, dtype or device; on the CPU also outside 0..6.
         """
-        self._check(actions)
+        check_actions(actions, self._joint_targets, len(ACTION_LEVELS))
         levels = actions.clamp(0, len(ACTION_LEVELS) - 1)
         targets = self._joint_targets + self._increments[levels]
         self._joint_targets = targets.clamp(self._lower32, self._upper32)
@@ -268,30 +269,6 @@ class DeviceReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
             "is_success": self._success,
         }
         return infos | {f"_{name}": mask for name in infos}
-
-    def _check(self, actions: Tensor) -> None:
-        shape = tuple(self._joint_targets.shape)
-        if (
-            not isinstance(actions, Tensor)
-            or tuple(actions.shape) != shape
-            or actions.dtype != torch.int64
-            or actions.device != self.device
-        ):
-            given = (
-                f"{actions.dtype} of shape {tuple(actions.shape)} on {actions.device}"
-                if isinstance(actions, Tensor)
-                else type(actions).__name__
-            )
-            raise UserError(
-                f"actions must be an int64 tensor of shape {shape} (environments, joints) on "
-                f"{self.device}, got {given}."
-            )
-        highest = len(ACTION_LEVELS) - 1
-        if self.device.type == "cpu" and (actions.min() < 0 or actions.max() > highest):
-            raise UserError(
-                f"actions must lie in 0 to {highest}, got {int(actions.min())} to "
-                f"{int(actions.max())}."
-            )
 
     def _place(self, array: NDArray[Any]) -> Tensor:
         return torch.as_tensor(array, device=self.device)
