@@ -154,8 +154,8 @@ def test_truncation_bootstraps_from_the_final_observation():
             policy.critic.weight.zero_()
             policy.critic.bias.fill_(1.0)
         trainer = PPOTrainer(SMALL, policy, ToyEnv(32, recall=recall, length=5), TABLE, seed=0)
-        rollout = trainer._team.rollout
-        trainer._collector.collect(trainer._team, rollout)
+        rollout = trainer._learner.rollout
+        trainer._collector.collect(trainer._learner, rollout)
         assert rollout.done[4].all()
         assert (rollout.final_value[4] == expected).all()
 

@@ -10,8 +10,8 @@ import torch
 
 from knowarm.learn import Hooks, PPOConfig, PPOTrainer
 from knowarm.learn.helper import Learn
+from knowarm.learn.learner import available_cores, count_processes, make_learner
 from knowarm.learn.minibatch import differentiate
-from knowarm.learn.team import Team, available_cores
 from knowarm.policy import Policy, PolicyConfig
 from tests.learn.toys import JOINTS, LEVELS, SIDE, ToyEnv
 
@@ -26,7 +26,8 @@ def policy():
 
 def team(processes):
     """A team whose rollout and targets hold made-up numbers."""
-    made = Team(policy(), dataclasses.replace(CONFIG, processes=processes), TABLE, "float32")
+    config = dataclasses.replace(CONFIG, processes=processes)
+    made = make_learner(policy(), config, TABLE, "float32", torch.device("cpu"))
     rng, rollout = np.random.default_rng(2), made.rollout
     rollout.windows.copy_(torch.from_numpy(rng.integers(0, 256, rollout.windows.shape, np.uint8)))
     rollout.facet.copy_(torch.from_numpy(rng.integers(0, 3, rollout.facet.shape)))
@@ -110,12 +111,12 @@ def test_helpers_are_gone_when_the_work_is_done():
 )
 def test_no_more_processes_than_are_worth_it(wanted, envs, expected):
     config = dataclasses.replace(CONFIG, num_envs=envs, processes=wanted)
-    assert Team(policy(), config, TABLE, "float32").processes == expected
+    assert count_processes(config) == expected
 
 
 def test_one_process_a_core_by_default():
     config = dataclasses.replace(CONFIG, num_envs=4096, processes=None)
-    assert Team(policy(), config, TABLE, "float32").processes == available_cores()
+    assert count_processes(config) == available_cores()
 
 
 def test_two_processes_learn_like_one_and_the_same_way_again():

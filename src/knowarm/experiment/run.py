@@ -194,5 +194,12 @@ def _trainer(
         return A3CTrainer(
             algorithm, policy, make_env, parts.table, make_evaluate=make_evaluate, **common
         )
-    env = make_env(algorithm.num_envs)
-    return PPOTrainer(algorithm, policy, env, parts.table, evaluate=make_evaluate(), **common)
+    if algorithm.device == "cpu":
+        env = make_env(algorithm.num_envs)
+        return PPOTrainer(algorithm, policy, env, parts.table, evaluate=make_evaluate(), **common)
+    # Warp takes seconds to import.
+    from knowarm.world.gpu.env import DeviceReachVectorEnv
+
+    on_gpu = DeviceReachVectorEnv(config.env, algorithm.num_envs, algorithm.device)
+    # The interim episodes are played on the CPU: alone on a GPU they would take as long.
+    return PPOTrainer(algorithm, policy, on_gpu, parts.table, make_evaluate=make_evaluate, **common)

@@ -38,12 +38,7 @@ class Collector:
         self._observation, _ = env.reset(seed=seed)
         self._start = np.ones(env.num_envs, bool)
         self._state: State = policy.initial_state(env.num_envs)
-        highest = int(np.max(env.facet_ids))
-        if highest >= len(table):
-            raise UserError(
-                f"The knowledge table has {len(table)} rows and the environment shows facet "
-                f"{highest}; build the table from the facets of this environment."
-            )
+        check_table(table, int(np.max(env.facet_ids)))
 
     @torch.no_grad()
     def collect(self, player: Player, rollout: Rollout) -> None:
@@ -114,6 +109,19 @@ class Collector:
         self.generator.set_state(torch.from_numpy(state["generator"].copy()))
         self.statistics.set_state(below(state, "episode/"))
         self.env.set_state(below(state, "env/"))
+
+
+def check_table(table: Tensor, highest: int) -> None:
+    """Refuse a knowledge table without a row for the highest facet that is shown.
+
+    Raises:
+        UserError: naming both.
+    """
+    if highest >= len(table):
+        raise UserError(
+            f"The knowledge table has {len(table)} rows and the environment shows facet "
+            f"{highest}; build the table from the facets of this environment."
+        )
 
 
 def below(state: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:

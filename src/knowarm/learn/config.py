@@ -69,13 +69,21 @@ class PPOConfig:
     target_kl: float | None = None
     """Stop the passes over a rollout when the policy has moved this far [nat]; None never."""
 
-    precision: Literal["auto", "float32", "bfloat16"] = "auto"
+    device: Literal["cpu", "cuda"] = "cpu"
+    """Where physics, pictures and learning happen; "cuda" keeps all of it on one GPU."""
+
+    precision: Literal["auto", "float32", "tf32", "bfloat16"] = "auto"
     """Of the products in encoder and LSTM while training: ``auto`` takes bfloat16 where the
-    processor computes it, else float32. Parameters, cell, heads and losses are float32 always."""
+    device computes it, else float32; "tf32" is a GPU's. Parameters, cell, heads and losses are
+    float32 always."""
 
     processes: int | None = None
-    """Processes that share the network's work, one thread each; None takes one a core, and never
-    more than every eighth environment of a minibatch. Another number rounds sums differently."""
+    """Processes that share the network's work on the CPU, one thread each; None takes one a core,
+    and never more than every eighth environment of a minibatch. Another number rounds sums
+    differently."""
+
+    cuda_graphs: bool = True
+    """Launch the kernels of a gradient step as one (device "cuda")."""
 
     def __post_init__(self) -> None:
         _at_least(
@@ -91,6 +99,11 @@ class PPOConfig:
             self, "learning_rate", "adam_epsilon", "clip", "reward_scale", "max_gradient_norm"
         )
         _share(self, "gamma", "trace_decay", "learning_rate_final")
+        if self.device == "cuda" and self.processes is not None:
+            raise UserError(
+                f"processes ({self.processes}) share the work on device 'cpu'; leave it out with "
+                "device 'cuda'."
+            )
         if self.num_envs % self.minibatches:
             raise UserError(
                 f"minibatches ({self.minibatches}) must divide num_envs ({self.num_envs}): a "

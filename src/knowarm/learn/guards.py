@@ -2,7 +2,7 @@
 
 import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import torch
@@ -87,12 +87,27 @@ class FiniteGuard:
         }
         self.check({**terms, **gradients, "the gradient's norm": norm}, step, rollout.tensors())
 
+    def check_updates(
+        self, losses: Sequence[LossTerms], norms: Sequence[Tensor], step: int, rollout: Rollout
+    ) -> None:
+        """Raise if a loss or a gradient of a whole update was not finite, naming the term.
+
+        For a device that was not waited for between the gradient steps; their gradients are gone.
+        """
+        names = {"the policy loss": "policy", "the value loss": "value", "the entropy": "entropy"}
+        terms = {
+            name: torch.stack([getattr(loss, field).detach() for loss in losses])
+            for name, field in names.items()
+        }
+        terms["the gradient's norm"] = torch.stack(list(norms))
+        self.check(terms, step, rollout.tensors())
+
     def _save(self, step: int, batch: Mapping[str, Tensor]) -> Path | None:
         if self._folder is None:
             return None
         self._folder.mkdir(parents=True, exist_ok=True)
         path = self._folder / f"not-finite-{step}.safetensors"
-        save_file({name: value.detach().contiguous() for name, value in batch.items()}, path)
+        save_file({name: value.detach().cpu().contiguous() for name, value in batch.items()}, path)
         return path
 
 

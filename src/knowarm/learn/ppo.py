@@ -2,6 +2,7 @@
 
 import time
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import torch
@@ -12,12 +13,19 @@ from knowarm.learn.checkpoint import Checkpoint, CheckpointStore, policy_arrays
 from knowarm.learn.collector import Collector, below
 from knowarm.learn.config import PPOConfig
 from knowarm.learn.environment import VectorEnvironment
+from knowarm.learn.evaluation import BackgroundEvaluations, Evaluations, InlineEvaluations
+from knowarm.learn.evaluator import MakeEvaluate
 from knowarm.learn.guards import FiniteGuard, HealthMonitor
+from knowarm.learn.learner import make_learner
 from knowarm.learn.losses import PPOLossTerms
 from knowarm.learn.precision import resolve_precision
 from knowarm.learn.returns import advantages
 from knowarm.learn.schedule import step_size
-from knowarm.learn.team import Team
+from knowarm.learn.tensor_collector import (
+    TensorCollector,
+    TensorEnvironment,
+    has_tensors,
+)
 from knowarm.learn.trainer import Best, Evaluate, Hooks, Metrics, TrainingResult, crossed
 from knowarm.policy import Policy
 
@@ -28,10 +36,13 @@ class PPOTrainer:
     Args:
         config: all choices.
         policy: trained in place.
-        env: ``config.num_envs`` environments that reset within the step.
+        env: ``config.num_envs`` environments that reset within the step; where they take and give
+            tensors of a device, everything happens there.
         knowledge_table: (F, K) float32, one row a facet of the environment.
         seed: of episodes, actions and minibatches.
-        evaluate: plays the interim evaluation; None for none.
+        evaluate: plays the interim evaluation while training waits; None for none.
+        make_evaluate: instead of ``evaluate``, makes it in a process of its own, which plays while
+            training goes on; picklable. Results may come later than their step.
         evaluate_every: steps between two interim evaluations; the first is before training.
         hooks: who is told of metrics and evaluations.
         checkpoints: where checkpoints go; None keeps none.
@@ -48,11 +59,12 @@ class PPOTrainer:
         self,
         config: PPOConfig,
         policy: Policy,
-        env: VectorEnvironment,
+        env: VectorEnvironment | TensorEnvironment,
         knowledge_table: np.ndarray,
         *,
         seed: int,
         evaluate: Evaluate | None = None,
+        make_evaluate: MakeEvaluate | None = None,
         evaluate_every: int = 50_000,
         hooks: Hooks | None = None,
         checkpoints: CheckpointStore | None = None,
@@ -65,16 +77,19 @@ class PPOTrainer:
         self.policy = policy
         self.step = 0
         self.best = Best()
-        self.precision = resolve_precision(config.precision)
-        self._team = Team(policy, config, knowledge_table, self.precision)
+        self._device = torch.device(getattr(env, "device", "cpu"))
+        self.precision = resolve_precision(config.precision, self._device)
+        self._learner = make_learner(policy, config, knowledge_table, self.precision, self._device)
         self._hooks = hooks or Hooks()
         self._evaluate = evaluate
+        self._make_evaluate = make_evaluate
+        self._evaluations: Evaluations | None = None
         self._evaluate_every = evaluate_every
         self._checkpoints = checkpoints
         self._checkpoint_every = checkpoint_every
-        self._table = torch.tensor(knowledge_table, dtype=torch.float32)
-        self._collector = Collector(env, policy, self._table, seed=seed)
-        self._order = torch.Generator().manual_seed(seed)
+        self._table = torch.tensor(knowledge_table, dtype=torch.float32, device=self._device)
+        self._collector = make_collector(env, policy, self._table, seed=seed)
+        self._order = torch.Generator(self._device).manual_seed(seed)
         self._optimizer = torch.optim.Adam(
             policy.parameters(), lr=config.learning_rate, eps=config.adam_epsilon, fused=True
         )
@@ -91,13 +106,21 @@ class PPOTrainer:
             NotFiniteError: a loss, gradient or input is NaN or infinite.
             UserError: a checkpoint cannot be written.
         """
-        with self._team.at_work():
-            return self._train(total_steps)
+        if self._evaluate is not None:
+            self._evaluations = InlineEvaluations(self._evaluate)
+        elif self._make_evaluate is not None:
+            self._evaluations = BackgroundEvaluations(self.policy, self._make_evaluate)
+        try:
+            with self._learner.at_work():
+                return self._train(total_steps)
+        finally:
+            if self._evaluations is not None:
+                self._evaluations.end()
 
     def _train(self, total_steps: int) -> TrainingResult:
         begin, reason = time.perf_counter(), "finished"
         if self.step == 0:
-            self._run_evaluation()
+            self._ask_for_evaluation()
         while self.step < total_steps:
             if self._hooks.should_stop():
                 reason = "stopped"
@@ -116,7 +139,8 @@ class PPOTrainer:
                 }
             )
             if crossed(before, self.step, self._evaluate_every):
-                self._run_evaluation()
+                self._ask_for_evaluation()
+            self._take_evaluations(wait=False)
             if crossed(before, self.step, self._checkpoint_every):
                 self.save()
         self.save()
@@ -128,7 +152,8 @@ class PPOTrainer:
         )
 
     def save(self) -> None:
-        """Write a checkpoint now, if there is a place for it."""
+        """Write a checkpoint now, if there is a place for it; waits for interim evaluations."""
+        self._take_evaluations(wait=True)
         if self._checkpoints is not None:
             self._checkpoints.save(self._checkpoint())
 
@@ -143,7 +168,7 @@ class PPOTrainer:
         self.policy.load_state_dict({k: torch.from_numpy(v) for k, v in checkpoint.policy.items()})
         for name, parameter in self.policy.named_parameters():
             self._optimizer.state[parameter] = {
-                key: torch.from_numpy(value)
+                key: torch.from_numpy(value).to(self._device)
                 for key, value in below(checkpoint.optimizer, f"{name}/").items()
             }
         self._collector.set_state(below(checkpoint.state, "collector/"))
@@ -155,7 +180,7 @@ class PPOTrainer:
         return Checkpoint(
             policy=policy_arrays(self.policy),
             optimizer={
-                f"{name}/{key}": value.numpy().copy()
+                f"{name}/{key}": value.cpu().numpy().copy()
                 for name, parameter in self.policy.named_parameters()
                 for key, value in self._optimizer.state[parameter].items()
             },
@@ -170,19 +195,25 @@ class PPOTrainer:
             },
         )
 
-    def _run_evaluation(self) -> None:
-        if self._evaluate is None:
+    def _ask_for_evaluation(self) -> None:
+        if self._evaluations is not None:
+            self._evaluations.ask(self.step, self.policy)
+            self._take_evaluations(wait=False)
+
+    def _take_evaluations(self, *, wait: bool) -> None:
+        """Keep the best of the policies whose evaluation has come, and tell of all."""
+        if self._evaluations is None:
             return
-        results = self._evaluate(self.policy)
-        is_best = self.best.update(self.step, results["return_mean"])
-        if is_best and self._checkpoints is not None:
-            facts = {"step": self.step, **results}
-            self._checkpoints.save_best(Checkpoint(policy=policy_arrays(self.policy), facts=facts))
-        self._hooks.on_evaluation(self.step, results, is_best)
+        for done in self._evaluations.finished(wait=wait):
+            is_best = self.best.update(done.step, done.results["return_mean"])
+            if is_best and self._checkpoints is not None:
+                facts = {"step": done.step, **done.results}
+                self._checkpoints.save_best(Checkpoint(policy=done.policy, facts=facts))
+            self._hooks.on_evaluation(done.step, done.results, is_best)
 
     def _update(self, total_steps: int) -> Metrics:
         """Collect one rollout, learn from it, and describe both."""
-        config, rollout = self.config, self._team.rollout
+        config, rollout = self.config, self._learner.rollout
         rate = step_size(
             config.learning_rate_schedule,
             config.learning_rate,
@@ -191,15 +222,17 @@ class PPOTrainer:
         )
         for group in self._optimizer.param_groups:
             group["lr"] = rate
-        start, environment_s = time.perf_counter(), self._collector.environment_s
-        self._collector.collect(self._team, rollout)
-        collected = time.perf_counter()
+        environment_s, start = self._collector.environment_s, time.perf_counter()
+        self._collector.collect(self._learner, rollout)
+        # This waits for a GPU, whose work is not done when its kernels are launched.
         environment_s = self._collector.environment_s - environment_s
+        collected = time.perf_counter()
         self.step += rollout.reward.numel()
         self._guard.check_rollout(rollout, self._table, self.step)
         reward = rollout.reward * config.reward_scale
         self._set_targets(reward)
         terms, norms = self._learn()
+        self._guard.check_updates(terms, norms, self.step, rollout)
         learnt = time.perf_counter()
         means = {
             f"{name}": float(torch.stack([getattr(term, name) for term in terms]).mean())
@@ -215,7 +248,7 @@ class PPOTrainer:
             "entropy": means["entropy"],
             "kl": means["kl"],
             "clipped": means["clipped"],
-            "explained_variance": explained_variance(rollout.value, self._team.targets.returns),
+            "explained_variance": explained_variance(rollout.value, self._learner.targets.returns),
             "gradient_norm": float(torch.stack(norms).mean()),
             "learning_rate": rate,
             "gradient_steps": len(terms),
@@ -226,7 +259,7 @@ class PPOTrainer:
 
     def _set_targets(self, reward: Tensor) -> None:
         """Write the advantages and returns of (scaled) rewards (T, B)."""
-        config, rollout, targets = self.config, self._team.rollout, self._team.targets
+        config, rollout, targets = self.config, self._learner.rollout, self._learner.targets
         advantage = advantages(
             reward,
             rollout.value,
@@ -246,9 +279,9 @@ class PPOTrainer:
         terms: list[PPOLossTerms] = []
         norms: list[Tensor] = []
         for _ in range(config.epochs):
-            order = torch.randperm(config.num_envs, generator=self._order)
+            order = torch.randperm(config.num_envs, generator=self._order, device=self._device)
             for columns in order.chunk(config.minibatches):
-                loss = self._team.differentiate(columns)
+                loss = self._learner.differentiate(columns)
                 terms.append(loss)
                 if config.target_kl is not None and float(loss.kl) > config.target_kl:
                     return terms, norms or [torch.zeros(())]
@@ -256,14 +289,31 @@ class PPOTrainer:
         return terms, norms
 
     def _descend(self, loss: PPOLossTerms) -> Tensor:
-        """Take one gradient step; return the norm of the gradient before it was shortened."""
-        gradient, limit = self._team.gradient, self.config.max_gradient_norm
+        """Take one gradient step; return the norm of the gradient before it was shortened.
+
+        A gradient that is not finite never reaches the parameters: on the CPU it stops training
+        here; a GPU is not waited for, so there it counts as zero until the pass is over.
+        """
+        gradient, limit = self._learner.gradient, self.config.max_gradient_norm
         norm = torch.linalg.vector_norm(gradient)
-        self._guard.check_update(self.policy, loss, norm, self.step, self._team.rollout)
-        if norm > limit:
-            gradient.mul_(limit / norm)
+        shorter = (limit / norm).clamp(max=1)
+        if self._device.type == "cpu":
+            self._guard.check_update(self.policy, loss, norm, self.step, self._learner.rollout)
+            gradient.mul_(shorter)
+        else:
+            finite = torch.isfinite(norm + loss.total)
+            gradient.copy_(torch.where(finite, gradient * shorter, 0))
         self._optimizer.step()
         return norm
+
+
+def make_collector(
+    env: VectorEnvironment | TensorEnvironment, policy: Policy, table: Tensor, *, seed: int
+) -> Collector | TensorCollector:
+    """Return what steps an environment: by tensors where it has a device, else by arrays."""
+    if has_tensors(env):
+        return TensorCollector(env, policy, table, seed=seed)
+    return Collector(cast(VectorEnvironment, env), policy, table, seed=seed)
 
 
 def explained_variance(values: Tensor, returns: Tensor) -> float:

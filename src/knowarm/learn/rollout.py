@@ -43,10 +43,13 @@ class Rollout:
     """(B, H) float32: cell before the first step."""
 
     @classmethod
-    def zeros(cls, shapes: Shapes) -> "Rollout":
-        """Make the tensors of `rollout_shapes`."""
+    def zeros(cls, shapes: Shapes, device: torch.device | None = None) -> "Rollout":
+        """Make the tensors of `rollout_shapes`, on a device or in the host's memory."""
         return cls(
-            **{name: torch.zeros(shape, dtype=kind) for name, (shape, kind) in shapes.items()}
+            **{
+                name: torch.zeros(shape, dtype=kind, device=device)
+                for name, (shape, kind) in shapes.items()
+            }
         )
 
     @property

@@ -7,7 +7,6 @@ the environments through the whole network do neither (docs/lab-notes.md).
 """
 
 import logging
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -28,7 +27,6 @@ from knowarm.learn.helper import (
 )
 from knowarm.learn.losses import PPOLossTerms
 from knowarm.learn.minibatch import Targets, differentiate, target_shapes
-from knowarm.learn.player import play_rows
 from knowarm.learn.processes import Child, process_context
 from knowarm.learn.rollout import Rollout, rollout_shapes
 from knowarm.learn.shared import SharedTensors
@@ -38,9 +36,6 @@ from knowarm.policy.policy import Precision
 
 log = logging.getLogger("knowarm.learn")
 
-SMALLEST_PART = 8
-"""Environments of a minibatch that a process is worth having for."""
-
 GIVE_UP_AFTER = 3
 """Helpers that may die before training stops."""
 
@@ -49,32 +44,30 @@ class Team:
     """The trainer's process and helpers, which share parameters, rollout and targets in memory.
 
     Helpers remember nothing between two commands, so one that dies is replaced and nothing is
-    lost. With one process there are no helpers, and everything is what the policy alone does;
-    with more, sums are taken in another order, always the same one for a number of processes.
+    lost. Sums are taken in another order than one process would, always the same one for a number
+    of processes. See `Learner`.
 
     Args:
         policy: the trainer's; its parameters move to shared memory.
-        config: its ``processes`` is how many work side by side, None for one a core; fewer where
-            a minibatch has not enough environments for so many.
+        config: sizes of the rollout, weights of the loss.
         table: (F, K) float32 knowledge, one row a facet.
         precision: of the products in encoder and memory.
-
-    Attributes:
-        policy: as given.
-        rollout: what `play` writes and `differentiate` reads.
-        targets: likewise.
-        gradient: (P,) float32, the sum of all processes' after `differentiate`.
+        processes: how many work side by side, this one included; at least 2.
     """
 
     def __init__(
-        self, policy: Policy, config: PPOConfig, table: np.ndarray, precision: Precision
+        self,
+        policy: Policy,
+        config: PPOConfig,
+        table: np.ndarray,
+        precision: Precision,
+        processes: int,
     ) -> None:
+        assert processes > 1, processes
         self.policy = policy
         self._config = config
         self._table = torch.tensor(table, dtype=torch.float32)
-        wanted = config.processes or available_cores()
-        worth = config.num_envs // config.minibatches // SMALLEST_PART
-        self.processes = max(1, min(wanted, worth))
+        self.processes = processes
         self._context = process_context(["knowarm.learn.helper"])
         self._job = HelperJob(policy.config, config, table, precision)
         shapes = shared_shapes(policy, config, self.processes)
@@ -103,9 +96,7 @@ class Team:
             torch.set_num_threads(before)
 
     def play(self, rollout: Rollout, t: int, image: Tensor, state: State) -> tuple[Tensor, State]:
-        """As `Player.play`; the state that is returned is overwritten by the next call."""
-        if not self._helpers:
-            return play_rows(self.policy, self._table, rollout, t, image, state, slice(None))
+        """As `Learner.play`."""
         shared = self._shared
         shared["image"].copy_(image)
         shared["h"].copy_(state[0])
@@ -119,7 +110,7 @@ class Team:
         return shared["logits"].clone(), (shared["h"], shared["c"])
 
     def differentiate(self, columns: Tensor) -> PPOLossTerms:
-        """Compute the loss terms of the environments ``columns`` (b,) and leave their gradient."""
+        """As `Learner.differentiate`."""
         own, *others = columns.chunk(self.processes)
         commands = [Learn(part.numpy(), len(part) / len(columns)) for part in others]
         self._send(commands)
@@ -175,10 +166,3 @@ class Team:
             raise RuntimeError(f"The {dead.name} {ending}, again and again.")
         log.warning("The %s %s; another takes its place.", dead.name, ending)
         self._helpers[index] = self._start(index + 1)
-
-
-def available_cores() -> int:
-    """Number of cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1

@@ -16,7 +16,7 @@ from knowarm.policy.fusion import FUSIONS
 from knowarm.policy.initialization import RELU_GAIN, orthogonal
 from knowarm.policy.memory import Memory, State
 
-Precision = Literal["float32", "bfloat16"]
+Precision = Literal["float32", "tf32", "bfloat16"]
 
 
 class Policy(nn.Module):
@@ -28,7 +28,8 @@ class Policy(nn.Module):
 
     Attributes:
         precision: of the products in encoder and memory; parameters, cell, heads and losses are
-            float32 always. "bfloat16" is for training on processors that have it in hardware.
+            float32 always. "bfloat16" is for training on processors that have it in hardware;
+            "tf32" leaves float32 to be rounded by a GPU that was told so.
     """
 
     def __init__(self, config: PolicyConfig, *, seed: int = 0) -> None:
@@ -136,8 +137,9 @@ class Policy(nn.Module):
 
     def _products(self) -> torch.autocast:
         """Context in which matrix products and convolutions have the policy's precision."""
-        low = self.precision == "bfloat16"
-        return torch.autocast("cpu", torch.bfloat16, enabled=low)
+        low, device = self.precision == "bfloat16", self.critic.weight.device.type
+        # Every weight is used once: keeping its copy gains nothing and a CUDA graph forbids it.
+        return torch.autocast(device, torch.bfloat16, enabled=low, cache_enabled=False)
 
     def _features(self, windows: Tensor, knowledge: Tensor) -> Tensor:
         """(N, S, L) and (N, K) -> inputs of the LSTM."""

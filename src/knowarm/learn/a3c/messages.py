@@ -1,7 +1,7 @@
 """What workers, the evaluator and the trainer tell each other; every class is one message."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,6 @@ from knowarm.learn.checkpoint import Arrays
 from knowarm.learn.config import A3CConfig
 from knowarm.learn.environment import VectorEnvironment
 from knowarm.learn.statistics import FinishedEpisodes
-from knowarm.learn.trainer import Metrics
 from knowarm.policy import PolicyConfig
 
 MakeEnv = Callable[[int, int], VectorEnvironment]
@@ -64,15 +63,6 @@ class Record:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Snapshot:
-    """From a worker: the shared parameters when interim evaluation ``number`` was due."""
-
-    number: int
-    step: int
-    values: np.ndarray
-
-
-@dataclass(frozen=True, kw_only=True)
 class WorkerState:
     """From a worker: where it stands between two updates."""
 
@@ -99,14 +89,6 @@ class Failure:
     """Term, step and saved batch, if a number was none."""
     user_error: str | None = None
     """The message, if it is a mistake the user can mend."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Evaluation:
-    """From the evaluator: results of a `Snapshot`."""
-
-    number: int
-    results: Metrics = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,16 +9,13 @@ import numpy as np
 import torch
 
 from knowarm.learn.a3c.crew import Crew
-from knowarm.learn.a3c.evaluator import MakeEvaluate, run_evaluator
 from knowarm.learn.a3c.memory_check import check_memory
 from knowarm.learn.a3c.messages import (
-    Evaluation,
     Finished,
     MakeEnv,
     Record,
     Restarted,
     SendState,
-    Snapshot,
     Train,
     WorkerJob,
     WorkerState,
@@ -29,6 +26,7 @@ from knowarm.learn.a3c.worker import run_worker
 from knowarm.learn.checkpoint import Arrays, Checkpoint, CheckpointStore, policy_arrays
 from knowarm.learn.collector import below
 from knowarm.learn.config import A3CConfig
+from knowarm.learn.evaluator import Evaluation, MakeEvaluate, Snapshot, run_evaluator
 from knowarm.learn.flat import FlatParameters
 from knowarm.learn.processes import Child, process_context
 from knowarm.learn.trainer import Best, Hooks, TrainingResult, crossed

@@ -14,7 +14,6 @@ from knowarm.learn.a3c.messages import (
     Finished,
     Record,
     SendState,
-    Snapshot,
     Train,
     WorkerJob,
     WorkerState,
@@ -22,6 +21,7 @@ from knowarm.learn.a3c.messages import (
 from knowarm.learn.a3c.rmsprop import rmsprop_update
 from knowarm.learn.a3c.shared import SharedLearning
 from knowarm.learn.collector import Collector
+from knowarm.learn.evaluator import Snapshot
 from knowarm.learn.flat import FlatParameters
 from knowarm.learn.guards import FiniteGuard, NotFiniteError
 from knowarm.learn.losses import LossTerms, a3c_loss
@@ -55,7 +55,7 @@ class Worker:
         self._shared = shared
         self._connection = connection
         self._policy = Policy(job.policy)
-        self._policy.precision = resolve_precision(job.config.precision)
+        self._policy.precision = resolve_precision(job.config.precision, torch.device("cpu"))
         self._flat = FlatParameters(self._policy)
         self._table = torch.tensor(job.table, dtype=torch.float32)
         env = job.make_env(self.config.envs_per_worker, 1)

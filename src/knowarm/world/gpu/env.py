@@ -102,6 +102,11 @@ class DeviceReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         return space
 
     @property
+    def episode_steps(self) -> int:
+        """No environment is truncated twice within so many steps."""
+        return self.config.max_episode_steps
+
+    @property
     def facet_ids(self) -> Tensor:
         """Facet of the episode now running, (n,) int64."""
         return self._first_facet[self.running.target] + self.running.colour

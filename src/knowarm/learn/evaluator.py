@@ -1,19 +1,37 @@
-"""Snapshots of the shared parameters go in; results of the interim evaluation come out."""
+"""Snapshots of a policy's parameters go in; results of the interim evaluation come out."""
 
 import os
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 
+import numpy as np
 import torch
 
-from knowarm.learn.a3c.messages import Evaluation, Snapshot
 from knowarm.learn.flat import FlatParameters
 from knowarm.learn.processes import prepare_process
-from knowarm.learn.trainer import Evaluate
+from knowarm.learn.trainer import Evaluate, Metrics
 from knowarm.policy import Policy, PolicyConfig
 
 MakeEvaluate = Callable[[], Evaluate]
 """Makes the function that plays the fixed episodes; picklable."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Snapshot:
+    """To the evaluator: the parameters when interim evaluation ``number`` was due."""
+
+    number: int
+    step: int
+    values: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluation:
+    """From the evaluator: results of a `Snapshot`."""
+
+    number: int
+    results: Metrics = field(default_factory=dict)
 
 
 def run_evaluator(
