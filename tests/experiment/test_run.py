@@ -176,3 +176,11 @@ def test_names_say_what_they_are():
 def test_unknown_names_offer_the_nearest(name, message):
     with pytest.raises(UserError, match=message):
         experiment(name)
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
+def test_a_missing_gpu_is_named_and_leaves_no_run(tmp_path):
+    algorithm = dataclasses.replace(short().algorithm, device="cuda", processes=None)
+    with pytest.raises(UserError, match="device 'cuda'"):
+        train(short(algorithm=algorithm), tmp_path)
+    train(short(total_steps=20), tmp_path)

@@ -70,7 +70,6 @@ def train(
         folder.write_json("config.json", {"format": FORMAT, **to_dict(config)})
     else:
         folder = RunFolder.create(path)
-        _describe(folder, config, parts)
     policy = parts.new_policy(config.seed)
     label = f"{config.name}/{config.seed}"
     with TrainingProgress(label, config.total_steps) as progress:
@@ -78,6 +77,9 @@ def train(
             progress.say(line)
         logs = RunLogs(folder, progress)
         trainer = _trainer(config, parts, policy, folder, logs, should_stop)
+        if not resume:
+            # Not before: what this machine cannot train must not leave a run behind.
+            _describe(folder, config, parts)
         if resume:
             trainer.resume()
             progress.say(f"going on at step {trainer.step:,}")
