@@ -1,0 +1,64 @@
+"""A trained policy does on the device environment what it does on the array environment."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from knowarm.experiment.load import load_agent
+from knowarm.world.env import ReachVectorEnv
+from knowarm.world.episodes import evaluation_episodes
+from knowarm.world.gpu.env import DeviceReachVectorEnv
+from knowarm.world.play import play
+
+ZOO = Path(__file__).parents[2] / "zoo"
+EPISODES = 64
+DEVICES = [
+    "cpu",
+    pytest.param(
+        "cuda",
+        marks=[
+            pytest.mark.cuda,
+            pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device"),
+        ],
+    ),
+]
+
+
+@torch.no_grad()
+def outcomes(trained, env, episodes):
+    """Return and success of every episode, played greedily on a device environment."""
+    policy, table = trained.policy.to(env.device), torch.from_numpy(trained.knowledge)
+    image, _ = env.reset(options={"episodes": episodes})
+    state = policy.initial_state(EPISODES)
+    start = torch.ones(EPISODES, dtype=torch.bool, device=env.device)
+    running, total = start.clone(), torch.zeros(EPISODES, device=env.device)
+    success = torch.zeros_like(start)
+    for _ in range(env.config.max_episode_steps):
+        knowledge = table.to(env.device)[env.facet_ids]
+        logits, _, state = policy.step(policy.windows(image), knowledge, state, start)
+        image, reward, terminated, truncated, _ = env.step(logits.argmax(-1))
+        start = terminated | truncated
+        total += reward * running
+        success |= terminated & running
+        running &= ~start
+    assert not running.any()
+    return total.cpu().numpy(), success.cpu().numpy()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("robot", ["irb120", "tiago"])
+def test_a_trained_policy_reaches_the_same_targets(robot, device):
+    trained = load_agent(ZOO / f"{robot}-full-ppo")
+    env = trained.config.env
+    arrays = ReachVectorEnv(env, EPISODES)
+    episodes = evaluation_episodes(arrays.scene, env, EPISODES, 5)
+    played = play(trained.agent, arrays, episodes)
+    total, success = outcomes(trained, DeviceReachVectorEnv(env, EPISODES, device), episodes)
+    assert played.success.mean() > 0.5
+    # A pixel or a micrometre may tip a choice between two joint steps, and the rest follows.
+    assert (success == played.success).mean() >= 0.95
+    same = np.isclose(total, played.episode_return, atol=0.05)
+    assert same.mean() >= 0.9
