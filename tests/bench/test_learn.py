@@ -29,7 +29,8 @@ def test_the_other_librarys_network_is_as_large_as_ours():
 def test_one_table_of_all_learners():
     result = bench_learn(BenchConfig(cores=1, seconds=0.1, epochs=1, opengl=False))
     rows = {row["name"]: row for row in result["rows"]}
-    assert set(rows) == {"ppo", "a3c", "a3c-batched", "sb3"}
+    assert set(rows) == {"raycaster", "ppo", "a3c", "a3c-batched", "sb3"}
+    assert rows["raycaster"]["steps_per_s"] > 100
     assert result["steps_per_s"] == rows["ppo"]["steps_per_s"] > 0
     assert result["ratio_vs_sb3"] == rows["ppo"]["steps_per_s"] / rows["sb3"]["steps_per_s"]
     assert result["ratio_vs_sb3_opengl"] is None

@@ -4,7 +4,6 @@ Every row trains the experiment ``<robot>-full``: physics, picture, policy and u
 """
 
 import os
-import platform
 import time
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -13,8 +12,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from knowarm.bench.world import frames_per_core_s
 from knowarm.errors import UserError
 from knowarm.experiment.build import EnvFactory, build
+from knowarm.experiment.provenance import processor
 from knowarm.experiment.registry import experiment
 from knowarm.learn import A3CConfig, Hooks, Metrics, PPOConfig, PPOTrainer
 from knowarm.learn.a3c import A3CTrainer
@@ -59,11 +60,12 @@ def bench_learn(config: BenchConfig | None = None) -> dict[str, Any]:
     """Measure environment steps per second of training, row after row.
 
     Returns:
-        ``rows`` (name, envs, steps_per_s, shares of the time where known), ``steps_per_s`` of our
-        PPO, ``ratio_vs_sb3`` (RecurrentPPO on our vector environment, same sizes, epochs and
-        minibatches), ``ratio_vs_sb3_opengl`` (RecurrentPPO on single environments with MuJoCo's
-        renderer; None if left out), ``ratio_a3c_batched`` (A3C with many environments a worker
-        over the paper's 17 x 1), and what it was measured on.
+        ``rows`` (name, envs, steps_per_s, shares of the time where known; the ray caster's alone
+        are frames of one core), ``steps_per_s`` of our PPO, ``ratio_vs_sb3`` (RecurrentPPO on our
+        vector environment, same sizes, epochs and minibatches), ``ratio_vs_sb3_opengl``
+        (RecurrentPPO on single environments with MuJoCo's renderer; None if left out),
+        ``ratio_a3c_batched`` (A3C with many environments a worker over the paper's 17 x 1), and
+        what it was measured on.
 
     Raises:
         UserError: the packages of ``pip install 'knowarm[sb3]'`` are missing.
@@ -72,7 +74,8 @@ def bench_learn(config: BenchConfig | None = None) -> dict[str, Any]:
     # The single environments' processes read it when they start.
     os.environ.setdefault("MUJOCO_GL", "egl")
     torch.set_num_threads(config.cores)
-    rows = [_ppo(config), _a3c(config, 17, 1), _a3c(config, config.cores, 64)]
+    rows = [_raycaster(config)]
+    rows += [_ppo(config), _a3c(config, 17, 1), _a3c(config, config.cores, 64)]
     rows.append(_sb3(config, opengl=False))
     if config.opengl:
         rows.append(_sb3(config, opengl=True))
@@ -82,13 +85,25 @@ def bench_learn(config: BenchConfig | None = None) -> dict[str, Any]:
         "experiment": f"{config.robot}-full",
         "cores": config.cores,
         "epochs": config.epochs,
-        "machine": f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores",
+        "machine": f"{processor()}, {os.cpu_count()} cores",
         "torch": torch.__version__,
         "rows": rows,
         "steps_per_s": ours,
         "ratio_vs_sb3": ours / speed["sb3"],
         "ratio_vs_sb3_opengl": ours / theirs_opengl if theirs_opengl else None,
         "ratio_a3c_batched": speed["a3c-batched"] / speed["a3c"],
+    }
+
+
+def _raycaster(config: BenchConfig) -> dict[str, Any]:
+    """The ray caster alone on one core, as training uses it: how fast this machine is."""
+    chosen = experiment(f"{config.robot}-full-ppo")
+    frames_per_s = frames_per_core_s(chosen.env, num_envs=128, seconds=config.seconds)
+    return {
+        "name": "raycaster",
+        "what": "KnowArm's ray caster alone, frames of one core",
+        "envs": 128,
+        "steps_per_s": frames_per_s,
     }
 
 

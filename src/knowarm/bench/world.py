@@ -2,7 +2,6 @@
 
 import multiprocessing
 import os
-import platform
 import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
@@ -16,6 +15,7 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode
 
 from knowarm.bench.mjwarp_pictures import MjWarpPictures
 from knowarm.errors import UserError
+from knowarm.experiment.provenance import processor
 from knowarm.world import ENV_IDS
 from knowarm.world.env import ACTION_LEVELS, EnvConfig, ReachVectorEnv
 
@@ -115,9 +115,10 @@ def bench_world(
             {
                 "robot": robot,
                 "antialiasing": antialiasing,
-                "frames_per_s_core": _frames_per_s(
+                "frames_per_s_core": frames_per_core_s(
                     EnvConfig(robot=robot, antialiasing=antialiasing, image_size=config.image_size),
-                    config,
+                    num_envs=config.num_envs,
+                    seconds=config.seconds,
                 ),
             }
             for robot in config.robots
@@ -125,7 +126,7 @@ def bench_world(
         ],
         "growth": _growth(config) if config.growth else [],
         "machine": {
-            "processor": platform.processor() or platform.machine(),
+            "processor": processor(),
             "cpus": os.cpu_count(),
         },
         "config": {name: getattr(config, name) for name in ("workers", "num_envs", "seconds")},
@@ -218,17 +219,17 @@ def _mjwarp_worker(config: EnvConfig, num_envs: int, seconds: float) -> Speed:
     return _steps_per_s(env, seconds)
 
 
-def _frames_per_s(config: EnvConfig, bench: WorldBenchConfig) -> float:
+def frames_per_core_s(config: EnvConfig, *, num_envs: int, seconds: float) -> float:
     """Our ray caster alone, frames a second of CPU time: the same states again and again."""
-    env = ReachVectorEnv(config, bench.num_envs, num_threads=1)
+    env = ReachVectorEnv(config, num_envs, num_threads=1)
     env.reset(seed=0)
     poses = env.simulation.geom_position, env.simulation.geom_matrix, env.geom_rgba
     env.pictures.draw(*poses)
     count, start, cpu = 0, time.perf_counter(), _cpu_s()
-    while time.perf_counter() - start < bench.seconds / 2:
+    while time.perf_counter() - start < seconds / 2:
         env.pictures.draw(*poses)
         count += 1
-    return count * bench.num_envs / (_cpu_s() - cpu)
+    return count * num_envs / (_cpu_s() - cpu)
 
 
 def _growth(bench: WorldBenchConfig) -> list[dict[str, Any]]:

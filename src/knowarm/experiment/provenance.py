@@ -20,7 +20,7 @@ def provenance() -> dict[str, Any]:
         "commit": _commit(),
         "machine": {
             "system": f"{platform.system()} {platform.release()}",
-            "processor": _processor(),
+            "processor": processor(),
             "cores": os.cpu_count(),
             "memory_gib": round(psutil.virtual_memory().total / 2**30, 1),
         },
@@ -50,7 +50,8 @@ def _git(*arguments: str, at: Path) -> str:
     ).stdout.strip()
 
 
-def _processor() -> str:
+def processor() -> str:
+    """Name of the processor, as far as the system tells."""
     try:
         for line in Path("/proc/cpuinfo").read_text().splitlines():
             if line.startswith("model name"):
