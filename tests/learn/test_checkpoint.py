@@ -85,6 +85,25 @@ def test_a_kill_between_the_renames_leaves_the_previous(store):
     assert store.load().facts["step"] == 2
 
 
+def test_a_kill_between_the_renames_leaves_the_best_before(store, monkeypatch):
+    store.save_best(made(1))
+    rename = module.Path.rename
+
+    def killed(path, target):
+        if path.name == ".best-being-written":
+            raise KeyboardInterrupt
+        return rename(path, target)
+
+    monkeypatch.setattr(module.Path, "rename", killed)
+    with pytest.raises(KeyboardInterrupt):
+        store.save_best(made(2))
+    monkeypatch.undo()
+    assert not (store.folder / "best").exists()
+    assert store.load_best().facts == {"step": 1}
+    store.save_best(made(3))
+    assert store.load_best().facts == {"step": 3}
+
+
 def test_a_foreign_checkpoint_is_refused_with_both_descriptions(store):
     store.save(made(1))
     other = CheckpointStore(store.folder, {**WHAT, "robot": "tiago", "hidden": 128})

@@ -102,11 +102,12 @@ class CheckpointStore:
                 (self.folder / name).rename(self.folder / keep)
             elif (self.folder / name).exists():
                 # A folder cannot be renamed over a full one: the old best steps aside first.
-                shutil.rmtree(self.folder / f".{name}-old", ignore_errors=True)
-                (self.folder / name).rename(self.folder / f".{name}-old")
+                aside = _aside(self.folder / name)
+                shutil.rmtree(aside, ignore_errors=True)
+                (self.folder / name).rename(aside)
             fresh.rename(self.folder / name)
             _sync(self.folder)
-            shutil.rmtree(self.folder / f".{name}-old", ignore_errors=True)
+            shutil.rmtree(_aside(self.folder / name), ignore_errors=True)
         except OSError as error:
             shutil.rmtree(fresh, ignore_errors=True)
             raise UserError(
@@ -148,6 +149,9 @@ def read_checkpoint(folder: Path, description: Mapping[str, Any] | None = None) 
         UserError: there is no such folder, or the checkpoint belongs to something else; the
             message shows both descriptions side by side.
     """
+    if not folder.is_dir() and _aside(folder).is_dir():
+        # Writing ended between two renames: the one before is whole and stands aside.
+        folder = _aside(folder)
     if not folder.is_dir():
         raise UserError(f"There is no checkpoint in {folder}.")
     try:
@@ -171,6 +175,11 @@ def read_checkpoint(folder: Path, description: Mapping[str, Any] | None = None) 
         except (OSError, ValueError, KeyError, SafetensorError) as error:
             raise DamagedCheckpointError(f"{path} is damaged: {error}.") from error
     return Checkpoint(**parts, facts=facts)
+
+
+def _aside(folder: Path) -> Path:
+    """Where a checkpoint waits while another takes its place."""
+    return folder.with_name(f".{folder.name}-old")
 
 
 def policy_arrays(policy: nn.Module) -> Arrays:
