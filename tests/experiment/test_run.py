@@ -1,4 +1,5 @@
 import dataclasses
+import shutil
 
 import numpy as np
 import pytest
@@ -184,3 +185,13 @@ def test_a_missing_gpu_is_named_and_leaves_no_run(tmp_path):
     with pytest.raises(UserError, match="device 'cuda'"):
         train(short(algorithm=algorithm), tmp_path)
     train(short(total_steps=20), tmp_path)
+
+
+def test_a_run_that_ended_before_its_first_checkpoint_begins_anew(tmp_path):
+    whole = train(short(), tmp_path / "whole")
+    cut = train(short(), tmp_path / "cut")
+    shutil.rmtree(cut.folder.checkpoints)
+    again = train(short(), tmp_path / "cut", resume=True)
+    assert curve(again.folder) == curve(whole.folder)
+    evaluations = [read_csv(run.folder.evaluations_path) for run in (again, whole)]
+    assert evaluations[0] == evaluations[1]

@@ -25,6 +25,10 @@ SEED_STRIDE = 2**32
 neighbouring seeds must not share episodes."""
 
 
+BEFORE_EVERYTHING = -1
+"""A step that drops every row of the curves."""
+
+
 @dataclass(frozen=True)
 class Run:
     """A training that ended.
@@ -55,7 +59,8 @@ def train(
     Args:
         config: the experiment; when resuming it must be what the run began with.
         runs: folder of all runs.
-        resume: go on from the run's latest whole checkpoint instead of starting anew.
+        resume: go on from the run's latest whole checkpoint instead of refusing a folder that
+            holds a run; one that ended before its first checkpoint begins anew.
         should_stop: asked between updates; true saves a checkpoint and ends the training.
 
     Raises:
@@ -80,10 +85,15 @@ def train(
         if not resume:
             # Not before: what this machine cannot train must not leave a run behind.
             _describe(folder, config, parts)
-        if resume:
+        keep_to_step = None
+        if resume and folder.has_checkpoint:
             trainer.resume()
             progress.say(f"going on at step {trainer.step:,}")
-        logs.open(keep_to_step=trainer.step if resume else None)
+            keep_to_step = trainer.step
+        elif resume:
+            progress.say("it ended before its first checkpoint: beginning anew")
+            keep_to_step = BEFORE_EVERYTHING
+        logs.open(keep_to_step=keep_to_step)
         try:
             result = trainer.train(config.total_steps)
         finally:

@@ -96,6 +96,11 @@ class RunFolder:
         return self.path / "checkpoints"
 
     @property
+    def has_checkpoint(self) -> bool:
+        """Whether training can go on from somewhere; a damaged checkpoint counts."""
+        return any((self.checkpoints / name).is_dir() for name in ("latest", "previous"))
+
+    @property
     def tensorboard(self) -> Path:
         """Folder of the TensorBoard event files."""
         return self.path / "tensorboard"
