@@ -15,6 +15,13 @@ META, COUNT, SIDE = torch.device("meta"), 8, 24
 CONFIG = PPOConfig(num_envs=COUNT, rollout_steps=6, minibatches=2)
 
 
+class HostGenerator(torch.Generator):
+    """A generator of the host, whatever device is asked for."""
+
+    def __new__(cls, device="cpu"):
+        return super().__new__(cls)
+
+
 class Nowhere:
     """An environment of tensors without numbers."""
 
@@ -40,8 +47,7 @@ def nowhere(monkeypatch):
     monkeypatch.setattr(Policy, "_products", lambda policy: contextlib.nullcontext())
     monkeypatch.setattr(ImageEncoder, "pixel_type", lambda encoder: torch.float32)
     monkeypatch.setattr(module, "sample", lambda logits, generator: logits.argmax(-1))
-    generator = torch.Generator
-    monkeypatch.setattr(torch, "Generator", lambda device="cpu": generator())
+    monkeypatch.setattr(torch, "Generator", HostGenerator)
     monkeypatch.setattr(module, "check_table", lambda table, highest: None)
     monkeypatch.setattr(torch.Tensor, "__int__", lambda tensor: 0)
 
