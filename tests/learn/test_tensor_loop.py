@@ -191,3 +191,14 @@ def test_precisions_and_processes_of_the_other_device_are_refused():
         resolve_precision("tf32", torch.device("cpu"))
     with pytest.raises(UserError, match="processes"):
         dataclasses.replace(CONFIG, device="cuda", processes=2)
+
+
+def test_a_full_gpu_is_said_with_the_remedy():
+    class Full(TensorToy):
+        def step(self, actions):
+            raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB.")
+
+    with pytest.raises(
+        UserError, match=r"memory was full at step 0 with 8 environments.*2\.00 GiB"
+    ):
+        train(Full(Staggered(8, recall=False, length=5)))

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from knowarm.errors import UserError
 from knowarm.learn.allocator import keep_freed_memory
 from knowarm.learn.checkpoint import Checkpoint, CheckpointStore, policy_arrays
 from knowarm.learn.collector import Collector, below
@@ -104,7 +105,7 @@ class PPOTrainer:
 
         Raises:
             NotFiniteError: a loss, gradient or input is NaN or infinite.
-            UserError: a checkpoint cannot be written.
+            UserError: a checkpoint cannot be written, or a GPU's memory is full.
         """
         if self._evaluate is not None:
             self._evaluations = InlineEvaluations(self._evaluate)
@@ -113,6 +114,13 @@ class PPOTrainer:
         try:
             with self._learner.at_work():
                 return self._train(total_steps)
+        except torch.OutOfMemoryError as error:
+            raise UserError(
+                f"The GPU's memory was full at step {self.step} with {self.config.num_envs} "
+                f"environments and {self.config.minibatches} minibatches of them: choose a smaller "
+                "num_envs or rollout_steps, or more minibatches, or stop what else runs on the GPU. "
+                f"The last checkpoint is whole. ({error})"
+            ) from error
         finally:
             if self._evaluations is not None:
                 self._evaluations.end()
