@@ -2,13 +2,18 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
+from knowarm.bench.gpu import bench_gpu
+from knowarm.bench.gpu_config import GpuBenchConfig
+from knowarm.bench.gpu_training import add_training, session_seconds
 from knowarm.bench.learn import BenchConfig, bench_learn
 from knowarm.bench.world import WorldBenchConfig, bench_world
 from knowarm.cli.tables import check_json_path, print_table, write_json_table
+from knowarm.errors import UserError
+from knowarm.experiment.run_folder import RunFolder, read_json, write_json
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,5 +74,102 @@ class World:
         write_json_table(self.json, result)
 
 
-COMMANDS: dict[str, type] = {"world": World, "learn": Learn}
+GPU_LINES = {
+    "env_steps_per_s": "environment steps/s, with pictures",
+    "env_share_physics": "  share of physics",
+    "env_share_pictures": "  share of pictures",
+    "env_bandwidth_share": "  reached of the bandwidth",
+    "env_operations_share": "  reached of the operations",
+    "training_steps_per_s": "training steps/s, end to end",
+    "training_share_physics": "  share of physics",
+    "training_share_pictures": "  share of pictures",
+    "training_share_inference": "  share of inference",
+    "training_share_update": "  share of the update",
+    "training_bandwidth_share": "  reached of the bandwidth",
+    "training_operations_share": "  reached of the operations",
+    "torch_peak_gib": "memory of torch at most [GiB]",
+    "device_used_gib": "memory of the whole device [GiB]",
+}
+"""Lines of ``bench gpu``'s table: field of a row, and what it is called."""
+
+
+def print_gpu(result: dict[str, Any]) -> None:
+    """Print a result of ``bench_gpu``: the table, what did not fit, ceilings, the whole run."""
+    gpu, rows = result["machine"]["gpu"], []
+    for row in result["rows"]:
+        memory = {name: row[f"{name}_bytes"] for name in ("torch_peak", "device_used")}
+        rows.append(row | {f"{k}_gib": None if v is None else v / 2**30 for k, v in memory.items()})
+    print_table(
+        f"{gpu['name'] if gpu else 'The CPU device'}, by number of environments",
+        ["", *(f"{row['num_envs']:,}" for row in rows)],
+        [[title, *(row.get(name) for row in rows)] for name, title in GPU_LINES.items()],
+    )
+    for row in rows:
+        if row["error"]:
+            print(f"{row['num_envs']:,} environments: {row['error']}")
+    ceilings = [f"{k} {v:.3g}" for k, v in result["ceilings"].items() if v is not None]
+    print(f"Ceilings: {', '.join(ceilings)}")
+    if (training := result["training"]) is not None:
+        print(
+            f"{training['experiment']}: {training['step']:,} of {training['total_steps']:,} steps "
+            f"in {training['minutes']:.2f} minutes, {training['evaluations']} interim evaluations"
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gpu:
+    """Measure worlds and training on one GPU beside what the GPU can do at most."""
+
+    config: Annotated[GpuBenchConfig, tyro.conf.OmitArgPrefixes] = field(
+        default_factory=GpuBenchConfig
+    )
+    """What is measured, and for how long."""
+    json: Path | None = None
+    """Also write the result to this JSON file, after every row."""
+    resume: bool = False
+    """Go on with the JSON file where it was cut short."""
+
+    def run(self) -> None:
+        """Measure and print."""
+        if self.resume and self.json is None:
+            raise UserError("--resume goes on with a JSON file; give --json.")
+        check_json_path(self.json)
+        before = None
+        if self.resume and self.json is not None and self.json.exists():
+            before = read_json(self.json)
+
+        def keep(result: dict[str, Any]) -> None:
+            if self.json is not None:
+                write_json(self.json, result)
+
+        result = bench_gpu(self.config, keep, before)
+        print_gpu(result)
+        write_json_table(self.json, result)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GpuTraining:
+    """Add a trained run to the result of ``bench gpu``, and print both."""
+
+    folder: tyro.conf.Positional[Path]
+    """Folder of the run."""
+    json: Path
+    """JSON file of ``bench gpu``."""
+    times: Path
+    """File of lines "begin end", seconds of the clock, one for each command that trained."""
+
+    def run(self) -> None:
+        """Add and print."""
+        folder = RunFolder.open(self.folder)
+        result = add_training(read_json(self.json), folder, session_seconds(self.times))
+        write_json(self.json, result)
+        print_gpu(result)
+
+
+COMMANDS: dict[str, type] = {
+    "world": World,
+    "learn": Learn,
+    "gpu": Gpu,
+    "gpu-training": GpuTraining,
+}
 """The commands of the group, by name."""

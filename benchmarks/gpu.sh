@@ -1,0 +1,140 @@
+#!/usr/bin/env bash
+# Wheels go in; parity, speeds and a whole training on this machine's GPU come out, no network needed.
+#
+#   benchmarks/gpu.sh [WHEELS] [OUT]
+#
+# WHEELS  folder of wheels, made as gpu-requirements.txt says; *.whl.part* are put together first.
+#         They go into an environment of their own that sees the packages of PYTHON (torch, Numba).
+#         Left out or empty, PYTHON's packages serve as they are.
+# OUT     folder for the results (runs/gpu): gpu.json, parity.txt, and of the training metrics.csv,
+#         evaluations.csv, config.json and provenance.json.
+#
+# Settings, as environment variables:
+#   STAGES   what to do, of "parity bench train" (all). Each takes up what an earlier call left:
+#            bench measures the rows that gpu.json lacks, train goes on from the last checkpoint.
+#   LIMIT_S  most seconds a stage may take (540); train then saves and stops, to be called again.
+#   PYTHON   interpreter (python3).      WORK  folder for what is kept between calls
+#   DEVICE   cuda (default) or cpu.            (runs/gpu-work); remove it to begin anew.
+#   TINY     1 for sizes that only show that everything runs.
+#   BENCH_OPTIONS, TRAIN_OPTIONS   more words for `knowarm bench gpu` and `knowarm train`.
+set -euo pipefail
+
+here=$(cd "$(dirname "$0")/.." && pwd)
+WHEELS=${1:-} OUT=${2:-$here/runs/gpu} WORK=${WORK:-$here/runs/gpu-work}
+PYTHON=${PYTHON:-python3} DEVICE=${DEVICE:-cuda} TINY=${TINY:-} LIMIT_S=${LIMIT_S:-540}
+STAGES=${STAGES-parity bench train}
+requirements=$here/benchmarks/gpu-requirements.txt
+experiment=irb120-full-ppo
+run=$WORK/runs/$experiment/0
+
+fail() { echo "gpu.sh: $*" >&2; exit 1; }
+
+for stage in $STAGES; do
+  case $stage in parity | bench | train) ;; *) fail "no stage '$stage'; there are parity, bench, train." ;; esac
+done
+case $DEVICE in cpu | cuda) ;; *) fail "DEVICE must be cuda or cpu, got '$DEVICE'." ;; esac
+[ -z "$WHEELS" ] || [ -d "$WHEELS" ] || fail "the folder of wheels $WHEELS does not exist."
+mkdir -p "$OUT" "$WORK"
+OUT=$(cd "$OUT" && pwd) WORK=$(cd "$WORK" && pwd) run=$WORK/runs/$experiment/0
+[ -z "$WHEELS" ] || WHEELS=$(cd "$WHEELS" && pwd)
+
+# What was found is worth having even if a later part fails.
+publish() {
+  for file in "$WORK"/gpu.json "$WORK"/parity.txt "$run"/{metrics,evaluations}.csv "$run"/{config,provenance}.json; do
+    [ ! -f "$file" ] || cp "$file" "$OUT/"
+  done
+}
+trap publish EXIT
+
+# An environment that sees PYTHON's packages, be PYTHON an environment itself: a plain
+# --system-site-packages would show those of the Python below it.
+install() {
+  local venv=$WORK/venv
+  if [ ! -x "$venv/bin/python" ]; then
+    "$PYTHON" -m venv --without-pip "$venv"
+    "$PYTHON" -c 'import sys
+for path in sys.path:
+    if path.endswith(("site-packages", "dist-packages")):
+        print(f"import site; site.addsitedir({path!r})")' \
+      > "$("$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/below.pth"
+  fi
+  PYTHON=$venv/bin/python
+  rm -rf "$WORK/wheels"
+  mkdir "$WORK/wheels"
+  for wheel in "$WHEELS"/*.whl; do [ ! -e "$wheel" ] || ln -s "$wheel" "$WORK/wheels/"; done
+  for part in "$WHEELS"/*.whl.part*; do
+    [ ! -e "$part" ] || cat "$part" >> "$WORK/wheels/$(basename "${part%.part*}")"
+  done
+  compgen -G "$WORK/wheels/*.whl" > /dev/null || fail "there are no wheels in $WHEELS."
+  "$PYTHON" -m pip install --quiet --disable-pip-version-check --no-index --no-deps "$WORK"/wheels/*.whl
+}
+
+parity() {
+  local tests chosen=cuda
+  # Only what has tests for a GPU: the other tests need packages that are not carried.
+  mapfile -t tests < <(grep -rlE 'mark\.cuda|device_pairs' "$here/tests" --include='test_*.py' | grep -v '/bench/' | sort)
+  # Without a GPU the same comparisons run on the CPU device.
+  [ "$DEVICE" = cuda ] || chosen='not cuda'
+  [ -z "$TINY" ] || chosen="$chosen and not slow"
+  timeout "$LIMIT_S" "$PYTHON" -m pytest -q -p no:cacheprovider -m "$chosen" "${tests[@]}" 2>&1 |
+    tee "$WORK/parity.txt" || fail "parity failed; nothing is measured. See $OUT/parity.txt."
+  if [ "$DEVICE" = cuda ] && ! { tail -1 "$WORK/parity.txt" | grep -q ' passed' && ! tail -1 "$WORK/parity.txt" | grep -q skipped; }; then
+    fail "parity tests were skipped; a GPU must run them all. See $OUT/parity.txt."
+  fi
+}
+
+bench() {
+  local options=(--device "$DEVICE")
+  [ -z "$TINY" ] || options+=(--num-envs 4 8 --seconds 0.05 --image-size 32 --rollout-steps 5
+    --matmul-side 64 --copy-bytes 1000000)
+  # shellcheck disable=SC2086
+  timeout "$LIMIT_S" "$PYTHON" -m knowarm bench gpu --json "$WORK/gpu.json" --resume \
+    "${options[@]}" ${BENCH_OPTIONS:-} || fail "the measurements were cut short; call again for the missing rows."
+}
+
+train() {
+  local times=$WORK/times begun=$WORK/begun options
+  [ -f "$WORK/gpu.json" ] || fail "the training is added to gpu.json; do the stage bench before."
+  if [ ! -f "$WORK/trained" ]; then
+    if [ -d "$run/checkpoints/latest" ] || [ -d "$run/checkpoints/previous" ]; then
+      # A call that was killed had its time until the last row of metrics.
+      [ ! -f "$begun" ] || echo "$(cat "$begun") $(stat -c %Y "$run/metrics.csv")" >> "$times"
+      options=(--resume)
+    else
+      rm -rf "$run" "$times"
+      options=(--algorithm.device "$DEVICE")
+      if [ -n "$TINY" ]; then
+        options+=(--total-steps 80 --algorithm.num-envs 8 --algorithm.minibatches 2 --algorithm.rollout-steps 5
+          --interim.every-steps 40 --interim.episodes 2 --checkpoint-every-steps 40)
+      else
+        # Checkpoints hold the environments' last pictures: rarer than on the CPU.
+        options+=(--total-steps 70000000 --algorithm.num-envs 4096 --algorithm.minibatches 16
+          --checkpoint-every-steps 10000000)
+      fi
+      # shellcheck disable=SC2206
+      options+=(${TRAIN_OPTIONS:-})
+    fi
+    date +%s.%N > "$begun"
+    # Stopped, it saves and ends well; its own processes must not be told.
+    timeout --foreground --preserve-status --kill-after=30 "$LIMIT_S" \
+      "$PYTHON" -m knowarm train "$experiment" --runs "$WORK/runs" "${options[@]}" || fail "the training failed."
+    echo "$(cat "$begun") $(date +%s.%N)" >> "$times"
+    rm "$begun"
+  fi
+  "$PYTHON" -m knowarm bench gpu-training "$run" --json "$WORK/gpu.json" --times "$times"
+  "$PYTHON" -c 'import json, sys; sys.exit(not json.load(open(sys.argv[1]))["training"]["finished"])' "$WORK/gpu.json" ||
+    fail "the training was stopped after $LIMIT_S s; call again with STAGES=train to go on."
+  touch "$WORK/trained"
+}
+
+export PYTHONUNBUFFERED=1
+[ -z "$WHEELS" ] || install
+export PYTHONPATH=$here/src${PYTHONPATH:+:$PYTHONPATH}
+cd "$here"
+"$PYTHON" "$here/benchmarks/gpu_versions.py" "$requirements" "$DEVICE"
+for stage in $STAGES; do
+  echo "== $stage"
+  "$stage"
+done
+publish
+echo "Results are in $OUT"

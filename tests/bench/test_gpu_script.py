@@ -1,0 +1,146 @@
+"""``benchmarks/gpu.sh`` runs every stage on the CPU device and installs wheels without network."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+import torch
+
+ROOT = Path(__file__).parent.parent.parent
+REQUIREMENTS = ROOT / "benchmarks" / "gpu-requirements.txt"
+
+
+def gpu_sh(folder: Path, *arguments: str, **settings: str) -> subprocess.CompletedProcess[str]:
+    """Run the script with this interpreter, keeping everything below a folder."""
+    environment = os.environ | {"DEVICE": "cpu", "TINY": "1", "PYTHON": sys.executable}
+    return subprocess.run(
+        [str(ROOT / "benchmarks" / "gpu.sh"), *(arguments or ("", str(folder / "out")))],
+        env=environment | {"WORK": str(folder / "work")} | settings,
+        capture_output=True,
+        text=True,
+    )
+
+
+@pytest.mark.slow
+def test_every_stage_runs_on_the_cpu_device(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco_warp")
+    done = gpu_sh(tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    out = tmp_path / "out"
+    curve = {"metrics.csv", "evaluations.csv", "config.json", "provenance.json"}
+    assert {path.name for path in out.iterdir()} == {"gpu.json", "parity.txt"} | curve
+    result = json.loads((out / "gpu.json").read_text())
+    assert [row["num_envs"] for row in result["rows"]] == [4, 8]
+    assert result["env_steps_per_s"] > 0
+    assert result["training_steps_per_s"] > 0
+    assert result["training"]["finished"]
+    assert result["training"]["evaluations"] == 3
+    assert 0 < result["training"]["minutes"] < 5
+    assert result["training_minutes_70m"] is None, "this was not the whole run"
+    assert re.search(r"\d+ passed", (out / "parity.txt").read_text())
+    assert done.stdout.count("80 of 80 steps") == 1
+
+    again = gpu_sh(tmp_path, STAGES="bench train")
+    assert again.returncode == 0, again.stdout + again.stderr
+    assert "Trained for" not in again.stdout
+    assert json.loads((out / "gpu.json").read_text()) == result
+
+
+@pytest.mark.slow
+def test_a_training_that_was_stopped_goes_on(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco_warp")
+    sizes = "--total-steps 1000000 --checkpoint-every-steps 1000000"
+    options = {"STAGES": "bench train", "BENCH_OPTIONS": "--no-training", "TRAIN_OPTIONS": sizes}
+    stopped = gpu_sh(tmp_path, LIMIT_S="15", **options)
+    assert stopped.returncode == 1, stopped.stdout + stopped.stderr
+    assert "call again with STAGES=train" in stopped.stderr
+    json_path = tmp_path / "out" / "gpu.json"
+    first = json.loads(json_path.read_text())["training"]
+    assert 0 < first["step"] < 1_000_000
+    assert not first["finished"]
+
+    options = {"STAGES": "train", "LIMIT_S": "10"}
+    stopped = gpu_sh(tmp_path, **options)
+    assert "call again with STAGES=train" in stopped.stderr, stopped.stdout + stopped.stderr
+    second = json.loads(json_path.read_text())["training"]
+    assert second["step"] > first["step"]
+    assert second["minutes"] > first["minutes"] + 5 / 60
+    assert len((tmp_path / "work" / "times").read_text().splitlines()) == 2
+
+
+def write_wheel(path: Path) -> None:
+    """A package of one module, as a wheel."""
+    info = f"{path.name.split('-')[0]}-1.0.dist-info"
+    files = {
+        "gpu_probe.py": "answer = 42\n",
+        f"{info}/METADATA": "Metadata-Version: 2.1\nName: gpu-probe\nVersion: 1.0\n",
+        f"{info}/WHEEL": "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
+    }
+    record = "".join(f"{name},,\n" for name in (*files, f"{info}/RECORD"))
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, text in {**files, f"{info}/RECORD": record}.items():
+            archive.writestr(name, text)
+
+
+def test_wheels_in_parts_are_installed_beside_what_is_there(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco_warp")
+    whole, wheels = tmp_path / "gpu_probe-1.0-py3-none-any.whl", tmp_path / "wheels"
+    write_wheel(whole)
+    wheels.mkdir()
+    content = whole.read_bytes()
+    (wheels / f"{whole.name}.partaa").write_bytes(content[:300])
+    (wheels / f"{whole.name}.partab").write_bytes(content[300:])
+    for _ in range(2):  # a second call finds everything there
+        done = gpu_sh(tmp_path, str(wheels), str(tmp_path / "out"), STAGES="")
+        assert done.returncode == 0, done.stdout + done.stderr
+    assert "mujoco-warp 4" in done.stdout
+    python = tmp_path / "work" / "venv" / "bin" / "python"
+    found = subprocess.run(
+        [str(python), "-c", "import gpu_probe, torch; print(gpu_probe.answer)"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert found.stdout == "42\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "settings", "words"),
+    [
+        ((), {"STAGES": "bench fly"}, "no stage 'fly'"),
+        ((), {"DEVICE": "tpu"}, "DEVICE must be cuda or cpu"),
+        (("/nowhere",), {}, "/nowhere does not exist"),
+        ((), {"STAGES": "train"}, "do the stage bench before"),
+        pytest.param(
+            (),
+            {"DEVICE": "cuda"},
+            "torch finds no GPU",
+            marks=pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device"),
+        ),
+    ],
+)
+def test_mistakes_are_named(
+    arguments: tuple[str, ...], settings: dict[str, str], words: str, tmp_path: Path
+) -> None:
+    if arguments:
+        arguments = (*arguments, str(tmp_path / "out"))
+    done = gpu_sh(tmp_path, *arguments, **settings)
+    assert done.returncode == 1
+    assert words in done.stderr
+
+
+def required(lines: list[str]) -> set[str]:
+    names = (re.match(r"[A-Za-z0-9_.-]+", line.strip()) for line in lines)
+    return {name.group().lower() for name in names if name}
+
+
+def test_the_wheels_hold_all_that_the_package_needs() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    needed = required(project["dependencies"] + project["optional-dependencies"]["gpu"])
+    assert needed - {"torch"} <= required(REQUIREMENTS.read_text().splitlines())
