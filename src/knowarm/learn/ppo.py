@@ -118,7 +118,7 @@ class PPOTrainer:
             raise UserError(
                 f"The GPU's memory was full at step {self.step} with {self.config.num_envs} "
                 f"environments and {self.config.minibatches} minibatches of them: choose a smaller "
-                "num_envs or rollout_steps, or more minibatches, or stop what else runs on the GPU. "
+                "num_envs or rollout_steps, more minibatches, or stop what else runs on the GPU. "
                 f"The last checkpoint is whole. ({error})"
             ) from error
         finally:
