@@ -163,6 +163,9 @@ class Team:
         dead.end()
         self._deaths += 1
         if self._deaths >= GIVE_UP_AFTER:
-            raise RuntimeError(f"The {dead.name} {ending}, again and again.")
+            raise RuntimeError(
+                f"The {dead.name} {ending}, again and again. A script that trains needs the usual "
+                '`if __name__ == "__main__":` around what it does; processes=1 needs no helpers.'
+            )
         log.warning("The %s %s; another takes its place.", dead.name, ending)
         self._helpers[index] = self._start(index + 1)
