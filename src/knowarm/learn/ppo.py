@@ -304,12 +304,12 @@ class PPOTrainer:
         """
         gradient, limit = self._learner.gradient, self.config.max_gradient_norm
         norm = torch.linalg.vector_norm(gradient)
-        shorter = (limit / norm).clamp(max=1)
         if self._device.type == "cpu":
             self._guard.check_update(self.policy, loss, norm, self.step, self._learner.rollout)
-            gradient.mul_(shorter)
+            if norm > limit:
+                gradient.mul_(limit / norm)
         else:
-            finite = torch.isfinite(norm + loss.total)
+            finite, shorter = torch.isfinite(norm + loss.total), (limit / norm).clamp(max=1)
             gradient.copy_(torch.where(finite, gradient * shorter, 0))
         self._optimizer.step()
         return norm
