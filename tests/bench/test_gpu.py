@@ -15,7 +15,7 @@ from knowarm.bench.gpu_clock import PartClock, seconds_per_call
 from knowarm.bench.gpu_config import GpuBenchConfig
 from knowarm.bench.gpu_measure import first_sentence, measure_row, shares_of_ceilings
 from knowarm.bench.gpu_rows import memory_row
-from knowarm.bench.gpu_training import add_training, session_seconds
+from knowarm.bench.gpu_training import add_training, training_seconds
 from knowarm.cli.bench import print_gpu
 from knowarm.errors import UserError
 from knowarm.experiment.run_folder import CsvLog, RunFolder
@@ -313,10 +313,10 @@ def test_a_run_without_a_step_is_refused(tmp_path: Path) -> None:
 def test_times_of_commands_are_added(tmp_path: Path) -> None:
     times = tmp_path / "times"
     times.write_text("100.5 160.5\n1000 1007.25\n")
-    assert session_seconds(times) == 67.25
+    assert training_seconds(times) == 67.25
     for text in ("", "1\n", "a b\n"):
         times.write_text(text)
         with pytest.raises(UserError, match="times"):
-            session_seconds(times)
+            training_seconds(times)
     with pytest.raises(UserError, match="Cannot read"):
-        session_seconds(tmp_path / "none")
+        training_seconds(tmp_path / "none")

@@ -69,7 +69,7 @@ def describe_training(folder: RunFolder, seconds: float) -> dict[str, Any]:
     }
 
 
-def session_seconds(path: Path) -> float:
+def training_seconds(path: Path) -> float:
     """Add up the commands that trained a run.
 
     Args:

@@ -8,7 +8,7 @@ import tyro
 
 from knowarm.bench.gpu import bench_gpu
 from knowarm.bench.gpu_config import GpuBenchConfig
-from knowarm.bench.gpu_training import add_training, session_seconds
+from knowarm.bench.gpu_training import add_training, training_seconds
 from knowarm.bench.learn import BenchConfig, bench_learn
 from knowarm.bench.world import WorldBenchConfig, bench_world
 from knowarm.cli.tables import check_json_path, print_table, write_json_table
@@ -161,7 +161,7 @@ class GpuTraining:
     def run(self) -> None:
         """Add and print."""
         folder = RunFolder.open(self.folder)
-        result = add_training(read_json(self.json), folder, session_seconds(self.times))
+        result = add_training(read_json(self.json), folder, training_seconds(self.times))
         write_json(self.json, result)
         print_gpu(result)
 

@@ -22,7 +22,7 @@ class RunLogs:
         self._progress = progress
 
     def open(self, *, keep_to_step: int | None) -> None:
-        """Begin to write; rows after ``keep_to_step`` of an earlier session are dropped."""
+        """Begin to write; rows after ``keep_to_step`` of an earlier part of the run are dropped."""
         self._metrics = CsvLog(self._folder.metrics_path, keep_to_step=keep_to_step)
         self._evaluations = CsvLog(self._folder.evaluations_path, keep_to_step=keep_to_step)
         self._tensorboard = SummaryWriter(
