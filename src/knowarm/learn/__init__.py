@@ -2,7 +2,7 @@
 
 The path through the files: `collector` (arrays) or `tensor_collector` (tensors of a device) fills a
 `rollout`, `returns` and `losses` judge it, `ppo` and `a3c` learn from it, `guards` watch,
-`checkpoint` keeps. PPO's arithmetic is done by a `learner`: one process (`solo`) or several (`team`).
+`checkpoint` keeps. A `learner` does PPO's arithmetic: one process (`solo`) or several (`team`).
 """
 
 from knowarm.learn.checkpoint import Checkpoint, CheckpointStore, read_checkpoint
