@@ -27,7 +27,7 @@ def test_the_other_librarys_network_is_as_large_as_ours():
 
 @pytest.mark.slow
 def test_one_table_of_all_learners():
-    result = bench_learn(BenchConfig(cores=1, seconds=0.1, epochs=1, opengl=False))
+    result = bench_learn(BenchConfig(cores=1, seconds=0.1, turns=1, epochs=1, opengl=False))
     rows = {row["name"]: row for row in result["rows"]}
     assert set(rows) == {"raycaster", "ppo", "a3c", "a3c-batched", "sb3"}
     assert rows["raycaster"]["steps_per_s"] > 100

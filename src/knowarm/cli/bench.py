@@ -15,6 +15,18 @@ from knowarm.cli.tables import check_json_path, print_table, write_json_table
 from knowarm.errors import UserError
 from knowarm.experiment.run_folder import RunFolder, read_json, write_json
 
+LEARN_COLUMNS = {
+    "name": "",
+    "envs": "envs",
+    "steps_per_s": "steps/s",
+    "share_simulation": "physics",
+    "share_picture": "pictures",
+    "share_inference": "inference",
+    "share_update": "update",
+    "staleness_mean": "stale",
+}
+"""Columns of ``bench learn``'s table: field of a row, and its title; the JSON has more."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Learn:
@@ -29,14 +41,12 @@ class Learn:
         """Measure and print."""
         check_json_path(self.json)
         result = bench_learn(self.config)
-        hidden = {"what", "parameters", "parameters_ours"}  # for the JSON
-        found = dict.fromkeys(name for row in result["rows"] for name in row)
-        names = [name for name in found if name not in hidden]
         print_table(
             f"Training {result['experiment']}, {result['cores']} threads or processes each",
-            names,
-            [[row.get(name) for name in names] for row in result["rows"]],
+            list(LEARN_COLUMNS.values()),
+            [[row.get(name) for name in LEARN_COLUMNS] for row in result["rows"]],
         )
+        print("Shares of the time; the ray caster's steps are frames of one core.")
         for name in ("ratio_vs_sb3", "ratio_vs_sb3_opengl", "ratio_a3c_batched"):
             if result[name] is not None:
                 print(f"{name}: {result[name]:.2f}")

@@ -78,11 +78,17 @@ def shared_shapes(policy: Policy, config: PPOConfig, processes: int) -> Shapes:
 
 
 def write_play(
-    policy: Policy, table: Tensor, rollout: Rollout, shared: SharedTensors, t: int, rows: slice
+    policy: Policy,
+    table: Tensor,
+    rollout: Rollout,
+    shared: SharedTensors,
+    t: int,
+    image: Tensor,
+    rows: slice,
 ) -> None:
-    """Take step t of the environments ``rows``, from and into the shared memory."""
+    """Take step t of the environments ``rows`` of pictures; states and results are shared."""
     state = (shared["h"], shared["c"])
-    logits, (h, c) = play_rows(policy, table, rollout, t, shared["image"], state, rows)
+    logits, (h, c) = play_rows(policy, table, rollout, t, image, state, rows)
     shared["logits"][rows] = logits
     shared["h"][rows] = h
     shared["c"][rows] = c
@@ -112,7 +118,8 @@ def _obey(job: HelperJob, index: int, shared: SharedTensors, connection: Connect
     while True:
         command = connection.recv()
         if isinstance(command, Play):
-            write_play(policy, table, rollout, shared, command.t, command.rows)
+            image = shared["image"]
+            write_play(policy, table, rollout, shared, command.t, image, command.rows)
         else:
             gradient.zero_()
             columns = torch.from_numpy(command.columns)

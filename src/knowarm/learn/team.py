@@ -98,14 +98,15 @@ class Team:
     def play(self, rollout: Rollout, t: int, image: Tensor, state: State) -> tuple[Tensor, State]:
         """As `Learner.play`."""
         shared = self._shared
-        shared["image"].copy_(image)
-        shared["h"].copy_(state[0])
-        shared["c"].copy_(state[1])
         cuts = [len(image) * i // self.processes for i in range(self.processes + 1)]
         own, *others = map(slice, cuts, cuts[1:])
+        shared["image"][own.stop :] = image[own.stop :]
+        if state[0] is not shared["h"]:
+            shared["h"].copy_(state[0])
+            shared["c"].copy_(state[1])
         commands = [Play(t, rows) for rows in others]
         self._send(commands)
-        write_play(self.policy, self._table, rollout, shared, t, own)
+        write_play(self.policy, self._table, rollout, shared, t, image, own)
         self._await(commands)
         return shared["logits"].clone(), (shared["h"], shared["c"])
 
