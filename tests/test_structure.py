@@ -15,7 +15,7 @@ MAY_IMPORT = {
     "bench": {"knowledge", "world", "policy", "learn", "experiment"},
     "cli": {"knowledge", "world", "policy", "learn", "experiment", "bench"},
 }
-EVERYBODY = {"errors", "config", "__version__"}
+EVERYBODY = {"errors", "config", "cores", "__version__"}
 
 
 def imported_parts(path: Path) -> set[str]:

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 import torch
 
+from knowarm.cores import available_cores
 from knowarm.learn import Hooks, PPOConfig, PPOTrainer
 from knowarm.learn.helper import Learn
-from knowarm.learn.learner import available_cores, count_processes, make_learner
+from knowarm.learn.learner import count_processes, make_learner
 from knowarm.learn.minibatch import differentiate
 from knowarm.policy import Policy, PolicyConfig
 from tests.learn.toys import JOINTS, LEVELS, SIDE, ToyEnv

@@ -1,6 +1,5 @@
 """A policy, a device and a number of processes go in; what does PPO's arithmetic comes out."""
 
-import os
 from contextlib import AbstractContextManager
 from typing import Protocol
 
@@ -8,6 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from knowarm.cores import available_cores
 from knowarm.learn.config import PPOConfig
 from knowarm.learn.losses import PPOLossTerms
 from knowarm.learn.minibatch import Targets
@@ -78,10 +78,3 @@ def count_processes(config: PPOConfig) -> int:
     """Number of processes that a config asks for and its minibatches are worth."""
     worth = config.num_envs // config.minibatches // SMALLEST_PART
     return max(1, min(config.processes or available_cores(), worth))
-
-
-def available_cores() -> int:
-    """Number of cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1

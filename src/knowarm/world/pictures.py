@@ -1,13 +1,13 @@
 """Geom poses and colours go in; the camera's pictures come out."""
 
 import copy
-import os
 from typing import Protocol
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from knowarm.cores import available_cores
 from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig
 from knowarm.world.raycast import Raycaster
@@ -65,7 +65,7 @@ class RaycastPictures:
             size,
             size,
             antialiasing=antialiasing,
-            num_threads=num_threads or len(os.sched_getaffinity(0)),
+            num_threads=num_threads or available_cores(),
         )
         self._size = size
 
