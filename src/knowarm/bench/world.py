@@ -152,8 +152,9 @@ def _steps_per_s(env: gymnasium.vector.VectorEnv, seconds: float) -> Speed:
 
 def _cpu_s() -> float:
     """CPU time used so far by this process and those it started [s]."""
-    processes = [psutil.Process(), *psutil.Process().children(recursive=True)]
-    return sum(sum(process.cpu_times()[:2]) for process in processes)
+    # The system counts other processes' time in ticks of 10 ms: a short measurement may see none.
+    children = psutil.Process().children(recursive=True)
+    return time.process_time() + sum(sum(child.cpu_times()[:2]) for child in children)
 
 
 def _ours(config: EnvConfig, num_envs: int, threads: int, seconds: float) -> Speed:
