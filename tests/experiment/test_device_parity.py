@@ -11,19 +11,10 @@ from knowarm.world.env import ReachVectorEnv
 from knowarm.world.episodes import evaluation_episodes
 from knowarm.world.gpu.env import DeviceReachVectorEnv
 from knowarm.world.play import play
+from tests.devices import DEVICES
 
 ZOO = Path(__file__).parents[2] / "zoo"
 EPISODES = 64
-DEVICES = [
-    "cpu",
-    pytest.param(
-        "cuda",
-        marks=[
-            pytest.mark.cuda,
-            pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device"),
-        ],
-    ),
-]
 
 
 @torch.no_grad()

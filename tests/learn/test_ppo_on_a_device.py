@@ -9,19 +9,10 @@ from knowarm.learn import CheckpointStore, Hooks, PPOConfig, PPOTrainer
 from knowarm.world.config import EnvConfig
 from knowarm.world.env import ReachVectorEnv
 from knowarm.world.gpu.env import DeviceReachVectorEnv
+from tests.devices import DEVICES
 
 ENV = EnvConfig(max_episode_steps=8, dynamics="kinematic")
 CONFIG = PPOConfig(num_envs=4, rollout_steps=10, minibatches=2, precision="float32", processes=1)
-DEVICES = [
-    "cpu",
-    pytest.param(
-        "cuda",
-        marks=[
-            pytest.mark.cuda,
-            pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device"),
-        ],
-    ),
-]
 
 
 def train(env, rows, store=None, *, updates=3, resume=False, stop_after=None):

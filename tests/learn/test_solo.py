@@ -11,16 +11,11 @@ from knowarm.learn.learner import make_learner
 from knowarm.learn.recording import Recording
 from knowarm.learn.stopwatch import Stopwatch
 from knowarm.policy import Policy, PolicyConfig
+from tests.devices import DEVICES
 from tests.learn.toys import JOINTS, LEVELS, SIDE
 
 TABLE = np.ones((2, 4), np.float32)
 CONFIG = PPOConfig(num_envs=16, rollout_steps=6, minibatches=2, precision="float32", processes=1)
-
-on_a_gpu = [
-    pytest.mark.cuda,
-    pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device"),
-]
-DEVICES = ["cpu", pytest.param("cuda", marks=on_a_gpu)]
 
 
 def gradient(device, *, cuda_graphs):

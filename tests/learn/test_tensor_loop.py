@@ -202,3 +202,10 @@ def test_a_full_gpu_is_said_with_the_remedy():
         UserError, match=r"memory was full at step 0 with 8 environments.*2\.00 GiB"
     ):
         train(Full(Staggered(8, recall=False, length=5)))
+
+
+def test_an_environment_that_is_not_on_the_gpu_asked_for_is_refused():
+    config = dataclasses.replace(CONFIG, device="cuda", processes=None)
+    env = ToyEnv(8, recall=False, length=5)
+    with pytest.raises(UserError, match="device is 'cuda' and the environment is on cpu"):
+        PPOTrainer(config, policy(), env, TABLE, seed=0)

@@ -76,7 +76,7 @@ class BackgroundEvaluations:
     """Plays evaluations in a process of its own, while training goes on.
 
     Args:
-        config: sizes of the policy.
+        policy: gives the network its sizes.
         make_evaluate: makes, in the process, what plays the fixed episodes; picklable.
     """
 

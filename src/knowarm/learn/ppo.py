@@ -54,6 +54,10 @@ class PPOTrainer:
         step: environment steps taken so far.
         best: the best interim evaluation so far.
         precision: what ``config.precision`` means on this machine.
+
+    Raises:
+        UserError: the config asks for a GPU and the environment is not on one, for a precision
+            that the device lacks, or the table has no row for a facet.
     """
 
     def __init__(
@@ -79,6 +83,11 @@ class PPOTrainer:
         self.step = 0
         self.best = Best()
         self._device = torch.device(getattr(env, "device", "cpu"))
+        if config.device == "cuda" and self._device.type != "cuda":
+            raise UserError(
+                f"The config's device is 'cuda' and the environment is on {self._device}: give a "
+                "DeviceReachVectorEnv(..., device='cuda'), or device='cpu' in the config."
+            )
         self.precision = resolve_precision(config.precision, self._device)
         self._learner = make_learner(policy, config, knowledge_table, self.precision, self._device)
         self._hooks = hooks or Hooks()

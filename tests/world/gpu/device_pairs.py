@@ -4,22 +4,9 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-import pytest
-import torch
-
 from knowarm.world.env import EnvConfig, ReachVectorEnv
 from knowarm.world.gpu.env import DeviceReachVectorEnv
 
-DEVICES = [
-    "cpu",
-    pytest.param(
-        "cuda",
-        marks=[
-            pytest.mark.cuda,
-            pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device"),
-        ],
-    ),
-]
 COUNT = 6
 EPISODE_STEPS = 12
 

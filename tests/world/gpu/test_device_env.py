@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 import torch
-from device_pairs import DEVICES, EPISODE_STEPS, Pair, make_pair, shared_pair
+from device_pairs import EPISODE_STEPS, Pair, make_pair, shared_pair
 
 from knowarm.errors import UserError
 from knowarm.world.episodes import evaluation_episodes
 from knowarm.world.gpu.env import DeviceReachVectorEnv
 from knowarm.world.held_out import HeldOut
 from knowarm.world.visual_randomization import VisualRandomization
+from tests.devices import DEVICES
 
 METRICS = ("distance", "angle", "target", "colour", "facet", "is_success")
 EVERYTHING = VisualRandomization(

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from device_pairs import DEVICES, shared_pair
+from device_pairs import shared_pair
 
 from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import evaluation_episodes
@@ -12,6 +12,7 @@ from knowarm.world.gpu.capacity import ROWS_PER_WORLD, capacity
 from knowarm.world.gpu.simulation import DeviceSimulation
 from knowarm.world.scene import Scene, load_scene
 from knowarm.world.simulation import Simulation
+from tests.devices import DEVICES
 
 TARGETS = ("mug", "bottle", "cereal_box")
 

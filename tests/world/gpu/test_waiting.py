@@ -5,13 +5,14 @@ from typing import Any
 
 import pytest
 import torch
-from device_pairs import DEVICES, make_pair
+from device_pairs import make_pair
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from knowarm.world.gpu import env as device_env
 from knowarm.world.gpu.env import DeviceReachVectorEnv
 from knowarm.world.held_out import HeldOut
 from knowarm.world.visual_randomization import VisualRandomization
+from tests.devices import DEVICES
 
 OPTIONS: list[dict[str, Any]] = [
     {},
