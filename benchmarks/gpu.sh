@@ -107,7 +107,7 @@ train() {
         options+=(--total-steps 80 --algorithm.num-envs 8 --algorithm.minibatches 2 --algorithm.rollout-steps 5
           --interim.every-steps 40 --interim.episodes 2 --checkpoint-every-steps 40)
       else
-        # Checkpoints hold the environments' last pictures: rarer than on the CPU.
+        # Checkpoints hold the environments' last images: rarer than on the CPU.
         options+=(--total-steps 70000000 --algorithm.num-envs 4096 --algorithm.minibatches 16
           --checkpoint-every-steps 10000000)
       fi

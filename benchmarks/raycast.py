@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.cli.tables import check_json_path, print_table, write_json_table
-from knowarm.world.raycast import Raycaster
+from knowarm.world.render import Raycaster
 from knowarm.world.scene import load_scene
 
 SECONDS = 0.4

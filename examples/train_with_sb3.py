@@ -1,4 +1,4 @@
-"""Train sb3-contrib's RecurrentPPO on KnowArm's pictures and knowledge.
+"""Train sb3-contrib's RecurrentPPO on KnowArm's images and knowledge.
 
     pip install 'knowarm[sb3]'
     python examples/train_with_sb3.py --steps 200000

@@ -11,9 +11,11 @@ MAY_IMPORT = {
     "world": set(),
     "policy": set(),
     "learn": {"policy", "world"},
-    "experiment": {"knowledge", "world", "policy", "learn"},
-    "bench": {"knowledge", "world", "policy", "learn", "experiment"},
-    "cli": {"knowledge", "world", "policy", "learn", "experiment", "bench"},
+    "experiment": {"knowledge", "world", "policy", "learn", "statistics", "report"},
+    "statistics": set(),
+    "report": {"knowledge", "world", "policy", "learn", "experiment", "statistics"},
+    "bench": {"knowledge", "world", "policy", "learn", "experiment", "report"},
+    "cli": {"knowledge", "world", "policy", "learn", "experiment", "statistics", "report", "bench"},
 }
 EVERYBODY = {"errors", "config", "cores", "__version__"}
 

@@ -51,12 +51,12 @@ def test_everything_is_measured_on_the_cpu_device() -> None:
     for row in result["rows"]:
         assert row["error"] is None
         assert row["torch_peak_bytes"] is row["device_used_bytes"] is None
-        parts = [row[f"env_share_{part}"] for part in ("physics", "pictures", "rest")]
+        parts = [row[f"env_share_{part}"] for part in ("physics", "images", "rest")]
         assert all(0 < share < 1 for share in parts)
         assert sum(parts) == pytest.approx(1)
         shares = [
             row[f"training_share_{part}"]
-            for part in ("physics", "pictures", "rest", "inference", "update")
+            for part in ("physics", "images", "rest", "inference", "update")
         ]
         assert all(0 < share < 1 for share in shares)
         assert 0.7 < sum(shares) <= 1.01
@@ -260,11 +260,11 @@ def test_on_a_gpu_events_stand_around_each_call(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(torch.cuda, "Event", Event)
     monkeypatch.setattr(torch.cuda, "synchronize", lambda device: None)
     clock = PartClock(torch.device("cuda", 0))
-    physics, pictures = clock.timed("physics", work), clock.timed("pictures", work)
-    clock.timed("whole", lambda: [physics(4), pictures(2), work(1), physics(3)])()
-    assert clock.seconds() == {"physics": 0.007, "pictures": 0.002, "whole": 0.01}
-    pictures(5)
-    assert clock.seconds()["pictures"] == 0.007
+    physics, images = clock.timed("physics", work), clock.timed("images", work)
+    clock.timed("whole", lambda: [physics(4), images(2), work(1), physics(3)])()
+    assert clock.seconds() == {"physics": 0.007, "images": 0.002, "whole": 0.01}
+    images(5)
+    assert clock.seconds()["images"] == 0.007
 
 
 def test_memory_of_a_gpu_is_torchs_and_everybodys(monkeypatch: pytest.MonkeyPatch) -> None:

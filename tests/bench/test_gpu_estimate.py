@@ -20,11 +20,11 @@ from knowarm.bench.gpu_rays import NO_GEOM, ray_operations, tile_operations
 from knowarm.policy import Policy, PolicyConfig
 from knowarm.world.config import EnvConfig
 from knowarm.world.env import ReachVectorEnv
-from knowarm.world.raycast.tables import BOX, CYLINDER, MESH
+from knowarm.world.render.tables import BOX, CYLINDER, MESH
 from knowarm.world.scene import load_scene
 
 FIRST = 2 * (9 * 4) * 27 * 16
-"""Nine blocks of four windows of 27 pixel values, 16 channels."""
+"""Nine blocks of four patches of 27 pixel values, 16 channels."""
 SECOND = 2 * 32 * (9 * 64)
 """One position of 32 channels, of 3 x 3 blocks with 64 channels."""
 FORWARD = FIRST + SECOND + 2 * (32 * 16 + 4 * 28 * (28 + 28) + 28 * 6 + 28)
@@ -45,12 +45,12 @@ def test_operations_are_those_torch_counts(policy: Policy) -> None:
     steps, batch = 5, 3
     image = torch.zeros(steps, batch, 24, 24, 3, dtype=torch.uint8)
     knowledge, start = torch.zeros(steps, batch, 12), torch.zeros(steps, batch, dtype=torch.bool)
-    windows, state = policy.windows(image), policy.initial_state(batch)
+    patches, state = policy.patches(image), policy.initial_state(batch)
     with FlopCounterMode(display=False) as counter:
-        policy.step(windows[0], knowledge[0], state, start[0])
+        policy.step(patches[0], knowledge[0], state, start[0])
     assert counter.get_total_flops() == batch * forward_operations(policy)
     with FlopCounterMode(display=False) as counter:
-        logits, value, _ = policy.unroll(windows, knowledge, state, start)
+        logits, value, _ = policy.unroll(patches, knowledge, state, start)
         (logits.sum() + value.sum()).backward()
     learning = training_operations(policy, epochs=1) - forward_operations(policy)
     assert counter.get_total_flops() == steps * batch * learning
@@ -59,9 +59,9 @@ def test_operations_are_those_torch_counts(policy: Policy) -> None:
 def test_bytes_of_training_are_those_counted_by_hand(policy: Policy) -> None:
     pixels, active = 9 * 108, 9 * 4 * 16 + 32 + 16 + 7 * 28 + 2 * 3 + 1
     assert activations(policy) == active == 827
-    picture = 3 * 24 * 24
+    image = 3 * 24 * 24
     found = training_bytes(policy, EnvConfig(image_size=24), epochs=2, item=4)
-    assert found == picture + 4 * pixels + 8 * (pixels + active) + 8 * (3 * pixels + 5 * active)
+    assert found == image + 4 * pixels + 8 * (pixels + active) + 8 * (3 * pixels + 5 * active)
     assert found == 76_416
 
 
@@ -84,7 +84,7 @@ def test_bytes_of_worlds_leave_out_room_for_contacts() -> None:
     assert world_bytes(Data(2, array(40), array(24), Contact(array(1000)), array(500))) == 64
 
 
-def test_bytes_of_an_environment_grow_with_its_picture() -> None:
+def test_bytes_of_an_environment_grow_with_its_image() -> None:
     pytest.importorskip("mujoco_warp")
     config = EnvConfig()
     scene = load_scene(config.robot, tuple(config.targets), 0)
@@ -109,7 +109,7 @@ def test_a_geom_is_met_in_every_sample_of_its_tiles() -> None:
     assert tile_operations(extent) == 2 * 16 * 56 + 6 * 16 * 74
 
 
-def test_rays_of_a_scene_are_counted_in_its_pictures() -> None:
+def test_rays_of_a_scene_are_counted_in_its_images() -> None:
     env = ReachVectorEnv(EnvConfig(), 3, 1)
     env.reset(seed=0)
     state = env.simulation.geom_position, env.simulation.geom_matrix, env.geom_rgba

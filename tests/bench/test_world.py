@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from knowarm.bench.mjwarp_pictures import MjWarpPictures
+from knowarm.bench.mjwarp_renderer import MjWarpRenderer
 from knowarm.bench.world import WorldBenchConfig, bench_world
 from knowarm.errors import UserError
 from knowarm.world.env import EnvConfig, ReachVectorEnv
@@ -31,7 +31,7 @@ def test_mujoco_warp_draws_the_same_scene() -> None:
     pytest.importorskip("mujoco_warp")
     env = ReachVectorEnv(EnvConfig(antialiasing=False), 3)
     ours, _ = env.reset(seed=2)
-    env.pictures = MjWarpPictures(env.scene, 64, 3)
+    env.renderer = MjWarpRenderer(env.scene, 64, 3)
     theirs, _ = env.reset(seed=2)
     assert np.abs(ours.astype(int) - theirs).mean() < 6
     assert (np.abs(ours.astype(int) - theirs).max(axis=-1) > 60).mean() < 0.03

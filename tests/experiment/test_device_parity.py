@@ -28,7 +28,7 @@ def outcomes(trained, env, episodes):
     success = torch.zeros_like(start)
     for _ in range(env.config.max_episode_steps):
         knowledge = table.to(env.device)[env.facet_ids]
-        logits, _, state = policy.step(policy.windows(image), knowledge, state, start)
+        logits, _, state = policy.step(policy.patches(image), knowledge, state, start)
         image, reward, terminated, truncated, _ = env.step(logits.argmax(-1))
         start = terminated | truncated
         total += reward * running

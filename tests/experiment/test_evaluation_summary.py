@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from knowarm.experiment.evaluation_summary import summarize
-from knowarm.experiment.statistics import wilson
+from knowarm.statistics import wilson
 
 
 def episodes(success=(True, True, False, False), distance=(0.05, 0.08, 0.09, 0.5)):

@@ -9,10 +9,10 @@ from knowarm.experiment.run_folder import CsvLog, RunFolder, read_csv, write_jso
 
 def test_a_run_folder_is_created_once(tmp_path):
     folder = RunFolder.create(tmp_path / "x" / "0")
-    folder.write_json("config.json", {"format": 1})
+    folder.write_json("config.json", {"format": 2})
     with pytest.raises(UserError, match="--resume"):
         RunFolder.create(folder.path)
-    assert RunFolder.open(folder.path).config() == {"format": 1}
+    assert RunFolder.open(folder.path).config() == {"format": 2}
 
 
 def test_what_is_no_run_folder_is_refused(tmp_path):

@@ -10,7 +10,7 @@ from knowarm.knowledge.draw import draw_svg
 SVG = "{http://www.w3.org/2000/svg}"
 
 
-def test_every_entity_and_edge_is_drawn_inside_the_picture():
+def test_every_entity_and_edge_is_drawn_inside_the_image():
     graph = gamma(household(), ["mug", "bottle", "cereal_box"], hops=2)
     root = ET.fromstring(draw_svg(graph, ["mug", "bottle", "cereal_box"], "A & B"))
     texts = [element.text for element in root.iter(f"{SVG}text")]

@@ -18,8 +18,8 @@ def test_a3c_terms_by_hand():
         ACTIONS,
         torch.tensor([2.0, -4.0]),
         torch.tensor([3.0, 1.0]),
-        value_weight=0.5,
-        entropy_weight=0.01,
+        vf_coef=0.5,
+        ent_coef=0.01,
     )
     policy = -(math.log(0.75) * 2 + math.log(0.25) * -4) / 2
     value = 0.5 * (2.0**2 + 1.0**2) / 2
@@ -34,14 +34,12 @@ def test_descending_the_loss_of_a_worthless_step_raises_the_entropy(loss):
     logits = LOGITS.clone().requires_grad_()
     zeros = torch.zeros(2)
     if loss == "a3c":
-        terms = a3c_loss(
-            logits, zeros, ACTIONS, zeros, zeros, value_weight=0.5, entropy_weight=0.01
-        )
+        terms = a3c_loss(logits, zeros, ACTIONS, zeros, zeros, vf_coef=0.5, ent_coef=0.01)
     else:
         old = torch.log(torch.tensor([0.75, 0.25]))
         terms = ppo_loss(
             logits, zeros, ACTIONS, old, zeros, zeros,
-            clip=0.2, value_weight=0.5, entropy_weight=0.01,
+            clip_range=0.2, vf_coef=0.5, ent_coef=0.01,
         )  # fmt: skip
     terms.total.backward()
     # Gradient descent lowers the likelier level's logit and lifts the other's.
@@ -57,8 +55,8 @@ def test_the_probability_of_an_action_is_the_product_over_joints():
         torch.tensor([[0, 1]]),
         torch.ones(1),
         torch.zeros(1),
-        value_weight=0.0,
-        entropy_weight=0.0,
+        vf_coef=0.0,
+        ent_coef=0.0,
     )
     assert terms.total.item() == pytest.approx(-math.log(0.75 * 0.5), rel=1e-6)
     assert terms.entropy.item() == pytest.approx(ENTROPY + math.log(2), rel=1e-6)
@@ -73,9 +71,9 @@ def ppo(old_probability, advantage):
         torch.log(torch.tensor([old_probability])),
         torch.tensor([advantage]),
         torch.tensor([3.0]),
-        clip=0.2,
-        value_weight=0.5,
-        entropy_weight=0.0,
+        clip_range=0.2,
+        vf_coef=0.5,
+        ent_coef=0.0,
     )
     terms.policy.backward(retain_graph=True)
     return terms, logits.grad

@@ -36,9 +36,9 @@ class Nowhere:
 
     def step(self, actions):
         assert actions.device == META
-        picture, flag = self.reset()[0], torch.zeros(COUNT, dtype=torch.bool, device=META)
-        infos = {"final_obs": picture, "final_info": {"is_success": flag}}
-        return picture, torch.zeros(COUNT, device=META), flag, flag, infos
+        image, flag = self.reset()[0], torch.zeros(COUNT, dtype=torch.bool, device=META)
+        infos = {"final_obs": image, "final_info": {"is_success": flag}}
+        return image, torch.zeros(COUNT, device=META), flag, flag, infos
 
 
 @pytest.fixture

@@ -22,8 +22,8 @@ SMALL = PPOConfig(
     minibatches=2,
     learning_rate=3e-3,
     reward_scale=1.0,
-    entropy_weight=0.01,
-    precision="float32",
+    ent_coef=0.01,
+    matmul_precision="float32",
     processes=1,
 )
 
@@ -54,7 +54,7 @@ def successes(policy, *, recall, length):
 
 def test_identity_task_is_solved():
     policy = small_policy()
-    config = dataclasses.replace(SMALL, gamma=0.5)  # pictures do not depend on actions
+    config = dataclasses.replace(SMALL, gamma=0.5)  # images do not depend on actions
     PPOTrainer(config, policy, ToyEnv(32, recall=False, length=5), TABLE, seed=0).train(10_000)
     assert successes(policy, recall=False, length=5) > 0.95
 
@@ -174,8 +174,8 @@ def test_a_nan_stops_training_names_the_term_and_saves_the_batch(tmp_path, spoil
     with pytest.raises(NotFiniteError, match=term) as caught:
         trainer.train(320)
     batch = load_file(caught.value.batch)
-    assert batch["windows"].shape == (10, 32, *trainer.policy.encoder.window_shape)
-    assert batch["windows"].any()
+    assert batch["patches"].shape == (10, 32, *trainer.policy.encoder.patch_shape)
+    assert batch["patches"].any()
 
 
 def test_a_nan_gradient_names_the_parameter(tmp_path):

@@ -12,7 +12,9 @@ from knowarm.world.gpu.env import DeviceReachVectorEnv
 from tests.devices import DEVICES
 
 ENV = EnvConfig(max_episode_steps=8, dynamics="kinematic")
-CONFIG = PPOConfig(num_envs=4, rollout_steps=10, minibatches=2, precision="float32", processes=1)
+CONFIG = PPOConfig(
+    num_envs=4, rollout_steps=10, minibatches=2, matmul_precision="float32", processes=1
+)
 
 
 def train(env, rows, store=None, *, updates=3, resume=False, stop_after=None):

@@ -15,7 +15,9 @@ from tests.devices import DEVICES
 from tests.learn.toys import JOINTS, LEVELS, SIDE
 
 TABLE = np.ones((2, 4), np.float32)
-CONFIG = PPOConfig(num_envs=16, rollout_steps=6, minibatches=2, precision="float32", processes=1)
+CONFIG = PPOConfig(
+    num_envs=16, rollout_steps=6, minibatches=2, matmul_precision="float32", processes=1
+)
 
 
 def gradient(device, *, cuda_graphs):
@@ -25,8 +27,8 @@ def gradient(device, *, cuda_graphs):
     config = dataclasses.replace(CONFIG, cuda_graphs=cuda_graphs)
     made = make_learner(policy, config, TABLE, "float32", torch.device(device))
     rng = np.random.default_rng(0)
-    shape = made.rollout.windows.shape
-    made.rollout.windows.copy_(torch.from_numpy(rng.integers(0, 256, shape, np.uint8)))
+    shape = made.rollout.patches.shape
+    made.rollout.patches.copy_(torch.from_numpy(rng.integers(0, 256, shape, np.uint8)))
     for tensor in (made.rollout.log_probability, made.targets.advantage, made.targets.returns):
         tensor.copy_(torch.from_numpy(rng.standard_normal(tensor.shape)))
     results = []

@@ -17,7 +17,9 @@ from knowarm.policy import Policy, PolicyConfig
 from tests.learn.toys import JOINTS, LEVELS, SIDE, ToyEnv
 
 TABLE = np.random.default_rng(0).standard_normal((3, 4)).astype(np.float32)
-CONFIG = PPOConfig(num_envs=32, rollout_steps=6, minibatches=2, precision="float32", processes=2)
+CONFIG = PPOConfig(
+    num_envs=32, rollout_steps=6, minibatches=2, matmul_precision="float32", processes=2
+)
 
 
 def policy():
@@ -30,7 +32,7 @@ def team(processes):
     config = dataclasses.replace(CONFIG, processes=processes)
     made = make_learner(policy(), config, TABLE, "float32", torch.device("cpu"))
     rng, rollout = np.random.default_rng(2), made.rollout
-    rollout.windows.copy_(torch.from_numpy(rng.integers(0, 256, rollout.windows.shape, np.uint8)))
+    rollout.patches.copy_(torch.from_numpy(rng.integers(0, 256, rollout.patches.shape, np.uint8)))
     rollout.facet.copy_(torch.from_numpy(rng.integers(0, 3, rollout.facet.shape)))
     rollout.episode_start.copy_(torch.from_numpy(rng.random(rollout.shape) < 0.2))
     rollout.action.copy_(torch.from_numpy(rng.integers(0, LEVELS, rollout.action.shape)))
@@ -73,8 +75,8 @@ def test_a_step_of_two_processes_is_that_of_one():
         with made.at_work():
             logits, state = made.play(made.rollout, 0, image, state)
             again, state = made.play(made.rollout, 1, image, state)
-        windows, values = made.rollout.windows[:2].clone(), made.rollout.value[:2].clone()
-        results.append((windows, values, logits, again, *(s.clone() for s in state)))
+        patches, values = made.rollout.patches[:2].clone(), made.rollout.value[:2].clone()
+        results.append((patches, values, logits, again, *(s.clone() for s in state)))
     assert not torch.equal(results[0][2], results[0][3])
     for one, two in zip(*results, strict=True):
         torch.testing.assert_close(one, two)

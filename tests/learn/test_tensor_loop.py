@@ -17,7 +17,7 @@ from tests.learn.toys import JOINTS, LEVELS, SIDE, ToyEnv
 
 TABLE = np.zeros((1, 1), np.float32)
 CONFIG = PPOConfig(
-    num_envs=8, rollout_steps=12, epochs=2, minibatches=2, precision="float32", processes=1
+    num_envs=8, rollout_steps=12, epochs=2, minibatches=2, matmul_precision="float32", processes=1
 )
 
 

@@ -1,4 +1,4 @@
-"""Two small vector environments of pictures: copy what is seen, recall what was seen."""
+"""Two small vector environments of images: copy what is seen, recall what was seen."""
 
 import numpy as np
 
@@ -6,10 +6,10 @@ JOINTS, LEVELS, SIDE = 2, 3, 20
 
 
 class ToyEnv:
-    """Each joint must choose the level its half of the picture shows, as a shade of grey.
+    """Each joint must choose the level its half of the image shows, as a shade of grey.
 
-    Identity (``recall=False``): a new picture and a reward every step, cut after ``length``.
-    Memory (``recall=True``): the picture is black after the first step and only the last action
+    Identity (``recall=False``): a new image and a reward every step, cut after ``length``.
+    Memory (``recall=True``): the image is black after the first step and only the last action
     is rewarded; the episode then terminates.
     """
 

@@ -25,7 +25,7 @@ def test_onnx_runtime_takes_the_same_actions(tmp_path, fusion):
     h, c = (s.numpy() for s in policy.initial_state(B))
     with torch.no_grad():
         expected, values, _ = policy.unroll(
-            policy.windows(torch.from_numpy(image)),
+            policy.patches(torch.from_numpy(image)),
             torch.from_numpy(TABLE)[Still.facet_ids].expand(T, B, K),
             policy.initial_state(B),
             torch.tensor([[True] * B] + [[False] * B] * (T - 1)),

@@ -54,11 +54,11 @@ def test_shapes_and_steps_agree_with_the_unroll(fusion):
     policy = Policy(config(fusion), seed=1)
     image, knowledge, start = inputs()
     state = policy.initial_state(B)
-    logits, values, last = policy.unroll(policy.windows(image), knowledge, state, start)
+    logits, values, last = policy.unroll(policy.patches(image), knowledge, state, start)
     assert logits.shape == (T, B, 2, 3)
     assert values.shape == (T, B)
     for t in range(T):
-        one, value, state = policy.step(policy.windows(image[t]), knowledge[t], state, start[t])
+        one, value, state = policy.step(policy.patches(image[t]), knowledge[t], state, start[t])
         torch.testing.assert_close(one, logits[t])
         torch.testing.assert_close(value, values[t])
     torch.testing.assert_close(state, last)
@@ -69,7 +69,7 @@ def test_every_live_parameter_gets_a_gradient(fusion):
     policy = Policy(config(fusion, knowledge_encoder="learned", actor_gain=1.0))
     image, knowledge, start = inputs()
     logits, values, _ = policy.unroll(
-        policy.windows(image), knowledge, policy.initial_state(B), start
+        policy.patches(image), knowledge, policy.initial_state(B), start
     )
     (logits.square().sum() + values.square().sum()).backward()
     for name, parameter in policy.named_parameters():
@@ -83,10 +83,10 @@ def test_bfloat16_products_give_nearly_the_same_numbers_and_gradients(fusion):
     results = {}
     for precision in ("float32", "bfloat16"):
         policy = Policy(config(fusion, pixel_shift=0.5, actor_gain=1.0), seed=1)
-        policy.precision = precision
+        policy.matmul_precision = precision
         state = policy.initial_state(B)
-        logits, values, last = policy.unroll(policy.windows(image), knowledge, state, start)
-        one, _, _ = policy.step(policy.windows(image[0]), knowledge[0], state, start[0])
+        logits, values, last = policy.unroll(policy.patches(image), knowledge, state, start)
+        one, _, _ = policy.step(policy.patches(image[0]), knowledge[0], state, start[0])
         torch.testing.assert_close(one, logits[0], atol=2e-2, rtol=0)
         assert logits.dtype == values.dtype == last[0].dtype == torch.float32
         (logits.square().sum() + values.square().sum()).backward()
@@ -103,9 +103,9 @@ def test_knowledge_reaches_what_the_fusion_promises(fusion):
     policy = Policy(config(fusion, actor_gain=1.0))
     image, knowledge, start = inputs()
     state = policy.initial_state(B)
-    logits, values, _ = policy.unroll(policy.windows(image), knowledge, state, start)
+    logits, values, _ = policy.unroll(policy.patches(image), knowledge, state, start)
     other_logits, other_values, _ = policy.unroll(
-        policy.windows(image), knowledge + 1, state, start
+        policy.patches(image), knowledge + 1, state, start
     )
     assert not torch.allclose(values, other_values)
     assert torch.allclose(logits, other_logits) == (fusion == "critic")
@@ -115,8 +115,8 @@ def test_without_fusion_knowledge_changes_nothing():
     policy = Policy(config("none"))
     image, knowledge, start = inputs()
     state = policy.initial_state(B)
-    first = policy.unroll(policy.windows(image), knowledge, state, start)[0]
-    assert torch.equal(first, policy.unroll(policy.windows(image), knowledge + 1, state, start)[0])
+    first = policy.unroll(policy.patches(image), knowledge, state, start)[0]
+    assert torch.equal(first, policy.unroll(policy.patches(image), knowledge + 1, state, start)[0])
 
 
 def test_pixels_are_scaled_and_shifted():
@@ -126,7 +126,7 @@ def test_pixels_are_scaled_and_shifted():
     pixels = 3 * (pixels - 0.5)
     expected = policy.encoder.conv2(torch.relu(policy.encoder.conv1(pixels))).relu()
     expected = expected.permute(0, 2, 3, 1).flatten(1)
-    torch.testing.assert_close(policy.encoder(policy.windows(image)), expected)
+    torch.testing.assert_close(policy.encoder(policy.patches(image)), expected)
 
 
 def test_weights_are_orthogonal_and_come_from_the_seed():
@@ -178,7 +178,7 @@ def test_the_agent_remembers_until_the_next_start_and_reads_its_facets_row():
     agent.start(Still())
     acted = [agent.act(image[t]) for t in range(T)]
     logits, _, _ = policy.unroll(
-        policy.windows(torch.from_numpy(image)),
+        policy.patches(torch.from_numpy(image)),
         torch.from_numpy(table)[[0, 1, 1]].expand(T, B, K),
         policy.initial_state(B),
         torch.zeros(T, B, dtype=torch.bool),

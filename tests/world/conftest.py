@@ -13,7 +13,7 @@ MakeEnv = Callable[..., ReachVectorEnv]
 
 @pytest.fixture
 def make_env() -> MakeEnv:
-    """Build a vector environment of small pictures from fields of ``EnvConfig``."""
+    """Build a vector environment of small images from fields of ``EnvConfig``."""
 
     def make(
         num_envs: int = 3,

@@ -38,7 +38,7 @@ def test_the_doctor_finds_nothing_to_mend_on_the_recipe_s_robot() -> None:
         "gripper",
         "servos",
         "reach of bowl",
-        "green bowl in the picture",
+        "green bowl in the image",
     }
 
 
@@ -60,7 +60,7 @@ def written(path: Path, **changes: str) -> Path:
     ("changes", "name", "words"),
     [
         ({"rectangle_centre_m": "[0.75, 0.0]"}, "reach of bottle", "move or shrink the rectangle"),
-        ({"camera_fovy_deg": "150.0"}, "yellow bottle in the picture", "camera_fovy_deg"),
+        ({"camera_fovy_deg": "150.0"}, "yellow bottle in the image", "camera_fovy_deg"),
         ({"tcp_quaternion": "[1.0, 0.0, 0.0, 0.0]"}, "gripper", "tcp_quaternion"),
         ({"servo_frequency_hz": "0.5"}, "servos", "servo_frequency_hz"),
         ({"joints": '["shoulder", "knee"]'}, "scene", "home has"),

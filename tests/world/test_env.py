@@ -22,7 +22,7 @@ def test_steps_give_what_the_spaces_promise(robot: str, dynamics: str, make_env:
     env = make_env(robot=robot, dynamics=dynamics, image_size=64)
     observations, infos = env.reset(seed=1)
     assert env.observation_space.contains(observations)
-    assert observations.std(axis=(1, 2, 3)).min() > 5, "pictures show something"
+    assert observations.std(axis=(1, 2, 3)).min() > 5, "images show something"
     assert (infos["distance"] > 0.05).all()
     previous = observations
     for _ in range(3):
@@ -125,9 +125,9 @@ def test_facets_list_targets_with_their_possible_colours(make_env: MakeEnv) -> N
 
 def test_the_target_is_shown_in_its_colour_and_the_others_are_hidden(make_env: MakeEnv) -> None:
     env = make_env(60, colours="randomized", image_size=64)
-    pictures, infos = env.reset(seed=0)
-    red = (pictures[..., 0] > 120) & (pictures[..., 1] < 40) & (pictures[..., 2] < 40)
-    blue = (pictures[..., 2] > 120) & (pictures[..., 0] < 40) & (pictures[..., 1] < 40)
+    images, infos = env.reset(seed=0)
+    red = (images[..., 0] > 120) & (images[..., 1] < 40) & (images[..., 2] < 40)
+    blue = (images[..., 2] > 120) & (images[..., 0] < 40) & (images[..., 1] < 40)
     is_red = (infos["target"] == 0) & (infos["colour"] == 0)
     is_blue = (infos["target"] == 0) & (infos["colour"] == 1)
     assert (red.sum(axis=(1, 2))[is_red] > 10).all()

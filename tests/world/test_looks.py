@@ -39,14 +39,14 @@ def test_rotations_are_rodrigues() -> None:
         VisualRandomization(distractors=4),
     ],
 )
-def test_each_kind_changes_the_picture_and_nothing_else(
+def test_each_kind_changes_the_image_and_nothing_else(
     randomization: VisualRandomization, make_env: MakeEnv
 ) -> None:
     plain = make_env(6, image_size=64)
     varied = make_env(6, image_size=64, randomization=randomization)
-    pictures, infos = plain.reset(seed=3)
-    other_pictures, other_infos = varied.reset(seed=3)
-    assert (pictures != other_pictures).any(axis=(1, 2, 3)).all()
+    images, infos = plain.reset(seed=3)
+    other_images, other_infos = varied.reset(seed=3)
+    assert (images != other_images).any(axis=(1, 2, 3)).all()
     for _ in range(3):
         for name in ("distance", "angle", "target", "colour"):
             assert (infos[name] == other_infos[name]).all()
@@ -63,7 +63,7 @@ def test_a_varied_world_is_the_same_at_any_batch_size_and_after_a_stop(
     alone = one.reset(seed=14)[0]
     together = many.reset(seed=10)[0]
     assert alone[0].tobytes() == together[-1].tobytes()
-    assert len({picture.tobytes() for picture in together}) == 5
+    assert len({image.tobytes() for image in together}) == 5
     other.set_state(many.get_state())
     actions = np.full(many.action_space.shape, 2)
     for _ in range(55):

@@ -31,12 +31,12 @@ def test_a_recorded_episode_runs_from_the_start_to_success(films: list) -> None:
 def test_a_strip_has_a_row_an_episode(films: list, tmp_path: Path) -> None:
     write_strip(tmp_path / "new" / "strip.png", films, columns=4)
     with Image.open(tmp_path / "new" / "strip.png") as strip:
-        picture = np.asarray(strip)
-    assert picture.shape == (2 * (240 + 36) + 8, 4 * 248 + 8, 3)
+        image = np.asarray(strip)
+    assert image.shape == (2 * (240 + 36) + 8, 4 * 248 + 8, 3)
     for row in range(2):
         top = 8 + row * 276
-        assert picture[top : top + 240, 8:248].std() > 10, "a picture"
-        assert picture[top + 240 : top + 268, 8:248].min() < 100, "its caption"
+        assert image[top : top + 240, 8:248].std() > 10, "a image"
+        assert image[top + 240 : top + 268, 8:248].min() < 100, "its caption"
 
 
 def test_a_video_holds_every_frame(films: list, tmp_path: Path) -> None:

@@ -77,7 +77,7 @@ def test_colours_are_the_paper_s() -> None:
     assert scene.target_colours[2, 1] == pytest.approx([0.5, 0.7, 0.9])
 
 
-def test_the_middle_of_the_picture_is_where_the_camera_looks() -> None:
+def test_the_middle_of_the_image_is_where_the_camera_looks() -> None:
     scene = load_scene("irb120", ("mug",))
     assert project(scene, np.array([IRB120.camera_look_at_m]))[0] == pytest.approx([0, 0], abs=1e-9)
     behind = 2 * np.array(IRB120.camera_position_m) - IRB120.camera_look_at_m
@@ -117,8 +117,8 @@ def test_missing_joints_and_sites_are_named_with_those_there_are() -> None:
         build_scene(IRB120, [replace(MUG, coloured_geoms=("lid",))])
 
 
-def test_a_target_outside_the_picture_is_refused() -> None:
-    with pytest.raises(UserError, match=r"'mug' standing at .* outside the picture"):
+def test_a_target_outside_the_image_is_refused() -> None:
+    with pytest.raises(UserError, match=r"'mug' standing at .* outside the image"):
         build_scene(replace(IRB120, rectangle_centre_m=(0.47, 0.9)), [MUG])
     with pytest.raises(UserError, match=r"camera_position_m .* must not lie straight above"):
         build_scene(replace(IRB120, camera_position_m=(0.42, -0.03, 1.0)), [MUG])

@@ -43,13 +43,13 @@ def test_make_vec_gives_our_own_vector() -> None:
     assert observations.shape == (3, 16, 16, 3)
 
 
-def test_render_gives_a_large_picture() -> None:
+def test_render_gives_a_large_image() -> None:
     env = gymnasium.make("knowarm/IRB120Reach-v0", image_size=16, render_mode="rgb_array")
     env.reset(seed=0)
-    picture = env.render()
-    assert isinstance(picture, np.ndarray)
-    assert picture.shape == (480, 480, 3)
-    assert picture.dtype == np.uint8
+    image = env.render()
+    assert isinstance(image, np.ndarray)
+    assert image.shape == (480, 480, 3)
+    assert image.dtype == np.uint8
     with pytest.raises(UserError, match="render_mode must be 'rgb_array' or None, got 'human'"):
         ReachEnv(render_mode="human")
 
@@ -62,7 +62,7 @@ def test_an_unseeded_environment_is_not_the_same_every_time() -> None:
     assert len(starts) == 3
 
 
-def test_knowledge_of_the_running_episode_stands_beside_the_picture() -> None:
+def test_knowledge_of_the_running_episode_stands_beside_the_image() -> None:
     table = np.arange(12).reshape(6, 2)
     env = KnowledgeObservation(
         gymnasium.make("knowarm/IRB120Reach-v0", image_size=16, colours="randomized"), table

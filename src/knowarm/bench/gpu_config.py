@@ -23,12 +23,12 @@ class GpuBenchConfig:
     """Time each figure is measured for, at least."""
 
     image_size: int = 64
-    """Side of the pictures [px]."""
+    """Side of the images [px]."""
 
     training: bool = True
     """Measure training, too."""
 
-    precision: Wish = "auto"
+    matmul_precision: Wish = "auto"
     """Of the products in training, as PPO's."""
 
     rollout_steps: int = 25

@@ -15,7 +15,7 @@ from knowarm.world.compose import SUBSTEPS
 from knowarm.world.config import EnvConfig
 from knowarm.world.gpu.device import import_warp
 from knowarm.world.gpu.simulation import make_data
-from knowarm.world.raycast.prepare import EXTENT, RECORD
+from knowarm.world.render.prepare import EXTENT, RECORD
 from knowarm.world.scene import Scene
 
 NUMBER = 4
@@ -25,22 +25,22 @@ NUMBER = 4
 def environment_bytes(scene: Scene, config: EnvConfig) -> int:
     """Bytes that one environment's step moves: ``P + 2 R + 2 S W``.
 
-    P is its picture, written once; R the records of its geoms before the camera, written and read;
+    P is its image, written once; R the records of its geoms before the camera, written and read;
     S the substeps, in each of which all W bytes of Warp's arrays of one world are read and written.
 
     Args:
         scene: what is simulated.
-        config: side of the pictures.
+        config: side of the images.
     """
     records = NUMBER * (RECORD + EXTENT) * scene.model.ngeom
     warp, _ = import_warp()
     with warp.ScopedDevice("cpu"):
         one, two = (world_bytes(make_data(scene.model, count)) for count in (1, 2))
-    return picture_bytes(config) + 2 * records + 2 * SUBSTEPS * (two - one)
+    return image_bytes(config) + 2 * records + 2 * SUBSTEPS * (two - one)
 
 
-def picture_bytes(config: EnvConfig) -> int:
-    """Bytes of one picture, (H, W, 3) uint8."""
+def image_bytes(config: EnvConfig) -> int:
+    """Bytes of one image, (H, W, 3) uint8."""
     return 3 * config.image_size**2
 
 
@@ -59,28 +59,28 @@ def world_bytes(data: Any) -> int:
 def training_bytes(policy: Policy, config: EnvConfig, epochs: int, item: int) -> int:
     """Bytes that learning from one environment step moves, the environment's own left out.
 
-    ``P + (2 + E) L + 2 i (L + A) + E i (3 L + 5 A)`` for E epochs: the picture (P) is read and its
-    windows (L bytes) kept, read for inference and once an epoch. Products take the windows' L
+    ``P + (2 + E) L + 2 i (L + A) + E i (3 L + 5 A)`` for E epochs: the image (P) is read and its
+    patches (L bytes) kept, read for inference and once an epoch. Products take the patches' L
     values and A activations as items of i bytes: each is written and read when the network plays;
-    when it learns, windows are written, read, and read again for the weights' gradient, and so are
+    when it learns, patches are written, read, and read again for the weights' gradient, and so are
     activations, whose own gradients are written and read besides.
 
     Args:
         policy: the network.
-        config: side of the pictures.
+        config: side of the images.
         epochs: passes over each rollout.
         item: bytes of an activation; 4, or 2 in bfloat16.
     """
-    blocks, values = policy.encoder.window_shape
+    blocks, values = policy.encoder.patch_shape
     pixels, active = blocks * values, activations(policy)
-    kept = picture_bytes(config) + (2 + epochs) * pixels
+    kept = image_bytes(config) + (2 + epochs) * pixels
     return kept + 2 * item * (pixels + active) + epochs * item * (3 * pixels + 5 * active)
 
 
 def activations(policy: Policy) -> int:
-    """Numbers that the network's layers give for one picture."""
+    """Numbers that the network's layers give for one image."""
     sizes = policy.config
-    first = policy.encoder.window_shape[0] * 4 * policy.encoder.conv1.out_channels
+    first = policy.encoder.patch_shape[0] * 4 * policy.encoder.conv1.out_channels
     # Gates, then cell, its hyperbolic tangent and the hidden state.
     memory = (4 + 3) * sizes.hidden_size
     heads = sizes.joints * sizes.levels + 1
@@ -88,7 +88,7 @@ def activations(policy: Policy) -> int:
 
 
 def forward_operations(policy: Policy) -> int:
-    """Operations of the products that one picture takes through the network, 2 a multiplication."""
+    """Operations of the products that one image takes through the network, 2 a multiplication."""
     memory = policy.memory
     inner = 4 * memory.hidden * (memory.weight_ih.shape[1] + memory.hidden)
     linear = sum(
@@ -110,7 +110,7 @@ def training_operations(policy: Policy, epochs: int) -> int:
 
 
 def _first_layer(policy: Policy) -> int:
-    blocks, values = policy.encoder.window_shape
+    blocks, values = policy.encoder.patch_shape
     return 2 * blocks * values * policy.encoder.conv1.out_channels
 
 

@@ -69,14 +69,14 @@ def _copy_rate(device: torch.device, count: int, seconds: float) -> float:
 def _product_rate(
     device: torch.device,
     side: int,
-    precision: Literal["float32", "tf32", "bfloat16"],
+    matmul_precision: Literal["float32", "tf32", "bfloat16"],
     seconds: float,
 ) -> float:
-    kind = torch.bfloat16 if precision == "bfloat16" else torch.float32
+    kind = torch.bfloat16 if matmul_precision == "bfloat16" else torch.float32
     generator = torch.Generator(device).manual_seed(0)
     a, b = (torch.randn(side, side, generator=generator, device=device).to(kind) for _ in range(2))
     out = torch.empty_like(a)
-    with products(precision, device):
+    with products(matmul_precision, device):
         return _rate(lambda: torch.mm(a, b, out=out), 2 * side**3, seconds, device)
 
 

@@ -67,7 +67,7 @@ def _measure(
         return
     parts = build(chosen)
     row |= training_row(env, parts, _ppo(config, row["num_envs"]), config.seconds, config.seed)
-    for part in ("physics", "pictures", "rest"):
+    for part in ("physics", "images", "rest"):
         share = row["training_share_environment"] * row[f"env_share_{part}"]
         row[f"training_share_{part}"] = share
     row |= _training_estimate(config, chosen, parts, row, ceilings)
@@ -131,7 +131,7 @@ def _ppo(config: GpuBenchConfig, num_envs: int) -> PPOConfig:
         rollout_steps=config.rollout_steps,
         epochs=config.epochs,
         minibatches=minibatches,
-        precision=config.precision,
+        matmul_precision=config.matmul_precision,
     )
 
 

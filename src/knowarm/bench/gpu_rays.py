@@ -4,9 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.world.config import EnvConfig
-from knowarm.world.raycast import Raycaster
-from knowarm.world.raycast.grid import BITS, TILE
-from knowarm.world.raycast.tables import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE
+from knowarm.world.render import Raycaster
+from knowarm.world.render.grid import BITS, TILE
+from knowarm.world.render.tables import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE
 from knowarm.world.scene import Scene
 
 NO_GEOM = -1
@@ -24,15 +24,15 @@ def ray_operations(
     matrices: NDArray[np.float32],
     rgba: NDArray[np.float32],
 ) -> float:
-    """Mean number of operations that one picture's rays take.
+    """Mean number of operations that one image's rays take.
 
     A geom is met in every sample of the tiles (4 x 4 samples) that its bounds touch; geoms that
-    stand still are in a kept picture and cost nothing. The walk past geoms that are not near, and
+    stand still are in a kept image and cost nothing. The walk past geoms that are not near, and
     the shading, are left out.
 
     Args:
         scene: what is drawn.
-        config: side and anti-aliasing of the pictures.
+        config: side and anti-aliasing of the images.
         positions: (n, G, 3) of the geoms [m], world.
         matrices: (n, G, 9), rotation from geom to world.
         rgba: (n, G, 4) colours; alpha 0 hides.
@@ -49,7 +49,7 @@ def ray_operations(
 
 
 class _CountingRaycaster(Raycaster):
-    """Draws one picture and looks at what the drawing left behind."""
+    """Draws one image and looks at what the drawing left behind."""
 
     def operations(
         self,
@@ -57,7 +57,7 @@ class _CountingRaycaster(Raycaster):
         matrix: NDArray[np.float32],
         rgba: NDArray[np.float32],
     ) -> int:
-        """Operations of one state's picture; arguments as ``Raycaster.render``'s, without n."""
+        """Operations of one state's image; arguments as ``Raycaster.render``'s, without n."""
         extent = self._scratch[0].extent
         extent[:, 0] = NO_GEOM
         self.render(position[None], matrix[None], rgba[None])

@@ -28,7 +28,7 @@ Row = dict[str, Any]
 
 
 def environment_row(env: DeviceReachVectorEnv, seconds: float, seed: int) -> Row:
-    """Measure environment steps a second with pictures, actions drawn at random on the device.
+    """Measure environment steps a second with images, actions drawn at random on the device.
 
     Args:
         env: the environments; left somewhere in their episodes.
@@ -37,7 +37,7 @@ def environment_row(env: DeviceReachVectorEnv, seconds: float, seed: int) -> Row
 
     Returns:
         ``env_steps_per_s``; ``step_ms``, the time of one step of all environments [ms];
-        ``env_share_physics``, ``_pictures`` and ``_rest`` (episodes, looks, rewards) of it; and
+        ``env_share_physics``, ``_images`` and ``_rest`` (episodes, looks, rewards) of it; and
         what ``memory_row`` returns.
     """
     generator = torch.Generator(env.device).manual_seed(seed)
@@ -57,16 +57,16 @@ def environment_row(env: DeviceReachVectorEnv, seconds: float, seed: int) -> Row
 
 
 def _part_shares(env: DeviceReachVectorEnv, step: Any, steps: int) -> dict[str, float]:
-    """Share of physics, pictures and the rest in the time of some steps."""
+    """Share of physics, images and the rest in the time of some steps."""
     clock = PartClock(env.device)
-    simulation, pictures = env.simulation, env.pictures
+    simulation, images = env.simulation, env.renderer
     own: Any = simulation
     own.step, own.reset = (
         clock.timed("physics", simulation.step),
         clock.timed("physics", simulation.reset),
     )
-    drawing: Any = pictures
-    drawing.draw = clock.timed("pictures", pictures.draw)
+    drawing: Any = images
+    drawing.draw = clock.timed("images", images.draw)
     synchronize(env.device)
     whole = clock.timed("whole", lambda: [step() for _ in range(steps)])
     try:
@@ -74,12 +74,12 @@ def _part_shares(env: DeviceReachVectorEnv, step: Any, steps: int) -> dict[str, 
         seconds = clock.seconds()
     finally:
         del own.step, own.reset, drawing.draw  # the classes' own methods again
-    shares = {f"share_{name}": seconds[name] / seconds["whole"] for name in ("physics", "pictures")}
+    shares = {f"share_{name}": seconds[name] / seconds["whole"] for name in ("physics", "images")}
     return shares | {"share_rest": 1 - sum(shares.values())}
 
 
 def count_rays(env: DeviceReachVectorEnv) -> float:
-    """Operations of the rays of one picture, mean over some environments as they are now."""
+    """Operations of the rays of one image, mean over some environments as they are now."""
     count = min(RAY_STATES, env.num_envs)
     simulation = env.simulation
     position, matrix, rgba = (
@@ -92,7 +92,7 @@ def count_rays(env: DeviceReachVectorEnv) -> float:
 def training_row(
     env: DeviceReachVectorEnv, parts: Parts, numbers: PPOConfig, seconds: float, seed: int
 ) -> Row:
-    """Measure steps a second of training end to end: physics, pictures, network and update.
+    """Measure steps a second of training end to end: physics, images, network and update.
 
     Args:
         env: the environments.
@@ -126,7 +126,7 @@ def training_row(
         "training_share_environment": share("environment_s"),
         "training_share_inference": share("inference_s"),
         "training_share_update": share("learn_s"),
-        "precision": trainer.precision,
+        "precision": trainer.matmul_precision,
     } | memory_row(env.device)
 
 

@@ -1,6 +1,6 @@
 """Nothing but this machine goes in; training speed of our learners and of sb3-contrib's comes out.
 
-Every row trains the experiment ``<robot>-full``: physics, picture, policy and update.
+Every row trains the experiment ``<robot>-full``: physics, image, policy and update.
 """
 
 import os
@@ -139,7 +139,7 @@ def _ppo(config: BenchConfig) -> dict[str, Any]:
     first, last = WARM_UP_UPDATES, len(rows) - 1
     seconds = rows[last]["wall_time_s"] - rows[first]["wall_time_s"]
     steps = rows[last]["step"] - rows[first]["step"]
-    pictures_s = drawn[last] - drawn[first]
+    images_s = drawn[last] - drawn[first]
 
     def total(name: str) -> float:
         return sum(row[name] for row in rows[first + 1 :])
@@ -149,8 +149,8 @@ def _ppo(config: BenchConfig) -> dict[str, Any]:
         "what": "KnowArm, recurrent PPO",
         "envs": numbers.num_envs,
         "steps_per_s": steps / seconds,
-        "share_simulation": (total("environment_s") - pictures_s) / seconds,
-        "share_picture": pictures_s / seconds,
+        "share_simulation": (total("environment_s") - images_s) / seconds,
+        "share_image": images_s / seconds,
         "share_inference": total("inference_s") / seconds,
         "share_update": total("learn_s") / seconds,
     }
@@ -164,7 +164,7 @@ def _a3c(config: BenchConfig, workers: int, envs_per_worker: int) -> dict[str, A
         workers=workers,
         envs_per_worker=envs_per_worker,
         # 17 x 1 is the paper's and has its precision.
-        precision="float32" if envs_per_worker == 1 else "auto",
+        matmul_precision="float32" if envs_per_worker == 1 else "auto",
         log_every_steps=50 * envs_per_worker,
     )
     marks: list[tuple[float, float, float]] = []
@@ -242,16 +242,16 @@ def _ppo_numbers(config: BenchConfig) -> PPOConfig:
 
 
 class _DrawingClock:
-    """Stands before what draws the pictures and adds up its time."""
+    """Stands before what draws the images and adds up its time."""
 
     def __init__(self, env: ReachVectorEnv) -> None:
         self.seconds = 0.0
-        self._pictures = env.pictures
-        env.pictures = self
+        self._renderer = env.renderer
+        env.renderer = self
 
     def draw(self, *arguments: Any, **options: Any) -> NDArray[np.uint8]:
-        """As `Pictures.draw`."""
+        """As `Renderer.draw`."""
         begin = time.perf_counter()
-        pictures = self._pictures.draw(*arguments, **options)
+        images = self._renderer.draw(*arguments, **options)
         self.seconds += time.perf_counter() - begin
-        return pictures
+        return images

@@ -13,7 +13,7 @@ import numpy as np
 import psutil
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode
 
-from knowarm.bench.mjwarp_pictures import MjWarpPictures
+from knowarm.bench.mjwarp_renderer import MjWarpRenderer
 from knowarm.errors import UserError
 from knowarm.experiment.provenance import processor
 from knowarm.world import ENV_IDS
@@ -49,7 +49,7 @@ class WorldBenchConfig:
     """Robots measured."""
 
     image_size: int = 64
-    """Side of the pictures [px]."""
+    """Side of the images [px]."""
 
     opengl: bool = True
     """Measure AsyncVectorEnv with MuJoCo's OpenGL renderer (needs OSMesa or EGL)."""
@@ -74,7 +74,7 @@ def bench_world(
     config: WorldBenchConfig | None = None,
     on_row: Callable[[dict[str, Any]], None] = lambda r: None,
 ) -> dict[str, Any]:
-    """Measure environment steps per second, physics and picture, one row after the other.
+    """Measure environment steps per second, physics and image, one row after the other.
 
     Args:
         config: what is measured.
@@ -214,7 +214,7 @@ def _remember(barrier: Any) -> None:
 
 def _mjwarp_worker(config: EnvConfig, num_envs: int, seconds: float) -> Speed:
     env = ReachVectorEnv(config, num_envs, num_threads=1)
-    env.pictures = MjWarpPictures(env.scene, config.image_size, num_envs)
+    env.renderer = MjWarpRenderer(env.scene, config.image_size, num_envs)
     env.reset(seed=0)  # compiles Warp's kernels, before anybody's time is taken
     _barrier.wait()
     return _steps_per_s(env, seconds)
@@ -225,10 +225,10 @@ def frames_per_core_s(config: EnvConfig, *, num_envs: int, seconds: float) -> fl
     env = ReachVectorEnv(config, num_envs, num_threads=1)
     env.reset(seed=0)
     poses = env.simulation.geom_position, env.simulation.geom_matrix, env.geom_rgba
-    env.pictures.draw(*poses)
+    env.renderer.draw(*poses)
     count, start, cpu = 0, time.perf_counter(), _cpu_s()
     while time.perf_counter() - start < seconds / 2:
-        env.pictures.draw(*poses)
+        env.renderer.draw(*poses)
         count += 1
     return count * num_envs / (_cpu_s() - cpu)
 

@@ -20,7 +20,7 @@ LEARN_COLUMNS = {
     "envs": "envs",
     "steps_per_s": "steps/s",
     "share_simulation": "physics",
-    "share_picture": "pictures",
+    "share_image": "images",
     "share_inference": "inference",
     "share_update": "update",
     "staleness_mean": "stale",
@@ -54,7 +54,7 @@ class Learn:
 
 
 WORLD_TABLES = {
-    "rows": "Environment steps with a picture, all threads or processes together",
+    "rows": "Environment steps with a image, all threads or processes together",
     "raycaster": "The ray caster alone",
     "growth": "How ours grows",
 }
@@ -63,7 +63,7 @@ WORLD_TABLES = {
 
 @dataclass(frozen=True, kw_only=True)
 class World:
-    """Measure simulation with pictures: ours against Gymnasium with OpenGL and MuJoCo Warp."""
+    """Measure simulation with images: ours against Gymnasium with OpenGL and MuJoCo Warp."""
 
     config: Annotated[WorldBenchConfig, tyro.conf.OmitArgPrefixes] = field(
         default_factory=WorldBenchConfig
@@ -85,14 +85,14 @@ class World:
 
 
 GPU_LINES = {
-    "env_steps_per_s": "environment steps/s, with pictures",
+    "env_steps_per_s": "environment steps/s, with images",
     "env_share_physics": "  share of physics",
-    "env_share_pictures": "  share of pictures",
+    "env_share_images": "  share of images",
     "env_bandwidth_share": "  reached of the bandwidth",
     "env_operations_share": "  reached of the operations",
     "training_steps_per_s": "training steps/s, end to end",
     "training_share_physics": "  share of physics",
-    "training_share_pictures": "  share of pictures",
+    "training_share_images": "  share of images",
     "training_share_inference": "  share of inference",
     "training_share_update": "  share of the update",
     "training_bandwidth_share": "  reached of the bandwidth",

@@ -6,8 +6,8 @@ from pathlib import Path
 import tyro
 
 from knowarm.cli.tables import check_json_path
-from knowarm.experiment.report import report
 from knowarm.experiment.run_folder import read_json
+from knowarm.report import report
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -40,7 +40,7 @@ class View:
     video: Path | None = None
     """Record what the policy sees beside a large view into this .mp4 file."""
     strip: Path | None = None
-    """Draw a film strip, a row an episode, into this picture file."""
+    """Draw a film strip, a row an episode, into this image file."""
     port: int = 0
     """Port of the web viewer; 0 takes the first free one from 8080 on."""
     browser: bool = True

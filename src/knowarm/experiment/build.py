@@ -66,7 +66,7 @@ def build(config: ExperimentConfig) -> Parts:
 def policy_sizes(
     config: ExperimentConfig, env: ReachVectorEnv, embedding: SceneEmbedding
 ) -> PolicyConfig:
-    """Sizes of the policy network for a robot, a picture and a knowledge vector."""
+    """Sizes of the policy network for a robot, a image and a knowledge vector."""
     network = config.network
     sizes = PolicyConfig(
         joints=env.scene.num_joints,

@@ -14,7 +14,7 @@ Algorithm = PPOConfig | A3CConfig
 
 @dataclass(frozen=True, kw_only=True)
 class NetworkConfig:
-    """The choices of a policy that do not follow from the robot, the picture or the knowledge."""
+    """The choices of a policy that do not follow from the robot, the image or the knowledge."""
 
     fusion: FusionName = "before_lstm"
     """Where the knowledge enters; ``before_lstm`` is the paper's. An agent without knowledge
@@ -35,7 +35,7 @@ class NetworkConfig:
     """Subtracted from the pixels after they were scaled to 0..1."""
 
     pixel_scale: float = 1.0
-    """Multiplies the shifted pixels; .5 and 4 give pictures mean 0 and deviation about 1."""
+    """Multiplies the shifted pixels; .5 and 4 give images mean 0 and deviation about 1."""
 
     actor_gain: float = 0.01
     """Gain of the orthogonal initialization of the actor heads."""

@@ -8,9 +8,9 @@ from knowarm.experiment.config import ExperimentConfig, InterimConfig
 from knowarm.experiment.evaluate import EvaluationConfig, evaluate
 from knowarm.experiment.load import Which, load_agent
 from knowarm.experiment.registry import experiment
-from knowarm.experiment.report import report
 from knowarm.experiment.run import run_path, train
 from knowarm.experiment.run_folder import RunFolder
+from knowarm.report import report
 
 AGENTS = ("bm", "full")
 """The agents compared: no knowledge, and object types with colours."""

@@ -67,16 +67,16 @@ def _knowledge() -> str:
 
 
 def _world() -> str:
-    """The oracle's first steps must bring it nearer, and something must be in the picture."""
+    """The oracle's first steps must bring it nearer, and something must be in the image."""
     env = ReachVectorEnv(EnvConfig(), 4)
-    pictures, infos = env.reset(seed=0)
+    images, infos = env.reset(seed=0)
     agent = OracleAgent(0)
     agent.start(env)
     before = infos["angle"].mean()
     for _ in range(5):
-        pictures, _, _, _, infos = env.step(agent.act(pictures))
-    if not np.ptp(pictures) > 50 or not infos["angle"].mean() < before:
-        raise UserError("the simulation ran, and the picture or the motion is not right")
+        images, _, _, _, infos = env.step(agent.act(images))
+    if not np.ptp(images) > 50 or not infos["angle"].mean() < before:
+        raise UserError("the simulation ran, and the image or the motion is not right")
     return "simulation and ray caster work, without OpenGL"
 
 
@@ -85,8 +85,8 @@ def _policy() -> str:
     policy = parts.new_policy(0)
     image = torch.zeros(1, 64, 64, 3, dtype=torch.uint8)
     knowledge = torch.from_numpy(parts.table[:1])
-    windows = policy.windows(image)
-    logits, _, _ = policy.step(windows, knowledge, policy.initial_state(1), torch.ones(1).bool())
+    patches = policy.patches(image)
+    logits, _, _ = policy.step(patches, knowledge, policy.initial_state(1), torch.ones(1).bool())
     if not bool(torch.isfinite(logits).all()):
         raise UserError("the network's outputs are not finite")
     return f"{policy.parameter_counts()['total']:,} parameters, {torch.get_num_threads()} threads"

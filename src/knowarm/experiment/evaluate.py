@@ -63,7 +63,7 @@ class EvaluationConfig:
     """Whether joint angles, actions, distances and angles of every step are kept."""
 
     record_films: int = 6
-    """Episodes, from the first, whose pictures are kept."""
+    """Episodes, from the first, whose images are kept."""
 
     num_envs: int = 128
     """Episodes played at once. Part of the result: sums of other batches round differently."""
@@ -102,7 +102,7 @@ class Evaluation:
         summary: the numbers of `summarize` beside the settings they were found with.
         episodes: columns of ``episodes.parquet``.
         steps: columns of ``steps.parquet``; None when steps were not kept.
-        films: one (T, H, W, 3) uint8 array for each filmed episode, the pictures the agent saw.
+        films: one (T, H, W, 3) uint8 array for each filmed episode, the images the agent saw.
     """
 
     summary: dict[str, Any]

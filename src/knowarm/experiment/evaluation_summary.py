@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from knowarm.experiment.statistics import Interval, bootstrap, wilson
+from knowarm.statistics import Interval, bootstrap, wilson
 
 Columns = Mapping[str, np.ndarray]
 """One (n,) array a column, as `evaluation_files.EPISODE_COLUMNS` describes them."""

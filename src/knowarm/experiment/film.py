@@ -1,4 +1,4 @@
-"""Pictures of one episode go in; a small film file comes out, and the pictures back."""
+"""Images of one episode go in; a small film file comes out, and the images back."""
 
 from pathlib import Path
 
@@ -8,14 +8,14 @@ from PIL import Image, ImageSequence, UnidentifiedImageError
 from knowarm.errors import UserError
 
 FRAME_MS = 120
-"""Time each picture is shown [ms]."""
+"""Time each image is shown [ms]."""
 
 LAST_MS = 1_200
-"""Time the last picture is shown before the film starts again [ms]."""
+"""Time the last image is shown before the film starts again [ms]."""
 
 
 def write_film(path: Path, frames: np.ndarray) -> None:
-    """Write an animated WebP without loss: browsers play it, and the pictures come back exactly.
+    """Write an animated WebP without loss: browsers play it, and the images come back exactly.
 
     Args:
         path: the file; its folder is made.
@@ -42,21 +42,21 @@ def write_film(path: Path, frames: np.ndarray) -> None:
 
 
 def read_film(path: Path) -> np.ndarray:
-    """Pictures of a film written by `write_film`, (T, H, W, 3) uint8.
+    """Images of a film written by `write_film`, (T, H, W, 3) uint8.
 
     Raises:
-        UserError: the file is missing or no picture.
+        UserError: the file is missing or no image.
     """
     frames: list[np.ndarray] = []
     try:
         with Image.open(path) as film:
-            for number, image in enumerate(ImageSequence.Iterator(film)):
-                picture = np.asarray(image.convert("RGB"))
+            for number, frame in enumerate(ImageSequence.Iterator(film)):
+                image = np.asarray(frame.convert("RGB"))
                 # The encoder stores equal neighbours once and adds up their times.
-                shown = int(image.info.get("duration", 0))  # a film of one picture has none
+                shown = int(frame.info.get("duration", 0))  # a film of one image has none
                 is_last = number == getattr(film, "n_frames", 1) - 1
                 extra = shown - (LAST_MS if is_last else FRAME_MS)
-                frames += [picture] * (1 + max(0, extra) // FRAME_MS)
+                frames += [image] * (1 + max(0, extra) // FRAME_MS)
         return np.stack(frames)
     except (OSError, UnidentifiedImageError) as error:
         raise UserError(f"Cannot read {path}: {error}. Evaluate the run again.") from error

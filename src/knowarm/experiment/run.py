@@ -10,9 +10,10 @@ from knowarm.errors import UserError
 from knowarm.experiment.build import EnvFactory, InterimFactory, Parts, build
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.logs import RunLogs
+from knowarm.experiment.migration import FORMAT
 from knowarm.experiment.progress import TrainingProgress
 from knowarm.experiment.provenance import provenance
-from knowarm.experiment.run_folder import FORMAT, RunFolder
+from knowarm.experiment.run_folder import RunFolder
 from knowarm.learn.a3c import A3CTrainer
 from knowarm.learn.checkpoint import CheckpointStore
 from knowarm.learn.config import A3CConfig

@@ -23,9 +23,7 @@ import numpy as np
 from safetensors.numpy import load_file, save_file
 
 from knowarm.errors import UserError
-
-FORMAT = 1
-"""Version of the layout; a folder of another version is refused by name."""
+from knowarm.experiment.migration import FORMAT, migrate_config
 
 
 @dataclass(frozen=True)
@@ -120,8 +118,8 @@ class RunFolder:
         return self.path / "evaluation" / label
 
     def config(self) -> dict[str, Any]:
-        """The resolved configuration as JSON values."""
-        return read_json(self.config_path)
+        """The resolved configuration as JSON values, in the current run format."""
+        return migrate_config(read_json(self.config_path))
 
     def provenance(self) -> dict[str, Any]:
         """Versions, machine, parameter counts and knowledge of the run."""

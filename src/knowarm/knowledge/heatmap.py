@@ -1,4 +1,4 @@
-"""A table of numbers between -1 and 1 goes in; an SVG picture of it comes out."""
+"""A table of numbers between -1 and 1 goes in; an SVG image of it comes out."""
 
 from collections.abc import Sequence
 from html import escape

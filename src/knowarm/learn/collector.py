@@ -83,8 +83,8 @@ class Collector:
         self, policy: Policy, image: np.ndarray, facet: Tensor, state: State, start: np.ndarray
     ) -> Tensor:
         """Values (n,) of observations (n, H, W, 3)."""
-        windows = policy.windows(torch.from_numpy(image))
-        _, value, _ = policy.step(windows, self.table[facet], state, torch.from_numpy(start))
+        patches = policy.patches(torch.from_numpy(image))
+        _, value, _ = policy.step(patches, self.table[facet], state, torch.from_numpy(start))
         return value
 
     def get_state(self) -> dict[str, np.ndarray]:

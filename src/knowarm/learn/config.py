@@ -45,16 +45,16 @@ class PPOConfig:
     """Discount factor. The paper's A3C has .99; with .95 three times as many episodes succeeded
     after 600,000 steps, since a reach takes 5 to 16 steps (docs/lab-notes.md)."""
 
-    trace_decay: float = 0.95
+    gae_lambda: float = 0.95
     """Lambda of the advantage estimate."""
 
-    clip: float = 0.2
+    clip_range: float = 0.2
     """How far the probability ratio counts."""
 
-    value_weight: float = 0.5
+    vf_coef: float = 0.5
     """Weight of the value loss."""
 
-    entropy_weight: float = 0.003
+    ent_coef: float = 0.003
     """Weight of the entropy [1/nat]; the policies under docs/results learned with it."""
 
     reward_scale: float = 0.05
@@ -63,16 +63,16 @@ class PPOConfig:
     normalize_advantages: bool = True
     """Shift and scale the advantages of a rollout to mean 0, deviation 1."""
 
-    max_gradient_norm: float = 0.5
+    max_grad_norm: float = 0.5
     """Longer gradients are shortened to this norm."""
 
     target_kl: float | None = None
     """Stop the passes over a rollout when the policy has moved this far [nat]; None never."""
 
     device: Literal["cpu", "cuda"] = "cpu"
-    """Where physics, pictures and learning happen; "cuda" keeps all of it on one GPU."""
+    """Where physics, images and learning happen; "cuda" keeps all of it on one GPU."""
 
-    precision: Literal["auto", "float32", "tf32", "bfloat16"] = "auto"
+    matmul_precision: Literal["auto", "float32", "tf32", "bfloat16"] = "auto"
     """Of the products in encoder and LSTM while training: ``auto`` takes bfloat16 where the
     device computes it, else float32; "tf32" is a GPU's. Parameters, cell, heads and losses are
     float32 always."""
@@ -96,9 +96,9 @@ class PPOConfig:
             *_given(self, "processes"),
         )
         _positive(
-            self, "learning_rate", "adam_epsilon", "clip", "reward_scale", "max_gradient_norm"
+            self, "learning_rate", "adam_epsilon", "clip_range", "reward_scale", "max_grad_norm"
         )
-        _share(self, "gamma", "trace_decay", "learning_rate_final")
+        _share(self, "gamma", "gae_lambda", "learning_rate_final")
         if self.device == "cuda" and self.processes is not None:
             raise UserError(
                 f"processes ({self.processes}) share the work on device 'cpu'; leave it out with "
@@ -146,22 +146,22 @@ class A3CConfig:
     gamma: float = 0.99
     """Discount factor."""
 
-    trace_decay: float = 1.0
+    gae_lambda: float = 1.0
     """Lambda of the advantage estimate."""
 
-    value_weight: float = 0.5
+    vf_coef: float = 0.5
     """Weight of the value loss."""
 
-    entropy_weight: float = 0.01
+    ent_coef: float = 0.01
     """Weight of the entropy [1/nat]."""
 
     reward_scale: float = 1.0
     """Multiplies every reward before learning; reported returns are not scaled."""
 
-    max_gradient_norm: float = 40.0
+    max_grad_norm: float = 40.0
     """Longer gradients are shortened to this norm."""
 
-    precision: Literal["auto", "float32", "bfloat16"] = "float32"
+    matmul_precision: Literal["auto", "float32", "bfloat16"] = "float32"
     """Of the products in encoder and LSTM, as PPO's; ``auto`` makes many environments a worker
     about twice as fast where the processor computes bfloat16."""
 
@@ -170,8 +170,8 @@ class A3CConfig:
 
     def __post_init__(self) -> None:
         _at_least(self, 1, "workers", "envs_per_worker", "rollout_steps", "log_every_steps")
-        _positive(self, "learning_rate", "rmsprop_epsilon", "reward_scale", "max_gradient_norm")
-        _share(self, "gamma", "trace_decay", "rmsprop_decay")
+        _positive(self, "learning_rate", "rmsprop_epsilon", "reward_scale", "max_grad_norm")
+        _share(self, "gamma", "gae_lambda", "rmsprop_decay")
 
 
 def _given(config: object, *names: str) -> list[str]:

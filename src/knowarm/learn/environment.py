@@ -6,7 +6,7 @@ import numpy as np
 
 
 class VectorEnvironment(Protocol):
-    """A Gymnasium vector environment of pictures that resets within the step (SAME_STEP).
+    """A Gymnasium vector environment of images that resets within the step (SAME_STEP).
 
     ``step`` returns the first observation of the next episode where one ended;
     ``infos["final_obs"][i]`` is then the last observation of the old one, and

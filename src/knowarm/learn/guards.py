@@ -135,7 +135,7 @@ class HealthMonitor:
             self._warn(
                 "entropy",
                 f"Step {step}: the entropy fell to {entropy:.3f} of {self._most_entropy:.2f} nat: "
-                "the policy hardly explores any more. A larger entropy_weight is the remedy.",
+                "the policy hardly explores any more. A larger ent_coef is the remedy.",
             )
         if largest > bound:
             self._warn(

@@ -18,7 +18,7 @@ from knowarm.learn.processes import prepare_process
 from knowarm.learn.rollout import Rollout, rollout_shapes
 from knowarm.learn.shared import Shapes, SharedTensors
 from knowarm.policy import Policy, PolicyConfig
-from knowarm.policy.policy import Precision
+from knowarm.policy.policy import MatmulPrecision
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class HelperJob:
     policy: PolicyConfig
     config: PPOConfig
     table: np.ndarray
-    precision: Precision
+    precision: MatmulPrecision
 
 
 @dataclass(frozen=True)
@@ -63,14 +63,14 @@ def shared_shapes(policy: Policy, config: PPOConfig, processes: int) -> Shapes:
     """Shapes and types of everything the processes of a team share."""
     count, sizes = config.num_envs, policy.config
     parameters = sum(p.numel() for p in policy.parameters())
-    picture = (sizes.image_size, sizes.image_size, 3)
+    image = (sizes.image_size, sizes.image_size, 3)
     return {
         **rollout_shapes(config.rollout_steps, count, policy),
         **target_shapes(config.rollout_steps, count),
         "parameters": ((parameters,), torch.float32),
         "gradients": ((processes, parameters), torch.float32),
         "terms": ((processes, len(PPOLossTerms.names())), torch.float32),
-        "image": ((count, *picture), torch.uint8),
+        "image": ((count, *image), torch.uint8),
         "h": ((count, sizes.hidden_size), torch.float32),
         "c": ((count, sizes.hidden_size), torch.float32),
         "logits": ((count, sizes.joints, sizes.levels), torch.float32),
@@ -86,7 +86,7 @@ def write_play(
     image: Tensor,
     rows: slice,
 ) -> None:
-    """Take step t of the environments ``rows`` of pictures; states and results are shared."""
+    """Take step t of the environments ``rows`` of images; states and results are shared."""
     state = (shared["h"], shared["c"])
     logits, (h, c) = play_rows(policy, table, rollout, t, image, state, rows)
     shared["logits"][rows] = logits
@@ -108,7 +108,7 @@ def run_helper(job: HelperJob, index: int, shared: SharedTensors, connection: Co
 def _obey(job: HelperJob, index: int, shared: SharedTensors, connection: Connection) -> None:
     config = job.config
     policy = Policy(job.policy)
-    policy.precision = job.precision
+    policy.matmul_precision = job.precision
     gradient = shared["gradients"][index]
     FlatParameters.at(policy, shared["parameters"], gradient)
     table = torch.tensor(job.table, dtype=torch.float32)

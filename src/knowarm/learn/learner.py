@@ -16,7 +16,7 @@ from knowarm.learn.solo import Solo
 from knowarm.learn.team import Team
 from knowarm.policy import Policy
 from knowarm.policy.memory import State
-from knowarm.policy.policy import Precision
+from knowarm.policy.policy import MatmulPrecision
 
 SMALLEST_PART = 8
 """Environments of a minibatch that a process is worth having for."""
@@ -54,7 +54,7 @@ def make_learner(
     policy: Policy,
     config: PPOConfig,
     table: np.ndarray,
-    precision: Precision,
+    precision: MatmulPrecision,
     device: torch.device,
 ) -> Learner:
     """Return a team where several processes are wanted and worth it, else one alone.

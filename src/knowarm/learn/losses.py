@@ -63,19 +63,19 @@ def a3c_loss(
     advantages: Tensor,
     returns: Tensor,
     *,
-    value_weight: float,
-    entropy_weight: float,
+    vf_coef: float,
+    ent_coef: float,
 ) -> LossTerms:
     """A3C's loss (paper section 4.2.1), divided by the number of steps.
 
     ``policy = -mean(log pi(a) A)``, ``value = mean((R - V)^2) / 2`` and
-    ``total = policy + value_weight * value - entropy_weight * entropy``: entropy is rewarded.
+    ``total = policy + vf_coef * value - ent_coef * entropy``: entropy is rewarded.
     The paper prints the opposite sign, under which a policy would be punished for exploring.
     """
     policy = -(log_probability(logits, actions) * advantages).mean()
     value = 0.5 * (returns - values).square().mean()
     spread = entropy(logits).mean()
-    total = policy + value_weight * value - entropy_weight * spread
+    total = policy + vf_coef * value - ent_coef * spread
     return LossTerms(total=total, policy=policy, value=value, entropy=spread)
 
 
@@ -87,27 +87,29 @@ def ppo_loss(
     advantages: Tensor,
     returns: Tensor,
     *,
-    clip: float,
-    value_weight: float,
-    entropy_weight: float,
+    clip_range: float,
+    vf_coef: float,
+    ent_coef: float,
 ) -> PPOLossTerms:
     """PPO's clipped surrogate, value loss and entropy (Schulman et al. 2017, equations 7 and 9).
 
-    ``policy = -mean(min(r A, clip(r, 1 - clip, 1 + clip) A))`` with ``r`` the ratio of new to old
-    probability; ``value`` and ``total`` as in `a3c_loss`.
+    ``policy = -mean(min(r A, clip(r, 1 - clip_range, 1 + clip_range) A))`` with ``r`` the ratio of
+    new to old probability; ``value`` and ``total`` as in `a3c_loss`.
     """
     log_p = log_probabilities(logits)
     log_ratio = log_p.gather(-1, actions[..., None]).squeeze(-1).sum(-1) - old_log_probability
     ratio = log_ratio.exp()
-    surrogate = torch.min(ratio * advantages, ratio.clamp(1 - clip, 1 + clip) * advantages)
+    surrogate = torch.min(
+        ratio * advantages, ratio.clamp(1 - clip_range, 1 + clip_range) * advantages
+    )
     policy = -surrogate.mean()
     value = 0.5 * (returns - values).square().mean()
     spread = -(log_p.exp() * log_p).sum((-2, -1)).mean()
     with torch.no_grad():
         kl = (ratio - 1 - log_ratio).mean()
-        clipped = ((ratio - 1).abs() > clip).to(ratio.dtype).mean()
+        clipped = ((ratio - 1).abs() > clip_range).to(ratio.dtype).mean()
     return PPOLossTerms(
-        total=policy + value_weight * value - entropy_weight * spread,
+        total=policy + vf_coef * value - ent_coef * spread,
         policy=policy,
         value=value,
         entropy=spread,

@@ -52,7 +52,7 @@ def differentiate(
     """
     h, c = rollout.start_state
     logits, values, _ = policy.unroll(
-        rollout.windows.index_select(1, columns),
+        rollout.patches.index_select(1, columns),
         table[rollout.facet[:, columns]],
         (h[columns], c[columns]),
         rollout.episode_start[:, columns],
@@ -64,9 +64,9 @@ def differentiate(
         rollout.log_probability[:, columns],
         targets.advantage[:, columns],
         targets.returns[:, columns],
-        clip=config.clip,
-        value_weight=config.value_weight,
-        entropy_weight=config.entropy_weight,
+        clip_range=config.clip_range,
+        vf_coef=config.vf_coef,
+        ent_coef=config.ent_coef,
     )
     (terms.total * share).backward()
     return terms.times(share)

@@ -1,4 +1,4 @@
-"""Pictures and recurrent states go in; logits, values and the next states come out."""
+"""Images and recurrent states go in; logits, values and the next states come out."""
 
 from typing import Protocol
 
@@ -19,7 +19,7 @@ class Player(Protocol):
         """Take step t of all environments.
 
         Args:
-            rollout: its ``facet`` and ``episode_start`` of step t are there; ``windows`` and
+            rollout: its ``facet`` and ``episode_start`` of step t are there; ``patches`` and
                 ``value`` of step t are written.
             t: the step.
             image: (B, H, W, 3) uint8.
@@ -59,10 +59,10 @@ def play_rows(
     rows: slice,
 ) -> tuple[Tensor, State]:
     """Take step t of the environments ``rows``; see `Player.play`."""
-    windows = rollout.windows[t, rows]
-    windows.copy_(policy.windows(image[rows]))
+    patches = rollout.patches[t, rows]
+    patches.copy_(policy.patches(image[rows]))
     logits, values, state = policy.step(
-        windows,
+        patches,
         table[rollout.facet[t, rows]],
         (state[0][rows], state[1][rows]),
         rollout.episode_start[t, rows],

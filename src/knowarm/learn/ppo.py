@@ -53,7 +53,7 @@ class PPOTrainer:
     Attributes:
         step: environment steps taken so far.
         best: the best interim evaluation so far.
-        precision: what ``config.precision`` means on this machine.
+        precision: what ``config.matmul_precision`` means on this machine.
 
     Raises:
         UserError: the config asks for a GPU and the environment is not on one, for a precision
@@ -88,8 +88,10 @@ class PPOTrainer:
                 f"The config's device is 'cuda' and the environment is on {self._device}: give a "
                 "DeviceReachVectorEnv(..., device='cuda'), or device='cpu' in the config."
             )
-        self.precision = resolve_precision(config.precision, self._device)
-        self._learner = make_learner(policy, config, knowledge_table, self.precision, self._device)
+        self.matmul_precision = resolve_precision(config.matmul_precision, self._device)
+        self._learner = make_learner(
+            policy, config, knowledge_table, self.matmul_precision, self._device
+        )
         self._hooks = hooks or Hooks()
         self._evaluate = evaluate
         self._make_evaluate = make_evaluate
@@ -143,9 +145,9 @@ class PPOTrainer:
                 reason = "stopped"
                 break
             before, start = self.step, time.perf_counter()
-            self.policy.precision = self.precision
+            self.policy.matmul_precision = self.matmul_precision
             metrics = self._update(total_steps)
-            self.policy.precision = "float32"
+            self.policy.matmul_precision = "float32"
             now = time.perf_counter()
             self._hooks.on_metrics(
                 {
@@ -266,7 +268,7 @@ class PPOTrainer:
             "kl": means["kl"],
             "clipped": means["clipped"],
             "explained_variance": explained_variance(rollout.value, self._learner.targets.returns),
-            "gradient_norm": float(torch.stack(norms).mean()),
+            "grad_norm": float(torch.stack(norms).mean()),
             "learning_rate": rate,
             "gradient_steps": len(terms),
             "environment_s": environment_s,
@@ -283,7 +285,7 @@ class PPOTrainer:
             rollout.following(),
             rollout.done,
             config.gamma,
-            config.trace_decay,
+            config.gae_lambda,
         )
         targets.returns.copy_(advantage + rollout.value)
         if config.normalize_advantages:
@@ -311,7 +313,7 @@ class PPOTrainer:
         A gradient that is not finite never reaches the parameters: on the CPU it stops training
         here; a GPU is not waited for, so there it counts as zero until the pass is over.
         """
-        gradient, limit = self._learner.gradient, self.config.max_gradient_norm
+        gradient, limit = self._learner.gradient, self.config.max_grad_norm
         norm = torch.linalg.vector_norm(gradient)
         if self._device.type == "cpu":
             self._guard.check_update(self.policy, loss, norm, self.step, self._learner.rollout)

@@ -7,9 +7,9 @@ from typing import Literal
 import torch
 
 from knowarm.errors import UserError
-from knowarm.policy.policy import Precision
+from knowarm.policy.policy import MatmulPrecision
 
-Wish = Literal["auto"] | Precision
+Wish = Literal["auto"] | MatmulPrecision
 
 
 def has_fast_bfloat16() -> bool:
@@ -17,7 +17,7 @@ def has_fast_bfloat16() -> bool:
     return torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported()
 
 
-def resolve_precision(wish: Wish, device: torch.device) -> Precision:
+def resolve_precision(wish: Wish, device: torch.device) -> MatmulPrecision:
     """Return the wish, or for ``auto`` bfloat16 where the device has it, else float32.
 
     Raises:
@@ -35,7 +35,7 @@ def resolve_precision(wish: Wish, device: torch.device) -> Precision:
 
 
 @contextmanager
-def products(precision: Precision, device: torch.device) -> Iterator[None]:
+def products(precision: MatmulPrecision, device: torch.device) -> Iterator[None]:
     """Have a GPU's float32 products rounded to TF32 if that is the precision, and only then."""
     if device.type != "cuda":
         yield

@@ -49,7 +49,7 @@ def advantages(
     following: Tensor,
     done: Tensor,
     gamma: float,
-    trace_decay: float,
+    gae_lambda: float,
 ) -> Tensor:
     """Generalized advantage estimates (paper equations 3 and 4).
 
@@ -57,7 +57,7 @@ def advantages(
     sum cut where ``done``.
     """
     deltas = rewards + gamma * following - values
-    decay = gamma * trace_decay * (~done).to(rewards.dtype)
+    decay = gamma * gae_lambda * (~done).to(rewards.dtype)
     result = torch.empty_like(rewards)
     carried = torch.zeros_like(rewards[0])
     for t in reversed(range(len(rewards))):

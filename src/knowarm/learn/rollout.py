@@ -15,12 +15,12 @@ from knowarm.policy.memory import State
 class Rollout:
     """What T steps of B environments saw, did and got; the tensors are written in place."""
 
-    windows: Tensor
-    """(T, B, S, L) uint8: what the policy looks at of the pictures; see `Policy.windows`."""
+    patches: Tensor
+    """(T, B, S, L) uint8: what the policy looks at of the images; see `Policy.patches`."""
     facet: Tensor
     """(T, B) int64: row of the knowledge table."""
     episode_start: Tensor
-    """(T, B) bool: the picture is the first of its episode."""
+    """(T, B) bool: the image is the first of its episode."""
     action: Tensor
     """(T, B, J) int64."""
     log_probability: Tensor
@@ -85,11 +85,11 @@ def rollout_shapes(steps: int, batch: int, policy: Policy) -> Shapes:
     Args:
         steps: T.
         batch: B.
-        policy: gives windows, joints and state their sizes.
+        policy: gives patches, joints and state their sizes.
     """
     table, state = (steps, batch), (batch, policy.config.hidden_size)
     return {
-        "windows": ((*table, *policy.encoder.window_shape), torch.uint8),
+        "patches": ((*table, *policy.encoder.patch_shape), torch.uint8),
         "facet": (table, torch.int64),
         "episode_start": (table, torch.bool),
         "action": ((*table, policy.config.joints), torch.int64),

@@ -16,7 +16,7 @@ from knowarm.learn.recording import Recording
 from knowarm.learn.rollout import Rollout, rollout_shapes
 from knowarm.policy import Policy
 from knowarm.policy.memory import State
-from knowarm.policy.policy import Precision
+from knowarm.policy.policy import MatmulPrecision
 
 
 class Solo:
@@ -35,7 +35,7 @@ class Solo:
         policy: Policy,
         config: PPOConfig,
         table: Tensor,
-        precision: Precision,
+        precision: MatmulPrecision,
         device: torch.device,
     ) -> None:
         self.policy = policy

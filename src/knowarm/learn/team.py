@@ -2,7 +2,7 @@
 
 PyTorch's threads share every single operation. The operations of a recurrent policy are many and
 small: two threads wait for one another, and spin while they wait, which takes time from physics and
-pictures too; threads of Python wait for the interpreter's lock. Processes that each take a part of
+images too; threads of Python wait for the interpreter's lock. Processes that each take a part of
 the environments through the whole network do neither (docs/lab-notes.md).
 """
 
@@ -32,7 +32,7 @@ from knowarm.learn.rollout import Rollout, rollout_shapes
 from knowarm.learn.shared import SharedTensors
 from knowarm.policy import Policy
 from knowarm.policy.memory import State
-from knowarm.policy.policy import Precision
+from knowarm.policy.policy import MatmulPrecision
 
 log = logging.getLogger("knowarm.learn")
 
@@ -60,7 +60,7 @@ class Team:
         policy: Policy,
         config: PPOConfig,
         table: np.ndarray,
-        precision: Precision,
+        precision: MatmulPrecision,
         processes: int,
     ) -> None:
         assert processes > 1, processes

@@ -67,8 +67,8 @@ def has_tensors(env: object) -> TypeGuard[TensorEnvironment]:
 class TensorCollector:
     """A `Collector` for an environment of tensors; the same numbers where the device is the CPU.
 
-    The value of an episode's last picture is wanted where the time limit cut it. Finding out where
-    would mean waiting for the device, so the pictures are kept by environment and valued together:
+    The value of an episode's last image is wanted where the time limit cut it. Finding out where
+    would mean waiting for the device, so the images are kept by environment and valued together:
     after as many steps as the shortest time between two cuts of one environment.
 
     Args:
@@ -91,8 +91,8 @@ class TensorCollector:
         self._cut = torch.zeros(count, dtype=torch.bool, device=device)
         self._cut_at = torch.zeros(count, dtype=torch.int64, device=device)
         self._cut_facet = torch.zeros(count, dtype=torch.int64, device=device)
-        shape = (count, *policy.encoder.window_shape)
-        self._cut_windows = torch.zeros(shape, dtype=torch.uint8, device=device)
+        shape = (count, *policy.encoder.patch_shape)
+        self._cut_patches = torch.zeros(shape, dtype=torch.uint8, device=device)
         self._cut_state: State = policy.initial_state(count)
         check_table(table, int(env.facet_ids.max()))
 
@@ -130,17 +130,17 @@ class TensorCollector:
             self.statistics.add(reward, terminated | truncated, success)
             self._start = terminated | truncated
         rollout.log_probability.copy_(log_probability(torch.stack(logits), rollout.action))
-        windows = player.policy.windows(self._observation)
+        patches = player.policy.patches(self._observation)
         knowledge = self.table[self.env.facet_ids]
-        _, value, _ = player.policy.step(windows, knowledge, self._state, self._start)
+        _, value, _ = player.policy.step(patches, knowledge, self._state, self._start)
         rollout.last_value.copy_(value)
 
     def _keep_cut(
         self, policy: Policy, rollout: Rollout, t: int, cut: Tensor, image: Tensor
     ) -> None:
-        """Remember picture, facet and state of the environments that are cut at step t."""
+        """Remember image, facet and state of the environments that are cut at step t."""
         column = cut[:, None]
-        self._cut_windows = torch.where(column[..., None], policy.windows(image), self._cut_windows)
+        self._cut_patches = torch.where(column[..., None], policy.patches(image), self._cut_patches)
         self._cut_facet = torch.where(cut, rollout.facet[t], self._cut_facet)
         self._cut_at = torch.where(cut, t, self._cut_at)
         h, c = (
@@ -151,9 +151,9 @@ class TensorCollector:
         self._cut = self._cut | cut
 
     def _value_cut(self, policy: Policy, rollout: Rollout) -> None:
-        """Write the values of the last pictures of what was cut since the last call."""
+        """Write the values of the last images of what was cut since the last call."""
         knowledge, going_on = self.table[self._cut_facet], torch.zeros_like(self._cut)
-        _, value, _ = policy.step(self._cut_windows, knowledge, self._cut_state, going_on)
+        _, value, _ = policy.step(self._cut_patches, knowledge, self._cut_state, going_on)
         place = self._cut_at[None]
         kept = rollout.final_value.gather(0, place)[0]
         rollout.final_value.scatter_(0, place, torch.where(self._cut, value, kept)[None])

@@ -1,4 +1,4 @@
-"""Pictures, knowledge vectors and a recurrent state go in; actions, values and the state come out.
+"""Renderer, knowledge vectors and a recurrent state go in; actions, values and the state come out.
 
 The path through the files: `config` -> `encoder` -> `fusion` -> `memory` -> `policy` ->
 `actions` -> `agent`.

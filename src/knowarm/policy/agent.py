@@ -69,8 +69,8 @@ class PolicyAgent:
             (n, J) int64 levels.
         """
         knowledge = self._table[torch.as_tensor(self._env.facet_ids)]
-        windows = self.policy.windows(torch.as_tensor(observations))
-        logits, _, self._state = self.policy.step(windows, knowledge, self._state, self._first)
+        patches = self.policy.patches(torch.as_tensor(observations))
+        logits, _, self._state = self.policy.step(patches, knowledge, self._state, self._first)
         self._first = torch.zeros_like(self._first)
         if self.greedy:
             return greedy(logits).numpy()

@@ -26,7 +26,7 @@ class PolicyConfig:
     """Number of increments a joint chooses from."""
 
     image_size: int = 64
-    """Height and width of the picture [px]."""
+    """Height and width of the image [px]."""
 
     features: int = 128
     """Width of the fully connected layer after the convolutions."""
@@ -54,7 +54,7 @@ class PolicyConfig:
     """Subtracted from the pixels after they were scaled to 0..1."""
 
     pixel_scale: float = 1.0
-    """Multiplies the shifted pixels; .5 and 4 give pictures mean 0 and deviation about 1."""
+    """Multiplies the shifted pixels; .5 and 4 give images mean 0 and deviation about 1."""
 
     actor_gain: float = 0.01
     """Gain of the orthogonal initialization of the actor heads: small starts near uniform."""

@@ -1,27 +1,27 @@
-"""Pictures (N, H, W, 3) uint8 go in; their windows, then convolution features come out."""
+"""Images (N, H, W, 3) uint8 go in; their patches, then convolution features come out."""
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 SIDE, STRIDE = 3, 4
-"""Of the first convolution's windows [px]: they do not overlap and leave out 7 of 16 pixels."""
+"""Of the first convolution's patches [px]: they do not overlap and leave out 7 of 16 pixels."""
 
 
 class ImageEncoder(nn.Module):
     """Two convolutions: 3x3 stride 4 (3 -> 16) and 5x5 stride 2 (16 -> 32), each with a ReLU.
 
-    A 64x64 picture gives 6 x 6 positions of 32 channels: 1152 features (paper section 4.2.2).
+    A 64x64 image gives 6 x 6 positions of 32 channels: 1152 features (paper section 4.2.2).
 
-    The work is cut in two. `windows` takes the pixels that the first convolution sees and puts
+    The work is cut in two. `patches` takes the pixels that the first convolution sees and puts
     them in the order it sees them; it has no parameters, so a rollout keeps its result and every
-    pass over the rollout saves it. `forward` is one matrix product over the windows and a
-    convolution. Four windows side by side make a block, and blocks with the channels of their
-    four windows turn the second convolution into one of 3x3 and stride 1, which processors do in
+    pass over the rollout saves it. `forward` is one matrix product over the patches and a
+    convolution. Four patches side by side make a block, and blocks with the channels of their
+    four patches turn the second convolution into one of 3x3 and stride 1, which processors do in
     two thirds of the time (docs/learning.md).
 
     Attributes:
-        window_shape: (S, L), shape of one picture's windows: S blocks, L pixel values of each.
+        patch_shape: (S, L), shape of one image's patches: S blocks, L pixel values of each.
         width: number of features.
     """
 
@@ -36,18 +36,18 @@ class ImageEncoder(nn.Module):
         side = ((image_size - SIDE) // STRIDE + 1 - 5) // 2 + 1
         self.width = side * side * self.channels
         self._blocks = side + 2
-        self.window_shape = (self._blocks**2, 4 * SIDE * SIDE * 3)
-        # The last window of the last block may reach beyond the picture; its weights are zero.
+        self.patch_shape = (self._blocks**2, 4 * SIDE * SIDE * 3)
+        # The last window of the last block may reach beyond the image; its weights are zero.
         self._padding = max(0, STRIDE * (2 * self._blocks - 1) + SIDE - image_size)
 
-    def windows(self, image: Tensor) -> Tensor:
-        """Cut pictures into the windows of the first convolution.
+    def patches(self, image: Tensor) -> Tensor:
+        """Cut images into the patches of the first convolution.
 
         Args:
             image: (..., H, W, 3) uint8.
 
         Returns:
-            (..., S, L) uint8: blocks row by row; in each 2 x 2 windows of 3 x 3 pixels of 3
+            (..., S, L) uint8: blocks row by row; in each 2 x 2 patches of 3 x 3 pixels of 3
             colours.
         """
         blocks, leading = self._blocks, image.shape[:-3]
@@ -57,18 +57,18 @@ class ImageEncoder(nn.Module):
         cut = image.unfold(1, SIDE, STRIDE).unfold(2, SIDE, STRIDE)[:, : 2 * blocks, : 2 * blocks]
         cut = cut.unflatten(2, (blocks, 2)).unflatten(1, (blocks, 2))
         # row, row in block, column, column in block, colour, pixel row, pixel column
-        return cut.permute(0, 1, 3, 2, 4, 6, 7, 5).reshape(*leading, *self.window_shape)
+        return cut.permute(0, 1, 3, 2, 4, 6, 7, 5).reshape(*leading, *self.patch_shape)
 
-    def forward(self, windows: Tensor) -> Tensor:
-        """Encode pictures.
+    def forward(self, patches: Tensor) -> Tensor:
+        """Encode images.
 
         Args:
-            windows: (N, S, L) uint8 of `windows`.
+            patches: (N, S, L) uint8 of `patches`.
 
         Returns:
             (N, width) float32, positions first, the channels of one position side by side.
         """
-        count, blocks, depth = windows.shape[0], self._blocks, self.conv1.out_channels
+        count, blocks, depth = patches.shape[0], self._blocks, self.conv1.out_channels
         # Scaling the few weights instead of the many pixels gives the same sums.
         weight = self.conv1.weight.permute(0, 2, 3, 1).reshape(depth, -1)
         weight = weight * (self.pixel_scale / 255)
@@ -76,7 +76,7 @@ class ImageEncoder(nn.Module):
         assert bias is not None
         if self.pixel_shift:
             bias = bias - self.pixel_shift * 255 * weight.sum(1)
-        pixels = windows.reshape(-1, weight.shape[1]).to(self.pixel_type())
+        pixels = patches.reshape(-1, weight.shape[1]).to(self.pixel_type())
         x = torch.relu(F.linear(pixels, weight, bias))
         # Channels last is the order of the product, and the one convolutions are fastest in.
         x = x.view(count, blocks, blocks, 4 * depth).permute(0, 3, 1, 2)

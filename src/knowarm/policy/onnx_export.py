@@ -23,7 +23,7 @@ class _Step(nn.Module):
         self, image: Tensor, knowledge: Tensor, h: Tensor, c: Tensor, episode_start: Tensor
     ) -> tuple[Tensor, ...]:
         logits, value, (h, c) = self.policy.step(
-            self.policy.windows(image), knowledge, (h, c), episode_start
+            self.policy.patches(image), knowledge, (h, c), episode_start
         )
         return logits.argmax(-1), logits, value, h, c
 

@@ -1,8 +1,8 @@
-"""Pictures, knowledge and a state go in; action logits, values and the next state come out.
+"""Renderer, knowledge and a state go in; action logits, values and the next state come out.
 
-Dimension letters here and in `knowarm.learn`: T time, B batch, H height (of a picture) or
+Dimension letters here and in `knowarm.learn`: T time, B batch, H height (of a image) or
 hidden size (of a state), W width, K knowledge, J joints, A levels of an action, S and L blocks
-and pixel values of a picture's windows.
+and pixel values of a image's patches.
 """
 
 from typing import Literal
@@ -16,7 +16,7 @@ from knowarm.policy.fusion import FUSIONS
 from knowarm.policy.initialization import RELU_GAIN, orthogonal
 from knowarm.policy.memory import Memory, State
 
-Precision = Literal["float32", "tf32", "bfloat16"]
+MatmulPrecision = Literal["float32", "tf32", "bfloat16"]
 
 
 class Policy(nn.Module):
@@ -48,7 +48,7 @@ class Policy(nn.Module):
             config.hidden_size + self.fusion.actor_growth, config.joints * config.levels
         )
         self.critic = nn.Linear(config.hidden_size + self.fusion.critic_growth, 1)
-        self.precision: Precision = "float32"
+        self.matmul_precision: MatmulPrecision = "float32"
         self.reset_parameters(torch.Generator().manual_seed(seed))
 
     def reset_parameters(self, generator: torch.Generator) -> None:
@@ -68,24 +68,24 @@ class Policy(nn.Module):
         """Return the state before the first step: (h, c), each (B, H) of zeros."""
         return self.memory.initial_state(batch)
 
-    def windows(self, image: Tensor) -> Tensor:
+    def patches(self, image: Tensor) -> Tensor:
         """Take the pixels the network looks at: (..., H, W, 3) uint8 -> (..., S, L) uint8.
 
         They have no gradient and depend on no parameter: a rollout keeps them in place of the
-        pictures, and spares every pass over it the cutting; see `ImageEncoder.windows`.
+        images, and spares every pass over it the cutting; see `ImageEncoder.patches`.
         """
-        return self.encoder.windows(image)
+        return self.encoder.patches(image)
 
     def step(
-        self, windows: Tensor, knowledge: Tensor, state: State, episode_start: Tensor
+        self, patches: Tensor, knowledge: Tensor, state: State, episode_start: Tensor
     ) -> tuple[Tensor, Tensor, State]:
         """Advance every environment by one step.
 
         Args:
-            windows: (B, S, L) uint8, `windows` of the pictures.
+            patches: (B, S, L) uint8, `patches` of the images.
             knowledge: (B, K) float32.
             state: (h, c) after the step before, each (B, H).
-            episode_start: (B,) bool, true where the picture is the first of an episode; the
+            episode_start: (B,) bool, true where the image is the first of an episode; the
                 state is forgotten there.
 
         Returns:
@@ -93,18 +93,18 @@ class Policy(nn.Module):
         """
         knowledge = self.knowledge_encoder(knowledge)
         with self._products():
-            features = self._features(windows, knowledge)
+            features = self._features(patches, knowledge)
             hidden, state = self.memory.step(features, state, episode_start)
         logits, value = self._heads(hidden, knowledge)
         return logits, value, state
 
     def unroll(
-        self, windows: Tensor, knowledge: Tensor, state: State, episode_start: Tensor
+        self, patches: Tensor, knowledge: Tensor, state: State, episode_start: Tensor
     ) -> tuple[Tensor, Tensor, State]:
         """Advance T steps at once, for training.
 
         Args:
-            windows: (T, B, S, L) uint8, `windows` of the pictures.
+            patches: (T, B, S, L) uint8, `patches` of the images.
             knowledge: (T, B, K) float32.
             state: (h, c) before the first step, each (B, H).
             episode_start: (T, B) bool.
@@ -115,7 +115,7 @@ class Policy(nn.Module):
         steps, batch = episode_start.shape
         knowledge = self.knowledge_encoder(knowledge.flatten(0, 1))
         with self._products():
-            features = self._features(windows.flatten(0, 1), knowledge).view(steps, batch, -1)
+            features = self._features(patches.flatten(0, 1), knowledge).view(steps, batch, -1)
             hidden, state = self.memory.unroll(features, state, episode_start)
         logits, value = self._heads(hidden.flatten(0, 1), knowledge)
         return logits.view(steps, batch, *logits.shape[1:]), value.view(steps, batch), state
@@ -137,13 +137,13 @@ class Policy(nn.Module):
 
     def _products(self) -> torch.autocast:
         """Context in which matrix products and convolutions have the policy's precision."""
-        low, device = self.precision == "bfloat16", self.critic.weight.device.type
+        low, device = self.matmul_precision == "bfloat16", self.critic.weight.device.type
         # Every weight is used once: keeping its copy gains nothing and a CUDA graph forbids it.
         return torch.autocast(device, torch.bfloat16, enabled=low, cache_enabled=False)
 
-    def _features(self, windows: Tensor, knowledge: Tensor) -> Tensor:
+    def _features(self, patches: Tensor, knowledge: Tensor) -> Tensor:
         """(N, S, L) and (N, K) -> inputs of the LSTM."""
-        x = self.fusion.before_fc(self.encoder(windows), knowledge)
+        x = self.fusion.before_fc(self.encoder(patches), knowledge)
         return self.fusion.before_lstm(torch.relu(self.fc(x)), knowledge)
 
     def _heads(self, hidden: Tensor, knowledge: Tensor) -> tuple[Tensor, Tensor]:

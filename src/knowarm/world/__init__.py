@@ -1,6 +1,6 @@
-"""MJCF files, seeds and actions go in; pictures, rewards and episodes come out.
+"""MJCF files, seeds and actions go in; images, rewards and episodes come out.
 
-The data's way: ``robots`` and ``objects`` -> ``scene`` -> ``simulation`` -> ``pictures`` (drawn by
+The data's way: ``robots`` and ``objects`` -> ``scene`` -> ``simulation`` -> ``images`` (drawn by
 ``raycast``) and ``rewards`` -> ``env``. Importing this package imports no simulator.
 """
 

@@ -54,7 +54,7 @@ class TargetColours:
 
 
 class Shown(NamedTuple):
-    """How k environments look: what ``Pictures.draw`` takes besides the poses."""
+    """How k environments look: what ``Renderer.draw`` takes besides the poses."""
 
     rgba: Array
     """Colours of the geoms, alpha 0 where one is hidden, (k, G, 4) float32."""
@@ -73,7 +73,7 @@ class AppearanceSource:
     """Computes how episodes look, on the CPU or on a device.
 
     Args:
-        scene: what stands in the picture.
+        scene: what stands in the image.
         randomization: what varies in it.
         place: puts the constants where looks will be computed; on the CPU by default.
     """

@@ -173,6 +173,6 @@ def attach_target(spec: mujoco.MjSpec, robot: Robot, target: Target) -> None:
 
 
 def _hide_sites(part: mujoco.MjSpec) -> None:
-    """Keep gripper and grasp frames out of every picture; viewers show group 5 when asked."""
+    """Keep gripper and grasp frames out of every image; viewers show group 5 when asked."""
     for site in part.sites:
         site.group = 5

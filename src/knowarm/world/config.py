@@ -42,7 +42,7 @@ class EnvConfig:
     """Maximum position increment, the largest joint step of an action [rad] (slides: [m])."""
 
     image_size: int = 64
-    """Width and height of the picture [px]."""
+    """Width and height of the image [px]."""
 
     renderer: Literal["raycast", "opengl"] = "raycast"
     """Our ray caster, or MuJoCo's own renderer as the (slow) reference."""
@@ -51,7 +51,7 @@ class EnvConfig:
     """Average several rays where a pixel holds an edge (ray caster only)."""
 
     randomization: VisualRandomization = field(default_factory=VisualRandomization)
-    """What varies in the picture besides the paper's colours: all off by default."""
+    """What varies in the image besides the paper's colours: all off by default."""
 
     held_out: HeldOut | None = None
     """Colours and places kept for a test of generalization; None keeps none."""

@@ -16,7 +16,7 @@ from knowarm.world.env import ACTION_LEVELS, ReachVectorEnv
 from knowarm.world.episodes import evaluation_episodes
 from knowarm.world.ik import InverseKinematics
 from knowarm.world.objects import TARGETS
-from knowarm.world.pictures import make_pictures
+from knowarm.world.render.renderer import make_renderer
 
 SAMPLES = 100
 MIN_REACHABLE = 0.99
@@ -42,7 +42,7 @@ class Check:
 
 
 def check_robot(path: Path | str, targets: Sequence[str] = tuple(TARGETS)) -> list[Check]:
-    """Check a robot's description: model, joints, gripper, picture, reach, visibility, servos.
+    """Check a robot's description: model, joints, gripper, image, reach, visibility, servos.
 
     Args:
         path: a TOML description, a name in ``ROBOTS``, or a bare MJCF file, for which the
@@ -190,21 +190,21 @@ def _check_reach(env: ReachVectorEnv) -> Check:
 
 
 def _check_visible(env: ReachVectorEnv) -> list[Check]:
-    """Pixels in which the picture with the target differs from the one without it."""
+    """Pixels in which the image with the target differs from the one without it."""
     scene, simulation = env.scene, env.simulation
-    pictures = make_pictures(scene, env.config, env.config.image_size)
+    images = make_renderer(scene, env.config, env.config.image_size)
     poses = simulation.geom_position, simulation.geom_matrix
-    hidden = pictures.draw(*poses, resting_colours(scene, SAMPLES)).astype(np.int16)
+    hidden = images.draw(*poses, resting_colours(scene, SAMPLES)).astype(np.int16)
     checks = []
     for c, colour in enumerate(scene.colour_names[0]):
         first = np.zeros(SAMPLES, dtype=np.int64)
-        shown = pictures.draw(*poses, TargetColours(scene)(first, np.full_like(first, c)))
+        shown = images.draw(*poses, TargetColours(scene)(first, np.full_like(first, c)))
         pixels = (np.abs(shown - hidden).max(axis=-1) > 25).sum(axis=(1, 2))
         few = float(np.percentile(pixels, 5))
         well = few >= MIN_PIXELS
         checks.append(
             Check(
-                name=f"{colour} {scene.targets[0].name} in the picture",
+                name=f"{colour} {scene.targets[0].name} in the image",
                 ok=well,
                 found=f"in {np.median(pixels):.0f} pixels (median), {few:.0f} (5th percentile)",
                 remedy=""

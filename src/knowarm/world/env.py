@@ -1,4 +1,4 @@
-"""Actions go in; pictures, rewards and infos of many reaching tasks at once come out."""
+"""Actions go in; images, rewards and infos of many reaching tasks at once come out."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ from knowarm.world.appearance import Appearance
 from knowarm.world.arguments import check_state, checked_actions, masked_ids, spread_seeds
 from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import Episodes, EpisodeSource
-from knowarm.world.pictures import Pictures, make_pictures
+from knowarm.world.render.renderer import Renderer, make_renderer
 from knowarm.world.rewards import is_success, measure, reward_terms
 from knowarm.world.scene import Scene, load_scene, target_places
 from knowarm.world.simulation import Simulation
@@ -24,13 +24,13 @@ ACTION_LEVELS = (0.0, 1.0, -1.0, 0.1, -0.1, 0.01, -0.01)
 """Joint increments of the seven actions, in units of MPI (paper, table 1)."""
 
 RENDER_SIZE = 480
-"""Side of the pictures ``render`` returns [px]."""
+"""Side of the images ``render`` returns [px]."""
 
 
 class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any]]):
     """n environments in which an arm reaches for one of several targets (paper, section 3).
 
-    Observations are uint8 pictures (n, H, W, 3), actions int64 (n, J) that index
+    Observations are uint8 images (n, H, W, 3), actions int64 (n, J) that index
     ``ACTION_LEVELS``. Environment i of a vector seeded s plays the stream of episodes s + i, so an
     episode is the same at any n. Every array is new at every call and belongs to the caller.
 
@@ -40,11 +40,11 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
     Args:
         config: the task.
         num_envs: n.
-        num_threads: threads of physics and pictures, 0 for one a core.
+        num_threads: threads of physics and images, 0 for one a core.
         autoreset: Gymnasium's mode; SAME_STEP also gives ``final_obs`` and ``final_info``.
 
     Attributes:
-        pictures: what draws the observations; anything with its ``draw`` may take its place.
+        images: what draws the observations; anything with its ``draw`` may take its place.
         facets: (target, colour) names, targets in config order, colours in theirs.
         facet_ids: facet of the episode now running, (n,) int64.
     """
@@ -71,13 +71,13 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
             config.robot, tuple(config.targets), config.randomization.distractors
         )
         self.simulation = Simulation(self.scene, num_envs, num_threads, config.dynamics)
-        self.pictures: Pictures = make_pictures(self.scene, config, config.image_size, num_threads)
-        self._large_pictures: Pictures | None = None
+        self.renderer: Renderer = make_renderer(self.scene, config, config.image_size, num_threads)
+        self._large_renderer: Renderer | None = None
         self._increments = config.mpi_rad * np.array(ACTION_LEVELS)
         self.facets, self._first_facet = list_facets(self.scene, config)
 
-        self._picture_shape = (config.image_size, config.image_size, 3)
-        self.single_observation_space = spaces.Box(0, 255, self._picture_shape, np.uint8)
+        self._image_shape = (config.image_size, config.image_size, 3)
+        self.single_observation_space = spaces.Box(0, 255, self._image_shape, np.uint8)
         self.single_action_space = spaces.MultiDiscrete(
             np.full(self.scene.num_joints, len(ACTION_LEVELS))
         )
@@ -177,7 +177,7 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
                 "that are reset; give one each."
             )
         self._measure()
-        return self._draw_pictures(), self._infos()
+        return self._render_images(), self._infos()
 
     def step(
         self, actions: ArrayLike
@@ -218,7 +218,7 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
             final = self._final_infos(self._ended)
             self._start_next(np.flatnonzero(self._ended))
             self._measure()
-        return self._draw_pictures(), rewards, terminated, truncated, self._infos() | final
+        return self._render_images(), rewards, terminated, truncated, self._infos() | final
 
     def advance(
         self, actions: ArrayLike, active: NDArray[np.bool_]
@@ -233,24 +233,24 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
 
         Args:
             actions: (n, J) integers in 0..6.
-            active: (n,) bool, the environments whose pictures are wanted; the others' are black.
+            active: (n,) bool, the environments whose images are wanted; the others' are black.
         """
         self._move(actions)
         rewards, terminated, truncated = self._judge()
         self._ended = terminated | truncated
-        pictures = np.zeros((self.num_envs, *self._picture_shape), dtype=np.uint8)
+        images = np.zeros((self.num_envs, *self._image_shape), dtype=np.uint8)
         ids = np.flatnonzero(active)
         if len(ids):
-            pictures[ids] = self._draw_pictures(ids)
-        return pictures, rewards, terminated, truncated, self._infos()
+            images[ids] = self._render_images(ids)
+        return images, rewards, terminated, truncated, self._infos()
 
     def render(self) -> tuple[NDArray[np.uint8], ...]:
-        """Draw the policy's view of each environment, large: n pictures (480, 480, 3) uint8."""
-        if self._large_pictures is None:
-            self._large_pictures = make_pictures(self.scene, self.config, RENDER_SIZE)
+        """Draw the policy's view of each environment, large: n images (480, 480, 3) uint8."""
+        if self._large_renderer is None:
+            self._large_renderer = make_renderer(self.scene, self.config, RENDER_SIZE)
         simulation = self.simulation
         return tuple(
-            self._large_pictures.draw(
+            self._large_renderer.draw(
                 simulation.geom_position,
                 simulation.geom_matrix,
                 *self._appearance.of(slice(None)),
@@ -343,9 +343,9 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
             self._distance, self._angle, config.success_distance_m, config.success_angle_deg
         )
 
-    def _draw_pictures(self, ids: NDArray[np.intp] | slice = slice(None)) -> NDArray[np.uint8]:
+    def _render_images(self, ids: NDArray[np.intp] | slice = slice(None)) -> NDArray[np.uint8]:
         simulation = self.simulation
-        return self.pictures.draw(
+        return self.renderer.draw(
             simulation.geom_position[ids], simulation.geom_matrix[ids], *self._appearance.of(ids)
         )
 
@@ -363,16 +363,16 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
         return infos | {f"_{name}": everywhere for name in infos}
 
     def _final_infos(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
-        """Last pictures and metrics of the episodes that ended, as Gymnasium documents them."""
+        """Last images and metrics of the episodes that ended, as Gymnasium documents them."""
         ids = np.flatnonzero(ended)
-        pictures = np.full(self.num_envs, None, dtype=object)
-        pictures[ids] = np.fromiter(self._draw_pictures(ids), dtype=object, count=len(ids))
+        images = np.full(self.num_envs, None, dtype=object)
+        images[ids] = np.fromiter(self._render_images(ids), dtype=object, count=len(ids))
         infos = self._infos()
         final = {
             name: np.where(ended, values, 0).astype(values.dtype) for name, values in infos.items()
         }
         return {
-            "final_obs": pictures,
+            "final_obs": images,
             "_final_obs": ended.copy(),
             "final_info": final,
             "_final_info": ended.copy(),

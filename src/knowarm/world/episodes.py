@@ -34,7 +34,7 @@ class Episodes:
     """Index into the target's colours, (n,)."""
 
     look: NDArray[np.float64]
-    """Uniform draws of what varies in the picture, (n, L); L = 0 when nothing does."""
+    """Uniform draws of what varies in the image, (n, L); L = 0 when nothing does."""
 
     def __len__(self) -> int:
         return len(self.target)
@@ -52,7 +52,7 @@ class EpisodeSource:
 
     Args:
         scene: the robot and targets.
-        config: which colours and places are drawn, and how many draws the picture takes.
+        config: which colours and places are drawn, and how many draws the image takes.
         place: puts the constants where episodes will be drawn; on the CPU by default.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Pictures and a knowledge table go in; ``Dict(image, knowledge)`` observations come out."""
+"""Images and a knowledge table go in; ``Dict(image, knowledge)`` observations come out."""
 
 from typing import Any, cast
 
@@ -17,7 +17,7 @@ Observation = dict[str, NDArray[Any]]
 
 
 class KnowledgeObservation(gymnasium.Wrapper):
-    """Adds the knowledge vector of the running episode to a ``ReachEnv``'s picture.
+    """Adds the knowledge vector of the running episode to a ``ReachEnv``'s image.
 
     Args:
         env: a reaching environment.
@@ -37,16 +37,16 @@ class KnowledgeObservation(gymnasium.Wrapper):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Start an episode; see ``ReachEnv.reset``."""
-        picture, info = self.env.reset(seed=seed, options=options)
-        return self._observe(picture, info), info
+        image, info = self.env.reset(seed=seed, options=options)
+        return self._observe(image, info), info
 
     def step(self, action: Any) -> tuple[Observation, Any, bool, bool, dict[str, Any]]:
         """Play one step; see ``ReachEnv.step``."""
-        picture, reward, terminated, truncated, info = self.env.step(action)
-        return self._observe(picture, info), reward, terminated, truncated, info
+        image, reward, terminated, truncated, info = self.env.step(action)
+        return self._observe(image, info), reward, terminated, truncated, info
 
-    def _observe(self, picture: NDArray[np.uint8], info: dict[str, Any]) -> Observation:
-        return {"image": picture, "knowledge": self._table[info["facet"]].copy()}
+    def _observe(self, image: NDArray[np.uint8], info: dict[str, Any]) -> Observation:
+        return {"image": image, "knowledge": self._table[info["facet"]].copy()}
 
 
 class VectorKnowledgeObservation(VectorWrapper):
@@ -66,24 +66,24 @@ class VectorKnowledgeObservation(VectorWrapper):
         options: dict[str, Any] | None = None,
     ) -> tuple[Observation, dict[str, Any]]:
         """Start episodes; see ``ReachVectorEnv.reset``."""
-        pictures, infos = self.env.reset(seed=cast(int, seed), options=options)
-        return self._observe(pictures, infos), infos
+        images, infos = self.env.reset(seed=cast(int, seed), options=options)
+        return self._observe(images, infos), infos
 
     def step(
         self, actions: Any
     ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
         """Play one step; see ``ReachVectorEnv.step``."""
-        pictures, rewards, terminated, truncated, infos = self.env.step(actions)
+        images, rewards, terminated, truncated, infos = self.env.step(actions)
         if self.env.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP and "final_obs" in infos:
             final = infos["final_obs"].copy()
             for i in np.flatnonzero(infos["_final_obs"]):
                 facet = infos["final_info"]["facet"][i]
                 final[i] = {"image": final[i], "knowledge": self._table[facet].copy()}
             infos = infos | {"final_obs": final}
-        return self._observe(pictures, infos), rewards, terminated, truncated, infos
+        return self._observe(images, infos), rewards, terminated, truncated, infos
 
-    def _observe(self, pictures: NDArray[np.uint8], infos: dict[str, Any]) -> Observation:
-        return {"image": pictures, "knowledge": self._table[infos["facet"]]}
+    def _observe(self, images: NDArray[np.uint8], infos: dict[str, Any]) -> Observation:
+        return {"image": images, "knowledge": self._table[infos["facet"]]}
 
 
 def _checked_table(table: ArrayLike, facets: tuple[tuple[str, str], ...]) -> NDArray[np.float32]:
@@ -98,6 +98,6 @@ def _checked_table(table: ArrayLike, facets: tuple[tuple[str, str], ...]) -> NDA
 
 
 def _with_knowledge(image: spaces.Space, table: NDArray[np.float32]) -> spaces.Dict:
-    """Space of the picture beside a vector; its bounds are those of float32, as tables vary."""
+    """Space of the image beside a vector; its bounds are those of float32, as tables vary."""
     knowledge = spaces.Box(-np.inf, np.inf, (table.shape[1],), np.float32)
     return spaces.Dict({"image": image, "knowledge": knowledge})

@@ -1,6 +1,6 @@
 """Uniform draws of an episode go in; its light, camera, surface colours and distractors come out.
 
-It changes pictures only, never what a robot can reach.
+It changes images only, never what a robot can reach.
 """
 
 import math

@@ -8,11 +8,11 @@ from knowarm.world.ik import InverseKinematics
 
 
 class OracleAgent:
-    """Looks at the grasp frame, not at the picture, and goes there by inverse kinematics.
+    """Looks at the grasp frame, not at the image, and goes there by inverse kinematics.
 
     It finds joint angles for the grasp frame once an episode and then, every step, takes for each
     joint the action that brings it nearest to them. It shows that a task can be solved with the
-    seven actions; the score of an agent that sees pictures stands beside its.
+    seven actions; the score of an agent that sees images stands beside its.
     """
 
     def __init__(self, seed: int = 0) -> None:

@@ -17,7 +17,7 @@ class Agent(Protocol):
         """Forget the past: the episodes of ``env`` were just reset."""
 
     def act(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:
-        """Choose actions (n, J) in 0..6 from pictures (n, H, W, 3)."""
+        """Choose actions (n, J) in 0..6 from images (n, H, W, 3)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +97,7 @@ def play(
         env: the environment; its running episodes are left behind.
         episodes: what to play, N.
         record_steps: keep every step's joints, actions and metrics.
-        record_images: keep the pictures of so many episodes, from the first.
+        record_images: keep the images of so many episodes, from the first.
     """
     chunks = [
         _play_chunk(agent, env, episodes, first, record_steps, record_images)
@@ -130,7 +130,7 @@ def _play_chunk(
     agent.start(env)
 
     filmed = min(count, max(0, record_images - first))
-    films = [[picture] for picture in observations[:filmed].copy()]
+    films = [[image] for image in observations[:filmed].copy()]
     active = np.arange(n) < count
     result = {
         "episode_return": np.zeros(n),

@@ -79,9 +79,9 @@ def write_strip(path: Path, episodes: Sequence[Sequence[Frame]], columns: int = 
     """Write a film strip: a row an episode, moments evenly spaced from start to end.
 
     Args:
-        path: a picture file; its suffix names the format.
+        path: a image file; its suffix names the format.
         episodes: frames of each episode.
-        columns: pictures a row.
+        columns: images a row.
 
     Raises:
         UserError: the file cannot be written.
@@ -97,8 +97,8 @@ def write_strip(path: Path, episodes: Sequence[Sequence[Frame]], columns: int = 
         for column, index in enumerate(chosen):
             frame = frames[index]
             left = _MARGIN + column * (side + _MARGIN)
-            picture = Image.fromarray(frame.large).resize((side, side), Image.Resampling.LANCZOS)
-            strip.paste(picture, (left, top))
+            image = Image.fromarray(frame.large).resize((side, side), Image.Resampling.LANCZOS)
+            strip.paste(image, (left, top))
             draw.text((left, top + side + 5), _caption(frame), _INK, font)
     _save(path, lambda: strip.save(path))
 
@@ -128,15 +128,15 @@ def write_video(path: Path, episodes: Sequence[Sequence[Frame]]) -> None:
             stream.options = {"crf": "20"}
             for frames in episodes:
                 for frame in [*frames, *[frames[-1]] * _LAST_FRAMES]:
-                    picture = av.VideoFrame.from_ndarray(_side_by_side(frame), format="rgb24")
-                    container.mux(stream.encode(picture))
+                    image = av.VideoFrame.from_ndarray(_side_by_side(frame), format="rgb24")
+                    container.mux(stream.encode(image))
             container.mux(stream.encode())
 
     _save(path, write)
 
 
 def _side_by_side(frame: Frame) -> NDArray[np.uint8]:
-    """The policy's picture with visible pixels, and the large one: (H, W, 3), sides even."""
+    """The policy's image with visible pixels, and the large one: (H, W, 3), sides even."""
     sheet = Image.new("RGB", (2 * RENDER_SIZE + 3 * _MARGIN, RENDER_SIZE + 44), _PAPER)
     size = (RENDER_SIZE, RENDER_SIZE)
     small = Image.fromarray(frame.policy).resize(size, Image.Resampling.NEAREST)

@@ -96,7 +96,7 @@ class Robot:
     """Position of the fixed camera [m]."""
 
     camera_look_at_m: tuple[float, float, float]
-    """Point in the middle of the picture [m]."""
+    """Point in the middle of the image [m]."""
 
     camera_fovy_deg: float
     """Vertical field of view [deg]."""

@@ -140,7 +140,7 @@ def build_scene(robot: Robot, targets: Sequence[Target], distractors: int = 0) -
 
     Raises:
         UserError: an MJCF does not compile, a named joint, site or geom is missing, a joint has no
-            range, or a target can stand outside the picture.
+            range, or a target can stand outside the image.
     """
     model = compose(robot, targets, distractors).compile()
     joint_ids = [model.joint(ROBOT_PREFIX + name).id for name in robot.joints]
@@ -200,7 +200,7 @@ def build_scene(robot: Robot, targets: Sequence[Target], distractors: int = 0) -
         grasp_position=grasp_position,
         grasp_matrix=grasp_matrix,
     )
-    _check_in_picture(scene)
+    _check_in_image(scene)
     return scene
 
 
@@ -212,10 +212,10 @@ def target_places(scene: Scene, position: Array) -> Array:
 
 
 def project(scene: Scene, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Project world points (n, 3) [m] into the square picture.
+    """Project world points (n, 3) [m] into the square image.
 
     Returns:
-        (n, 2): right and up from the middle of the picture, in half picture widths: inside is
+        (n, 2): right and up from the middle of the image, in half image widths: inside is
         -1 to 1. Points behind the camera come out as NaN.
     """
     local = (points - scene.camera_position) @ scene.camera_matrix
@@ -243,8 +243,8 @@ def _target_mocap(model: mujoco.MjModel, targets: Sequence[Target]) -> NDArray[n
     return model.body_mocapid[model.body_rootid[bodies]].astype(np.intp)
 
 
-def _check_in_picture(scene: Scene) -> None:
-    """Refuse a rectangle from whose corners a grasp point would be outside the picture."""
+def _check_in_image(scene: Scene) -> None:
+    """Refuse a rectangle from whose corners a grasp point would be outside the image."""
     robot = scene.robot
     centre, half = np.array(robot.rectangle_centre_m), np.array(robot.rectangle_half_size_m)
     signs = np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)])
@@ -256,7 +256,7 @@ def _check_in_picture(scene: Scene) -> None:
             x, y, _ = corners[int(np.argmin(inside))]
             raise UserError(
                 f"Robot {robot.name!r}: target {target.name!r} standing at x {x:.3f}, y {y:.3f} m "
-                "has its grasp point outside the picture. Allowed are rectangles "
+                "has its grasp point outside the image. Allowed are rectangles "
                 "(rectangle_centre_m, rectangle_half_size_m) that camera_position_m, "
                 "camera_look_at_m and camera_fovy_deg show whole: widen the view or shrink the "
                 "rectangle."

@@ -1,4 +1,4 @@
-"""One action goes in; one picture and reward come out: Gymnasium's plain ``Env``."""
+"""One action goes in; one image and reward come out: Gymnasium's plain ``Env``."""
 
 from typing import Any
 
@@ -16,7 +16,7 @@ class ReachEnv(gymnasium.Env[NDArray[np.uint8], NDArray[np.int64]]):
     """A reaching task as ``gymnasium.make`` gives it: ``ReachVectorEnv`` with n = 1.
 
     Args:
-        render_mode: "rgb_array" lets ``render`` return a large picture; None draws none.
+        render_mode: "rgb_array" lets ``render`` return a large image; None draws none.
         options: fields of ``EnvConfig``.
     """
 
@@ -49,18 +49,16 @@ class ReachEnv(gymnasium.Env[NDArray[np.uint8], NDArray[np.int64]]):
     ) -> tuple[NDArray[np.uint8], dict[str, Any]]:
         """Start a new episode; options may hold "episodes", an ``Episodes`` of length 1."""
         super().reset(seed=seed)
-        pictures, infos = self._vector.reset(seed=seed, options=options)
-        return pictures[0], _first(infos)
+        images, infos = self._vector.reset(seed=seed, options=options)
+        return images[0], _first(infos)
 
     def step(
         self, action: NDArray[np.int64]
     ) -> tuple[NDArray[np.uint8], float, bool, bool, dict[str, Any]]:
         """Play one step; action is (J,) integers in 0..6."""
-        pictures, rewards, terminated, truncated, infos = self._vector.step(
-            np.asarray(action)[None]
-        )
+        images, rewards, terminated, truncated, infos = self._vector.step(np.asarray(action)[None])
         return (
-            pictures[0],
+            images[0],
             float(rewards[0]),
             bool(terminated[0]),
             bool(truncated[0]),
@@ -84,7 +82,7 @@ def make_vector_env(
 
     Args:
         num_envs: n.
-        num_threads: threads of physics and pictures, 0 for one a core.
+        num_threads: threads of physics and images, 0 for one a core.
         autoreset: Gymnasium's mode.
         render_mode: "rgb_array", or None.
         device: None for ``ReachVectorEnv``, which takes and gives NumPy arrays; "cuda", or "cpu"
@@ -100,7 +98,7 @@ def make_vector_env(
     if (num_threads, autoreset, render_mode) != (0, AutoresetMode.SAME_STEP, None):
         raise UserError(
             f"With device {device!r} environments begin anew in the same step, without threads and "
-            f"large pictures; got num_threads {num_threads}, autoreset {autoreset.value} and "
+            f"large images; got num_threads {num_threads}, autoreset {autoreset.value} and "
             f"render_mode {render_mode!r}. Leave these out, or leave out device."
         )
     # Torch and Warp take seconds to import; NumPy's environment needs neither.

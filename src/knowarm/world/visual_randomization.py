@@ -1,4 +1,4 @@
-"""By how much the picture varies goes in, checked; all of it is off by default."""
+"""By how much the image varies goes in, checked; all of it is off by default."""
 
 from dataclasses import dataclass
 

@@ -27,7 +27,7 @@ FAST = A3CConfig(
     rollout_steps=6,
     learning_rate=3e-3,
     gamma=0.5,
-    trace_decay=1.0,
+    gae_lambda=1.0,
     log_every_steps=960,
 )
 

@@ -20,7 +20,7 @@ class Pair:
 
 
 def make_pair(device: str, count: int = COUNT, **options: Any) -> Pair:
-    """Build a pair of environments of small pictures and short episodes."""
+    """Build a pair of environments of small images and short episodes."""
     config = EnvConfig(
         **{"image_size": 16, "max_episode_steps": EPISODE_STEPS, "colours": "randomized"} | options
     )

@@ -99,7 +99,7 @@ def test_no_environments_are_refused() -> None:
 
 
 @pytest.mark.parametrize("robot", ["irb120", "tiago"])
-def test_memory_grows_with_environments_and_pictures(robot: str) -> None:
+def test_memory_grows_with_environments_and_images(robot: str) -> None:
     config = EnvConfig(robot=robot)
     scene = load_scene(robot, tuple(config.targets))
     one, many = memory_needed(scene, config, 1), memory_needed(scene, config, 1001)

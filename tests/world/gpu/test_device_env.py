@@ -1,4 +1,4 @@
-"""Tensors on a device play what NumPy plays: episodes, poses, rewards and pictures."""
+"""Tensors on a device play what NumPy plays: episodes, poses, rewards and images."""
 
 import numpy as np
 import pytest
@@ -144,14 +144,14 @@ def test_an_environment_that_goes_on_is_not_disturbed_by_those_that_begin(pair: 
         )
     before, positions = device.get_state(), device.joint_positions
     mask = torch.tensor([False, True, True, False, False, False])
-    pictures = device.reset(options={"reset_mask": mask})[0]
+    images = device.reset(options={"reset_mask": mask})[0]
     after = device.get_state()
     kept = ~mask.numpy()
     for name, values in before.items():
         assert (after[name][kept] == values[kept]).all(), name
     assert device.joint_positions[kept].equal(positions[kept])
     assert (after["steps"] == np.where(kept, 4, 0)).all()
-    assert pictures.float().std() > 5
+    assert images.float().std() > 5
 
 
 def test_state_goes_on_to_the_byte(pair: Pair) -> None:
@@ -187,7 +187,7 @@ def test_spaces_and_results_are_what_gymnasium_promises(pair: Pair) -> None:
     assert observation.device == device.device
     stay = torch.zeros(host.action_space.shape, dtype=torch.int64, device=device.device)
     later = device.step(stay)[0]
-    assert later.data_ptr() != observation.data_ptr(), "a new picture at every call"
+    assert later.data_ptr() != observation.data_ptr(), "a new image at every call"
 
 
 @pytest.mark.parametrize(

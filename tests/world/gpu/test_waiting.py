@@ -52,8 +52,8 @@ def test_no_operation_of_a_step_waits(options: dict, monkeypatch: pytest.MonkeyP
     env = make_pair("cpu", dynamics="kinematic", **options).device
     env.reset(seed=0)
     stay = torch.zeros((6, 6), dtype=torch.int64)
-    # What only the CPU does: pictures of chosen environments, and a look at actions and overflows.
-    monkeypatch.setattr(env.pictures, "draw", lambda *args, **kwargs: None)
+    # What only the CPU does: images of chosen environments, and a look at actions and overflows.
+    monkeypatch.setattr(env.renderer, "draw", lambda *args, **kwargs: None)
     monkeypatch.setattr(device_env, "check_actions", lambda *args: None)
     monkeypatch.setattr(env.simulation, "check_overflow", lambda: None)
     with Recorder() as recorder:

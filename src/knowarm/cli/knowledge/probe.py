@@ -51,6 +51,6 @@ class ProbeCommand(SceneOptions):
             print(f"Every pair of facets is told apart: all cosines below {NEARLY_SAME}.")
         if self.svg is not None:
             note = f"the largest of two different facets: {found.largest:.3f}"
-            picture = heatmap_svg(found.cosine, found.slots, f"Cosine of facets: {what}", note)
-            write_text(self.svg, picture)
+            image = heatmap_svg(found.cosine, found.slots, f"Cosine of facets: {what}", note)
+            write_text(self.svg, image)
         write_json_table(self.json, found.describe())

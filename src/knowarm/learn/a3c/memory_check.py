@@ -8,8 +8,8 @@ from knowarm.learn.config import A3CConfig
 PROCESS_BYTES = 160 * 2**20
 """Private memory of one worker before its environments; measured (docs/learning.md)."""
 
-PICTURE_COPIES = 12
-"""Memory of a gradient step as a multiple of the rollout's pictures in bytes; measured (11)."""
+IMAGE_COPIES = 12
+"""Memory of a gradient step as a multiple of the rollout's images in bytes; measured (11)."""
 
 
 def check_memory(config: A3CConfig, *, image_bytes: int, parameters: int) -> None:
@@ -17,13 +17,13 @@ def check_memory(config: A3CConfig, *, image_bytes: int, parameters: int) -> Non
 
     Args:
         config: number of workers and environments.
-        image_bytes: size of one picture.
+        image_bytes: size of one image.
         parameters: P; a worker holds values, gradient and temporaries of that size.
 
     Raises:
         UserError: naming the number of workers that would fit.
     """
-    rollout = config.rollout_steps * config.envs_per_worker * image_bytes * PICTURE_COPIES
+    rollout = config.rollout_steps * config.envs_per_worker * image_bytes * IMAGE_COPIES
     each = PROCESS_BYTES + rollout + 5 * 4 * parameters
     available = psutil.virtual_memory().available
     fitting = max(0, int(available // each) - 1)

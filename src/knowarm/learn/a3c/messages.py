@@ -58,7 +58,7 @@ class Record:
     policy_loss: float
     value_loss: float
     entropy: float
-    gradient_norm: float
+    grad_norm: float
     episodes: FinishedEpisodes
 
 

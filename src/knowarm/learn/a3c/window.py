@@ -18,7 +18,7 @@ class Window:
     policy_loss: float = 0.0
     value_loss: float = 0.0
     entropy: float = 0.0
-    gradient_norm: float = 0.0
+    grad_norm: float = 0.0
     episodes: int = 0
     episode_return: float = 0.0
     episode_length: int = 0
@@ -30,7 +30,7 @@ class Window:
         self.steps += record.steps
         self.stale += record.staleness > 0
         self.staleness += record.staleness
-        for name in ("policy_loss", "value_loss", "entropy", "gradient_norm"):
+        for name in ("policy_loss", "value_loss", "entropy", "grad_norm"):
             setattr(self, name, getattr(self, name) + getattr(record, name))
         self.episodes += len(record.episodes.length)
         self.episode_return += float(record.episodes.episode_return.sum())
@@ -48,7 +48,7 @@ class Window:
             row["return_mean"] = self.episode_return / self.episodes
             row["length_mean"] = self.episode_length / self.episodes
             row["success"] = self.successes / self.episodes
-        for name in ("policy_loss", "value_loss", "entropy", "gradient_norm"):
+        for name in ("policy_loss", "value_loss", "entropy", "grad_norm"):
             row[name] = getattr(self, name) / self.updates
         row["updates"] = self.updates
         row["stale_share"] = self.stale / self.updates

@@ -55,7 +55,9 @@ class Worker:
         self._shared = shared
         self._connection = connection
         self._policy = Policy(job.policy)
-        self._policy.precision = resolve_precision(job.config.precision, torch.device("cpu"))
+        self._policy.matmul_precision = resolve_precision(
+            job.config.matmul_precision, torch.device("cpu")
+        )
         self._flat = FlatParameters(self._policy)
         self._table = torch.tensor(job.table, dtype=torch.float32)
         env = job.make_env(self.config.envs_per_worker, 1)
@@ -99,7 +101,7 @@ class Worker:
         loss = self._loss()
         self._flat.gradient.zero_()
         loss.total.backward()
-        norm = self._flat.clip_gradient(config.max_gradient_norm)
+        norm = self._flat.clip_gradient(config.max_grad_norm)
         self._guard.check_update(self._policy, loss, norm, int(shared.steps.sum()) + steps, rollout)
         staleness = int(shared.updates.sum()) - seen
         rmsprop_update(
@@ -119,7 +121,7 @@ class Worker:
                 policy_loss=float(loss.policy.detach()),
                 value_loss=float(loss.value.detach()),
                 entropy=float(loss.entropy.detach()),
-                gradient_norm=float(norm),
+                grad_norm=float(norm),
                 episodes=self._collector.statistics.take(),
             )
         )
@@ -130,11 +132,11 @@ class Worker:
         reward = rollout.reward * config.reward_scale
         following = rollout.following()
         advantage = advantages(
-            reward, rollout.value, following, rollout.done, config.gamma, config.trace_decay
+            reward, rollout.value, following, rollout.done, config.gamma, config.gae_lambda
         )
         returns = n_step_returns(reward, following, rollout.done, config.gamma)
         logits, values, _ = self._policy.unroll(
-            rollout.windows,
+            rollout.patches,
             self._table[rollout.facet],
             rollout.start_state,
             rollout.episode_start,
@@ -145,8 +147,8 @@ class Worker:
             rollout.action,
             advantage,
             returns,
-            value_weight=config.value_weight,
-            entropy_weight=config.entropy_weight,
+            vf_coef=config.vf_coef,
+            ent_coef=config.ent_coef,
         )
 
     def _ask_for_evaluation(self) -> None:

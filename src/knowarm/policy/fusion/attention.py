@@ -11,7 +11,7 @@ from knowarm.policy.initialization import orthogonal
 
 
 class Attention(Fusion):
-    """Cross-attention: the picture's features ask, the slots of the knowledge answer.
+    """Cross-attention: the image's features ask, the slots of the knowledge answer.
 
     ``q = W_q x``, ``k_s = W_k slot_s``, ``v_s = W_v slot_s``; the answer
     ``sum_s softmax_s(q . k_s / sqrt(d)) v_s`` stands beside the LSTM's inputs.

@@ -1,4 +1,4 @@
-"""Actions go in; pictures, rewards and infos of many reaching tasks come out, all on one device."""
+"""Actions go in; images, rewards and infos of many reaching tasks come out, all on one device."""
 
 from functools import cached_property
 from typing import Any
@@ -20,9 +20,9 @@ from knowarm.world.gpu.actions import check_actions
 from knowarm.world.gpu.device import find_device
 from knowarm.world.gpu.measure import measure
 from knowarm.world.gpu.memory import check_memory, free_memory
-from knowarm.world.gpu.pictures import make_device_pictures
 from knowarm.world.gpu.running import RunningEpisodes
 from knowarm.world.gpu.simulation import DeviceSimulation
+from knowarm.world.render.torch_renderer import make_torch_renderer
 from knowarm.world.rewards import is_success, reward_terms
 from knowarm.world.scene import Scene, load_scene
 
@@ -34,10 +34,10 @@ class DeviceReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
     On a GPU ``step`` only launches kernels, on torch's current stream: it waits for nothing, and
     an environment that does not begin anew is computed all the same and left as it was.
 
-    Observations are uint8 pictures (n, H, W, 3), new at every call. Infos are tensors (n,), named
+    Observations are uint8 images (n, H, W, 3), new at every call. Infos are tensors (n,), named
     as ``ReachVectorEnv``'s; ``step`` always adds
 
-    - "final_obs": (n, H, W, 3) uint8, the last picture of each episode that was truncated. The
+    - "final_obs": (n, H, W, 3) uint8, the last image of each episode that was truncated. The
       others' are undefined, and the next step overwrites all of them.
     - "_final_obs": (n,) bool, where an episode was truncated.
     - "final_info": the infos before new episodes began, valid where an episode ended.
@@ -76,7 +76,7 @@ class DeviceReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         self.single_action_space = spaces.MultiDiscrete(np.full(joints, len(ACTION_LEVELS)))
         self.action_space = batch_space(self.single_action_space, n)
 
-        self.pictures = make_device_pictures(scene, config, self.device)
+        self.renderer = make_torch_renderer(scene, config, self.device)
         self.simulation = DeviceSimulation(scene, n, self.device, config.dynamics)
         self.running = RunningEpisodes(scene, config, n, self.device)
         place = self._place
@@ -88,15 +88,13 @@ class DeviceReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         self._everywhere = torch.ones(n, dtype=torch.bool, device=self.device)
         self._steps = torch.zeros(n, dtype=torch.int64, device=self.device)
         self._joint_targets = torch.zeros((n, joints), dtype=torch.float32, device=self.device)
-        self._final_pictures = torch.zeros(
-            (n, side, side, 3), dtype=torch.uint8, device=self.device
-        )
+        self._final_images = torch.zeros((n, side, side, 3), dtype=torch.uint8, device=self.device)
         self._start(self._everywhere, self.running.start_next(self._everywhere))
         self._measure()
 
     @cached_property
     def observation_space(self) -> spaces.Box:  # type: ignore[override]
-        """Space of the observations; made when asked for, as its bounds fill n pictures' memory."""
+        """Space of the observations; made when asked for, as its bounds fill n images' memory."""
         space = batch_space(self.single_observation_space, self.num_envs)
         assert isinstance(space, spaces.Box)
         return space
@@ -190,13 +188,13 @@ class DeviceReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         ended = terminated | truncated
 
         final = self._infos(ended)
-        self.pictures.draw(
-            self.simulation, self.running.shown, self._final_pictures, wanted=truncated
+        self.renderer.draw(
+            self.simulation, self.running.shown, self._final_images, wanted=truncated
         )
         self._start(ended, self.running.start_next(ended))
         self._measure()
         infos = self._infos(self._everywhere) | {
-            "final_obs": self._final_pictures,
+            "final_obs": self._final_images,
             "_final_obs": truncated,
             "final_info": final,
             "_final_info": ended,
@@ -259,8 +257,8 @@ class DeviceReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
 
     def _draw(self) -> Tensor:
         """Draw every environment as it is now, into a new tensor."""
-        out = torch.empty_like(self._final_pictures)
-        self.pictures.draw(self.simulation, self.running.shown, out, wanted=None)
+        out = torch.empty_like(self._final_images)
+        self.renderer.draw(self.simulation, self.running.shown, out, wanted=None)
         return out
 
     def _infos(self, mask: Tensor) -> dict[str, Tensor]:

@@ -9,11 +9,11 @@ from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig
 from knowarm.world.gpu.device import import_warp
 from knowarm.world.gpu.simulation import make_data
-from knowarm.world.raycast.prepare import EXTENT, RECORD
+from knowarm.world.render.prepare import EXTENT, RECORD
 from knowarm.world.scene import Scene
 
-PICTURES = 3
-"""Pictures an environment keeps: the one given out last, the next, and the last of its episode."""
+IMAGES = 3
+"""Images an environment keeps: the one given out last, the next, and the last of its episode."""
 
 TENSOR_BYTES = 16 * 1024
 """Draws, looks and metrics of an environment, and what computing them takes for a while: at most
@@ -32,13 +32,13 @@ def memory_needed(scene: Scene, config: EnvConfig, num_envs: int) -> int:
 
     Args:
         scene: what is simulated and drawn.
-        config: side of the pictures.
+        config: side of the images.
         num_envs: n.
     """
     one, two = (_data_bytes(scene, count) for count in (1, 2))
-    picture = 3 * config.image_size**2
+    image = 3 * config.image_size**2
     prepared = 4 * (RECORD + EXTENT) * scene.model.ngeom
-    each = 2 * (two - one) + PICTURES * picture + prepared + TENSOR_BYTES
+    each = 2 * (two - one) + IMAGES * image + prepared + TENSOR_BYTES
     return num_envs * each + 2 * (2 * one - two)
 
 
@@ -47,7 +47,7 @@ def check_memory(scene: Scene, config: EnvConfig, num_envs: int, free: int) -> N
 
     Args:
         scene: what is simulated and drawn.
-        config: side of the pictures.
+        config: side of the images.
         num_envs: n.
         free: free bytes of the device.
 
@@ -64,7 +64,7 @@ def check_memory(scene: Scene, config: EnvConfig, num_envs: int, free: int) -> N
         f"{num_envs} environments of {config.image_size} x {config.image_size} pixels need about "
         f"{_gigabytes(needed)} of the GPU's memory, and {_gigabytes(free)} are free: up to {fit} "
         "fit, before the policy and its rollouts take theirs. Use fewer environments or smaller "
-        "pictures, or stop what else runs on the GPU."
+        "images, or stop what else runs on the GPU."
     )
 
 

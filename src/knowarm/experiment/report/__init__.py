@@ -1,5 +1,0 @@
-"""Run folders go in; one self-contained page, its JSON and its CSVs come out."""
-
-from knowarm.experiment.report.write import report
-
-__all__ = ["report"]

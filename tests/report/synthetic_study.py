@@ -1,0 +1,253 @@
+"""A truth goes in; run folders that trainings with this truth could have left come out."""
+
+import json
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from knowarm.config import to_dict
+from knowarm.experiment.evaluation_files import EPISODE_COLUMNS, step_columns, write_table
+from knowarm.experiment.evaluation_summary import summarize
+from knowarm.experiment.film import write_film
+from knowarm.experiment.run_folder import RunFolder
+from knowarm.knowledge import KNOWLEDGE, SceneEmbedding, scene_embedding
+
+FACETS = {
+    "fixed": [("mug", "red"), ("bottle", "yellow"), ("cereal_box", "brown")],
+    "randomized": [
+        ("mug", "red"),
+        ("mug", "blue"),
+        ("bottle", "yellow"),
+        ("bottle", "purple"),
+        ("cereal_box", "brown"),
+        ("cereal_box", "light_blue"),
+    ],
+}
+JOINTS = {"irb120": 6, "tiago": 7}
+LABEL = "post-training-greedy"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Truth:
+    """What is true of every agent of a study."""
+
+    success: dict[str, float]
+    """Mean success of each agent's trainings."""
+    spread: float = 0.05
+    """Standard deviation of success from training seed to training seed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Size:
+    """How much each run folder holds."""
+
+    points: int = 40
+    episodes: int = 200
+    films: int = 0
+    steps: bool = False
+    tables: bool = True
+    """Whether the Parquet files and the knowledge are written, or only what verdicts need."""
+    total_steps: int = 4_000_000
+    evaluation: dict[str, Any] = field(default_factory=dict)
+    """Fields of the evaluation's config that differ from the usual ones."""
+
+
+def env_of(robot: str = "irb120", colours: str = "fixed") -> dict[str, Any]:
+    """The task, as ``config.json`` has it."""
+    return {"robot": robot, "targets": ["mug", "bottle", "cereal_box"], "colours": colours}
+
+
+def write_study(
+    folder: Path,
+    truth: Truth,
+    *,
+    seeds: int,
+    robot: str = "irb120",
+    colours: str = "fixed",
+    seed: int = 0,
+    size: Size = Size(),
+) -> list[Path]:
+    """Write one run folder for each agent and training seed; returns their paths."""
+    generator = np.random.default_rng(seed)
+    paths = []
+    for agent, mean in truth.success.items():
+        for number in range(seeds):
+            path = folder / f"{robot}-{colours}-{agent}-ppo" / str(number)
+            level = float(np.clip(generator.normal(mean, truth.spread), 0.01, 0.99))
+            env = env_of(robot, colours)
+            write_run(path, agent, number, level, env=env, generator=generator, size=size)
+            paths.append(path)
+    return paths
+
+
+def write_run(
+    path: Path,
+    agent: str,
+    seed: int,
+    success: float,
+    *,
+    env: dict[str, Any] | None = None,
+    generator: np.random.Generator | None = None,
+    size: Size = Size(),
+    algorithm: str = "ppo",
+) -> Path:
+    """Write one whole run folder."""
+    env = env or env_of()
+    generator = generator or np.random.default_rng(seed)
+    folder = RunFolder.create(path)
+    facets = FACETS[env["colours"]]
+    known = KNOWLEDGE.get(agent, KNOWLEDGE["full"])
+    folder.write_json(
+        "config.json",
+        {
+            "format": 1,
+            "name": path.parent.name,
+            "agent": agent,
+            "seed": seed,
+            "env": env,
+            "knowledge": to_dict(known),
+            "network": {"fusion": "before_lstm", "wide": agent == "wide"},
+            "algorithm": {"name": algorithm, "learning_rate": 1e-3},
+            "total_steps": size.total_steps,
+        },
+    )
+    _write_curves(folder, success, generator, size)
+    if size.tables:
+        embedding = _embedding(agent, env["colours"])
+        table = embedding.table(facets)
+        folder.write_json("provenance.json", _provenance(embedding, facets))
+        folder.write_knowledge(table[:, :0] if agent == "wide" else table)
+    write_evaluation(path / "evaluation" / LABEL, agent, success, env, generator, size)
+    return path
+
+
+@lru_cache
+def _embedding(agent: str, colours: str) -> SceneEmbedding:
+    return scene_embedding(KNOWLEDGE.get(agent, KNOWLEDGE["full"]), FACETS[colours])
+
+
+def _provenance(embedding: SceneEmbedding, facets: list[tuple[str, str]]) -> dict[str, Any]:
+    hidden = 128 + embedding.dim
+    counts = {"encoder": 161_168, "memory": 8 * hidden * (hidden + 1), "heads": 43 * (hidden + 1)}
+    return {
+        "versions": {"knowarm": "0.1.0", "torch": "2.13.0", "mujoco": "4.0.0"},
+        "commit": "0123456789abcdef",
+        "machine": {"processor": "a processor", "cores": 2},
+        "parameter_counts": counts | {"total": sum(counts.values())},
+        "facets": facets,
+        "knowledge": embedding.describe(),
+    }
+
+
+def _write_curves(
+    folder: RunFolder, success: float, generator: np.random.Generator, size: Size
+) -> None:
+    ends = np.linspace(size.total_steps / size.points, size.total_steps, size.points).round()
+    share = success / (1 + np.exp(-8 * (ends / size.total_steps - 0.4)))
+    share = np.clip(share + generator.normal(0, 0.03, size.points), 0, 1)
+    lines = ["step,wall_time_s,return_mean,return_std,length_mean,success,accuracy,best"]
+    metrics = ["step,wall_time_s,steps_per_s,episodes,return_mean,policy_loss,entropy"]
+    best = -np.inf
+    for end, value in zip(ends, share, strict=True):
+        gain = -40 + 140 * value
+        cells = [f"{end:.0f}", f"{end / 2500:.1f}", f"{gain:.3f}"]
+        lines.append(",".join([*cells, "40", "30", *2 * [f"{value:.4f}"], str(int(gain > best))]))
+        metrics.append(
+            ",".join([*cells[:2], "2500", "40", cells[2], ".1", f"{11 - 5 * value:.3f}"])
+        )
+        best = max(best, gain)
+    folder.evaluations_path.write_text("\n".join(lines) + "\n")
+    folder.metrics_path.write_text("\n".join(metrics) + "\n")
+
+
+def write_evaluation(
+    folder: Path,
+    agent: str,
+    success: float,
+    env: dict[str, Any],
+    generator: np.random.Generator,
+    size: Size = Size(),
+) -> None:
+    """Write one evaluation folder in which about a share ``success`` of episodes succeeded."""
+    folder.mkdir(parents=True)
+    config = {
+        "episodes": size.episodes,
+        "seed": 1_000_003,
+        "seeds": 1,
+        "distance_m": 0.1,
+        "angle_deg": 17.0,
+        "wide_angle_deg": 20.0,
+        "actions": "greedy",
+    } | size.evaluation
+    known = {"format": 1, "agent": agent, "label": folder.name, "config": config, "env": env}
+    if not size.tables:
+        share = generator.binomial(size.episodes, success) / size.episodes
+        flat = {"success": share, "accuracy": share, "return_mean": 140 * share - 40}
+        (folder / "summary.json").write_text(json.dumps(known | {"episodes": size.episodes} | flat))
+        return
+    columns = _episodes(success, env, generator, size, int(config["seeds"]))
+    write_table(folder / "episodes.parquet", columns, EPISODE_COLUMNS)
+    if size.steps:
+        shift = 0.2 * (agent == "full")
+        _write_steps(folder, columns, JOINTS[env["robot"]], generator, shift)
+    for number in range(size.films):
+        write_film(folder / "films" / f"{number}.webp", _images(int(columns["length"][number])))
+    (folder / "summary.json").write_text(json.dumps(known | summarize(columns), indent=2))
+
+
+def _episodes(
+    success: float, env: dict[str, Any], generator: np.random.Generator, size: Size, seeds: int
+) -> dict[str, np.ndarray]:
+    count, facets = size.episodes, FACETS[env["colours"]]
+    which = np.random.default_rng(7).integers(0, len(facets), count)
+    reached = generator.random(count) < success
+    near, far = generator.uniform(0.02, 0.1, count), generator.uniform(0.08, 0.45, count)
+    length = np.where(reached, generator.integers(6, 40, count), 50)
+    distance = np.where(reached, near, far)
+    return {
+        "episode": np.arange(count),
+        "evaluation_seed": 1_000_003 + np.repeat(np.arange(seeds), count // seeds),
+        "target": np.array([facets[i][0] for i in which]),
+        "facet": np.array(["/".join(facets[i]) for i in which]),
+        "return": np.where(reached, 100.0, 0.0) - 0.5 * length,
+        "length": length,
+        "distance_m": distance,
+        "angle_deg": np.where(reached, 8.0, generator.uniform(5, 70, count)),
+        "success": reached,
+        "accurate": distance <= 0.1,
+        "success_wide": reached,
+    }
+
+
+def _write_steps(
+    folder: Path,
+    episodes: dict[str, np.ndarray],
+    joints: int,
+    generator: np.random.Generator,
+    shift: float,
+) -> None:
+    lengths = episodes["length"]
+    total = int(lengths.sum())
+    columns = {
+        "episode": np.repeat(episodes["episode"], lengths),
+        "step": np.concatenate([np.arange(1, n + 1) for n in lengths]),
+        "distance_m": generator.uniform(0, 0.4, total),
+        "angle_deg": generator.uniform(0, 90, total),
+        "reward": generator.uniform(-1, 0, total),
+    }
+    for i in range(1, joints + 1):
+        columns[f"joint_{i}_rad"] = generator.normal(shift * i / 2, 0.5 - shift, total)
+        columns[f"action_{i}"] = generator.integers(0, 7, total)
+    write_table(folder / "steps.parquet", columns, step_columns(joints))
+
+
+def _images(length: int) -> np.ndarray:
+    frames = np.full((length + 1, 64, 64, 3), (150, 152, 158), np.uint8)
+    for t, frame in enumerate(frames):
+        at = 4 + int(40 * t / (length + 1))
+        frame[at : at + 14, 20:32] = (255, 115, 13)
+        frame[46:58, 30:40] = (255, 0, 0)
+    return frames

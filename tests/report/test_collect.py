@@ -1,0 +1,258 @@
+"""Whatever is wrong with run folders is named, and nothing crashes."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic_study import LABEL, Size, Truth, env_of, write_evaluation, write_run, write_study
+
+from knowarm.errors import UserError
+from knowarm.report import report
+from knowarm.report.study import collect
+
+LIGHT = Size(points=8, tables=False)
+TRUTH = Truth(success={"bm": 0.5, "full": 0.6})
+
+
+def study(tmp_path: Path, seeds: int = 2) -> list[Path]:
+    return write_study(tmp_path / "runs", TRUTH, seeds=seeds, size=LIGHT)
+
+
+def named(found, path: Path) -> str:
+    return " | ".join(f"{p.what}: {p.done}" for p in found.problems if p.path == path)
+
+
+def edit(path: Path, **changes: object) -> None:
+    values = json.loads(path.read_text())
+    path.write_text(json.dumps(values | changes))
+
+
+def test_runs_are_sorted_into_tasks_and_agents(tmp_path):
+    paths = study(tmp_path)
+    paths += write_study(tmp_path / "runs", TRUTH, seeds=1, robot="tiago", size=LIGHT)
+    found = collect(paths)
+    assert [task.title for task in found.tasks] == [
+        "IRB120 · fixed colours · PPO",
+        "TIAGo · fixed colours · PPO",
+    ]
+    assert [(g.name, len(g.runs)) for g in found.tasks[0].groups] == [("bm", 2), ("full", 2)]
+
+
+def test_a_folder_of_runs_is_searched_and_counts_once(tmp_path):
+    study(tmp_path)
+    assert len(collect([tmp_path, tmp_path / "runs"]).runs) == 4
+
+
+def test_tasks_of_one_name_are_told_apart_by_what_differs(tmp_path):
+    for mpi in (0.1, 0.2):
+        env = env_of() | {"mpi_rad": mpi}
+        write_run(tmp_path / f"full-{mpi}" / "0", "full", 0, 0.5, env=env, size=LIGHT)
+    assert [task.title.split(" · ")[-1] for task in collect([tmp_path]).tasks] == [
+        "mpi_rad 0.1",
+        "mpi_rad 0.2",
+    ]
+
+
+def test_agents_of_one_name_are_told_apart_by_what_differs(tmp_path):
+    paths = study(tmp_path)
+    for path in paths[-2:]:
+        other = tmp_path / "fixed" / path.name
+        shutil.copytree(path, other)
+        edit(other / "config.json", network={"fusion": "before_lstm", "hidden": "fixed"})
+        paths.append(other)
+    names = [group.name for group in collect(paths).tasks[0].groups]
+    assert names[0] == "bm"
+    assert sorted(names[1:]) == [
+        "full · hidden=None · wide=False",
+        "full · hidden=fixed · wide=None",
+    ]
+
+
+def test_what_is_no_run_folder_is_named(tmp_path):
+    paths = study(tmp_path)
+    (tmp_path / "empty").mkdir()
+    found = collect([*paths, tmp_path / "empty", tmp_path / "nowhere"])
+    assert "holds no run folder: left out" in named(found, tmp_path / "empty")
+    assert "does not exist: left out" in named(found, tmp_path / "nowhere")
+    with pytest.raises(UserError, match="Nothing to report"):
+        collect([tmp_path / "empty"])
+
+
+def test_another_format_is_left_out(tmp_path):
+    paths = study(tmp_path)
+    edit(paths[0] / "config.json", format=7)
+    found = collect(paths)
+    assert len(found.runs) == 3
+    assert "format 7" in named(found, paths[0])
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"format": 1}', '{"format": 1, "seed": 0}'])
+def test_a_broken_config_is_left_out(tmp_path, text):
+    paths = study(tmp_path)
+    (paths[0] / "config.json").write_text(text)
+    found = collect(paths)
+    assert len(found.runs) == 3
+    assert "left out" in named(found, paths[0])
+
+
+def test_other_versions_are_merged_and_said_to_be(tmp_path):
+    paths = study(tmp_path)
+    for path, version in zip(paths, ("1", "1", "1", "2"), strict=True):
+        (path / "provenance.json").write_text(json.dumps({"versions": {"knowarm": version}}))
+    found = collect(paths)
+    assert len(found.runs) == 4
+    assert "made with knowarm 2, most runs with 1: merged" in named(found, paths[3])
+
+
+def test_missing_evaluations_are_named(tmp_path):
+    paths = study(tmp_path)
+    shutil.rmtree(paths[0] / "evaluation")
+    (paths[1] / "evaluations.csv").unlink()
+    found = collect(paths)
+    assert "no post-training evaluation: kept" in named(found, paths[0])
+    assert "no interim evaluations: kept" in named(found, paths[1])
+    assert len(found.tasks[0].groups[0].runs) == 2
+    assert len(found.tasks[0].groups[0].scores("success")) == 1
+
+
+@pytest.mark.parametrize("summary", ["", "{}", '{"episodes": 3, "success": "high"}', "[1]"])
+def test_a_broken_summary_is_left_out(tmp_path, summary):
+    paths = study(tmp_path)
+    folder = paths[0] / "evaluation" / LABEL
+    (folder / "summary.json").write_text(summary)
+    found = collect(paths)
+    assert "the evaluation is left out" in named(found, folder)
+
+
+def test_metrics_cut_short_by_a_crash_lose_only_their_last_line(tmp_path):
+    paths = study(tmp_path)
+    path = paths[0] / "evaluations.csv"
+    whole = path.read_text()
+    path.write_text(whole + "99999999,12.")
+    found = collect(paths)
+    assert "last line cut short: the line is left out" in named(found, path)
+    run = next(run for run in found.runs if run.path == paths[0])
+    assert len(run.interim["step"]) == len(whole.splitlines()) - 1
+
+
+def test_damaged_rows_are_counted(tmp_path):
+    paths = study(tmp_path)
+    path = paths[0] / "metrics.csv"
+    lines = path.read_text().splitlines()
+    lines[2] = "\0\0\0"
+    lines[3] = lines[3].split(",")[0]
+    path.write_text("\n".join(lines) + "\n")
+    found = collect(paths)
+    assert "2 damaged rows" in named(found, path)
+    assert np.isfinite(found.runs[0].metrics["step"]).all()
+
+
+def test_bytes_that_are_no_text_are_named(tmp_path):
+    paths = study(tmp_path)
+    (paths[0] / "evaluations.csv").write_bytes(b"\xff\xfe\x00step\n")
+    found = collect(paths)
+    assert "cannot be read" in named(found, paths[0] / "evaluations.csv")
+
+
+def test_of_two_rows_of_one_step_the_later_counts(tmp_path):
+    paths = study(tmp_path)
+    path = paths[0] / "evaluations.csv"
+    lines = path.read_text().splitlines()
+    again = lines[1].split(",")
+    again[2] = "77"
+    path.write_text("\n".join([*lines, ",".join(again)]) + "\n")
+    run = next(run for run in collect(paths).runs if run.path == paths[0])
+    assert run.interim["return_mean"][0] == 77
+    assert (np.diff(run.interim["step"]) > 0).all()
+
+
+def test_of_two_runs_of_one_seed_the_longer_counts(tmp_path):
+    paths = study(tmp_path)
+    short = write_run(
+        tmp_path / "again" / "0", "bm", 0, 0.9, size=replace(LIGHT, total_steps=4_000_000)
+    )
+    path = short / "evaluations.csv"
+    path.write_text("".join(line + "\n" for line in path.read_text().splitlines()[:4]))
+    (short / "metrics.csv").unlink()
+    found = collect([*paths, short])
+    assert f"same agent, task and seed 0 as {paths[0]}" in named(found, short)
+    assert len(found.tasks[0].groups[0].runs) == 2
+
+
+def test_a_stopped_run_is_kept_and_named(tmp_path):
+    paths = study(tmp_path)
+    for name in ("evaluations.csv", "metrics.csv"):
+        path = paths[0] / name
+        path.write_text("".join(line + "\n" for line in path.read_text().splitlines()[:5]))
+    found = collect(paths)
+    assert "stopped after 50% of its steps: kept; censored" in named(found, paths[0])
+
+
+def test_evaluations_by_other_rules_are_left_out(tmp_path):
+    paths = study(tmp_path)
+    folder = paths[0] / "evaluation" / LABEL
+    edit(folder / "summary.json", config={"distance_m": 0.05})
+    found = collect(paths)
+    assert "other thresholds than most" in named(found, folder)
+    assert len(found.tasks[0].groups[0].scores("success")) == 1
+
+
+def test_untrained_policies_are_references_and_never_compared(tmp_path):
+    paths = study(tmp_path)
+    generator = np.random.default_rng(0)
+    for path in paths:
+        folder = path / "evaluation" / f"{LABEL}-untrained"
+        write_evaluation(folder, "bm", 0.0, env_of(), generator, LIGHT)
+    task = collect(paths).tasks[0]
+    assert task.label == LABEL
+    assert [each.name for each in task.references] == ["untrained bm", "untrained full"]
+
+
+def test_a_reference_is_shown_with_the_task_it_played(tmp_path):
+    paths = study(tmp_path)
+    generator = np.random.default_rng(0)
+    write_evaluation(tmp_path / "oracle", "oracle", 1.0, env_of(), generator, LIGHT)
+    write_evaluation(tmp_path / "other", "oracle", 1.0, env_of("tiago"), generator, LIGHT)
+    found = collect(paths, {"oracle": tmp_path / "oracle", "other": tmp_path / "other"})
+    assert [each.name for each in found.tasks[0].references] == ["oracle"]
+
+
+def test_a_report_is_written_whatever_is_missing(tmp_path):
+    paths = write_study(tmp_path / "runs", TRUTH, seeds=2, size=Size(points=6, episodes=20))
+    evaluation = paths[0] / "evaluation" / LABEL
+    (evaluation / "episodes.parquet").write_bytes(b"PAR1 broken")
+    (paths[1] / "provenance.json").unlink()
+    (paths[2] / "knowledge.safetensors").write_bytes(b"")
+    shutil.rmtree(paths[3] / "evaluation")
+    out = report(paths, tmp_path / "report.html")
+    page = out.read_text()
+    for path in (paths[1], paths[3]):
+        assert str(path.relative_to(tmp_path).as_posix()) in page
+
+
+def test_an_unwritable_place_is_refused(tmp_path):
+    paths = study(tmp_path)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UserError, match="Cannot write"):
+        report(paths, tmp_path / "file" / "report.html")
+    with pytest.raises(UserError, match=r"\.html"):
+        report(paths, tmp_path / "report.pdf")
+
+
+def test_held_out_colours_are_shown_beside_and_never_instead(tmp_path):
+    paths = study(tmp_path, seeds=3)
+    generator = np.random.default_rng(0)
+    for path in paths:
+        if path.name == "0":  # more runs have the held-out evaluation than the usual one
+            shutil.rmtree(path / "evaluation" / LABEL)
+        folder = path / "evaluation" / f"{LABEL}-held-out"
+        write_evaluation(folder, "x", 0.3, env_of(), generator, LIGHT)
+    assert collect(paths).tasks[0].label == LABEL
+    report(paths, tmp_path / "report.html")
+    tables = json.loads((tmp_path / "report.json").read_text())["tables"]
+    rows = tables["elsewhere-irb120-fixed-colours-ppo"]["rows"]
+    assert [(row["agent"], row["seeds"]) for row in rows] == [("bm", 3), ("full", 3)]
+    assert rows[0]["difference_low"] < rows[0]["difference"] < rows[0]["difference_high"]

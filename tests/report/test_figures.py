@@ -1,0 +1,137 @@
+import re
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from knowarm.report import format
+from knowarm.report.figures import (
+    Dot,
+    Series,
+    densities,
+    dot_chart,
+    graph_drawing,
+    heat_strip,
+    line_chart,
+    stacked_bars,
+)
+from knowarm.report.figures.scale import Scale, fit
+from knowarm.report.palette import colours
+from knowarm.report.slug import slugs
+
+XS = np.array([0.0, 1.0, 2.0, 3.0])
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "ticks"),
+    [
+        (0, 1, [0, 0.25, 0.5, 0.75, 1]),
+        (-37, 82, [-25, 0, 25, 50, 75]),
+        (0, 4e6, [0, 1e6, 2e6, 3e6, 4e6]),
+        (0.301, 0.304, [0.301, 0.302, 0.303, 0.304]),
+    ],
+)
+def test_ticks_are_round_and_inside(low, high, ticks):
+    assert Scale(low, high, 0, 100).ticks(4) == pytest.approx(ticks)
+
+
+def test_a_scale_holds_what_it_was_fitted_to():
+    scale = fit([3.0, float("nan"), -2.0], 0, 100)
+    assert 0 < scale(-2.0) < scale(3.0) < 100
+    assert fit([5.0, 5.0], 0, 100)(5.0) == 50
+    assert fit([], 0, 100).low < fit([], 0, 100).high
+
+
+def drawings():
+    line = Series(name="a<b", colour="c-blue", x=XS, y=XS, low=XS - 1, high=XS + 1)
+    gap = Series(name="gap", colour="c-grey", x=XS, y=np.array([1, np.nan, 2, 3.0]))
+    empty = Series(name="none", colour="c-grey", x=XS, y=np.full(4, np.nan))
+    one = Series(name="one", colour="c-grey", x=XS[:1], y=XS[:1])
+    chart = {"x_title": "steps & more", "y_title": "<y>"}
+    return {
+        "lines": line_chart([line, gap, empty], "name", **chart),
+        "one point": line_chart([one], "name", **chart),
+        "dots": dot_chart(
+            [
+                Dot(
+                    name="a&b",
+                    colour="c-blue",
+                    value=0.5,
+                    low=0.1,
+                    high=0.9,
+                    single=[0.2],
+                    beside=0.3,
+                ),
+                Dot(name="none", colour="c-grey", value=None),
+            ],
+            "name",
+            x_title="x",
+        ),
+        "graph": graph_drawing([("mug", "hasColor", "<red>"), ("box", "hasColor", "<red>")], "n"),
+        "heat": heat_strip(np.array([[0.1, -0.5], [0.0, 0.0]]), ["a", "b"], "name"),
+        "zeros": heat_strip(np.zeros((1, 3)), ["a"], "name"),
+        "bars": stacked_bars({"bm": {"heads": 3, "memory": 5}}, "name"),
+    }
+
+
+@pytest.mark.parametrize("name", drawings())
+def test_drawings_are_well_formed_and_finite(name):
+    markup = drawings()[name]
+    root = ElementTree.fromstring(markup)
+    assert root.get("role") == "img"
+    assert root.get("aria-label")
+    assert "nan" not in markup
+    assert "inf" not in re.sub(r"[a-z-]*inf[a-z]+", "", markup)
+
+
+def test_a_gap_in_a_curve_is_no_line():
+    markup = drawings()["lines"]
+    gap = markup[markup.index('data-name="gap"') :]
+    paths = re.findall(r'<path d="([^"]*)" class="line"', gap)
+    assert [path.count("L") + 1 for path in paths] == [1, 2]
+
+
+def test_shared_facts_have_two_lines():
+    assert drawings()["graph"].count("<path") == 2
+    assert drawings()["graph"].count("&lt;red&gt;</text>") == 1
+
+
+def test_densities_integrate_to_one():
+    samples = [np.random.default_rng(0).normal(size=5_000), np.full(10, 0.5)]
+    edges, heights = densities(samples)
+    for height in heights:
+        assert (height * np.diff(edges)).sum() == pytest.approx(1, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("written", "shown"),
+    [
+        (format.number(-1234.567), "\u22121\u202f234.57"),
+        (format.number(-0.001), "0.00"),
+        (format.number(float("nan")), "–"),
+        (format.percent(0.5), "50.0\u202f%"),
+        (format.points(0.123), "+12.3"),
+        (format.points(0.0), "0.0"),
+        (format.steps(4_000_000), "4\u202fM"),
+        (format.steps(1_250), "1.25\u202fk"),
+        (format.p_value(0.0001), "< .001"),
+        (format.p_value(0.0321), ".032"),
+        (format.p_value(1.0), "1"),
+        (format.text(None), "–"),
+        (format.text(True), "yes"),
+    ],
+)
+def test_numbers_as_people_read_them(written, shown):
+    assert written == shown
+
+
+def test_slugs_are_safe_and_differ():
+    found = slugs(["full · fusion=film", "full/fusion film", "full+", "../x", "·"])
+    assert list(found.values()) == ["full-fusion-film", "full-fusion-film-2", "full+", "x", "x-2"]
+
+
+def test_agents_keep_the_paper_s_colours_and_differ():
+    names = ["bm", "partial", "full", "full · fusion=film", "mine"]
+    found = colours(names)
+    assert (found["bm"], found["full"]) == ("c-orange", "c-blue")
+    assert len(set(found.values())) == len(names)

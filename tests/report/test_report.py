@@ -1,0 +1,179 @@
+import csv
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote
+
+import pytest
+from synthetic_study import Size, Truth, write_study
+
+from knowarm.report import report
+
+
+class Reader(HTMLParser):
+    """Collects the values of every table, the links, and what is loaded from elsewhere."""
+
+    def __init__(self):
+        super().__init__()
+        self.tables: dict[str, list[dict[str, str]]] = {}
+        self.links: list[str] = []
+        self.loaded: list[str] = []
+        self.images_without_words = 0
+
+    def handle_starttag(self, tag, attributes):
+        values = dict(attributes)
+        if tag == "table":
+            self.rows = self.tables.setdefault(values["data-table"], [])
+        elif tag == "tr":
+            self.row: dict[str, str] = {}
+        elif tag == "td":
+            self.row[values["data-k"]] = values["data-v"]
+            for end in ("low", "high"):
+                if f"data-{end}" in values:
+                    self.row[f"{values['data-k']}_{end}"] = values[f"data-{end}"]
+        elif tag == "a":
+            self.links.append(values.get("href", ""))
+        elif tag == "img":
+            self.images_without_words += not values.get("alt")
+        elif tag == "svg":
+            self.images_without_words += not values.get("aria-label")
+        if tag in ("img", "script", "iframe", "source"):
+            self.loaded.append(values.get("src", ""))
+        if tag == "link":
+            self.loaded.append(values.get("href", ""))
+
+    def handle_endtag(self, tag):
+        if tag == "tr" and self.row:
+            self.rows.append(self.row)
+
+
+def read(page: Path) -> Reader:
+    reader = Reader()
+    reader.feed(page.read_text())
+    return reader
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_the_page_needs_nothing_else(made):
+    reader = read(made.page)
+    assert all(not address or address.startswith("data:") for address in reader.loaded)
+    assert "url(" not in re.sub(r"url\(data:", "", made.page.read_text())
+    assert "@import" not in made.page.read_text()
+
+
+def test_every_link_leads_somewhere(made):
+    ids = set(re.findall(r'<section id="([^"]+)"', made.page.read_text()))
+    links = read(made.page).links
+    assert len(links) > 20
+    for link in links:
+        if link.startswith("#"):
+            assert link[1:] in ids
+        else:
+            assert (made.page.parent / unquote(link)).exists(), link
+
+
+def test_every_image_has_words(made):
+    assert read(made.page).images_without_words == 0
+
+
+def test_every_table_of_the_page_equals_its_csv(made):
+    reader = read(made.page)
+    files = {path.stem: path for path in (made.page.parent / "report-data").glob("*.csv")}
+    assert set(reader.tables) == set(files)
+    assert len(files) > 20
+    for name, rows in reader.tables.items():
+        written = rows_of(files[name])[: len(rows)]
+        for shown, stored in zip(rows, written, strict=True):
+            assert {key: stored[key] for key in shown} == shown
+
+
+def test_the_json_holds_every_table_and_its_sources(made):
+    values = json.loads(made.page.with_suffix(".json").read_text())
+    for name, table in values["tables"].items():
+        written = rows_of(made.page.parent / table["csv"])
+        assert len(written) == len(table["rows"]), name
+        for source in table["sources"]:
+            assert (made.page.parent / source).exists(), source
+    assert [v for v in values["verdicts"] if "training worked" in v["sentence"]]
+
+
+def test_the_same_folders_give_the_same_bytes(made, tmp_path):
+    again = report(made.runs, made.page.with_name("again.html"))
+    first = made.page.read_text().replace("report-data", "again-data")
+    assert again.read_text() == first.replace("report.json", "again.json")
+
+
+def test_a_table_that_is_gone_leaves_no_csv_behind(tmp_path):
+    runs = write_study(
+        tmp_path / "runs", Truth(success={"bm": 0.5}), seeds=1, size=Size(points=5, episodes=9)
+    )
+    (tmp_path / "report-data").mkdir()
+    (tmp_path / "report-data" / "old.csv").write_text("")
+    (tmp_path / "report-data" / "notes.txt").write_text("kept")
+    report(runs, tmp_path / "report.html")
+    assert not (tmp_path / "report-data" / "old.csv").exists()
+    assert (tmp_path / "report-data" / "notes.txt").exists()
+
+
+def test_curves_are_drawn_from_the_values_of_their_table(made):
+    page = made.page.read_text()
+    rows = rows_of(made.page.parent / "report-data" / "training-irb120-fixed-colours-ppo.csv")
+    figure = page[page.index('data-figure="training-irb120-fixed-colours-ppo"') :]
+    chart = re.search(r'<svg[^>]*aria-label="success over.*?</svg>', figure, re.DOTALL).group()
+    left, right, low, high, bottom, top = map(
+        float, re.search(r'data-plot="([^"]*)"', chart)[1].split()
+    )
+    for agent in ("bm", "full"):
+        series = re.search(rf'data-name="{agent}" data-points="([^"]*)">', chart)
+        points = [tuple(map(float, each.split(","))) for each in series[1].split(";")]
+        mine = [row for row in rows if row["agent"] == agent]
+        assert points == [(float(row["step"]), float(row["success"])) for row in mine]
+    drawn = re.search(r'<path d="M([^"]*)" class="line"/>', chart)[1]
+    pixels = [tuple(map(float, each.split())) for each in drawn.split("L")]
+    first = [row for row in rows if row["agent"] == "bm"]
+    for (x, y), row in zip(pixels, first, strict=True):
+        wanted = left + (float(row["step"]) - low) / (high - low) * (right - left)
+        assert abs(x - wanted) < 0.01
+        assert abs(y - (bottom + float(row["success"]) * (top - bottom))) < 0.01
+
+
+def test_the_paper_stands_beside_ours(made):
+    rows = rows_of(made.page.parent / "report-data" / "paper.csv")
+    found = {(row["task"].split(" · ")[0], row["agent"]): row for row in rows}
+    assert float(found["IRB120", "full"]["paper_accuracy"]) == 0.92
+    assert float(found["TIAGo", "full"]["paper_step"]) == 24e6
+    assert float(found["TIAGo", "full"]["paper_saved"]) == pytest.approx(1 - 24 / 57)
+
+
+def test_anova_says_what_it_does_not_show(made):
+    values = json.loads(made.page.with_suffix(".json").read_text())
+    table = values["tables"]["anova-irb120-fixed-colours-ppo"]
+    assert "says nothing about what another training seed" in table["note"]
+    assert table["rows"][0]["rates"] == 30
+
+
+def test_one_seed_is_refused_and_three_are_judged(made):
+    sentences = [
+        v["sentence"] for v in json.loads(made.page.with_suffix(".json").read_text())["verdicts"]
+    ]
+    assert any("TIAGo" in s and "cannot be said from 1 training seed" in s for s in sentences)
+    assert any(
+        ("IRB120" in s and "full" in s and "did better" in s) or "matters" in s for s in sentences
+    )
+
+
+def test_names_from_folders_cannot_break_the_page(tmp_path):
+    runs = write_study(
+        tmp_path / "<b>&'\"",
+        Truth(success={"bm": 0.5, "<script>x</script>": 0.6}),
+        seeds=1,
+        size=Size(points=5, episodes=9),
+    )
+    page = report(runs, tmp_path / "report.html").read_text()
+    assert "<script>x" not in page
+    assert "<b>&'" not in page

@@ -1,0 +1,146 @@
+from importlib import import_module
+
+import numpy as np
+import pytest
+
+from knowarm.statistics import (
+    Interval,
+    area_under_curve,
+    bootstrap,
+    first_crossing,
+    holm,
+    iqm,
+    kaplan_meier,
+    median_steps,
+    on_grid,
+    one_way_anova,
+    paired,
+    performance_profile,
+    probability_of_improvement,
+    restricted_mean_steps,
+    seeds_needed,
+    trend,
+    welch,
+    wilson,
+)
+
+
+def test_bootstrap_gives_the_same_bytes_twice_and_another_seed_others():
+    scores = [np.random.default_rng(1).random(20), np.random.default_rng(2).random(9)]
+    assert bootstrap(scores, iqm, seed=3) == bootstrap(scores, iqm, seed=3)
+    assert bootstrap(scores, iqm, seed=3) != bootstrap(scores, iqm, seed=4)
+
+
+def test_bootstrap_resamples_within_each_stratum():
+    # Two tasks of constant scores: whatever is drawn, the mean stays.
+    interval = bootstrap([np.zeros(5), np.ones(5)])
+    assert (interval.estimate, interval.low, interval.high) == (0.5, 0.5, 0.5)
+
+
+def test_bootstrap_blocks_do_not_change_its_shape(monkeypatch):
+    scores = [np.random.default_rng(0).random(10)]
+    module = import_module("knowarm.statistics.bootstrap")
+    monkeypatch.setattr(module, "BLOCK", 100)
+    interval = bootstrap(scores, repetitions=2_000)
+    assert interval.low < interval.estimate < interval.high
+
+
+def test_bootstrap_covers_the_truth():
+    generator = np.random.default_rng(7)
+    inside = 0
+    for trial in range(1_000):
+        interval = bootstrap([generator.normal(0, 1, 30)], repetitions=400, seed=trial)
+        inside += interval.low <= 0 <= interval.high
+    assert 0.9 <= inside / 1_000 <= 0.97
+
+
+def test_welch_keeps_its_promise_at_three_seeds():
+    generator = np.random.default_rng(8)
+    wrong = sum(
+        welch(generator.normal(0, 1, 3), generator.normal(0, 1, 3)).p_value <= 0.05
+        for _ in range(1_000)
+    )
+    assert wrong <= 65
+
+
+def test_one_run_allows_no_comparison():
+    with pytest.raises(ValueError, match="at least two runs"):
+        welch(np.array([0.9]), np.array([0.1, 0.2]))
+
+
+def test_equal_scores_without_spread_are_no_difference():
+    same = welch(np.full(3, 0.5), np.full(3, 0.5))
+    assert same.p_value == 1
+    assert same.effect_size is None
+    assert paired(np.ones(4), np.ones(4)).p_value == 1
+    assert one_way_anova([np.ones(3), np.ones(3)]).p_value == 1
+    assert one_way_anova([np.ones(3), np.zeros(3)]).p_value == 0
+
+
+def test_probability_of_improvement_of_the_clearly_better_is_one():
+    better = probability_of_improvement([np.array([3.0, 4])], [np.array([1.0, 2])])
+    assert (better.estimate, better.low, better.high) == (1, 1, 1)
+    tied = probability_of_improvement([np.ones(3)], [np.ones(3)])
+    assert tied.estimate == 0.5
+
+
+def test_performance_profile_counts_runs_above_each_score():
+    share, low, high = performance_profile(
+        [np.array([0.2, 0.4, 0.6, 0.8])], np.array([0.0, 0.3, 0.6, 0.9])
+    )
+    np.testing.assert_allclose(share, [1, 0.75, 0.25, 0])
+    assert (low <= share).all()
+    assert (share <= high).all()
+
+
+def test_area_under_curve_by_hand():
+    steps, values = np.array([10.0, 20.0]), np.array([0.2, 0.6])
+    # 0..10 at .2, 10..20 rising to .6, 20..40 at .6: (2 + 4 + 12) / 40
+    assert area_under_curve(steps, values, 40) == pytest.approx(0.45)
+    assert area_under_curve(steps, values, 15) == pytest.approx((2 + 1.5) / 15)
+
+
+def test_first_crossing_marks_what_was_never_seen():
+    steps, values = np.array([1.0, 2.0, 3.0]), np.array([0.1, 0.6, 0.4])
+    assert first_crossing(steps, values, 0.5) == (2.0, True)
+    assert first_crossing(steps, values, 0.7) == (3.0, False)
+
+
+def test_kaplan_meier_by_hand():
+    # 5 runs: crossings at 2 and 6, censored at 4, crossing at 8, censored at 9.
+    curve = kaplan_meier(np.array([2, 4, 6, 8, 9.0]), np.array([1, 0, 1, 1, 0], bool))
+    np.testing.assert_allclose(curve.steps, [2, 6, 8])
+    np.testing.assert_allclose(curve.waiting, [0.8, 0.8 * 2 / 3, 0.8 * 2 / 3 / 2])
+
+
+def test_a_threshold_nobody_reached_has_no_median_and_costs_all_steps():
+    steps, reached = np.array([5.0, 5.0, 5.0]), np.zeros(3, bool)
+    assert median_steps(kaplan_meier(steps, reached)) == (None, None, None)
+    assert restricted_mean_steps(steps, reached, 5.0) == Interval(5.0, 5.0, 5.0)
+
+
+def test_trend_keeps_a_straight_line():
+    values = np.arange(20.0)
+    np.testing.assert_allclose(trend(values, 7), values)
+    np.testing.assert_allclose(trend(values, 1), values)
+
+
+def test_a_grid_never_goes_beyond_a_curve():
+    shown = on_grid(np.array([2.0, 4.0]), np.array([1.0, 3.0]), np.array([1.0, 3.0, 5.0]))
+    np.testing.assert_allclose(shown, [np.nan, 2.0, np.nan])
+
+
+def test_seeds_needed_falls_with_the_effect_and_gives_up():
+    assert seeds_needed(0.5) > seeds_needed(1.0) > seeds_needed(3.0) >= 2
+    assert seeds_needed(0.001) is None
+
+
+def test_holm_by_hand():
+    np.testing.assert_allclose(holm([0.04, 0.01, 0.03]), [0.06, 0.03, 0.06])
+    assert holm([]).size == 0
+
+
+@pytest.mark.parametrize(("successes", "trials"), [(1, 0), (3, 2), (-1, 2)])
+def test_wilson_refuses_what_cannot_be(successes, trials):
+    with pytest.raises(ValueError, match="successes in"):
+        wilson(successes, trials)

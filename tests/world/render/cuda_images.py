@@ -1,0 +1,48 @@
+"""Nothing goes in; whether GPU and CPU images are equal comes out, as the exit code.
+
+Run as a program, because Numba's simulator is chosen by an environment variable before Numba is
+first imported: ``NUMBA_ENABLE_CUDASIM=1 python cuda_images.py SIDE STATES``.
+"""
+
+import sys
+
+import numpy as np
+from numba import cuda
+from raycast_scenes import CAMERA, every_primitive, mesh_scene, random_states
+
+from knowarm.world.render import Raycaster
+from knowarm.world.render.cuda import CudaRaycaster
+
+
+def main(side: int, count: int) -> None:
+    """Draw scenes with both ray casters in every way there is and compare the bytes."""
+    for make in (every_primitive, lambda: mesh_scene(6, 4)):
+        states = random_states(make(), count, seed=1)
+        poses = states.geom_xpos, states.geom_xmat
+        on_device = [cuda.to_device(np.ascontiguousarray(pose)) for pose in poses]
+        for smooth in (False, True):
+            host = Raycaster(states.model, CAMERA, side, side, antialiasing=smooth)
+            device = CudaRaycaster(states.model, CAMERA, side, side, antialiasing=smooth)
+            rgba = np.repeat(host.scenery.rgba[None], count, axis=0)
+            rgba[0, 0, :3] = [0.1, 0.9, 0.1]
+            rgba[-1, 1, 3] = 0
+            views = np.repeat(host.view[None], count, axis=0)
+            views[0, 0] += 0.1
+            # Of the last, one image in two is asked for; the others stay as they were.
+            half = np.arange(count) % 2 == 0
+            for options in ({}, {"geom_rgba": rgba}, {"views": views}, {"wanted": half}):
+                wanted = options.get("wanted", np.ones(count, dtype=np.bool_))
+                given = {name: cuda.to_device(value) for name, value in options.items()}
+                seen = {name: value for name, value in options.items() if name != "wanted"}
+                expected = host.render(*poses, **seen) * wanted[:, None, None, None]
+                out = cuda.to_device(np.zeros_like(expected))
+                device.render(*on_device, out=out, **given)
+                drawn = out.copy_to_host()
+                wrong = (drawn != expected).any(axis=-1).mean()
+                print(f"{make.__name__} smooth={smooth} {list(options)}: {wrong:.4%} differ")
+                assert len(np.unique(expected)) > 10
+                assert wrong == 0
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), int(sys.argv[2]))

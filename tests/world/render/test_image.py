@@ -1,0 +1,60 @@
+"""Our images beside those of MuJoCo's OpenGL renderer, shadows and reflections off."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from opengl_images import NoOpenGL, opengl_images
+from raycast_scenes import CAMERA, every_primitive, mesh_scene, random_states, robot_scene
+from scipy.ndimage import gaussian_filter
+
+from knowarm.world.render import Raycaster
+
+SIDE = 64
+STATES = 40
+
+pytestmark = pytest.mark.opengl
+
+
+def ssim(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> float:
+    """Structural similarity (Wang et al. 2004), Gaussian window of 1.5 pixels, a channel each."""
+    values = []
+    for channel in range(3):
+        x, y = (image[..., channel].astype(np.float64) for image in (a, b))
+        mean_x, mean_y = gaussian_filter(x, 1.5), gaussian_filter(y, 1.5)
+        var_x = gaussian_filter(x * x, 1.5) - mean_x**2
+        var_y = gaussian_filter(y * y, 1.5) - mean_y**2
+        cov = gaussian_filter(x * y, 1.5) - mean_x * mean_y
+        c1, c2 = (0.01 * 255) ** 2, (0.03 * 255) ** 2
+        score = (2 * mean_x * mean_y + c1) * (2 * cov + c2)
+        values.append((score / ((mean_x**2 + mean_y**2 + c1) * (var_x + var_y + c2))).mean())
+    return float(np.mean(values))
+
+
+def similarity(model: mujoco.MjModel, camera: int | str, folder: Path, smooth: bool) -> float:
+    """Mean SSIM between our images and MuJoCo's, both with or both without anti-aliasing."""
+    states = random_states(model, STATES, seed=1)
+    poses = states.geom_xpos, states.geom_xmat
+    ours = Raycaster(model, camera, SIDE, SIDE, antialiasing=smooth).render(*poses)
+    samples = 4 if smooth else 0
+    try:
+        theirs = opengl_images(model, model.camera(camera).id, *poses, SIDE, samples, folder)
+    except NoOpenGL as reason:
+        pytest.skip(str(reason))
+    return float(np.mean([ssim(a, b) for a, b in zip(ours, theirs, strict=True)]))
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+@pytest.mark.parametrize("robot", ["irb120", "tiago"])
+def test_robots(robot: str, smooth: bool, tmp_path: Path) -> None:
+    scene = robot_scene(robot)
+    assert similarity(scene.model, scene.camera, tmp_path, smooth) >= 0.95
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+@pytest.mark.parametrize("make", [every_primitive, mesh_scene])
+def test_shapes(make: Callable[[], mujoco.MjModel], smooth: bool, tmp_path: Path) -> None:
+    assert similarity(make(), CAMERA, tmp_path, smooth) >= 0.95
