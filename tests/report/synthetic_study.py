@@ -14,6 +14,7 @@ from knowarm.experiment.evaluation_summary import summarize
 from knowarm.experiment.film import write_film
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.knowledge import KNOWLEDGE, SceneEmbedding, scene_embedding
+from knowarm.world.robots import ROBOTS
 
 FACETS = {
     "fixed": [("mug", "red"), ("bottle", "yellow"), ("cereal_box", "brown")],
@@ -53,6 +54,11 @@ class Size:
     total_steps: int = 4_000_000
     evaluation: dict[str, Any] = field(default_factory=dict)
     """Fields of the evaluation's config that differ from the usual ones."""
+
+
+def robot_title(name: str) -> str:
+    """Title of a robot, as a report shows it."""
+    return getattr(ROBOTS[name], "title", name)
 
 
 def env_of(robot: str = "irb120", colours: str = "fixed") -> dict[str, Any]:
