@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from knowarm.report import format
-from knowarm.report.charts import Axis, Scale, Series, densities, fit, line_chart
+from knowarm.report.charts import Axis, Scale, Series, fit, histograms, line_chart
 from knowarm.report.diagrams import Dot, dot_chart, graph_diagram, heat_map, stacked_bars
 from knowarm.report.format import palette, slugs
 from knowarm.statistics import Interval
@@ -85,9 +85,9 @@ def test_shared_facts_have_two_lines():
     assert drawings()["graph"].count("&lt;red&gt;</text>") == 1
 
 
-def test_densities_integrate_to_one():
+def test_histograms_integrate_to_one():
     samples = [np.random.default_rng(0).normal(size=5_000), np.full(10, 0.5)]
-    edges, heights = densities(samples)
+    edges, heights = histograms(samples)
     for height in heights:
         assert (height * np.diff(edges)).sum() == pytest.approx(1, abs=0.01)
 

@@ -172,6 +172,19 @@ def test_one_seed_is_refused_and_three_are_judged(made):
     )
 
 
+def test_a_study_with_two_subjects_is_reported(tmp_path):
+    success = {"bm": 0.3, "full": 0.6, "target": 0.8, "target-onehot": 0.8, "toy": 0.5}
+    truth = Truth(success=success, roles={"toy": "content_control"})
+    size = Size(points=6, episodes=40, steps=True, films=1)
+    page = report(write_study(tmp_path / "runs", truth, seeds=3, size=size), tmp_path / "a.html")
+    tables = json.loads(page.with_suffix(".json").read_text())["tables"]
+    rows = tables["controls-irb120-fixed-colours-ppo"]["rows"]
+    verdicts = {row["control"]: row["verdict"] for row in rows}
+    assert verdicts["target-onehot"] == verdicts["target"] == "described"
+    assert {row["control"]: row["role"] for row in rows}["toy"] == "content control"
+    assert "controls-irb120-fixed-colours-ppo-target" in tables
+
+
 def test_names_from_folders_cannot_break_the_page(tmp_path):
     runs = write_study(
         tmp_path / "<b>&'\"",

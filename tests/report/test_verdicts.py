@@ -1,4 +1,4 @@
-"""Studies whose truth is known: the report finds what is there, and nothing else."""
+"""Verdicts on studies whose truth is known."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ from synthetic_study import Size, Truth, write_study
 
 from knowarm.report.claims import claims, scores
 from knowarm.report.collect import collect
-from knowarm.report.verdict import Finding, finding
+from knowarm.report.verdict import Finding, finding, findings
 from knowarm.statistics import holm, welch
 
 LIGHT = Size(points=12, tables=False)
@@ -75,6 +75,88 @@ def test_few_seeds_allow_no_claim_however_large_the_difference(tmp_path, seeds):
 def test_a_verdict_names_the_control_that_is_missing(tmp_path, agents, kind):
     truth = {agent: REAL[agent] for agent in agents}
     assert found(tmp_path, truth, 6)["success"].kind == kind
+
+
+def decided(folder: Path, success: dict[str, float], **truth) -> list[Finding]:
+    """Findings on success of every subject of one study of six seeds."""
+    study = collect(write_study(folder, Truth(success=success, **truth), seeds=6, size=LIGHT))
+    return findings(study.tasks[0], claims(study))
+
+
+def words(found: Finding) -> set[str]:
+    """Words of the sentence, without the title of the task."""
+    return set(found.sentence.split(": ", 1)[1].replace(",", " ").replace(".", " ").split())
+
+
+@pytest.mark.parametrize(
+    ("level", "kind"), [(0.5, "knowledge matters"), (0.8, "input without meaning")]
+)
+def test_wrong_object_alone_tests_the_meaning(tmp_path, level, kind):
+    success = {"bm": 0.5, "full": 0.8, "wide": 0.5, "wrong-object": level}
+    (result,) = decided(tmp_path, success)
+    assert result.kind == kind
+    assert "wrong-object" in words(result)
+
+
+@pytest.mark.parametrize(
+    "success",
+    [REAL, {"bm": 0.5, "full": 0.8, "zeros": 0.5, "shuffled": 0.5}, CAPACITY],
+)
+def test_a_sentence_names_only_agents_that_ran(tmp_path, success):
+    (result,) = decided(tmp_path, success)
+    assert not words(result) & (set(EVERY_AGENT) - set(success))
+
+
+EVERY_AGENT = ("partial", "wide", "zeros", "random", "shuffled", "onehot", "wrong-object", "target")
+
+
+def test_a_privileged_agent_is_judged_by_controls_of_its_scope(tmp_path):
+    others = dict.fromkeys(("bm", "wide", "zeros", "random", "shuffled", "onehot"), 0.4)
+    both = others | {"target": 0.8, "target-onehot": 0.8}
+    (result,) = decided(tmp_path / "equal", both)
+    assert result.kind == "input without meaning"
+    assert "target-onehot" in words(result)
+    assert "random" not in words(result)
+    (result,) = decided(tmp_path / "better", both | {"target-onehot": 0.5})
+    assert result.kind == "knowledge matters"
+    (result,) = decided(tmp_path / "alone", others | {"target": 0.8})
+    assert result.kind == "meaning not tested"
+    assert "target-onehot" in words(result)  # offered from the registry
+    assert "shuffled" not in words(result)
+
+
+def test_an_agent_of_the_scene_is_not_judged_by_controls_of_the_target(tmp_path):
+    success = REAL | {"target": 0.9, "target-onehot": 0.9}
+    scene, target = decided(tmp_path, success)
+    assert scene.kind == "knowledge matters"
+    assert not {"target", "target-onehot"} & words(scene)
+    assert target.kind == "input without meaning"
+
+
+@pytest.mark.parametrize(
+    ("level", "kind"), [(0.5, "knowledge matters"), (0.8, "input without meaning")]
+)
+def test_the_role_of_an_unregistered_agent_is_read_from_its_config(tmp_path, level, kind):
+    success = {"bm": 0.5, "full": 0.8, "wide": 0.5, "toy": level}
+    (result,) = decided(tmp_path, success, roles={"toy": "content_control"})
+    assert result.kind == kind
+    assert "toy" in words(result)
+    (result,) = decided(tmp_path / "unknown", success)
+    assert result.kind == "meaning not tested"
+
+
+def test_every_role_can_come_from_the_config(tmp_path):
+    success = {"none": 0.5, "mine": 0.8, "large": 0.5, "other": 0.5}
+    roles = ("baseline", "knowledge", "capacity_control", "content_control")
+    (result,) = decided(tmp_path, success, roles=dict(zip(success, roles, strict=True)))
+    assert result.kind == "knowledge matters"
+    assert {"none", "mine", "large", "other"} <= words(result)
+
+
+def test_a_missing_capacity_control_is_offered_from_the_registry(tmp_path):
+    (result,) = decided(tmp_path, {"bm": 0.5, "full": 0.8})
+    assert result.kind == "size not excluded"
+    assert {"wide", "zeros"} <= words(result)
 
 
 def test_a_claim_behind_a_closed_gate_is_not_tested(tmp_path):

@@ -13,7 +13,7 @@ Tone = Literal["good", "bad", "open", "note"]
 """Confirmed, refuted, undecided, or a remark."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Column:
     """One column of a table.
 
@@ -33,13 +33,13 @@ class Column:
 
 
 SHARED = {
-    "task": Column(key="task", label="task"),
-    "agent": Column(key="agent", label="agent"),
-    "seed": Column(key="seed", label="seed", format="integer"),
-    "seeds": Column(key="seeds", label="seeds", format="integer", hint="training seeds"),
-    "return_mean": Column(key="return_mean", label="mean return", format="number1", interval=True),
-    "success": Column(key="success", label="success", format="percent", interval=True),
-    "accuracy": Column(key="accuracy", label="accuracy", format="percent", interval=True),
+    "task": Column("task", "task"),
+    "agent": Column("agent", "agent"),
+    "seed": Column("seed", "seed", "integer"),
+    "seeds": Column("seeds", "seeds", "integer", hint="training seeds"),
+    "return_mean": Column("return_mean", "mean return", "number1", interval=True),
+    "success": Column("success", "success", "percent", interval=True),
+    "accuracy": Column("accuracy", "accuracy", "percent", interval=True),
 }
 """Columns of several tables, by key."""
 
@@ -231,15 +231,13 @@ class Page:
     """One section of the report.
 
     Attributes:
-        name: anchor in the address.
-        short: name in the navigation.
+        name: anchor in the address; capitalized, name in the navigation.
         title: heading.
         lead: one sentence under the heading.
         blocks: content.
     """
 
     name: str
-    short: str
     title: str
     lead: str
     blocks: Sequence[Block]

@@ -1,7 +1,7 @@
-"""Charts with two axes in SVG: scales, axes, line charts and density charts."""
+"""Charts with two axes in SVG: scales, axes, line charts, density charts."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -213,25 +213,8 @@ def _gapless(x: np.ndarray, y: np.ndarray) -> list[slice]:
     return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Density:
-    """One distribution of a density chart.
-
-    Attributes:
-        name: name in the legend.
-        colour: palette class.
-        heights: (BINS,) float64 probability density.
-        mean: mean of the samples.
-    """
-
-    name: str
-    colour: str
-    heights: np.ndarray
-    mean: float
-
-
-def densities(samples: Sequence[np.ndarray]) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Compute histograms on common bins that cover all samples but the outermost 0.1 %.
+def histograms(samples: Sequence[np.ndarray]) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Compute densities on common bins that cover all samples but the outermost 0.1 %.
 
     Returns:
         (BINS + 1,) edges, and (BINS,) densities per sample.
@@ -243,34 +226,29 @@ def densities(samples: Sequence[np.ndarray]) -> tuple[np.ndarray, list[np.ndarra
     return edges, [np.histogram(each, edges)[0] / (each.size * width) for each in samples]
 
 
-def density_chart(shown: Sequence[Density], edges: np.ndarray, name: str, x_title: str) -> str:
+def density_chart(
+    samples: Mapping[str, np.ndarray], colours: Mapping[str, str], name: str, x_title: str
+) -> str:
     """Draw distributions as filled steps with a line at each mean.
 
     Args:
-        shown: the distributions, in drawing order.
-        edges: (BINS + 1,) common edges of the bins.
+        samples: (n_i,) samples by name in the legend, in drawing order.
+        colours: palette class by name.
         name: text alternative.
         x_title: title of the horizontal axis, with its unit.
     """
     box = Box(width=320, height=190, left=40, top=26)
+    edges, heights = histograms(list(samples.values()))
     x = Scale(float(edges[0]), float(edges[-1]), *box.x)
-    y = Scale(0.0, 1.08 * max(float(each.heights.max()) for each in shown) or 1.0, *box.y)
-    one_decimal = format.decimals(1)
-    x_axis, y_axis = (Axis(title=t, format=one_decimal) for t in (x_title, "density"))
+    y = Scale(0.0, 1.08 * max(float(each.max()) for each in heights) or 1.0, *box.y)
+    x_axis, y_axis = (Axis(title=t, format=format.decimals(1)) for t in (x_title, "density"))
     parts = [axes(box, x, y, x_axis, y_axis)]
-    for each in shown:
-        points = [(x(float(edges[0])), y(0))]
-        for left, right, height in zip(edges, edges[1:], each.heights, strict=False):
-            points += [(x(float(left)), y(float(height))), (x(float(right)), y(float(height)))]
-        points.append((x(float(edges[-1])), y(0)))
-        mean = x(min(max(each.mean, x.low), x.high))
-        parts.append(
-            element(
-                "g",
-                path(points, class_="area"),
-                element("line", x1=mean, x2=mean, y1=y(0), y2=box.top, class_="mean"),
-                class_=f"series {each.colour}",
-                data_name=each.name,
-            )
-        )
+    corners = np.repeat(edges, 2).tolist()
+    for (each, values), height in zip(samples.items(), heights, strict=True):
+        levels = [0.0, *np.repeat(height, 2).tolist(), 0.0]
+        points = [(x(a), y(b)) for a, b in zip(corners, levels, strict=True)]
+        mean = x(min(max(float(values.mean()), x.low), x.high))
+        line = element("line", x1=mean, x2=mean, y1=y(0), y2=box.top, class_="mean")
+        kind = f"series {colours[each]}"
+        parts.append(element("g", path(points, class_="area"), line, class_=kind, data_name=each))
     return drawing(box.width, box.height, name, *parts, class_="chart density")

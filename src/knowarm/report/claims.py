@@ -8,7 +8,7 @@ import numpy as np
 
 from knowarm.report import format
 from knowarm.report.format import counted
-from knowarm.report.study import CONTROLS, Group, Study, Task
+from knowarm.report.study import Group, Study, Task
 from knowarm.statistics import Comparison, area_under_curve, holm, seeds_needed, welch
 
 FEWEST_SEEDS = 3
@@ -182,16 +182,6 @@ def bears_on(group: Group, subject: Group) -> bool:
     if group.role == "baseline" or group.scope == subject.scope:
         return True
     return group.role == "capacity_control" and group.scope == "scene"
-
-
-def controls(subject: Group, claimed: Sequence[Claim], role: str) -> list[Claim]:
-    """Return the claims that compare a subject with the controls of one role that bear on it."""
-    assert role in CONTROLS
-    return [
-        claim
-        for claim in claimed
-        if claim.first is subject and claim.second.role == role and claim.stage != "described"
-    ]
 
 
 def scores(task: Task, group: Group, outcome: Outcome) -> np.ndarray:

@@ -10,12 +10,9 @@ from typing import Any
 import numpy as np
 
 from knowarm.errors import UserError
-from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.run_folder import RunFolder, read_csv, read_json
-from knowarm.report._temporary import registered_role
-from knowarm.report.format import slugs
+from knowarm.report.format import differing, flatten, slugs
 from knowarm.report.study import (
-    ROLES,
     Curve,
     Evaluation,
     Group,
@@ -24,8 +21,8 @@ from knowarm.report.study import (
     Run,
     Study,
     Task,
-    differing,
-    flatten,
+    rank,
+    role_of,
 )
 from knowarm.world.robots import ROBOTS
 
@@ -230,21 +227,6 @@ def _task(
     others = [each for each in fitting if not each.untrained]
     groups.sort(key=lambda group: rank(group.role, group.agent))
     return Task(name, title, label, tuple(groups), (*untrained, *others))
-
-
-def role_of(config: Mapping[str, Any]) -> str | None:
-    """Return the role of a run's agent: the stored one, else the registered one."""
-    return config.get("role") or registered_role(str(config["agent"]))
-
-
-def rank(role: str | None, agent: str) -> tuple[int, int, str]:
-    """Return the sort key of an agent: by role, then in the registry's order."""
-    names = list(AGENTS)
-    return (
-        ROLES.index(role) if role in ROLES else len(ROLES),
-        names.index(agent) if agent in names else len(names),
-        agent,
-    )
 
 
 def _untrained(runs: list[Run]) -> list[Reference]:

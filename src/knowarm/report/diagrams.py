@@ -17,8 +17,8 @@ ROW = 34
 SHADES = ("s0", "s1", "s2", "s3", "s4", "s5", "s6", "s7")
 """Palette classes of the parts of a bar."""
 
-BAR_ROW = 46
-"""Height of a row of bars [px]."""
+WIDTH, BAR_ROW = 560.0, 46
+"""Width of bars and heat maps, height of a row of bars [px]."""
 
 CELLS_PER_ROW = 25
 """Cells in a row of a heat map."""
@@ -116,13 +116,12 @@ def _dot_row(dot: Dot, y: float, x: Scale, box: Box, axis: Axis) -> str:
     return element("g", hover(words), *parts, class_=f"row {dot.colour}", data_name=dot.name)
 
 
-def stacked_bars(counts: Mapping[str, Mapping[str, int]], title: str, width: float = 560) -> str:
+def stacked_bars(counts: Mapping[str, Mapping[str, int]], title: str) -> str:
     """Draw one bar per name on a common scale, its parts from left to right.
 
     Args:
         counts: counts by part for each name.
         title: text alternative.
-        width: width of the drawing [px].
     """
     largest = max((sum(parts.values()) for parts in counts.values()), default=0) or 1
     groups = list(dict.fromkeys(part for parts in counts.values() for part in parts))
@@ -131,9 +130,9 @@ def stacked_bars(counts: Mapping[str, Mapping[str, int]], title: str, width: flo
         y, x = row * BAR_ROW, 0.0
         total = format.integer(sum(parts.values()))
         rows.append(label(0, y + 13, name, class_="row-name"))
-        rows.append(label(width, y + 13, total, class_="tick", text_anchor="end"))
+        rows.append(label(WIDTH, y + 13, total, class_="tick", text_anchor="end"))
         for part, count in parts.items():
-            extent = width * count / largest
+            extent = WIDTH * count / largest
             rows.append(
                 element(
                     "rect",
@@ -146,27 +145,26 @@ def stacked_bars(counts: Mapping[str, Mapping[str, int]], title: str, width: flo
                 )
             )
             x += extent
-    return drawing(width, max(BAR_ROW * len(counts), 1), title, *rows, class_="chart bars")
+    return drawing(WIDTH, max(BAR_ROW * len(counts), 1), title, *rows, class_="chart bars")
 
 
-def heat_map(matrix: np.ndarray, names: Sequence[str], title: str, width: float = 560) -> str:
+def heat_map(matrix: np.ndarray, names: Sequence[str], title: str) -> str:
     """Draw each slot as rows of cells: blue below zero, orange above, pale near zero.
 
     Args:
         matrix: (S, D) slots.
         names: one name per slot.
         title: text alternative.
-        width: width of the drawing [px].
     """
     largest = float(np.abs(matrix).max()) if matrix.size else 0.0
-    cell = width / CELLS_PER_ROW
+    cell = WIDTH / CELLS_PER_ROW
     height = min(cell, 16.0)
     parts: list[str] = []
     y = 0.0
     for slot, name in zip(matrix, names, strict=True):
         norm = f"norm {np.linalg.norm(slot.astype(np.float64)):.2f}"
         parts.append(label(0, y + 13, name, class_="row-name"))
-        parts.append(label(width, y + 13, norm, class_="tick", text_anchor="end"))
+        parts.append(label(WIDTH, y + 13, norm, class_="tick", text_anchor="end"))
         y += 20
         for i, value in enumerate(slot.tolist()):
             row, column = divmod(i, CELLS_PER_ROW)
@@ -184,7 +182,7 @@ def heat_map(matrix: np.ndarray, names: Sequence[str], title: str, width: float 
                 )
             )
         y += -(-len(slot) // CELLS_PER_ROW) * height + 12
-    return drawing(width, max(y, 1.0), title, *parts, class_="chart heat")
+    return drawing(WIDTH, max(y, 1.0), title, *parts, class_="chart heat")
 
 
 def graph_diagram(triples: Sequence[tuple[str, str, str]], title: str) -> str:

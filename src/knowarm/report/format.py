@@ -1,8 +1,9 @@
-"""Formatting for people: numbers, enumerations, names in addresses, colours of agents."""
+"""Formatting for people: numbers, enumerations, names, colours of agents, settings that differ."""
 
+import json
 import math
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from knowarm.report._temporary import registered_colour
@@ -154,3 +155,24 @@ def palette(names: Iterable[tuple[str, str]]) -> dict[str, str]:
             registered = (free or SPARE_COLOURS)[0 if free else len(chosen) % len(SPARE_COLOURS)]
         chosen[name] = registered
     return chosen
+
+
+def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return nested mappings as one mapping of dotted names."""
+    flat: dict[str, Any] = {}
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            flat |= flatten(value, f"{prefix}{name}.")
+        else:
+            flat[f"{prefix}{name}"] = value
+    return flat
+
+
+def differing(settings: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the names whose values are not the same everywhere."""
+    names = sorted({name for each in settings for name in each})
+    return [
+        name
+        for name in names
+        if len({json.dumps(each.get(name), sort_keys=True) for each in settings}) > 1
+    ]

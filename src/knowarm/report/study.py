@@ -1,6 +1,5 @@
 """Study model: the tasks, agents, runs and evaluations that a report is computed from."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.evaluation_files import read_table
+from knowarm.report._temporary import registered_role
 from knowarm.report.format import palette
 from knowarm.statistics import Interval, bootstrap
 
@@ -330,22 +331,16 @@ class Study:
         return [run for task in self.tasks for run in task.runs]
 
 
-def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return nested mappings as one mapping of dotted names."""
-    flat: dict[str, Any] = {}
-    for name, value in values.items():
-        if isinstance(value, Mapping):
-            flat |= flatten(value, f"{prefix}{name}.")
-        else:
-            flat[f"{prefix}{name}"] = value
-    return flat
+def role_of(config: Mapping[str, Any]) -> str | None:
+    """Return the role of a run's agent: the stored one, else the registered one."""
+    return config.get("role") or registered_role(str(config["agent"]))
 
 
-def differing(settings: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return the names whose values are not the same everywhere."""
-    names = sorted({name for each in settings for name in each})
-    return [
-        name
-        for name in names
-        if len({json.dumps(each.get(name), sort_keys=True) for each in settings}) > 1
-    ]
+def rank(role: str | None, agent: str) -> tuple[int, int, str]:
+    """Return the sort key of an agent: by role, then in the registry's order."""
+    names = list(AGENTS)
+    return (
+        ROLES.index(role) if role in ROLES else len(ROLES),
+        names.index(agent) if agent in names else len(names),
+        agent,
+    )

@@ -7,7 +7,7 @@ from typing import Literal
 from knowarm.experiment.agents import AGENTS
 from knowarm.report._temporary import registered_role
 from knowarm.report.blocks import Tone, Verdict
-from knowarm.report.claims import FEWEST_SEEDS, OUTCOMES, Claim, Outcome, controls
+from knowarm.report.claims import FEWEST_SEEDS, OUTCOMES, Claim, Outcome
 from knowarm.report.format import counted, listed
 from knowarm.report.study import Group, Task
 
@@ -62,10 +62,7 @@ def findings(task: Task, decided: Sequence[Claim], outcome: Outcome = "success")
 
 
 def finding(
-    task: Task,
-    decided: Sequence[Claim],
-    outcome: Outcome = "success",
-    subject: Group | None = None,
+    task: Task, decided: Sequence[Claim], outcome: Outcome = "success", subject: Group | None = None
 ) -> Finding:
     """Decide whether the knowledge of a subject matters on one task.
 
@@ -126,8 +123,8 @@ def _judge(subject: Group, tested: Sequence[Claim]) -> tuple[Kind, str]:
     if gate.verdict != "better":
         return "no advantage", f"no advantage of {name} over the baseline {baseline} is shown."
     better = f"{name} was better than the baseline {baseline}"
-    capacity = controls(subject, tested, "capacity_control")
-    content = controls(subject, tested, "content_control")
+    capacity = [claim for claim in tested if claim.second.role == "capacity_control"]
+    content = [claim for claim in tested if claim.second.role == "content_control"]
     if not capacity:
         return "size not excluded", (
             f"{better}, but its network is larger, too: without a capacity control this is no "
@@ -166,14 +163,9 @@ def _not_beaten(claims: Sequence[Claim]) -> str:
 def _hint(role: str, subject: Group) -> str:
     """Return a sentence that names the registered agents that would answer the question."""
     scopes = {subject.scope, "scene"} if role == "capacity_control" else {subject.scope}
-    names = registered_agents(role, scopes)
-    return f" Registered for this: {listed(names, 'or')}." if names else ""
-
-
-def registered_agents(role: str, scopes: set[str]) -> list[str]:
-    """Return the names of the registered agents of a role whose vector has one of the scopes."""
-    return [
+    names = [
         name
         for name, agent in AGENTS.items()
         if registered_role(name) == role and agent.knowledge.scope in scopes
     ]
+    return f" Registered for this: {listed(names, 'or')}." if names else ""

@@ -37,9 +37,7 @@ FOLDED_ROWS = 16
 
 
 def report(
-    run_paths: Sequence[Path],
-    out: Path,
-    reference_results: Mapping[str, Path] | None = None,
+    run_paths: Sequence[Path], out: Path, reference_results: Mapping[str, Path] | None = None
 ) -> Path:
     """Write one report from run folders.
 

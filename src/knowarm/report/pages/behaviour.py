@@ -10,7 +10,7 @@ from knowarm.errors import UserError
 from knowarm.experiment.film import read_film
 from knowarm.report import format
 from knowarm.report.blocks import Block, Column, Figure, Film, Films, Panel, Row, Table, Verdict
-from knowarm.report.charts import Density, densities, density_chart
+from knowarm.report.charts import density_chart
 from knowarm.report.pages.paper import published_comparison
 from knowarm.report.study import Evaluation, Group, Task
 
@@ -50,51 +50,40 @@ def _joints(task: Task, first: Group, second: Group) -> Figure:
     published = published_comparison(task, first, second).get("std_changes", {})
     rows: list[Row] = []
     panels = []
-    for name in joints:
-        joint = int(name.split("_")[1])
-        angles = [each[name].astype(np.float64) for each in samples]
-        means, stds = [float(a.mean()) for a in angles], [float(a.std()) for a in angles]
-        rows.append(
-            {
-                "joint": joint,
-                "first_mean": means[0],
-                "second_mean": means[1],
-                "mean_change": means[0] - means[1],
-                "first_std": stds[0],
-                "second_std": stds[1],
-                "std_change": stds[0] - stds[1],
-                "paper_std_change": published.get(str(joint)),
-            }
-        )
-        edges, heights = densities(angles)
-        shown = [
-            Density(name=group.name, colour=task.colours[group.name], heights=height, mean=mean)
-            for group, height, mean in zip((second, first), heights[::-1], means[::-1], strict=True)
+    names = (first.name, second.name)
+    for column in joints:
+        joint = int(column.split("_")[1])
+        angles = [each[column].astype(np.float64) for each in samples]
+        row: Row = {"joint": joint}
+        for key, values in (
+            ("mean", [float(a.mean()) for a in angles]),
+            ("std", [float(a.std()) for a in angles]),
+        ):
+            changes = {f"first_{key}": values[0], f"second_{key}": values[1]}
+            row |= {**changes, f"{key}_change": values[0] - values[1]}
+        rows.append(row | {"paper_std_change": published.get(str(joint))})
+        shown = dict(zip(names[::-1], angles[::-1], strict=True))
+        svg = density_chart(shown, task.colours, f"Angles of joint {joint}", "angle [rad]")
+        mean, std = (format.signed(row[f"{key}_change"]) for key in ("mean", "std"))
+        panels.append(Panel(svg=svg, title=f"joint {joint}: mean {mean}, std {std}"))
+    columns = [Column("joint", "joint", "integer")]
+    for key in ("mean", "std"):
+        columns += [
+            Column(f"first_{key}", f"{first.name} {key}", "number"),
+            Column(f"second_{key}", f"{second.name} {key}", "number"),
+            Column(f"{key}_change", "difference", "signed"),
         ]
-        svg = density_chart(shown, edges, f"Angles of joint {joint}", "angle [rad]")
-        changes = (format.signed(values[0] - values[1]) for values in (means, stds))
-        title = "joint {}: mean {}, std {}".format(joint, *changes)
-        panels.append(Panel(svg=svg, title=title))
     return Figure(
         title=f"Joint angles of {first.name} and {second.name}: {task.title}",
         caption=f"Above each chart: {first.name} minus {second.name} [rad]. Dashed: means. One "
         "trained network per agent: another training seed may change them as much as the "
         "knowledge does.",
         panels=panels,
-        legend=[(group.name, task.colours[group.name]) for group in (first, second)],
+        legend=[(name, task.colours[name]) for name in names],
         table=Table(
             name=f"joints-{task.name}",
             title="Mean and standard deviation of every joint [rad]",
-            columns=[
-                Column(key="joint", label="joint", format="integer"),
-                Column(key="first_mean", label=f"{first.name} mean", format="number"),
-                Column(key="second_mean", label=f"{second.name} mean", format="number"),
-                Column(key="mean_change", label="difference", format="signed"),
-                Column(key="first_std", label=f"{first.name} std", format="number"),
-                Column(key="second_std", label=f"{second.name} std", format="number"),
-                Column(key="std_change", label="difference", format="signed"),
-                Column(key="paper_std_change", label="paper", format="signed"),
-            ],
+            columns=[*columns, Column("paper_std_change", "paper", "signed")],
             rows=rows,
             sources=[evaluation.folder / "steps.parquet" for evaluation in evaluations],
         ),

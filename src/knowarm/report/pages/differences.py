@@ -1,6 +1,6 @@
 """Page "Differences": statistical comparisons of agents, over training seeds and the paper's."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -11,7 +11,7 @@ from knowarm.report import format
 from knowarm.report.blocks import Block, Column, Figure, Panel, Row, Table, cells, shared
 from knowarm.report.charts import SUCCESS_AXIS, Axis, Box, Series, line_chart
 from knowarm.report.claims import ALPHA, FEWEST_SEEDS, OUTCOMES, Claim, pairs, scores
-from knowarm.report.diagrams import POINTS_AXIS, Dot, dot_chart
+from knowarm.report.pages.knowledge import forest_figure
 from knowarm.report.pages.paper import published_comparison
 from knowarm.report.study import Evaluation, Group, Task
 from knowarm.statistics import (
@@ -39,24 +39,24 @@ EXPLANATION = (
 )
 
 COMPARISON_COLUMNS = (
-    Column(key="outcome", label="outcome"),
-    Column(key="first", label="agent"),
-    Column(key="second", label="against"),
-    Column(key="difference", label="difference [points]", format="points", interval=True),
-    Column(key="seeds", label="seeds"),
-    Column(key="effect_size", label="in std", format="signed", hint="Cohen's d"),
-    Column(key="p", label="p", format="p", hint="Welch's t, two-sided"),
+    Column("outcome", "outcome"),
+    Column("first", "agent"),
+    Column("second", "against"),
+    Column("difference", "difference [points]", "points", interval=True),
+    Column("seeds", "seeds"),
+    Column("effect_size", "in std", "signed", hint="Cohen's d"),
+    Column("p", "p", "p", hint="Welch's t, two-sided"),
     Column(
-        key="adjusted_p",
-        label="adjusted p",
-        format="p",
+        "adjusted_p",
+        "adjusted p",
+        "p",
         hint="baseline: Holm over the report; controls: times the number of Holm's comparisons",
     ),
-    Column(key="verdict", label="verdict"),
+    Column("verdict", "verdict"),
     Column(
-        key="needed",
-        label="seeds needed",
-        format="integer",
+        "needed",
+        "seeds needed",
+        "integer",
         hint="per agent, to detect a difference as large as the observed one in 80 % of studies",
     ),
 )
@@ -105,34 +105,6 @@ def _comparisons(task: Task, decided: Sequence[Claim]) -> Block:
     return forest_figure(table, caption, panels)
 
 
-def forest_figure(table: Table, caption: str, panels: Mapping[str, Sequence[Claim]]) -> Block:
-    """Draw the intervals of differences around zero; the table alone if there are none.
-
-    Args:
-        table: the claims as a table.
-        caption: how to read the drawings.
-        panels: the claims of each drawing, by its title.
-    """
-    drawn = []
-    for title, claims in panels.items():
-        dots = [
-            Dot(
-                name=f"{claim.first.name} \u2212 {claim.second.name}",
-                colour=claim.task.colours[claim.second.name],
-                value=claim.comparison.difference,
-            )
-            for claim in claims
-            if claim.comparison
-        ]
-        if dots:
-            name = f"{table.title}, {title}" if title else table.title
-            svg = dot_chart(dots, name, POINTS_AXIS, zero=True, width=390, left=132)
-            drawn.append(Panel(svg=svg, title=title))
-    if not drawn:
-        return table
-    return Figure(title=table.title, caption=caption, panels=drawn, table=table, open_table=True)
-
-
 def _comparison_row(claim: Claim) -> Row:
     row: Row = {
         "outcome": OUTCOMES[claim.outcome],
@@ -174,19 +146,19 @@ def _scores(task: Task) -> Table:
         title=f"Success over training seeds: {task.title}",
         columns=[
             *shared("agent", "seeds"),
-            Column(key="mean", label="mean", format="percent", interval=True),
-            Column(key="iqm", label="interquartile mean", format="percent", interval=True),
+            Column("mean", "mean", "percent", interval=True),
+            Column("iqm", "interquartile mean", "percent", interval=True),
             Column(
-                key="improvement",
-                label=f"P(better than {baseline.name})",
-                format="percent",
+                "improvement",
+                f"P(better than {baseline.name})",
+                "percent",
                 interval=True,
                 hint=f"probability that a run of the agent beats a run of {baseline.name}",
             ),
             Column(
-                key="area",
-                label="mean during training",
-                format="percent",
+                "area",
+                "mean during training",
+                "percent",
                 interval=True,
                 hint="area under the curve of interim success, divided by its length",
             ),
@@ -232,8 +204,8 @@ def _profile(task: Task) -> Figure | None:
             title="Share of runs above each level of success",
             columns=[
                 *shared("agent"),
-                Column(key="level", label="success", format="percent"),
-                Column(key="share", label="runs above", format="percent", interval=True),
+                Column("level", "success", "percent"),
+                Column("share", "runs above", "percent", interval=True),
             ],
             rows=rows,
             sources=[run.path for run in task.runs],
@@ -263,10 +235,10 @@ def _networks(task: Task) -> Table | None:
         "networks",
         "Two networks on the same episodes",
         [
-            Column(key="episodes", label="episodes", format="integer"),
-            Column(key="success", label="success [points]", format="points", interval=True),
-            Column(key="return", label="return", format="signed", interval=True),
-            Column(key="length", label="steps", format="signed", interval=True),
+            Column("episodes", "episodes", "integer"),
+            Column("success", "success [points]", "points", interval=True),
+            Column("return", "return", "signed", interval=True),
+            Column("length", "steps", "signed", interval=True),
         ],
         rows,
         sources,
@@ -303,12 +275,12 @@ def _variance(task: Task) -> Table | None:
         "anova",
         "The paper's analysis of variance over evaluation seeds",
         [
-            Column(key="rates", label="evaluation seeds", format="integer"),
-            Column(key="first_mean", label="success", format="percent"),
-            Column(key="second_mean", label="success", format="percent"),
-            Column(key="f", label="F"),
-            Column(key="p", label="p", format="p"),
-            Column(key="paper_f", label="paper's F", format="number"),
+            Column("rates", "evaluation seeds", "integer"),
+            Column("first_mean", "success", "percent"),
+            Column("second_mean", "success", "percent"),
+            Column("f", "F"),
+            Column("p", "p", "p"),
+            Column("paper_f", "paper's F", "number"),
         ],
         rows,
         sources,
@@ -331,10 +303,7 @@ def _network_table(
     """Return a table of pairs of single networks, if it has rows."""
     if not rows:
         return None
-    agents = (
-        Column(key="first", label="network of"),
-        Column(key="second", label="against that of"),
-    )
+    agents = (Column("first", "network of"), Column("second", "against that of"))
     return Table(
         name=f"{name}-{task.name}",
         title=f"{title}: {task.title}",

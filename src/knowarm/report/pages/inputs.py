@@ -113,14 +113,14 @@ def _overview(task: Task) -> Table:
         title=f"Knowledge vectors: {task.title}",
         columns=[
             *shared("agent"),
-            Column(key="source", label="source"),
-            Column(key="slots", label="slots", format="integer"),
-            Column(key="numbers", label="dimensions", format="integer"),
-            Column(key="norm", label="norm", format="number"),
-            Column(key="coverage", label="words with a vector", format="percent"),
-            Column(key="constant", label="constant"),
-            Column(key="privileged", label="privileged"),
-            Column(key="note", label="note"),
+            Column("source", "source"),
+            Column("slots", "slots", "integer"),
+            Column("numbers", "dimensions", "integer"),
+            Column("norm", "norm", "number"),
+            Column("coverage", "words with a vector", "percent"),
+            Column("constant", "constant"),
+            Column("privileged", "privileged"),
+            Column("note", "note"),
         ],
         rows=rows,
         sources=[group.runs[0].path / "provenance.json" for group in task.groups],
@@ -151,7 +151,7 @@ def _knowledge(group: Group, stem: str, known: Mapping[str, Any], graphs: set[st
             Table(
                 name=f"sentences-{stem}",
                 title=f"Sentence of each slot: {name}",
-                columns=[Column(key=key, label=key) for key in ("slot", "sentence")],
+                columns=[Column(key, key) for key in ("slot", "sentence")],
                 rows=[{"slot": slot, "sentence": each} for slot, each in sentences.items()],
                 sources=[run.path / "provenance.json"],
             )
@@ -179,7 +179,7 @@ def _graph(name: str, stem: str, triples: list[tuple[str, str, str]], run: Run) 
         table=Table(
             name=f"graph-{stem}",
             title="Facts",
-            columns=[Column(key=key, label=key) for key in ("head", "relation", "tail")],
+            columns=[Column(key, key) for key in ("head", "relation", "tail")],
             rows=[{"head": a, "relation": b, "tail": c} for a, b, c in triples],
             sources=[run.path / "config.json"],
         ),
@@ -210,9 +210,9 @@ def _vector(name: str, stem: str, run: Run, known: Mapping[str, Any], matrix: np
             name=f"vector-{stem}",
             title="Elements of the vector",
             columns=[
-                Column(key="slot", label="slot"),
-                Column(key="index", label="index", format="integer"),
-                Column(key="value", label="value", format="number3"),
+                Column("slot", "slot"),
+                Column("index", "index", "integer"),
+                Column("value", "value", "number3"),
             ],
             rows=[
                 {"slot": slot, "index": i, "value": float(value)}
@@ -235,20 +235,20 @@ def _parameters(task: Task) -> list[Block]:
             sources.append(run.path / "provenance.json")
     if not counts:
         return []
-    parts = dict.fromkeys(part for each in counts.values() for part in each)
+    names = dict.fromkeys(part for each in counts.values() for part in each)
     return [
         Figure(
             title=f"Trainable parameters: {task.title}",
             caption="A longer vector makes a larger LSTM: compare agents of equal size.",
             panels=[Panel(svg=stacked_bars(counts, "Trainable parameters by part of the network"))],
-            legend=[(part, SHADES[i % len(SHADES)]) for i, part in enumerate(parts)],
+            legend=[(part, SHADES[i % len(SHADES)]) for i, part in enumerate(names)],
             table=Table(
                 name=f"parameters-{task.name}",
                 title="Trainable parameters",
                 columns=[
                     *shared("agent"),
-                    Column(key="part", label="part"),
-                    Column(key="parameters", label="parameters", format="integer"),
+                    Column("part", "part"),
+                    Column("parameters", "parameters", "integer"),
                 ],
                 rows=[
                     {"agent": name, "part": part, "parameters": number}

@@ -1,5 +1,7 @@
 """Page "Knowledge": each subject against the controls, in total and by target."""
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
 from knowarm.experiment.agents import AGENTS
@@ -9,7 +11,7 @@ from knowarm.report.claims import Claim
 from knowarm.report.collect import LATEST, UNTRAINED
 from knowarm.report.diagrams import POINTS_AXIS, Dot, dot_chart
 from knowarm.report.format import slugs
-from knowarm.report.pages.differences import forest_figure
+from knowarm.report.pages.results import part_panels
 from knowarm.report.study import Evaluation, Group, Task
 from knowarm.report.verdict import finding
 from knowarm.statistics import Interval, welch
@@ -65,14 +67,14 @@ def _controls(task: Task, subject: Group, final: list[Claim], stem: str) -> Bloc
         name=f"controls-{stem}",
         title=f"{subject.name} against each other agent: {task.title}",
         columns=[
-            Column(key="control", label="agent"),
-            Column(key="role", label="role"),
-            Column(key="about", label="about"),
-            Column(key="parameters", label="parameters", format="integer"),
-            Column(key="equal", label=f"as many as {subject.name}", hint="within 2 %"),
-            Column(key="difference", label="success [points]", format="points", interval=True),
-            Column(key="adjusted_p", label="adjusted p", format="p"),
-            Column(key="verdict", label=f"{subject.name} is"),
+            Column("control", "agent"),
+            Column("role", "role"),
+            Column("about", "about"),
+            Column("parameters", "parameters", "integer"),
+            Column("equal", f"as many as {subject.name}", hint="within 2 %"),
+            Column("difference", "success [points]", "points", interval=True),
+            Column("adjusted_p", "adjusted p", "p"),
+            Column("verdict", f"{subject.name} is"),
         ],
         rows=rows,
         sources=[run.path for run in task.runs],
@@ -85,6 +87,34 @@ def _controls(task: Task, subject: Group, final: list[Claim], stem: str) -> Bloc
     return forest_figure(table, caption, {"": final})
 
 
+def forest_figure(table: Table, caption: str, panels: Mapping[str, Sequence[Claim]]) -> Block:
+    """Draw the intervals of differences around zero; the table alone if there are none.
+
+    Args:
+        table: the claims as a table.
+        caption: how to read the drawings.
+        panels: the claims of each drawing, by its title.
+    """
+    drawn = []
+    for title, claims in panels.items():
+        dots = [
+            Dot(
+                name=f"{claim.first.name} \u2212 {claim.second.name}",
+                colour=claim.task.colours[claim.second.name],
+                value=claim.comparison.difference,
+            )
+            for claim in claims
+            if claim.comparison
+        ]
+        if dots:
+            name = f"{table.title}, {title}" if title else table.title
+            svg = dot_chart(dots, name, POINTS_AXIS, zero=True, width=390, left=132)
+            drawn.append(Panel(svg=svg, title=title))
+    if not drawn:
+        return table
+    return Figure(title=table.title, caption=caption, panels=drawn, table=table, open_table=True)
+
+
 def _size(group: Group) -> int | None:
     totals = (run.parameters.get("total") for run in group.runs)
     return next((int(total) for total in totals if total), None)
@@ -95,21 +125,16 @@ def _by_target(task: Task, subject: Group, final: list[Claim], stem: str) -> lis
     summary = subject.evaluations[0].summary if subject.evaluations else {}
     facets, targets = summary.get("per_facet", {}), summary.get("per_target", {})
     part, names = ("per_facet", facets) if len(facets) > len(targets) else ("per_target", targets)
-    rows: list[Row] = []
-    panels = []
-    for name in sorted(names):
-        dots = []
-        for group in (claim.second for claim in final if claim.comparison):
-            value, colour = _difference(subject, group, part, name), task.colours[group.name]
-            if value is not None:
-                row = {"part": name, "control": group.name, "_colour": colour}
-                rows.append(row | cells("difference", value))
-                dots.append(Dot(name=f"\u2212 {group.name}", colour=colour, value=value))
-        if dots:
-            words = format.facet(name)
-            label = f"{subject.name} minus other agents on {words}"
-            svg = dot_chart(dots, label, POINTS_AXIS, zero=True, width=340, left=100)
-            panels.append(Panel(svg=svg, title=words))
+    others = [claim.second for claim in final if claim.comparison]
+
+    def difference(group: Group, name: str) -> Interval | None:
+        scores = [
+            np.array([v["success"] for e in g.evaluations if (v := e.numbers(part, name))])
+            for g in (subject, group)
+        ]
+        return welch(*scores).difference if min(map(len, scores)) > 1 else None
+
+    rows, panels = part_panels(task, sorted(names), others, difference, POINTS_AXIS, sign="\u2212 ")
     if not panels:
         return []
     return [
@@ -122,23 +147,15 @@ def _by_target(task: Task, subject: Group, final: list[Claim], stem: str) -> lis
                 name=f"control-parts-{stem}",
                 title="Differences by target and colour",
                 columns=[
-                    Column(key="part", label="target"),
-                    Column(key="control", label="agent"),
-                    Column(key="difference", label="points", format="points", interval=True),
+                    Column("part", "target"),
+                    *shared("agent"),
+                    Column("success", "success [points]", "points", interval=True),
                 ],
                 rows=rows,
                 sources=[each.folder / "summary.json" for each in subject.evaluations],
             ),
         )
     ]
-
-
-def _difference(first: Group, second: Group, part: str, name: str) -> Interval | None:
-    scores = [
-        np.array([v["success"] for each in group.evaluations if (v := each.numbers(part, name))])
-        for group in (first, second)
-    ]
-    return welch(*scores).difference if min(map(len, scores)) > 1 else None
 
 
 def _other_conditions(task: Task, subject: Group, stem: str) -> list[Block]:
@@ -177,10 +194,10 @@ def _other_conditions(task: Task, subject: Group, stem: str) -> list[Block]:
             name=f"elsewhere-{stem}",
             title=f"Other conditions: {task.title}",
             columns=[
-                Column(key="label", label="evaluation"),
+                Column("label", "evaluation"),
                 *shared("agent", "seeds"),
-                Column(key="success", label="success", format="percent"),
-                Column(key="difference", label=difference, format="points", interval=True),
+                Column("success", "success", "percent"),
+                Column("difference", difference, "points", interval=True),
             ],
             rows=rows,
             sources=sources,

@@ -1,10 +1,13 @@
 """Page "Results": the evaluation after training, in total and by target."""
 
+from collections.abc import Callable, Iterable, Sequence
+
 from knowarm.report import format
 from knowarm.report.blocks import Block, Column, Figure, Panel, Row, Table, cells, shared
-from knowarm.report.charts import SUCCESS_AXIS
+from knowarm.report.charts import SUCCESS_AXIS, Axis
 from knowarm.report.diagrams import Dot, dot_chart
-from knowarm.report.study import Evaluation, Task
+from knowarm.report.study import Evaluation, Group, Task
+from knowarm.statistics import Interval
 
 INTERVALS = ("return_mean", "success", "accuracy", "success_wide", "length_mean")
 PLAIN = (
@@ -43,14 +46,14 @@ def _table(task: Task) -> Table:
         title=f"{task.title}: {_rules(first)}",
         columns=[
             *shared("agent", "seeds", "return_mean"),
-            Column(key="return_std", label="std", format="number1"),
+            Column("return_std", "std", "number1"),
             *shared("success", "accuracy"),
-            Column(key="success_wide", label=_wide(first), format="percent", interval=True),
-            Column(key="length_mean", label="steps", format="number1", interval=True),
-            Column(key="length_std", label="std", format="number1"),
-            Column(key="failure_distance_mean", label="failure dist. [m]", format="number3"),
-            Column(key="failure_distance_std", label="std [m]", format="number3"),
-            Column(key="failure_distance_max", label="max [m]", format="number3"),
+            Column("success_wide", _wide(first), "percent", interval=True),
+            Column("length_mean", "steps", "number1", interval=True),
+            Column("length_std", "std", "number1"),
+            Column("failure_distance_mean", "failure dist. [m]", "number3"),
+            Column("failure_distance_std", "std [m]", "number3"),
+            Column("failure_distance_max", "max [m]", "number3"),
         ],
         rows=rows,
         sources=[evaluation.folder / "summary.json" for evaluation in shown],
@@ -84,20 +87,13 @@ def _parts(task: Task, part: str, what: str) -> Figure | None:
     names = sorted({name for each in evaluations for name in each.summary.get(part, {})})
     if part == "per_facet" and len({name.split("/")[0] for name in names}) == len(names):
         return None  # one colour per target: the same as per target
-    if not names:
+
+    def success(group: Group, name: str) -> Interval | None:
+        return group.level("success", part, name)
+
+    rows, panels = part_panels(task, names, task.groups, success, SUCCESS_AXIS)
+    if not panels:
         return None
-    rows: list[Row] = []
-    panels = []
-    for name in names:
-        dots = []
-        for group in task.groups:
-            value, colour = group.level("success", part, name), task.colours[group.name]
-            row = {"part": name, "agent": group.name, "_colour": colour}
-            rows.append(row | cells("success", value))
-            dots.append(Dot(name=group.name, colour=colour, value=value))
-        title = format.facet(name)
-        svg = dot_chart(dots, f"Success on {title}", SUCCESS_AXIS, width=340)
-        panels.append(Panel(svg=svg, title=title))
     return Figure(
         title=f"Success by {what}: {task.title}",
         caption="Dot: mean over training seeds; line: 95 % interval.",
@@ -105,8 +101,48 @@ def _parts(task: Task, part: str, what: str) -> Figure | None:
         table=Table(
             name=f"{part.replace('_', '-')}-{task.name}",
             title=f"Success by {what}",
-            columns=[Column(key="part", label=what), *shared("agent", "success")],
+            columns=[Column("part", what), *shared("agent", "success")],
             rows=rows,
             sources=[evaluation.folder for evaluation in evaluations],
         ),
     )
+
+
+def part_panels(
+    task: Task,
+    names: Iterable[str],
+    groups: Sequence[Group],
+    value: Callable[[Group, str], Interval | None],
+    axis: Axis,
+    *,
+    sign: str = "",
+) -> tuple[list[Row], list[Panel]]:
+    """Draw one dot chart per target or facet, one row per agent.
+
+    Args:
+        task: the task.
+        names: targets or facets.
+        groups: the agents.
+        value: estimate of an agent on a target or facet; None leaves the agent out.
+        axis: horizontal axis.
+        sign: written before the agents' names; values are then differences.
+
+    Returns:
+        Rows of the table, with the estimate in the column "success", and the drawings.
+    """
+    rows: list[Row] = []
+    panels = []
+    for name in names:
+        dots = []
+        for group in groups:
+            found, colour = value(group, name), task.colours[group.name]
+            if found is not None:
+                row = {"part": name, "agent": group.name, "_colour": colour}
+                rows.append(row | cells("success", found))
+                dots.append(Dot(name=sign + group.name, colour=colour, value=found))
+        if dots:
+            title = format.facet(name)
+            label = f"{axis.title} on {title}"
+            svg = dot_chart(dots, label, axis, zero=bool(sign), width=340, left=100)
+            panels.append(Panel(svg=svg, title=title))
+    return rows, panels

@@ -13,10 +13,10 @@ def run_blocks(study: Study) -> list[Block]:
         title="Runs",
         columns=[
             *shared("task", "agent", "seed"),
-            Column(key="folder", label="folder", format="path"),
-            Column(key="commit", label="commit"),
-            *(Column(key=name, label=name) for name in VERSIONS),
-            Column(key="machine", label="machine"),
+            Column("folder", "folder", "path"),
+            Column("commit", "commit"),
+            *(Column(name, name) for name in VERSIONS),
+            Column("machine", "machine"),
         ],
         rows=[
             {"task": task.title, "agent": group.name, "seed": run.seed, "folder": run.path}
@@ -47,9 +47,9 @@ def _problems(study: Study) -> Table:
         name="problems",
         title="Defects of the folders",
         columns=[
-            Column(key="path", label="folder or file", format="path"),
-            Column(key="what", label="found"),
-            Column(key="done", label="handled as"),
+            Column("path", "folder or file", "path"),
+            Column("what", "found"),
+            Column("done", "handled as"),
         ],
         rows=[{"path": p.path, "what": p.what, "done": p.done} for p in study.problems],
     )

@@ -9,13 +9,7 @@ from knowarm.report.blocks import Block, Column, Figure, Panel, Row, Table, cell
 from knowarm.report.charts import RETURN_AXIS, STEPS_AXIS, SUCCESS_AXIS, Box, Series, line_chart
 from knowarm.report.pages.paper import time_saved
 from knowarm.report.study import CONTROLS, Curve, Group, Run, Task
-from knowarm.statistics import (
-    first_crossing,
-    median_steps,
-    on_grid,
-    restricted_mean_steps,
-    trend,
-)
+from knowarm.statistics import first_crossing, median_steps, on_grid, restricted_mean_steps, trend
 
 GRID = 48
 """Points of a drawn curve."""
@@ -72,7 +66,7 @@ def _curves(task: Task) -> Figure:
             title=f"Moving averages of the interim evaluations: {task.title}",
             columns=[
                 *shared("agent", "seeds"),
-                Column(key="step", label="steps", format="steps"),
+                Column("step", "steps", "steps"),
                 *shared("return_mean", "success"),
             ],
             rows=list(rows.values()),
@@ -172,12 +166,12 @@ def _thresholds(task: Task, groups: Sequence[Group]) -> Table:
         name=f"thresholds-{task.name}",
         title=f"Steps to a level of success: {task.title}",
         columns=[
-            Column(key="level", label="success", format="percent"),
+            Column("level", "success", "percent"),
             *shared("agent"),
-            Column(key="reached", label="runs that reached it"),
-            Column(key="median", label="median steps", format="steps", interval=True),
-            Column(key="mean", label="restricted mean", format="steps", interval=True),
-            Column(key="saved", label=f"saved{against}", format="percent"),
+            Column("reached", "runs that reached it"),
+            Column("median", "median steps", "steps", interval=True),
+            Column("mean", "restricted mean", "steps", interval=True),
+            Column("saved", f"saved{against}", "percent"),
         ],
         rows=rows,
         sources=[run.path / "evaluations.csv" for run in task.runs if run.interim],
@@ -221,11 +215,11 @@ def _speed(task: Task) -> Table:
         title=f"Training runs: {task.title}",
         columns=[
             *shared("agent", "seed"),
-            Column(key="steps", label="steps trained", format="steps"),
-            Column(key="best_step", label="best model at", format="steps"),
-            Column(key="hours", label="time [h]", format="number"),
-            Column(key="steps_per_s", label="steps/s", format="integer"),
-            Column(key="parameters", label="parameters", format="integer"),
+            Column("steps", "steps trained", "steps"),
+            Column("best_step", "best model at", "steps"),
+            Column("hours", "time [h]", "number"),
+            Column("steps_per_s", "steps/s", "integer"),
+            Column("parameters", "parameters", "integer"),
         ],
         rows=rows,
         sources=[run.path / "metrics.csv" for run in task.runs],
