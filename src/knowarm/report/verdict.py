@@ -135,7 +135,7 @@ def _judge(subject: Group, tested: Sequence[Claim]) -> tuple[Kind, str]:
             f"{better}, but not significantly better than {missed} without knowledge: the size of "
             "the network may explain the advantage."
         )
-    better = f"{better} and than {_names(capacity)}, as large but without knowledge"
+    better = f"{better}, than {_names(capacity)} (as large, without knowledge)"
     if not content:
         return "meaning not tested", (
             f"{better}; whether the content of the vector matters was not tested."
@@ -147,8 +147,7 @@ def _judge(subject: Group, tested: Sequence[Claim]) -> tuple[Kind, str]:
             f"significantly better than {missed}."
         )
     return "knowledge matters", (
-        f"the knowledge matters: {better}, and than {_names(content)}, whose vectors have the same "
-        "shape but another content."
+        f"the knowledge matters: {better} and than {_names(content)} (same shape, other content)."
     )
 
 
