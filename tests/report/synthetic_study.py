@@ -9,9 +9,13 @@ from typing import Any
 import numpy as np
 
 from knowarm.config import to_dict
-from knowarm.experiment.evaluation_files import EPISODE_COLUMNS, step_columns, write_table
-from knowarm.experiment.evaluation_summary import summarize
-from knowarm.experiment.film import write_film
+from knowarm.experiment.evaluate import summarize
+from knowarm.experiment.evaluation_files import (
+    EPISODE_COLUMNS,
+    step_columns,
+    write_film,
+    write_table,
+)
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.knowledge import KNOWLEDGE, SceneEmbedding, scene_embedding
 

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import torch
 
 from knowarm.bench.gpu_clock import seconds_per_call
-from knowarm.experiment.provenance import provenance
+from knowarm.experiment.run_folder import provenance
 from knowarm.learn.precision import products
 
 PACKAGES = ("warp-lang", "mujoco-warp", "numba-cuda")

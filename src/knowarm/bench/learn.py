@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from knowarm.bench.world import frames_per_core_s
 from knowarm.errors import UserError
 from knowarm.experiment.build import EnvFactory, build
-from knowarm.experiment.provenance import processor
+from knowarm.cores import processor
 from knowarm.experiment.registry import experiment
 from knowarm.learn import A3CConfig, Hooks, Metrics, PPOConfig, PPOTrainer
 from knowarm.learn.a3c import A3CTrainer

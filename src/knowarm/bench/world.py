@@ -15,7 +15,7 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode
 
 from knowarm.bench.mjwarp_renderer import MjWarpRenderer
 from knowarm.errors import UserError
-from knowarm.experiment.provenance import processor
+from knowarm.cores import processor
 from knowarm.world import ENV_IDS
 from knowarm.world.env import ACTION_LEVELS, EnvConfig, ReachVectorEnv
 

@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from knowarm.experiment.demo import STEPS, demo
-from knowarm.experiment.stopping import StopRequest
+from knowarm.experiment.demo import STEPS, run_demo
+from knowarm.experiment.run import StopRequest
+from knowarm.report import report
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,10 +20,11 @@ class Demo:
     def run(self) -> None:
         """Run the demo."""
         with StopRequest() as should_stop:
-            path = demo(self.out, steps=self.steps, should_stop=should_stop)
-        if path is None:
+            runs = run_demo(self.out, steps=self.steps, should_stop=should_stop)
+        if runs is None:
             print("Stopped and saved. The same command goes on from here.")
         else:
+            path = report(runs, self.out / "report.html")
             print(f"Wrote {path}: open it in a browser.")
 
 

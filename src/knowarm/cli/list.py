@@ -5,7 +5,8 @@ from pathlib import Path
 
 from knowarm.cli.tables import check_json_path, print_table, write_json_table
 from knowarm.experiment.agents import AGENTS
-from knowarm.experiment.registry import ALGORITHMS, EXPERIMENTS, TOTAL_STEPS
+from knowarm.experiment.algorithms import ALGORITHMS
+from knowarm.experiment.registry import experiment_names
 from knowarm.world.objects import TARGETS
 from knowarm.world.robots import ROBOTS
 
@@ -24,7 +25,7 @@ class List:
         print_table(
             "Algorithms",
             ["algorithm", "steps"],
-            [[name, TOTAL_STEPS[name]] for name in ALGORITHMS],
+            [[name, algorithm.total_steps] for name, algorithm in ALGORITHMS.items()],
         )
         print(f"Robots: {', '.join(ROBOTS)}")
         print(f"Targets: {', '.join(TARGETS)}")
@@ -40,7 +41,7 @@ class List:
                 "targets": list(TARGETS),
                 "agents": {name: agent.about for name, agent in AGENTS.items()},
                 "algorithms": list(ALGORITHMS),
-                "experiments": list(EXPERIMENTS),
+                "experiments": experiment_names(),
             },
         )
 

@@ -9,10 +9,9 @@ import tyro
 
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig
-from knowarm.experiment.registry import EXPERIMENTS, experiment
-from knowarm.experiment.run import run_path, stored_config, train
+from knowarm.experiment.registry import experiment, experiment_names
+from knowarm.experiment.run import StopRequest, run_path, train
 from knowarm.experiment.run_folder import RunFolder
-from knowarm.experiment.stopping import StopRequest
 
 USAGE = """usage: knowarm train NAME [options]
 
@@ -59,7 +58,7 @@ def parse(arguments: list[str]) -> Train:
     command = _options(name, rest, experiment(name))
     if command.resume:
         # The run began with its own overrides; only what is typed now may differ from them.
-        stored = stored_config(RunFolder.open(run_path(command.runs, command.config)))
+        stored = RunFolder.open(run_path(command.runs, command.config)).experiment()
         command = _options(name, rest, stored)
     return command
 
@@ -74,4 +73,4 @@ def _options(name: str, arguments: list[str], config: ExperimentConfig) -> Train
     )
 
 
-USAGE_HINT = f"There are {len(EXPERIMENTS)}; `knowarm list` shows how they are named."
+USAGE_HINT = f"There are {len(experiment_names())}; `knowarm list` shows how they are named."

@@ -1,12 +1,15 @@
-"""An experiment's config goes in; its environments, knowledge table and policy come out."""
+"""Parts of an experiment: knowledge table, policy, environments and the interim evaluation."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
 
+from knowarm.config import to_dict
 from knowarm.experiment.config import ExperimentConfig, InterimConfig
+from knowarm.experiment.migration import split_network
 from knowarm.knowledge.embedding import SceneEmbedding, scene_embedding
 from knowarm.policy import Policy, PolicyConfig
 from knowarm.policy.agent import PolicyAgent
@@ -18,24 +21,33 @@ from knowarm.world.play import PlayResult, play
 
 @dataclass(frozen=True)
 class EnvFactory:
-    """Makes vector environments of one config; picklable, so that workers can call it."""
+    """Factory of vector environments of one task; picklable, so that worker processes can use it.
+
+    Attributes:
+        config: the task.
+    """
 
     config: EnvConfig
 
-    def __call__(self, num_envs: int, num_threads: int = 0) -> ReachVectorEnv:
-        """Make ``num_envs`` environments on ``num_threads`` threads (0: one a core)."""
-        return ReachVectorEnv(self.config, num_envs, num_threads=num_threads)
+    def __call__(self, num_envs: int, num_threads: int = 0, *, device: str = "cpu") -> Any:
+        """Make ``num_envs`` environments on a device, with ``num_threads`` threads (0: all)."""
+        if device == "cpu":
+            return ReachVectorEnv(self.config, num_envs, num_threads=num_threads)
+        # Warp takes seconds to import.
+        from knowarm.world.gpu.env import DeviceReachVectorEnv
+
+        return DeviceReachVectorEnv(self.config, num_envs, device)
 
 
 @dataclass(frozen=True)
 class Parts:
-    """What an experiment trains.
+    """The knowledge of an experiment and the sizes of its policy.
 
     Attributes:
-        embedding: the knowledge with its names, coverage and norm.
-        table: (F, K) float32, what the policy is given in an episode of each facet.
+        embedding: the scene embedding with its names, coverage and norm.
+        table: (F, K) float32, the policy's knowledge vector for each facet.
         policy_config: sizes of the network.
-        facets: the environment's (object, colour) pairs, one a row of the table.
+        facets: the environment's F (object, colour) pairs, one per row of the table.
     """
 
     embedding: SceneEmbedding
@@ -44,21 +56,25 @@ class Parts:
     facets: tuple[tuple[str, str], ...]
 
     def new_policy(self, seed: int) -> Policy:
-        """Draw a policy."""
+        """Initialize a policy; the same seed gives the same weights."""
         return Policy(self.policy_config, seed=seed)
+
+    def policy_description(self) -> dict[str, dict[str, Any]]:
+        """Return the policy's choices and its shape as JSON values."""
+        return split_network(to_dict(self.policy_config))
 
 
 def build(config: ExperimentConfig) -> Parts:
-    """Embed the experiment's knowledge and size its network.
+    """Compute the knowledge table of an experiment and the sizes of its policy.
 
     Raises:
-        UserError: the graph does not know an object, or the sizes do not fit.
+        UserError: the graph lacks an object, or the sizes do not fit together.
     """
     env = EnvFactory(config.env)(1)
     embedding = scene_embedding(config.knowledge, env.facets)
     table = embedding.table(env.facets)
     policy_config = policy_sizes(config, env, embedding)
-    if config.network.wide:
+    if config.policy.wide:
         table = table[:, :0]
     return Parts(embedding, table, policy_config, env.facets)
 
@@ -66,8 +82,8 @@ def build(config: ExperimentConfig) -> Parts:
 def policy_sizes(
     config: ExperimentConfig, env: ReachVectorEnv, embedding: SceneEmbedding
 ) -> PolicyConfig:
-    """Sizes of the policy network for a robot, a image and a knowledge vector."""
-    network = config.network
+    """Sizes of the policy network for a robot, an image and a knowledge vector."""
+    network = config.policy
     sizes = PolicyConfig(
         joints=env.scene.num_joints,
         levels=len(ACTION_LEVELS),
@@ -87,13 +103,14 @@ def policy_sizes(
 
 @dataclass(frozen=True)
 class InterimFactory:
-    """Makes the function that plays the interim evaluation; picklable, so that it can be made in
-    the process that evaluates.
+    """Factory of the function that plays the interim evaluation.
+
+    It is picklable, so that the evaluating process can call it.
 
     Attributes:
-        env: the task, with the thresholds of training.
-        interim: how many episodes, and which.
-        table: (F, K) float32 knowledge.
+        env: the task, with the success thresholds of training.
+        interim: number and seed of the episodes.
+        table: (F, K) float32 knowledge table.
     """
 
     env: EnvConfig
@@ -101,7 +118,7 @@ class InterimFactory:
     table: np.ndarray
 
     def __call__(self) -> Callable[[Policy], dict[str, float]]:
-        """Make the environments and draw the episodes, once; return what plays them."""
+        """Make the environments, draw the episodes, and return the evaluating function."""
         interim = self.interim
         env = ReachVectorEnv(self.env, interim.episodes)
         episodes = evaluation_episodes(env.scene, self.env, interim.episodes, interim.seed)
@@ -109,15 +126,21 @@ class InterimFactory:
         def evaluate(policy: Policy) -> dict[str, float]:
             generator = torch.Generator().manual_seed(interim.seed)
             agent = PolicyAgent(policy, self.table, greedy=interim.greedy, generator=generator)
-            return summarize(play(agent, env, episodes), self.env.success_distance_m)
+            return interim_numbers(play(agent, env, episodes), self.env.success_distance_m)
 
         return evaluate
 
 
-def summarize(result: PlayResult, success_distance_m: float) -> dict[str, float]:
-    """Means over the episodes of one interim evaluation, at the thresholds of training.
+def interim_numbers(result: PlayResult, success_distance_m: float) -> dict[str, float]:
+    """Average the episodes of one interim evaluation, at the success thresholds of training.
 
-    ``accuracy`` counts distance alone (paper equation 8), ``success`` distance and orientation.
+    Args:
+        result: the played episodes.
+        success_distance_m: largest distance that counts for ``accuracy`` [m].
+
+    Returns:
+        Column of ``evaluations.csv`` to value: ``accuracy`` counts the distance only (paper
+        equation 8), ``success`` distance and orientation.
     """
     return {
         "return_mean": float(result.episode_return.mean()),

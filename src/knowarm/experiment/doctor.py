@@ -1,4 +1,4 @@
-"""This machine goes in; a list of what is well and what is to be mended comes out."""
+"""Installation check: versions, knowledge, world, policy, memory, disk and GPU."""
 
 import os
 import shutil
@@ -11,12 +11,15 @@ import psutil
 import torch
 
 from knowarm.errors import UserError
-from knowarm.experiment.build import build
-from knowarm.experiment.provenance import provenance
-from knowarm.experiment.registry import experiment
+from knowarm.experiment.agents import first_of_role
+from knowarm.experiment.algorithms import ALGORITHMS
+from knowarm.experiment.build import Parts, build
+from knowarm.experiment.registry import experiment, experiment_name
+from knowarm.experiment.run_folder import provenance
 from knowarm.world.doctor import Check
 from knowarm.world.env import EnvConfig, ReachVectorEnv
 from knowarm.world.oracle import OracleAgent
+from knowarm.world.robots import ROBOTS
 
 MIN_MEMORY_GIB = 2.0
 MIN_DISK_GIB = 1.0
@@ -35,20 +38,20 @@ def check_installation(runs: Path) -> list[Check]:
         _checked("policy", _policy),
         _memory(),
         _disk(runs),
-        _graphics_card(),
+        _gpu(),
     ]
 
 
-def _checked(name: str, look: Callable[[], str]) -> Check:
-    """Run one check; whatever it raises is what is wrong."""
+def _checked(name: str, function: Callable[[], str]) -> Check:
+    """Run one check; any exception is a failed check."""
     try:
-        return Check(name=name, ok=True, found=look())
-    except Exception as error:  # a doctor reports any illness
+        return Check(name=name, ok=True, found=function())
+    except Exception as error:  # every failure belongs in the report
         return Check(
             name=name,
             ok=False,
             found=f"{type(error).__name__}: {error}",
-            remedy="Install knowarm anew in a fresh environment: see README.md.",
+            remedy="Reinstall knowarm in a fresh environment: see README.md.",
         )
 
 
@@ -60,14 +63,23 @@ def _versions() -> str:
     return ", ".join(f"{name} {version}" for name, version in found.items())
 
 
+def _parts() -> Parts:
+    """Build the first experiment with knowledge."""
+    return build(
+        experiment(
+            experiment_name(next(iter(ROBOTS)), first_of_role("knowledge"), next(iter(ALGORITHMS)))
+        )
+    )
+
+
 def _knowledge() -> str:
-    parts = build(experiment("irb120-full-ppo"))
-    coverage = parts.embedding.describe()["coverage"]
-    return f"{parts.embedding.dim} numbers, {100 * coverage['share']:.0f} % of labels known"
+    embedding = _parts().embedding
+    coverage = embedding.describe()["coverage"]
+    return f"{embedding.dim} numbers, {100 * coverage['share']:.0f} % of labels known"
 
 
 def _world() -> str:
-    """The oracle's first steps must bring it nearer, and something must be in the image."""
+    """Check that the oracle's first steps reduce the angle and that the image is not uniform."""
     env = ReachVectorEnv(EnvConfig(), 4)
     images, infos = env.reset(seed=0)
     agent = OracleAgent(0)
@@ -76,19 +88,19 @@ def _world() -> str:
     for _ in range(5):
         images, _, _, _, infos = env.step(agent.act(images))
     if not np.ptp(images) > 50 or not infos["angle"].mean() < before:
-        raise UserError("the simulation ran, and the image or the motion is not right")
+        raise UserError("the simulation runs, but the image or the motion is wrong")
     return "simulation and ray caster work, without OpenGL"
 
 
 def _policy() -> str:
-    parts = build(experiment("irb120-full-ppo"))
+    parts = _parts()
     policy = parts.new_policy(0)
     image = torch.zeros(1, 64, 64, 3, dtype=torch.uint8)
     knowledge = torch.from_numpy(parts.table[:1])
     patches = policy.patches(image)
     logits, _, _ = policy.step(patches, knowledge, policy.initial_state(1), torch.ones(1).bool())
     if not bool(torch.isfinite(logits).all()):
-        raise UserError("the network's outputs are not finite")
+        raise UserError("the policy's outputs are not finite")
     return f"{policy.parameter_counts()['total']:,} parameters, {torch.get_num_threads()} threads"
 
 
@@ -98,12 +110,12 @@ def _memory() -> Check:
         name="memory",
         ok=free >= MIN_MEMORY_GIB,
         found=f"{free:.1f} GiB free, {os.cpu_count()} cores",
-        remedy=f"Training wants {MIN_MEMORY_GIB:.0f} GiB: close other programs.",
+        remedy=f"Training needs {MIN_MEMORY_GIB:.0f} GiB: close other programs.",
     )
 
 
 def _disk(runs: Path) -> Check:
-    """Look at the nearest folder that exists: it is the one that would be written to."""
+    """Check the nearest existing folder, which is on the disk that would be written to."""
     folder = next(
         parent for parent in [runs.absolute(), *runs.absolute().parents] if parent.exists()
     )
@@ -113,12 +125,12 @@ def _disk(runs: Path) -> Check:
         name="output folder",
         ok=writable and free >= MIN_DISK_GIB,
         found=f"{runs}: {'writable' if writable else 'not writable'}, {free:.1f} GiB free",
-        remedy="Give trainings another place with --runs.",
+        remedy="Choose another runs folder for trainings.",
     )
 
 
-def _graphics_card() -> Check:
-    """Say what there is: training needs none."""
+def _gpu() -> Check:
+    """Report the GPU; none is required."""
     if torch.cuda.is_available():
         return Check(name="GPU", ok=True, found=torch.cuda.get_device_name())
     build_of = "a build for GPUs" if torch.version.cuda else "the build for CPUs"

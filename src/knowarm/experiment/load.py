@@ -1,4 +1,4 @@
-"""A run folder goes in; the agent it trained comes out, ready to play."""
+"""Loading of trained agents from run folders."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,26 +10,27 @@ import torch
 from knowarm.config import from_dict
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig
-from knowarm.experiment.run import stored_config
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.learn.checkpoint import read_checkpoint
 from knowarm.policy import Policy, PolicyConfig
 from knowarm.policy.agent import PolicyAgent
 
 Which = Literal["best", "latest", "untrained"]
+"""Policy of a run: of the best interim evaluation, the latest, or the initial weights."""
 
 
 @dataclass(frozen=True)
 class TrainedAgent:
-    """An agent and where it comes from.
+    """A trained agent and its origin.
 
     Attributes:
         agent: plays episodes.
         policy: its network.
-        knowledge: (F, K) float32, what the network is given in an episode of each facet.
+        knowledge: (F, K) float32, the policy's knowledge vector for each facet.
         config: the experiment that trained it.
         folder: its run folder.
         step: environment steps it was trained for.
+        which: which of the run's policies it is.
     """
 
     agent: PolicyAgent
@@ -38,49 +39,54 @@ class TrainedAgent:
     config: ExperimentConfig
     folder: RunFolder
     step: int
+    which: Which
 
 
 def load_agent(
     path: Path | str, *, which: Which = "best", greedy: bool = True, seed: int = 0
 ) -> TrainedAgent:
-    """Load the agent of a run.
+    """Load the trained agent of a run.
 
     Args:
-        path: the run folder.
-        which: the policy of the best interim evaluation, the latest, or the weights the
-            training began with.
-        greedy: take the most probable action instead of drawing one.
-        seed: of the drawn actions.
+        path: the run folder, such as ``runs/irb120-full-ppo/0``.
+        which: the policy of the best interim evaluation, the latest policy, or the initial
+            weights.
+        greedy: take the most probable action instead of sampling one.
+        seed: seed of the sampled actions.
+
+    Returns:
+        The agent with its policy, config and run folder.
 
     Raises:
         UserError: the folder holds no run, no such checkpoint, or a damaged one.
     """
     folder = RunFolder.open(path)
-    config = stored_config(folder)
-    sizes = from_dict(PolicyConfig, folder.provenance()["network"], where="network")
+    config = folder.experiment()
+    described = folder.provenance()["policy"]
+    sizes = from_dict(PolicyConfig, {**described["config"], **described["shape"]}, where="policy")
     policy = Policy(sizes, seed=config.seed)
     step = 0
     if which != "untrained":
         checkpoint = read_checkpoint(folder.checkpoints / which)
         step = int(checkpoint.facts["step"])
-        _fill(policy, checkpoint.policy, folder.checkpoints / which)
+        _load_parameters(policy, checkpoint.policy, folder.checkpoints / which)
     policy.eval()
     table = folder.knowledge()
     agent = PolicyAgent(policy, table, greedy=greedy, generator=torch.Generator().manual_seed(seed))
-    return TrainedAgent(agent, policy, table, config, folder, step)
+    return TrainedAgent(agent, policy, table, config, folder, step, which)
 
 
-def _fill(policy: Policy, arrays: dict[str, np.ndarray], where: Path) -> None:
-    """Copy parameters into the policy, comparing names and shapes first."""
-    wanted = {name: tuple(value.shape) for name, value in policy.state_dict().items()}
+def _load_parameters(policy: Policy, arrays: dict[str, np.ndarray], where: Path) -> None:
+    """Copy parameters into the policy after comparing names and shapes."""
+    expected = {name: tuple(value.shape) for name, value in policy.state_dict().items()}
     found = {name: value.shape for name, value in arrays.items()}
-    if wanted != found:
+    if expected != found:
         different = sorted(
-            name for name in {*wanted, *found} if wanted.get(name) != found.get(name)
+            name for name in {*expected, *found} if expected.get(name) != found.get(name)
         )
-        pairs = "; ".join(f"{n}: {found.get(n)} | {wanted.get(n)}" for n in different)
+        pairs = "; ".join(f"{n}: {found.get(n)} | {expected.get(n)}" for n in different)
         raise UserError(
-            f"The checkpoint {where} does not fit the network of its run folder (checkpoint | "
-            f"network): {pairs}. One of the two was replaced: restore it."
+            f"The checkpoint {where} does not fit the policy of its run folder (checkpoint | "
+            f"policy): {pairs}. One of the two was replaced: restore it."
         )
     policy.load_state_dict({name: torch.from_numpy(value) for name, value in arrays.items()})

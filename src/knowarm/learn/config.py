@@ -6,8 +6,14 @@ from typing import Literal
 from knowarm.errors import UserError
 
 
+class AlgorithmConfig:
+    """Base class of the algorithms' configs, whose first field is a literal ``name``."""
+
+    name: str
+
+
 @dataclass(frozen=True, kw_only=True)
-class PPOConfig:
+class PPOConfig(AlgorithmConfig):
     """Recurrent PPO; the defaults are what learned fastest (docs/lab-notes.md).
 
     Raises:
@@ -112,7 +118,7 @@ class PPOConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class A3CConfig:
+class A3CConfig(AlgorithmConfig):
     """Asynchronous advantage actor-critic; the defaults are the paper's (section 4.2.3).
 
     What the paper leaves open (rollout, gradient limit, value weight, epsilon) follows its

@@ -1,4 +1,4 @@
-from knowarm.experiment.progress import TrainingProgress
+from knowarm.experiment.logs import TrainingProgress
 
 
 def test_the_few_early_successes_of_one_update_do_not_stand_for_all(capsys):
