@@ -14,7 +14,7 @@ from sb3_contrib import RecurrentPPO
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from knowarm.experiment.build import build
-from knowarm.experiment.registry import experiment
+from knowarm.experiment.registry import experiment_config
 from knowarm.learn.sb3_vec_env import SB3VecEnv
 from knowarm.world.env import ReachVectorEnv
 from knowarm.world.knowledge_observation import KnowledgeObservation, VectorKnowledgeObservation
@@ -29,7 +29,7 @@ def main() -> None:
     parser.add_argument("--single", action="store_true", help="step environments one by one")
     arguments = parser.parse_args()
 
-    chosen = experiment(arguments.experiment)
+    chosen = experiment_config(arguments.experiment)
     table = build(chosen).table
     if arguments.single:
         options = vars(chosen.env)

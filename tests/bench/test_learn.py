@@ -6,14 +6,14 @@ from knowarm.bench import learn
 from knowarm.bench.learn import BenchConfig, bench_learn
 from knowarm.bench.sb3_baseline import parameter_count, recurrent_ppo
 from knowarm.experiment.build import build
-from knowarm.experiment.registry import experiment
+from knowarm.experiment.registry import experiment_config
 from knowarm.learn.sb3_vec_env import SB3VecEnv
 from knowarm.world.env import ReachVectorEnv
 from knowarm.world.knowledge_observation import VectorKnowledgeObservation
 
 
 def test_the_other_librarys_network_is_as_large_as_ours():
-    chosen = experiment("irb120-full-ppo")
+    chosen = experiment_config("irb120-full-ppo")
     parts = build(chosen)
     env = SB3VecEnv(VectorKnowledgeObservation(ReachVectorEnv(chosen.env, 4), parts.table))
     numbers = learn.PPOConfig(num_envs=4, minibatches=2)

@@ -11,7 +11,7 @@ from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.build import build
 from knowarm.experiment.config import ExperimentConfig, InterimConfig
 from knowarm.experiment.load import load_agent
-from knowarm.experiment.registry import experiment, experiment_names
+from knowarm.experiment.registry import experiment_config, experiment_names
 from knowarm.experiment.run import train
 from knowarm.experiment.run_folder import RunFolder, read_csv
 from knowarm.learn.config import A3CConfig, PPOConfig
@@ -26,7 +26,7 @@ def one_thread():
 
 
 def short(name: str = "irb120-full-ppo", **changes) -> ExperimentConfig:
-    config = experiment(name)
+    config = experiment_config(name)
     algorithm = dataclasses.replace(
         config.algorithm, num_envs=4, rollout_steps=5, minibatches=2, processes=1
     )
@@ -131,7 +131,7 @@ SLOW = {"analogy"}  # trains a graph embedding
     "name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in AGENTS]
 )
 def test_every_agent_can_be_built(name):
-    config = experiment(f"irb120-{name}-dr-ppo")
+    config = experiment_config(f"irb120-{name}-dr-ppo")
     parts = build(config)
     assert parts.table.shape == (6, parts.policy_config.knowledge_dim) or config.policy.wide
     assert np.isfinite(parts.table).all()
@@ -140,7 +140,7 @@ def test_every_agent_can_be_built(name):
 
 def test_wide_matches_full():
     full, wide = (
-        build(experiment(f"irb120-{name}-ppo")).new_policy(0) for name in ("full", "wide")
+        build(experiment_config(f"irb120-{name}-ppo")).new_policy(0) for name in ("full", "wide")
     )
     assert wide.config.hidden_size == full.config.hidden_size
     counts = [policy.parameter_counts()["total"] for policy in (wide, full)]
@@ -149,19 +149,19 @@ def test_wide_matches_full():
 
 @pytest.mark.parametrize("name", ["irb120-full-ppo", "tiago-bm-dr-a3c"])
 def test_configs_survive_json(name):
-    config = experiment(name)
+    config = experiment_config(name)
     assert from_dict(ExperimentConfig, to_dict(config)) == config
 
 
 def test_names_say_what_they_are():
-    config = experiment("tiago-partial-dr-a3c")
+    config = experiment_config("tiago-partial-dr-a3c")
     assert config.env.robot == "tiago"
     assert config.env.colours == "randomized"
     assert config.agent == "partial"
     assert isinstance(config.algorithm, A3CConfig)
-    assert isinstance(experiment("irb120-bm-ppo").algorithm, PPOConfig)
-    assert experiment("irb120-bm-ppo").env.colours == "fixed"
-    assert all(name == experiment(name).name for name in experiment_names())
+    assert isinstance(experiment_config("irb120-bm-ppo").algorithm, PPOConfig)
+    assert experiment_config("irb120-bm-ppo").env.colours == "fixed"
+    assert all(name == experiment_config(name).name for name in experiment_names())
 
 
 @pytest.mark.parametrize(
@@ -174,7 +174,7 @@ def test_names_say_what_they_are():
 )
 def test_unknown_names_offer_the_nearest(name, message):
     with pytest.raises(UserError, match=message):
-        experiment(name)
+        experiment_config(name)
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from knowarm.experiment.build import build
-from knowarm.experiment.registry import experiment
+from knowarm.experiment.registry import experiment_config
 from knowarm.learn import CheckpointStore, Hooks, PPOConfig, PPOTrainer
 from knowarm.world.config import EnvConfig
 from knowarm.world.env import ReachVectorEnv
@@ -18,7 +18,7 @@ CONFIG = PPOConfig(
 
 
 def train(env, rows, store=None, *, updates=3, resume=False, stop_after=None):
-    parts = build(experiment("irb120-full-ppo"))
+    parts = build(experiment_config("irb120-full-ppo"))
     policy = parts.new_policy(0)
     hooks = Hooks(on_metrics=rows.append, should_stop=lambda: len(rows) == stop_after)
     trainer = PPOTrainer(CONFIG, policy, env, parts.table, seed=1, hooks=hooks, checkpoints=store)

@@ -11,7 +11,7 @@ from knowarm.bench.gpu_rows import Row, count_rays, environment_row, training_ro
 from knowarm.errors import UserError
 from knowarm.experiment.build import Parts, build
 from knowarm.experiment.config import ExperimentConfig
-from knowarm.experiment.registry import experiment
+from knowarm.experiment.registry import experiment_config
 from knowarm.learn import PPOConfig
 from knowarm.world.gpu.env import DeviceReachVectorEnv
 
@@ -34,7 +34,7 @@ def measure_row(
     """
     row: Row = {"num_envs": num_envs, "error": None}
     row |= {"torch_peak_bytes": None, "device_used_bytes": None}
-    chosen = experiment(f"{config.robot}-full-ppo")
+    chosen = experiment_config(f"{config.robot}-full-ppo")
     chosen = replace(chosen, env=replace(chosen.env, image_size=config.image_size))
     if device.type == "cuda":
         torch.cuda.reset_peak_memory_stats(device)

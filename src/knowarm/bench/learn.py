@@ -16,7 +16,7 @@ from knowarm.bench.world import frames_per_core_s
 from knowarm.errors import UserError
 from knowarm.experiment.build import EnvFactory, build
 from knowarm.cores import processor
-from knowarm.experiment.registry import experiment
+from knowarm.experiment.registry import experiment_config
 from knowarm.learn import A3CConfig, Hooks, Metrics, PPOConfig, PPOTrainer
 from knowarm.learn.a3c import A3CTrainer
 from knowarm.policy import Policy
@@ -105,7 +105,7 @@ def _speed(row: dict[str, Any]) -> float:
 
 def _raycaster(config: BenchConfig) -> dict[str, Any]:
     """The ray caster alone on one core, as training uses it: how fast this machine is."""
-    chosen = experiment(f"{config.robot}-full-ppo")
+    chosen = experiment_config(f"{config.robot}-full-ppo")
     frames_per_s = frames_per_core_s(chosen.env, num_envs=128, seconds=config.seconds)
     return {
         "name": "raycaster",
@@ -117,7 +117,7 @@ def _raycaster(config: BenchConfig) -> dict[str, Any]:
 
 def _ppo(config: BenchConfig) -> dict[str, Any]:
     """Our recurrent PPO."""
-    chosen = experiment(f"{config.robot}-full-ppo")
+    chosen = experiment_config(f"{config.robot}-full-ppo")
     parts = build(chosen)
     numbers = _ppo_numbers(config)
     env = ReachVectorEnv(chosen.env, numbers.num_envs, num_threads=config.cores)
@@ -158,7 +158,7 @@ def _ppo(config: BenchConfig) -> dict[str, Any]:
 
 def _a3c(config: BenchConfig, workers: int, envs_per_worker: int) -> dict[str, Any]:
     """Our A3C: the paper's 17 workers of one environment each, or few workers of many."""
-    chosen = experiment(f"{config.robot}-full-a3c")
+    chosen = experiment_config(f"{config.robot}-full-a3c")
     parts = build(chosen)
     numbers = A3CConfig(
         workers=workers,
@@ -207,7 +207,7 @@ def _sb3(config: BenchConfig, *, opengl: bool) -> dict[str, Any]:
             f"The comparison needs a package that is not installed ({error.name}): "
             "pip install 'knowarm[sb3]'."
         ) from error
-    chosen = experiment(f"{config.robot}-full-ppo")
+    chosen = experiment_config(f"{config.robot}-full-ppo")
     parts = build(chosen)
     numbers = _ppo_numbers(config)
     env: VecEnv

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from knowarm.experiment.demo import STEPS, run_demo
+from knowarm.experiment.demo import STEPS, demo
 from knowarm.experiment.run import StopRequest
 from knowarm.report import report
 
@@ -20,7 +20,7 @@ class Demo:
     def run(self) -> None:
         """Run the demo."""
         with StopRequest() as should_stop:
-            runs = run_demo(self.out, steps=self.steps, should_stop=should_stop)
+            runs = demo(self.out, steps=self.steps, should_stop=should_stop)
         if runs is None:
             print("Stopped and saved. The same command goes on from here.")
         else:

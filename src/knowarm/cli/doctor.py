@@ -5,7 +5,7 @@ from pathlib import Path
 
 from knowarm.cli.tables import check_json_path, print_table, write_json_table
 from knowarm.errors import UserError
-from knowarm.experiment.doctor import check_installation
+from knowarm.experiment.installation_check import check_installation
 from knowarm.world.doctor import check_robot
 from knowarm.world.objects import TARGETS
 

@@ -9,7 +9,7 @@ import tyro
 
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig
-from knowarm.experiment.registry import experiment, experiment_names
+from knowarm.experiment.registry import experiment_config, experiment_names
 from knowarm.experiment.run import StopRequest, run_path, train
 from knowarm.experiment.run_folder import RunFolder
 
@@ -55,7 +55,7 @@ def parse(arguments: list[str]) -> Train:
     name, *rest = arguments
     if name.startswith("-"):
         raise UserError(f"The first word must be the experiment's name, got {name}. {USAGE_HINT}")
-    command = _options(name, rest, experiment(name))
+    command = _options(name, rest, experiment_config(name))
     if command.resume:
         # The run began with its own overrides; only what is typed now may differ from them.
         stored = RunFolder.open(run_path(command.runs, command.config)).experiment()

@@ -9,7 +9,7 @@ from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.config import ExperimentConfig, InterimConfig
 from knowarm.experiment.evaluate import EvaluationConfig, evaluate
 from knowarm.experiment.load import load_agent
-from knowarm.experiment.registry import experiment, experiment_name
+from knowarm.experiment.registry import experiment_config, experiment_name
 from knowarm.experiment.run import run_path, train
 from knowarm.world.robots import ROBOTS
 
@@ -20,9 +20,7 @@ EVALUATION = EvaluationConfig(episodes=200, label="demo")
 """The same 200 episodes for every agent."""
 
 
-def run_demo(
-    folder: Path, *, steps: int = STEPS, should_stop: Callable[[], bool]
-) -> list[Path] | None:
+def demo(folder: Path, *, steps: int = STEPS, should_stop: Callable[[], bool]) -> list[Path] | None:
     """Train both agents and evaluate them, trained and untrained.
 
     Runs in the same folder are resumed; what is already trained is not trained again.
@@ -52,7 +50,7 @@ def demo_experiments(steps: int) -> list[ExperimentConfig]:
     robot, algorithm = next(iter(ROBOTS)), next(iter(ALGORITHMS))
     return [
         dataclasses.replace(
-            experiment(experiment_name(robot, first_of_role(role), algorithm)),
+            experiment_config(experiment_name(robot, first_of_role(role), algorithm)),
             total_steps=steps,
             interim=InterimConfig(every_steps=max(1, steps // 10)),
         )

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from knowarm.config import replace
 from knowarm.errors import unknown_name
-from knowarm.experiment.agents import AGENTS
+from knowarm.experiment.agents import AGENTS, first_of_role
 from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.world.config import EnvConfig
@@ -28,12 +28,18 @@ def experiment_name(robot: str, agent: str, algorithm: str, colours: Colours = "
     return f"{robot}-{agent}{suffix}-{algorithm}"
 
 
+DEFAULT_EXPERIMENT = experiment_name(
+    next(iter(ROBOTS)), first_of_role("knowledge"), next(iter(ALGORITHMS))
+)
+"""Experiment of the benchmarks, the installation check and the examples."""
+
+
 def experiment_names() -> list[str]:
     """List the names of all experiments that the registries define now."""
     return [experiment_name(*parts) for parts in _combinations()]
 
 
-def experiment(name: str, **overrides: Any) -> ExperimentConfig:
+def experiment_config(name: str, **overrides: Any) -> ExperimentConfig:
     """Return the config of a named experiment.
 
     Args:

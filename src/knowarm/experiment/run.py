@@ -14,7 +14,7 @@ from knowarm.experiment.build import EnvFactory, InterimFactory, Parts, build
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.logs import RunLogs, TrainingProgress
 from knowarm.experiment.migration import FORMAT, migrate_checkpoints
-from knowarm.experiment.registry import experiment
+from knowarm.experiment.registry import experiment_config
 from knowarm.experiment.run_folder import RunFolder, provenance
 from knowarm.learn.checkpoint import CheckpointStore
 from knowarm.learn.trainer import Hooks, TrainingResult, never
@@ -74,7 +74,7 @@ def train(
             cannot be written to, or belongs to another config.
     """
     if isinstance(config, str):
-        config = experiment(config)
+        config = experiment_config(config)
     config = replace(config, overrides) if overrides else config
     path = run_path(Path(runs), config)
     if resume:

@@ -1,4 +1,4 @@
-"""Installation check: versions, knowledge, world, policy, memory, disk and GPU."""
+"""Checks of the installation: packages, knowledge, simulation, policy, memory, disk, GPU."""
 
 import os
 import shutil
@@ -11,25 +11,25 @@ import psutil
 import torch
 
 from knowarm.errors import UserError
-from knowarm.experiment.agents import first_of_role
-from knowarm.experiment.algorithms import ALGORITHMS
-from knowarm.experiment.build import Parts, build
-from knowarm.experiment.registry import experiment, experiment_name
+from knowarm.experiment.build import build
+from knowarm.experiment.registry import DEFAULT_EXPERIMENT, experiment_config
 from knowarm.experiment.run_folder import provenance
 from knowarm.world.doctor import Check
 from knowarm.world.env import EnvConfig, ReachVectorEnv
 from knowarm.world.oracle import OracleAgent
-from knowarm.world.robots import ROBOTS
 
 MIN_MEMORY_GIB = 2.0
+"""Free memory that training needs."""
+
 MIN_DISK_GIB = 1.0
+"""Free disk space that a training run needs."""
 
 
 def check_installation(runs: Path) -> list[Check]:
-    """Use every part of the installation once.
+    """Check every part of the installation by using it once.
 
     Args:
-        runs: the folder that trainings would write to.
+        runs: output folder of training runs.
     """
     return [
         _checked("versions", _versions),
@@ -42,16 +42,16 @@ def check_installation(runs: Path) -> list[Check]:
     ]
 
 
-def _checked(name: str, function: Callable[[], str]) -> Check:
-    """Run one check; any exception is a failed check."""
+def _checked(name: str, check: Callable[[], str]) -> Check:
+    """Run one check; any exception is its failure."""
     try:
-        return Check(name=name, ok=True, found=function())
-    except Exception as error:  # every failure belongs in the report
+        return Check(name=name, ok=True, found=check())
+    except Exception as error:  # whatever is broken is reported, not raised
         return Check(
             name=name,
             ok=False,
             found=f"{type(error).__name__}: {error}",
-            remedy="Reinstall knowarm in a fresh environment: see README.md.",
+            remedy="Install knowarm in a new virtual environment, see README.md.",
         )
 
 
@@ -63,23 +63,14 @@ def _versions() -> str:
     return ", ".join(f"{name} {version}" for name, version in found.items())
 
 
-def _parts() -> Parts:
-    """Build the first experiment with knowledge."""
-    return build(
-        experiment(
-            experiment_name(next(iter(ROBOTS)), first_of_role("knowledge"), next(iter(ALGORITHMS)))
-        )
-    )
-
-
 def _knowledge() -> str:
-    embedding = _parts().embedding
-    coverage = embedding.describe()["coverage"]
-    return f"{embedding.dim} numbers, {100 * coverage['share']:.0f} % of labels known"
+    parts = build(experiment_config(DEFAULT_EXPERIMENT))
+    coverage = parts.embedding.describe()["coverage"]
+    return f"vector of {parts.embedding.dim} numbers, {100 * coverage['share']:.0f} % of labels covered"
 
 
 def _world() -> str:
-    """Check that the oracle's first steps reduce the angle and that the image is not uniform."""
+    """Check that the oracle agent approaches the target and that the image is not uniform."""
     env = ReachVectorEnv(EnvConfig(), 4)
     images, infos = env.reset(seed=0)
     agent = OracleAgent(0)
@@ -88,19 +79,19 @@ def _world() -> str:
     for _ in range(5):
         images, _, _, _, infos = env.step(agent.act(images))
     if not np.ptp(images) > 50 or not infos["angle"].mean() < before:
-        raise UserError("the simulation runs, but the image or the motion is wrong")
+        raise UserError("the simulation runs, but the image is uniform or the arm does not move")
     return "simulation and ray caster work, without OpenGL"
 
 
 def _policy() -> str:
-    parts = _parts()
+    parts = build(experiment_config(DEFAULT_EXPERIMENT))
     policy = parts.new_policy(0)
     image = torch.zeros(1, 64, 64, 3, dtype=torch.uint8)
     knowledge = torch.from_numpy(parts.table[:1])
     patches = policy.patches(image)
     logits, _, _ = policy.step(patches, knowledge, policy.initial_state(1), torch.ones(1).bool())
     if not bool(torch.isfinite(logits).all()):
-        raise UserError("the policy's outputs are not finite")
+        raise UserError("the network's outputs are not finite")
     return f"{policy.parameter_counts()['total']:,} parameters, {torch.get_num_threads()} threads"
 
 
@@ -115,7 +106,7 @@ def _memory() -> Check:
 
 
 def _disk(runs: Path) -> Check:
-    """Check the nearest existing folder, which is on the disk that would be written to."""
+    """Check the output folder, or its nearest parent that exists."""
     folder = next(
         parent for parent in [runs.absolute(), *runs.absolute().parents] if parent.exists()
     )
@@ -125,18 +116,18 @@ def _disk(runs: Path) -> Check:
         name="output folder",
         ok=writable and free >= MIN_DISK_GIB,
         found=f"{runs}: {'writable' if writable else 'not writable'}, {free:.1f} GiB free",
-        remedy="Choose another runs folder for trainings.",
+        remedy="Choose another folder for runs.",
     )
 
 
 def _gpu() -> Check:
-    """Report the GPU; none is required."""
+    """Describe the GPU; training does not need one."""
     if torch.cuda.is_available():
         return Check(name="GPU", ok=True, found=torch.cuda.get_device_name())
-    build_of = "a build for GPUs" if torch.version.cuda else "the build for CPUs"
+    torch_build = "built with CUDA" if torch.version.cuda else "built without CUDA"
     return Check(
         name="GPU",
         ok=True,
-        found=f"none (torch is {build_of}; Python {sys.version_info.major}."
+        found=f"none (torch is {torch_build}; Python {sys.version_info.major}."
         f"{sys.version_info.minor}); training runs on the CPU",
     )
