@@ -11,9 +11,11 @@ from knowarm.knowledge.embedding import SceneEmbedding, scene_embedding
 from knowarm.policy import Policy, PolicyConfig
 from knowarm.policy.agent import PolicyAgent
 from knowarm.policy.matched import matched_without_knowledge
-from knowarm.world.env import ACTION_LEVELS, EnvConfig, ReachVectorEnv
+from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import evaluation_episodes
-from knowarm.world.play import PlayResult, play
+from knowarm.world.play import EpisodeResults, play
+from knowarm.world.tasks.reach import ACTION_LEVELS
+from knowarm.world.vector_env import ReachVectorEnv
 
 
 @dataclass(frozen=True)
@@ -114,7 +116,7 @@ class InterimFactory:
         return evaluate
 
 
-def summarize(result: PlayResult, success_distance_m: float) -> dict[str, float]:
+def summarize(result: EpisodeResults, success_distance_m: float) -> dict[str, float]:
     """Means over the episodes of one interim evaluation, at the thresholds of training.
 
     ``accuracy`` counts distance alone (paper equation 8), ``success`` distance and orientation.

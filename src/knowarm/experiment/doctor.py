@@ -14,9 +14,10 @@ from knowarm.errors import UserError
 from knowarm.experiment.build import build
 from knowarm.experiment.provenance import provenance
 from knowarm.experiment.registry import experiment
+from knowarm.world.agents.scripted import OracleAgent
+from knowarm.world.config import EnvConfig
 from knowarm.world.doctor import Check
-from knowarm.world.env import EnvConfig, ReachVectorEnv
-from knowarm.world.oracle import OracleAgent
+from knowarm.world.vector_env import ReachVectorEnv
 
 MIN_MEMORY_GIB = 2.0
 MIN_DISK_GIB = 1.0

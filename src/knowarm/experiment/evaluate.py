@@ -14,9 +14,11 @@ from knowarm.experiment.evaluation_files import EPISODE_COLUMNS, step_columns, w
 from knowarm.experiment.evaluation_summary import summarize
 from knowarm.experiment.film import write_film
 from knowarm.experiment.run_folder import write_json
-from knowarm.world.env import EnvConfig, ReachVectorEnv
+from knowarm.world.agents import AgentProtocol
+from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import Episodes, evaluation_episodes
-from knowarm.world.play import Agent, PlayResult, play
+from knowarm.world.play import EpisodeResults, play
+from knowarm.world.vector_env import ReachVectorEnv
 
 FORMAT = 1
 """Version of the evaluation folder's layout."""
@@ -133,7 +135,11 @@ class Evaluation:
 
 
 def evaluate(
-    agent: Agent, env_config: EnvConfig, config: EvaluationConfig, *, agent_name: str = "agent"
+    agent: AgentProtocol,
+    env_config: EnvConfig,
+    config: EvaluationConfig,
+    *,
+    agent_name: str = "agent",
 ) -> Evaluation:
     """Play the fixed episodes and describe what happened.
 
@@ -198,7 +204,7 @@ def _episodes(env: ReachVectorEnv, config: EvaluationConfig) -> Episodes:
 
 
 def _episode_columns(
-    result: PlayResult, env: ReachVectorEnv, config: EvaluationConfig
+    result: EpisodeResults, env: ReachVectorEnv, config: EvaluationConfig
 ) -> dict[str, np.ndarray]:
     count = len(result.length)
     names = np.array(["/".join(facet) for facet in env.facets])
@@ -219,7 +225,7 @@ def _episode_columns(
     }
 
 
-def _ever_within(result: PlayResult, config: EvaluationConfig) -> np.ndarray:
+def _ever_within(result: EpisodeResults, config: EvaluationConfig) -> np.ndarray:
     """(N,) bool: success by the wider angle.
 
     Exact although the episodes were played by the narrower one: until an episode meets the wider
@@ -233,7 +239,7 @@ def _ever_within(result: PlayResult, config: EvaluationConfig) -> np.ndarray:
     return within
 
 
-def _step_columns(result: PlayResult) -> dict[str, np.ndarray]:
+def _step_columns(result: EpisodeResults) -> dict[str, np.ndarray]:
     assert result.steps is not None
     steps = result.steps
     columns = {

@@ -211,8 +211,8 @@ def _trainer(
         env = make_env(algorithm.num_envs)
         return PPOTrainer(algorithm, policy, env, parts.table, evaluate=make_evaluate(), **common)
     # Warp takes seconds to import.
-    from knowarm.world.gpu.env import DeviceReachVectorEnv
+    from knowarm.world.torch_env import TorchReachVectorEnv
 
-    on_gpu = DeviceReachVectorEnv(config.env, algorithm.num_envs, algorithm.device)
+    on_gpu = TorchReachVectorEnv(config.env, algorithm.num_envs, device=algorithm.device)
     # The interim episodes are played on the CPU: alone on a GPU they would take as long.
     return PPOTrainer(algorithm, policy, on_gpu, parts.table, make_evaluate=make_evaluate, **common)
