@@ -12,9 +12,9 @@ import onnxruntime
 
 from knowarm.experiment.load import load_agent
 from knowarm.policy.onnx_export import export_onnx
-from knowarm.world.env import ReachVectorEnv
 from knowarm.world.episodes import evaluation_episodes
 from knowarm.world.play import play
+from knowarm.world.vector_env import ReachVectorEnv
 
 
 class OnnxAgent:

@@ -37,7 +37,8 @@ Experiments
 World
     make                make an environment: single or vector, NumPy or torch
     EnvConfig           robot, targets, colours, dynamics and thresholds of the task
-    ReachVectorEnv      the Gymnasium vector environment
+    ReachVectorEnv      vector environment on NumPy arrays (Gymnasium)
+    TorchReachVectorEnv vector environment on torch tensors, on CPU or GPU
 Knowledge
     read_graph          read a graph from a file
     KnowledgeGraph      triples, entities and relations

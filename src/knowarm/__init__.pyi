@@ -27,8 +27,9 @@ from .policy import PolicyConfig as PolicyConfig
 from .report import write_report as write_report
 from .world import make as make
 from .world.config import EnvConfig as EnvConfig
-from .world.env import ReachVectorEnv as ReachVectorEnv
 from .world.objects import TARGETS as TARGETS
 from .world.robots import ROBOTS as ROBOTS
+from .world.torch_env import TorchReachVectorEnv as TorchReachVectorEnv
+from .world.vector_env import ReachVectorEnv as ReachVectorEnv
 
 __version__: str

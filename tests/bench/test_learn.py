@@ -8,8 +8,8 @@ from knowarm.bench.sb3_baseline import parameter_count, recurrent_ppo
 from knowarm.experiment.build import build
 from knowarm.experiment.registry import experiment_config
 from knowarm.learn.sb3_vec_env import SB3VecEnv
-from knowarm.world.env import ReachVectorEnv
 from knowarm.world.knowledge_observation import VectorKnowledgeObservation
+from knowarm.world.vector_env import ReachVectorEnv
 
 
 def test_the_other_librarys_network_is_as_large_as_ours():

@@ -4,7 +4,8 @@ import pytest
 from knowarm.bench.mjwarp_renderer import MjWarpRenderer
 from knowarm.bench.world import WorldBenchConfig, bench_world
 from knowarm.errors import UserError
-from knowarm.world.env import EnvConfig, ReachVectorEnv
+from knowarm.world.config import EnvConfig
+from knowarm.world.vector_env import ReachVectorEnv
 
 TINY = {"num_envs": 4, "seconds": 0.05, "robots": ("irb120",), "image_size": 16}
 

@@ -7,10 +7,10 @@ import pytest
 import torch
 
 from knowarm.experiment.load import load_agent
-from knowarm.world.env import ReachVectorEnv
 from knowarm.world.episodes import evaluation_episodes
-from knowarm.world.gpu.env import DeviceReachVectorEnv
 from knowarm.world.play import play
+from knowarm.world.torch_env import TorchReachVectorEnv
+from knowarm.world.vector_env import ReachVectorEnv
 from tests.devices import DEVICES
 
 ZOO = Path(__file__).parents[2] / "zoo"
@@ -47,7 +47,9 @@ def test_a_trained_policy_reaches_the_same_targets(robot, device):
     arrays = ReachVectorEnv(env, EPISODES)
     episodes = evaluation_episodes(arrays.scene, env, EPISODES, 5)
     played = play(trained.agent, arrays, episodes)
-    total, success = outcomes(trained, DeviceReachVectorEnv(env, EPISODES, device), episodes)
+    total, success = outcomes(
+        trained, TorchReachVectorEnv(env, EPISODES, device=device, simulator="warp"), episodes
+    )
     assert played.success.mean() > 0.5
     # A pixel or a micrometre may tip a choice between two joint steps, and the rest follows.
     assert (success == played.success).mean() >= 0.95

@@ -7,9 +7,9 @@ from knowarm.errors import UserError
 from knowarm.experiment.evaluate import EvaluationConfig, evaluate, summarize
 from knowarm.experiment.evaluation_files import read_film, read_table
 from knowarm.statistics import wilson
+from knowarm.world.agents import RandomAgent, ZeroAgent
 from knowarm.world.config import EnvConfig
 from knowarm.world.held_out import HeldOut
-from knowarm.world.scripted import RandomAgent, ZeroAgent
 
 ENV = EnvConfig(image_size=32, max_episode_steps=12, dynamics="kinematic")
 SMALL = EvaluationConfig(

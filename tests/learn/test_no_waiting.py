@@ -25,7 +25,7 @@ class HostGenerator(torch.Generator):
 class Nowhere:
     """An environment of tensors without numbers."""
 
-    num_envs, device, episode_steps = COUNT, META, 4
+    num_envs, device, max_episode_steps = COUNT, META, 4
 
     @property
     def facet_ids(self):

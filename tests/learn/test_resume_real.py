@@ -6,7 +6,7 @@ import pytest
 from knowarm.learn import CheckpointStore, Hooks, PPOConfig, PPOTrainer
 from knowarm.policy import Policy, PolicyConfig
 from knowarm.world.config import EnvConfig
-from knowarm.world.env import ReachVectorEnv
+from knowarm.world.vector_env import ReachVectorEnv
 
 CONFIG = PPOConfig(num_envs=4, rollout_steps=6, minibatches=2, processes=1)
 

@@ -41,7 +41,7 @@ class TensorToy:
     device = torch.device("cpu")
 
     def __init__(self, toy):
-        self.toy, self.num_envs, self.episode_steps = toy, toy.num_envs, toy.length
+        self.toy, self.num_envs, self.max_episode_steps = toy, toy.num_envs, toy.length
 
     @property
     def facet_ids(self):

@@ -11,10 +11,9 @@ from typing import Any
 from torch import nn
 
 from knowarm.policy import Policy
+from knowarm.world.backends.warp import import_warp, make_data
 from knowarm.world.compose import SUBSTEPS
 from knowarm.world.config import EnvConfig
-from knowarm.world.gpu.device import import_warp
-from knowarm.world.gpu.simulation import make_data
 from knowarm.world.render.prepare import EXTENT, RECORD
 from knowarm.world.scene import Scene
 

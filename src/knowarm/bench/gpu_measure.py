@@ -13,7 +13,7 @@ from knowarm.experiment.build import Parts, build
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.registry import experiment_config
 from knowarm.learn import PPOConfig
-from knowarm.world.gpu.env import DeviceReachVectorEnv
+from knowarm.world.torch_env import TorchReachVectorEnv
 
 Ceilings = dict[str, float | None]
 """As ``measure_ceilings`` returns them."""
@@ -58,7 +58,7 @@ def _measure(
     device: torch.device,
 ) -> None:
     """Fill a row, as far as it gets."""
-    env = DeviceReachVectorEnv(chosen.env, row["num_envs"], config.device)
+    env = TorchReachVectorEnv(chosen.env, row["num_envs"], device=config.device, simulator="warp")
     row |= environment_row(env, config.seconds, config.seed)
     moved, rays = environment_bytes(env.scene, chosen.env), count_rays(env)
     row |= {"env_bytes_per_step": moved, "env_operations_per_step": rays}

@@ -9,8 +9,8 @@ from knowarm.bench.gpu_rays import ray_operations
 from knowarm.experiment.build import Parts
 from knowarm.learn import Hooks, Metrics, PPOConfig, PPOTrainer
 from knowarm.policy import Policy
-from knowarm.world.env import ACTION_LEVELS
-from knowarm.world.gpu.env import DeviceReachVectorEnv
+from knowarm.world.tasks.reach import ACTION_LEVELS
+from knowarm.world.torch_env import TorchReachVectorEnv
 
 WARM_UP_STEPS = 10
 """Steps before anything is timed: kernels compile and memory is set aside."""
@@ -27,7 +27,7 @@ RAY_STATES = 32
 Row = dict[str, Any]
 
 
-def environment_row(env: DeviceReachVectorEnv, seconds: float, seed: int) -> Row:
+def environment_row(env: TorchReachVectorEnv, seconds: float, seed: int) -> Row:
     """Measure environment steps a second with images, actions drawn at random on the device.
 
     Args:
@@ -56,7 +56,7 @@ def environment_row(env: DeviceReachVectorEnv, seconds: float, seed: int) -> Row
     return row | memory_row(env.device)
 
 
-def _part_shares(env: DeviceReachVectorEnv, step: Any, steps: int) -> dict[str, float]:
+def _part_shares(env: TorchReachVectorEnv, step: Any, steps: int) -> dict[str, float]:
     """Share of physics, images and the rest in the time of some steps."""
     clock = PartClock(env.device)
     simulation, images = env.simulation, env.renderer
@@ -78,19 +78,19 @@ def _part_shares(env: DeviceReachVectorEnv, step: Any, steps: int) -> dict[str, 
     return shares | {"share_rest": 1 - sum(shares.values())}
 
 
-def count_rays(env: DeviceReachVectorEnv) -> float:
+def count_rays(env: TorchReachVectorEnv) -> float:
     """Operations of the rays of one image, mean over some environments as they are now."""
     count = min(RAY_STATES, env.num_envs)
     simulation = env.simulation
     position, matrix, rgba = (
         values[:count].cpu().numpy()
-        for values in (simulation.geom_position, simulation.geom_matrix, env.running.shown.rgba)
+        for values in (simulation.geom_position, simulation.geom_matrix, env.task.shown.rgba)
     )
     return ray_operations(env.scene, env.config, position, matrix, rgba)
 
 
 def training_row(
-    env: DeviceReachVectorEnv, parts: Parts, numbers: PPOConfig, seconds: float, seed: int
+    env: TorchReachVectorEnv, parts: Parts, numbers: PPOConfig, seconds: float, seed: int
 ) -> Row:
     """Measure steps a second of training end to end: physics, images, network and update.
 

@@ -20,8 +20,8 @@ from knowarm.experiment.registry import experiment_config
 from knowarm.learn import A3CConfig, Hooks, Metrics, PPOConfig, PPOTrainer
 from knowarm.learn.a3c import A3CTrainer
 from knowarm.policy import Policy
-from knowarm.world.env import ReachVectorEnv
 from knowarm.world.knowledge_observation import VectorKnowledgeObservation
+from knowarm.world.vector_env import ReachVectorEnv
 
 if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecEnv

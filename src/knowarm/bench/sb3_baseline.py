@@ -16,7 +16,7 @@ from knowarm.learn import PPOConfig
 from knowarm.policy import PolicyConfig
 from knowarm.world.config import EnvConfig
 from knowarm.world.knowledge_observation import KnowledgeObservation
-from knowarm.world.single import ReachEnv
+from knowarm.world.single_env import ReachEnv
 
 
 class PaperFeatures(BaseFeaturesExtractor):

@@ -16,8 +16,10 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode
 from knowarm.bench.mjwarp_renderer import MjWarpRenderer
 from knowarm.errors import UserError
 from knowarm.cores import processor
-from knowarm.world import ENV_IDS
-from knowarm.world.env import ACTION_LEVELS, EnvConfig, ReachVectorEnv
+from knowarm.world import env_id
+from knowarm.world.config import EnvConfig
+from knowarm.world.tasks.reach import ACTION_LEVELS
+from knowarm.world.vector_env import ReachVectorEnv
 
 DYNAMICS: tuple[Literal["dynamic", "kinematic"], ...] = ("dynamic", "kinematic")
 
@@ -172,14 +174,14 @@ def _async_opengl(config: EnvConfig, bench: WorldBenchConfig) -> Speed:
 def _async_worker(config: EnvConfig, bench: WorldBenchConfig) -> Speed:
     """Gymnasium's AsyncVectorEnv: a process a worker, each a single environment with OpenGL."""
     # The prefix makes Gymnasium import the package in each worker, which registers the id.
-    env_id = {robot: f"knowarm:{env_id}" for env_id, robot in ENV_IDS.items()}[config.robot]
+    name = f"knowarm:{env_id(config.robot)}"
     options: dict[str, Any] = {
         "dynamics": config.dynamics,
         "image_size": config.image_size,
         "renderer": "opengl",
     }
     env = AsyncVectorEnv(
-        [lambda: gymnasium.make(env_id, disable_env_checker=True, **options)] * bench.workers,
+        [lambda: gymnasium.make(name, disable_env_checker=True, **options)] * bench.workers,
         autoreset_mode=AutoresetMode.SAME_STEP,
         context="spawn",
     )

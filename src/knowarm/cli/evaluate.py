@@ -10,9 +10,8 @@ from knowarm.cli.tables import check_json_path, print_table, write_json_table
 from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.evaluate import EvaluationConfig, evaluate
 from knowarm.experiment.load import Which, load_agent
+from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
 from knowarm.world.config import EnvConfig
-from knowarm.world.play import Agent
-from knowarm.world.scripted import SCRIPTED
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,12 +44,17 @@ class Evaluate:
             print(f"Kept in {out}")
         write_json_table(self.json, result.summary)
 
-    def _agent(self) -> tuple[str, Agent, EnvConfig, Path | None]:
+    def _agent(self) -> tuple[str, AgentProtocol, EnvConfig, Path | None]:
         """Name, agent, its world, and where its evaluation is kept."""
-        if self.agent in SCRIPTED:
-            return self.agent, SCRIPTED[self.agent](self.evaluation.seed), self.env, None
+        if self.agent in SCRIPTED_AGENTS:
+            return (
+                self.agent,
+                SCRIPTED_AGENTS[self.agent].make(self.evaluation.seed),
+                self.env,
+                None,
+            )
         if "/" not in self.agent and not Path(self.agent).exists():
-            raise unknown_name("agent or run folder", self.agent, SCRIPTED)
+            raise unknown_name("agent or run folder", self.agent, SCRIPTED_AGENTS)
         if self.env != EnvConfig():
             raise UserError(
                 "A run is evaluated in the world it was trained in: leave the env options out."

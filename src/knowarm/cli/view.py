@@ -9,13 +9,12 @@ import tyro
 
 from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.load import load_agent
+from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
 from knowarm.world.config import EnvConfig
-from knowarm.world.env import ReachVectorEnv
 from knowarm.world.episodes import evaluation_episodes
-from knowarm.world.play import Agent
 from knowarm.world.record import record_episode, write_strip, write_video
 from knowarm.world.scene import find_robot
-from knowarm.world.scripted import SCRIPTED
+from knowarm.world.vector_env import ReachVectorEnv
 from knowarm.world.watch import watch
 
 
@@ -80,11 +79,13 @@ class View:
             write_strip(self.strip, films)
             print(f"Wrote {self.strip}")
 
-    def _agent(self) -> tuple[Callable[[], Agent], EnvConfig]:
-        if self.agent in SCRIPTED:
-            return lambda: SCRIPTED[self.agent](self.seed), EnvConfig(robot=self.robot or "irb120")
+    def _agent(self) -> tuple[Callable[[], AgentProtocol], EnvConfig]:
+        if self.agent in SCRIPTED_AGENTS:
+            return lambda: SCRIPTED_AGENTS[self.agent].make(self.seed), EnvConfig(
+                robot=self.robot or "irb120"
+            )
         if "/" not in self.agent and not Path(self.agent).exists():
-            raise unknown_name("agent or run folder", self.agent, SCRIPTED)
+            raise unknown_name("agent or run folder", self.agent, SCRIPTED_AGENTS)
         trained = load_agent(self.agent, seed=self.seed)
         if self.robot is not None and find_robot(self.robot) != find_robot(
             trained.config.env.robot

@@ -14,9 +14,11 @@ from knowarm.knowledge.embedding import SceneEmbedding, scene_embedding
 from knowarm.policy import Policy, PolicyConfig
 from knowarm.policy.agent import PolicyAgent
 from knowarm.policy.matched import matched_without_knowledge
-from knowarm.world.env import ACTION_LEVELS, EnvConfig, ReachVectorEnv
+from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import evaluation_episodes
-from knowarm.world.play import PlayResult, play
+from knowarm.world.play import EpisodeResults, play
+from knowarm.world.tasks.reach import ACTION_LEVELS
+from knowarm.world.vector_env import ReachVectorEnv
 
 
 @dataclass(frozen=True)
@@ -34,9 +36,9 @@ class EnvFactory:
         if device == "cpu":
             return ReachVectorEnv(self.config, num_envs, num_threads=num_threads)
         # Warp takes seconds to import.
-        from knowarm.world.gpu.env import DeviceReachVectorEnv
+        from knowarm.world.torch_env import TorchReachVectorEnv
 
-        return DeviceReachVectorEnv(self.config, num_envs, device)
+        return TorchReachVectorEnv(self.config, num_envs, device=device)
 
 
 @dataclass(frozen=True)
@@ -131,7 +133,7 @@ class InterimFactory:
         return evaluate
 
 
-def interim_numbers(result: PlayResult, success_distance_m: float) -> dict[str, float]:
+def interim_numbers(result: EpisodeResults, success_distance_m: float) -> dict[str, float]:
     """Average the episodes of one interim evaluation, at the success thresholds of training.
 
     Args:

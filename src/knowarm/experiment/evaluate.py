@@ -19,9 +19,11 @@ from knowarm.experiment.evaluation_files import (
 from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.experiment.run_folder import write_json
 from knowarm.statistics import Interval, bootstrap, wilson
-from knowarm.world.env import EnvConfig, ReachVectorEnv
+from knowarm.world.agents import AgentProtocol
+from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import Episodes, evaluation_episodes
-from knowarm.world.play import Agent, PlayResult, play
+from knowarm.world.play import EpisodeResults, play
+from knowarm.world.vector_env import ReachVectorEnv
 
 FORMAT = 1
 """Version of the evaluation folder's layout."""
@@ -152,7 +154,7 @@ class EvaluationResult:
 
 
 def evaluate(
-    agent: Agent | TrainedAgent | Path | str,
+    agent: AgentProtocol | TrainedAgent | Path | str,
     env_config: EnvConfig | None = None,
     config: EvaluationConfig | None = None,
     *,
@@ -247,7 +249,7 @@ def _episodes(env: ReachVectorEnv, config: EvaluationConfig) -> Episodes:
 
 
 def _episode_columns(
-    result: PlayResult, env: ReachVectorEnv, config: EvaluationConfig
+    result: EpisodeResults, env: ReachVectorEnv, config: EvaluationConfig
 ) -> dict[str, np.ndarray]:
     count = len(result.length)
     names = np.array(["/".join(facet) for facet in env.facets])
@@ -268,7 +270,7 @@ def _episode_columns(
     }
 
 
-def _ever_within(result: PlayResult, config: EvaluationConfig) -> np.ndarray:
+def _ever_within(result: EpisodeResults, config: EvaluationConfig) -> np.ndarray:
     """Return (N,) bool: success with the wider angle.
 
     Exact although the episodes were played with the narrower one: until an episode meets the wider
@@ -282,7 +284,7 @@ def _ever_within(result: PlayResult, config: EvaluationConfig) -> np.ndarray:
     return within
 
 
-def _step_columns(result: PlayResult) -> dict[str, np.ndarray]:
+def _step_columns(result: EpisodeResults) -> dict[str, np.ndarray]:
     assert result.steps is not None
     steps = result.steps
     columns = {

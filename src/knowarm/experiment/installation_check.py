@@ -14,9 +14,10 @@ from knowarm.errors import UserError
 from knowarm.experiment.build import build
 from knowarm.experiment.registry import DEFAULT_EXPERIMENT, experiment_config
 from knowarm.experiment.run_folder import provenance
+from knowarm.world.agents import OracleAgent
+from knowarm.world.config import EnvConfig
 from knowarm.world.doctor import Check
-from knowarm.world.env import EnvConfig, ReachVectorEnv
-from knowarm.world.oracle import OracleAgent
+from knowarm.world.vector_env import ReachVectorEnv
 
 MIN_MEMORY_GIB = 2.0
 """Free memory that training needs."""

@@ -86,7 +86,7 @@ class PPOTrainer:
         if config.device == "cuda" and self._device.type != "cuda":
             raise UserError(
                 f"The config's device is 'cuda' and the environment is on {self._device}: give a "
-                "DeviceReachVectorEnv(..., device='cuda'), or device='cpu' in the config."
+                "TorchReachVectorEnv(..., device='cuda'), or device='cpu' in the config."
             )
         self.matmul_precision = resolve_precision(config.matmul_precision, self._device)
         self._learner = make_learner(

@@ -31,7 +31,7 @@ class TensorEnvironment(Protocol):
     device: torch.device
 
     @property
-    def episode_steps(self) -> int:
+    def max_episode_steps(self) -> int:
         """No environment is truncated twice within so many steps."""
         ...
 
@@ -124,7 +124,7 @@ class TensorCollector:
             rollout.terminated[t] = terminated
             rollout.truncated[t] = truncated
             self._keep_cut(player.policy, rollout, t, truncated & ~terminated, infos["final_obs"])
-            if (t + 1) % self.env.episode_steps == 0 or t + 1 == steps:
+            if (t + 1) % self.env.max_episode_steps == 0 or t + 1 == steps:
                 self._value_cut(player.policy, rollout)
             success = infos["final_info"]["is_success"]
             self.statistics.add(reward, terminated | truncated, success)

@@ -1,4 +1,4 @@
-"""One action goes in; one image and reward come out: Gymnasium's plain ``Env``."""
+"""Single environment of the reaching task, and the entry points of Gymnasium's registry."""
 
 from typing import Any
 
@@ -8,15 +8,16 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
 from knowarm.errors import UserError
+from knowarm.world.backends import SimulatorName
 from knowarm.world.config import EnvConfig
-from knowarm.world.env import ReachVectorEnv
+from knowarm.world.vector_env import ReachVectorEnv
 
 
 class ReachEnv(gymnasium.Env[NDArray[np.uint8], NDArray[np.int64]]):
-    """A reaching task as ``gymnasium.make`` gives it: ``ReachVectorEnv`` with n = 1.
+    """The reaching task as ``gymnasium.make`` returns it: ``ReachVectorEnv`` with n = 1.
 
     Args:
-        render_mode: "rgb_array" lets ``render`` return a large image; None draws none.
+        render_mode: "rgb_array" to draw enlarged images with ``render``, or None.
         options: fields of ``EnvConfig``.
     """
 
@@ -36,18 +37,18 @@ class ReachEnv(gymnasium.Env[NDArray[np.uint8], NDArray[np.int64]]):
 
     @property
     def joint_positions(self) -> NDArray[np.float64]:
-        """Joint angles as they are now, (J,) [rad]."""
+        """Current joint angles, (J,) [rad]."""
         return self._vector.joint_positions[0]
 
     @property
     def facet_id(self) -> int:
-        """Index into ``facets`` of the episode now running."""
+        """Index into ``facets`` of the current episode."""
         return int(self._vector.facet_ids[0])
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.uint8], dict[str, Any]]:
-        """Start a new episode; options may hold "episodes", an ``Episodes`` of length 1."""
+        """Start a new episode; ``options["episodes"]`` may be an ``Episodes`` of length 1."""
         super().reset(seed=seed)
         images, infos = self._vector.reset(seed=seed, options=options)
         return images[0], _first(infos)
@@ -55,7 +56,7 @@ class ReachEnv(gymnasium.Env[NDArray[np.uint8], NDArray[np.int64]]):
     def step(
         self, action: NDArray[np.int64]
     ) -> tuple[NDArray[np.uint8], float, bool, bool, dict[str, Any]]:
-        """Play one step; action is (J,) integers in 0..6."""
+        """Play one step with an action of (J,) integers in 0..6."""
         images, rewards, terminated, truncated, infos = self._vector.step(np.asarray(action)[None])
         return (
             images[0],
@@ -66,7 +67,7 @@ class ReachEnv(gymnasium.Env[NDArray[np.uint8], NDArray[np.int64]]):
         )
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Draw the policy's view at 480 x 480, uint8; None without render mode."""
+        """Draw the policy's view, (480, 480, 3) uint8; None without a render mode."""
         return self._vector.render()[0] if self.render_mode else None
 
 
@@ -76,37 +77,47 @@ def make_vector_env(
     autoreset: AutoresetMode = AutoresetMode.SAME_STEP,
     render_mode: str | None = None,
     device: str | None = None,
+    simulator: SimulatorName | None = None,
     **options: Any,
 ) -> VectorEnv[Any, Any, Any]:
-    """Build the vector environment: the ``make_vec`` entry point.
+    """Create a vector environment: the entry point of ``gymnasium.make_vec``.
 
     Args:
         num_envs: n.
-        num_threads: threads of physics and images, 0 for one a core.
+        num_threads: threads of physics and rendering on the CPU; 0 for one per core.
         autoreset: Gymnasium's mode.
         render_mode: "rgb_array", or None.
-        device: None for ``ReachVectorEnv``, which takes and gives NumPy arrays; "cuda", or "cpu"
-            for checking, for ``DeviceReachVectorEnv``, which takes and gives torch tensors.
+        device: None for ``ReachVectorEnv``, with NumPy arrays; "cpu" or "cuda" for
+            ``TorchReachVectorEnv``, with tensors on that device.
+        simulator: see ``TorchReachVectorEnv``; only with a device.
         options: fields of ``EnvConfig``.
 
     Raises:
-        UserError: a device together with what only NumPy's environment has.
+        UserError: a device is combined with an argument of the NumPy environment, or a simulator
+            is given without a device.
     """
     config = EnvConfig(**options)
     if device is None:
+        if simulator is not None:
+            raise UserError(
+                f"simulator {simulator!r} needs a device: pass device='cpu' or 'cuda' for the "
+                "torch environment, or leave out simulator."
+            )
         return ReachVectorEnv(config, num_envs, num_threads, autoreset, render_mode)
-    if (num_threads, autoreset, render_mode) != (0, AutoresetMode.SAME_STEP, None):
+    if (autoreset, render_mode) != (AutoresetMode.SAME_STEP, None):
         raise UserError(
-            f"With device {device!r} environments begin anew in the same step, without threads and "
-            f"large images; got num_threads {num_threads}, autoreset {autoreset.value} and "
-            f"render_mode {render_mode!r}. Leave these out, or leave out device."
+            f"With device {device!r} environments are reset in the same step and have no render "
+            f"mode; got autoreset {autoreset.value} and render_mode {render_mode!r}. Leave these "
+            "out, or leave out device."
         )
-    # Torch and Warp take seconds to import; NumPy's environment needs neither.
-    from knowarm.world.gpu.env import DeviceReachVectorEnv
+    # Importing torch takes seconds, and the NumPy environment does not need it.
+    from knowarm.world.torch_env import TorchReachVectorEnv
 
-    return DeviceReachVectorEnv(config, num_envs, device)
+    return TorchReachVectorEnv(
+        config, num_envs, device=device, simulator=simulator, num_threads=num_threads
+    )
 
 
 def _first(infos: dict[str, Any]) -> dict[str, Any]:
-    """Take the only environment's values, as plain Python numbers, and leave the masks out."""
+    """Return the infos of environment 0 as Python numbers, without the masks."""
     return {name: values[0].item() for name, values in infos.items() if not name.startswith("_")}

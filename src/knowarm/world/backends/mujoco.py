@@ -1,29 +1,31 @@
-"""Joint targets go in; poses of joints, gripper and geoms of every environment come out."""
+"""MuJoCo backend: ``mujoco.batch`` on a pool of CPU threads, in float64."""
 
 import copy
-from typing import Literal
 
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
+from knowarm.world.arrays import IndexSelection, NumpyArrays
+from knowarm.world.backends import Dynamics
 from knowarm.world.compose import SUBSTEPS
 from knowarm.world.scene import Scene, target_places
 
 _POSES = mujoco.mjtStage.mjSTAGE_POS.value
 
 
-class Simulation:
-    """n copies of a scene on MuJoCo's thread pool; results depend on neither n nor threads.
+class MujocoSimulator:
+    """``Simulator`` on MuJoCo's thread pool; results depend on neither n nor the thread count.
 
-    "dynamic" moves the joints by position servos, ``SUBSTEPS`` physics steps an action;
-    "kinematic" sets them exactly and computes poses only.
+    "dynamic" moves the joints by position servos with ``SUBSTEPS`` physics steps per action;
+    "kinematic" sets them exactly and computes poses only. Array attributes are live views.
 
-    Attributes (live views, all float64, refreshed by ``reset``, ``step`` and ``set_state``):
-        joint_positions: (n, J) [rad], the joints the agent moves.
-        tcp_position: (n, 3) [m], world. tcp_matrix: (n, 9), rotation from gripper to world.
-        geom_position: (n, G, 3) [m], world. geom_matrix: (n, G, 9), rotation from geom to world.
+    Args:
+        scene: the scene to simulate.
+        num_envs: n.
+        num_threads: size of the thread pool; 0 for one per core.
+        dynamics: how joints follow their targets.
     """
 
     def __init__(
@@ -31,10 +33,12 @@ class Simulation:
         scene: Scene,
         num_envs: int,
         num_threads: int = 0,
-        dynamics: Literal["dynamic", "kinematic"] = "dynamic",
+        dynamics: Dynamics = "dynamic",
     ) -> None:
         self.scene = scene
+        self.num_envs = num_envs
         self.dynamics = dynamics
+        self.arrays = NumpyArrays()
         model = scene.model
         if dynamics == "kinematic":
             # Poses need no contacts and no constraints.
@@ -54,38 +58,32 @@ class Simulation:
 
     @property
     def joint_positions(self) -> NDArray[np.float64]:
-        """Joint angles as they are now, a copy, (n, J) [rad]."""
+        """Current joint angles, a copy, (n, J) [rad]."""
         return self._qpos[:, self.scene.qpos_index]
 
     @property
     def tcp_position(self) -> NDArray[np.float64]:
-        """Position of the gripper, (n, 3) [m], world."""
+        """Position of the gripper, world, (n, 3) [m]."""
         return self._site_position[:, self.scene.tcp_site]
 
     @property
     def tcp_matrix(self) -> NDArray[np.float64]:
-        """Rotation from gripper to world, (n, 9), row by row."""
+        """Rotation from gripper to world, row-major, (n, 9)."""
         return self._site_matrix[:, self.scene.tcp_site]
 
     def reset(
         self,
-        ids: NDArray[np.intp],
-        joint_positions: NDArray[np.float64],
+        selection: IndexSelection,
+        joint_targets: NDArray[np.float64],
         target_position: NDArray[np.float64],
         distractor_position: NDArray[np.float64] | None = None,
     ) -> None:
-        """Put environments to rest at joint angles, with the targets at a place.
-
-        Args:
-            ids: the environments, (k,).
-            joint_positions: (k, J) [rad].
-            target_position: x and y of the targets (one is visible) [m], (k, 2).
-            distractor_position: x and y of the distractors [m], (k, D, 2); None without any.
-        """
-        self._qpos[ids[:, None], self.scene.qpos_index] = joint_positions
+        """Put selected environments at rest at joint angles; see ``Simulator.reset``."""
+        ids = selection.env_ids
+        self._qpos[ids[:, None], self.scene.qpos_index] = joint_targets
         self._qvel[ids] = 0.0
         self._warmstart[ids] = 0.0
-        self._ctrl[ids] = joint_positions
+        self._ctrl[ids] = joint_targets
         places = target_places(self.scene, target_position)
         self._mocap[ids[:, None], self.scene.target_mocap] = places[:, None, :]
         if distractor_position is not None:
@@ -94,7 +92,7 @@ class Simulation:
         self.batch.forward(ids=ids, stage=_POSES)
 
     def step(self, joint_targets: NDArray[np.float64]) -> None:
-        """Move every environment for one control period towards joint targets (n, J) [rad]."""
+        """Advance every environment by one control period towards joint targets (n, J) [rad]."""
         if self.dynamics == "kinematic":
             self.set_joints(joint_targets)
         else:
@@ -102,15 +100,24 @@ class Simulation:
             self.batch.step(nstep=SUBSTEPS, stage=_POSES)
 
     def set_joints(self, joint_positions: NDArray[np.float64]) -> None:
-        """Set the joints (n, J) [rad] and compute poses, without moving time."""
+        """Set the joint angles (n, J) [rad] and compute poses without advancing time."""
         self._qpos[:, self.scene.qpos_index] = joint_positions
         self.batch.forward(stage=_POSES)
 
     def get_state(self) -> NDArray[np.float64]:
-        """Copy everything the physics continues from, (n, S)."""
+        """Copy MuJoCo's state, which includes servo targets and object positions, (n, S)."""
         return self.batch.state.copy()
 
-    def set_state(self, state: NDArray[np.float64]) -> None:
-        """Continue from a state of ``get_state``, (n, S)."""
+    def set_state(
+        self,
+        state: NDArray[np.float64],
+        joint_targets: NDArray[np.float64],
+        target_position: NDArray[np.float64],
+        distractor_position: NDArray[np.float64] | None,
+    ) -> None:
+        """Restore a state of ``get_state``; the other arguments are part of it already."""
         self.batch.state[:] = state
         self.batch.forward(stage=_POSES)
+
+    def close(self) -> None:
+        """Do nothing: no work is pending."""
