@@ -8,9 +8,8 @@ import torch
 
 from knowarm.experiment.config import ExperimentConfig, InterimConfig
 from knowarm.knowledge.embedding import SceneEmbedding, scene_embedding
-from knowarm.policy import Policy, PolicyConfig
-from knowarm.policy.agent import PolicyAgent
-from knowarm.policy.matched import matched_without_knowledge
+from knowarm.learn import NumpyToTorch, TorchVectorEnv
+from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
 from knowarm.world.env import ACTION_LEVELS, EnvConfig, ReachVectorEnv
 from knowarm.world.episodes import evaluation_episodes
 from knowarm.world.play import PlayResult, play
@@ -28,24 +27,37 @@ class EnvFactory:
 
 
 @dataclass(frozen=True)
+class TorchEnvFactory:
+    """Creates vector environments with tensors on the CPU; picklable."""
+
+    config: EnvConfig
+
+    def __call__(self, num_envs: int, num_threads: int = 0) -> TorchVectorEnv:
+        """Create ``num_envs`` environments on ``num_threads`` threads (0: one per core)."""
+        return NumpyToTorch(EnvFactory(self.config)(num_envs, num_threads))
+
+
+@dataclass(frozen=True)
 class Parts:
     """What an experiment trains.
 
     Attributes:
         embedding: the knowledge with its names, coverage and norm.
         table: (F, K) float32, what the policy is given in an episode of each facet.
-        policy_config: sizes of the network.
+        policy_config: choices of the network.
+        policy_shape: its input and output sizes.
         facets: the environment's (object, colour) pairs, one a row of the table.
     """
 
     embedding: SceneEmbedding
     table: np.ndarray
     policy_config: PolicyConfig
+    policy_shape: PolicyShape
     facets: tuple[tuple[str, str], ...]
 
     def new_policy(self, seed: int) -> Policy:
         """Draw a policy."""
-        return Policy(self.policy_config, seed=seed)
+        return Policy(self.policy_config, self.policy_shape, self.table, seed=seed)
 
 
 def build(config: ExperimentConfig) -> Parts:
@@ -57,32 +69,35 @@ def build(config: ExperimentConfig) -> Parts:
     env = EnvFactory(config.env)(1)
     embedding = scene_embedding(config.knowledge, env.facets)
     table = embedding.table(env.facets)
-    policy_config = policy_sizes(config, env, embedding)
+    policy_config, policy_shape = policy_sizes(config, env, embedding)
     if config.network.wide:
         table = table[:, :0]
-    return Parts(embedding, table, policy_config, env.facets)
+    return Parts(embedding, table, policy_config, policy_shape, env.facets)
 
 
 def policy_sizes(
     config: ExperimentConfig, env: ReachVectorEnv, embedding: SceneEmbedding
-) -> PolicyConfig:
-    """Sizes of the policy network for a robot, a image and a knowledge vector."""
+) -> tuple[PolicyConfig, PolicyShape]:
+    """Choices and sizes of the policy network for a robot, a image and a knowledge vector."""
     network = config.network
-    sizes = PolicyConfig(
+    shape = PolicyShape(
         joints=env.scene.num_joints,
         levels=len(ACTION_LEVELS),
         image_size=config.env.image_size,
-        features=network.features,
         knowledge_dim=embedding.dim,
         knowledge_slots=max(1, embedding.dim // max(1, embedding.slot_dim)),
+    )
+    choices = PolicyConfig(
+        features=network.features,
         knowledge_encoder="learned" if config.knowledge.source == "learned" else "identity",
         fusion=network.fusion if embedding.dim else "none",
         hidden=network.hidden,
         pixel_shift=network.pixel_shift,
         pixel_scale=network.pixel_scale,
         actor_gain=network.actor_gain,
+        wide=network.wide,
     )
-    return matched_without_knowledge(sizes) if network.wide else sizes
+    return choices, shape
 
 
 @dataclass(frozen=True)
@@ -93,12 +108,10 @@ class InterimFactory:
     Attributes:
         env: the task, with the thresholds of training.
         interim: how many episodes, and which.
-        table: (F, K) float32 knowledge.
     """
 
     env: EnvConfig
     interim: InterimConfig
-    table: np.ndarray
 
     def __call__(self) -> Callable[[Policy], dict[str, float]]:
         """Make the environments and draw the episodes, once; return what plays them."""
@@ -108,7 +121,7 @@ class InterimFactory:
 
         def evaluate(policy: Policy) -> dict[str, float]:
             generator = torch.Generator().manual_seed(interim.seed)
-            agent = PolicyAgent(policy, self.table, greedy=interim.greedy, generator=generator)
+            agent = PolicyAgent(policy, greedy=interim.greedy, generator=generator)
             return summarize(play(agent, env, episodes), self.env.success_distance_m)
 
         return evaluate

@@ -6,7 +6,6 @@ from typing import Literal
 from knowarm.errors import UserError
 from knowarm.knowledge.config import KnowledgeConfig
 from knowarm.learn.config import A3CConfig, PPOConfig
-from knowarm.policy.config import FusionName
 from knowarm.world.config import EnvConfig
 
 Algorithm = PPOConfig | A3CConfig
@@ -16,7 +15,7 @@ Algorithm = PPOConfig | A3CConfig
 class NetworkConfig:
     """The choices of a policy that do not follow from the robot, the image or the knowledge."""
 
-    fusion: FusionName = "before_lstm"
+    fusion: str = "before_lstm"
     """Where the knowledge enters; ``before_lstm`` is the paper's. An agent without knowledge
     ignores it."""
 

@@ -10,11 +10,11 @@ import torch
 from knowarm.config import from_dict
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig
+from knowarm.experiment.migration import migrate_policy
 from knowarm.experiment.run import stored_config
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.learn.checkpoint import read_checkpoint
-from knowarm.policy import Policy, PolicyConfig
-from knowarm.policy.agent import PolicyAgent
+from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
 
 Which = Literal["best", "latest", "untrained"]
 
@@ -57,16 +57,21 @@ def load_agent(
     """
     folder = RunFolder.open(path)
     config = stored_config(folder)
-    sizes = from_dict(PolicyConfig, folder.provenance()["network"], where="network")
-    policy = Policy(sizes, seed=config.seed)
+    stored = migrate_policy(folder.provenance()["network"])
+    table = folder.knowledge()
+    policy = Policy(
+        from_dict(PolicyConfig, stored["config"], where="network.config"),
+        from_dict(PolicyShape, stored["shape"], where="network.shape"),
+        table,
+        seed=config.seed,
+    )
     step = 0
     if which != "untrained":
         checkpoint = read_checkpoint(folder.checkpoints / which)
         step = int(checkpoint.facts["step"])
         _fill(policy, checkpoint.policy, folder.checkpoints / which)
     policy.eval()
-    table = folder.knowledge()
-    agent = PolicyAgent(policy, table, greedy=greedy, generator=torch.Generator().manual_seed(seed))
+    agent = PolicyAgent(policy, greedy=greedy, generator=torch.Generator().manual_seed(seed))
     return TrainedAgent(agent, policy, table, config, folder, step)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from knowarm.config import from_dict, to_dict
 from knowarm.errors import UserError
-from knowarm.experiment.build import EnvFactory, InterimFactory, Parts, build
+from knowarm.experiment.build import InterimFactory, Parts, TorchEnvFactory, build
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.logs import RunLogs
 from knowarm.experiment.migration import FORMAT
@@ -129,7 +129,9 @@ def announcements(parts: Parts) -> list[str]:
 
 def description(config: ExperimentConfig, parts: Parts) -> dict[str, Any]:
     """What a checkpoint belongs to, as flat values; another description is refused."""
-    network = {f"network.{name}": value for name, value in to_dict(parts.policy_config).items()}
+    # The capacity control resolved, as in format 1: its checkpoints stay resumable.
+    sizes = to_dict(parts.new_policy(0).resolved_config) | to_dict(parts.policy_shape)
+    network = {f"network.{name}": value for name, value in sizes.items() if name != "wide"}
     return {
         "robot": config.env.robot,
         "agent": config.agent,
@@ -147,7 +149,10 @@ def _describe(folder: RunFolder, config: ExperimentConfig, parts: Parts) -> None
         {
             **provenance(),
             "parameter_counts": policy.parameter_counts(),
-            "network": to_dict(parts.policy_config),
+            "network": {
+                "config": to_dict(parts.policy_config),
+                "shape": to_dict(parts.policy_shape),
+            },
             "facets": [list(facet) for facet in parts.facets],
             "knowledge": parts.embedding.describe(),
         },
@@ -200,19 +205,17 @@ def _trainer(
         "checkpoint_every": config.checkpoint_every_steps,
         "failure_folder": folder.path / "failure",
     }
-    make_env = EnvFactory(config.env)
-    make_evaluate = InterimFactory(config.env, config.interim, parts.table)
+    make_env = TorchEnvFactory(config.env)
+    make_evaluate = InterimFactory(config.env, config.interim)
     algorithm = config.algorithm
     if isinstance(algorithm, A3CConfig):
-        return A3CTrainer(
-            algorithm, policy, make_env, parts.table, make_evaluate=make_evaluate, **common
-        )
+        return A3CTrainer(algorithm, policy, make_env, make_evaluate=make_evaluate, **common)
     if algorithm.device == "cpu":
         env = make_env(algorithm.num_envs)
-        return PPOTrainer(algorithm, policy, env, parts.table, evaluate=make_evaluate(), **common)
+        return PPOTrainer(algorithm, policy, env, evaluate=make_evaluate(), **common)
     # Warp takes seconds to import.
     from knowarm.world.gpu.env import DeviceReachVectorEnv
 
     on_gpu = DeviceReachVectorEnv(config.env, algorithm.num_envs, algorithm.device)
     # The interim episodes are played on the CPU: alone on a GPU they would take as long.
-    return PPOTrainer(algorithm, policy, on_gpu, parts.table, make_evaluate=make_evaluate, **common)
+    return PPOTrainer(algorithm, policy, on_gpu, make_evaluate=make_evaluate, **common)

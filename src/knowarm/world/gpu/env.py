@@ -100,7 +100,7 @@ class DeviceReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         return space
 
     @property
-    def episode_steps(self) -> int:
+    def max_episode_steps(self) -> int:
         """No environment is truncated twice within so many steps."""
         return self.config.max_episode_steps
 
