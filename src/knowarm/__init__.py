@@ -48,6 +48,7 @@ Knowledge
 Policy and learning
     Policy              the recurrent network
     PolicyConfig        choices of the network: fusion, sizes, preprocessing
+    PolicyShape         its input and output sizes
     PolicyAgent         plays episodes with a policy
     PPOConfig, A3CConfig    hyperparameters of the algorithms
 Registries: to extend KnowArm, add an entry (see CONTRIBUTING.md)

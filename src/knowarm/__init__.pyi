@@ -4,12 +4,12 @@ from .experiment.agents import AGENTS as AGENTS
 from .experiment.agents import Agent as Agent
 from .experiment.algorithms import ALGORITHMS as ALGORITHMS
 from .experiment.algorithms import Algorithm as Algorithm
+from .experiment.build import TrainedAgent as TrainedAgent
+from .experiment.build import load_agent as load_agent
 from .experiment.config import ExperimentConfig as ExperimentConfig
 from .experiment.evaluate import EvaluationConfig as EvaluationConfig
 from .experiment.evaluate import EvaluationResult as EvaluationResult
 from .experiment.evaluate import evaluate as evaluate
-from .experiment.load import TrainedAgent as TrainedAgent
-from .experiment.load import load_agent as load_agent
 from .experiment.registry import experiment_config as experiment_config
 from .experiment.registry import experiment_names as experiment_names
 from .experiment.run import Run as Run
@@ -24,6 +24,7 @@ from .learn.config import PPOConfig as PPOConfig
 from .policy import Policy as Policy
 from .policy import PolicyAgent as PolicyAgent
 from .policy import PolicyConfig as PolicyConfig
+from .policy import PolicyShape as PolicyShape
 from .report import write_report as write_report
 from .world import make as make
 from .world.config import EnvConfig as EnvConfig

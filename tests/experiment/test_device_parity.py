@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from knowarm.experiment.load import load_agent
+from knowarm.experiment.build import load_agent
 from knowarm.world.episodes import evaluation_episodes
 from knowarm.world.play import play
 from knowarm.world.torch_env import TorchReachVectorEnv

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from knowarm.experiment.evaluate import EvaluationConfig, evaluate
-from knowarm.experiment.load import load_agent
+from knowarm.experiment.build import load_agent
 
 ZOO = Path(__file__).parents[2] / "zoo"
 AGENTS = sorted(path.name for path in ZOO.iterdir() if path.is_dir())

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from knowarm.errors import UserError
-from knowarm.learn.precision import Wish
+from knowarm.learn.device import PrecisionChoice
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +28,7 @@ class GpuBenchConfig:
     training: bool = True
     """Measure training, too."""
 
-    matmul_precision: Wish = "auto"
+    matmul_precision: PrecisionChoice = "auto"
     """Of the products in training, as PPO's."""
 
     rollout_steps: int = 25

@@ -8,8 +8,13 @@ from typing import Any, Literal
 import torch
 
 from knowarm.bench.gpu_clock import seconds_per_call
+<<<<<<< HEAD
 from knowarm.experiment.run_folder import provenance
 from knowarm.learn.precision import products
+=======
+from knowarm.experiment.run_folder import provenance
+from knowarm.learn.device import tf32_products
+>>>>>>> learn
 
 PACKAGES = ("warp-lang", "mujoco-warp", "numba-cuda")
 """Packages of the device environment beside those of ``provenance``."""
@@ -76,7 +81,7 @@ def _product_rate(
     generator = torch.Generator(device).manual_seed(0)
     a, b = (torch.randn(side, side, generator=generator, device=device).to(kind) for _ in range(2))
     out = torch.empty_like(a)
-    with products(matmul_precision, device):
+    with tf32_products(matmul_precision, device):
         return _rate(lambda: torch.mm(a, b, out=out), 2 * side**3, seconds, device)
 
 

@@ -8,9 +8,14 @@ from knowarm.bench.gpu_clock import PartClock, seconds_per_call, synchronize
 from knowarm.bench.gpu_rays import ray_operations
 from knowarm.experiment.build import Parts
 from knowarm.learn import Hooks, Metrics, PPOConfig, PPOTrainer
+<<<<<<< HEAD
 from knowarm.policy import Policy
 from knowarm.world.tasks.reach import ACTION_LEVELS
 from knowarm.world.torch_env import TorchReachVectorEnv
+=======
+from knowarm.world.env import ACTION_LEVELS
+from knowarm.world.gpu.env import DeviceReachVectorEnv
+>>>>>>> learn
 
 WARM_UP_STEPS = 10
 """Steps before anything is timed: kernels compile and memory is set aside."""
@@ -112,8 +117,8 @@ def training_row(
         return len(begun) > 1 and begun[-1]["wall_time_s"] - begun[0]["wall_time_s"] > seconds
 
     hooks = Hooks(on_metrics=rows.append, should_stop=long_enough)
-    policy = Policy(parts.policy_config, seed=seed)
-    trainer = PPOTrainer(numbers, policy, env, parts.table, seed=seed, hooks=hooks)
+    policy = parts.new_policy(seed)
+    trainer = PPOTrainer(numbers, policy, env, seed=seed, hooks=hooks)
     trainer.train(10**12)
     first, last = rows[WARM_UP_UPDATES - 1], rows[-1]
     elapsed = last["wall_time_s"] - first["wall_time_s"]

@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 
 from knowarm.bench.world import frames_per_core_s
 from knowarm.errors import UserError
-from knowarm.experiment.build import EnvFactory, build
 from knowarm.cores import processor
+from knowarm.experiment.build import EnvFactory, build
 from knowarm.experiment.registry import experiment_config
-from knowarm.learn import A3CConfig, Hooks, Metrics, PPOConfig, PPOTrainer
-from knowarm.learn.a3c import A3CTrainer
-from knowarm.policy import Policy
+from knowarm.learn import A3CConfig, A3CTrainer, Hooks, Metrics, NumpyToTorch, PPOConfig, PPOTrainer
 from knowarm.world.knowledge_observation import VectorKnowledgeObservation
 from knowarm.world.vector_env import ReachVectorEnv
 
@@ -133,9 +131,9 @@ def _ppo(config: BenchConfig) -> dict[str, Any]:
         begun = rows[WARM_UP_UPDATES:]
         return bool(begun) and begun[-1]["wall_time_s"] - begun[0]["wall_time_s"] > config.seconds
 
-    policy = Policy(parts.policy_config, seed=config.seed)
+    policy = parts.new_policy(config.seed)
     hooks = Hooks(on_metrics=note, should_stop=long_enough)
-    PPOTrainer(numbers, policy, env, parts.table, seed=config.seed, hooks=hooks).train(10**9)
+    PPOTrainer(numbers, policy, NumpyToTorch(env), seed=config.seed, hooks=hooks).train(10**9)
     first, last = WARM_UP_UPDATES, len(rows) - 1
     seconds = rows[last]["wall_time_s"] - rows[first]["wall_time_s"]
     steps = rows[last]["step"] - rows[first]["step"]
@@ -174,14 +172,14 @@ def _a3c(config: BenchConfig, workers: int, envs_per_worker: int) -> dict[str, A
         if all(row[f"worker_{i}_steps"] for i in range(workers)):
             marks.append((row["step"], row["wall_time_s"], row["staleness_mean"]))
 
-    policy = Policy(parts.policy_config, seed=config.seed)
+    policy = parts.new_policy(config.seed)
     hooks = Hooks(
         on_metrics=note,
         should_stop=lambda: bool(marks) and marks[-1][1] - marks[0][1] > config.seconds,
     )
-    A3CTrainer(
-        numbers, policy, EnvFactory(chosen.env), parts.table, seed=config.seed, hooks=hooks
-    ).train(10**9)
+    A3CTrainer(numbers, policy, EnvFactory(chosen.env), seed=config.seed, hooks=hooks).train(
+        10**9
+    )
     steps, seconds = marks[-1][0] - marks[0][0], marks[-1][1] - marks[0][1]
     return {
         "name": "a3c" if envs_per_worker == 1 else "a3c-batched",
@@ -220,7 +218,7 @@ def _sb3(config: BenchConfig, *, opengl: bool) -> dict[str, Any]:
         vector = ReachVectorEnv(chosen.env, numbers.num_envs, num_threads=config.cores)
         env = SB3VecEnv(VectorKnowledgeObservation(vector, parts.table), seed=config.seed)
     clock = RolloutClock(config.seconds)
-    model = recurrent_ppo(parts.policy_config, numbers, env, seed=config.seed)
+    model = recurrent_ppo(parts.new_policy(0), numbers, env, seed=config.seed)
     model.learn(10**9, callback=clock)
     env.close()
     (first_step, first_s), (last_step, last_s) = clock.marks[1], clock.marks[-1]

@@ -13,7 +13,7 @@ from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv
 from torch import Tensor, nn
 
 from knowarm.learn import PPOConfig
-from knowarm.policy import PolicyConfig
+from knowarm.policy import Policy
 from knowarm.world.config import EnvConfig
 from knowarm.world.knowledge_observation import KnowledgeObservation
 from knowarm.world.single_env import ReachEnv
@@ -41,9 +41,7 @@ class PaperFeatures(BaseFeaturesExtractor):
         return torch.cat((self.image(observations["image"]), observations["knowledge"]), 1)
 
 
-def recurrent_ppo(
-    policy: PolicyConfig, config: PPOConfig, env: VecEnv, *, seed: int
-) -> RecurrentPPO:
+def recurrent_ppo(policy: Policy, config: PPOConfig, env: VecEnv, *, seed: int) -> RecurrentPPO:
     """Build sb3-contrib's RecurrentPPO with a network, epochs and minibatches like ours.
 
     One LSTM serves actor and critic, and the heads are single layers, as in ours.
@@ -64,7 +62,7 @@ def recurrent_ppo(
         max_grad_norm=config.max_grad_norm,
         policy_kwargs={
             "features_extractor_class": PaperFeatures,
-            "features_extractor_kwargs": {"features": policy.features},
+            "features_extractor_kwargs": {"features": policy.fc.out_features},
             "lstm_hidden_size": policy.hidden_size,
             "shared_lstm": True,
             "enable_critic_lstm": False,

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import tyro
 
-from knowarm.experiment.load import Which, load_agent
+from knowarm.experiment.build import Which, load_agent
 from knowarm.policy.onnx_export import INPUTS, OUTPUTS, export_onnx
 
 

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import tyro
 
 from knowarm.errors import UserError, unknown_name
-from knowarm.experiment.load import load_agent
+from knowarm.experiment.build import load_agent
 from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
 from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import evaluation_episodes

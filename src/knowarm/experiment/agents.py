@@ -3,8 +3,8 @@
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from knowarm.experiment.network import NetworkConfig
 from knowarm.knowledge.config import KnowledgeConfig
+from knowarm.policy.config import PolicyConfig
 
 Role = Literal["baseline", "knowledge", "capacity_control", "content_control", "privileged"]
 """What an agent is for in a comparison:
@@ -27,7 +27,7 @@ class Agent:
     """What the agent is for in a comparison; reports and their verdicts depend on it."""
     knowledge: KnowledgeConfig
     """From the graph to the knowledge vector."""
-    policy: NetworkConfig = field(default_factory=NetworkConfig)
+    policy: PolicyConfig = field(default_factory=PolicyConfig)
     """Choices of the policy network."""
     colour: str | None = None
     """Class of the report's palette that draws the agent in every chart (``c-blue``); None takes
@@ -126,49 +126,50 @@ AGENTS: dict[str, Agent] = {
         about="control: the vector is learned with the policy",
         role="content_control",
         knowledge=replace(FULL, source="learned"),
+        policy=PolicyConfig(knowledge_encoder="learned"),
     ),
     "wide": Agent(
         about="control: no knowledge, full's LSTM size and parameter count",
         role="capacity_control",
         knowledge=FULL,
-        policy=NetworkConfig(wide=True),
+        policy=PolicyConfig(wide=True),
         colour="c-brown",
     ),
     "full-fixed": Agent(
         about="full with the baseline's LSTM size",
         role="knowledge",
         knowledge=FULL,
-        policy=NetworkConfig(hidden="fixed"),
+        policy=PolicyConfig(hidden="fixed"),
     ),
     "full-before-fc": Agent(
         about="full, concatenated before the fully connected layer",
         role="knowledge",
         knowledge=FULL,
-        policy=NetworkConfig(fusion="before_fc"),
+        policy=PolicyConfig(fusion="before_fc"),
     ),
     "full-after-lstm": Agent(
         about="full, concatenated after the LSTM",
         role="knowledge",
         knowledge=FULL,
-        policy=NetworkConfig(fusion="after_lstm", hidden="fixed"),
+        policy=PolicyConfig(fusion="after_lstm", hidden="fixed"),
     ),
     "full-film": Agent(
         about="full, scaling and shifting the convolution features",
         role="knowledge",
         knowledge=FULL,
-        policy=NetworkConfig(fusion="film", hidden="fixed"),
+        policy=PolicyConfig(fusion="film", hidden="fixed"),
     ),
     "full-attention": Agent(
         about="full, with attention over its slots",
         role="knowledge",
         knowledge=FULL,
-        policy=NetworkConfig(fusion="attention", hidden="fixed"),
+        policy=PolicyConfig(fusion="attention", hidden="fixed"),
     ),
     "full-critic": Agent(
         about="full, for the critic only",
         role="knowledge",
         knowledge=FULL,
-        policy=NetworkConfig(fusion="critic", hidden="fixed"),
+        policy=PolicyConfig(fusion="critic", hidden="fixed"),
     ),
 }
 """Every agent by name. The first agent of a role stands for it in the demo."""

@@ -4,34 +4,25 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol, cast
 
-import numpy as np
-
-from knowarm.learn.a3c import A3CTrainer
-from knowarm.learn.config import A3CConfig, AlgorithmConfig, PPOConfig
-from knowarm.learn.evaluator import MakeEvaluate
-from knowarm.learn.ppo import PPOTrainer
-from knowarm.learn.trainer import TrainingResult
+from knowarm.learn import (
+    A3CConfig,
+    A3CTrainer,
+    MakeEvaluate,
+    PPOConfig,
+    PPOTrainer,
+    TorchVectorEnv,
+    Trainer,
+)
+from knowarm.learn.config import AlgorithmConfig
 from knowarm.policy import Policy
 
 
-class Trainer(Protocol):
-    """What `run.train` needs of a trainer."""
-
-    step: int
-
-    def train(self, total_steps: int) -> TrainingResult:
-        """Train until ``total_steps`` environment steps were taken in total."""
-        ...
-
-    def resume(self) -> None:
-        """Restore the latest checkpoint."""
-        ...
-
-
 class MakeEnv(Protocol):
-    """Picklable factory of vector environments of one task."""
+    """Picklable factory of training environments."""
 
-    def __call__(self, num_envs: int, num_threads: int = 0, *, device: str = "cpu") -> Any:
+    def __call__(
+        self, num_envs: int, num_threads: int = 0, *, device: str = "cpu"
+    ) -> TorchVectorEnv:
         """Make ``num_envs`` environments on a device, with ``num_threads`` threads (0: all)."""
         ...
 
@@ -41,18 +32,15 @@ class TrainerInputs:
     """Everything a trainer is built from."""
 
     config: AlgorithmConfig
-    """Hyperparameters: an instance of the type of ``Algorithm.config``."""
+    """Hyperparameters, of the type of ``Algorithm.config``."""
     policy: Policy
     """The policy to train in place."""
-    knowledge: np.ndarray
-    """(F, K) float32 knowledge table, one row per facet of the environment."""
     make_env: MakeEnv
     """Makes the training environments."""
     make_evaluate: MakeEvaluate
-    """Makes the interim evaluation; picklable, so that another process can call it."""
+    """Makes the interim evaluation."""
     options: Mapping[str, Any]
-    """Keyword arguments shared by all trainers: ``seed``, ``evaluate_every``, ``hooks``,
-    ``checkpoints``, ``checkpoint_every``, ``failure_folder``."""
+    """Keyword arguments of the base class `knowarm.learn.Trainer`, such as ``seed``."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,16 +50,16 @@ class Algorithm:
     about: str
     """One line for ``knowarm list``."""
     config: AlgorithmConfig
-    """Default hyperparameters. Its first field is a literal ``name`` equal to the registry's."""
+    """Default hyperparameters; the value of their literal ``name`` is the name in the registry."""
     make_trainer: Callable[[TrainerInputs], Trainer]
-    """Builds a trainer; it has a ``step``, ``train(total_steps)`` and ``resume()``."""
+    """Builds a trainer."""
     total_steps: int
     """Environment steps of an experiment, over all environments."""
     policy: Mapping[str, Any] = field(default_factory=dict)
-    """Fields of the policy's config that differ from their defaults under this algorithm."""
+    """Fields of the policy's config that have other values under this algorithm."""
 
 
-def _make_ppo(inputs: TrainerInputs) -> PPOTrainer:
+def _make_ppo(inputs: TrainerInputs) -> Trainer:
     config = cast(PPOConfig, inputs.config)
     env = inputs.make_env(config.num_envs, device=config.device)
     if config.device == "cpu":
@@ -79,18 +67,13 @@ def _make_ppo(inputs: TrainerInputs) -> PPOTrainer:
     else:
         # The interim episodes are played on the CPU: on a GPU they would take as long as training.
         evaluation = {"make_evaluate": inputs.make_evaluate}
-    return PPOTrainer(config, inputs.policy, env, inputs.knowledge, **evaluation, **inputs.options)
+    return PPOTrainer(config, inputs.policy, env, **evaluation, **inputs.options)
 
 
-def _make_a3c(inputs: TrainerInputs) -> A3CTrainer:
-    return A3CTrainer(
-        cast(A3CConfig, inputs.config),
-        inputs.policy,
-        inputs.make_env,
-        inputs.knowledge,
-        make_evaluate=inputs.make_evaluate,
-        **inputs.options,
-    )
+def _make_a3c(inputs: TrainerInputs) -> Trainer:
+    config = cast(A3CConfig, inputs.config)
+    evaluation = {"make_evaluate": inputs.make_evaluate}
+    return A3CTrainer(config, inputs.policy, inputs.make_env, **evaluation, **inputs.options)
 
 
 ALGORITHMS: dict[str, Algorithm] = {

@@ -1,29 +1,34 @@
-"""Parts of an experiment: knowledge table, policy, environments and the interim evaluation."""
+"""Parts of an experiment: built from its config, or loaded from its run folder."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 import torch
 
-from knowarm.config import to_dict
+from knowarm.config import from_dict, to_dict
+from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig, InterimConfig
-from knowarm.experiment.migration import split_network
+from knowarm.experiment.run_folder import RunFolder
 from knowarm.knowledge.embedding import SceneEmbedding, scene_embedding
-from knowarm.policy import Policy, PolicyConfig
-from knowarm.policy.agent import PolicyAgent
-from knowarm.policy.matched import matched_without_knowledge
+from knowarm.learn import TorchVectorEnv, read_checkpoint
+from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
 from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import evaluation_episodes
 from knowarm.world.play import EpisodeResults, play
 from knowarm.world.tasks.reach import ACTION_LEVELS
+from knowarm.world.torch_env import TorchReachVectorEnv
 from knowarm.world.vector_env import ReachVectorEnv
+
+Which = Literal["best", "latest", "untrained"]
+"""Policy of a run: of the best interim evaluation, the latest, or the initial weights."""
 
 
 @dataclass(frozen=True)
 class EnvFactory:
-    """Factory of vector environments of one task; picklable, so that worker processes can use it.
+    """Factory of training environments; picklable, so that worker processes can call it.
 
     Attributes:
         config: the task.
@@ -31,76 +36,56 @@ class EnvFactory:
 
     config: EnvConfig
 
-    def __call__(self, num_envs: int, num_threads: int = 0, *, device: str = "cpu") -> Any:
+    def __call__(
+        self, num_envs: int, num_threads: int = 0, *, device: str = "cpu"
+    ) -> TorchVectorEnv:
         """Make ``num_envs`` environments on a device, with ``num_threads`` threads (0: all)."""
-        if device == "cpu":
-            return ReachVectorEnv(self.config, num_envs, num_threads=num_threads)
-        # Warp takes seconds to import.
-        from knowarm.world.torch_env import TorchReachVectorEnv
-
-        return TorchReachVectorEnv(self.config, num_envs, device=device)
+        return TorchReachVectorEnv(self.config, num_envs, device=device, num_threads=num_threads)
 
 
 @dataclass(frozen=True)
 class Parts:
-    """The knowledge of an experiment and the sizes of its policy.
+    """The knowledge of an experiment and the configuration of its policy.
 
     Attributes:
         embedding: the scene embedding with its names, coverage and norm.
         table: (F, K) float32, the policy's knowledge vector for each facet.
-        policy_config: sizes of the network.
+        policy_config: choices of the policy.
+        policy_shape: input and output sizes of the policy.
         facets: the environment's F (object, colour) pairs, one per row of the table.
     """
 
     embedding: SceneEmbedding
     table: np.ndarray
     policy_config: PolicyConfig
+    policy_shape: PolicyShape
     facets: tuple[tuple[str, str], ...]
 
     def new_policy(self, seed: int) -> Policy:
         """Initialize a policy; the same seed gives the same weights."""
-        return Policy(self.policy_config, seed=seed)
-
-    def policy_description(self) -> dict[str, dict[str, Any]]:
-        """Return the policy's choices and its shape as JSON values."""
-        return split_network(to_dict(self.policy_config))
+        return Policy(self.policy_config, self.policy_shape, self.table, seed=seed)
 
 
 def build(config: ExperimentConfig) -> Parts:
-    """Compute the knowledge table of an experiment and the sizes of its policy.
+    """Compute the knowledge table of an experiment and the shape of its policy.
 
     Raises:
         UserError: the graph lacks an object, or the sizes do not fit together.
     """
-    env = EnvFactory(config.env)(1)
+    env = ReachVectorEnv(config.env, 1)
     embedding = scene_embedding(config.knowledge, env.facets)
     table = embedding.table(env.facets)
-    policy_config = policy_sizes(config, env, embedding)
-    if config.policy.wide:
-        table = table[:, :0]
-    return Parts(embedding, table, policy_config, env.facets)
-
-
-def policy_sizes(
-    config: ExperimentConfig, env: ReachVectorEnv, embedding: SceneEmbedding
-) -> PolicyConfig:
-    """Sizes of the policy network for a robot, an image and a knowledge vector."""
-    network = config.policy
-    sizes = PolicyConfig(
+    shape = PolicyShape(
         joints=env.scene.num_joints,
         levels=len(ACTION_LEVELS),
         image_size=config.env.image_size,
-        features=network.features,
         knowledge_dim=embedding.dim,
         knowledge_slots=max(1, embedding.dim // max(1, embedding.slot_dim)),
-        knowledge_encoder="learned" if config.knowledge.source == "learned" else "identity",
-        fusion=network.fusion if embedding.dim else "none",
-        hidden=network.hidden,
-        pixel_shift=network.pixel_shift,
-        pixel_scale=network.pixel_scale,
-        actor_gain=network.actor_gain,
     )
-    return matched_without_knowledge(sizes) if network.wide else sizes
+    policy = config.policy if embedding.dim else replace(config.policy, fusion="none")
+    if policy.wide:
+        table = table[:, :0]
+    return Parts(embedding, table, policy, shape, env.facets)
 
 
 @dataclass(frozen=True)
@@ -112,12 +97,10 @@ class InterimFactory:
     Attributes:
         env: the task, with the success thresholds of training.
         interim: number and seed of the episodes.
-        table: (F, K) float32 knowledge table.
     """
 
     env: EnvConfig
     interim: InterimConfig
-    table: np.ndarray
 
     def __call__(self) -> Callable[[Policy], dict[str, float]]:
         """Make the environments, draw the episodes, and return the evaluating function."""
@@ -127,7 +110,7 @@ class InterimFactory:
 
         def evaluate(policy: Policy) -> dict[str, float]:
             generator = torch.Generator().manual_seed(interim.seed)
-            agent = PolicyAgent(policy, self.table, greedy=interim.greedy, generator=generator)
+            agent = PolicyAgent(policy, greedy=interim.greedy, generator=generator)
             return interim_numbers(play(agent, env, episodes), self.env.success_distance_m)
 
         return evaluate
@@ -153,3 +136,77 @@ def interim_numbers(result: EpisodeResults, success_distance_m: float) -> dict[s
         "distance_mean": float(result.distance.mean()),
         "angle_mean": float(result.angle.mean()),
     }
+
+
+@dataclass(frozen=True)
+class TrainedAgent:
+    """A trained agent and its origin.
+
+    Attributes:
+        agent: plays episodes.
+        policy: its network, with the knowledge table.
+        config: the experiment that trained it.
+        folder: its run folder.
+        step: environment steps it was trained for.
+        which: which of the run's policies it is.
+    """
+
+    agent: PolicyAgent
+    policy: Policy
+    config: ExperimentConfig
+    folder: RunFolder
+    step: int
+    which: Which
+
+
+def load_agent(
+    path: Path | str, *, which: Which = "best", greedy: bool = True, seed: int = 0
+) -> TrainedAgent:
+    """Load the trained agent of a run.
+
+    Args:
+        path: the run folder, such as ``runs/irb120-full-ppo/0``.
+        which: the policy of the best interim evaluation, the latest policy, or the initial
+            weights.
+        greedy: take the most probable action instead of sampling one.
+        seed: seed of the sampled actions.
+
+    Returns:
+        The agent with its policy, config and run folder.
+
+    Raises:
+        UserError: the folder holds no run, no such checkpoint, or a damaged one.
+    """
+    folder = RunFolder.open(path)
+    config = folder.experiment()
+    stored = folder.provenance()["policy"]
+    policy = Policy(
+        from_dict(PolicyConfig, stored["config"], where="policy.config"),
+        from_dict(PolicyShape, stored["shape"], where="policy.shape"),
+        folder.knowledge(),
+        seed=config.seed,
+    )
+    step = 0
+    if which != "untrained":
+        checkpoint = read_checkpoint(folder.checkpoints / which)
+        step = int(checkpoint.facts["step"])
+        _load_parameters(policy, checkpoint.policy, folder.checkpoints / which)
+    policy.eval()
+    agent = PolicyAgent(policy, greedy=greedy, generator=torch.Generator().manual_seed(seed))
+    return TrainedAgent(agent, policy, config, folder, step, which)
+
+
+def _load_parameters(policy: Policy, arrays: dict[str, np.ndarray], where: Path) -> None:
+    """Copy parameters into the policy after comparing names and shapes."""
+    expected = {name: tuple(value.shape) for name, value in policy.state_dict().items()}
+    found = {name: value.shape for name, value in arrays.items()}
+    if expected != found:
+        different = sorted(
+            name for name in {*expected, *found} if expected.get(name) != found.get(name)
+        )
+        pairs = "; ".join(f"{n}: {found.get(n)} | {expected.get(n)}" for n in different)
+        raise UserError(
+            f"The checkpoint {where} does not fit the policy of its run folder (checkpoint | "
+            f"policy): {pairs}. One of the two was replaced: restore it."
+        )
+    policy.load_state_dict({name: torch.from_numpy(value) for name, value in arrays.items()})

@@ -6,9 +6,9 @@ from knowarm.config import registered
 from knowarm.errors import UserError
 from knowarm.experiment.agents import Role
 from knowarm.experiment.algorithms import ALGORITHMS
-from knowarm.experiment.network import NetworkConfig
 from knowarm.knowledge.config import KnowledgeConfig
 from knowarm.learn.config import AlgorithmConfig, PPOConfig
+from knowarm.policy.config import PolicyConfig
 from knowarm.world.config import EnvConfig
 
 
@@ -66,7 +66,7 @@ class ExperimentConfig:
     knowledge: KnowledgeConfig
     """From the graph to the agent's knowledge vector."""
 
-    policy: NetworkConfig = field(default_factory=NetworkConfig)
+    policy: PolicyConfig = field(default_factory=PolicyConfig)
     """Choices of the policy network."""
 
     algorithm: AlgorithmConfig = field(

@@ -10,13 +10,13 @@ import numpy as np
 
 from knowarm.config import replace, to_dict
 from knowarm.errors import UserError
+from knowarm.experiment.build import TrainedAgent, load_agent
 from knowarm.experiment.evaluation_files import (
     EPISODE_COLUMNS,
     step_columns,
     write_film,
     write_table,
 )
-from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.experiment.run_folder import write_json
 from knowarm.statistics import Interval, bootstrap, wilson
 from knowarm.world.agents import AgentProtocol

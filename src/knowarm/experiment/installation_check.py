@@ -88,9 +88,8 @@ def _policy() -> str:
     parts = build(experiment_config(DEFAULT_EXPERIMENT))
     policy = parts.new_policy(0)
     image = torch.zeros(1, 64, 64, 3, dtype=torch.uint8)
-    knowledge = torch.from_numpy(parts.table[:1])
-    patches = policy.patches(image)
-    logits, _, _ = policy.step(patches, knowledge, policy.initial_state(1), torch.ones(1).bool())
+    facet, start = torch.zeros(1, dtype=torch.int64), torch.ones(1, dtype=torch.bool)
+    logits, _, _ = policy.step(image, facet, policy.initial_state(1), start)
     if not bool(torch.isfinite(logits).all()):
         raise UserError("the network's outputs are not finite")
     return f"{policy.parameter_counts()['total']:,} parameters, {torch.get_num_threads()} threads"

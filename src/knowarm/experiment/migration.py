@@ -7,7 +7,7 @@ file                change from format 1 to 2
 ==================  ==================================================================
 config.json         ``network`` -> ``policy``; fields of ``algorithm`` renamed; ``role`` added
 provenance.json     ``network`` -> ``policy.config`` and ``policy.shape``
-metrics.csv         ``gradient_norm`` -> ``grad_norm``
+metrics.csv         columns renamed
 checkpoints         description in ``meta.json``: ``network.*`` -> ``policy.config.*`` and
                     ``policy.shape.*``
 ==================  ==================================================================
@@ -30,10 +30,13 @@ ALGORITHM_FIELDS = {
     "entropy_weight": "ent_coef",
     "max_gradient_norm": "max_grad_norm",
     "precision": "matmul_precision",
+    "adam_epsilon": "adam_eps",
+    "rmsprop_decay": "rmsprop_alpha",
+    "rmsprop_epsilon": "rmsprop_eps",
 }
 """Fields of the algorithm's config: name in format 1 to name in format 2."""
 
-COLUMNS = {"gradient_norm": "grad_norm"}
+COLUMNS = {"gradient_norm": "grad_norm", "kl": "approx_kl", "clipped": "clip_fraction"}
 """Columns of ``metrics.csv`` and ``evaluations.csv``: name in format 1 to name in format 2."""
 
 SHAPE_FIELDS = ("joints", "levels", "image_size", "knowledge_dim", "knowledge_slots")
@@ -56,7 +59,11 @@ def migrate_config(values: Mapping[str, Any]) -> dict[str, Any]:
     if isinstance(algorithm := values.get("algorithm"), Mapping):
         migrated["algorithm"] = _renamed(algorithm, ALGORITHM_FIELDS)
     migrated["role"] = _role(values)
-    return _renamed(migrated, {"network": "policy"})
+    if isinstance(policy := migrated.pop("network", None), Mapping):
+        learned = values.get("knowledge", {}).get("source") == "learned"
+        encoder = {"knowledge_encoder": "learned"} if learned else {}
+        migrated["policy"] = {**policy, **encoder}
+    return migrated
 
 
 def migrate_provenance(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -70,7 +77,7 @@ def migrate_provenance(values: Mapping[str, Any]) -> dict[str, Any]:
     """
     migrated = dict(values)
     if isinstance(network := migrated.pop("network", None), Mapping):
-        migrated["policy"] = split_network(network)
+        migrated["policy"] = _split(network)
     return migrated
 
 
@@ -118,8 +125,7 @@ def _role(values: Mapping[str, Any]) -> Role:
     return "privileged" if knowledge.get("scope") == "target" else "knowledge"
 
 
-def split_network(network: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Split a format 1 ``network`` into the choices and the shape of a policy."""
+def _split(network: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     return {
         "config": {name: value for name, value in network.items() if name not in SHAPE_FIELDS},
         "shape": {name: value for name, value in network.items() if name in SHAPE_FIELDS},

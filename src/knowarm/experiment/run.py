@@ -9,15 +9,15 @@ from typing import Any
 
 from knowarm.config import replace, to_dict
 from knowarm.errors import UserError
-from knowarm.experiment.algorithms import ALGORITHMS, Trainer, TrainerInputs
+from knowarm.experiment.algorithms import ALGORITHMS, TrainerInputs
 from knowarm.experiment.build import EnvFactory, InterimFactory, Parts, build
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.logs import RunLogs, TrainingProgress
 from knowarm.experiment.migration import FORMAT, migrate_checkpoints
 from knowarm.experiment.registry import experiment_config
 from knowarm.experiment.run_folder import RunFolder, provenance
-from knowarm.learn.checkpoint import CheckpointStore
-from knowarm.learn.trainer import Hooks, TrainingResult, never
+from knowarm.learn import CheckpointStore, Hooks, Trainer, TrainingResult
+from knowarm.learn.trainer import never
 from knowarm.policy import Policy
 
 SEED_STRIDE = 2**32
@@ -133,12 +133,16 @@ def announcements(parts: Parts) -> list[str]:
 
 def description(config: ExperimentConfig, parts: Parts) -> dict[str, Any]:
     """Describe what a checkpoint belongs to, as flat values; others are refused on resuming."""
+    # The capacity control is described by its resolved sizes, as in format 1.
+    choices = to_dict(parts.new_policy(0).resolved_config)
+    del choices["wide"]
     return {
         "robot": config.env.robot,
         "agent": config.agent,
         "algorithm": config.algorithm.name,
         "seed": config.seed,
-        **_flat(parts.policy_description(), "policy."),
+        **_flat(choices, "policy.config."),
+        **_flat(to_dict(parts.policy_shape), "policy.shape."),
     }
 
 
@@ -150,7 +154,10 @@ def _describe(folder: RunFolder, config: ExperimentConfig, parts: Parts) -> None
         {
             **provenance(),
             "parameter_counts": policy.parameter_counts(),
-            "policy": parts.policy_description(),
+            "policy": {
+                "config": to_dict(parts.policy_config),
+                "shape": to_dict(parts.policy_shape),
+            },
             "facets": [list(facet) for facet in parts.facets],
             "knowledge": parts.embedding.describe(),
         },
@@ -197,9 +204,8 @@ def _make_trainer(
     inputs = TrainerInputs(
         config=config.algorithm,
         policy=policy,
-        knowledge=parts.table,
         make_env=EnvFactory(config.env),
-        make_evaluate=InterimFactory(config.env, config.interim, parts.table),
+        make_evaluate=InterimFactory(config.env, config.interim),
         options={
             "seed": SEED_STRIDE * config.seed,
             "evaluate_every": config.interim.every_steps,

@@ -1,8 +1,8 @@
-"""The products of one step of an LSTM go in; its states, or its gradients, come out.
+"""LSTM kernels: the element-wise work of one LSTM step, forward and backward.
 
-PyTorch takes a dozen small operations for what lies between two products; each reads and writes
-the whole batch again, and starting it costs as much as its arithmetic. On a processor and in
-float32 one compiled loop over the cells takes half of the time; everywhere else the operations do.
+PyTorch needs a dozen small operations between two matrix products of an LSTM; each reads and
+writes the whole batch, and launching it costs as much as its arithmetic. On the CPU and in float32
+one compiled loop over the cells takes half the time; elsewhere PyTorch's operations are used.
 """
 
 from collections.abc import Callable
@@ -18,16 +18,16 @@ Floats = NDArray[np.float32]
 
 _ONE, _TWO, _HALF = np.float32(1), np.float32(2), np.float32(0.5)
 _LARGEST = np.float32(87)
-"""exp of it and of its negative are normal float32 numbers."""
+"""Bound of the exponent: exp of it and of its negative are normal float32 numbers."""
 _PER_LN2 = np.float32(1 / np.log(2))
-# ln 2 in two parts: a whole number times the first is exact.
+# ln 2 as a sum of two parts: an integer times the first part is exact in float32.
 _LN2_HIGH, _LN2_LOW = np.float32(0.693359375), np.float32(np.log(2) - 0.693359375)
 _C3, _C4, _C5, _C6, _C7 = (np.float32(1 / n) for n in (6, 24, 120, 720, 5040))
 
 
 @njit(inline="always")
 def _exp(x: np.float32) -> np.float32:
-    """Exponential by powers of two and a Taylor polynomial: relative error 2e-7."""
+    """Compute exp(x) by powers of two and a Taylor polynomial; relative error 2e-7."""
     x = min(max(x, -_LARGEST), _LARGEST)
     whole = np.floor(x * _PER_LN2 + _HALF)
     r = x - whole * _LN2_HIGH - whole * _LN2_LOW
@@ -56,17 +56,17 @@ def forward_step(
     h: Tensor,
     c: Tensor,
 ) -> Callable[[int], None]:
-    """Return what takes step t of the tensors, all contiguous and of one type.
+    """Return a function that computes step t in place; tensors are contiguous and of one dtype.
 
     Args:
-        added: (B, 4H) what the hidden state adds to the gates.
+        added: (B, 4H) recurrent part of the gates.
         keep: (T, B, 1) 1, or 0 where an episode starts.
-        gates: (T, B, 4H); at t what the input adds to the gates, then their activations.
-        c_in: (T, B, H) written at t: the masked cell before the step.
-        c_tanh: (T, B, H) written at t: tanh of the cell after it.
-        hidden: (T, B, H) written at t: the hidden state after it.
-        h: (B, H) written: the masked hidden state for the next step; after the last, the plain.
-        c: (B, H) the cell before, then after the step.
+        gates: (T, B, 4H); read at t: input part of the gates; written: their activations.
+        c_in: (T, B, H) written at t: masked cell state before the step.
+        c_tanh: (T, B, H) written at t: tanh of the cell state after the step.
+        hidden: (T, B, H) written at t: hidden state after the step.
+        h: (B, H) written: hidden state masked for the next step; unmasked after the last step.
+        c: (B, H) cell state, updated.
     """
     tensors = (added, keep, gates, c_in, c_tanh, hidden, h, c)
     if _can_compile(gates):
@@ -85,17 +85,17 @@ def backward_step(
     d_gates: Tensor,
     dc: Tensor,
 ) -> Callable[[int], None]:
-    """Return what takes step t backwards.
+    """Return a function that computes the backward pass of step t in place.
 
     Args:
         d_next: (B, H) gradient of the ``h`` that step t wrote.
-        d_hidden: (T, B, H) gradient of the hidden states from elsewhere.
-        keep: as in `forward_step`, and so are ``gates``, ``c_in`` and ``c_tanh``.
-        gates: (T, B, 4H).
-        c_in: (T, B, H).
-        c_tanh: (T, B, H).
-        d_gates: (B, 4H) written: gradient of the gates before their activations.
-        dc: (B, H) gradient of the cell after, then before the step.
+        d_hidden: (T, B, H) gradient of the returned hidden states.
+        keep: (T, B, 1) as in `forward_step`.
+        gates: (T, B, 4H) as written by `forward_step`.
+        c_in: (T, B, H) as written by `forward_step`.
+        c_tanh: (T, B, H) as written by `forward_step`.
+        d_gates: (B, 4H) written: gradient of the gates before their activation functions.
+        dc: (B, H) gradient of the cell state after the step; written: before the step.
     """
     tensors = (d_next, d_hidden, keep, gates, c_in, c_tanh, d_gates, dc)
     if _can_compile(gates):
@@ -109,7 +109,7 @@ def _can_compile(tensor: Tensor) -> bool:
 
 
 def _next_keep(keep: Tensor, t: int) -> Tensor:
-    """(B, 1) mask of step t + 1, ones after the last."""
+    """Return the mask of step t + 1, ones after the last step: (B, 1)."""
     return keep[t + 1] if t + 1 < len(keep) else torch.ones_like(keep[t])
 
 
@@ -160,7 +160,7 @@ def _forward_loop(
         next_kept = keep[t + 1, b, 0] if t + 1 < steps else _ONE
         gate, more, cell = gates[t, b], added[b], c[b]
         before, squashed, out, next_h = c_in[t, b], c_tanh[t, b], hidden[t, b], h[b]
-        # Short loops over few arrays each: the compiler turns only these into vector code.
+        # Short loops over few arrays: only these are vectorized by the compiler.
         for j in range(2 * size):
             gate[j] = _sigmoid(gate[j] + more[j])
         for j in range(2 * size, 3 * size):
