@@ -55,7 +55,8 @@ def test_every_public_name_has_an_example_and_a_line_of_help():
         assert name in knowarm.__doc__
         value = getattr(knowarm, name)
         if callable(value):
-            assert value.__doc__ and not value.__doc__.startswith(f"{name}(")
+            assert value.__doc__
+            assert not value.__doc__.startswith(f"{name}(")
 
 
 def test_no_public_name_is_the_name_of_a_package():
@@ -194,9 +195,9 @@ def test_algorithms():
 @example("AGENTS", "Agent")
 def test_agents(monkeypatch):
     mine = replace(
-        knowarm.AGENTS["full"], about="full, two hops", knowledge=knowarm.KnowledgeConfig(
-            detail="full", hops=2
-        )
+        knowarm.AGENTS["full"],
+        about="full, two hops",
+        knowledge=knowarm.KnowledgeConfig(detail="full", hops=2),
     )
     assert isinstance(mine, knowarm.Agent)
     monkeypatch.setitem(knowarm.AGENTS, "two-hops", mine)

@@ -20,15 +20,14 @@ EPISODES = 64
 @torch.no_grad()
 def outcomes(trained, env, episodes):
     """Return and success of every episode, played greedily on a device environment."""
-    policy, table = trained.policy.to(env.device), torch.from_numpy(trained.knowledge)
+    policy = trained.policy.to(env.device)
     image, _ = env.reset(options={"episodes": episodes})
     state = policy.initial_state(EPISODES)
     start = torch.ones(EPISODES, dtype=torch.bool, device=env.device)
     running, total = start.clone(), torch.zeros(EPISODES, device=env.device)
     success = torch.zeros_like(start)
     for _ in range(env.config.max_episode_steps):
-        knowledge = table.to(env.device)[env.facet_ids]
-        logits, _, state = policy.step(policy.patches(image), knowledge, state, start)
+        logits, _, state = policy.step(image, env.facet_ids, state, start)
         image, reward, terminated, truncated, _ = env.step(logits.argmax(-1))
         start = terminated | truncated
         total += reward * running

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from knowarm.config import from_dict, to_dict
-from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.build import load_agent
+from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.migration import (
     FORMAT,
     migrate_checkpoints,

@@ -8,9 +8,8 @@ import torch
 from knowarm.config import from_dict, to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS
-from knowarm.experiment.build import build
+from knowarm.experiment.build import build, load_agent
 from knowarm.experiment.config import ExperimentConfig, InterimConfig
-from knowarm.experiment.build import load_agent
 from knowarm.experiment.registry import experiment_config, experiment_names
 from knowarm.experiment.run import train
 from knowarm.experiment.run_folder import RunFolder, read_csv

@@ -67,7 +67,8 @@ def _versions() -> str:
 def _knowledge() -> str:
     parts = build(experiment_config(DEFAULT_EXPERIMENT))
     coverage = parts.embedding.describe()["coverage"]
-    return f"vector of {parts.embedding.dim} numbers, {100 * coverage['share']:.0f} % of labels covered"
+    share = 100 * coverage["share"]
+    return f"vector of {parts.embedding.dim} numbers, {share:.0f} % of labels covered"
 
 
 def _world() -> str:
