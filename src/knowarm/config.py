@@ -41,13 +41,14 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def replace(config: T, overrides: Mapping[str, Any]) -> T:
+def replace(config: T, overrides: Mapping[str, Any], *, where: str = "") -> T:
     """Copy a config with some fields changed and all types checked.
 
     Args:
         config: the dataclass instance to copy.
         overrides: new values by field name. A nested config takes a config, or a mapping of those
             of its fields that change: ``{"algorithm": {"num_envs": 64}}``.
+        where: dotted path of ``config`` in the whole config, for error messages.
 
     Raises:
         UserError: an unknown field or a value of another type than the field's.
@@ -58,9 +59,10 @@ def replace(config: T, overrides: Mapping[str, Any]) -> T:
         if isinstance(new, Mapping) and dataclasses.is_dataclass(current):
             tag = _tag(type(current))
             same_type = tag is None or new.get(tag) in (None, getattr(current, tag))
-            new = to_dict(replace(current, new)) if same_type else new
+            path = f"{where}.{name}" if where else name
+            new = to_dict(replace(current, new, where=path)) if same_type else new
         values[name] = _plain(new)
-    return from_dict(type(config), values)
+    return from_dict(type(config), values, where=where)
 
 
 def from_dict(cls: type[T], values: Mapping[str, Any], *, where: str = "") -> T:

@@ -85,8 +85,10 @@ def test_provenance_separates_the_policy_s_choices_from_its_shape():
 
 
 def test_columns_of_format_1_have_their_new_names(tmp_path):
-    (tmp_path / "metrics.csv").write_text("step,gradient_norm,kl\n10,0.5,0.25\n")
-    assert read_csv(tmp_path / "metrics.csv") == [{"step": "10", "grad_norm": "0.5", "kl": "0.25"}]
+    (tmp_path / "metrics.csv").write_text("step,gradient_norm,kl,clipped\n10,0.5,0.25,0\n")
+    assert read_csv(tmp_path / "metrics.csv") == [
+        {"step": "10", "grad_norm": "0.5", "approx_kl": "0.25", "clip_fraction": "0"}
+    ]
 
 
 @pytest.mark.parametrize("path", RUNS, ids=lambda path: str(path.relative_to(ROOT)))
