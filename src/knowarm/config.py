@@ -3,7 +3,7 @@
 import dataclasses
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 
 from knowarm.errors import UserError, unknown_name
@@ -70,6 +70,8 @@ def _typed(hint: Any, value: Any, path: str) -> Any:
         if value not in args:
             raise unknown_name(f"value of {path}", str(value), map(str, args))
         return value
+    if hasattr(hint, "variants"):  # a base class with a registry of its configs
+        return _variant(hint.variants().values(), value, path)
     if dataclasses.is_dataclass(hint):
         return from_dict(typing.cast(Any, hint), value, where=path)
     if origin is tuple:
@@ -101,16 +103,7 @@ def _union(args: tuple[Any, ...], value: Any, path: str) -> Any:
     kinds = [kind for kind in args if kind is not type(None)]
     configs = [kind for kind in kinds if dataclasses.is_dataclass(kind)]
     if configs and isinstance(value, Mapping) and len(configs) > 1:
-        # Alternatives (one config an algorithm) carry their kind in a literal `name` field.
-        for kind in configs:
-            if value.get("name") in get_args(typing.get_type_hints(kind).get("name", Literal[""])):
-                return from_dict(typing.cast(Any, kind), value, where=path)
-        names = [
-            name
-            for kind in configs
-            for name in get_args(typing.get_type_hints(kind).get("name", Literal[""]))
-        ]
-        raise unknown_name(f"{path}.name", str(value.get("name")), names)
+        return _variant(configs, value, path)
     errors = []
     for kind in kinds:
         try:
@@ -118,3 +111,19 @@ def _union(args: tuple[Any, ...], value: Any, path: str) -> Any:
         except UserError as error:
             errors.append(str(error))
     raise UserError(errors[0] if len(errors) == 1 else f"{path}: " + " Or: ".join(errors))
+
+
+def _variant(configs: Iterable[Any], value: Any, path: str) -> Any:
+    """Build the one of several configs whose literal field (`kind` or `name`) has the value's."""
+    tags = {}
+    for config in configs:
+        hints = typing.get_type_hints(config)
+        tag = next(name for name in ("kind", "name") if get_origin(hints.get(name)) is Literal)
+        tags |= {(tag, kind): config for kind in get_args(hints[tag])}
+    tag = next(iter(tags))[0]
+    kinds = [kind for _, kind in tags]
+    if not isinstance(value, Mapping):
+        raise UserError(f"{path} must hold fields with {tag} one of {kinds}, got {value!r}.")
+    if (tag, value.get(tag)) not in tags:
+        raise unknown_name(f"{path}.{tag}", str(value.get(tag)), kinds)
+    return from_dict(tags[tag, value[tag]], value, where=path)

@@ -1,10 +1,18 @@
 """Names of agents and what each is told, and by which network: the paper's, ours, the controls."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from knowarm.experiment.config import NetworkConfig
-from knowarm.knowledge.config import KnowledgeConfig
-from knowarm.knowledge.presets import FULL, KNOWLEDGE
+from knowarm.knowledge import FULL, FULL_PLUS, KnowledgeConfig
+from knowarm.knowledge.vectors import GraphEmbedding
+from knowarm.knowledge.vectors.placebos import (
+    Learned,
+    OneHot,
+    RandomVectors,
+    ShuffledGraph,
+    WrongObject,
+    Zeros,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,41 +28,51 @@ class AgentConfig:
 
 
 AGENTS: dict[str, AgentConfig] = {
-    "bm": AgentConfig(about="baseline: no knowledge (paper)", knowledge=KNOWLEDGE["bm"]),
-    "partial": AgentConfig(about="object types only (paper)", knowledge=KNOWLEDGE["partial"]),
+    "bm": AgentConfig(
+        about="baseline: no knowledge (paper)", knowledge=KnowledgeConfig(detail="none")
+    ),
+    "partial": AgentConfig(
+        about="object types only (paper)", knowledge=KnowledgeConfig(detail="partial")
+    ),
     "full": AgentConfig(about="object types and colours (paper)", knowledge=FULL),
     "full+": AgentConfig(
-        about="as full, with an embedding that keeps facets apart", knowledge=KNOWLEDGE["full+"]
+        about="as full, with an embedding that keeps facets apart", knowledge=FULL_PLUS
     ),
     "analogy": AgentConfig(
         about="as full, from ANALOGY embeddings (the paper's first choice)",
-        knowledge=KNOWLEDGE["analogy"],
+        knowledge=replace(FULL, source=GraphEmbedding(), relation_words=False),
     ),
     "target": AgentConfig(
         about="told the episode's own object and colour (privileged)",
-        knowledge=KNOWLEDGE["target"],
+        knowledge=replace(FULL, scope="target"),
     ),
     "target+": AgentConfig(
         about="as target, with the embedding of full+ (privileged)",
-        knowledge=KNOWLEDGE["target+"],
+        knowledge=replace(FULL_PLUS, scope="target"),
     ),
     "target-onehot": AgentConfig(
         about="control of target: a number for the facet, no meaning (privileged)",
-        knowledge=KNOWLEDGE["target-onehot"],
+        knowledge=replace(FULL, source=OneHot(), scope="target"),
     ),
-    "zeros": AgentConfig(about="control: full's shape, all zeros", knowledge=KNOWLEDGE["zeros"]),
+    "zeros": AgentConfig(
+        about="control: full's shape, all zeros", knowledge=replace(FULL, source=Zeros())
+    ),
     "random": AgentConfig(
-        about="control: full's shape and norm, random", knowledge=KNOWLEDGE["random"]
+        about="control: full's shape and norm, random",
+        knowledge=replace(FULL, source=RandomVectors()),
     ),
     "shuffled": AgentConfig(
-        about="control: full from a graph with permuted tails", knowledge=KNOWLEDGE["shuffled"]
+        about="control: full from a graph with permuted tails",
+        knowledge=replace(FULL, source=ShuffledGraph()),
     ),
-    "onehot": AgentConfig(about="control: one-hot slots", knowledge=KNOWLEDGE["onehot"]),
+    "onehot": AgentConfig(about="control: one-hot slots", knowledge=replace(FULL, source=OneHot())),
     "wrong-object": AgentConfig(
-        about="control: each slot describes another object", knowledge=KNOWLEDGE["wrong-object"]
+        about="control: each slot describes another object",
+        knowledge=replace(FULL, source=WrongObject()),
     ),
     "learned": AgentConfig(
-        about="control: the vector is learned with the policy", knowledge=KNOWLEDGE["learned"]
+        about="control: the vector is learned with the policy",
+        knowledge=replace(FULL, source=Learned()),
     ),
     "wide": AgentConfig(
         about="control: no knowledge, full's LSTM size and parameter count",

@@ -75,7 +75,7 @@ def policy_sizes(
         features=network.features,
         knowledge_dim=embedding.dim,
         knowledge_slots=max(1, embedding.dim // max(1, embedding.slot_dim)),
-        knowledge_encoder="learned" if config.knowledge.source == "learned" else "identity",
+        knowledge_encoder=config.knowledge.source.encoder,
         fusion=network.fusion if embedding.dim else "none",
         hidden=network.hidden,
         pixel_shift=network.pixel_shift,

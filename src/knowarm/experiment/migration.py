@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
+from knowarm.knowledge.vectors import migrate_source
+
 FORMAT = 2
 """Version of the run folder's layout that this version writes."""
 
@@ -33,4 +35,6 @@ def migrate_config(values: Mapping[str, Any]) -> dict[str, Any]:
         migrated["algorithm"] = {
             ALGORITHM_FIELDS.get(name, name): value for name, value in algorithm.items()
         }
+        if isinstance(values.get("knowledge"), Mapping):
+            migrated["knowledge"] = migrate_source(values["knowledge"])
     return migrated
