@@ -17,8 +17,8 @@ from .experiment.run import train as train
 from .knowledge.config import KnowledgeConfig as KnowledgeConfig
 from .knowledge.embedding import SceneEmbedding as SceneEmbedding
 from .knowledge.embedding import scene_embedding as scene_embedding
+from .knowledge.formats import read_graph as read_graph
 from .knowledge.graph import KnowledgeGraph as KnowledgeGraph
-from .knowledge.read import read_graph as read_graph
 from .learn.config import A3CConfig as A3CConfig
 from .learn.config import PPOConfig as PPOConfig
 from .policy import Policy as Policy

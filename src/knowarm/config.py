@@ -17,8 +17,8 @@ def registered(config_types: Callable[[], Iterable[type]]) -> dict[str, Any]:
     """Return the metadata of a dataclass field whose value is one of several registered configs.
 
     The field is annotated with a common base class, and the types are looked up whenever a config
-    is read, so that an entry added to the registry can be read at once. As in a union, the first
-    field of every type is a ``Literal``, the tag that tells the types apart in JSON.
+    is read, so that an entry added to the registry can be read at once. As in a union, a literal
+    field ``kind`` or ``name`` tells the types apart in JSON.
 
     Args:
         config_types: returns the dataclasses that are registered now.
@@ -143,7 +143,7 @@ def _union(args: tuple[Any, ...], value: Any, path: str) -> Any:
         return None
     kinds = [kind for kind in args if kind is not type(None)]
     tags = {kind: _tag(kind) for kind in kinds if dataclasses.is_dataclass(kind)}
-    if isinstance(value, Mapping) and len(tags) > 1 and None not in tags.values():
+    if isinstance(value, Mapping) and tags and None not in tags.values():
         tagged = {
             (tag, choice): kind
             for kind, tag in tags.items()
@@ -155,6 +155,9 @@ def _union(args: tuple[Any, ...], value: Any, path: str) -> Any:
         tag = next(iter(tagged))[0]
         choices = [str(choice) for _, choice in tagged]
         raise unknown_name(f"{path}.{tag}", str(value.get(tag)), choices)
+    if tags and len(tags) == len(kinds):
+        names = ", ".join(kind.__name__ for kind in kinds)
+        raise UserError(f"{path} must hold the fields of one of {names}, got {value!r}.")
     errors = []
     for kind in kinds:
         try:
@@ -165,8 +168,6 @@ def _union(args: tuple[Any, ...], value: Any, path: str) -> Any:
 
 
 def _tag(cls: Any) -> str | None:
-    """Name of a dataclass's first field if that is a ``Literal``: it tells unions apart."""
-    first = next(iter(dataclasses.fields(cls)), None)
-    if first is None or get_origin(typing.get_type_hints(cls)[first.name]) is not Literal:
-        return None
-    return first.name
+    """Name of the literal field that tells a dataclass from its alternatives; None without one."""
+    hints = typing.get_type_hints(cls)
+    return next((name for name in ("kind", "name") if get_origin(hints.get(name)) is Literal), None)

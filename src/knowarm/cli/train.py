@@ -1,12 +1,13 @@
 """``knowarm train``: a name and overrides go in; a run folder comes out."""
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+from knowarm.cli.knowledge.options import take_source
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.registry import experiment_config, experiment_names
@@ -64,6 +65,9 @@ def parse(arguments: list[str]) -> Train:
 
 
 def _options(name: str, arguments: list[str], config: ExperimentConfig) -> Train:
+    arguments, source = take_source(arguments, "--knowledge.source")
+    if source is not None:
+        config = replace(config, knowledge=replace(config.knowledge, source=source))
     return tyro.cli(
         Train,
         prog=f"knowarm train {name}",

@@ -3,7 +3,16 @@
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from knowarm.knowledge.config import KnowledgeConfig
+from knowarm.knowledge import FULL, FULL_PLUS, KnowledgeConfig
+from knowarm.knowledge.vectors import GraphEmbedding
+from knowarm.knowledge.vectors.placebos import (
+    Learned,
+    OneHot,
+    RandomVectors,
+    ShuffledGraph,
+    WrongObject,
+    Zeros,
+)
 from knowarm.policy.config import PolicyConfig
 
 Role = Literal["baseline", "knowledge", "capacity_control", "content_control", "privileged"]
@@ -34,19 +43,6 @@ class Agent:
     a spare one."""
 
 
-FULL = KnowledgeConfig(detail="full")
-"""The paper's vector: one slot per object and colour, the mean of its sentence's words."""
-
-FULL_PLUS = replace(
-    FULL,
-    relation_words=False,
-    pooling="sif",
-    centring=True,
-    colour_share=0.6,
-    slot_norm=1.0,
-)
-"""A variant that keeps every pair of facets apart: see ``knowarm knowledge probe``."""
-
 AGENTS: dict[str, Agent] = {
     "bm": Agent(
         about="baseline: no knowledge (paper)",
@@ -75,7 +71,7 @@ AGENTS: dict[str, Agent] = {
     "analogy": Agent(
         about="as full, from ANALOGY embeddings (the paper's first choice)",
         role="knowledge",
-        knowledge=replace(FULL, source="analogy", relation_words=False),
+        knowledge=replace(FULL, source=GraphEmbedding(model="analogy"), relation_words=False),
     ),
     "target": Agent(
         about="the slot of the episode's own object and colour (privileged)",
@@ -91,41 +87,41 @@ AGENTS: dict[str, Agent] = {
     "target-onehot": Agent(
         about="control of target: the index of the facet, no meaning (privileged)",
         role="content_control",
-        knowledge=replace(FULL, source="onehot", scope="target"),
+        knowledge=replace(FULL, source=OneHot(), scope="target"),
     ),
     "zeros": Agent(
         about="control: full's shape, all zeros",
         role="capacity_control",
-        knowledge=replace(FULL, source="zeros"),
+        knowledge=replace(FULL, source=Zeros()),
         colour="c-grey",
     ),
     "random": Agent(
         about="control: full's shape and norm, random",
         role="content_control",
-        knowledge=replace(FULL, source="random"),
+        knowledge=replace(FULL, source=RandomVectors()),
         colour="c-purple",
     ),
     "shuffled": Agent(
         about="control: full from a graph with permuted tails",
         role="content_control",
-        knowledge=replace(FULL, source="shuffled"),
+        knowledge=replace(FULL, source=ShuffledGraph()),
         colour="c-pink",
     ),
     "onehot": Agent(
         about="control: one-hot slots",
         role="content_control",
-        knowledge=replace(FULL, source="onehot"),
+        knowledge=replace(FULL, source=OneHot()),
         colour="c-teal",
     ),
     "wrong-object": Agent(
         about="control: each slot describes another object",
         role="content_control",
-        knowledge=replace(FULL, source="wrong-object"),
+        knowledge=replace(FULL, source=WrongObject()),
     ),
     "learned": Agent(
         about="control: the vector is learned with the policy",
         role="content_control",
-        knowledge=replace(FULL, source="learned"),
+        knowledge=replace(FULL, source=Learned()),
         policy=PolicyConfig(knowledge_encoder="learned"),
     ),
     "wide": Agent(

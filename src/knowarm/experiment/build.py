@@ -83,6 +83,11 @@ def build(config: ExperimentConfig) -> Parts:
         knowledge_slots=max(1, embedding.dim // max(1, embedding.slot_dim)),
     )
     policy = config.policy if embedding.dim else replace(config.policy, fusion="none")
+    if config.knowledge.source.encoder != policy.knowledge_encoder == "identity":
+        raise UserError(
+            f"The knowledge source {config.knowledge.source.short_name!r} has no meaning of its "
+            "own: set policy.knowledge_encoder to 'learned'."
+        )
     if policy.wide:
         table = table[:, :0]
     return Parts(embedding, table, policy, shape, env.facets)

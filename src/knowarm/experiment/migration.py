@@ -5,8 +5,10 @@ Files of format 1 are converted whenever they are read; nothing is rewritten unl
 ==================  ==================================================================
 file                change from format 1 to 2
 ==================  ==================================================================
-config.json         ``network`` -> ``policy``; fields of ``algorithm`` renamed; ``role`` added
-provenance.json     ``network`` -> ``policy.config`` and ``policy.shape``
+config.json         ``network`` -> ``policy``; fields of ``algorithm`` renamed; ``role`` added;
+                    ``knowledge.source`` (and ``matches``): short name -> tagged config
+provenance.json     ``network`` -> ``policy.config`` and ``policy.shape``; ``knowledge.config`` as
+                    in config.json
 metrics.csv         columns renamed
 checkpoints         description in ``meta.json``: ``network.*`` -> ``policy.config.*`` and
                     ``policy.shape.*``
@@ -19,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from knowarm.experiment.agents import AGENTS, Role
+from knowarm.knowledge import migrate_source
 
 FORMAT = 2
 """Version of the run folder's layout that this version writes."""
@@ -56,6 +59,8 @@ def migrate_config(values: Mapping[str, Any]) -> dict[str, Any]:
     if migrated.get("format") != 1:
         return migrated
     migrated["format"] = FORMAT
+    if isinstance(knowledge := values.get("knowledge"), Mapping):
+        migrated["knowledge"] = migrate_source(knowledge)
     if isinstance(algorithm := values.get("algorithm"), Mapping):
         migrated["algorithm"] = _renamed(algorithm, ALGORITHM_FIELDS)
     migrated["role"] = _role(values)
@@ -78,6 +83,8 @@ def migrate_provenance(values: Mapping[str, Any]) -> dict[str, Any]:
     migrated = dict(values)
     if isinstance(network := migrated.pop("network", None), Mapping):
         migrated["policy"] = _split(network)
+    if isinstance(knowledge := values.get("knowledge"), Mapping) and "config" in knowledge:
+        migrated["knowledge"] = {**knowledge, "config": migrate_source(knowledge["config"])}
     return migrated
 
 

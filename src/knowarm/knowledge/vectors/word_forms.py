@@ -1,4 +1,4 @@
-"""A label goes in; the spellings under which a word list may know it come out."""
+"""Spellings under which a word list may hold a label: joined, singular, lemma, alias."""
 
 from collections.abc import Iterator, Mapping
 
@@ -12,7 +12,7 @@ SPELLINGS = {
     "mould": "mold",
     "tyre": "tire",
 }
-"""The other spelling of the same word, looked up in both directions."""
+"""British and American spellings of the same word, tried in both directions."""
 
 _BOTH = {**SPELLINGS, **{american: british for british, american in SPELLINGS.items()}}
 _VOWELS = "aeiou"
@@ -33,7 +33,7 @@ def word_forms(word: str) -> list[str]:
 
 
 def all_forms(label: str, aliases: Mapping[str, str]) -> set[str]:
-    """Return every spelling that looking the label up may try."""
+    """Return every spelling that the lookup of a label may try."""
     forms = {label, *joined_forms(label)}
     for word in label.split():
         forms |= {word, *word_forms(word)}

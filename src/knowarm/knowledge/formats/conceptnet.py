@@ -1,14 +1,16 @@
-"""ConceptNet's assertions go in, filtered while they are read; a KnowledgeGraph comes out."""
+"""ConceptNet's assertion file, filtered while it is read."""
 
 import json
 from collections.abc import Collection
 from pathlib import Path
 
+from pyoxigraph import RdfFormat
+
 from knowarm.errors import UserError
 from knowarm.knowledge.builder import GraphBuilder
+from knowarm.knowledge.formats.lines import decode, line_blocks, open_bytes
+from knowarm.knowledge.formats.rdf import read_rdf, write_rdf
 from knowarm.knowledge.graph import KnowledgeGraph
-from knowarm.knowledge.read.lines import decode, line_blocks, open_bytes
-from knowarm.knowledge.write.ntriples import write_ntriples
 
 
 def read_conceptnet(
@@ -19,24 +21,22 @@ def read_conceptnet(
     min_weight: float = 1.0,
     cache: Path | None = None,
 ) -> KnowledgeGraph:
-    """Read `conceptnet-assertions-5.*.csv` (also .gz): five tab-separated columns a line.
+    """Read `conceptnet-assertions-5.*.csv` (also .gz): five tab-separated columns per line.
 
-    `/c/en/cereal_box/n` becomes the entity "cereal_box", `/r/UsedFor` the relation "UsedFor".
+    `/c/en/teapot/n` becomes the entity "teapot", `/r/UsedFor` the relation "UsedFor".
 
     Args:
         path: the file.
         languages: keep edges between terms of these languages.
-        relations: keep these ("UsedFor", ...); None keeps all.
+        relations: keep these relations ("UsedFor", ...); None keeps all.
         min_weight: keep edges of at least this weight.
-        cache: write what was kept to this N-Triples file; if it exists already, read it instead.
+        cache: N-Triples file that the kept edges are written to, or read from if it exists.
 
     Raises:
-        UserError: a line has not five columns, or holds a weight that is no number.
+        UserError: a line does not have five columns, or its weight is not a number.
     """
     if cache is not None and cache.exists():
-        from knowarm.knowledge.read.ntriples import read_ntriples
-
-        return read_ntriples(cache)
+        return read_rdf(cache, RdfFormat.N_TRIPLES)
     wanted = None if relations is None else {f"/r/{name}".encode() for name in relations}
     prefixes = tuple(f"/c/{language}/".encode() for language in sorted(languages))
     builder = GraphBuilder()
@@ -52,34 +52,34 @@ def read_conceptnet(
                         f"assertion has 5 (uri, relation, start, end, JSON). Give the file "
                         f"conceptnet-assertions-5.*.csv as it was downloaded."
                     )
-                _, relation, start, end, facts = columns
+                _, relation, start, end, properties = columns
                 if not (start.startswith(prefixes) and end.startswith(prefixes)):
                     continue
                 if wanted is not None and relation not in wanted:
                     continue
-                if min_weight > 0 and _weight(facts, path, number) < min_weight:
+                if min_weight > 0 and _weight(properties, path, number) < min_weight:
                     continue
                 builder.add(
-                    _term(decode(start, path, number)),
+                    _entity(decode(start, path, number)),
                     decode(relation, path, number).removeprefix("/r/"),
-                    _term(decode(end, path, number)),
+                    _entity(decode(end, path, number)),
                 )
-    graph = builder.build({})
+    graph = builder.build()
     if cache is not None:
-        write_ntriples(graph, cache)
+        write_rdf(graph, cache, RdfFormat.N_TRIPLES)
     return graph
 
 
-def _term(uri: str) -> str:
-    """Return the words of `/c/en/cereal_box/n`: "cereal_box"."""
+def _entity(uri: str) -> str:
+    """Return the words of a term: "teapot" of `/c/en/teapot/n`."""
     return uri.split("/")[3]
 
 
-def _weight(facts: bytes, path: Path, number: int) -> float:
+def _weight(properties: bytes, path: Path, number: int) -> float:
     try:
-        return float(json.loads(facts)["weight"])
+        return float(json.loads(properties)["weight"])
     except (ValueError, KeyError, TypeError) as error:
         raise UserError(
             f"{path}, line {number}: the fifth column must be JSON with a number `weight`, "
-            f"got {facts[:60].decode(errors='replace')!r}. Fetch the file again."
+            f"got {properties[:60].decode(errors='replace')!r}. Download the file again."
         ) from error

@@ -1,4 +1,4 @@
-"""A text file, plain or packed, goes in; numbered lines come out, none longer than a limit."""
+"""Line reader for large text files, plain or compressed, with a limit on the line length."""
 
 import bz2
 import gzip
@@ -10,12 +10,14 @@ from typing import IO, cast
 from knowarm.errors import UserError
 
 BLOCK = 1 << 22
+"""Bytes read at once."""
+
 MAX_LINE = 1 << 20
-"""Longest line in bytes; a longer one means that the file is no line-based format."""
+"""Longest line in bytes; a file with a longer one is not line-based."""
 
 
 def open_bytes(path: Path) -> IO[bytes]:
-    """Open a file for reading bytes, unpacking .gz, .bz2 and .xz."""
+    """Open a file for reading bytes, decompressing .gz, .bz2 and .xz."""
     suffix = path.suffix.lower()
     if suffix == ".gz":
         return cast(IO[bytes], gzip.open(path, "rb"))
@@ -29,11 +31,16 @@ def open_bytes(path: Path) -> IO[bytes]:
 def line_blocks(
     file: IO[bytes], path: Path, max_line: int = MAX_LINE
 ) -> Iterator[tuple[int, list[bytes]]]:
-    """Yield (number of the first line, lines without their ends) a few megabytes at a time.
+    """Yield (number of the first line, lines without their ends), a few megabytes at a time.
+
+    Args:
+        file: the open file.
+        path: its path, for messages.
+        max_line: longest line in bytes. A longer one is refused after one block, so that a file
+            of many gigabytes without a line end takes no memory.
 
     Raises:
-        UserError: a line is longer than `max_line`, which is found after one block: a file of
-            many gigabytes without a line end costs no memory.
+        UserError: a line is too long, or the file cannot be decompressed.
     """
     number, rest = 1, b""
     try:
@@ -48,20 +55,20 @@ def line_blocks(
                 rest += block
             if len(rest) > max_line:
                 raise UserError(
-                    f"{path}, line {number}: the line is longer than {max_line:,} bytes, so this "
-                    f"is no file of one record a line. Check the format and the line ends."
+                    f"{path}, line {number}: the line is longer than {max_line:,} bytes, so the "
+                    f"file does not hold one record per line. Check the format and the line ends."
                 )
     except (EOFError, OSError, lzma.LZMAError) as error:
         raise UserError(
-            f"{path}, near line {number}: the file cannot be unpacked: {error}. "
-            f"Fetch or pack it again."
+            f"{path}, near line {number}: the file cannot be decompressed: {error}. "
+            f"Copy or compress it again."
         ) from error
     if rest:
         yield number, [rest]
 
 
-def numbered_lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield (line number, text) of every line that is not blank.
+def text_lines(path: Path) -> Iterator[tuple[int, str]]:
+    """Yield (line number, text) of every line of a UTF-8 file.
 
     Raises:
         UserError: a line is too long or is not UTF-8.
@@ -69,16 +76,14 @@ def numbered_lines(path: Path) -> Iterator[tuple[int, str]]:
     with open_bytes(path) as file:
         for first, lines in line_blocks(file, path):
             for number, line in enumerate(lines, first):
-                text = decode(line, path, number)
-                if text and not text.isspace():
-                    yield number, text
+                yield number, decode(line, path, number)
 
 
 def decode(line: bytes, path: Path, number: int) -> str:
     """Decode one line, without its carriage return.
 
     Raises:
-        UserError: it is not UTF-8, or holds a zero byte.
+        UserError: it is not UTF-8, or contains a zero byte.
     """
     try:
         text = line.decode().rstrip("\r")
@@ -89,7 +94,7 @@ def decode(line: bytes, path: Path, number: int) -> str:
         ) from error
     if "\0" in text:
         raise UserError(
-            f"{path}, line {number}: holds a zero byte, so this is no text file. "
-            f"Name the right file."
+            f"{path}, line {number}: contains a zero byte, so this is not a text file. "
+            f"Check the path and the format."
         )
     return text.removeprefix("\ufeff") if number == 1 else text
