@@ -51,6 +51,9 @@ def _experiments() -> dict[str, ExperimentConfig]:
 EXPERIMENTS = _experiments()
 """Every named experiment."""
 
+DEFAULT_EXPERIMENT = "irb120-full-ppo"
+"""Experiment of the benchmarks, of the installation check and of examples."""
+
 
 def experiment(name: str) -> ExperimentConfig:
     """Look an experiment up.

@@ -1,4 +1,4 @@
-"""This machine goes in; a list of what is well and what is to be mended comes out."""
+"""Checks of the installation: packages, knowledge, simulation, policy, memory, disk, GPU."""
 
 import os
 import shutil
@@ -13,20 +13,23 @@ import torch
 from knowarm.errors import UserError
 from knowarm.experiment.build import build
 from knowarm.experiment.provenance import provenance
-from knowarm.experiment.registry import experiment
+from knowarm.experiment.registry import DEFAULT_EXPERIMENT, experiment
 from knowarm.world.doctor import Check
 from knowarm.world.env import EnvConfig, ReachVectorEnv
 from knowarm.world.oracle import OracleAgent
 
 MIN_MEMORY_GIB = 2.0
+"""Free memory that training needs."""
+
 MIN_DISK_GIB = 1.0
+"""Free disk space that a training run needs."""
 
 
 def check_installation(runs: Path) -> list[Check]:
-    """Use every part of the installation once.
+    """Check every part of the installation by using it once.
 
     Args:
-        runs: the folder that trainings would write to.
+        runs: output folder of training runs.
     """
     return [
         _checked("versions", _versions),
@@ -35,20 +38,20 @@ def check_installation(runs: Path) -> list[Check]:
         _checked("policy", _policy),
         _memory(),
         _disk(runs),
-        _graphics_card(),
+        _gpu(),
     ]
 
 
-def _checked(name: str, look: Callable[[], str]) -> Check:
-    """Run one check; whatever it raises is what is wrong."""
+def _checked(name: str, check: Callable[[], str]) -> Check:
+    """Run one check; any exception is its failure."""
     try:
-        return Check(name=name, ok=True, found=look())
-    except Exception as error:  # a doctor reports any illness
+        return Check(name=name, ok=True, found=check())
+    except Exception as error:  # whatever is broken is reported, not raised
         return Check(
             name=name,
             ok=False,
             found=f"{type(error).__name__}: {error}",
-            remedy="Install knowarm anew in a fresh environment: see README.md.",
+            remedy="Install knowarm in a new virtual environment, see README.md.",
         )
 
 
@@ -61,13 +64,14 @@ def _versions() -> str:
 
 
 def _knowledge() -> str:
-    parts = build(experiment("irb120-full-ppo"))
+    parts = build(experiment(DEFAULT_EXPERIMENT))
     coverage = parts.embedding.describe()["coverage"]
-    return f"{parts.embedding.dim} numbers, {100 * coverage['share']:.0f} % of labels known"
+    share = 100 * coverage["share"]
+    return f"vector of {parts.embedding.dim} numbers, {share:.0f} % of labels covered"
 
 
 def _world() -> str:
-    """The oracle's first steps must bring it nearer, and something must be in the image."""
+    """Check that the oracle agent approaches the target and that the image is not uniform."""
     env = ReachVectorEnv(EnvConfig(), 4)
     images, infos = env.reset(seed=0)
     agent = OracleAgent(0)
@@ -76,12 +80,12 @@ def _world() -> str:
     for _ in range(5):
         images, _, _, _, infos = env.step(agent.act(images))
     if not np.ptp(images) > 50 or not infos["angle"].mean() < before:
-        raise UserError("the simulation ran, and the image or the motion is not right")
+        raise UserError("the simulation runs, but the image is uniform or the arm does not move")
     return "simulation and ray caster work, without OpenGL"
 
 
 def _policy() -> str:
-    parts = build(experiment("irb120-full-ppo"))
+    parts = build(experiment(DEFAULT_EXPERIMENT))
     policy = parts.new_policy(0)
     image = torch.zeros(1, 64, 64, 3, dtype=torch.uint8)
     knowledge = torch.from_numpy(parts.table[:1])
@@ -98,12 +102,12 @@ def _memory() -> Check:
         name="memory",
         ok=free >= MIN_MEMORY_GIB,
         found=f"{free:.1f} GiB free, {os.cpu_count()} cores",
-        remedy=f"Training wants {MIN_MEMORY_GIB:.0f} GiB: close other programs.",
+        remedy=f"Training needs {MIN_MEMORY_GIB:.0f} GiB: close other programs.",
     )
 
 
 def _disk(runs: Path) -> Check:
-    """Look at the nearest folder that exists: it is the one that would be written to."""
+    """Check the output folder, or its nearest parent that exists."""
     folder = next(
         parent for parent in [runs.absolute(), *runs.absolute().parents] if parent.exists()
     )
@@ -113,18 +117,18 @@ def _disk(runs: Path) -> Check:
         name="output folder",
         ok=writable and free >= MIN_DISK_GIB,
         found=f"{runs}: {'writable' if writable else 'not writable'}, {free:.1f} GiB free",
-        remedy="Give trainings another place with --runs.",
+        remedy="Choose another folder for runs.",
     )
 
 
-def _graphics_card() -> Check:
-    """Say what there is: training needs none."""
+def _gpu() -> Check:
+    """Describe the GPU; training does not need one."""
     if torch.cuda.is_available():
         return Check(name="GPU", ok=True, found=torch.cuda.get_device_name())
-    build_of = "a build for GPUs" if torch.version.cuda else "the build for CPUs"
+    torch_build = "built with CUDA" if torch.version.cuda else "built without CUDA"
     return Check(
         name="GPU",
         ok=True,
-        found=f"none (torch is {build_of}; Python {sys.version_info.major}."
+        found=f"none (torch is {torch_build}; Python {sys.version_info.major}."
         f"{sys.version_info.minor}); training runs on the CPU",
     )
