@@ -5,10 +5,10 @@ import torch
 
 from knowarm.experiment.build import build
 from knowarm.experiment.registry import experiment_config
-from knowarm.learn import CheckpointStore, Hooks, PPOConfig, PPOTrainer
+from knowarm.learn import CheckpointStore, Hooks, NumpyToTorch, PPOConfig, PPOTrainer
 from knowarm.world.config import EnvConfig
-from knowarm.world.torch_env import TorchReachVectorEnv
-from knowarm.world.vector_env import ReachVectorEnv
+from knowarm.world.env import ReachVectorEnv
+from knowarm.world.gpu.env import DeviceReachVectorEnv
 from tests.devices import DEVICES
 
 ENV = EnvConfig(max_episode_steps=8, dynamics="kinematic")
@@ -21,7 +21,7 @@ def train(env, rows, store=None, *, updates=3, resume=False, stop_after=None):
     parts = build(experiment_config("irb120-full-ppo"))
     policy = parts.new_policy(0)
     hooks = Hooks(on_metrics=rows.append, should_stop=lambda: len(rows) == stop_after)
-    trainer = PPOTrainer(CONFIG, policy, env, parts.table, seed=1, hooks=hooks, checkpoints=store)
+    trainer = PPOTrainer(CONFIG, policy, env, seed=1, hooks=hooks, checkpoints=store)
     if resume:
         trainer.resume()
     trainer.train(40 * updates)
@@ -34,10 +34,8 @@ def test_losses_of_the_first_updates_agree(device):
     rows, device_rows = [], []
     # Actions of a GPU come from another generator: there only what precedes them can agree.
     updates = 3 if device == "cpu" else 1
-    train(ReachVectorEnv(ENV, 4), rows, updates=updates)
-    train(
-        TorchReachVectorEnv(ENV, 4, device=device, simulator="warp"), device_rows, updates=updates
-    )
+    train(NumpyToTorch(ReachVectorEnv(ENV, 4)), rows, updates=updates)
+    train(DeviceReachVectorEnv(ENV, 4, device), device_rows, updates=updates)
     for row, device_row in zip(rows, device_rows, strict=True):
         assert row["step"] == device_row["step"]
         assert row["entropy"] == pytest.approx(device_row["entropy"], rel=1e-2)
@@ -53,14 +51,10 @@ def test_losses_of_the_first_updates_agree(device):
 @pytest.mark.parametrize("device", DEVICES)
 def test_stop_and_resume(device, tmp_path):
     whole, first, second = [], [], []
-    train(
-        TorchReachVectorEnv(ENV, 4, device=device, simulator="warp"),
-        whole,
-        CheckpointStore(tmp_path / "whole", {}),
-    )
+    train(DeviceReachVectorEnv(ENV, 4, device), whole, CheckpointStore(tmp_path / "whole", {}))
     cut = CheckpointStore(tmp_path / "cut", {})
-    train(TorchReachVectorEnv(ENV, 4, device=device, simulator="warp"), first, cut, stop_after=2)
-    train(TorchReachVectorEnv(ENV, 4, device=device, simulator="warp"), second, cut, resume=True)
+    train(DeviceReachVectorEnv(ENV, 4, device), first, cut, stop_after=2)
+    train(DeviceReachVectorEnv(ENV, 4, device), second, cut, resume=True)
     assert [row["step"] for row in first + second] == [row["step"] for row in whole]
     if device == "cpu":
         for part in ("policy", "optimizer", "state"):

@@ -1,20 +1,19 @@
 import pytest
 import torch
 
-from knowarm.policy import lstm_cell
-from knowarm.policy.lstm_function import MaskedLSTM
-from knowarm.policy.memory import Memory
+from knowarm.policy import lstm_kernels
+from knowarm.policy.lstm import MaskedLSTM, MaskedLSTMFunction
 
 T, B, N, H = 6, 3, 5, 4
 
 
 @pytest.fixture
-def memory():
+def lstm():
     torch.manual_seed(0)
-    memory = Memory(N, H).double()
-    for parameter in memory.parameters():
+    lstm = MaskedLSTM(N, H).double()
+    for parameter in lstm.parameters():
         torch.nn.init.normal_(parameter)
-    return memory
+    return lstm
 
 
 def random_case():
@@ -24,32 +23,32 @@ def random_case():
     return x, state, torch.rand(T, B) < 0.3
 
 
-def test_without_masks_it_is_pytorchs_lstm(memory):
+def test_without_masks_it_is_pytorchs_lstm(lstm):
     x, (h, c), _ = random_case()
     reference = torch.nn.LSTM(N, H).double()
-    reference.load_state_dict({f"{k}_l0": v for k, v in memory.state_dict().items()})
+    reference.load_state_dict({f"{k}_l0": v for k, v in lstm.state_dict().items()})
     expected, (last_h, last_c) = reference(x, (h[None], c[None]))
-    hidden, state = memory.unroll(x, (h, c), torch.zeros(T, B, dtype=torch.bool))
+    hidden, state = lstm.unroll(x, (h, c), torch.zeros(T, B, dtype=torch.bool))
     torch.testing.assert_close(hidden, expected)
     torch.testing.assert_close(state, (last_h[0], last_c[0]))
 
 
-def test_an_unroll_is_so_many_steps(memory):
+def test_an_unroll_is_so_many_steps(lstm):
     x, state, start = random_case()
-    hidden, last = memory.unroll(x, state, start)
+    hidden, last = lstm.unroll(x, state, start)
     for t in range(T):
-        one, state = memory.step(x[t], state, start[t])
+        one, state = lstm.step(x[t], state, start[t])
         torch.testing.assert_close(one, hidden[t])
     torch.testing.assert_close(state, last)
 
 
-def test_an_episode_start_forgets_everything_before(memory):
+def test_an_episode_start_forgets_everything_before(lstm):
     x, state, _ = random_case()
     start = torch.zeros(T, B, dtype=torch.bool)
     start[3] = True
     x.requires_grad_()
-    hidden, _ = memory.unroll(x, state, start)
-    fresh, _ = memory.unroll(x[3:], memory.initial_state(B), start[3:])
+    hidden, _ = lstm.unroll(x, state, start)
+    fresh, _ = lstm.unroll(x[3:], lstm.initial_state(B), start[3:])
     torch.testing.assert_close(hidden[3:], fresh)
     (gradient,) = torch.autograd.grad(hidden[3:].sum(), x)
     assert (gradient[:3] == 0).all()
@@ -64,13 +63,13 @@ def test_gradients_agree_with_finite_differences():
         return torch.randn(*shape, dtype=torch.float64, requires_grad=True)
 
     inputs = (draw(T, B, 4 * H), draw(4 * H, H), draw(B, H), draw(B, H))
-    assert torch.autograd.gradcheck(lambda *a: MaskedLSTM.apply(*a, keep), inputs)
+    assert torch.autograd.gradcheck(lambda *a: MaskedLSTMFunction.apply(*a, keep), inputs)
 
 
 def test_the_compiled_loops_do_what_the_operations_do(monkeypatch):
     results = []
     for compiled in (True, False):
-        monkeypatch.setattr(lstm_cell, "_can_compile", lambda tensor, answer=compiled: answer)
+        monkeypatch.setattr(lstm_kernels, "_can_compile", lambda tensor, answer=compiled: answer)
         torch.manual_seed(3)
         keep = (torch.rand(T, B, 1) > 0.3).float()
         shapes = ((T, B, 4 * H), (4 * H, H), (B, H), (B, H))
@@ -78,7 +77,7 @@ def test_the_compiled_loops_do_what_the_operations_do(monkeypatch):
         inputs[0][0, 0, :] = torch.linspace(-200, 200, 4 * H)  # beyond where exp overflows
         for tensor in inputs:
             tensor.requires_grad_()
-        hidden, h, c = MaskedLSTM.apply(*inputs, keep)
+        hidden, h, c = MaskedLSTMFunction.apply(*inputs, keep)
         (hidden.square().sum() + h.sin().sum() + c.cos().sum()).backward()
         results.append([hidden, h, c, *(tensor.grad for tensor in inputs)])
     for one, other in zip(*results, strict=True):

@@ -4,11 +4,14 @@ import multiprocessing
 import pytest
 import torch
 
-from knowarm.learn.a3c.rmsprop import rmsprop_update
-from knowarm.learn.a3c.shared import SharedLearning
-from knowarm.learn.flat import FlatParameters
+from knowarm.learn.a3c.shared_state import SharedState, rmsprop_update
+from knowarm.learn.flat_parameters import (
+    FlatParameters,
+    flatten_parameters,
+    unflatten_parameters,
+)
 
-NUMBERS = {"learning_rate": 0.1, "decay": 0.9, "epsilon": 0.01}
+NUMBERS = {"learning_rate": 0.1, "alpha": 0.9, "eps": 0.01}
 
 
 def test_one_step_by_hand():
@@ -31,7 +34,7 @@ def test_it_is_pytorchs_rmsprop():
     torch.testing.assert_close(values, parameter.detach())
 
 
-def test_flat_vectors_are_the_policys_own():
+def test_flat_vectors_are_the_modules_own():
     layer = torch.nn.Linear(2, 3)
     before = layer.weight.detach().clone()
     flat = FlatParameters(layer)
@@ -45,6 +48,14 @@ def test_flat_vectors_are_the_policys_own():
     assert layer.bias.grad.tolist() == pytest.approx([1 / 3] * 3)
 
 
+def test_flattening_and_back():
+    layer = torch.nn.Linear(2, 3)
+    arrays = unflatten_parameters(layer, flatten_parameters(layer))
+    assert list(arrays) == ["weight", "bias"]
+    for name, parameter in layer.named_parameters():
+        assert arrays[name].tobytes() == parameter.detach().numpy().tobytes()
+
+
 def write(shared, index):
     shared.values[index] = 10.0 + index
     shared.updates[index] += 1
@@ -52,7 +63,7 @@ def write(shared, index):
 
 def test_processes_see_one_anothers_writes():
     context = multiprocessing.get_context("forkserver")
-    shared = SharedLearning(context, 4, 2)
+    shared = SharedState(context, 4, 2)
     children = [context.Process(target=write, args=(shared, index)) for index in range(2)]
     for child in children:
         child.start()

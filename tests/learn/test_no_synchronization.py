@@ -1,29 +1,30 @@
-"""The host looks at no number of a rollout or a gradient: on the meta device there are none."""
+"""Rollouts and gradients never read a value on the host: the meta device has none to read."""
 
 import contextlib
 
+import numpy as np
 import pytest
 import torch
 
 from knowarm.learn import PPOConfig
-from knowarm.learn import tensor_collector as module
-from knowarm.learn.solo import Solo
-from knowarm.policy import Policy, PolicyConfig
+from knowarm.learn import collector as module
+from knowarm.learn.learner import SingleProcessLearner
+from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.policy.encoder import ImageEncoder
 
 META, COUNT, SIDE = torch.device("meta"), 8, 24
 CONFIG = PPOConfig(num_envs=COUNT, rollout_steps=6, minibatches=2)
 
 
-class HostGenerator(torch.Generator):
-    """A generator of the host, whatever device is asked for."""
+class CpuGenerator(torch.Generator):
+    """A generator on the CPU whatever the device; the meta device has none."""
 
     def __new__(cls, device="cpu"):
         return super().__new__(cls)
 
 
-class Nowhere:
-    """An environment of tensors without numbers."""
+class MetaEnv:
+    """An environment whose tensors have no values."""
 
     num_envs, device, max_episode_steps = COUNT, META, 4
 
@@ -42,25 +43,25 @@ class Nowhere:
 
 
 @pytest.fixture
-def nowhere(monkeypatch):
-    """What the meta device lacks: generators, autocast, and the table's check before the start."""
-    monkeypatch.setattr(Policy, "_products", lambda policy: contextlib.nullcontext())
+def meta_device(monkeypatch):
+    """Replace what the meta device lacks: generators, autocast, and the check of facets."""
+    monkeypatch.setattr(Policy, "_autocast", lambda policy: contextlib.nullcontext())
+    monkeypatch.setattr(Policy, "check_facets", lambda policy, highest: None)
     monkeypatch.setattr(ImageEncoder, "pixel_type", lambda encoder: torch.float32)
     monkeypatch.setattr(module, "sample", lambda logits, generator: logits.argmax(-1))
-    monkeypatch.setattr(torch, "Generator", HostGenerator)
-    monkeypatch.setattr(module, "check_table", lambda table, highest: None)
+    monkeypatch.setattr(torch, "Generator", CpuGenerator)
     monkeypatch.setattr(torch.Tensor, "__int__", lambda tensor: 0)
 
 
 @pytest.mark.parametrize("fusion", ["before_lstm", "attention"])
-def test_a_rollout_and_a_gradient_wait_for_nothing(nowhere, fusion):
-    sizes = {"joints": 2, "image_size": SIDE, "features": 16, "knowledge_dim": 12}
-    policy = Policy(PolicyConfig(**sizes, knowledge_slots=3, fusion=fusion)).to(META)
-    table = torch.zeros((3, 12), device=META)
-    learner = Solo(policy, CONFIG, table, "float32", META)
-    collector = module.TensorCollector(Nowhere(), policy, table, seed=0)
-    collector.collect(learner, learner.rollout)
-    terms = learner.differentiate(torch.arange(4, device=META))
+def test_a_rollout_and_a_gradient_do_not_synchronize(meta_device, fusion):
+    shape = PolicyShape(joints=2, image_size=SIDE, knowledge_dim=12, knowledge_slots=3)
+    config = PolicyConfig(features=16, fusion=fusion)
+    policy = Policy(config, shape, np.zeros((3, 12), np.float32)).to(META)
+    learner = SingleProcessLearner(policy, CONFIG, "float32", META)
+    collector = module.Collector(MetaEnv(), policy, seed=0)
+    collector.collect(learner.rollout, learner.infer)
+    terms = learner.compute_gradient(torch.arange(4, device=META))
     assert terms.total.device == learner.gradient.device == META
     with pytest.raises((RuntimeError, NotImplementedError)):
         bool(terms.total > 0)
