@@ -48,10 +48,21 @@ def band(upper: Sequence[Point], lower: Sequence[Point], **attributes: object) -
     return element("path", d=_polyline([*upper, *reversed(lower)]) + "Z", **attributes)
 
 
-def curve(start: Point, end: Point, *children: str, **attributes: object) -> str:
-    """Return an S-shaped cubic curve that leaves and arrives horizontally."""
+def curve(
+    start: Point, end: Point, *children: str, bend: float | None = None, **attributes: object
+) -> str:
+    """Return a cubic curve that leaves and arrives horizontally.
+
+    Args:
+        start: first point.
+        end: last point.
+        children: markup, such as `hover`.
+        bend: how far the curve swings out to the right of `start` [px], for points above each
+            other; None draws an S through the middle.
+        attributes: attributes of the element.
+    """
     (x0, y0), (x1, y1) = start, end
-    middle = number((x0 + x1) / 2)
+    middle = number((x0 + x1) / 2 if bend is None else x0 + bend)
     bends = f"C{middle} {number(y0)} {middle} {number(y1)} {number(x1)} {number(y1)}"
     return element("path", *children, d=f"M{number(x0)} {number(y0)}{bends}", **attributes)
 

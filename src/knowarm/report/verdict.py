@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 from knowarm.experiment.agents import AGENTS
-from knowarm.report._temporary import registered_role
 from knowarm.report.blocks import Tone, Verdict
 from knowarm.report.claims import FEWEST_SEEDS, OUTCOMES, Claim, Outcome
 from knowarm.report.format import counted, listed
@@ -165,6 +164,6 @@ def _hint(role: str, subject: Group) -> str:
     names = [
         name
         for name, agent in AGENTS.items()
-        if registered_role(name) == role and agent.knowledge.scope in scopes
+        if agent.role == role and agent.knowledge.scope in scopes
     ]
     return f" Registered for this: {listed(names, 'or')}." if names else ""

@@ -7,7 +7,7 @@ import numpy as np
 from PIL import Image
 
 from knowarm.errors import UserError
-from knowarm.experiment.film import read_film
+from knowarm.experiment.evaluation_files import read_film
 from knowarm.report import format
 from knowarm.report.blocks import Block, Column, Figure, Film, Films, Panel, Row, Table, Verdict
 from knowarm.report.charts import density_chart
