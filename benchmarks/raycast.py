@@ -43,7 +43,7 @@ def robot_states(robot: str, count: int) -> Batch:
     centre, half = np.array(scene.robot.rectangle_centre_m), scene.robot.rectangle_half_size_m
     positions = np.empty((count, model.ngeom, 3))
     matrices = np.empty((count, model.ngeom, 9))
-    rgba = np.repeat(Raycaster(model, scene.camera, 4, 4).scenery.rgba[None], count, axis=0)
+    rgba = np.repeat(Raycaster(model, scene.camera, 4, 4).geom_rgba[None], count, axis=0)
     for e in range(count):
         angles = scene.home + rng.uniform(-0.5, 0.5, scene.num_joints)
         data.qpos[scene.qpos_index] = np.clip(angles, scene.joint_lower, scene.joint_upper)
@@ -104,11 +104,11 @@ def frames_per_s(batch: Batch, side: int, antialiasing: bool) -> float:
     """Frames a second of CPU time on one thread, the best of several calls."""
     model, camera, positions, matrices, rgba = batch
     caster = Raycaster(model, camera, side, side, antialiasing=antialiasing)
-    out = caster.render(positions, matrices, rgba)
+    out = caster.draw(positions, matrices, rgba)
     best, spent = np.inf, 0.0
     while spent < SECONDS:
         start = time.thread_time()
-        caster.render(positions, matrices, rgba, out)
+        caster.draw(positions, matrices, rgba, out=out)
         taken = time.thread_time() - start
         best, spent = min(best, taken), spent + taken
     return len(positions) / best

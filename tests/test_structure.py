@@ -17,7 +17,7 @@ MAY_IMPORT = {
     "bench": {"knowledge", "world", "policy", "learn", "experiment", "report"},
     "cli": {"knowledge", "world", "policy", "learn", "experiment", "statistics", "report", "bench"},
 }
-EVERYBODY = {"errors", "config", "cores", "__version__"}
+EVERYBODY = {"errors", "config", "cores", "private_apis", "__version__"}
 
 
 def imported_parts(path: Path) -> set[str]:

@@ -20,7 +20,7 @@ from knowarm.bench.gpu_rays import NO_GEOM, ray_operations, tile_operations
 from knowarm.policy import Policy, PolicyConfig
 from knowarm.world.config import EnvConfig
 from knowarm.world.env import ReachVectorEnv
-from knowarm.world.render.tables import BOX, CYLINDER, MESH
+from knowarm.world.render.intersections import BOX, CYLINDER, MESH
 from knowarm.world.scene import load_scene
 
 FIRST = 2 * (9 * 4) * 27 * 16

@@ -5,14 +5,14 @@ from numpy.typing import NDArray
 
 from knowarm.world.config import EnvConfig
 from knowarm.world.render import Raycaster
-from knowarm.world.render.grid import BITS, TILE
-from knowarm.world.render.tables import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE
+from knowarm.world.render.intersections import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE
+from knowarm.world.render.tiles import BITS, TILE
 from knowarm.world.scene import Scene
 
 NO_GEOM = -1
 
 TEST_OPERATIONS = {PLANE: 25, SPHERE: 64, CAPSULE: 164, ELLIPSOID: 80, CYLINDER: 74, BOX: 56}
-"""Operations of meeting one sample with one geom, by type, counted in ``raycast/geometry.py``: an
+"""Operations of meeting one sample with one geom, by type, counted in ``intersections.py``: an
 addition, multiplication, division, root, comparison, minimum or choice is one, and 12 turn the ray
 into the geom's frame. Triangles of meshes are not counted."""
 
@@ -57,10 +57,10 @@ class _CountingRaycaster(Raycaster):
         matrix: NDArray[np.float32],
         rgba: NDArray[np.float32],
     ) -> int:
-        """Operations of one state's image; arguments as ``Raycaster.render``'s, without n."""
+        """Operations of one state's image; arguments as ``Raycaster.draw``'s, without n."""
         extent = self._scratch[0].extent
         extent[:, 0] = NO_GEOM
-        self.render(position[None], matrix[None], rgba[None])
+        self.draw(position[None], matrix[None], rgba[None])
         return tile_operations(extent)
 
 

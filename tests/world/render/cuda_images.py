@@ -23,7 +23,7 @@ def main(side: int, count: int) -> None:
         for smooth in (False, True):
             host = Raycaster(states.model, CAMERA, side, side, antialiasing=smooth)
             device = CudaRaycaster(states.model, CAMERA, side, side, antialiasing=smooth)
-            rgba = np.repeat(host.scenery.rgba[None], count, axis=0)
+            rgba = np.repeat(host.geom_rgba[None], count, axis=0)
             rgba[0, 0, :3] = [0.1, 0.9, 0.1]
             rgba[-1, 1, 3] = 0
             views = np.repeat(host.view[None], count, axis=0)
@@ -34,9 +34,9 @@ def main(side: int, count: int) -> None:
                 wanted = options.get("wanted", np.ones(count, dtype=np.bool_))
                 given = {name: cuda.to_device(value) for name, value in options.items()}
                 seen = {name: value for name, value in options.items() if name != "wanted"}
-                expected = host.render(*poses, **seen) * wanted[:, None, None, None]
+                expected = host.draw(*poses, **seen) * wanted[:, None, None, None]
                 out = cuda.to_device(np.zeros_like(expected))
-                device.render(*on_device, out=out, **given)
+                device.draw(*on_device, out=out, **given)
                 drawn = out.copy_to_host()
                 wrong = (drawn != expected).any(axis=-1).mean()
                 print(f"{make.__name__} smooth={smooth} {list(options)}: {wrong:.4%} differ")

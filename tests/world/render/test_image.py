@@ -38,7 +38,7 @@ def similarity(model: mujoco.MjModel, camera: int | str, folder: Path, smooth: b
     """Mean SSIM between our images and MuJoCo's, both with or both without anti-aliasing."""
     states = random_states(model, STATES, seed=1)
     poses = states.geom_xpos, states.geom_xmat
-    ours = Raycaster(model, camera, SIDE, SIDE, antialiasing=smooth).render(*poses)
+    ours = Raycaster(model, camera, SIDE, SIDE, antialiasing=smooth).draw(*poses)
     samples = 4 if smooth else 0
     try:
         theirs = opengl_images(model, model.camera(camera).id, *poses, SIDE, samples, folder)

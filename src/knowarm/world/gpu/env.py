@@ -22,7 +22,7 @@ from knowarm.world.gpu.measure import measure
 from knowarm.world.gpu.memory import check_memory, free_memory
 from knowarm.world.gpu.running import RunningEpisodes
 from knowarm.world.gpu.simulation import DeviceSimulation
-from knowarm.world.render.torch_renderer import make_torch_renderer
+from knowarm.world.render.renderer import make_torch_renderer
 from knowarm.world.rewards import is_success, reward_terms
 from knowarm.world.scene import Scene, load_scene
 
@@ -188,9 +188,7 @@ class DeviceReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         ended = terminated | truncated
 
         final = self._infos(ended)
-        self.renderer.draw(
-            self.simulation, self.running.shown, self._final_images, wanted=truncated
-        )
+        self._draw_into(self._final_images, wanted=truncated)
         self._start(ended, self.running.start_next(ended))
         self._measure()
         infos = self._infos(self._everywhere) | {
@@ -258,8 +256,17 @@ class DeviceReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
     def _draw(self) -> Tensor:
         """Draw every environment as it is now, into a new tensor."""
         out = torch.empty_like(self._final_images)
-        self.renderer.draw(self.simulation, self.running.shown, out, wanted=None)
+        self._draw_into(out)
         return out
+
+    def _draw_into(self, out: Tensor, wanted: Tensor | None = None) -> None:
+        self.renderer.draw(
+            self.simulation.geom_position,
+            self.simulation.geom_matrix,
+            *self.running.shown[:3],
+            out=out,
+            wanted=wanted,
+        )
 
     def _infos(self, mask: Tensor) -> dict[str, Tensor]:
         """Metrics of the state as it is now, each with a mask of where it means something."""

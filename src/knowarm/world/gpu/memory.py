@@ -9,7 +9,7 @@ from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig
 from knowarm.world.gpu.device import import_warp
 from knowarm.world.gpu.simulation import make_data
-from knowarm.world.render.prepare import EXTENT, RECORD
+from knowarm.world.render.tiles import EXTENT, RECORD
 from knowarm.world.scene import Scene
 
 IMAGES = 3
