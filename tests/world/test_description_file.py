@@ -6,7 +6,7 @@ from conftest import MakeEnv
 
 from knowarm.errors import UserError
 from knowarm.world.description_file import read_robot, read_target
-from knowarm.world.doctor import check_robot
+from knowarm.world.robot_check import check_robot
 from knowarm.world.episodes import evaluation_episodes
 from knowarm.world.oracle import OracleAgent
 from knowarm.world.play import play

@@ -6,7 +6,7 @@ from pathlib import Path
 from knowarm.cli.tables import check_json_path, print_table, write_json_table
 from knowarm.errors import UserError
 from knowarm.experiment.doctor import check_installation
-from knowarm.world.doctor import check_robot
+from knowarm.world.robot_check import check_robot
 from knowarm.world.objects import TARGETS
 
 

@@ -14,7 +14,7 @@ from knowarm.errors import UserError
 from knowarm.experiment.build import build
 from knowarm.experiment.provenance import provenance
 from knowarm.experiment.registry import experiment
-from knowarm.world.doctor import Check
+from knowarm.world.robot_check import Check
 from knowarm.world.env import EnvConfig, ReachVectorEnv
 from knowarm.world.oracle import OracleAgent
 

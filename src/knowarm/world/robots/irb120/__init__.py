@@ -6,6 +6,7 @@ from knowarm.world.robot import Robot
 
 IRB120 = Robot(
     name="irb120",
+    title="ABB IRB120",
     mjcf=Path(__file__).with_name("irb120.xml"),
     joints=("joint_1", "joint_2", "joint_3", "joint_4", "joint_5", "joint_6"),
     tcp_site="tcp",

@@ -6,6 +6,7 @@ from knowarm.world.robot import Robot, Table
 
 TIAGO = Robot(
     name="tiago",
+    title="PAL TIAGo",
     mjcf=Path(__file__).with_name("tiago.xml"),
     joints=tuple(f"arm_{i}_joint" for i in range(1, 8)),
     tcp_site="tcp",
