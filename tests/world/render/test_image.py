@@ -1,4 +1,4 @@
-"""Our images beside those of MuJoCo's OpenGL renderer, shadows and reflections off."""
+"""Images resemble those of MuJoCo's OpenGL renderer, shadows and reflections off."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.opengl
 
 
 def ssim(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> float:
-    """Structural similarity (Wang et al. 2004), Gaussian window of 1.5 pixels, a channel each."""
+    """Structural similarity (Wang et al. 2004), Gaussian window of 1.5 pixels, channel mean."""
     values = []
     for channel in range(3):
         x, y = (image[..., channel].astype(np.float64) for image in (a, b))

@@ -1,4 +1,4 @@
-"""Images do not depend on how they were asked for, and bad input is refused by name."""
+"""Ray caster: batches, threads, colours, anti-aliasing, cameras, lights, and refused input."""
 
 import mujoco
 import numpy as np

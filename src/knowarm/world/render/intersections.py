@@ -39,6 +39,9 @@ from knowarm.world.render.numeric import (
 PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH = 0, 2, 3, 4, 5, 6, 7
 """MuJoCo's geom types as plain numbers for compiled code."""
 
+SUPPORTED = (PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH)
+"""Geom types that can be drawn."""
+
 Hit = tuple[np.float32, Vector]
 """Ray parameter and normal."""
 

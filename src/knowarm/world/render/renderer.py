@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     import torch
     from torch import Tensor
 
+    from knowarm.world.render.cuda import CudaRaycaster
+
 
 class Renderer(Protocol):
     """Draws the environments of a batch from the poses of their geoms, NumPy arrays."""
@@ -45,37 +47,6 @@ class Renderer(Protocol):
 
         Returns:
             (n, H, W, 3) uint8 RGB, a new array.
-        """
-
-
-class TorchRenderer(Protocol):
-    """Draws the environments of a batch from the poses of their geoms, tensors of one device."""
-
-    def draw(
-        self,
-        geom_position: "Tensor",
-        geom_matrix: "Tensor",
-        geom_rgba: "Tensor",
-        views: "Tensor | None" = None,
-        lamps: "Tensor | None" = None,
-        *,
-        out: "Tensor",
-        wanted: "Tensor | None" = None,
-    ) -> "Tensor":
-        """Draw n images.
-
-        Args:
-            geom_position: (n, G, 3) [m], world, float32.
-            geom_matrix: (n, G, 9), row-major rotation from geom to world.
-            geom_rgba: as for ``Renderer.draw``.
-            views: as for ``Renderer.draw``.
-            lamps: as for ``Renderer.draw``.
-            out: (n, H, W, 3) uint8, contiguous, to write.
-            wanted: (n,) bool, the environments to draw; the images of the others keep their
-                values. None draws all.
-
-        Returns:
-            ``out``; on a GPU it is written in the order of torch's current stream.
         """
 
 
@@ -105,32 +76,29 @@ def make_renderer(scene: Scene, config: EnvConfig, size: int, num_threads: int =
     )
 
 
-def make_torch_renderer(scene: Scene, config: EnvConfig, device: "torch.device") -> TorchRenderer:
-    """Construct the renderer for tensors on a device.
+class TorchRenderer:
+    """The ray caster for tensors: on the CPU, or by CUDA kernels on torch's current stream.
 
     Args:
         scene: what is drawn.
         config: side and anti-aliasing of the images.
-        device: device of the poses.
+        device: device of all tensors.
 
     Raises:
         UserError: the config names OpenGL, or the ray caster does not run on this GPU.
     """
-    if config.renderer == "opengl":
-        raise UserError(
-            "EnvConfig.renderer 'opengl' draws on the CPU, one image at a time; environments on a "
-            "device draw with renderer 'raycast' only. Leave out device for OpenGL."
-        )
-    if device.type == "cuda":
-        return _TorchCudaRenderer(scene, config, device)
-    return _TorchCpuRenderer(make_renderer(scene, config, config.image_size))
 
-
-class _TorchCpuRenderer:
-    """A renderer of NumPy arrays, for tensors in the CPU's memory."""
-
-    def __init__(self, renderer: Renderer) -> None:
-        self._renderer = renderer
+    def __init__(self, scene: Scene, config: EnvConfig, device: "torch.device") -> None:
+        if config.renderer == "opengl":
+            raise UserError(
+                "EnvConfig.renderer 'opengl' draws on the CPU, one image at a time; environments "
+                "on a device draw with renderer 'raycast' only. Leave out device for OpenGL."
+            )
+        self._device, self._raycaster = device, None
+        if device.type == "cuda":
+            self._raycaster = _make_cuda_raycaster(scene, config, device)
+        else:
+            self._renderer = make_renderer(scene, config, config.image_size)
 
     def draw(
         self,
@@ -143,62 +111,63 @@ class _TorchCpuRenderer:
         out: "Tensor",
         wanted: "Tensor | None" = None,
     ) -> "Tensor":
-        """Draw n images; see ``TorchRenderer.draw``."""
-        rows: Any = slice(None) if wanted is None else np.flatnonzero(wanted.numpy())
+        """Draw n images.
+
+        Args:
+            geom_position: as for ``Renderer.draw``, float32.
+            geom_matrix: as for ``Renderer.draw``, float32.
+            geom_rgba: as for ``Renderer.draw``.
+            views: as for ``Renderer.draw``.
+            lamps: as for ``Renderer.draw``.
+            out: (n, H, W, 3) uint8, contiguous, to write.
+            wanted: (n,) bool, the environments to draw; the images of the others keep their
+                values. None draws all.
+
+        Returns:
+            ``out``; on a GPU it is written in the order of torch's current stream.
+        """
         given = (geom_position, geom_matrix, geom_rgba, views, lamps)
-        arrays: Any = [None if tensor is None else tensor.numpy()[rows] for tensor in given]
-        if len(arrays[0]):
-            out.numpy()[rows] = self._renderer.draw(*arrays)
-        return out
-
-
-class _TorchCudaRenderer:
-    """The ray caster's CUDA kernels, launched on torch's current stream."""
-
-    def __init__(self, scene: Scene, config: EnvConfig, device: "torch.device") -> None:
-        # Imported here because numba.cuda loads slowly and searches for a driver.
+        if self._raycaster is None:
+            rows: Any = slice(None) if wanted is None else np.flatnonzero(wanted.numpy())
+            arrays: Any = [None if tensor is None else tensor.numpy()[rows] for tensor in given]
+            if len(arrays[0]):
+                out.numpy()[rows] = self._renderer.draw(*arrays)
+            return out
         import torch
         from numba import cuda
 
-        from knowarm.world.render.cuda import CudaRaycaster
-
-        self._torch, self._cuda, self._device = torch, cuda, device
-        size = config.image_size
-        self._raycaster = CudaRaycaster(
-            scene.model, scene.camera, size, size, antialiasing=config.antialiasing
-        )
-        poses = [torch.zeros((1, scene.model.ngeom, k), device=device) for k in (3, 9)]
-        try:
-            self._raycaster.draw(*poses)  # compiles the kernels
-            torch.cuda.synchronize(device)
-        except Exception as error:  # of Numba, NVVM, the linker or the driver
-            raise UserError(
-                f"Numba could not compile or run the ray caster on the GPU ({error}). Its CUDA "
-                f"must match the driver's and torch's ({torch.version.cuda}): pip install "
-                "'knowarm[gpu]' and numba-cuda[cu12] or numba-cuda[cu13], or use the CPU."
-            ) from error
-
-    def draw(
-        self,
-        geom_position: "Tensor",
-        geom_matrix: "Tensor",
-        geom_rgba: "Tensor",
-        views: "Tensor | None" = None,
-        lamps: "Tensor | None" = None,
-        *,
-        out: "Tensor",
-        wanted: "Tensor | None" = None,
-    ) -> "Tensor":
-        """Draw n images; see ``TorchRenderer.draw``."""
-        handle = self._torch.cuda.current_stream(self._device).cuda_stream
-        self._raycaster.draw(
-            geom_position,
-            geom_matrix,
-            geom_rgba,
-            views,
-            lamps,
-            out=out,
-            wanted=wanted,
-            stream=self._cuda.external_stream(handle) if handle else 0,
-        )
+        handle = torch.cuda.current_stream(self._device).cuda_stream
+        stream = cuda.external_stream(handle) if handle else 0
+        self._raycaster.draw(*given, out=out, wanted=wanted, stream=stream)
         return out
+
+
+def _make_cuda_raycaster(
+    scene: Scene, config: EnvConfig, device: "torch.device"
+) -> "CudaRaycaster":
+    """Construct the CUDA ray caster and compile its kernels by drawing one image."""
+    import torch
+
+    # Imported here because numba.cuda loads slowly and searches for a driver.
+    from knowarm.world.render.cuda import CudaRaycaster
+
+    size = config.image_size
+    raycaster = CudaRaycaster(
+        scene.model, scene.camera, size, size, antialiasing=config.antialiasing
+    )
+    poses = [torch.zeros((1, scene.model.ngeom, k), device=device) for k in (3, 9)]
+    try:
+        raycaster.draw(*poses)
+        torch.cuda.synchronize(device)
+    except Exception as error:  # of Numba, NVVM, the linker or the driver
+        raise UserError(
+            f"Numba could not compile or run the ray caster on the GPU ({error}). Its CUDA "
+            f"must match the driver's and torch's ({torch.version.cuda}): pip install "
+            "'knowarm[gpu]' and numba-cuda[cu12] or numba-cuda[cu13], or use the CPU."
+        ) from error
+    return raycaster
+
+
+def make_torch_renderer(scene: Scene, config: EnvConfig, device: "torch.device") -> TorchRenderer:
+    """Construct the renderer for tensors on a device; see ``TorchRenderer``."""
+    return TorchRenderer(scene, config, device)

@@ -8,15 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.errors import UserError, unknown_name
-from knowarm.world.render.intersections import (
-    BOX,
-    CAPSULE,
-    CYLINDER,
-    ELLIPSOID,
-    MESH,
-    PLANE,
-    SPHERE,
-)
+from knowarm.world.render.intersections import MESH, SUPPORTED
 
 DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)
 """A geom with this colour takes its material's."""
@@ -85,7 +77,7 @@ def read_scenery(model: mujoco.MjModel, geom_groups: tuple[int, ...]) -> Scenery
     """
     drawn = np.flatnonzero(np.isin(model.geom_group, geom_groups))
     for g in drawn:
-        if model.geom_type[g] not in (PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH):
+        if model.geom_type[g] not in SUPPORTED:
             raise UserError(
                 f"Geom {model.geom(g).name or g!r} is of type "
                 f"{mujoco.mjtGeom(model.geom_type[g]).name.removeprefix('mjGEOM_').lower()}, which "
