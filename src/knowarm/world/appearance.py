@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 from knowarm.errors import UserError
 from knowarm.world.arrays import Array, Place, array_namespace, here
 from knowarm.world.episodes import Episodes
-from knowarm.world.looks import LookSource
 from knowarm.world.scene import Scene
-from knowarm.world.visual_randomization import VisualRandomization
+from knowarm.world.visual_randomization import LookSource, VisualRandomization
 
 
 def resting_colours(scene: Scene, num_envs: int) -> NDArray[np.float32]:
