@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from knowarm.world.env import EnvConfig, ReachVectorEnv
 
 from knowarm.errors import UserError
 from knowarm.experiment.build import build
 from knowarm.experiment.registry import experiment_config
 from knowarm.learn import PPOConfig
-from knowarm.world.env import EnvConfig, ReachVectorEnv
 from knowarm.world.knowledge_observation import VectorKnowledgeObservation
 
 

@@ -9,7 +9,8 @@ import tyro
 from knowarm.cli.tables import FilePath, check_json_path, print_table, write_json_table
 from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.build import Which, load_agent
-from knowarm.experiment.evaluate import EvaluationConfig, evaluate
+from knowarm.experiment.config import EvaluationConfig
+from knowarm.experiment.evaluate import evaluate
 from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
 from knowarm.world.config import EnvConfig
 
@@ -47,7 +48,12 @@ class Evaluate:
     def _agent(self) -> tuple[str, AgentProtocol, EnvConfig, Path | None]:
         """Return the agent's name, the agent, its environment and the evaluation's folder."""
         if is_scripted(self.agent):
-            return self.agent, SCRIPTED_AGENTS[self.agent].make(self.evaluation.seed), self.env, None
+            return (
+                self.agent,
+                SCRIPTED_AGENTS[self.agent].make(self.evaluation.seed),
+                self.env,
+                None,
+            )
         if self.env != EnvConfig():
             raise UserError(
                 "A run is evaluated in the environment it was trained in: leave out the --env "

@@ -104,13 +104,13 @@ def read_run(path: Path, problems: list[Problem]) -> Run | None:
         problems.append(Problem(path, str(error), "kept; versions and parameters unknown"))
         provenance = {}
     evaluations = {}
-    for folder in sorted(each for each in (path / "evaluation").glob("*") if each.is_dir()):
+    for each in sorted(each for each in (path / "evaluation").glob("*") if each.is_dir()):
         try:
-            evaluations[folder.name] = read_evaluation(folder)
+            evaluations[each.name] = read_evaluation(each)
         except UserError as error:
-            problems.append(Problem(folder, str(error), "the evaluation is left out"))
-    interim = read_curve(path / "evaluations.csv", problems)
-    metrics = read_curve(path / "metrics.csv", problems)
+            problems.append(Problem(each, str(error), "the evaluation is left out"))
+    interim = read_curve(folder.evaluations_path, problems)
+    metrics = read_curve(folder.metrics_path, problems)
     run = Run(path, config, provenance, interim, metrics, evaluations)
     for found, what, where in (
         (interim, "no interim evaluations", "learning curves"),

@@ -7,9 +7,8 @@ from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import draw_episodes, evaluation_episodes
 from knowarm.world.held_out import HeldOut
-from knowarm.world.looks import rotations
 from knowarm.world.scene import load_scene
-from knowarm.world.visual_randomization import VisualRandomization
+from knowarm.world.visual_randomization import VisualRandomization, rotations
 
 TARGETS = ("mug", "bottle", "cereal_box")
 EVERYTHING = VisualRandomization(
