@@ -114,7 +114,7 @@ def test_shown_values_equal_the_csv_files(made, open_page):
 def test_pointing_at_a_curve_tells_its_values(made, open_page):
     page = open_page(made.page)
     page.click("nav a[href='#training']")
-    chart = page.locator(".part:not([hidden]) .panel.wide svg.lines").first
+    chart = page.locator(".part:not([hidden]) .panel.large svg.lines").first
     box = chart.bounding_box()
     page.mouse.move(box["x"] + box["width"] * 0.7, box["y"] + box["height"] * 0.5)
     tip = page.locator(".tip")

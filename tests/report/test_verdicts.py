@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from synthetic_study import Size, Truth, write_study
 
+from knowarm.report.blocks import Verdict
 from knowarm.report.claims import claims, scores
 from knowarm.report.collect import collect
-from knowarm.report.verdict import Finding, finding, findings
+from knowarm.report.verdict import finding, findings
 from knowarm.statistics import holm, welch
 
 LIGHT = Size(points=12, tables=False)
@@ -21,7 +22,7 @@ NOTHING = dict.fromkeys(("bm", "full", "wide", "random"), 0.6)
 
 def found(
     folder: Path, success: dict[str, float], seeds: int, seed: int = 0, spread: float = 0.05
-) -> dict[str, Finding]:
+) -> dict[str, Verdict]:
     truth = Truth(success=success, spread=spread)
     study = collect(write_study(folder, truth, seeds=seeds, seed=seed, size=LIGHT))
     decided = claims(study)
@@ -77,13 +78,13 @@ def test_a_verdict_names_the_control_that_is_missing(tmp_path, agents, kind):
     assert found(tmp_path, truth, 6)["success"].kind == kind
 
 
-def decided(folder: Path, success: dict[str, float], **truth) -> list[Finding]:
+def decided(folder: Path, success: dict[str, float], **truth) -> list[Verdict]:
     """Findings on success of every subject of one study of six seeds."""
     study = collect(write_study(folder, Truth(success=success, **truth), seeds=6, size=LIGHT))
     return findings(study.tasks[0], claims(study))
 
 
-def words(found: Finding) -> set[str]:
+def words(found: Verdict) -> set[str]:
     """Words of the sentence, without the title of the task."""
     return set(found.sentence.split(": ", 1)[1].replace(",", " ").replace(".", " ").split())
 

@@ -97,7 +97,7 @@ class Panel:
 
     svg: str
     title: str = ""
-    only: Literal["", "wide", "narrow"] = ""
+    only: Literal["", "large", "small"] = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,12 +137,14 @@ class Verdict:
         reasons: what it follows from, one sentence each.
         shown_reasons: reasons shown at first; the others are folded.
         tone: how it is coloured.
+        kind: one of `verdict.Kind`, for programs; "" for other statements.
     """
 
     sentence: str
     reasons: Sequence[str] = ()
     shown_reasons: int = 99
     tone: Tone = "note"
+    kind: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)

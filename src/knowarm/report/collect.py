@@ -233,9 +233,9 @@ def _untrained(runs: list[Run]) -> list[Reference]:
     """Return the untrained policy's evaluation of each agent, from its lowest seed that has one."""
     found: dict[tuple[str, str], Reference] = {}
 
-    def order(run: Run) -> tuple[Any, ...]:  # agents that know all details first
+    def order(run: Run) -> tuple[Any, ...]:  # of one role, the most detail first
         ranked = rank(run.role, run.agent)
-        return ranked[0], run.knowledge.get("detail") != "full", ranked, run.seed
+        return ranked[0], -run.detail, ranked, run.seed
 
     for run in sorted(runs, key=order):
         for label, evaluation in run.evaluations.items():

@@ -4,12 +4,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.evaluation_files import read_table
+from knowarm.knowledge.config import Detail
 from knowarm.report.format import palette
 from knowarm.statistics import Interval, bootstrap
 
@@ -18,6 +19,8 @@ Curve = dict[str, np.ndarray]
 
 ROLES = ("baseline", "knowledge", "privileged", "capacity_control", "content_control")
 """Roles of agents, in the order in which a report lists them."""
+
+DETAILS = get_args(Detail)
 
 CONTROLS = ("capacity_control", "content_control")
 
@@ -128,14 +131,18 @@ class Run:
     @property
     def algorithm(self) -> str:
         """Name of the learning algorithm."""
-        chosen = self.config["algorithm"]
-        return str(chosen.get("name", "?")) if isinstance(chosen, Mapping) else str(chosen)
+        return str(self.config["algorithm"]["name"])
 
     @property
     def knowledge(self) -> Mapping[str, Any]:
         """Configuration of the knowledge vector."""
-        chosen = self.config.get("knowledge")
-        return chosen if isinstance(chosen, Mapping) else {}
+        return self.config.get("knowledge") or {}
+
+    @property
+    def detail(self) -> int:
+        """How much of the objects the knowledge vector describes: place in `Detail`."""
+        chosen = self.knowledge.get("detail")
+        return DETAILS.index(chosen) if chosen in DETAILS else 0
 
     @property
     def parameters(self) -> Mapping[str, int]:
@@ -152,9 +159,8 @@ class Run:
     def best_step(self) -> float | None:
         """Step of the interim evaluation with the highest mean return: the evaluated model."""
         returns = self.interim.get("return_mean", np.empty(0))
-        if np.isnan(returns).all():
-            return None
-        return float(self.interim["step"][int(np.nanargmax(returns))])
+        known = not np.isnan(returns).all()
+        return float(self.interim["step"][int(np.nanargmax(returns))]) if known else None
 
     @property
     def has_success_curve(self) -> bool:
@@ -291,13 +297,12 @@ class Task:
     def subjects(self) -> tuple[Group, ...]:
         """The agents whose knowledge is tested: one of role knowledge, one privileged.
 
-        Of several of one role it is the first that knows all details, objects and colours.
+        Of several of one role it is the first with the most detail, such as the colours.
         """
         found = []
         for role in ("knowledge", "privileged"):
             groups = [group for group in self.groups if group.role == role]
-            full = [g for g in groups if g.runs[0].knowledge.get("detail") == "full"]
-            found += (full or groups)[:1]
+            found += sorted(groups, key=lambda group: -group.runs[0].detail)[:1]
         return tuple(found)
 
     @cached_property

@@ -1,7 +1,6 @@
 """Verdicts: what the claims of one task say about the knowledge of a subject."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Literal
 
 from knowarm.experiment.agents import AGENTS
@@ -31,38 +30,14 @@ TONES: dict[Kind, Tone] = {
 }
 
 
-@dataclass(frozen=True)
-class Finding:
-    """What the comparisons of one task say about one subject and outcome.
-
-    Attributes:
-        kind: the finding, for programs.
-        sentence: the finding, for people.
-        reasons: the comparisons it follows from.
-    """
-
-    kind: Kind
-    sentence: str
-    reasons: tuple[str, ...] = ()
-
-    def verdict(self, shown_reasons: int = 99) -> Verdict:
-        """Return the finding as a block of a page."""
-        return Verdict(
-            sentence=self.sentence,
-            reasons=self.reasons,
-            shown_reasons=shown_reasons,
-            tone=TONES.get(self.kind, "open"),
-        )
-
-
-def findings(task: Task, decided: Sequence[Claim], outcome: Outcome = "success") -> list[Finding]:
+def findings(task: Task, decided: Sequence[Claim], outcome: Outcome = "success") -> list[Verdict]:
     """Return the finding on every subject of a task; one finding if there is no subject."""
     return [finding(task, decided, outcome, each) for each in task.subjects or (None,)]
 
 
 def finding(
     task: Task, decided: Sequence[Claim], outcome: Outcome = "success", subject: Group | None = None
-) -> Finding:
+) -> Verdict:
     """Decide whether the knowledge of a subject matters on one task.
 
     Three questions, each answered by significant differences (`Claim.verdict`); a later one is
@@ -89,14 +64,14 @@ def finding(
             if subject is None
             else f"nothing to compare {subject.name} with"
         )
-        return Finding("nothing to compare", f"{task.title}: {what} among these runs.")
+        return _verdict("nothing to compare", f"{task.title}: {what} among these runs.")
     reasons = tuple(claim.sentence() for claim in mine)
     if all(claim.verdict == "too few seeds" for claim in tested):
         fewest = min(claim.seeds for claim in tested)
         seeds = (
             f"from {counted(fewest, 'training seed')} per agent" if fewest else "without results"
         )
-        return Finding(
+        return _verdict(
             "too few seeds",
             f"{task.title}, {OUTCOMES[outcome]}: whether the knowledge of {subject.name} helps "
             f"cannot be decided {seeds}.",
@@ -107,7 +82,12 @@ def finding(
             ),
         )
     kind, words = _judge(subject, tested)
-    return Finding(kind, f"{task.title}, {OUTCOMES[outcome]}: {words}", reasons)
+    return _verdict(kind, f"{task.title}, {OUTCOMES[outcome]}: {words}", reasons)
+
+
+def _verdict(kind: Kind, sentence: str, reasons: tuple[str, ...] = ()) -> Verdict:
+    tone = TONES.get(kind, "open")
+    return Verdict(kind=kind, sentence=sentence, reasons=reasons, tone=tone)
 
 
 def _judge(subject: Group, tested: Sequence[Claim]) -> tuple[Kind, str]:

@@ -113,7 +113,8 @@ def _write_data(study: Study, pages: Sequence[Page], out: Path) -> None:
                 for each in study.problems
             ],
             "verdicts": [
-                {"page": page.name, "sentence": block.sentence, "reasons": list(block.reasons)}
+                {"page": page.name, "kind": block.kind, "sentence": block.sentence}
+                | {"reasons": list(block.reasons)}
                 for page in pages
                 for block in flat(page.blocks)
                 if isinstance(block, Verdict)

@@ -1,7 +1,6 @@
-"""Bootstrap intervals over training runs: mean, interquartile mean, improvement, profile.
+"""Bootstrap intervals over training runs, of the measures of Agarwal et al. 2021.
 
-The measures are those of Agarwal et al. 2021, "Deep reinforcement learning at the edge of the
-statistical precipice".
+"Deep reinforcement learning at the edge of the statistical precipice".
 """
 
 from collections.abc import Callable, Sequence

@@ -130,7 +130,7 @@ def seeds_needed(effect_size: float, *, power: float = 0.8) -> int | None:
         power: fraction of such studies that should detect it, two-sided at 5 %.
 
     Returns:
-        The smallest sufficient number, at least 2, or None above 10,000.
+        Smallest sufficient number, at least 2, or None above 10,000.
     """
     counts = range(2, 10_001)
     place = bisect_left(counts, power, key=lambda count: power_of_two_samples(effect_size, count))

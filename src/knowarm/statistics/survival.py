@@ -54,9 +54,8 @@ def restricted_mean_steps(steps: np.ndarray, reached: np.ndarray, until: float) 
     steps, reached = np.asarray(steps, np.float64), np.asarray(reached, bool)
     counted, reached = np.minimum(steps, until), reached & (steps <= until)
     curve = _below_threshold(counted, reached)
-    pieces = np.concatenate([[1.0], curve.probabilities]) * np.diff(
-        curve.quantiles, prepend=0.0, append=until
-    )
+    widths = np.diff(curve.quantiles, prepend=0.0, append=until)
+    pieces = np.concatenate([[1.0], curve.probabilities]) * widths
     estimate = float(pieces.sum())
     right = np.cumsum(pieces[::-1])[::-1][1:]  # area from each step to `until`
     _, place = np.unique(counted, return_inverse=True)

@@ -63,9 +63,9 @@ NETWORKS = (Column("first", "network of"), Column("second", "against that of"))
 PROFILE_LEVELS = np.linspace(0, 1, 21)
 """Levels of success of the performance profile."""
 
-PROFILE_BOXES: dict[Literal["wide", "narrow"], Box] = {
-    "wide": Box(width=640, height=300),
-    "narrow": Box(width=350, height=250, left=44),
+PROFILE_BOXES: dict[Literal["large", "small"], Box] = {
+    "large": Box(width=640, height=300),
+    "small": Box(width=350, height=250, left=44),
 }
 
 FEWEST_RATES = 5

@@ -35,8 +35,8 @@ def knowledge_blocks(task: Task, decided: list[Claim]) -> list[Block]:
         mine = [claim for claim in decided if claim.task is task and claim.first is subject]
         final = [claim for claim in mine if claim.outcome == "success"]
         blocks += [
-            finding(task, decided, "success", subject).verdict(),
-            finding(task, decided, "speed", subject).verdict(),
+            finding(task, decided, "success", subject),
+            finding(task, decided, "speed", subject),
             _controls(task, subject, final, stem),
             *_by_target(task, subject, final, stem),
             *_other_conditions(task, subject, stem),

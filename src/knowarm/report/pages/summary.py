@@ -1,5 +1,7 @@
 """Page "Summary": verdicts in sentences, and success and return of every agent."""
 
+from dataclasses import replace
+
 from knowarm.report import format
 from knowarm.report.blocks import (
     Block,
@@ -33,7 +35,7 @@ def summary_blocks(study: Study, decided: list[Claim]) -> list[Block]:
     """State what the runs show, in sentences generated from their numbers, then the numbers."""
     blocks: list[Block] = []
     for task in study.tasks:
-        blocks += [each.verdict(shown_reasons=1) for each in findings(task, decided)]
+        blocks += [replace(each, shown_reasons=1) for each in findings(task, decided)]
         learned = learning_verdict(task)
         if learned:
             blocks.append(learned)

@@ -17,9 +17,9 @@ GRID = 48
 MOST_POINTS = 120
 """Maximum number of points of a single seed's curve."""
 
-BOXES: dict[Literal["wide", "narrow"], Box] = {
-    "wide": Box(width=530, height=310),
-    "narrow": Box(width=350, height=250, left=44),
+BOXES: dict[Literal["large", "small"], Box] = {
+    "large": Box(width=530, height=310),
+    "small": Box(width=350, height=250, left=44),
 }
 """Sizes of a chart on large and on small screens, so that its text stays readable."""
 
