@@ -161,8 +161,8 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
                 since detecting them would mean waiting for it.
 
         Returns:
-            observation (n, H, W, 3) uint8, reward (n,) float32, terminated (n,) bool, truncated
-            (n,) bool, and infos.
+            observation (n, H, W, 3) uint8, reward (n,) of the simulator's dtype, terminated (n,)
+            bool, truncated (n,) bool, and infos.
 
         Raises:
             UserError: actions of the wrong shape, dtype or device; on the CPU also outside 0..6.
@@ -186,7 +186,7 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         }
         return (
             images.draw(),
-            _tensor(outcome.reward).float(),
+            _tensor(outcome.reward),
             _tensor(outcome.terminated),
             _tensor(outcome.truncated),
             infos,
