@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from knowarm.knowledge import KnowledgeGraph, graph_of, household
+from knowarm.knowledge.formats.openke import write_openke
 from knowarm.knowledge.kge.split import split_graph
-from knowarm.knowledge.write.openke import write_openke
 
 INHERITED = ("isMadeOf", "hasShape", "usedFor", "graspedAt", "approachedFrom", "hasSize")
 PEOPLE = ("ana", "ben", "chen", "dora", "emil", "fay")

@@ -33,14 +33,14 @@ from knowarm.bench.learn import (
 from knowarm.cli.bench import print_learn
 from knowarm.cli.tables import check_json_path, write_json_table
 from knowarm.experiment.build import build
-from knowarm.experiment.registry import experiment
+from knowarm.experiment.registry import experiment_config
 from knowarm.learn import PPOConfig
 from knowarm.learn.sb3_vec_env import SB3VecEnv
-from knowarm.policy import PolicyConfig
+from knowarm.policy import Policy
 from knowarm.world.config import EnvConfig
-from knowarm.world.env import ReachVectorEnv
 from knowarm.world.knowledge_observation import KnowledgeObservation, VectorKnowledgeObservation
-from knowarm.world.single import ReachEnv
+from knowarm.world.single_env import ReachEnv
+from knowarm.world.vector_env import ReachVectorEnv
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +97,7 @@ def _median(rows: tuple[Row, ...]) -> Row:
 
 def sb3_row(config: CompareLearnConfig, *, opengl: bool) -> Row:
     """Measure RecurrentPPO on KnowArm's vector environment, or on single ones with OpenGL."""
-    chosen, ppo = experiment(config.experiment), config.ppo()
+    chosen, ppo = experiment_config(config.experiment), config.ppo()
     parts = build(chosen)
     env: VecEnv
     if opengl:
@@ -110,7 +110,7 @@ def sb3_row(config: CompareLearnConfig, *, opengl: bool) -> Row:
         vector = ReachVectorEnv(chosen.env, ppo.num_envs, num_threads=config.cores)
         env = SB3VecEnv(VectorKnowledgeObservation(vector, parts.table), seed=config.seed)
     clock = RolloutClock(config.seconds)
-    model = recurrent_ppo(parts.policy_config, ppo, env, seed=config.seed)
+    model = recurrent_ppo(parts.new_policy(0), ppo, env, seed=config.seed)
     model.learn(10**9, callback=clock)
     env.close()
     (first_step, first_s), (last_step, last_s) = clock.marks[1], clock.marks[-1]
@@ -148,7 +148,7 @@ class PaperFeatures(BaseFeaturesExtractor):
 
 
 def recurrent_ppo(
-    policy: PolicyConfig, config: PPOConfig, env: VecEnv, *, seed: int
+    policy: Policy, config: PPOConfig, env: VecEnv, *, seed: int
 ) -> RecurrentPPO:
     """Build RecurrentPPO with KnowArm's network, epochs and minibatches.
 
@@ -170,7 +170,7 @@ def recurrent_ppo(
         max_grad_norm=config.max_grad_norm,
         policy_kwargs={
             "features_extractor_class": PaperFeatures,
-            "features_extractor_kwargs": {"features": policy.features},
+            "features_extractor_kwargs": {"features": policy.fc.out_features},
             "lstm_hidden_size": policy.hidden_size,
             "shared_lstm": True,
             "enable_critic_lstm": False,

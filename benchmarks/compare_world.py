@@ -30,10 +30,10 @@ from knowarm.bench.world import (
 )
 from knowarm.cli.tables import check_json_path, print_table, write_json_table
 from knowarm.errors import UserError
-from knowarm.world import ENV_IDS
+from knowarm.world import env_id
 from knowarm.world.config import EnvConfig
-from knowarm.world.env import ReachVectorEnv
 from knowarm.world.scene import Scene
+from knowarm.world.vector_env import ReachVectorEnv
 
 FAR_BELOW_M = -100.0
 """Height at which hidden geoms are placed [m]: MuJoCo Warp ignores the alpha of a geom."""
@@ -102,14 +102,14 @@ def measure_async_opengl(config: EnvConfig, bench: WorldBenchConfig) -> Speed:
 def _async_worker(config: EnvConfig, bench: WorldBenchConfig) -> Speed:
     """Step single environments with OpenGL, one per process; more than one only waits."""
     # The prefix makes Gymnasium import the package in each worker, which registers the id.
-    env_id = {robot: f"knowarm:{env_id}" for env_id, robot in ENV_IDS.items()}[config.robot]
+    gym_id = f"knowarm:{env_id(config.robot)}"
     options: dict[str, Any] = {
         "dynamics": config.dynamics,
         "image_size": config.image_size,
         "renderer": "opengl",
     }
     env = AsyncVectorEnv(
-        [lambda: gymnasium.make(env_id, disable_env_checker=True, **options)] * bench.workers,
+        [lambda: gymnasium.make(gym_id, disable_env_checker=True, **options)] * bench.workers,
         autoreset_mode=AutoresetMode.SAME_STEP,
         context="spawn",
     )

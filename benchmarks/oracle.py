@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from knowarm.world.env import EnvConfig, ReachVectorEnv
+from knowarm.world.agents.scripted import OracleAgent, RandomAgent
+from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import evaluation_episodes
 from knowarm.world.ik import InverseKinematics
 from knowarm.world.objects import TARGETS
-from knowarm.world.oracle import OracleAgent
 from knowarm.world.play import play
 from knowarm.world.robots import ROBOTS
-from knowarm.world.scripted import RandomAgent
+from knowarm.world.vector_env import ReachVectorEnv
 
 SEED = 7
 

@@ -20,17 +20,16 @@ from scipy.stats import spearmanr
 
 from knowarm.cli.tables import print_table
 from knowarm.knowledge import household
-from knowarm.knowledge.vectors.forms import all_forms
+from knowarm.knowledge.sentence import graph_parts
 from knowarm.knowledge.vectors.glove import read_word_vectors
-from knowarm.knowledge.vectors.open import graph_parts
-from knowarm.knowledge.vectors.shipped import shipped_vectors
-from knowarm.knowledge.vectors.word_vectors import WordVectors
+from knowarm.knowledge.vectors.word_forms import all_forms
+from knowarm.knowledge.vectors.words import WordTable, shipped_vectors
 
 TRIPLETS = Path(__file__).parent / "household_triplets.tsv"
 WORDS, DIM = 400_000, 50
 
 
-def cosine(vectors: WordVectors, first: str, second: str) -> float | None:
+def cosine(vectors: WordTable, first: str, second: str) -> float | None:
     """Return the cosine of two words, or None where one is unknown."""
     if first not in vectors.index or second not in vectors.index:
         return None
@@ -38,7 +37,7 @@ def cosine(vectors: WordVectors, first: str, second: str) -> float | None:
     return float(a @ b / (np.linalg.norm(a) * np.linalg.norm(b)))
 
 
-def triplets(vectors: WordVectors) -> tuple[int, int, list[str]]:
+def triplets(vectors: WordTable) -> tuple[int, int, list[str]]:
     """Return how many triplets are right, how many there are, and the wrong ones."""
     lines = [line.split("\t") for line in TRIPLETS.read_text().splitlines()]
     wrong = []
@@ -49,7 +48,7 @@ def triplets(vectors: WordVectors) -> tuple[int, int, list[str]]:
     return len(lines) - len(wrong), len(lines), wrong
 
 
-def similarity(vectors: WordVectors, path: Path) -> tuple[float, float]:
+def similarity(vectors: WordTable, path: Path) -> tuple[float, float]:
     """Return Spearman's correlation with people's scores, and the share of pairs known."""
     pairs = [line.split() for line in path.read_text().splitlines() if line.strip()]
     scored = [(cosine(vectors, p[0].lower(), p[1].lower()), float(p[2])) for p in pairs]

@@ -5,7 +5,7 @@ import pytest
 
 from knowarm.errors import UserError
 from knowarm.experiment.build import build
-from knowarm.experiment.registry import experiment
+from knowarm.experiment.registry import experiment_config
 from knowarm.learn import PPOConfig
 from knowarm.world.env import EnvConfig, ReachVectorEnv
 from knowarm.world.knowledge_observation import VectorKnowledgeObservation
@@ -16,7 +16,7 @@ def test_a_recurrent_policy_of_sb3_has_as_many_parameters() -> None:
     from benchmarks.compare_learn import parameter_count, recurrent_ppo
     from knowarm.learn.sb3_vec_env import SB3VecEnv
 
-    chosen = experiment("irb120-full-ppo")
+    chosen = experiment_config("irb120-full-ppo")
     parts = build(chosen)
     env = SB3VecEnv(VectorKnowledgeObservation(ReachVectorEnv(chosen.env, 4), parts.table))
     config = PPOConfig(num_envs=4, minibatches=2)

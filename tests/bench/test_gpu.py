@@ -92,7 +92,7 @@ def test_environments_that_do_not_fit_are_a_row(
     def refuse(*arguments: Any) -> None:
         raise error
 
-    monkeypatch.setattr(gpu_measure, "DeviceReachVectorEnv", refuse)
+    monkeypatch.setattr(gpu_measure, "TorchReachVectorEnv", refuse)
     row = measure_row(TINY, 9, CEILINGS, CPU)
     assert row["num_envs"] == 9
     assert row["error"].startswith(words)
@@ -104,7 +104,7 @@ def test_other_errors_are_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*arguments: Any) -> None:
         raise RuntimeError("an illegal instruction was encountered")
 
-    monkeypatch.setattr(gpu_measure, "DeviceReachVectorEnv", fail)
+    monkeypatch.setattr(gpu_measure, "TorchReachVectorEnv", fail)
     with pytest.raises(RuntimeError, match="illegal"):
         measure_row(TINY, 9, CEILINGS, CPU)
 

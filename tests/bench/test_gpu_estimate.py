@@ -21,9 +21,9 @@ from knowarm.bench.gpu_estimate import (
 )
 from knowarm.policy import Policy, PolicyConfig
 from knowarm.world.config import EnvConfig
-from knowarm.world.env import ReachVectorEnv
 from knowarm.world.render.tables import BOX, CYLINDER, MESH
 from knowarm.world.scene import load_scene
+from knowarm.world.vector_env import ReachVectorEnv
 
 FIRST = 2 * (9 * 4) * 27 * 16
 """Nine blocks of four patches of 27 pixel values, 16 channels."""

@@ -9,10 +9,9 @@ import pytest
 from safetensors.numpy import load_file
 
 from knowarm.knowledge import household
-from knowarm.knowledge.vectors.coverage import Coverage
-from knowarm.knowledge.vectors.open import graph_parts
-from knowarm.knowledge.vectors.shipped import DATA, SHIPPED, shipped_vectors
-from knowarm.knowledge.vectors.words import WordSource
+from knowarm.knowledge.sentence import graph_parts
+from knowarm.knowledge.vectors.source import Coverage
+from knowarm.knowledge.vectors.words import DATA, SHIPPED, WordLookup, shipped_vectors
 
 ROOT = Path(__file__).parents[2]
 WORDNET = Path("/usr/share/wordnet/data.noun")
@@ -36,7 +35,7 @@ def test_the_shipped_vectors_are_whole():
 
 
 def test_the_shipped_vectors_know_the_shipped_graph():
-    source, coverage = WordSource(shipped_vectors("wordnet-gloss-50")), Coverage()
+    source, coverage = WordLookup(shipped_vectors("wordnet-gloss-50")), Coverage()
     for part in graph_parts(household(), relation_words=True):
         source.find(part, coverage)
     assert coverage.share == 1.0

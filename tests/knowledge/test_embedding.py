@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 
 from knowarm.errors import UserError
-from knowarm.knowledge import KNOWLEDGE, KnowledgeConfig, scene_embedding, scene_sentences
+from knowarm.knowledge import KnowledgeConfig, scene_embedding, scene_sentences
 from knowarm.knowledge.scene import scene_subgraph
+from knowarm.knowledge.vectors.placebos import RandomVectors, ShuffledGraph, WrongObject
+from knowarm.knowledge.vectors.words import WordVectors
+from tests.knowledge.conftest import KNOWLEDGE
 
 
 def test_the_papers_sizes(facets, fixed_facets):
@@ -43,7 +46,7 @@ def test_scene_rows_are_the_vector_and_target_rows_are_slots(facets):
 
 
 def test_a_slot_is_the_mean_of_the_words_of_its_sentence(facets):
-    from knowarm.knowledge.vectors.shipped import shipped_vectors
+    from knowarm.knowledge.vectors.words import shipped_vectors
 
     words = shipped_vectors("wordnet-gloss-50")
     text = scene_sentences(KNOWLEDGE["full"], facets)["red mug"]
@@ -82,7 +85,7 @@ def test_the_seed_decides_a_placebo(facets):
         config = KnowledgeConfig(detail="full", source=source, seed=seed)
         return scene_embedding(config, facets).vector
 
-    for source in ("random", "shuffled", "wrong-object"):
+    for source in (RandomVectors(), ShuffledGraph(), WrongObject()):
         assert (vector(source, 1) == vector(source, 1)).all()
         assert (vector(source, 1) != vector(source, 2)).any()
 
@@ -106,11 +109,11 @@ def test_errors_name_what_is_known(facets):
         scene_embedding(KNOWLEDGE["full"], [("mugg", "red")])
     with pytest.raises(UserError, match=r"can be 'pink'.*blue, red"):
         scene_embedding(KNOWLEDGE["full"], [("mug", "pink")])
-    with pytest.raises(UserError, match="vector source 'wordnet'"):
-        scene_embedding(KnowledgeConfig(detail="full", source="wordnet"), facets)
-    with pytest.raises(UserError, match=r"expects 60.*--dim 50"):
+    with pytest.raises(UserError, match="shipped word vectors 'wordnet'"):
+        scene_embedding(KnowledgeConfig(detail="full", source=WordVectors(name="wordnet")), facets)
+    with pytest.raises(UserError, match=r"expects 60.*set dim to 50"):
         scene_embedding(KnowledgeConfig(detail="full", dim=60), facets)
-    with pytest.raises(UserError, match=r"colour relation 'paintedIn'.*--colour-relation"):
+    with pytest.raises(UserError, match=r"colour relation 'paintedIn'.*Set colour_relation"):
         scene_embedding(KnowledgeConfig(detail="full", colour_relation="paintedIn"), facets)
     with pytest.raises(UserError, match="between 0 and 1"):
         scene_embedding(KnowledgeConfig(detail="full", colour_share=2.0), facets)

@@ -2,17 +2,17 @@ import pytest
 
 from knowarm.errors import UserError
 from knowarm.knowledge import graph_of, household
-from knowarm.knowledge.household import HOUSEHOLD
-from knowarm.knowledge.labels import label_of
+from knowarm.knowledge.formats import HOUSEHOLD
 from knowarm.knowledge.names import Names
 from knowarm.knowledge.statistics import graph_statistics
-from knowarm.knowledge.task import TASK_COLOURS
+from knowarm.knowledge.terms import label_of
+from knowarm.world.objects import TARGETS
 
 
 def test_the_shipped_graph_holds_what_the_task_needs():
     graph = household()
-    for name, colours in TASK_COLOURS.items():
-        for colour in colours:
+    for name, target in TARGETS.items():
+        for colour in target.colours:
             assert (name, "hasColor", colour) in graph
     objects = {head for head, relation, _ in graph if relation == "hasColor"}
     assert len(objects) >= 15

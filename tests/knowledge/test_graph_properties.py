@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 
 from knowarm.knowledge import KnowledgeGraph, gamma, graph_of, read_graph, sentence
-from knowarm.knowledge.sets import difference, union
-from knowarm.knowledge.term import literal
-from knowarm.knowledge.write import write_graph
+from knowarm.knowledge.builder import difference, union
+from knowarm.knowledge.formats import write_graph
+from knowarm.knowledge.terms import literal
 
 WORD = st.text(
     st.characters(
@@ -66,7 +66,7 @@ def test_nothing_depends_on_the_order_of_triples(triples, random, hops, directio
         assert sentence(a) == sentence(b)
 
 
-@pytest.mark.parametrize("suffix", [".ttl", ".nt", ".csv", ".tsv"])
+@pytest.mark.parametrize("suffix", [".ttl", ".nt", ".jsonld", ".csv", ".tsv"])
 @MANY
 @given(triples=TRIPLES, labels=st.dictionaries(NAME, WORD, max_size=3))
 def test_reading_what_was_written_gives_the_same_graph(tmp_path_factory, suffix, triples, labels):

@@ -6,7 +6,6 @@ from knowarm.errors import UserError
 from knowarm.knowledge.kge.config import KgeConfig
 from knowarm.knowledge.kge.models import MODELS
 from knowarm.knowledge.kge.train import new_model
-from knowarm.knowledge.vectors.open import KGE_MODELS
 
 DIM = 10
 

@@ -8,14 +8,15 @@ import pytest
 import torch
 
 from knowarm.errors import UserError
-from knowarm.knowledge import KNOWLEDGE, KnowledgeConfig, graph_of, household, scene_embedding
+from knowarm.knowledge import KnowledgeConfig, graph_of, household, scene_embedding
 from knowarm.knowledge.kge.config import KgeConfig
-from knowarm.knowledge.kge.model import KgeModel
-from knowarm.knowledge.kge.models import MODELS
+from knowarm.knowledge.kge.models import MODELS, KgeModel
 from knowarm.knowledge.kge.rank import LinkPrediction, rank, reciprocal
 from knowarm.knowledge.kge.split import all_triples, split_graph
 from knowarm.knowledge.kge.store import load_model, save_model
 from knowarm.knowledge.kge.train import new_model, train
+from knowarm.knowledge.vectors.graph_embedding import GraphEmbedding
+from tests.knowledge.conftest import KNOWLEDGE
 
 
 class Fixed(KgeModel):
@@ -150,7 +151,7 @@ def test_a_stored_model_is_the_same_and_serves_as_vectors(tmp_path, facets):
     assert stored.config == config
     assert stored.entities == tuple(graph.names)
     assert torch.equal(stored.model.relation, done.model.relation)
-    knowledge = KnowledgeConfig(detail="full", source=str(path), dim=12)
+    knowledge = KnowledgeConfig(detail="full", source=GraphEmbedding(file=str(path)), dim=12)
     embedding = scene_embedding(knowledge, facets)
     assert embedding.dim == 72
     assert embedding.coverage.describe()["by_kind"] == {"entity": 50}
@@ -161,9 +162,9 @@ def test_what_is_no_stored_model(tmp_path, facets):
         load_model(tmp_path / "none.safetensors")
     cut = tmp_path / "cut.safetensors"
     cut.write_bytes(b"\x10\0\0\0\0\0\0\0{")
-    with pytest.raises(UserError, match="no whole safetensors file"):
+    with pytest.raises(UserError, match="not a complete safetensors file"):
         load_model(cut)
-    from knowarm.knowledge.vectors.shipped import SHIPPED
+    from knowarm.knowledge.vectors.words import SHIPPED
 
     with pytest.raises(UserError, match="holds no graph embedding of KnowArm"):
         load_model(SHIPPED["wordnet-gloss-50"])
@@ -172,7 +173,9 @@ def test_what_is_no_stored_model(tmp_path, facets):
     config = KgeConfig(dim=50)
     save_model(new_model(config, len(graph.names), 5), config, graph, other)
     with pytest.raises(UserError, match=r"has no vector for 169 of the graph's names"):
-        scene_embedding(KnowledgeConfig(detail="full", source=str(other)), facets)
+        scene_embedding(
+            KnowledgeConfig(detail="full", source=GraphEmbedding(file=str(other))), facets
+        )
 
 
 def test_analogy_goes_through_the_same_door(facets):
@@ -221,7 +224,7 @@ def test_metrics_agree_with_pykeen():
 @pytest.mark.slow
 def test_graph_embeddings_are_the_same_in_any_process():
     code = (
-        "import hashlib; from knowarm.knowledge import KNOWLEDGE, scene_embedding\n"
+        "import hashlib; from knowarm.knowledge import scene_embedding\n"
         "e = scene_embedding(KNOWLEDGE['analogy'], [('mug', 'red'), ('bottle', 'yellow')])\n"
         "print(hashlib.sha256(e.vector.tobytes()).hexdigest())\n"
     )

@@ -4,8 +4,8 @@ import pytest
 
 from knowarm.errors import UserError
 from knowarm.knowledge import KnowledgeConfig, graph_of, read_graph, scene_embedding
+from knowarm.knowledge.facets import graph_facets
 from knowarm.knowledge.probe import probe
-from knowarm.knowledge.task import task_facets
 
 TURTLE = """
 @prefix home: <http://example.org/home#> .
@@ -40,10 +40,10 @@ def test_names_of_the_task_find_their_iris(path):
 
 def test_facets_of_any_object_come_from_the_graph(path):
     graph = read_graph(path)
-    assert task_facets(["mug"], "fixed", graph, "paint") == [("mug", "red")]  # the task's own
-    facets = task_facets(["Fork", "Bowl"], "randomized", graph, "paint")
+    assert graph_facets(["mug"], graph, "paint") == [("mug", "Blue"), ("mug", "Red")]
+    facets = graph_facets(["Fork", "Bowl"], graph, "paint")
     assert facets == [("Fork", "Blue"), ("Fork", "Silver"), ("Bowl", "Red")]
-    shelf = task_facets(["Shelf"], "randomized", graph, "paint")
+    shelf = graph_facets(["Shelf"], graph, "paint")
     config = KnowledgeConfig(detail="full", graph=str(path), colour_relation="paint")
     with pytest.raises(UserError, match="'Shelf' has no colour in the graph"):
         scene_embedding(config, shelf)
@@ -53,7 +53,7 @@ def test_a_small_graph_can_be_probed(path):
     config = KnowledgeConfig(detail="full", graph=str(path), colour_relation="paint")
     found = probe(config, [("mug", "red"), ("mug", "blue")])
     assert set(found.recovered["colour"]) == {"task", "all", "guess"}
-    with pytest.raises(UserError, match=r"colour relation 'hasColor'.*--colour-relation"):
+    with pytest.raises(UserError, match=r"colour relation 'hasColor'.*Set colour_relation"):
         scene_embedding(KnowledgeConfig(detail="full", graph=str(path)), [("mug", "red")])
 
 

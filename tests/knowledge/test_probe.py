@@ -3,8 +3,8 @@ import json
 import numpy as np
 import pytest
 
-from knowarm.knowledge import KNOWLEDGE
 from knowarm.knowledge.probe import _predict, _share_found, probe
+from tests.knowledge.conftest import KNOWLEDGE
 
 
 def test_full_plus_keeps_object_and_colour(facets):

@@ -17,7 +17,7 @@ def bad(tmp_path: Path, name: str, text: str, message: str) -> None:
 
 def test_malformed_turtle_names_the_line(tmp_path):
     text = "@prefix : <urn:knowarm:> .\n:mug :isA :cup .\n:mug :hasColor ;;; red\n"
-    bad(tmp_path, "a.ttl", text, r"a\.ttl, line [34]: not well-formed Turtle.*Mend")
+    bad(tmp_path, "a.ttl", text, r"a\.ttl, line [34]: not well-formed Turtle.*Correct")
 
 
 def test_unknown_prefix_in_turtle(tmp_path):
@@ -61,7 +61,7 @@ def test_open_quote_in_csv(tmp_path):
 
 
 def test_a_five_gigabyte_file_of_one_line(tmp_path):
-    for name in ("a.nt", "a.tsv", "a.csv"):
+    for name in ("a.tsv", "a.csv"):
         path = tmp_path / name
         with path.open("wb") as file:
             file.truncate(5_000_000_000)  # sparse: takes no room on disk
@@ -70,18 +70,19 @@ def test_a_five_gigabyte_file_of_one_line(tmp_path):
         path.unlink()
 
 
-def test_a_five_gigabyte_turtle_file(tmp_path):
-    path = tmp_path / "a.ttl"
+@pytest.mark.parametrize("name", ["a.nt", "a.ttl", "a.rdf", "a.jsonld"])
+def test_five_gigabytes_of_zeros_are_no_rdf(tmp_path, name):
+    path = tmp_path / name
     with path.open("wb") as file:
-        file.truncate(5_000_000_000)
-    with pytest.raises(UserError, match=r"5\.0 GB.*Convert it to N-Triples"):
+        file.truncate(5_000_000_000)  # sparse: takes no room on disk
+    with pytest.raises(UserError, match=rf"{name}, line 1: contains a zero byte"):
         read_graph(path)
 
 
 def test_binary_file(tmp_path):
     path = tmp_path / "a.tsv"
     path.write_bytes(b"mug\0\tisA\tcup\n")
-    with pytest.raises(UserError, match="line 1: holds a zero byte"):
+    with pytest.raises(UserError, match="line 1: contains a zero byte"):
         read_graph(path)
 
 
@@ -92,7 +93,7 @@ def test_files_that_are_none(tmp_path):
         read_graph(tmp_path)
     odd = tmp_path / "graph.xyz"
     odd.touch()
-    with pytest.raises(UserError, match=r"the suffix '\.xyz' tells no graph format"):
+    with pytest.raises(UserError, match=r"the suffix '\.xyz' belongs to no graph format"):
         read_graph(odd)
     with pytest.raises(UserError, match=r"graph format 'turtel'.*'turtle'"):
         read_graph(odd, "turtel")
@@ -111,12 +112,12 @@ OPENKE = {
     ("name", "text", "message"),
     [
         ("entity2id.txt", "mug\t0\n", "line 1: the first line must be the number"),
-        ("entity2id.txt", "2\nmug\t0\nmug\t1\n", "line 3: the name 'mug' stands in line 2 already"),
-        ("entity2id.txt", "3\nmug\t0\ncup\t1\n", "promises 3 names"),
+        ("entity2id.txt", "2\nmug\t0\nmug\t1\n", "line 3: the name 'mug' is already in line 2"),
+        ("entity2id.txt", "3\nmug\t0\ncup\t1\n", "announces 3 names"),
         ("entity2id.txt", "2\nmug\t0\ncup one\n", "line 3: expected `name<tab>id`"),
         ("train2id.txt", "1\n0 1\n", "line 2: expected three ids"),
         ("train2id.txt", "1\n0 7 0\n", "line 2: tail id 7 is not among the 2"),
-        ("train2id.txt", "2\n0 1 0\n", "promises 2 triples, but 1 follow"),
+        ("train2id.txt", "2\n0 1 0\n", "announces 2 triples, but 1 follow"),
     ],
 )
 def test_malformed_openke_files(tmp_path, name, text, message):

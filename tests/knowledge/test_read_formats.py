@@ -2,12 +2,13 @@ import json
 
 import pytest
 
+from knowarm.errors import UserError
 from knowarm.knowledge import graph_of, household, read_graph
+from knowarm.knowledge.formats import write_graph
+from knowarm.knowledge.formats.conceptnet import read_conceptnet
+from knowarm.knowledge.formats.openke import read_openke_split, write_openke
 from knowarm.knowledge.kge.split import split_graph
-from knowarm.knowledge.read.conceptnet import read_conceptnet
-from knowarm.knowledge.read.openke import read_openke_split
 from knowarm.knowledge.sparql import sparql
-from knowarm.knowledge.write.openke import write_openke
 
 OWL = """<?xml version="1.0"?>
 <rdf:RDF xmlns="http://a.org/home#" xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"
@@ -115,7 +116,61 @@ def test_sparql():
 
 @pytest.mark.parametrize("query", ["SELECT ?c WHERE {", "SELECT ?c WHERE { x:a ?b ?c }"])
 def test_bad_sparql(query):
-    from knowarm.errors import UserError
-
-    with pytest.raises(UserError, match="SPARQL query"):
+    with pytest.raises(UserError, match="SPARQL query, line 1, column"):
         sparql(household(), query)
+
+
+@pytest.mark.parametrize(
+    "query",
+    [
+        "SELECT ?c WHERE { SERVICE <http://127.0.0.1:9/> { ?a ?b ?c } }",
+        "SELECT ?c WHERE { ?a ?b 1service silent<http://127.0.0.1:9/> { ?a ?b ?c } }",
+        "SELECT ?c FROM <http://127.0.0.1:9/x> WHERE { ?a ?b ?c }",
+        "SELECT ?c FROM NAMED <http://127.0.0.1:9/x> WHERE { GRAPH ?g { ?a ?b ?c } }",
+    ],
+)
+def test_a_query_reads_the_given_graph_only(query):
+    with pytest.raises(UserError, match="nothing is fetched from the network"):
+        sparql(household(), query)
+
+
+def test_keywords_in_names_strings_and_comments_are_no_keywords():
+    query = """SELECT ?service WHERE { # from the SERVICE <http://a.org/>
+        ?service :hasColor ?from . FILTER(?from != "a \\"service from" && ?from != :from) }"""
+    assert len(sparql(household(), query).rows) > 40
+    labels = sparql(
+        household(), "SELECT ?l { :mug rdfs:label ?l ; :isA ?o OPTIONAL { ?l :no ?x } }"
+    )
+    assert labels.columns == ("l",)
+
+
+def test_rdf_xml_is_written_where_it_can_hold_the_relations(tmp_path):
+    graph = graph_of([("mug", "isA", "cup"), ("http://a.org/x", "isA", "a b")], labels={"mug": "M"})
+    write_graph(graph, tmp_path / "a.rdf")
+    assert read_graph(tmp_path / "a.rdf") == graph
+    with pytest.raises(UserError, match=r"a\.rdf: .*Write Turtle"):
+        write_graph(graph_of([("a", "is 1", "b")]), tmp_path / "a.rdf")
+
+
+def test_unnamed_blank_nodes_are_numbered_in_the_order_of_the_file(tmp_path):
+    path = tmp_path / "a.ttl"
+    path.write_text("@prefix : <urn:knowarm:> .\n:a :p [ :q :b ], [ :q :c ] .\n_:x :p :a .\n")
+    first, second = read_graph(path), read_graph(path)
+    assert list(first) == list(second)
+    assert {name for name in first.entities if name.startswith("_:")} == {
+        "_:unnamed0", "_:unnamed1", "_:x",
+    }  # fmt: skip
+
+
+def test_a_remote_json_ld_context_is_refused(tmp_path):
+    path = tmp_path / "a.jsonld"
+    path.write_text('{"@context": "http://127.0.0.1:9/c", "@id": "urn:knowarm:mug"}')
+    with pytest.raises(UserError, match="nothing is fetched from the network"):
+        read_graph(path)
+
+
+def test_triples_about_triples_are_refused(tmp_path):
+    path = tmp_path / "a.ttl"
+    path.write_text("<< <a:b> <c:d> <e:f> >> <a:b> <c:d> .\n")
+    with pytest.raises(UserError, match="RDF-star"):
+        read_graph(path)

@@ -6,9 +6,11 @@ import pytest
 
 from knowarm.config import from_dict, to_dict
 from knowarm.errors import UserError
-from knowarm.knowledge import KNOWLEDGE, KnowledgeConfig, graph_of, scene_embedding, sentence
+from knowarm.knowledge import KnowledgeConfig, graph_of, scene_embedding, sentence
 from knowarm.knowledge.scene import scene_sentences
 from knowarm.knowledge.sentence import SentenceConfig, sentence_parts
+from knowarm.knowledge.vectors.encoder import SentenceEncoder
+from tests.knowledge.conftest import KNOWLEDGE
 
 MUG = graph_of(
     [("mug", "hasColor", "light_blue"), ("mug", "isMadeOf", "ceramic"), ("mug", "isA", "cup")],
@@ -59,9 +61,9 @@ def test_a_sentence_encoder_goes_through_the_same_door(monkeypatch, facets):
     module = types.ModuleType("sentence_transformers")
     module.SentenceTransformer = SentenceTransformer
     monkeypatch.setitem(sys.modules, "sentence_transformers", module)
-    config = KnowledgeConfig(detail="partial", source="sentence-transformers:local", dim=4)
+    config = KnowledgeConfig(detail="partial", source=SentenceEncoder(model="local"), dim=4)
     assert scene_embedding(config, facets).dim == 12
-    absent = KnowledgeConfig(detail="partial", source="sentence-transformers:absent", dim=4)
+    absent = KnowledgeConfig(detail="partial", source=SentenceEncoder(model="absent"), dim=4)
     with pytest.raises(UserError, match="'absent' cannot be loaded"):
         scene_embedding(absent, facets)
     monkeypatch.setitem(sys.modules, "sentence_transformers", None)

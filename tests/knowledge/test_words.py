@@ -7,10 +7,10 @@ import pytest
 from knowarm.errors import UserError
 from knowarm.knowledge import KnowledgeConfig, graph_of, scene_embedding
 from knowarm.knowledge.sentence import Part
-from knowarm.knowledge.vectors.coverage import Coverage
-from knowarm.knowledge.vectors.forms import all_forms, word_forms
 from knowarm.knowledge.vectors.glove import read_word_vectors
-from knowarm.knowledge.vectors.words import WordSource
+from knowarm.knowledge.vectors.source import Coverage
+from knowarm.knowledge.vectors.word_forms import all_forms, word_forms
+from knowarm.knowledge.vectors.words import WordLookup, WordVectors
 
 LINES = [
     "the 1 0 0",
@@ -63,8 +63,8 @@ def test_the_text_format(vectors, tmp_path):
     [
         ("a 1 2 3\nb 1 2\nc 1 2 3\n", "line 2: has 2 numbers, the lines before 3"),
         ("a 1.5 2.5\nb 1.5 2.5\nc 1.5 2.5 3.5\n", "line 3: has 3 numbers, the lines before 2"),
-        ("a 1 2\nb 1 nan\n", "line 2: the vector of 'b' holds NaN or infinity"),
-        ("a 1 2\nb inf 2\n", "line 2: the vector of 'b' holds NaN or infinity"),
+        ("a 1 2\nb 1 nan\n", "line 2: the vector of 'b' contains a non-finite value"),
+        ("a 1 2\nb inf 2\n", "line 2: the vector of 'b' contains a non-finite value"),
         ("a 1 2\nb 1 two\n", "line 2: 'two' in the vector of 'b' is no number"),
         ("hello\nworld\n", "line 1: expected a word and its numbers"),
     ],
@@ -91,12 +91,12 @@ def test_other_files(tmp_path):
         read_word_vectors(huge)
     broken = tmp_path / "v.zip"
     broken.write_bytes(b"PK not a zip")
-    with pytest.raises(UserError, match="no whole zip file"):
+    with pytest.raises(UserError, match="not a complete zip file"):
         read_word_vectors(broken)
 
 
 def test_how_a_label_is_found(vectors):
-    source = WordSource(read_word_vectors(vectors), aliases={"irb120": "box", "teacup": "mug"})
+    source = WordLookup(read_word_vectors(vectors), aliases={"irb120": "box", "teacup": "mug"})
     for label, kind, vector in [
         ("mug", "word", [[0, 1, 0]]),
         ("light blue", "joined", [[0, 0, 1]]),
@@ -116,14 +116,14 @@ def test_how_a_label_is_found(vectors):
 
 def test_a_label_of_which_no_word_is_known(vectors):
     table = read_word_vectors(vectors)
-    with pytest.raises(UserError, match=r"No word of the label 'zyx qwv'.*--aliases"):
-        find(WordSource(table), "zyx qwv")
-    found, coverage = find(WordSource(table, on_missing="skip"), "zyx qwv")
+    with pytest.raises(UserError, match=r"No word of the label 'zyx qwv'.*`aliases`"):
+        find(WordLookup(table), "zyx qwv")
+    found, coverage = find(WordLookup(table, on_missing="skip"), "zyx qwv")
     assert found.vectors.shape == (0, 3)
     assert coverage.describe()["missing_words"] == ["qwv", "zyx"]
     assert coverage.share == 0
-    found, _ = find(WordSource(table, on_missing="hash"), "zyx qwv")
-    again, _ = find(WordSource(table, on_missing="hash"), "zyx")
+    found, _ = find(WordLookup(table, on_missing="hash"), "zyx qwv")
+    again, _ = find(WordLookup(table, on_missing="hash"), "zyx")
     assert found.vectors.shape == (2, 3)
     assert (found.vectors[0] == again.vectors[0]).all()
 
@@ -131,7 +131,7 @@ def test_a_label_of_which_no_word_is_known(vectors):
 def test_every_form_that_is_tried_is_read_from_the_file(vectors):
     for label in ("light blue", "boxes", "colour", "pouring", "irb120"):
         forms = all_forms(label, {"irb120": "box"})
-        source = WordSource(read_word_vectors(vectors, forms), aliases={"irb120": "box"})
+        source = WordLookup(read_word_vectors(vectors, forms), aliases={"irb120": "box"})
         assert len(find(source, label)[0].vectors)
     assert word_forms("knives")[:2] == ["knif", "knife"] or "knife" in word_forms("knives")
     assert "berry" in word_forms("berries")
@@ -141,11 +141,11 @@ def test_every_form_that_is_tried_is_read_from_the_file(vectors):
 
 def test_a_file_of_vectors_through_the_same_door(vectors, tmp_path):
     graph = graph_of([("mug", "color", "light_blue"), ("box", "color", "the")])
-    from knowarm.knowledge.write import write_graph
+    from knowarm.knowledge.formats import write_graph
 
     write_graph(graph, tmp_path / "g.ttl")
     config = KnowledgeConfig(
-        detail="full", dim=3, source=str(vectors), graph=str(tmp_path / "g.ttl"),
+        detail="full", dim=3, source=WordVectors(file=str(vectors)), graph=str(tmp_path / "g.ttl"),
         colour_relation="color",
     )  # fmt: skip
     embedding = scene_embedding(config, [("mug", "light_blue")])

@@ -9,11 +9,16 @@ from typing import Any
 import numpy as np
 
 from knowarm.config import to_dict
-from knowarm.experiment.evaluation_files import EPISODE_COLUMNS, step_columns, write_table
-from knowarm.experiment.evaluation_summary import summarize
-from knowarm.experiment.film import write_film
+from knowarm.experiment.agents import AGENTS
+from knowarm.experiment.evaluate import summarize
+from knowarm.experiment.evaluation_files import (
+    EPISODE_COLUMNS,
+    step_columns,
+    write_film,
+    write_table,
+)
 from knowarm.experiment.run_folder import RunFolder
-from knowarm.knowledge import KNOWLEDGE, SceneEmbedding, scene_embedding
+from knowarm.knowledge import SceneEmbedding, scene_embedding
 
 FACETS = {
     "fixed": [("mug", "red"), ("bottle", "yellow"), ("cereal_box", "brown")],
@@ -99,7 +104,7 @@ def write_run(
     generator = generator or np.random.default_rng(seed)
     folder = RunFolder.create(path)
     facets = FACETS[env["colours"]]
-    known = KNOWLEDGE.get(agent, KNOWLEDGE["full"])
+    known = AGENTS.get(agent, AGENTS["full"]).knowledge
     folder.write_json(
         "config.json",
         {
@@ -126,7 +131,7 @@ def write_run(
 
 @lru_cache
 def _embedding(agent: str, colours: str) -> SceneEmbedding:
-    return scene_embedding(KNOWLEDGE.get(agent, KNOWLEDGE["full"]), FACETS[colours])
+    return scene_embedding(AGENTS.get(agent, AGENTS["full"]).knowledge, FACETS[colours])
 
 
 def _provenance(embedding: SceneEmbedding, facets: list[tuple[str, str]]) -> dict[str, Any]:

@@ -61,7 +61,7 @@ def test_agents_of_one_name_are_told_apart_by_what_differs(tmp_path):
     for path in paths[-2:]:
         other = tmp_path / "fixed" / path.name
         shutil.copytree(path, other)
-        edit(other / "config.json", network={"fusion": "before_lstm", "hidden": "fixed"})
+        edit(other / "config.json", policy={"fusion": "before_lstm", "hidden": "fixed"})
         paths.append(other)
     names = [group.name for group in collect(paths).tasks[0].groups]
     assert names[0] == "bm"

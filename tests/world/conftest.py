@@ -6,7 +6,8 @@ from typing import Any
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from knowarm.world.env import EnvConfig, ReachVectorEnv
+from knowarm.world.config import EnvConfig
+from knowarm.world.vector_env import ReachVectorEnv
 
 MakeEnv = Callable[..., ReachVectorEnv]
 

@@ -5,10 +5,10 @@ import pytest
 from conftest import MakeEnv
 
 from knowarm.errors import UserError
+from knowarm.world.agents.scripted import OracleAgent
 from knowarm.world.description_file import read_robot, read_target
 from knowarm.world.doctor import check_robot
 from knowarm.world.episodes import evaluation_episodes
-from knowarm.world.oracle import OracleAgent
 from knowarm.world.play import play
 from knowarm.world.robots import ROBOTS
 
@@ -73,7 +73,7 @@ def test_the_doctor_says_what_to_mend(changes: dict, name: str, words: str, tmp_
 
 
 def test_the_doctor_tells_what_a_bare_mjcf_still_needs() -> None:
-    checks = {check.name: check for check in check_robot(ROBOTS["irb120"].mjcf)}
+    checks = {check.name: check for check in check_robot(ROBOTS["irb120"].robot.mjcf)}
     assert "joint_6" in checks["joints"].found
     assert not checks["description"].ok
     assert 'joints = ["joint_1", ' in checks["description"].remedy

@@ -10,7 +10,7 @@ from knowarm.world.objects import TARGETS
 from knowarm.world.robots import ROBOTS
 from knowarm.world.scene import build_scene, find_robot, find_targets, load_scene, project
 
-IRB120, MUG = ROBOTS["irb120"], TARGETS["mug"]
+IRB120, MUG = ROBOTS["irb120"].robot, TARGETS["mug"]
 ALL = tuple(TARGETS)
 
 

@@ -16,10 +16,10 @@ from knowarm.bench.gpu_measure import Ceilings, GpuBenchConfig, measure_row
 from knowarm.bench.learn import Row
 from knowarm.config import to_dict
 from knowarm.errors import UserError
-from knowarm.experiment.provenance import provenance
-from knowarm.learn.precision import products
+from knowarm.experiment.run_folder import provenance
+from knowarm.learn.device import tf32_products
 from knowarm.policy.policy import MatmulPrecision
-from knowarm.world.gpu.device import find_device
+from knowarm.world.backends.device import choose_backend
 
 Result = dict[str, Any]
 """Result of the GPU benchmark, see ``bench_gpu``."""
@@ -50,7 +50,7 @@ def bench_gpu(
             or no row could be measured.
     """
     config = config or GpuBenchConfig()
-    device = find_device(config.device)
+    device, _ = choose_backend(config.device, "warp")
     machine = describe_machine(device)
     kept = _check_before(before, config, machine)
     result = kept or {"training": None, "training_minutes_70m": None}
@@ -160,7 +160,7 @@ def _product_rate(
     generator = torch.Generator(device).manual_seed(0)
     a, b = (torch.randn(side, side, generator=generator, device=device).to(dtype) for _ in range(2))
     out = torch.empty_like(a)
-    with products(precision, device):
+    with tf32_products(precision, device):
         return _rate(lambda: torch.mm(a, b, out=out), 2 * side**3, seconds, device)
 
 

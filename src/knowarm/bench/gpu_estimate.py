@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from torch import nn
 
 from knowarm.policy import Policy
+from knowarm.world.backends.warp import import_warp, make_data
 from knowarm.world.compose import SUBSTEPS
 from knowarm.world.config import EnvConfig
-from knowarm.world.gpu.device import import_warp
-from knowarm.world.gpu.simulation import make_data
 from knowarm.world.render import Raycaster
 from knowarm.world.render.grid import BITS, TILE
 from knowarm.world.render.prepare import EXTENT, RECORD

@@ -17,11 +17,11 @@ from knowarm.bench.learn import Row, train_ppo
 from knowarm.errors import UserError
 from knowarm.experiment.build import Parts, build
 from knowarm.experiment.config import ExperimentConfig
-from knowarm.experiment.registry import DEFAULT_EXPERIMENT, experiment
+from knowarm.experiment.registry import DEFAULT_EXPERIMENT, experiment_config
 from knowarm.learn import PPOConfig
-from knowarm.learn.precision import Wish
-from knowarm.world.env import ACTION_LEVELS
-from knowarm.world.gpu.env import DeviceReachVectorEnv
+from knowarm.learn.device import PrecisionChoice
+from knowarm.world.tasks.reach import ACTION_LEVELS
+from knowarm.world.torch_env import TorchReachVectorEnv
 
 WARM_UP_STEPS = 10
 """Steps that are not measured: kernels are compiled and memory is allocated."""
@@ -58,7 +58,7 @@ class GpuBenchConfig:
     training: bool = True
     """Also measure training."""
 
-    matmul_precision: Wish = "auto"
+    matmul_precision: PrecisionChoice = "auto"
     """Precision of matrix products in training, as in ``PPOConfig``."""
 
     rollout_steps: int = 25
@@ -118,7 +118,7 @@ def measure_row(
     """
     row: Row = {"num_envs": num_envs, "error": None}
     row |= {"torch_peak_bytes": None, "device_used_bytes": None}
-    chosen = experiment(config.experiment)
+    chosen = experiment_config(config.experiment)
     chosen = replace(chosen, env=replace(chosen.env, image_size=config.image_size))
     if device.type == "cuda":
         torch.cuda.reset_peak_memory_stats(device)
@@ -138,7 +138,7 @@ def _measure(
     config: GpuBenchConfig, chosen: ExperimentConfig, row: Row, ceilings: Ceilings
 ) -> None:
     """Fill a row in place; an error leaves the values measured before it."""
-    env = DeviceReachVectorEnv(chosen.env, row["num_envs"], config.device)
+    env = TorchReachVectorEnv(chosen.env, row["num_envs"], device=config.device)
     row |= environment_row(env, config.seconds, config.seed)
     moved, rays = environment_bytes(env.scene, chosen.env), count_rays(env)
     row |= {"env_bytes_per_step": moved, "env_operations_per_step": rays}
@@ -160,7 +160,7 @@ def _measure(
     row |= shares_of_ceilings("training", speed, moved, operations, ceilings)
 
 
-def environment_row(env: DeviceReachVectorEnv, seconds: float, seed: int) -> Row:
+def environment_row(env: TorchReachVectorEnv, seconds: float, seed: int) -> Row:
     """Measure environment steps per second with images; random actions are drawn on the device.
 
     Args:
@@ -188,7 +188,7 @@ def environment_row(env: DeviceReachVectorEnv, seconds: float, seed: int) -> Row
     return row | _part_shares(env, step, steps) | memory_row(env.device)
 
 
-def _part_shares(env: DeviceReachVectorEnv, step: Callable[[], None], steps: int) -> Row:
+def _part_shares(env: TorchReachVectorEnv, step: Callable[[], None], steps: int) -> Row:
     """Measure the shares of physics, images and the rest over some steps."""
     clock = PartClock(env.device)
     clock.time_methods("physics", env.simulation, "step", "reset")
@@ -209,7 +209,7 @@ def _part_shares(env: DeviceReachVectorEnv, step: Callable[[], None], steps: int
     return {f"env_share_{part}": share for part, share in shares.items()}
 
 
-def count_rays(env: DeviceReachVectorEnv) -> float:
+def count_rays(env: TorchReachVectorEnv) -> float:
     """Return the ray operations per image, averaged over some environments in their state."""
     count = min(RAY_STATES, env.num_envs)
     position, matrix, rgba = (
@@ -223,7 +223,7 @@ def count_rays(env: DeviceReachVectorEnv) -> float:
     return ray_operations(env.scene, env.config, position, matrix, rgba)
 
 
-def training_row(config: GpuBenchConfig, env: DeviceReachVectorEnv, parts: Parts) -> Row:
+def training_row(config: GpuBenchConfig, env: TorchReachVectorEnv, parts: Parts) -> Row:
     """Measure steps per second of training: physics, images, network and update.
 
     Returns:

@@ -9,10 +9,10 @@ import torch
 
 from knowarm.bench.clock import PartClock
 from knowarm.bench.world import measure_raycaster
+from knowarm.cores import processor
 from knowarm.errors import UserError
 from knowarm.experiment.build import EnvFactory, Parts, build
-from knowarm.experiment.provenance import processor
-from knowarm.experiment.registry import DEFAULT_EXPERIMENT, experiment
+from knowarm.experiment.registry import DEFAULT_EXPERIMENT, experiment_config
 from knowarm.learn import A3CConfig, Hooks, Metrics, PPOConfig, PPOTrainer
 from knowarm.learn.a3c import A3CTrainer
 
@@ -93,7 +93,7 @@ def summarize_rows(config: LearnBenchConfig, rows: list[Row]) -> dict[str, Any]:
 
 def raycaster_row(config: LearnBenchConfig) -> Row:
     """Measure the ray caster alone on one core: a reference for the speed of the machine."""
-    env = experiment(config.experiment).env
+    env = experiment_config(config.experiment).env
     return {
         "name": "raycaster",
         "what": "KnowArm's ray caster alone, frames of one core",
@@ -104,7 +104,7 @@ def raycaster_row(config: LearnBenchConfig) -> Row:
 
 def ppo_row(config: LearnBenchConfig) -> Row:
     """Measure recurrent PPO."""
-    chosen, ppo = experiment(config.experiment), config.ppo()
+    chosen, ppo = experiment_config(config.experiment), config.ppo()
     env = EnvFactory(chosen.env)(ppo.num_envs, config.cores)
     clock = PartClock(torch.device("cpu"))
     clock.time_methods("images", env.renderer, "draw")
@@ -167,7 +167,7 @@ def train_ppo(
         should_stop=lambda: len(rows) > WARM_UP_UPDATES and elapsed() > seconds,
     )
     policy = parts.new_policy(seed)
-    trainer = PPOTrainer(config, policy, env, parts.table, seed=seed, hooks=hooks)
+    trainer = PPOTrainer(config, policy, env, seed=seed, hooks=hooks)
     trainer.train(UNLIMITED)
 
     def share(name: str) -> float:
@@ -185,7 +185,7 @@ def train_ppo(
 
 def a3c_row(config: LearnBenchConfig, name: str, *, workers: int, envs_per_worker: int) -> Row:
     """Measure A3C with a number of worker processes and environments per worker."""
-    chosen = experiment(config.experiment)
+    chosen = experiment_config(config.experiment)
     parts = build(chosen)
     a3c = A3CConfig(
         workers=workers,
@@ -206,7 +206,7 @@ def a3c_row(config: LearnBenchConfig, name: str, *, workers: int, envs_per_worke
         should_stop=lambda: bool(marks) and marks[-1][1] - marks[0][1] > config.seconds,
     )
     make_env, policy = EnvFactory(chosen.env), parts.new_policy(config.seed)
-    trainer = A3CTrainer(a3c, policy, make_env, parts.table, seed=config.seed, hooks=hooks)
+    trainer = A3CTrainer(a3c, policy, make_env, seed=config.seed, hooks=hooks)
     trainer.train(UNLIMITED)
     steps, seconds = marks[-1][0] - marks[0][0], marks[-1][1] - marks[0][1]
     return {

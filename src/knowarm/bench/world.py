@@ -10,11 +10,12 @@ import gymnasium
 import numpy as np
 
 from knowarm.bench.clock import cpu_seconds
+from knowarm.cores import processor
 from knowarm.errors import UserError
-from knowarm.experiment.provenance import processor
 from knowarm.world.config import EnvConfig
-from knowarm.world.env import ACTION_LEVELS, ReachVectorEnv
 from knowarm.world.robots import ROBOTS
+from knowarm.world.tasks.reach import ACTION_LEVELS
+from knowarm.world.vector_env import ReachVectorEnv
 
 DYNAMICS: tuple[Literal["dynamic", "kinematic"], ...] = ("dynamic", "kinematic")
 """Kinds of dynamics to measure."""

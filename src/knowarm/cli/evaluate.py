@@ -8,11 +8,10 @@ import tyro
 
 from knowarm.cli.tables import FilePath, check_json_path, print_table, write_json_table
 from knowarm.errors import UserError, unknown_name
+from knowarm.experiment.build import Which, load_agent
 from knowarm.experiment.evaluate import EvaluationConfig, evaluate
-from knowarm.experiment.load import Which, load_agent
+from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
 from knowarm.world.config import EnvConfig
-from knowarm.world.play import Agent
-from knowarm.world.scripted import SCRIPTED
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,10 +44,10 @@ class Evaluate:
             print(f"Saved in {out}")
         write_json_table(self.json, result.summary)
 
-    def _agent(self) -> tuple[str, Agent, EnvConfig, Path | None]:
+    def _agent(self) -> tuple[str, AgentProtocol, EnvConfig, Path | None]:
         """Return the agent's name, the agent, its environment and the evaluation's folder."""
         if is_scripted(self.agent):
-            return self.agent, SCRIPTED[self.agent](self.evaluation.seed), self.env, None
+            return self.agent, SCRIPTED_AGENTS[self.agent].make(self.evaluation.seed), self.env, None
         if self.env != EnvConfig():
             raise UserError(
                 "A run is evaluated in the environment it was trained in: leave out the --env "
@@ -71,9 +70,9 @@ def is_scripted(agent: str) -> bool:
     Raises:
         UserError: it is neither a scripted agent nor looks like a folder.
     """
-    if agent not in SCRIPTED and "/" not in agent and not Path(agent).exists():
-        raise unknown_name("agent or run folder", agent, SCRIPTED)
-    return agent in SCRIPTED
+    if agent not in SCRIPTED_AGENTS and "/" not in agent and not Path(agent).exists():
+        raise unknown_name("agent or run folder", agent, SCRIPTED_AGENTS)
+    return agent in SCRIPTED_AGENTS
 
 
 def _print(summary: dict[str, Any]) -> None:

@@ -4,10 +4,11 @@ from dataclasses import dataclass
 
 from knowarm.cli.tables import FilePath, check_json_path, print_table, write_json_table
 from knowarm.experiment.agents import AGENTS
-from knowarm.experiment.registry import ALGORITHMS, EXPERIMENTS, TOTAL_STEPS
+from knowarm.experiment.algorithms import ALGORITHMS
+from knowarm.experiment.registry import experiment_names
+from knowarm.world.agents import SCRIPTED_AGENTS
 from knowarm.world.objects import TARGETS
 from knowarm.world.robots import ROBOTS
-from knowarm.world.scripted import SCRIPTED
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,11 +30,11 @@ class List:
         print_table(
             "Algorithms",
             ["algorithm", "environment steps"],
-            [[name, TOTAL_STEPS[name]] for name in ALGORITHMS],
+            [[name, algorithm.total_steps] for name, algorithm in ALGORITHMS.items()],
         )
         print(f"Targets: {', '.join(TARGETS)}")
-        print(f"Scripted agents for `evaluate` and `view`: {', '.join(SCRIPTED)}\n")
-        examples = list(EXPERIMENTS)
+        print(f"Scripted agents for `evaluate` and `view`: {', '.join(SCRIPTED_AGENTS)}\n")
+        examples = experiment_names()
         print(
             "An experiment is named ROBOT-AGENT-ALGORITHM, or ROBOT-AGENT-dr-ALGORITHM with\n"
             "randomized colours of the targets. Train one, for example:\n"
@@ -47,7 +48,7 @@ class List:
                 "targets": list(TARGETS),
                 "agents": {name: agent.about for name, agent in AGENTS.items()},
                 "algorithms": list(ALGORITHMS),
-                "scripted_agents": list(SCRIPTED),
+                "scripted_agents": list(SCRIPTED_AGENTS),
                 "experiments": examples,
             },
         )

@@ -7,7 +7,7 @@ from typing import Annotated
 import tyro
 
 from knowarm.cli.tables import FilePath, check_json_path
-from knowarm.experiment.load import Which, load_agent
+from knowarm.experiment.build import Which, load_agent
 from knowarm.experiment.run_folder import read_json
 from knowarm.policy.onnx_export import INPUTS, OUTPUTS, export_onnx
 from knowarm.report import report

@@ -10,10 +10,10 @@ import tyro
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.demo import STEPS, demo
-from knowarm.experiment.registry import DEFAULT_EXPERIMENT, EXPERIMENTS, experiment
-from knowarm.experiment.run import run_path, stored_config, train
+from knowarm.experiment.registry import DEFAULT_EXPERIMENT, experiment_config, experiment_names
+from knowarm.experiment.run import StopRequest, run_path, train
 from knowarm.experiment.run_folder import RunFolder
-from knowarm.experiment.stopping import StopRequest
+from knowarm.report import write_report
 
 USAGE = f"""usage: knowarm train EXPERIMENT [OPTIONS]
 
@@ -66,11 +66,11 @@ def parse_train(arguments: list[str]) -> Train:
     if name.startswith("-"):
         raise UserError(
             f"The first argument must be the name of an experiment, got {name}. There are "
-            f"{len(EXPERIMENTS)}; `knowarm list` explains their names."
+            f"{len(experiment_names())}; `knowarm list` explains their names."
         )
-    command = _parse_options(name, rest, experiment(name))
+    command = _parse_options(name, rest, experiment_config(name))
     if command.resume:
-        stored = stored_config(RunFolder.open(run_path(command.runs, command.config)))
+        stored = RunFolder.open(run_path(command.runs, command.config)).experiment()
         command = _parse_options(name, rest, stored)
     return command
 
@@ -97,8 +97,9 @@ class Demo:
     def run(self) -> None:
         """Run the demo."""
         with StopRequest() as should_stop:
-            path = demo(self.out, steps=self.steps, should_stop=should_stop)
-        if path is None:
+            runs = demo(self.out, steps=self.steps, should_stop=should_stop)
+        if runs is None:
             print("Stopped and saved. Run the same command again to resume.")
         else:
+            path = write_report(runs, self.out / "report.html")
             print(f"Wrote {path}: open it in a browser.")

@@ -9,14 +9,13 @@ import tyro
 from knowarm.cli.evaluate import is_scripted
 from knowarm.cli.tables import FilePath
 from knowarm.errors import UserError
-from knowarm.experiment.load import load_agent
+from knowarm.experiment.build import load_agent
+from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
 from knowarm.world.config import EnvConfig
-from knowarm.world.env import ReachVectorEnv
 from knowarm.world.episodes import evaluation_episodes
-from knowarm.world.play import Agent
 from knowarm.world.record import record_episode, write_strip, write_video
 from knowarm.world.scene import find_robot
-from knowarm.world.scripted import SCRIPTED
+from knowarm.world.vector_env import ReachVectorEnv
 from knowarm.world.watch import watch
 
 
@@ -83,11 +82,11 @@ class View:
             write_strip(self.strip, films)
             print(f"Wrote {self.strip}")
 
-    def _agent(self) -> tuple[Callable[[], Agent], EnvConfig]:
+    def _agent(self) -> tuple[Callable[[], AgentProtocol], EnvConfig]:
         """Return a constructor of the agent, and its environment's config."""
         if is_scripted(self.agent):
             config = EnvConfig() if self.robot is None else EnvConfig(robot=self.robot)
-            return lambda: SCRIPTED[self.agent](self.seed), config
+            return lambda: SCRIPTED_AGENTS[self.agent].make(self.seed), config
         trained = load_agent(self.agent, seed=self.seed)
         config = trained.config.env
         if self.robot is not None and find_robot(self.robot) != find_robot(config.robot):

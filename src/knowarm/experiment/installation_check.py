@@ -12,11 +12,12 @@ import torch
 
 from knowarm.errors import UserError
 from knowarm.experiment.build import build
-from knowarm.experiment.provenance import provenance
-from knowarm.experiment.registry import DEFAULT_EXPERIMENT, experiment
+from knowarm.experiment.registry import DEFAULT_EXPERIMENT, experiment_config
+from knowarm.experiment.run_folder import provenance
+from knowarm.world.agents import OracleAgent
+from knowarm.world.config import EnvConfig
 from knowarm.world.doctor import Check
-from knowarm.world.env import EnvConfig, ReachVectorEnv
-from knowarm.world.oracle import OracleAgent
+from knowarm.world.vector_env import ReachVectorEnv
 
 MIN_MEMORY_GIB = 2.0
 """Free memory that training needs."""
@@ -64,7 +65,7 @@ def _versions() -> str:
 
 
 def _knowledge() -> str:
-    parts = build(experiment(DEFAULT_EXPERIMENT))
+    parts = build(experiment_config(DEFAULT_EXPERIMENT))
     coverage = parts.embedding.describe()["coverage"]
     share = 100 * coverage["share"]
     return f"vector of {parts.embedding.dim} numbers, {share:.0f} % of labels covered"
@@ -85,12 +86,11 @@ def _world() -> str:
 
 
 def _policy() -> str:
-    parts = build(experiment(DEFAULT_EXPERIMENT))
+    parts = build(experiment_config(DEFAULT_EXPERIMENT))
     policy = parts.new_policy(0)
     image = torch.zeros(1, 64, 64, 3, dtype=torch.uint8)
-    knowledge = torch.from_numpy(parts.table[:1])
-    patches = policy.patches(image)
-    logits, _, _ = policy.step(patches, knowledge, policy.initial_state(1), torch.ones(1).bool())
+    facet, start = torch.zeros(1, dtype=torch.int64), torch.ones(1, dtype=torch.bool)
+    logits, _, _ = policy.step(image, facet, policy.initial_state(1), start)
     if not bool(torch.isfinite(logits).all()):
         raise UserError("the network's outputs are not finite")
     return f"{policy.parameter_counts()['total']:,} parameters, {torch.get_num_threads()} threads"

@@ -1,22 +1,24 @@
-"""Anyone's triples go in; a vector that keeps what it was given comes out.
+"""Knowledge: from a graph of triples to the vector that a policy receives.
 
-read_graph -> gamma -> sentence -> vectors -> scene_embedding
+The steps are `read_graph`, `gamma` (the subgraph around the perceived objects), `sentence` (its
+labels in order), a vector source (see `knowledge.vectors`) and `scene_embedding`.
 """
 
 from knowarm.knowledge.builder import graph_of
-from knowarm.knowledge.config import KnowledgeConfig
+from knowarm.knowledge.config import FULL, FULL_PLUS, KnowledgeConfig
 from knowarm.knowledge.embedding import SceneEmbedding, scene_embedding
 from knowarm.knowledge.facets import Facet
+from knowarm.knowledge.formats import household, read_graph, write_graph
 from knowarm.knowledge.graph import KnowledgeGraph
-from knowarm.knowledge.household import household
-from knowarm.knowledge.presets import KNOWLEDGE
-from knowarm.knowledge.read import read_graph
 from knowarm.knowledge.scene import scene_sentences, scene_subgraph
 from knowarm.knowledge.sentence import sentence
 from knowarm.knowledge.subgraph import gamma
+from knowarm.knowledge.vectors import SOURCES, migrate_source
 
 __all__ = [
-    "KNOWLEDGE",
+    "FULL",
+    "FULL_PLUS",
+    "SOURCES",
     "Facet",
     "KnowledgeConfig",
     "KnowledgeGraph",
@@ -24,9 +26,11 @@ __all__ = [
     "gamma",
     "graph_of",
     "household",
+    "migrate_source",
     "read_graph",
     "scene_embedding",
     "scene_sentences",
     "scene_subgraph",
     "sentence",
+    "write_graph",
 ]

@@ -1,4 +1,4 @@
-"""Triples of names go in one by one; a sorted KnowledgeGraph comes out."""
+"""Construction of graphs from triples of names, and union and difference of graphs."""
 
 from array import array
 from collections.abc import Iterable, Mapping
@@ -7,20 +7,23 @@ import numpy as np
 
 from knowarm.knowledge.graph import KnowledgeGraph, Triple
 from knowarm.knowledge.names import Names
+from knowarm.knowledge.terms import LABEL_RELATIONS, parse_literal
 
 
 class GraphBuilder:
-    """Collects triples while a file is read: one dict lookup a term, four bytes an id.
+    """Collects triples while a file is read: one dict lookup per term, four bytes per id.
 
     Attributes:
-        entities, relations: provisional id by name, in the order of arrival.
-        ids: head, relation, tail of every triple, flat.
+        entities: provisional id by name, in the order of arrival.
+        relations: the same for relations.
+        ids: head, relation and tail id of every triple, flat.
     """
 
     def __init__(self) -> None:
         self.entities: dict[str, int] = {}
         self.relations: dict[str, int] = {}
         self.ids = array("i")
+        self._labels: dict[str, tuple[int, str]] = {}  # (rank of the language, text) by name
 
     def add(self, head: str, relation: str, tail: str) -> None:
         """Add one triple."""
@@ -33,22 +36,38 @@ class GraphBuilder:
             )
         )
 
+    def add_statement(self, head: str, relation: str, tail: str) -> None:
+        """Add one triple of a file; a label statement becomes the label of its head.
+
+        Of several labels of one name the English one is kept, then one without a language, then
+        any; among equals the first in the alphabet.
+        """
+        text = parse_literal(tail) if relation in LABEL_RELATIONS else None
+        if text is None:
+            self.add(head, relation, tail)
+            return
+        language = text.language
+        rank = 1 if language is None else 0 if language.startswith("en") else 2
+        label = (rank, text.value)
+        self._labels[head] = min(label, self._labels.get(head, label))
+
     def add_node(self, name: str) -> None:
         """Add an entity that may have no triple."""
         self.entities.setdefault(name, len(self.entities))
 
     def add_graph(self, graph: KnowledgeGraph) -> None:
-        """Add all triples and entities of a graph."""
+        """Add all triples and entities of a graph, without its labels."""
         for head, relation, tail in graph:
             self.add(head, relation, tail)
         for name in graph.entities:
             self.add_node(name)
 
-    def build(self, labels: Mapping[str, str]) -> KnowledgeGraph:
-        """Number the names in their order and make the graph.
+    def build(self, labels: Mapping[str, str] | None = None) -> KnowledgeGraph:
+        """Sort and number the names and make the graph.
 
         Args:
-            labels: written labels by name; those of names not in the graph are left out.
+            labels: written labels by name, beside those of the added statements; labels of names
+                that are not in the graph are dropped.
         """
         entity_names, entity_rank = _sorted(self.entities)
         relation_names, relation_rank = _sorted(self.relations)
@@ -56,9 +75,10 @@ class GraphBuilder:
         triples[:, 0] = entity_rank[triples[:, 0]]
         triples[:, 1] = relation_rank[triples[:, 1]]
         triples[:, 2] = entity_rank[triples[:, 2]]
+        written = {name: text for name, (_, text) in self._labels.items()} | dict(labels or {})
         kept = {
-            name: labels[name]
-            for name in sorted(labels)
+            name: written[name]
+            for name in sorted(written)
             if name in self.entities or name in self.relations
         }
         nodes = np.arange(len(self.entities), dtype=np.int32)
@@ -80,10 +100,52 @@ def graph_of(
     nodes: Iterable[str] = (),
     labels: Mapping[str, str] | None = None,
 ) -> KnowledgeGraph:
-    """Make a graph of triples of names, and of entities that may have no triple."""
+    """Make a graph.
+
+    Args:
+        triples: (head, relation, tail) names in any order.
+        nodes: entities that may have no triple.
+        labels: written labels by name.
+
+    Example:
+        >>> graph = graph_of([("mug", "hasColor", "red"), ("mug", "isA", "cup")])
+        >>> list(graph)
+        [('mug', 'hasColor', 'red'), ('mug', 'isA', 'cup')]
+    """
     builder = GraphBuilder()
     for head, relation, tail in triples:
         builder.add(head, relation, tail)
     for node in nodes:
         builder.add_node(node)
-    return builder.build(labels or {})
+    return builder.build(labels)
+
+
+def union(first: KnowledgeGraph, second: KnowledgeGraph) -> KnowledgeGraph:
+    """Return the triples and entities of both; where labels differ, the first graph's are kept."""
+    builder = GraphBuilder()
+    for graph in (first, second):
+        builder.add_graph(graph)
+    return builder.build({**second.own_labels(), **first.own_labels()})
+
+
+def difference(first: KnowledgeGraph, second: KnowledgeGraph) -> KnowledgeGraph:
+    """Return the triples of the first graph that the second lacks, with the entities they name."""
+    excluded = set(second)
+    keep = [row for row, triple in enumerate(first) if triple not in excluded]
+    return first.rows(np.array(keep, np.int64))
+
+
+def shuffle_tails(graph: KnowledgeGraph, seed: int) -> KnowledgeGraph:
+    """Permute the tails within each relation, so that counts stay and facts change.
+
+    Triples that become equal are merged into one.
+    """
+    generator = np.random.default_rng(seed)
+    tails = graph.tails.copy()
+    for relation in np.unique(graph.relations):
+        rows = np.flatnonzero(graph.relations == relation)
+        tails[rows] = tails[generator.permutation(rows)]
+    triples = np.stack([graph.heads, graph.relations, tails], axis=1)
+    return KnowledgeGraph(
+        graph.names, graph.relation_names, triples, nodes=graph.nodes, labels=graph.labels
+    )

@@ -1,124 +1,157 @@
-"""A graph goes in; an SVG drawing in columns, from the objects to what they lead to, comes out."""
+"""Drawings as SVG files: graphs in columns around their objects, and tables of cosines."""
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
+
+import numpy as np
 
 from knowarm.errors import UserError
 from knowarm.knowledge.graph import KnowledgeGraph
-from knowarm.knowledge.labels import label_of
+from knowarm.knowledge.terms import label_of
+from knowarm.svg import curve, document, element, hover, label, text_width
+
+MAX_ENTITIES = 300
+"""Largest graph that is drawn; a larger drawing cannot be read."""
 
 TALL = 16
-"""A column of as many neighbours is split over both sides."""
-
-MOST_ENTITIES = 300
-"""More than this nobody can read."""
+"""A column of at least as many neighbours is split over both sides of the roots."""
 
 ROW, GAP, TOP = 26, 22, 46
-LETTER, PAD, COLUMN = 7.4, 12, 190
+PAD, COLUMN = 12, 190
+"""Sizes [px]: of a row, above a group, above the drawing; beside a label, between columns."""
+
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b8860b", "#56b4e9", "#7f5fb0", "#8c564b")
-"""One a root; the first six are Okabe and Ito's, which colour-blind readers can tell apart."""
+"""One per root; the first six are Okabe and Ito's, which colour-blind readers can tell apart."""
+
 GREY = "#8a8a8a"
+CELL = 46
+BLUE, RED = (33, 102, 172), (178, 24, 43)
+"""Colours of the cosines -1 and 1."""
 
 
 @dataclass
 class _Box:
-    """Where one entity stands."""
+    """An entity's label and its place [px]."""
 
     label: str
     column: int
-    group: str
+    group: str = ""
     x: float = 0.0
     y: float = 0.0
 
     @property
     def width(self) -> float:
-        return len(self.label) * LETTER + 2 * PAD
+        return text_width(self.label) + 2 * PAD
 
 
 def draw_svg(graph: KnowledgeGraph, roots: Sequence[str] = (), title: str = "") -> str:
-    """Draw a graph.
+    """Draw a graph as an SVG file.
 
-    The roots stand in the first column, each other entity in the column of its distance from them;
-    within a column, entities are grouped under the relation that reaches them. Edges carry the
+    The roots are in the first column, each other entity in the column of its distance from them.
+    Within a column, entities are grouped under the relation that reaches them. Edges have the
     colour of the root they come from.
 
     Args:
-        graph: what to draw, at most MOST_ENTITIES entities.
-        roots: entities of the first column; none takes all that no edge points to.
+        graph: the graph, at most `MAX_ENTITIES` entities.
+        roots: entities of the first column; none takes all entities without an incoming edge.
         title: heading of the drawing.
 
     Returns:
-        The text of an SVG file.
+        The text of the file.
 
     Raises:
         UserError: the graph is empty or too large, or a root is not in it.
     """
     if not len(graph.nodes):
-        raise UserError("The graph is empty, so there is nothing to draw. Name other objects.")
-    if len(graph.nodes) > MOST_ENTITIES:
+        raise UserError("The graph is empty, so there is nothing to draw. Give other objects.")
+    if len(graph.nodes) > MAX_ENTITIES:
         raise UserError(
             f"The graph has {len(graph.nodes):,} entities; a drawing holds at most "
-            f"{MOST_ENTITIES}. Name --objects, fewer --hops or some --relations."
+            f"{MAX_ENTITIES}. Select a part by objects, fewer hops or some relations."
         )
     first = [graph.entity_id(name) for name in dict.fromkeys(roots)] or _sources(graph)
     boxes, colours = _columns(graph, first)
     _use_both_sides(boxes)
     headings = _place(graph, boxes)
-    right = max(box.x + box.width for box in boxes.values()) + 24
-    bottom = max(box.y for box in boxes.values()) + ROW + 16
     parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{right:.0f}" height="{bottom:.0f}" '
-        f'viewBox="0 0 {right:.0f} {bottom:.0f}" role="img" font-size="13" '
-        f'font-family="Helvetica, Arial, sans-serif">',
-        f"<title>{escape(title or 'Knowledge graph')}</title>",
-        f"<desc>{len(graph)} facts: {escape(_description(graph))}</desc>",
-        '<rect width="100%" height="100%" fill="#ffffff"/>',
-        f'<text x="16" y="26" font-size="16" font-weight="bold" fill="#222">{escape(title)}</text>',
-    ]
-    parts += _edges(graph, boxes, colours)
-    parts += [
-        f'<text x="{x:.1f}" y="{y:.1f}" fill="#666" font-style="italic">{escape(text)}</text>'
-        for x, y, text in headings
+        label(16, 26, title, font_size=16, font_weight="bold", fill="#222"),
+        *_edges(graph, boxes, colours),
+        *(label(x, y, text, fill="#666", font_style="italic") for x, y, text in headings),
     ]
     for entity, box in sorted(boxes.items()):
         parts += _box(box, colours.get(entity, GREY) if box.column == 0 else None)
-    return "\n".join([*parts, "</svg>"]) + "\n"
+    return document(
+        round(max(box.x + box.width for box in boxes.values()) + 24),
+        round(max(box.y for box in boxes.values()) + ROW + 16),
+        title or "Knowledge graph",
+        *parts,
+        description=f"{len(graph)} facts: {_description(graph)}",
+    )
+
+
+def heatmap_svg(values: np.ndarray, rows: Sequence[str], title: str, note: str = "") -> str:
+    """Draw a square table such as cosines: white is 0, red 1, blue -1, with every number written.
+
+    Args:
+        values: (n, n) float; NaN is left blank.
+        rows: names of rows and columns, n.
+        title: heading.
+        note: line below the heading.
+
+    Returns:
+        The text of an SVG file.
+    """
+    top, left = 60, 20 + max(map(text_width, rows))
+    parts = [
+        label(10, 22, title, font_size=15, font_weight="bold", fill="#222"),
+        label(10, 42, note, fill="#555"),
+    ]
+    ink = {"fill": "#222"}
+    for i, name in enumerate(rows):
+        middle = CELL * (i + 0.5)
+        row_name = f"{i + 1}. {name}"
+        parts.append(label(left - 8, top + middle + 4, row_name, text_anchor="end", **ink))
+        bottom = top + CELL * len(rows) + 18
+        parts.append(label(left + middle, bottom, str(i + 1), text_anchor="middle", **ink))
+        for j, value in enumerate(values[i].tolist()):
+            parts += _cell(left + CELL * j, top + CELL * i, value)
+    width = max(left + CELL * len(rows), text_width(title, 15), text_width(note)) + 20
+    return document(round(width), top + CELL * len(rows) + 34, title, *parts)
 
 
 def _sources(graph: KnowledgeGraph) -> list[int]:
-    """Return the entities that no edge points to; all heads where there is none."""
+    """Return the entities without an incoming edge; all heads if there is none."""
     reached = set(graph.tails.tolist())
     sources = [int(i) for i in graph.nodes if int(i) not in reached]
     return sources or sorted(set(graph.heads.tolist())) or graph.nodes.tolist()
 
 
 def _columns(graph: KnowledgeGraph, first: list[int]) -> tuple[dict[int, _Box], dict[int, str]]:
-    """Give every entity its column and group, and every entity the colour of its root."""
+    """Return every entity's box, with column and group, and the colour of its root."""
     beside: dict[int, list[tuple[str, int]]] = defaultdict(list)
     for h, r, t in zip(graph.heads, graph.relations, graph.tails, strict=True):
-        said = label_of(graph.relation_names[int(r)], graph.labels)
-        beside[int(h)].append((said, int(t)))
-        beside[int(t)].append((f"{said} (of)", int(h)))
+        words = label_of(graph.relation_names[int(r)], graph.labels)
+        beside[int(h)].append((words, int(t)))
+        beside[int(t)].append((f"{words} (of)", int(h)))
     colours = {root: COLOURS[i % len(COLOURS)] for i, root in enumerate(first)}
-    boxes = {i: _Box(label_of(graph.names[i], graph.labels), 0, "") for i in first}
+    boxes = {i: _Box(label_of(graph.names[i], graph.labels), 0) for i in first}
     frontier, column = list(first), 0
     while frontier or len(boxes) < len(graph.nodes):
         column += 1
-        if not frontier:  # a part that no edge joins to the roots
+        if not frontier:  # a component without a root
             rest = [int(i) for i in graph.nodes if int(i) not in boxes]
-            boxes |= {i: _Box(label_of(graph.names[i], graph.labels), 0, "") for i in rest[:1]}
+            boxes |= {i: _Box(label_of(graph.names[i], graph.labels), 0) for i in rest[:1]}
             frontier, column = rest[:1], 0
             continue
         reached: dict[int, str] = {}
         for entity in frontier:
-            for said, other in beside[entity]:
+            for words, other in beside[entity]:
                 if other not in boxes and other not in reached:
-                    reached[other] = said
+                    reached[other] = words
                     colours[other] = colours.get(entity, GREY)
-        for other, said in reached.items():
-            boxes[other] = _Box(label_of(graph.names[other], graph.labels), column, said)
+        for other, words in reached.items():
+            boxes[other] = _Box(label_of(graph.names[other], graph.labels), column, words)
         frontier = sorted(reached)
     return boxes, colours
 
@@ -140,7 +173,7 @@ def _use_both_sides(boxes: dict[int, _Box]) -> None:
 
 
 def _place(graph: KnowledgeGraph, boxes: dict[int, _Box]) -> list[tuple[float, float, str]]:
-    """Set every box's place; return the headings of the groups: x, y, text."""
+    """Set the place of every box; return the headings of the groups: x, y, text."""
     headings: list[tuple[float, float, str]] = []
     x = 24.0
     tallest = 0.0
@@ -180,45 +213,58 @@ def _barycentre(graph: KnowledgeGraph, boxes: dict[int, _Box], entity: int) -> f
     return sum(placed) / len(placed) if placed else 0.0
 
 
-def _edges(graph: KnowledgeGraph, boxes: dict[int, _Box], colours: dict[int, str]) -> list[str]:
-    """Return one curve an edge, with the fact as its tooltip."""
+def _edges(
+    graph: KnowledgeGraph, boxes: Mapping[int, _Box], colours: Mapping[int, str]
+) -> list[str]:
+    """Return one curve per edge, with the fact as its tooltip."""
     parts = []
     for h, r, t in zip(graph.heads, graph.relations, graph.tails, strict=True):
         head, tail = boxes[int(h)], boxes[int(t)]
         left, right = (head, tail) if head.column <= tail.column else (tail, head)
-        x1, y1 = left.x + left.width, left.y + ROW / 2 - 2
-        x2, y2 = right.x, right.y + ROW / 2 - 2
-        if left.column == right.column:
-            x2 = right.x + right.width
-            bend = x1 + 40
-            path = f"M{x1:.1f} {y1:.1f} C{bend:.1f} {y1:.1f} {bend:.1f} {y2:.1f} {x2:.1f} {y2:.1f}"
-        else:
-            middle = (x1 + x2) / 2
-            path = (
-                f"M{x1:.1f} {y1:.1f} C{middle:.1f} {y1:.1f} {middle:.1f} {y2:.1f} {x2:.1f} {y2:.1f}"
-            )
-        said = label_of(graph.relation_names[int(r)], graph.labels)
-        colour = colours.get(int(h), GREY)
+        start = (left.x + left.width, left.y + ROW / 2 - 2)
+        end = (right.x + right.width * (left.column == right.column), right.y + ROW / 2 - 2)
+        words = label_of(graph.relation_names[int(r)], graph.labels)
         parts.append(
-            f'<path d="{path}" fill="none" stroke="{colour}" stroke-width="1.4" '
-            f'stroke-opacity="0.75"><title>{escape(f"{head.label} {said} {tail.label}")}</title>'
-            f"</path>"
+            curve(
+                start,
+                end,
+                hover(f"{head.label} {words} {tail.label}"),
+                bend=40 if left.column == right.column else None,
+                fill="none",
+                stroke=colours.get(int(h), GREY),
+                stroke_width=1.4,
+                stroke_opacity=0.75,
+            )
         )
     return parts
 
 
 def _box(box: _Box, colour: str | None) -> list[str]:
-    fill, text = ("#f1f1f1", "#222") if colour is None else (colour, "#fff")
+    fill, ink = ("#f1f1f1", "#222") if colour is None else (colour, "#fff")
+    size = {"x": box.x, "y": box.y, "width": box.width, "height": ROW - 4, "rx": 6}
+    middle = box.x + box.width / 2
     return [
-        f'<rect x="{box.x:.1f}" y="{box.y:.1f}" width="{box.width:.1f}" height="{ROW - 4}" '
-        f'rx="6" fill="{fill}" stroke="{colour or "#c8c8c8"}"/>',
-        f'<text x="{box.x + box.width / 2:.1f}" y="{box.y + 15.5:.1f}" text-anchor="middle" '
-        f'fill="{text}">{escape(box.label)}</text>',
+        element("rect", **size, fill=fill, stroke=colour or "#c8c8c8"),
+        label(middle, box.y + 15.5, box.label, text_anchor="middle", fill=ink),
+    ]
+
+
+def _cell(x: float, y: float, value: float) -> list[str]:
+    if np.isnan(value):
+        return []
+    strength = min(abs(value), 1.0)
+    target = RED if value > 0 else BLUE
+    colour = ",".join(str(round(255 + (part - 255) * strength)) for part in target)
+    ink = "#ffffff" if strength > 0.6 else "#222222"
+    middle = (x + CELL / 2, y + CELL / 2 + 4)
+    return [
+        element("rect", x=x, y=y, width=CELL, height=CELL, fill=f"rgb({colour})", stroke="#fff"),
+        label(*middle, f"{value:.2f}", text_anchor="middle", fill=ink),
     ]
 
 
 def _description(graph: KnowledgeGraph, most: int = 60) -> str:
-    """Say the facts, for readers who do not see the drawing."""
+    """Return the facts as text for screen readers."""
     labels = graph.labels
     facts = ["{} {} {}".format(*(label_of(n, labels) for n in triple)) for triple in graph]
     more = f"; and {len(facts) - most} more" if len(facts) > most else ""

@@ -1,6 +1,6 @@
-"""A graph, vectors and the task's (object, colour) pairs go in; what the policy is given comes out.
+"""Scene embedding: slots of numbers that describe the task's objects.
 
-graph -> Gamma -> sentence -> vectors -> one slot a facet -> slots side by side
+Pipeline: graph -> Gamma -> sentence -> vectors -> one slot per facet -> slots concatenated.
 """
 
 from collections.abc import Sequence
@@ -13,71 +13,69 @@ from knowarm.errors import UserError
 from knowarm.knowledge.config import KnowledgeConfig, Scope
 from knowarm.knowledge.facets import Facet, slots_of
 from knowarm.knowledge.graph import KnowledgeGraph
-from knowarm.knowledge.labels import label_of
-from knowarm.knowledge.pooling import slot_vector
+from knowarm.knowledge.pooling import centre_of, slot_vector
 from knowarm.knowledge.scene import Facets, load_graph, slot_subgraphs
-from knowarm.knowledge.sentence import Part, sentence_parts
-from knowarm.knowledge.vectors.coverage import Coverage
-from knowarm.knowledge.vectors.open import centre_of, graph_parts, open_source
-from knowarm.knowledge.vectors.placebos import SLOT_PLACEBOS
+from knowarm.knowledge.sentence import Part, graph_parts, sentence_parts
+from knowarm.knowledge.terms import label_of
+from knowarm.knowledge.vectors.source import CodeSource, Coverage, Request, VectorSource
 
 
 @dataclass(frozen=True, kw_only=True)
 class SceneEmbedding:
-    """Named slots of numbers, and how they came about."""
+    """Slots of numbers with their names and their origin."""
 
     config: KnowledgeConfig
-    """What was asked for."""
+    """The config it was made by."""
     slots: tuple[Facet, ...]
-    """What each slot describes; empty for detail "none"."""
+    """Object and colour of each slot; empty for detail "none"."""
     matrix: np.ndarray = field(repr=False)
     """The slots' vectors, (S, slot_dim) float32."""
     coverage: Coverage = field(repr=False)
-    """How the labels were found."""
+    """How labels were found among the vectors."""
     sentences: tuple[str, ...] = field(repr=False)
-    """The sentence of each slot; empty strings where a placebo has none."""
+    """Sentence of each slot; empty strings for placebos without one."""
     note: str = ""
-    """What a reader must know about this input; empty for most."""
+    """Remark for reports; empty for most sources."""
 
     @property
     def scope(self) -> Scope:
-        """Whether the policy gets all slots or the episode's own."""
+        """Whether the policy gets all slots or that of the episode's target."""
         return self.config.scope
 
     @property
     def slot_dim(self) -> int:
-        """Numbers a slot."""
+        """Numbers per slot."""
         return int(self.matrix.shape[1])
 
     @property
     def vector(self) -> np.ndarray:
-        """All slots side by side, (S * slot_dim,) float32."""
+        """All slots concatenated, (S * slot_dim,) float32."""
         return self.matrix.reshape(-1)
 
     @property
     def dim(self) -> int:
-        """K: numbers that the policy gets, S * slot_dim (scene) or slot_dim (target)."""
+        """K, the width of the policy's input: S * slot_dim (scene) or slot_dim (target)."""
         if not self.slots:
             return 0
         return self.slot_dim if self.scope == "target" else self.matrix.size
 
     @property
     def norm(self) -> float:
-        """Euclidean length of the vector."""
+        """Euclidean norm of the vector."""
         return float(np.linalg.norm(self.vector.astype(np.float64)))
 
     @property
     def constant(self) -> bool:
-        """Whether every episode gets the same numbers, so that they act as a bias only."""
+        """Whether every episode gets the same numbers, which then act as a bias."""
         return self.dim > 0 and (self.scope == "scene" or len(self.slots) == 1)
 
     @property
     def privileged(self) -> bool:
-        """Whether the numbers tell the episode's object, which no camera told."""
+        """Whether the numbers identify the target of the episode."""
         return self.dim > 0 and self.scope == "target"
 
     def table(self, facets: Facets) -> np.ndarray:
-        """Return what the policy gets in an episode of each facet, (F, K) float32.
+        """Return the knowledge input of the policy for each facet, (F, K) float32.
 
         Raises:
             UserError: a facet has no slot (scope "target" only).
@@ -96,7 +94,7 @@ class SceneEmbedding:
         return self.slots.index(wanted)
 
     def describe(self) -> dict[str, Any]:
-        """Return all that a run folder keeps about its knowledge, JSON-able."""
+        """Return the description that a run folder stores, JSON-able."""
         return {
             "config": asdict(self.config),
             "slots": [slot.name for slot in self.slots],
@@ -113,77 +111,83 @@ class SceneEmbedding:
 
 
 def scene_embedding(config: KnowledgeConfig, facets: Facets) -> SceneEmbedding:
-    """Embed what the graph says about the task's objects.
+    """Embed the facts of the graph about the task's objects.
 
     Args:
-        config: where from and how.
+        config: the graph, the source of vectors and the choices between.
         facets: the environment's (object, colour) pairs in its order.
 
     Raises:
-        UserError: the graph, an object, a colour or a vector cannot be found; see the message.
+        UserError: the graph, an object, a colour or a vector cannot be found.
+
+    Example:
+        >>> config = KnowledgeConfig(detail="full")
+        >>> scene_embedding(config, [("mug", "red"), ("mug", "blue")]).matrix.shape
+        (2, 50)
     """
-    slots = slots_of(config, facets)
-    if not slots:
-        empty = np.zeros((0, config.dim), np.float32)
-        return SceneEmbedding(
-            config=config, slots=(), matrix=empty, coverage=Coverage(), sentences=()
-        )
+    slots, source = slots_of(config, facets), config.source
     if config.colour_share is not None and not 0 <= config.colour_share <= 1:
         raise UserError(f"colour_share is {config.colour_share}; it must lie between 0 and 1.")
-    matrix, coverage, sentences = _real_slots(config, slots)
-    placebo = SLOT_PLACEBOS.get(config.source)
-    note = NOTES.get(config.source, "")
-    if placebo is not None:
-        if config.source in ("onehot", "learned") and len(slots) > config.dim:
-            raise UserError(
-                f"{len(slots)} slots do not fit a one-hot of {config.dim} numbers. "
-                f"Set --dim to {len(slots)} or more."
-            )
-        matrix, sentences = placebo(matrix, config.seed), ("",) * len(slots)
+    coverage = Coverage()
+    sentences = ("",) * len(slots)
+    if not slots:
+        matrix = np.zeros((0, config.dim), np.float32)
+    elif isinstance(source, CodeSource):
+        matrix = source.code(len(slots), config.dim)
+    elif isinstance(source, VectorSource):
+        matrix, real_sentences = _pooled_slots(config, source, slots, coverage)
+        changed = source.change_slots(matrix, config.seed)
+        if changed is None:
+            sentences = real_sentences
+        else:
+            matrix = changed
+    else:
+        raise UserError(f"source must be a VectorSource or a CodeSource, got {source!r}.")
     return SceneEmbedding(
         config=config,
         slots=slots,
         matrix=matrix,
         coverage=coverage,
         sentences=sentences,
-        note=note,
+        note=source.note if slots else "",
     )
 
 
-NOTES = {
-    "zeros": "placebo: zeros, the network's shape without knowledge",
-    "random": "placebo: random numbers, each slot as long as the real one",
-    "onehot": "placebo: one-hot slot numbers, as long as the real slots; identity without meaning",
-    "shuffled": "placebo: the graph's tails are permuted within each relation",
-    "wrong-object": "placebo: every slot describes another object than its own",
-    "learned": "one-hot slot numbers; the policy learns the vectors itself (encoder 'learned')",
-}
-"""What reports say beside a placebo."""
-
-
-def _real_slots(
-    config: KnowledgeConfig, slots: Sequence[Facet]
-) -> tuple[np.ndarray, Coverage, tuple[str, ...]]:
-    """Return the slots' vectors (S, D) float32 before any placebo, coverage and sentences."""
+def _pooled_slots(
+    config: KnowledgeConfig, source: VectorSource, slots: Sequence[Facet], coverage: Coverage
+) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Return the slots' vectors, (S, D) float32, and sentences; record how labels were found."""
     graph = load_graph(config)
     subgraphs, colours = slot_subgraphs(graph, slots, config)
     sentences = [sentence_parts(sub, config.sentence) for sub in subgraphs]
     everything = graph_parts(graph, relation_words=config.relation_words) if config.centring else []
-    needed: list[Part] = [part for parts in sentences for part in parts]
-    source = open_source(config, graph, needed + everything)
-    centre = centre_of(source, everything) if config.centring else 0.0
-    hue_centre = centre_of(source, _colours(graph, config)) if config.centring else 0.0
-    coverage = Coverage()
+    lookup = source.open(
+        Request(
+            graph=graph,
+            parts=[*(part for parts in sentences for part in parts), *everything],
+            dim=config.dim,
+            seed=config.seed,
+            aliases=config.aliases,
+            on_missing=config.on_missing,
+        )
+    )
+    if lookup.dim != config.dim:
+        raise UserError(
+            f"{lookup.name} has {lookup.dim} numbers per word, but the config expects "
+            f"{config.dim}. Take vectors of {config.dim} numbers or set dim to {lookup.dim}."
+        )
+    centre = centre_of(lookup, everything) if config.centring else 0.0
+    hue_centre = centre_of(lookup, _colours(graph, config)) if config.centring else 0.0
     rows = [
-        slot_vector(parts, colour, source, config, centre, hue_centre, coverage)
+        slot_vector(parts, colour, lookup, config, centre, hue_centre, coverage)
         for parts, colour in zip(sentences, colours, strict=True)
     ]
-    said_words = tuple(" ".join(part.label for part in parts) for parts in sentences)
-    return np.array(rows, np.float32), coverage, said_words
+    words = tuple(" ".join(part.label for part in parts) for parts in sentences)
+    return np.array(rows, np.float32), words
 
 
 def _colours(graph: KnowledgeGraph, config: KnowledgeConfig) -> list[Part]:
-    """Return the label of every colour that the graph knows."""
+    """Return the label of every colour in the graph."""
     if config.detail != "full":
         return []
     rows = graph.relations == graph.relation_id(config.colour_relation)

@@ -1,4 +1,4 @@
-"""The task's (object, colour) pairs go in; one subgraph a slot comes out."""
+"""Facets: (object, colour) pairs of the task, the slots they fill, and their subgraphs."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,9 +8,8 @@ import numpy as np
 from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge.config import KnowledgeConfig
 from knowarm.knowledge.graph import KnowledgeGraph
-from knowarm.knowledge.labels import label_of
 from knowarm.knowledge.subgraph import gamma
-from knowarm.knowledge.term import local_name
+from knowarm.knowledge.terms import label_of, local_name
 
 
 @dataclass(frozen=True)
@@ -20,7 +19,7 @@ class Facet:
     object: str
     """The object, by its name in the task."""
     colour: str | None
-    """The colour, by its name in the task; None describes the object whatever its colour."""
+    """The colour, by its name in the task; None describes the object without its colours."""
 
     @property
     def name(self) -> str:
@@ -30,7 +29,7 @@ class Facet:
 
 
 def slots_of(config: KnowledgeConfig, facets: Sequence[tuple[str, str]]) -> tuple[Facet, ...]:
-    """Return the slots, in the facets' order: one an object (partial) or one a facet (full)."""
+    """Return the slots in the order of the facets: one per object (partial) or facet (full)."""
     if config.detail == "none":
         return ()
     if config.detail == "partial":
@@ -38,17 +37,35 @@ def slots_of(config: KnowledgeConfig, facets: Sequence[tuple[str, str]]) -> tupl
     return tuple(Facet(*pair) for pair in dict.fromkeys(map(tuple, facets)))
 
 
+def graph_facets(
+    objects: Sequence[str], graph: KnowledgeGraph, colour_relation: str = "hasColor"
+) -> list[tuple[str, str]]:
+    """Return (object, colour) pairs with the colours that the graph gives each object, by name.
+
+    An object without a colour gets the pair (object, ""), which only detail "partial" accepts.
+    """
+    exact = graph.relation_names.find(colour_relation)
+    wanted = graph.relation_names.find_local(colour_relation) if exact is None else [exact]
+    pairs = []
+    for name in objects:
+        rows = graph.out_rows(graph.entity_id(name))
+        tails = graph.tails[rows][np.isin(graph.relations[rows], wanted)]
+        colours = [local_name(graph.names[i]) for i in np.sort(tails)]
+        pairs += [(name, colour) for colour in colours or [""]]
+    return pairs
+
+
 def facet_subgraph(
     graph: KnowledgeGraph, facet: Facet, config: KnowledgeConfig, colour_index: int | None = None
 ) -> KnowledgeGraph:
-    """Return what the graph says about a facet: Gamma of the object, with the facet's colour only.
+    """Select the subgraph of a facet: Gamma of the object, with the facet's colour only.
 
     Args:
         graph: the whole graph.
         facet: the object and its colour, or None for no colour fact.
         config: hops, direction, relations and the name of the colour relation.
-        colour_index: take the object's colour with this number instead of the facet's own: for
-            a false graph, which does not know the true colour.
+        colour_index: take the object's colour of this number in place of the facet's own: for a
+            falsified graph, which does not hold the true colour.
 
     Raises:
         UserError: the graph lacks the object, the colour relation, or that colour of the object.
@@ -73,14 +90,14 @@ def facet_subgraph(
 
 
 def _colour_relation(graph: KnowledgeGraph, name: str, *, required: bool) -> int:
-    """Return the relation's id; -1 where the graph has none and none is needed."""
+    """Return the relation's id; -1 if the graph has none and none is required."""
     try:
         return graph.relation_id(name)
     except UserError as error:
         if not required:
             return -1
         known = [local_name(n) for n in graph.relation_names]
-        hint = " Name the graph's relation with --colour-relation, or take --detail partial."
+        hint = " Set colour_relation to the graph's relation, or detail to 'partial'."
         raise UserError(str(unknown_name("colour relation", name, known)) + hint) from error
 
 
@@ -103,11 +120,11 @@ def _colour_row(
     if not wanted:
         raise UserError(
             f"{facet.object!r} has no colour in the graph, so detail 'full' cannot describe it. "
-            f"Add its colours to the graph, or take --detail partial."
+            f"Add its colours to the graph, or set detail to 'partial'."
         )
     known = sorted(local_name(around.names[around.tails[row]]) for row in rows)
     raise UserError(
         f"The graph does not say that {facet.object!r} can be {wanted!r}. "
         f"Its colours there: {', '.join(known) or 'none'}. "
-        f"Add that fact to the graph, or take --detail partial."
+        f"Add that fact to the graph, or set detail to 'partial'."
     )

@@ -1,4 +1,4 @@
-"""Triples go in; a graph that answers who stands beside whom in microseconds comes out."""
+"""Knowledge graph: a set of triples as sorted integer arrays with fast neighbour lookup."""
 
 from collections.abc import Iterator, Mapping
 from functools import cached_property
@@ -7,13 +7,13 @@ import numpy as np
 
 from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge.names import Names
-from knowarm.knowledge.term import local_name
+from knowarm.knowledge.terms import local_name
 
 Triple = tuple[str, str, str]
 """(head, relation, tail), e.g. ("mug", "hasColor", "red")."""
 
 _FEW = 20_000
-"""With more entities than this, an error looks for nearest names among likely ones only."""
+"""With more entities than this, an error suggests names with the same first letter only."""
 
 
 class KnowledgeGraph:
@@ -21,14 +21,15 @@ class KnowledgeGraph:
 
     Entities and relations are numbered in the order of their names. Triples are sorted by (head,
     relation, tail), with a second order by tail, so that the edges of an entity are one slice in
-    either direction: about 20 bytes a triple and the names. A graph never changes.
+    either direction. A triple takes about 20 bytes. A graph is immutable.
 
     A subgraph shares its parent's names, so that it costs only its own edges.
 
     Attributes:
-        names, relation_names: the names that ids point into.
-        heads, relations, tails: ids, each (n,) int32, sorted by (head, relation, tail), no copies.
-        labels: written label (rdfs:label) by entity or relation name, where there is one.
+        names: entity names by id.
+        relation_names: relation names by id.
+        heads, relations, tails: ids, each (n,) int32, sorted by (head, relation, tail), distinct.
+        labels: written label (rdfs:label) by entity or relation name.
     """
 
     def __init__(
@@ -40,7 +41,15 @@ class KnowledgeGraph:
         nodes: np.ndarray | None = None,
         labels: Mapping[str, str] | None = None,
     ) -> None:
-        """Make a graph of id triples (n, 3) in any order, with or without duplicates."""
+        """Make a graph.
+
+        Args:
+            names: entity names by id.
+            relation_names: relation names by id.
+            triples: ids (n, 3) int: head, relation, tail, in any order; duplicates are merged.
+            nodes: ids of entities that may have no triple, (m,) int32.
+            labels: written labels by name.
+        """
         order = np.lexsort((triples[:, 2], triples[:, 1], triples[:, 0]))
         triples = triples[order].astype(np.int32, copy=False)
         if len(triples):
@@ -89,7 +98,7 @@ class KnowledgeGraph:
         return bool(((self.relations[rows] == relation) & (self.tails[rows] == tail)).any())
 
     def __eq__(self, other: object) -> bool:
-        """Two graphs are equal when they hold the same triples, entities and labels by name."""
+        """Return whether both graphs hold the same triples, entities and labels by name."""
         if not isinstance(other, KnowledgeGraph):
             return NotImplemented
         if len(self) != len(other) or len(self.nodes) != len(other.nodes):
@@ -100,7 +109,7 @@ class KnowledgeGraph:
             and (self.own_labels() == other.own_labels())
         )
 
-    __hash__ = None  # type: ignore[assignment]  # equality looks at every triple
+    __hash__ = None  # type: ignore[assignment]  # equality compares every triple
 
     def __repr__(self) -> str:
         return (
@@ -128,7 +137,7 @@ class KnowledgeGraph:
         return sum(a.nbytes for a in arrays) + self.nodes.nbytes + names
 
     def own_labels(self) -> dict[str, str]:
-        """Return the labels of the entities and relations that this graph itself contains."""
+        """Return the labels of the entities and relations of this graph."""
         inside = {*self.entities, *self.relations_used} if self.labels else set()
         return {name: label for name, label in self.labels.items() if name in inside}
 
@@ -146,9 +155,11 @@ class KnowledgeGraph:
         return self.by_tail[low:high]
 
     def rows(self, rows: np.ndarray, nodes: np.ndarray | None = None) -> "KnowledgeGraph":
-        """Return the subgraph of rows (k,) int, ascending, and of nodes (m,) that may stand alone.
+        """Return a subgraph that shares the names.
 
-        Rows keep their order, so nothing is sorted again.
+        Args:
+            rows: rows of the triples to keep, (k,) int, ascending.
+            nodes: ids of entities that may have no triple, (m,) int32.
         """
         part = object.__new__(KnowledgeGraph)
         part.names, part.relation_names, part.labels = self.names, self.relation_names, self.labels
@@ -163,7 +174,7 @@ class KnowledgeGraph:
         """Return the id of an entity given by name, last part of its IRI, or label.
 
         Raises:
-            UserError: nothing in this graph is called so, or several things are.
+            UserError: no entity of this graph has that name, or several have.
         """
         exact = self.names.find(name)
         if exact is not None and self._has_node(exact):
@@ -178,7 +189,7 @@ class KnowledgeGraph:
             full = ", ".join(sorted(self.names[i] for i in found)[:5])
             raise UserError(
                 f"{name!r} names {len(found)} entities of the graph: {full}. "
-                f"Give the full name of the one you mean."
+                f"Give the full name of one of them."
             )
         names = {local_name(n) for n in self.entities}
         if len(names) > _FEW:

@@ -1,4 +1,4 @@
-"""Strings go in; a sorted table of names in two arrays comes out: small, and searched in place."""
+"""Table of sorted names in two arrays: compact, and searched without unpacking."""
 
 from collections.abc import Iterable, Iterator
 
@@ -8,14 +8,14 @@ SEPARATOR = b"\0"
 
 
 class Names:
-    """Sorted distinct strings without an object each.
+    """Sorted distinct strings, held without one Python object per string.
 
     A million names of 30 letters take 39 MB here and 143 MB as a Python dict. The id of a name is
-    its place in the order of code points, so ids do not depend on the order of reading.
+    its rank in the order of code points, so ids do not depend on the order of reading.
 
     Attributes:
         blob: every name as UTF-8, each followed by a zero byte.
-        offsets: where name i begins, shape (n + 1,), int64.
+        offsets: first byte of name i, (n + 1,) int64.
     """
 
     __slots__ = ("blob", "offsets")

@@ -1,4 +1,4 @@
-"""A sentence's parts and a source of vectors go in; one slot of numbers comes out."""
+"""Pooling: from the vectors of a sentence's labels to one slot."""
 
 from collections.abc import Sequence
 
@@ -7,8 +7,7 @@ import numpy as np
 from knowarm.errors import UserError
 from knowarm.knowledge.config import KnowledgeConfig, Pooling
 from knowarm.knowledge.sentence import Part
-from knowarm.knowledge.vectors.coverage import Coverage
-from knowarm.knowledge.vectors.source import Found, VectorSource
+from knowarm.knowledge.vectors.source import Coverage, Found, VectorLookup
 
 SIF_A = 1e-3
 """The constant of SIF's weight a / (a + p)."""
@@ -36,28 +35,28 @@ def pool(found: Sequence[Found], pooling: Pooling, centre: np.ndarray | float = 
 def slot_vector(
     parts: Sequence[Part],
     colour: str | None,
-    source: VectorSource,
+    lookup: VectorLookup,
     config: KnowledgeConfig,
     centre: np.ndarray | float,
     hue_centre: np.ndarray | float,
     coverage: Coverage,
 ) -> np.ndarray:
-    """Return the vector of one slot, (D,) float64.
+    """Compute the vector of one slot, (D,) float64.
 
     Args:
         parts: the slot's sentence.
         colour: the graph's name of the slot's colour, or None.
-        source: where vectors come from.
+        lookup: the opened source.
         config: pooling, colour share and norm.
-        centre: what each vector is centred by, (D,) or 0.
-        hue_centre: what the colour is centred by where it has a share of its own, (D,) or 0.
-        coverage: notes how labels were found.
+        centre: subtracted from each vector, (D,) or 0.
+        hue_centre: subtracted from the colour where it has a share of its own, (D,) or 0.
+        coverage: records how labels were found.
     """
     own = [p for p in parts if p.name == colour] if config.colour_share is not None else []
     rest = [p for p in parts if p not in own]
-    vector = pool([source.find(p, coverage) for p in rest], config.pooling, centre)
+    vector = pool([lookup.find(p, coverage) for p in rest], config.pooling, centre)
     if own and config.colour_share is not None:
-        hue = pool([source.find(own[0], coverage)], config.pooling, hue_centre)
+        hue = pool([lookup.find(own[0], coverage)], config.pooling, hue_centre)
         length = np.linalg.norm(vector)
         vector = (1 - config.colour_share) * _unit(vector) + config.colour_share * _unit(hue)
         vector = vector * length
@@ -66,11 +65,23 @@ def slot_vector(
     return vector
 
 
+def centre_of(lookup: VectorLookup, parts: Sequence[Part]) -> np.ndarray:
+    """Return the mean vector of labels, (D,) float64; labels that are not found are skipped."""
+    found = []
+    for part in parts:
+        try:
+            found.append(lookup.find(part, Coverage()).vectors)
+        except UserError:
+            continue
+    vectors = np.concatenate([np.empty((0, lookup.dim), np.float32), *found])
+    return vectors.mean(axis=0, dtype=np.float64) if len(vectors) else np.zeros(lookup.dim)
+
+
 def _unit(vector: np.ndarray) -> np.ndarray:
     length = np.linalg.norm(vector)
     if length == 0:
         raise UserError(
             "A slot's vector is zero, so it cannot be scaled: no word of its sentence is known. "
-            "Give aliases, or take --on-missing hash."
+            "Give aliases, or set on_missing to 'hash'."
         )
     return vector / length

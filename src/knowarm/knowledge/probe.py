@@ -1,4 +1,4 @@
-"""An embedding's settings go in; what can be read back from its vectors comes out."""
+"""Linear probe: which objects, colours and attributes can be recovered from embedded slots."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,35 +9,32 @@ import numpy as np
 from knowarm.knowledge.config import KnowledgeConfig
 from knowarm.knowledge.embedding import scene_embedding
 from knowarm.knowledge.graph import KnowledgeGraph
-from knowarm.knowledge.labels import label_of
 from knowarm.knowledge.scene import load_graph
-from knowarm.knowledge.term import local_name
-from knowarm.knowledge.vectors.placebos import PLACEBOS
+from knowarm.knowledge.terms import label_of, local_name
 
 NEARLY_SAME = 0.9
-"""Cosine from which two facets count as nearly the same."""
+"""Cosine at which two facets count as nearly the same."""
 
 RIDGE = 1e-2
-"""Penalty of the linear probe, on slots scaled to length 1: it cannot use differences much below
-a tenth of a slot's length, as a policy in training cannot."""
-
+"""Penalty of the ridge regression on slots scaled to length 1: differences much below a tenth of a
+slot's length are not used."""
 
 MOST_OTHERS = 600
-"""Facets beyond the task's that a probe is fitted on; of a larger graph, as many are drawn."""
+"""Largest number of facets beyond the task's that a probe is fitted on; more are subsampled."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Probe:
-    """What the vectors keep of what they were given."""
+    """What can be recovered from the vectors of a task."""
 
     slots: tuple[str, ...]
     """The task's facets."""
     cosine: np.ndarray
     """Cosine of every two facets, (S, S) float64; NaN where a slot is zero."""
     recovered: dict[str, dict[str, float]]
-    """By what is asked ("object", "colour", a relation): share recovered for the task's facets
-    ("task") and for those of all objects of the graph ("all"), and by guessing the most frequent
-    ("guess"). Empty for placebos, whose numbers mean nothing."""
+    """By target ("object", "colour", a relation): share recovered for the task's facets ("task")
+    and for those of all objects of the graph ("all"), and by guessing the most frequent value
+    ("guess"). Empty for placebos."""
 
     @property
     def nearly_same(self) -> list[tuple[str, str, float]]:
@@ -65,18 +62,21 @@ class Probe:
 
 
 def probe(config: KnowledgeConfig, facets: Sequence[tuple[str, str]]) -> Probe:
-    """Ask the vectors what they were given.
+    """Fit linear probes to the slots of an embedding.
 
-    Every object of the graph that has a colour is embedded by the same settings, one slot a
-    colour. A linear probe (ridge regression to one-hot answers) is fitted on all slots but the one
-    that is asked, and must name its object and its colour. For attributes, all slots of the asked
-    object are left out, and of the relation's values the k likeliest are taken, k = as many as
-    are true.
+    Every object of the graph that has a colour is embedded by the same config, one slot per
+    colour. A ridge regression to one-hot targets is fitted on all slots but one and predicts
+    object and colour of that one. For attributes, all slots of an object are held out, and the
+    prediction is the k values with the highest scores, where k values are true.
+
+    Args:
+        config: the embedding.
+        facets: the task's (object, colour) pairs.
     """
     task = scene_embedding(config, facets)
     cosine = _cosine(task.matrix)
     names = tuple(slot.name for slot in task.slots)
-    if config.source in PLACEBOS or config.detail == "none":
+    if config.source.placebo or config.detail == "none":
         return Probe(slots=names, cosine=cosine, recovered={})
     graph = load_graph(config)
     pairs = _population(graph, facets, config)
@@ -132,7 +132,7 @@ def _predict(vectors: np.ndarray, targets: np.ndarray, held: np.ndarray) -> np.n
 
 
 def _single(vectors: np.ndarray, answers: np.ndarray, in_task: np.ndarray) -> dict[str, float]:
-    """Recover one answer a slot, leaving one slot out; only answers that occur elsewhere too."""
+    """Predict one answer per slot, leaving one slot out; answers that occur once are skipped."""
     classes, index, counts = np.unique(answers, return_inverse=True, return_counts=True)
     targets = np.eye(len(classes))[index]
     rows = np.flatnonzero(counts[index] > 1)
@@ -158,7 +158,7 @@ def _attributes(
     in_task: np.ndarray,
     config: KnowledgeConfig,
 ) -> dict[str, dict[str, float]]:
-    """Recover the values of each relation, leaving all slots of the asked object out."""
+    """Predict the values of each relation, leaving out all slots of one object at a time."""
     colour = graph.relation_id(config.colour_relation)
     ids = np.array([graph.entity_id(config.entity_names.get(name, name)) for name in objects])
     scores = {}
@@ -170,7 +170,7 @@ def _attributes(
         true = np.zeros((len(objects), len(tails)))
         for row, column in zip(rows, place, strict=True):
             true[ids == graph.heads[row], column] = 1.0
-        true = true[:, counts > 1]  # a value of one object cannot be learned from the others
+        true = true[:, counts > 1]  # a value of a single object cannot be learned from others
         asked = true.sum(axis=1) > 0
         found = np.full(len(objects), np.nan)
         guess = np.full(len(objects), np.nan)

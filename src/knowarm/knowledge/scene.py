@@ -1,4 +1,4 @@
-"""A graph and the task's (object, colour) pairs go in; what is said about each slot comes out."""
+"""Scenes: the subgraph and the sentence of every slot of a task."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -8,24 +8,25 @@ import numpy as np
 from knowarm.errors import UserError
 from knowarm.knowledge.config import KnowledgeConfig
 from knowarm.knowledge.facets import Facet, facet_subgraph, slots_of
+from knowarm.knowledge.formats import household, read_graph
 from knowarm.knowledge.graph import KnowledgeGraph
-from knowarm.knowledge.household import household
-from knowarm.knowledge.read import read_graph
 from knowarm.knowledge.sentence import sentence
-from knowarm.knowledge.vectors.placebos import shuffle_tails
+from knowarm.knowledge.vectors.placebos import ShuffledGraph, WrongObject
+from knowarm.knowledge.vectors.source import VectorSource
 
 Facets = Sequence[tuple[str, str]]
 """The task's (object, colour) pairs, in the environment's order."""
 
 
 def load_graph(config: KnowledgeConfig) -> KnowledgeGraph:
-    """Return the config's graph, shuffled where it is the placebo that asks for it."""
+    """Read the config's graph, and change it where the source is a placebo that does so."""
     graph = household() if config.graph is None else read_graph(config.graph)
-    return shuffle_tails(graph, config.seed) if config.source == "shuffled" else graph
+    source = config.source
+    return source.change_graph(graph, config.seed) if isinstance(source, VectorSource) else graph
 
 
 def scene_subgraphs(config: KnowledgeConfig, facets: Facets) -> dict[str, KnowledgeGraph]:
-    """Return what the graph says about each slot, by the slot's name."""
+    """Return the subgraph of each slot, by the slot's name."""
     graph, slots = load_graph(config), slots_of(config, facets)
     return {
         slot.name: sub
@@ -34,7 +35,7 @@ def scene_subgraphs(config: KnowledgeConfig, facets: Facets) -> dict[str, Knowle
 
 
 def scene_subgraph(config: KnowledgeConfig, facets: Facets) -> KnowledgeGraph:
-    """Return what the graph says about all slots together."""
+    """Return the union of the slots' subgraphs."""
     graph = load_graph(config)
     subgraphs, _ = slot_subgraphs(graph, slots_of(config, facets), config)
     triples = [np.stack([s.heads, s.relations, s.tails], axis=1) for s in subgraphs]
@@ -61,8 +62,9 @@ def slot_subgraphs(
     graph: KnowledgeGraph, slots: Sequence[Facet], config: KnowledgeConfig
 ) -> tuple[list[KnowledgeGraph], list[str | None]]:
     """Return each slot's subgraph and its colour's name in the graph."""
-    false = config.source in ("shuffled", "wrong-object")
-    described = _wrong_objects(graph, slots, config) if config.source == "wrong-object" else slots
+    wrong_object = isinstance(config.source, WrongObject)
+    false = wrong_object or isinstance(config.source, ShuffledGraph)
+    described = _wrong_objects(graph, slots, config) if wrong_object else slots
     subgraphs: list[KnowledgeGraph] = []
     colours: list[str | None] = []
     for place, facet in enumerate(described):
@@ -76,7 +78,7 @@ def slot_subgraphs(
 
 
 def _colour_of(subgraph: KnowledgeGraph, facet: Facet, config: KnowledgeConfig) -> str | None:
-    """Return the graph's name of the one colour that is left in a facet's subgraph."""
+    """Return the graph's name of the one colour in a facet's subgraph."""
     if facet.colour is None:
         return None
     entity = subgraph.entity_id(config.entity_names.get(facet.object, facet.object))
@@ -88,7 +90,7 @@ def _colour_of(subgraph: KnowledgeGraph, facet: Facet, config: KnowledgeConfig) 
 def _wrong_objects(
     graph: KnowledgeGraph, slots: Sequence[Facet], config: KnowledgeConfig
 ) -> list[Facet]:
-    """Give each object another one of the graph with as many colours, drawn by the seed."""
+    """Replace each object by another one of the graph with as many colours, drawn by the seed."""
     true = list(dict.fromkeys(slot.object for slot in slots))
     needed = max(sum(slot.object == name for slot in slots) for name in true)
     in_task = {graph.entity_id(config.entity_names.get(name, name)) for name in true}

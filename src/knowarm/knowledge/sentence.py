@@ -1,11 +1,11 @@
-"""A subgraph goes in; one sentence about it, the same at any time and on any machine, comes out."""
+"""Sentences about subgraphs: the labels of nodes and edges in the order of the triples."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from knowarm.errors import UserError
 from knowarm.knowledge.graph import KnowledgeGraph
-from knowarm.knowledge.labels import label_of
+from knowarm.knowledge.terms import label_of
 
 
 @dataclass(frozen=True)
@@ -15,7 +15,7 @@ class Part:
     name: str
     """The entity's or relation's name in the graph."""
     label: str
-    """Its words, lower case, parted by spaces."""
+    """Its words in lower case, separated by spaces."""
     is_relation: bool
     """Whether it is the label of an edge."""
 
@@ -25,9 +25,9 @@ class SentenceConfig:
     """How a subgraph becomes words."""
 
     relation_words: bool = True
-    """Whether the labels of edges are said ("mug has color red") or left out ("mug red")."""
+    """Whether the labels of edges are included ("mug has color red") or not ("mug red")."""
     head_once: bool = False
-    """Whether an object is named once, before all its facts, or anew in each fact."""
+    """Whether an object is named once, before all its facts, or again in each fact."""
     templates: Mapping[str, str] = field(default_factory=dict)
     """Words for a relation, by its name: {"isMadeOf": "made of"}; "" leaves it out."""
 
@@ -40,12 +40,12 @@ def sentence_parts(graph: KnowledgeGraph, config: SentenceConfig = PAPER) -> lis
     """Return the labels of a subgraph in the order of its triples: head, relation, tail names.
 
     Raises:
-        UserError: the graph has no triple, so there is nothing to say.
+        UserError: the graph has no triple, so there is no sentence.
     """
     if not len(graph):
         asked = ", ".join(graph.entities[:8]) or "no entity"
         raise UserError(
-            f"The subgraph of {asked} is empty: no fact is left to make a sentence of. "
+            f"The subgraph of {asked} is empty: it holds no fact to describe. "
             f"Add facts about it, allow more relations, or take direction='both'."
         )
     parts: list[Part] = []
@@ -66,3 +66,10 @@ def sentence_parts(graph: KnowledgeGraph, config: SentenceConfig = PAPER) -> lis
 def sentence(graph: KnowledgeGraph, config: SentenceConfig = PAPER) -> str:
     """Return the sentence of a subgraph, e.g. "mug has color red mug has shape cylindrical"."""
     return " ".join(part.label for part in sentence_parts(graph, config))
+
+
+def graph_parts(graph: KnowledgeGraph, *, relation_words: bool) -> list[Part]:
+    """Return every label of a graph: its entities and, if they are included, its relations."""
+    relations = graph.relations_used if relation_words else []
+    named = [*((n, False) for n in graph.entities), *((n, True) for n in relations)]
+    return [Part(name, label_of(name, graph.labels), is_relation) for name, is_relation in named]

@@ -1,84 +1,88 @@
-"""A graph and a SPARQL query go in; rows, or a graph, come out, through rdflib."""
+"""SPARQL queries on a knowledge graph, evaluated by pyoxigraph in memory."""
 
+import re
 from dataclasses import dataclass
 
-import rdflib
-from pyparsing import ParseBaseException
-from rdflib.namespace import RDFS
+from pyoxigraph import Quad, QueryBoolean, QueryTriples, Store
 
 from knowarm.errors import UserError
+from knowarm.knowledge.builder import GraphBuilder
+from knowarm.knowledge.formats.rdf import PREFIXES, rdf_triples
 from knowarm.knowledge.graph import KnowledgeGraph
-from knowarm.knowledge.read.rdf import graph_of_rdflib, name_of_term
-from knowarm.knowledge.term import NAMESPACE, iri_of_name, is_blank, is_literal, literal_parts
+from knowarm.knowledge.terms import name_of_term
 
-MAX_TRIPLES = 2_000_000
-"""Above this rdflib's copy of the graph would take gigabytes."""
+EXAMPLE = "SELECT ?colour WHERE { :mug :hasColor ?colour }"
+
+_NO_KEYWORDS = re.compile(
+    r'"""(?:[^"\\]|\\.|"(?!""))*"""' r"|'''(?:[^'\\]|\\.|'(?!''))*'''"
+    r'|"(?:[^"\\\n]|\\.)*"' r"|'(?:[^'\\\n]|\\.)*'"
+    r'|<[^<>"{}|^`\\\s]*>' r"|#[^\n]*" r"|[?$]\w+" r"|:[\w.%~-]*",
+    re.DOTALL,
+)  # fmt: skip
+"""Strings, IRIs, comments, variables and local names: text that holds no keyword."""
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What a query found."""
+    """Result of a query."""
 
     columns: tuple[str, ...]
     """Names of the variables; ("answer",) for ASK; empty for CONSTRUCT and DESCRIBE."""
     rows: tuple[tuple[str, ...], ...]
-    """Names of the graph, "" where a variable is unbound."""
+    """Names of entities and relations, sorted; "" where a variable is unbound."""
     graph: KnowledgeGraph | None = None
     """The graph of CONSTRUCT and DESCRIBE."""
 
 
 def sparql(graph: KnowledgeGraph, query: str) -> Answer:
-    """Ask a graph; the prefix `:` stands for plain names, as in `:mug :hasColor ?colour`.
+    """Run a query; the prefix `:` stands for plain names, as in `:mug :hasColor ?colour`.
+
+    Args:
+        graph: the graph, with its labels as rdfs:label.
+        query: SELECT, ASK, CONSTRUCT or DESCRIBE. The common prefixes (rdf, rdfs, owl, skos,
+            xsd) are declared.
 
     Raises:
-        UserError: the query is not well formed, or the graph is too large for rdflib.
+        UserError: the query is malformed, or refers to other data with SERVICE or FROM.
     """
-    store = rdflib_graph(graph)
+    _refuse_other_data(query)
+    store = Store()
+    store.bulk_extend(Quad(*triple) for triple in rdf_triples(graph))
     try:
-        result = store.query(query, initNs={"": rdflib.Namespace(NAMESPACE)})
-    except ParseBaseException as error:
-        raise UserError(
-            f"SPARQL query, line {error.lineno}, column {error.column}: {error.msg}. "
-            f"Example: SELECT ?colour WHERE {{ :mug :hasColor ?colour }}"
-        ) from error
-    except Exception as error:  # an unknown prefix is a bare Exception in rdflib
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise UserError(f"SPARQL query: {reason}. Declare prefixes with PREFIX.") from error
-    if result.type == "ASK":
-        return Answer(("answer",), (("yes" if result.askAnswer else "no",),))
-    if result.type in ("CONSTRUCT", "DESCRIBE"):
-        assert result.graph is not None
-        return Answer((), (), graph_of_rdflib(result.graph))
-    columns = tuple(str(variable) for variable in result.vars or ())
-    rows = [
-        tuple("" if term is None else name_of_term(term) for term in row)  # type: ignore[union-attr]
-        for row in result
-    ]
+        result = store.query(query, prefixes=PREFIXES)
+        if isinstance(result, QueryBoolean):
+            return Answer(("answer",), (("yes" if result else "no",),))
+        if isinstance(result, QueryTriples):
+            builder = GraphBuilder()
+            for triple in result:
+                builder.add_statement(*map(name_of_term, triple))
+            return Answer((), (), builder.build())
+        columns = tuple(variable.value for variable in result.variables)
+        rows = [tuple("" if t is None else name_of_term(t) for t in row) for row in result]
+    except SyntaxError as error:
+        raise _malformed(error) from error
     return Answer(columns, tuple(sorted(rows)))
 
 
-def rdflib_graph(graph: KnowledgeGraph) -> rdflib.Graph:
-    """Copy a graph, with its labels, to rdflib.
-
-    Raises:
-        UserError: the graph is too large.
-    """
-    if len(graph) > MAX_TRIPLES:
+def _refuse_other_data(query: str) -> None:
+    """Refuse queries that would read other data than the graph, over the network or not."""
+    keywords = _NO_KEYWORDS.sub(" ", query)
+    found = re.search(r"service|\bfrom\b", keywords, re.IGNORECASE)
+    if found:
         raise UserError(
-            f"SPARQL runs in rdflib, which takes at most {MAX_TRIPLES:,} triples here; the graph "
-            f"has {len(graph):,}. Select a part first, with `knowarm knowledge subgraph`."
+            f"SPARQL query: {found[0].upper()} refers to other data, but a query reads the given "
+            f"graph only and nothing is fetched from the network. Leave it out, or load the other "
+            f"graph and unite the two first."
         )
-    store = rdflib.Graph()
-    for triple in graph:
-        store.add(tuple(_term(name) for name in triple))  # type: ignore[arg-type]
-    for name, label in graph.own_labels().items():
-        store.add((_term(name), RDFS.label, rdflib.Literal(label)))
-    return store
 
 
-def _term(name: str) -> rdflib.term.Identifier:
-    if is_literal(name):
-        text, language, datatype = literal_parts(name)
-        kind = None if datatype is None else rdflib.URIRef(datatype)
-        return rdflib.Literal(text, lang=language, datatype=kind)
-    return rdflib.BNode(name[2:]) if is_blank(name) else rdflib.URIRef(iri_of_name(name))
+def _malformed(error: SyntaxError) -> UserError:
+    place = re.match(r"error at (\d+):(\d+): (.*)", str(error.msg), re.DOTALL)
+    if place is None:
+        return UserError(f"SPARQL query: {error.msg}. Example: {EXAMPLE}")
+    line, column, reason = place.groups()
+    short = reason if len(reason) <= 60 else "unexpected symbol or end of the query"
+    return UserError(
+        f"SPARQL query, line {line}, column {column}: {short}. Check that every prefix is "
+        f"declared with PREFIX. Example: {EXAMPLE}"
+    )

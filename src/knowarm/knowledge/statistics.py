@@ -1,4 +1,4 @@
-"""A graph goes in; its sizes, hubs, and what may be wrong with it come out."""
+"""Graph statistics: sizes, hubs, cycles and ambiguous labels."""
 
 from collections import defaultdict
 from dataclasses import asdict, dataclass
@@ -9,13 +9,12 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
 from knowarm.knowledge.graph import KnowledgeGraph
-from knowarm.knowledge.labels import label_of
-from knowarm.knowledge.term import local_name
+from knowarm.knowledge.terms import label_of, local_name
 
 
 @dataclass(frozen=True, kw_only=True)
 class GraphStatistics:
-    """What a person wants to know before using a graph."""
+    """Counts of a graph, and properties that often are mistakes."""
 
     triples: int
     entities: int
@@ -25,17 +24,17 @@ class GraphStatistics:
     alone: int
     """Entities without any triple."""
     components: int
-    """Parts of the graph that no edge joins."""
+    """Connected components."""
     max_degree: int
     hubs: tuple[tuple[str, int], ...]
-    """The entities with most edges, and how many."""
+    """The entities with the most edges, and their degrees."""
     by_relation: dict[str, int]
-    """Triples of each relation."""
+    """Triples per relation, most frequent first."""
     cycles: tuple[tuple[str, tuple[str, ...]], ...]
-    """(relation, entities) that lead back to themselves: at most ten. In a hierarchy (isA) that
-    is a mistake; Gamma stops at such cycles all the same."""
+    """(relation, entities) that reach each other along one relation: at most ten. In a hierarchy
+    (isA) such a cycle is a mistake."""
     same_labels: dict[str, tuple[str, ...]]
-    """Entities that share a label, so that the label alone does not name one: at most ten."""
+    """Entities that share a label, by label: at most ten."""
 
     def describe(self) -> dict[str, Any]:
         """Return all fields as JSON-able values."""
@@ -43,7 +42,7 @@ class GraphStatistics:
 
 
 def graph_statistics(graph: KnowledgeGraph, hubs: int = 10) -> GraphStatistics:
-    """Count."""
+    """Compute the statistics of a graph, with the `hubs` largest hubs."""
     size = len(graph.names)
     degree = np.bincount(graph.heads, minlength=size) + np.bincount(graph.tails, minlength=size)
     own = degree[graph.nodes]
@@ -69,10 +68,10 @@ def graph_statistics(graph: KnowledgeGraph, hubs: int = 10) -> GraphStatistics:
 
 
 def _cycles(graph: KnowledgeGraph, most: int = 10) -> tuple[tuple[str, tuple[str, ...]], ...]:
-    """Find groups of entities that reach each other along one relation, of two or more edges.
+    """Find groups of entities that reach each other along one relation.
 
-    A symmetric relation (isNextTo) makes such groups everywhere, so relations in which most edges
-    have their reverse are left out.
+    Relations in which most edges have their reverse are left out: a symmetric relation
+    (isNextTo) forms such groups everywhere.
     """
     size, found = len(graph.names), []
     for relation in np.unique(graph.relations):
@@ -92,7 +91,7 @@ def _cycles(graph: KnowledgeGraph, most: int = 10) -> tuple[tuple[str, tuple[str
 
 
 def _same_labels(graph: KnowledgeGraph, most: int = 10) -> dict[str, tuple[str, ...]]:
-    """Find written labels that another entity has too, as its label or its name."""
+    """Find labels that several entities share, as label or name."""
     if not graph.labels:
         return {}
     owners: dict[str, list[str]] = defaultdict(list)

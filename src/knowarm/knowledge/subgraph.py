@@ -1,4 +1,4 @@
-"""A graph and the perceived objects go in; Gamma's subgraph of their neighbourhood comes out."""
+"""Gamma: selection of the subgraph around the perceived objects (paper section 4.1)."""
 
 from collections.abc import Iterable, Sequence
 from typing import Literal, get_args
@@ -20,26 +20,26 @@ def gamma(
     relations: Iterable[str] | None = None,
     max_degree: int | None = None,
 ) -> KnowledgeGraph:
-    """Select the objects that are perceived and what stands at most `hops` edges from them.
+    """Select the perceived objects and all entities at most `hops` edges from them.
 
     Gamma(G, O) of the paper (section 4.1): "all the nodes representing the objects that the agent
     is perceiving and the nodes at distance 1 from them", and the edges between the two.
 
-    Further hops never turn: what was reached along an edge's direction is left along the
-    direction only. So `mug -> red` may go on to `red -> color` and never comes back through
-    `red <- fire_truck`: an attribute that many things share stays a leaf.
+    Further hops keep their direction: an entity reached along an edge's direction is left along
+    it only. So `mug -> red` may continue to `red -> color` and never returns through
+    `red <- fire_truck`: an attribute that many objects share stays a leaf.
 
     Args:
-        graph: where to look.
+        graph: the whole graph.
         entities: names of the perceived objects (or last parts of IRIs, or labels).
-        hops: how far, at least 0.
+        hops: largest distance in edges, at least 0.
         direction: edges to follow: "out" (the object is the head), "in", or "both".
         relations: names of the relations to follow; None follows all.
-        max_degree: an entity reached on the way with more edges than this in the direction of
-            travel stays a leaf; None sets no limit.
+        max_degree: an entity with more edges than this in the direction of search is not
+            expanded; None sets no limit.
 
     Returns:
-        A graph that shares its names with `graph` and holds every asked entity, alone or not.
+        A graph that shares its names with `graph` and contains every given entity.
 
     Raises:
         UserError: an entity or relation is not in the graph, or `hops` < 0.
@@ -48,13 +48,13 @@ def gamma(
         raise UserError(f"hops is {hops}; it must be 0 or more (the paper's value is 1).")
     if direction not in get_args(Direction):
         raise unknown_name("direction", direction, get_args(Direction))
-    asked = np.array(sorted({graph.entity_id(name) for name in entities}), np.int32)
+    start = np.array(sorted({graph.entity_id(name) for name in entities}), np.int32)
     allowed = None if relations is None else np.array([graph.relation_id(r) for r in relations])
     ways = ("out", "in") if direction == "both" else (direction,)
     found = [
         rows
         for way in ways
-        for rows in _reach(graph, asked, hops, way == "out", allowed, max_degree)
+        for rows in _reach(graph, start, hops, way == "out", allowed, max_degree)
     ]
     if not found:
         rows = np.empty(0, np.int64)
@@ -62,20 +62,20 @@ def gamma(
         rows = found[0] if ways == ("out",) else np.sort(found[0])
     else:
         rows = np.unique(np.concatenate(found))
-    return graph.rows(rows, nodes=asked)
+    return graph.rows(rows, nodes=start)
 
 
 def _reach(
     graph: KnowledgeGraph,
-    asked: np.ndarray,
+    start: np.ndarray,
     hops: int,
     outward: bool,
     allowed: np.ndarray | None,
     max_degree: int | None,
 ) -> list[np.ndarray]:
-    """Return the rows of edges within `hops` of the asked ids, all in one direction."""
+    """Return the rows of edges within `hops` of the start ids, all in one direction."""
     found: list[np.ndarray] = []
-    seen = frontier = asked
+    seen = frontier = start
     for hop in range(hops):
         fresh = []
         for entity in frontier:

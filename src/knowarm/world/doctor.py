@@ -12,11 +12,12 @@ from knowarm.world.appearance import TargetColours, resting_colours
 from knowarm.world.attach import read_mjcf
 from knowarm.world.config import EnvConfig
 from knowarm.world.description_file import SUFFIX
-from knowarm.world.env import ACTION_LEVELS, ReachVectorEnv
 from knowarm.world.episodes import evaluation_episodes
 from knowarm.world.ik import InverseKinematics
 from knowarm.world.objects import TARGETS
 from knowarm.world.render.renderer import make_renderer
+from knowarm.world.tasks.reach import ACTION_LEVELS
+from knowarm.world.vector_env import ReachVectorEnv
 
 SAMPLES = 100
 MIN_REACHABLE = 0.99

@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from knowarm.world.rewards import measure
+from knowarm.world.backends.mujoco import MujocoSimulator
 from knowarm.world.scene import Scene
-from knowarm.world.simulation import Simulation
+from knowarm.world.tasks.reward import measure
 
 ITERATIONS = 80
 DAMPING = 0.05
@@ -107,7 +107,7 @@ class InverseKinematics:
         q = q.reshape(-1, joints)
         position, matrix = np.tile(position, (self._starts, 1)), np.tile(matrix, (self._starts, 1))
 
-        simulation = Simulation(self.scene, len(q))
+        simulation = MujocoSimulator(self.scene, len(q))
         contacts = simulation.batch.bind("ncon")
         for _ in range(ITERATIONS):
             simulation.set_joints(q)
@@ -141,7 +141,7 @@ class InverseKinematics:
 
 
 def _pose_error(
-    simulation: Simulation, position: NDArray[np.float64], matrix: NDArray[np.float64]
+    simulation: MujocoSimulator, position: NDArray[np.float64], matrix: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Position error [m] and rotation vector [rad] from gripper to wanted pose, (n, 6), world."""
     n = len(position)

@@ -109,7 +109,7 @@ def find_robot(name: str) -> Robot:
         return read_robot(Path(name))
     if name not in ROBOTS:
         raise unknown_name("robot", name, ROBOTS)
-    return ROBOTS[name]
+    return ROBOTS[name].robot
 
 
 def find_targets(names: Sequence[str]) -> tuple[Target, ...]:

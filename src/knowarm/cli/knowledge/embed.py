@@ -1,4 +1,4 @@
-"""`knowarm knowledge embed`: objects go in; the file of their vectors comes out."""
+"""`knowarm knowledge embed`: write the slots of a scene embedding to a file."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,12 +16,12 @@ SUFFIXES = (".npy", ".csv", ".safetensors")
 
 @dataclass(frozen=True, kw_only=True)
 class Embed(SceneOptions):
-    """Embed objects and write one row of numbers a slot."""
+    """Embed objects and write one row of numbers per slot."""
 
     out: Path | None = None
-    """Write the slots: .npy and .safetensors hold (S, D) float32, .csv a named row a slot."""
+    """Write the slots: .npy and .safetensors hold (S, D) float32, .csv one named row per slot."""
     json: Path | None = None
-    """Write the vectors and how they came about as JSON to this file."""
+    """Write the vectors and their description as JSON to this file."""
 
     def run(self) -> None:
         """Embed, print and write."""
@@ -58,4 +58,4 @@ def _write(embedding: SceneEmbedding, path: Path) -> None:
             header = ",".join(["slot", *(f"v{i}" for i in range(embedding.slot_dim))])
             path.write_text("\n".join([header, *lines]) + "\n", encoding="utf-8")
     except OSError as error:
-        raise UserError(f"Cannot write {path}: {error.strerror}. Give another place.") from error
+        raise UserError(f"Cannot write {path}: {error.strerror}. Give another path.") from error

@@ -1,4 +1,4 @@
-"""`knowarm knowledge fit`: a graph goes in; a trained graph embedding and its test come out."""
+"""`knowarm knowledge fit` and `evaluate`: train a graph embedding and test link prediction."""
 
 import sys
 from dataclasses import asdict, dataclass, field
@@ -11,11 +11,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from knowarm.cli.tables import check_json_path, print_table, write_json_table
 from knowarm.errors import UserError
 from knowarm.knowledge import household, read_graph
+from knowarm.knowledge.formats.openke import is_openke, read_openke_split
 from knowarm.knowledge.kge.config import KgeConfig
 from knowarm.knowledge.kge.split import Split, split_graph
-from knowarm.knowledge.read.openke import is_openke, read_openke_split
 
-if TYPE_CHECKING:  # torch takes seconds to import, and the other commands do not need it
+if TYPE_CHECKING:  # imports torch, which takes seconds
     from knowarm.knowledge.kge.train import Trained
 
 
@@ -24,15 +24,15 @@ class Fit:
     """Train vectors for the entities of a graph, and test them by link prediction."""
 
     graph: Annotated[Path | None, tyro.conf.Positional] = None
-    """A graph file, or an OpenKE folder, which brings its own split; left out, the shipped one."""
+    """A graph file, or an OpenKE folder with its own split; the shipped graph by default."""
     training: Annotated[KgeConfig, tyro.conf.OmitArgPrefixes] = field(default_factory=KgeConfig)
     """The model and its training."""
     valid: float = 0.1
-    """Share of triples to stop by, where the graph brings no split."""
+    """Share of triples for early stopping, where the graph has no split."""
     test: float = 0.1
-    """Share of triples to test on, where the graph brings no split."""
+    """Share of triples to test on, where the graph has no split."""
     out: Path | None = None
-    """Write the model: FILE.safetensors, which `embed --source FILE.safetensors` takes."""
+    """Write the model: FILE.safetensors, for `embed --source FILE.safetensors`."""
     json: Path | None = None
     """Write `mrr`, `hits_at_10`, ... as JSON to this file."""
 
@@ -44,10 +44,10 @@ class Fit:
         check_json_path(self.json)
         if self.out is not None and self.out.suffix != ".safetensors":
             raise UserError(f"--out {self.out}: models are written as .safetensors.")
-        split = read_split(self.graph, self.valid, self.test, self.training.seed)
+        split = _read_split(self.graph, self.valid, self.test, self.training.seed)
         done = _train(self.training, split)
         found = rank(done.model, split.test, split.everything).describe()
-        print_scores(self.training.model, split, found)
+        _print_scores(self.training.model, split, found)
         print(f"Best of {done.epochs} epochs: {done.best_epoch}.")
         if self.out is not None:
             save_model(done.model, self.training, split.graph, self.out)
@@ -56,7 +56,42 @@ class Fit:
         write_json_table(self.json, {**values, "config": asdict(self.training)})
 
 
-def read_split(path: Path | None, valid: float, test: float, seed: int) -> Split:
+@dataclass(frozen=True, kw_only=True)
+class Evaluate:
+    """Test a model written by `fit --out` on the test triples of its graph."""
+
+    model: Annotated[Path, tyro.conf.Positional]
+    """The model's .safetensors file."""
+    graph: Annotated[Path | None, tyro.conf.Positional] = None
+    """The graph it was fitted on; the shipped one by default."""
+    valid: float = 0.1
+    """As given to `fit`."""
+    test: float = 0.1
+    """As given to `fit`."""
+    json: Path | None = None
+    """Write `mrr`, `hits_at_10`, ... as JSON to this file."""
+
+    def run(self) -> None:
+        """Load, rank and print."""
+        from knowarm.knowledge.kge.rank import rank  # imports torch
+        from knowarm.knowledge.kge.store import load_model
+
+        check_json_path(self.json)
+        stored = load_model(self.model)
+        split = _read_split(self.graph, self.valid, self.test, stored.config.seed)
+        names = tuple(split.graph.names), tuple(split.graph.relation_names)
+        if names != (stored.entities, stored.relations):
+            raise UserError(
+                f"{self.model} was fitted on another graph: it has {len(stored.entities)} entities "
+                f"and {len(stored.relations)} relations, this graph {len(names[0])} and "
+                f"{len(names[1])}, or their names differ. Give the graph it was fitted on."
+            )
+        found = rank(stored.model, split.test, split.everything).describe()
+        _print_scores(stored.config.model, split, found)
+        write_json_table(self.json, {"model": stored.config.model, **found})
+
+
+def _read_split(path: Path | None, valid: float, test: float, seed: int) -> Split:
     """Return a graph's own split, or a random one.
 
     Raises:
@@ -71,21 +106,21 @@ def read_split(path: Path | None, valid: float, test: float, seed: int) -> Split
     return split
 
 
-def print_scores(model: str, split: Split, found: dict[str, float]) -> None:
+def _print_scores(model: str, split: Split, found: dict[str, float]) -> None:
     """Print the measures of link prediction."""
     title = f"{model} on {split.graph}: {len(split.train)} training, {len(split.test)} test triples"
     print_table(title, ["measure", "value"], [(k, v) for k, v in found.items() if k != "triples"])
 
 
 def _train(config: KgeConfig, split: Split) -> "Trained":
-    """Train with a progress bar, or with plain lines when nobody watches."""
+    """Train with a progress bar on a terminal, with plain lines elsewhere."""
     from knowarm.knowledge.kge.train import train
 
-    watched = sys.stdout.isatty()
+    terminal = sys.stdout.isatty()
     columns = (
         TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
     )  # fmt: skip
-    with Progress(*columns, disable=not watched, transient=True) as bar:
+    with Progress(*columns, disable=not terminal, transient=True) as bar:
         task = bar.add_task(config.model, total=config.epochs)
         best = 0.0
 
@@ -94,7 +129,7 @@ def _train(config: KgeConfig, split: Split) -> "Trained":
             best = max(best, mrr or 0.0)
             text = f"{config.model}  loss {loss:.3f}  validation MRR {best:.3f}"
             bar.update(task, completed=epoch, description=text)
-            if not watched and mrr is not None:
+            if not terminal and mrr is not None:
                 print(f"epoch {epoch}: loss {loss:.4f}, validation MRR {mrr:.4f}")
 
         return train(

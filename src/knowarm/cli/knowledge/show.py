@@ -1,4 +1,4 @@
-"""`knowarm knowledge show`: objects go in; subgraph, sentences and the vector's shape come out."""
+"""`knowarm knowledge show`: print the subgraph, sentences and embedding of objects."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -6,12 +6,12 @@ from pathlib import Path
 from knowarm.cli.knowledge.options import SceneOptions
 from knowarm.cli.tables import check_json_path, print_table, write_json_table
 from knowarm.knowledge import scene_embedding, scene_sentences, scene_subgraph
-from knowarm.knowledge.term import local_name
+from knowarm.knowledge.terms import local_name
 
 
 @dataclass(frozen=True, kw_only=True)
 class Show(SceneOptions):
-    """Show what the graph says about objects, as sentences and as a vector."""
+    """Show the facts of the graph about objects, as triples, sentences and a vector."""
 
     json: Path | None = None
     """Write the same as JSON to this file."""
@@ -33,7 +33,7 @@ class Show(SceneOptions):
         described = embedding.describe()
         print_table(
             f"Embedding: shape ({embedding.dim},), norm {embedding.norm:.3f}, "
-            f"source {config.source}, scope {config.scope}",
+            f"source {config.source.short_name}, scope {config.scope}",
             ["slot", "numbers", "norm"],
             [
                 [name, embedding.slot_dim, norm]
@@ -41,15 +41,18 @@ class Show(SceneOptions):
             ],
         )
         coverage = described["coverage"]
-        print(f"Labels found: {100 * coverage['share']:.0f} % of {coverage['labels']}.")
+        if coverage["labels"]:
+            print(f"Labels found: {100 * coverage['share']:.0f} % of {coverage['labels']}.")
         if coverage["not_whole"]:
-            print(f"Not or not wholly found: {', '.join(coverage['not_whole'])}.")
+            print(f"Not found or found in part only: {', '.join(coverage['not_whole'])}.")
         if embedding.note:
             print(f"Note: {embedding.note}.")
         if embedding.constant:
-            print("Every episode gets the same numbers: to the policy they are a bias.")
+            print("Every episode gets the same numbers, which act as a bias of the policy.")
         if embedding.privileged:
-            print("The numbers name the episode's object and colour: privileged information.")
+            print(
+                "The numbers identify the object and colour of the episode: privileged information."
+            )
         write_json_table(
             self.json,
             {

@@ -1,47 +1,86 @@
-"""`knowarm knowledge subgraph`: a graph goes in; a part of it, by Gamma or SPARQL, comes out."""
+"""`knowarm knowledge subgraph` and `draw`: select, query, unite, write and draw graphs."""
 
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from knowarm.cli.knowledge.options import GraphOptions
+from knowarm.cli.knowledge.options import OBJECTS, GraphOptions, write_text
 from knowarm.cli.tables import check_json_path, print_table, write_json_table
 from knowarm.errors import UserError
-from knowarm.knowledge import KnowledgeGraph, gamma, read_graph
-from knowarm.knowledge.sets import difference, union
+from knowarm.knowledge import KnowledgeGraph, gamma, read_graph, write_graph
+from knowarm.knowledge.builder import difference, union
+from knowarm.knowledge.draw import draw_svg
+from knowarm.knowledge.formats import WRITERS
 from knowarm.knowledge.sparql import sparql
 from knowarm.knowledge.statistics import graph_statistics
 from knowarm.knowledge.subgraph import Direction
-from knowarm.knowledge.term import local_name
-from knowarm.knowledge.write import WRITERS, write_graph
+from knowarm.knowledge.terms import local_name
 
 SHOWN = 60
+"""Largest number of triples that are printed."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Subgraph(GraphOptions):
-    """Select a part of a graph, print it, and write it in another format if you like."""
+class SelectionOptions(GraphOptions):
+    """A graph and the neighbourhood of objects in it."""
 
     objects: tuple[str, ...] = ()
-    """Objects whose neighbourhood is wanted; none takes the whole graph."""
+    """Objects whose neighbourhood is selected; none selects the whole graph."""
     hops: int = 1
-    """How many edges from the objects."""
+    """Largest number of edges from the objects."""
     direction: Direction = "out"
     """Edges to follow: "out" (the object is the head), "in" or "both"."""
     relations: tuple[str, ...] | None = None
     """Relations to follow; None follows all."""
     max_degree: int | None = None
     """Entities with more edges than this are not expanded; None sets no limit."""
+
+    def select(self, graph: KnowledgeGraph) -> KnowledgeGraph:
+        """Return the neighbourhood of the objects."""
+        if not self.objects:
+            return graph
+        return gamma(
+            graph,
+            self.objects,
+            hops=self.hops,
+            direction=self.direction,
+            relations=self.relations,
+            max_degree=self.max_degree,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Draw(SelectionOptions):
+    """Draw the neighbourhood of objects as SVG."""
+
+    out: Path
+    """The SVG file to write."""
+    objects: tuple[str, ...] = OBJECTS
+    """Objects of the first column; none (`--objects` alone) draws the whole graph."""
+    title: str = ""
+    """Heading of the drawing."""
+
+    def run(self) -> None:
+        """Select, draw and write."""
+        graph = self.select(self.read())
+        write_text(self.out, draw_svg(graph, self.objects, self.title))
+        print(f"{len(graph)} triples, {len(graph.nodes)} entities")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Subgraph(SelectionOptions):
+    """Select a part of a graph, print it, and optionally write it in another format."""
+
     union: Path | None = None
-    """Add the triples of this graph first."""
+    """Add the triples of this graph before the selection."""
     minus: Path | None = None
-    """Take the triples of this graph away first."""
+    """Remove the triples of this graph before the selection."""
     sparql: str | None = None
-    """Ask this SPARQL query (or the file of it) instead; `:mug` is the entity mug."""
+    """Run this SPARQL query (or the query in this .rq file) instead; `:mug` is the entity mug."""
     statistics: bool = False
-    """Print counts, hubs, cycles and shared labels in place of the triples."""
+    """Print counts, hubs, cycles and shared labels instead of the triples."""
     out: Path | None = None
-    """Write the result: .ttl, .nt, .csv or .tsv."""
+    """Write the result: .ttl, .nt, .rdf, .jsonld, .csv or .tsv."""
     json: Path | None = None
     """Write the same as JSON to this file."""
 
@@ -61,15 +100,8 @@ class Subgraph(GraphOptions):
                 self._print_answer(answer.columns, answer.rows)
                 return
             graph = answer.graph
-        elif self.objects:
-            graph = gamma(
-                graph,
-                self.objects,
-                hops=self.hops,
-                direction=self.direction,
-                relations=self.relations,
-                max_degree=self.max_degree,
-            )
+        else:
+            graph = self.select(graph)
         values: dict[str, Any] = {"triples": len(graph), "entities": len(graph.nodes)}
         if self.statistics:
             values |= _print_statistics(graph)
@@ -82,13 +114,13 @@ class Subgraph(GraphOptions):
 
     def _print_answer(self, columns: tuple[str, ...], rows: tuple[tuple[str, ...], ...]) -> None:
         if self.out is not None:
-            raise UserError("--out writes a graph, but SELECT and ASK give none. Use CONSTRUCT.")
+            raise UserError("--out writes a graph, but SELECT and ASK return none. Use CONSTRUCT.")
         print_table(f"{len(rows)} answers", columns, [[local_name(n) for n in r] for r in rows])
         write_json_table(self.json, {"columns": list(columns), "rows": [list(r) for r in rows]})
 
 
 def _text(query: str) -> str:
-    """Return a query, or the content of the file that it names."""
+    """Return a query, or the content of a query file."""
     path = Path(query)
     is_file = "\n" not in query and len(query) < 200 and path.suffix in (".rq", ".sparql")
     if is_file and not path.is_file():

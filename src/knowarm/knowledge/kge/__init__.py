@@ -1,1 +1,1 @@
-"""Triples go in; a vector for every entity and relation comes out."""
+"""Knowledge-graph embeddings: models, training, link prediction and files of fitted vectors."""

@@ -1,4 +1,4 @@
-"""All that training a graph embedding needs to be told."""
+"""Configuration of the training of a graph embedding."""
 
 from dataclasses import dataclass
 
@@ -8,23 +8,23 @@ class KgeConfig:
     """1-vs-all training with reciprocal relations (Lacroix, Usunier and Obozinski 2018)."""
 
     model: str = "analogy"
-    """Key of MODELS: analogy, transe, distmult, complex, rotate."""
+    """Key of `kge.models.MODELS`: analogy, transe, distmult, complex, rotate."""
     dim: int = 50
-    """Numbers an entity."""
+    """Numbers per entity."""
     epochs: int = 400
-    """Passes over the training triples, at most."""
+    """Largest number of passes over the training triples."""
     batch_size: int = 128
-    """Queries a step."""
+    """Queries per gradient step."""
     learning_rate: float | None = None
     """Adam's step size; None takes the model's own."""
     n3: float | None = None
     """Weight of the N3 penalty; None takes the model's own."""
     label_smoothing: float = 0.0
-    """Share of the target spread over all entities."""
+    """Share of the target probability spread over all entities, 0 to 1."""
     evaluate_every: int = 10
-    """Epochs between looks at the validation triples."""
+    """Epochs between two evaluations on the validation triples."""
     patience: int = 8
-    """Looks without a better MRR after which training stops."""
+    """Evaluations without a better MRR after which training stops."""
     seed: int = 0
     """Seed of the initial vectors and the order of triples."""
     threads: int = 1

@@ -1,11 +1,180 @@
-"""The graph-embedding models, by name."""
+"""Graph-embedding models: ANALOGY, TransE, DistMult, ComplEx and RotatE, and what they share."""
 
-from knowarm.knowledge.kge.analogy import Analogy
-from knowarm.knowledge.kge.complex import ComplEx
-from knowarm.knowledge.kge.distmult import DistMult
-from knowarm.knowledge.kge.model import KgeModel
-from knowarm.knowledge.kge.rotate import RotatE
-from knowarm.knowledge.kge.transe import TransE
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+import torch
+from torch import Tensor, nn
+
+
+class KgeModel(nn.Module, ABC):
+    """Scores triples (h, r, t): E entities, R relations and their R reciprocals, D numbers each.
+
+    A model turns head and relation into a query and compares it with every tail, so that one
+    matrix product answers (h, r, ?). Heads are queried through the reciprocal relation r + R.
+
+    Attributes:
+        entity: vectors of entities, (E, D).
+        relation: vectors of relations and reciprocals, (2 R, D_r).
+    """
+
+    learning_rate: ClassVar[float] = 0.01
+    """Adam's step size that suits the model."""
+    n3: ClassVar[float] = 0.03
+    """Weight of the N3 penalty that suits the model; 0 for distances, which need none."""
+    divisor: ClassVar[int] = 1
+    """Number that `dim` must be divisible by."""
+
+    def __init__(self, entities: int, relations: int, dim: int, generator: torch.Generator) -> None:
+        super().__init__()
+        self.relations = relations
+        entity, relation = self.init(entities, 2 * relations, dim, generator)
+        self.entity = nn.Parameter(entity)
+        self.relation = nn.Parameter(relation)
+
+    def init(
+        self, entities: int, relations: int, dim: int, generator: torch.Generator
+    ) -> tuple[Tensor, Tensor]:
+        """Draw the initial vectors of entities (E, D) and relations (relations, D_r)."""
+        return _normal(entities, dim, generator), _normal(relations, dim, generator)
+
+    @abstractmethod
+    def query(self, head: Tensor, relation: Tensor) -> Tensor:
+        """Combine heads (B, D) and relations (B, D_r) into queries (B, D)."""
+
+    def compare(self, query: Tensor, tail: Tensor) -> Tensor:
+        """Score queries (B, D) against tails (E, D) by dot products, (B, E)."""
+        return query @ tail.T
+
+    def moduli(self, vectors: Tensor) -> Tensor:
+        """Return the absolute values whose cubes N3 sums, of real numbers or complex pairs."""
+        return vectors.abs()
+
+    def relation_vectors(self) -> Tensor:
+        """Return one D-wide vector per relation, (2 R, D), for use beside entity vectors."""
+        return self.relation
+
+    def forward(self, head: Tensor, relation: Tensor) -> Tensor:
+        """Score every tail: ids (B,), (B,) -> scores (B, E)."""
+        return self.compare(self.query(self.entity[head], self.relation[relation]), self.entity)
+
+    def score(self, head: Tensor, relation: Tensor, tail: Tensor) -> Tensor:
+        """Score single triples: ids (B,) each -> (B,)."""
+        query = self.query(self.entity[head], self.relation[relation])
+        single = [
+            self.compare(q[None], t[None])[0] for q, t in zip(query, self.entity[tail], strict=True)
+        ]
+        return torch.cat(single)
+
+    def penalty(self, head: Tensor, relation: Tensor, tail: Tensor) -> Tensor:
+        """N3: mean over the batch of sum |h|^3 + |r|^3 + |t|^3 (Lacroix et al. 2018, eq. 3)."""
+        vectors = (self.entity[head], self.relation[relation], self.entity[tail])
+        return torch.stack([self.moduli(v).pow(3).sum(dim=1) for v in vectors]).sum(0).mean()
+
+
+class TransE(KgeModel):
+    """score(h, r, t) = -||h + r - t||_1 (Bordes et al. 2013)."""
+
+    learning_rate = 0.003
+    n3 = 0.0
+
+    def query(self, head: Tensor, relation: Tensor) -> Tensor:
+        """Return h + r."""
+        return head + relation
+
+    def compare(self, query: Tensor, tail: Tensor) -> Tensor:
+        """Return the negative distances."""
+        return -torch.cdist(query, tail, p=1)
+
+
+class DistMult(KgeModel):
+    """score(h, r, t) = <h, r, t> = sum_i h_i r_i t_i (Yang et al. 2015)."""
+
+    def query(self, head: Tensor, relation: Tensor) -> Tensor:
+        """Return h * r."""
+        return head * relation
+
+
+class ComplEx(KgeModel):
+    """score(h, r, t) = Re(<h, r, conj(t)>) (Trouillon et al. 2016).
+
+    Vectors are D/2 complex numbers: real parts, then imaginary parts.
+    """
+
+    divisor = 2
+
+    def query(self, head: Tensor, relation: Tensor) -> Tensor:
+        """Return h r, whose dot product with (Re t, Im t) is Re(h r conj(t))."""
+        return torch.cat(_complex_product(head, relation), dim=-1)
+
+    def moduli(self, vectors: Tensor) -> Tensor:
+        """Return the moduli of the complex numbers."""
+        return _moduli(vectors)
+
+
+class Analogy(KgeModel):
+    """score(h, r, t) = <h_s, r_s, t_s> + Re(<h_c, r_c, conj(t_c)>) (Liu, Wu and Yang 2017).
+
+    The paper's first choice. The relation is a normal matrix that is block diagonal: 1 x 1 blocks
+    (scalars, s) and 2 x 2 blocks (complex pairs, c), so any two relations commute. Of D numbers,
+    D/4 are complex pairs (rounded down) and the rest scalars, so an entity is exactly D wide.
+    """
+
+    def query(self, head: Tensor, relation: Tensor) -> Tensor:
+        """Return the head times the relation's block diagonal matrix."""
+        scalars = self._scalars(head)
+        real = head[..., :scalars] * relation[..., :scalars]
+        pairs = _complex_product(head[..., scalars:], relation[..., scalars:])
+        return torch.cat([real, *pairs], dim=-1)
+
+    def moduli(self, vectors: Tensor) -> Tensor:
+        """Return the absolute scalars and the moduli of the complex pairs."""
+        scalars = self._scalars(vectors)
+        return torch.cat([vectors[..., :scalars].abs(), _moduli(vectors[..., scalars:])], dim=-1)
+
+    @staticmethod
+    def _scalars(vectors: Tensor) -> int:
+        """Return how many of the D numbers are scalars."""
+        dim = vectors.shape[-1]
+        return dim - 2 * (dim // 4)
+
+
+class RotatE(KgeModel):
+    """score(h, r, t) = -sum_i |h_i exp(i phase_i) - t_i| (Sun et al. 2019).
+
+    Entities are D/2 complex numbers, relations D/2 phases [rad].
+    """
+
+    learning_rate = 0.003
+    n3 = 0.0
+    divisor = 2
+
+    def init(
+        self, entities: int, relations: int, dim: int, generator: torch.Generator
+    ) -> tuple[Tensor, Tensor]:
+        """Draw small normal entities and phases from the whole circle."""
+        phases = (torch.rand(relations, dim // 2, generator=generator) * 2 - 1) * torch.pi
+        return _normal(entities, dim, generator), phases
+
+    def query(self, head: Tensor, relation: Tensor) -> Tensor:
+        """Return the head with every complex number rotated by its phase."""
+        a, b = _halves(head)
+        cos, sin = relation.cos(), relation.sin()
+        return torch.cat([a * cos - b * sin, a * sin + b * cos], dim=-1)
+
+    def compare(self, query: Tensor, tail: Tensor) -> Tensor:
+        """Return the negative sums of the moduli of the differences."""
+        return -torch.cdist(self._planes(query), self._planes(tail)).sum(dim=0)
+
+    def relation_vectors(self) -> Tensor:
+        """Return cosines and sines of the phases, (2 R, D)."""
+        return torch.cat([self.relation.cos(), self.relation.sin()], dim=-1)
+
+    @staticmethod
+    def _planes(vectors: Tensor) -> Tensor:
+        """Return each complex number as a point of its own plane, (n, D) -> (D/2, n, 2)."""
+        return torch.stack(_halves(vectors), dim=-1).transpose(0, 1).contiguous()
+
 
 MODELS: dict[str, type[KgeModel]] = {
     "analogy": Analogy,
@@ -14,4 +183,27 @@ MODELS: dict[str, type[KgeModel]] = {
     "complex": ComplEx,
     "rotate": RotatE,
 }
-"""A new model is one file like distmult.py and one line here."""
+"""Every model by name. A new one is one class like `DistMult` and one line here."""
+
+
+def _normal(rows: int, columns: int, generator: torch.Generator) -> Tensor:
+    """Draw normal noise (rows, columns) of standard deviation 0.1."""
+    return torch.randn(rows, columns, generator=generator) * 0.1
+
+
+def _halves(vectors: Tensor) -> tuple[Tensor, Tensor]:
+    """Split (..., D) into real and imaginary parts, (..., D/2) each."""
+    half = vectors.shape[-1] // 2
+    return vectors[..., :half], vectors[..., half:]
+
+
+def _complex_product(first: Tensor, second: Tensor) -> tuple[Tensor, Tensor]:
+    """Multiply complex vectors (..., D); return real and imaginary parts, (..., D/2) each."""
+    (a, b), (c, d) = _halves(first), _halves(second)
+    return a * c - b * d, a * d + b * c
+
+
+def _moduli(vectors: Tensor) -> Tensor:
+    """Return the moduli of complex vectors (..., D), (..., D/2); smooth at 0."""
+    a, b = _halves(vectors)
+    return (a * a + b * b + 1e-12).sqrt()

@@ -1,4 +1,4 @@
-"""A model and triples go in; filtered ranks, MRR and Hits@k come out."""
+"""Link prediction: filtered ranks, MRR and Hits@k of a model."""
 
 from collections import defaultdict
 from dataclasses import dataclass
@@ -6,14 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from knowarm.knowledge.kge.model import KgeModel
+from knowarm.knowledge.kge.models import KgeModel
 
 HITS = (1, 3, 10)
 
 
 @dataclass(frozen=True, kw_only=True)
 class LinkPrediction:
-    """How well held-out triples are found among all others."""
+    """Result of ranking held-out triples among all others."""
 
     ranks: np.ndarray
     """Filtered realistic ranks: tails of every triple, then heads, (2 n,) float64."""
@@ -28,7 +28,7 @@ class LinkPrediction:
         return float((self.ranks <= k).mean()) if len(self.ranks) else float("nan")
 
     def describe(self) -> dict[str, float]:
-        """Return the measures as JSON-able values, for both directions and each alone."""
+        """Return the measures as JSON-able values, for both directions together and each alone."""
         half = len(self.ranks) // 2
         tails, heads = (
             LinkPrediction(ranks=self.ranks[:half]),
@@ -45,17 +45,17 @@ def rank(
 ) -> LinkPrediction:
     """Rank the true tail and the true head of each triple among all entities.
 
-    Filtered: entities that make another known triple do not count (Bordes et al. 2013).
-    Realistic: of k entities with the same score the rank is the mean place, so a model that
-    gives everything the same score is not rewarded for it:
+    Filtered: entities that complete another known triple are skipped (Bordes et al. 2013).
+    Realistic: entities with the same score share their mean rank, so that a model that scores
+    all entities alike gets the middle rank:
 
         rank = 1 + #(higher) + #(equal, other) / 2
 
     Args:
-        model: what scores.
+        model: the model.
         triples: to rank, (n, 3) int64.
-        known: every triple that is true, (m, 3) int64: training, validation and test.
-        batch_size: queries at once.
+        known: every true triple, (m, 3) int64: training, validation and test.
+        batch_size: queries per batch.
     """
     model.eval()
     ranks = [

@@ -1,4 +1,4 @@
-"""A graph goes in; training, validation and test triples come out."""
+"""Random splits of a graph into training, validation and test triples."""
 
 from dataclasses import dataclass
 
@@ -50,10 +50,10 @@ def split_graph(
     Args:
         graph: what to split.
         valid, test: shares to hold out.
-        seed: of the random order.
+        seed: seed of the random order.
 
     Raises:
-        UserError: the shares are not sensible, or the graph is too small to hold out a triple.
+        UserError: the shares are out of range, or the graph is too small to hold out a triple.
     """
     if not (0 <= valid < 1 and 0 < test < 1 and valid + test < 1):
         raise UserError(

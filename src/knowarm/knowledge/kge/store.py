@@ -1,4 +1,4 @@
-"""A trained model and its names go in; a safetensors file that runs no code comes out, and back."""
+"""Files of trained graph embeddings: safetensors with names and config, no pickled code."""
 
 import json
 from dataclasses import asdict, dataclass, field
@@ -13,7 +13,7 @@ from knowarm.config import from_dict
 from knowarm.errors import UserError
 from knowarm.knowledge.graph import KnowledgeGraph
 from knowarm.knowledge.kge.config import KgeConfig
-from knowarm.knowledge.kge.model import KgeModel
+from knowarm.knowledge.kge.models import KgeModel
 from knowarm.knowledge.kge.train import new_model
 from knowarm.knowledge.names import SEPARATOR
 
@@ -22,7 +22,7 @@ FORMAT = "knowarm-graph-embedding-1"
 
 @dataclass(frozen=True, kw_only=True)
 class StoredModel:
-    """A trained model with the names that its rows stand for."""
+    """A trained model with the names of its rows."""
 
     config: KgeConfig
     model: KgeModel = field(repr=False)
@@ -43,27 +43,24 @@ def save_model(model: KgeModel, config: KgeConfig, graph: KnowledgeGraph, path: 
         path.parent.mkdir(parents=True, exist_ok=True)
         save_file(tensors, path, {"format": FORMAT, "config": json.dumps(asdict(config))})
     except OSError as error:
-        raise UserError(f"Cannot write {path}: {error.strerror}. Give another place.") from error
+        raise UserError(f"Cannot write {path}: {error.strerror}. Give another path.") from error
 
 
 def load_model(path: Path) -> StoredModel:
     """Read a model that `save_model` wrote.
 
     Raises:
-        UserError: there is no such file, it is cut short, or it is something else.
+        UserError: there is no such file, it is incomplete, or it holds something else.
     """
     if not path.is_file():
-        raise UserError(
-            f"There is no model file {path}. "
-            f"Make one with `knowarm knowledge fit GRAPH --out FILE`."
-        )
+        raise UserError(f"There is no model file {path}. Write one with `save_model`.")
     try:
         with safe_open(path, "pt") as file:
             about = file.metadata() or {}
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError) as error:
         raise UserError(
-            f"{path} is no whole safetensors file: {error}. Fit the model again."
+            f"{path} is not a complete safetensors file: {error}. Fit the model again."
         ) from error
     if about.get("format") != FORMAT:
         raise UserError(

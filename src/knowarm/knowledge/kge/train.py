@@ -1,4 +1,4 @@
-"""Triples and a config go in; a trained graph-embedding model comes out."""
+"""Training of graph embeddings: 1-vs-all cross-entropy with early stopping."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -9,32 +9,31 @@ from torch.nn.functional import cross_entropy
 
 from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge.kge.config import KgeConfig
-from knowarm.knowledge.kge.model import KgeModel
-from knowarm.knowledge.kge.models import MODELS
+from knowarm.knowledge.kge.models import MODELS, KgeModel
 from knowarm.knowledge.kge.rank import rank, reciprocal
 
 
 @dataclass(frozen=True, kw_only=True)
 class Trained:
-    """A model and how its training went."""
+    """A trained model and the record of its training."""
 
     model: KgeModel = field(repr=False)
-    """The model with its best vectors."""
+    """The model with the vectors of the best epoch."""
     epochs: int
-    """Epochs that were run."""
+    """Number of epochs run."""
     best_epoch: int
-    """The epoch whose vectors were kept."""
+    """The epoch whose vectors are returned."""
     losses: tuple[float, ...] = field(repr=False)
     """Mean loss of each epoch."""
     valid_mrr: tuple[tuple[int, float], ...] = ()
-    """(epoch, MRR) of each look at the validation triples."""
+    """(epoch, MRR) of each evaluation on the validation triples."""
 
 
 def new_model(config: KgeConfig, entities: int, relations: int) -> KgeModel:
     """Make an untrained model.
 
     Raises:
-        UserError: the model is unknown or the dimension does not suit it.
+        UserError: the model is unknown, or the dimension is not allowed for it.
     """
     if config.model not in MODELS:
         raise unknown_name("graph-embedding model", config.model, MODELS)
@@ -56,20 +55,21 @@ def train(
     known: np.ndarray | None = None,
     on_epoch: Callable[[int, float, float | None], None] | None = None,
 ) -> Trained:
-    """Train a model: cross-entropy of (h, r, ?) over all entities, in both directions.
+    """Train a model with cross-entropy of (h, r, ?) over all entities, in both directions.
 
         loss = -log softmax(score(h, r, .))_t + n3 * N3(h, r, t)
 
     Args:
         config: the model and its training.
         triples: (n, 3) int64.
-        entities, relations: how many there are.
+        entities: number of entities.
+        relations: number of relations.
         valid: validation triples (m, 3); None trains for all epochs.
-        known: all true triples, for filtering; None takes `triples` and `valid`.
-        on_epoch: called with the epoch, its loss and the validation MRR where it was looked at.
+        known: all true triples, for filtered ranks; None takes `triples` and `valid`.
+        on_epoch: called with the epoch, its loss, and the validation MRR if it was evaluated.
 
     Raises:
-        UserError: the model is unknown, the dimension does not suit it, or there is no triple.
+        UserError: the model is unknown, the dimension is not allowed for it, or there is no triple.
     """
     if not len(triples):
         raise UserError("There is no triple to train on. Give a graph with at least a few facts.")

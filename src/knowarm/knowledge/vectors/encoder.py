@@ -1,31 +1,45 @@
-"""Labels go in; vectors of a sentence encoder on this machine come out. An extra, not needed."""
+"""Sentence encoders of the optional package sentence-transformers, run on this machine."""
+
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from knowarm.errors import UserError
 from knowarm.knowledge.sentence import Part
-from knowarm.knowledge.vectors.coverage import Coverage
-from knowarm.knowledge.vectors.source import Found
+from knowarm.knowledge.vectors.source import Coverage, Found, Request, VectorLookup, VectorSource
 
 
-class EncoderSource:
-    """Encodes each label with a model of the package sentence-transformers.
+@dataclass(frozen=True, kw_only=True)
+class SentenceEncoder(VectorSource):
+    """One vector per label, from a sentence encoder."""
 
-    Nothing is ever missing, and no word frequencies are known: SIF then weighs all alike.
-    """
+    kind: Literal["sentence-transformers"] = "sentence-transformers"
+    """Tells this source from the others in a file."""
+    model: str
+    """Path of a model folder, or the name of a model in the local cache."""
+
+    def open(self, request: Request) -> VectorLookup:
+        """Load the model."""
+        del request
+        return EncoderLookup(self.model)
+
+
+class EncoderLookup:
+    """Encodes labels; none is ever missing, and all have the same SIF weight."""
 
     def __init__(self, model: str) -> None:
         """Load a model by its path or name.
 
         Raises:
-            UserError: the package is not installed or the model is not at hand.
+            UserError: the package is not installed or the model cannot be loaded.
         """
         try:
             from sentence_transformers import SentenceTransformer
         except ImportError as error:
             raise UserError(
                 "Sentence encoders need the package sentence-transformers. Install it with "
-                "`pip install sentence-transformers`, or take --source wordnet-gloss-50."
+                "`pip install sentence-transformers`, or take the word vectors wordnet-gloss-50."
             ) from error
         try:
             self._encoder = SentenceTransformer(model, device="cpu")

@@ -1,4 +1,4 @@
-"""A text file of word vectors (GloVe, word2vec) goes in; those of the words asked for come out."""
+"""Reader of text files of word vectors in the formats of GloVe and word2vec."""
 
 import re
 import zipfile
@@ -11,33 +11,33 @@ from typing import IO
 import numpy as np
 
 from knowarm.errors import UserError
-from knowarm.knowledge.read.lines import decode, line_blocks, open_bytes
-from knowarm.knowledge.vectors.word_vectors import WordVectors
+from knowarm.knowledge.formats.lines import decode, line_blocks, open_bytes
+from knowarm.knowledge.vectors.words import WordTable
 
 _HEADER = re.compile(rb"\d+ \d+ *\r?")
 _NUMBER = re.compile(r"[-+]?\d+\.\d+(?:[eE][-+]?\d+)?")
-_LOOK_AT = 100
+_FIRST_LINES = 100
 
 
-def read_word_vectors(path: Path, wanted: Collection[str] | None = None) -> WordVectors:
-    """Read word vectors: `word number number ...` a line, most frequent word first.
+def read_word_vectors(path: Path, wanted: Collection[str] | None = None) -> WordTable:
+    """Read word vectors: lines of `word number number ...`, most frequent word first.
 
-    Knows plain text, .gz, .bz2, .xz and .zip (its first .txt or .vec member), an optional
-    word2vec header, and words that hold spaces. Numbers are parsed for wanted words only: a file of
-    400,000 words x 50 takes about a second.
+    The file is plain text, .gz, .bz2, .xz or .zip (with one .txt or .vec member) and may have a
+    word2vec header and words that contain spaces. Numbers are parsed for wanted words only: a file
+    of 400,000 words x 50 takes about a second.
 
     Args:
         path: the file, e.g. glove.6B.50d.txt.
-        wanted: words to keep; None keeps all.
+        wanted: words to keep; None keeps all words.
 
     Raises:
-        UserError: no such file, a line of another dimension, or a wanted word whose vector holds
-            something that is no finite number; the line is named.
+        UserError: there is no such file, a line has another dimension, or the vector of a wanted
+            word contains a non-finite value; the line is named.
     """
     if not path.is_file():
         raise UserError(
             f"There is no word-vector file {path}. Give the path of a file in GloVe's format "
-            f"(glove.6B.50d.txt), or take --source wordnet-gloss-50, which comes with KnowArm."
+            f"(glove.6B.50d.txt), or take the shipped vectors wordnet-gloss-50."
         )
     if path.suffix.lower() in (".bin", ".model", ".npy"):
         raise UserError(
@@ -55,7 +55,7 @@ def read_word_vectors(path: Path, wanted: Collection[str] | None = None) -> Word
         for first, lines in line_blocks(file, path):
             if first == 1:
                 header = int(_HEADER.fullmatch(lines[0]) is not None)
-                dim = _dimension(lines[header : header + _LOOK_AT], path, header)
+                dim = _dimension(lines[header : header + _FIRST_LINES], path, header)
             for number, line in enumerate(lines, first):
                 fields = line.count(b" ")
                 if fields != dim:
@@ -76,31 +76,31 @@ def read_word_vectors(path: Path, wanted: Collection[str] | None = None) -> Word
                 rows.append(_vector(numbers, words[-1], path, number))
                 ranks.append(count)
     vectors = np.array(rows, np.float32).reshape(len(rows), dim)
-    return WordVectors(
+    return WordTable(
         name=path.name, words=tuple(words), vectors=vectors, ranks=np.array(ranks), size=count
     )
 
 
 def _dimension(lines: list[bytes], path: Path, header: int) -> int:
-    """Return how many numbers most of the first lines have."""
+    """Return the dimension of most of the first lines."""
     fields = Counter(len(line.split()) - 1 for line in lines if line.strip())
     dim = max(fields, key=lambda n: fields[n], default=0)
     if dim < 2:
         raise UserError(
-            f"{path}, line {1 + header}: expected a word and its numbers, parted by spaces. "
+            f"{path}, line {1 + header}: expected a word and its numbers, separated by spaces. "
             f"Give a file in GloVe's format, e.g. glove.6B.50d.txt."
         )
     return dim
 
 
 def _check_wide(line: bytes, dim: int, path: Path, number: int) -> None:
-    """Let a line through whose word holds spaces; refuse one of another dimension."""
+    """Accept a line whose word contains spaces; refuse one of another dimension."""
     fields = line.split(b" ")
     extra = [field.decode(errors="replace") for field in fields[1:-dim]]
     if len(fields) - 1 < dim or (extra and all(_NUMBER.fullmatch(field) for field in extra)):
         raise UserError(
             f"{path}, line {number}: has {len(fields) - 1} numbers, the lines before {dim}. "
-            f"All words of a file must have the same dimension; fetch the file again."
+            f"All words of a file must have the same dimension; download the file again."
         )
 
 
@@ -111,12 +111,12 @@ def _vector(numbers: list[bytes], word: str, path: Path, number: int) -> np.ndar
         bad = next(field for field in numbers if not _is_number(field))
         raise UserError(
             f"{path}, line {number}: {bad.decode(errors='replace')!r} in the vector of {word!r} "
-            f"is no number. Mend or drop that line."
+            f"is no number. Correct or delete the line."
         ) from None
     if not np.isfinite(vector).all():
         raise UserError(
-            f"{path}, line {number}: the vector of {word!r} holds NaN or infinity. "
-            f"Mend or drop that line."
+            f"{path}, line {number}: the vector of {word!r} contains a non-finite value. "
+            f"Correct or delete the line."
         )
     return vector
 
@@ -141,10 +141,12 @@ def _open(path: Path) -> Iterator[IO[bytes]]:
             if len(members) != 1:
                 held = ", ".join(archive.namelist()[:6]) or "nothing"
                 raise UserError(
-                    f"{path} must hold one .txt or .vec file, but holds {held}. "
-                    f"Unpack it and name the file you want."
+                    f"{path} must contain one .txt or .vec file, but contains {held}. "
+                    f"Unpack it and give the path of the file."
                 )
             with archive.open(members[0]) as file:
                 yield file
     except zipfile.BadZipFile as error:
-        raise UserError(f"{path} is no whole zip file: {error}. Fetch it again.") from error
+        raise UserError(
+            f"{path} is not a complete zip file: {error}. Download it again."
+        ) from error

@@ -1,58 +1,130 @@
-"""The slots of the real embedding go in; slots of the same shape that mean nothing come out."""
+"""Placebos: slots of the real shape that carry no meaning, or a false one."""
+
+from dataclasses import dataclass, field
+from typing import ClassVar, Literal
 
 import numpy as np
 
+from knowarm.config import registered
+from knowarm.errors import UserError
+from knowarm.knowledge.builder import shuffle_tails
 from knowarm.knowledge.graph import KnowledgeGraph
+from knowarm.knowledge.vectors.source import CodeSource, Request, VectorLookup, VectorSource
+from knowarm.knowledge.vectors.words import WordVectors
 
 
-def zeros(slots: np.ndarray, seed: int) -> np.ndarray:
-    """Return zeros (S, D): the network's shape without any input."""
-    del seed
-    return np.zeros_like(slots)
+@dataclass(frozen=True, kw_only=True)
+class Zeros(CodeSource):
+    """Zeros: the network's shape without any input."""
+
+    kind: Literal["zeros"] = "zeros"
+    note: ClassVar[str] = "placebo: zeros, the network's shape without knowledge"
+
+    def code(self, slots: int, dim: int) -> np.ndarray:
+        """Return zeros."""
+        return np.zeros((slots, dim), np.float32)
 
 
-def random(slots: np.ndarray, seed: int) -> np.ndarray:
-    """Return normal noise (S, D), each slot as long as the real one."""
-    noise = np.random.default_rng(seed).standard_normal(slots.shape)
-    length = np.linalg.norm(slots, axis=1, keepdims=True)
-    return (noise * (length / np.linalg.norm(noise, axis=1, keepdims=True))).astype(np.float32)
+@dataclass(frozen=True, kw_only=True)
+class Learned(CodeSource):
+    """The slot's number as a one-hot, for a policy that learns the vectors itself."""
+
+    kind: Literal["learned"] = "learned"
+    note: ClassVar[str] = "one-hot slot numbers; the policy learns the vectors (encoder 'learned')"
+    encoder: ClassVar[Literal["identity", "learned"]] = "learned"
+
+    def code(self, slots: int, dim: int) -> np.ndarray:
+        """Return rows of the identity matrix."""
+        check_one_hot(slots, dim)
+        return np.eye(slots, dim, dtype=np.float32)
 
 
-def onehot(slots: np.ndarray, seed: int) -> np.ndarray:
-    """Return the slot's number as a one-hot (S, D), as long as the real slot: identity, no more."""
-    del seed
-    hot = np.zeros_like(slots)
-    places = np.arange(len(slots))
-    hot[places, places] = np.linalg.norm(slots, axis=1)
-    return hot
+@dataclass(frozen=True, kw_only=True)
+class Placebo(VectorSource):
+    """Base of the placebos that copy shape and norm of a real source."""
 
-
-def learned(slots: np.ndarray, seed: int) -> np.ndarray:
-    """Return the slot's number as a plain one-hot (S, D), for a policy that learns the vectors."""
-    del seed
-    return np.eye(*slots.shape, dtype=np.float32)
-
-
-SLOT_PLACEBOS = {"zeros": zeros, "random": random, "onehot": onehot, "learned": learned}
-"""Placebos that replace the numbers of the slots."""
-
-GRAPH_PLACEBOS = ("shuffled", "wrong-object")
-"""Placebos that go through the real vectors with a false graph or a false object."""
-
-PLACEBOS = (*SLOT_PLACEBOS, *GRAPH_PLACEBOS)
-
-
-def shuffle_tails(graph: KnowledgeGraph, seed: int) -> KnowledgeGraph:
-    """Permute the tails within each relation: every count stays, no fact does.
-
-    Triples that come out twice collapse into one.
-    """
-    generator = np.random.default_rng(seed)
-    tails = graph.tails.copy()
-    for relation in np.unique(graph.relations):
-        rows = np.flatnonzero(graph.relations == relation)
-        tails[rows] = tails[generator.permutation(rows)]
-    triples = np.stack([graph.heads, graph.relations, tails], axis=1)
-    return KnowledgeGraph(
-        graph.names, graph.relation_names, triples, nodes=graph.nodes, labels=graph.labels
+    placebo: ClassVar[bool] = True
+    matches: VectorSource = field(
+        default_factory=WordVectors, metadata=registered(lambda: _real_sources())
     )
+    """The real source."""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.matches, VectorSource) or self.matches.placebo:
+            raise UserError(f"matches must be a real source, got the placebo {self.matches}.")
+
+    def open(self, request: Request) -> VectorLookup:
+        """Open the real source."""
+        return self.matches.open(request)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RandomVectors(Placebo):
+    """Normal noise, each slot as long as the real one."""
+
+    kind: Literal["random"] = "random"
+    note: ClassVar[str] = "placebo: random numbers, each slot as long as the real one"
+
+    def change_slots(self, slots: np.ndarray, seed: int) -> np.ndarray:
+        """Return noise scaled to the length of each slot."""
+        noise = np.random.default_rng(seed).standard_normal(slots.shape)
+        length = np.linalg.norm(slots, axis=1, keepdims=True)
+        return (noise * (length / np.linalg.norm(noise, axis=1, keepdims=True))).astype(np.float32)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OneHot(Placebo):
+    """The slot's number as a one-hot, as long as the real slot: identity without meaning."""
+
+    kind: Literal["onehot"] = "onehot"
+    note: ClassVar[str] = (
+        "placebo: one-hot slot numbers, as long as the real slots; identity without meaning"
+    )
+
+    def change_slots(self, slots: np.ndarray, seed: int) -> np.ndarray:
+        """Return the length of each slot at the place of its number."""
+        del seed
+        check_one_hot(*slots.shape)
+        hot = np.zeros_like(slots)
+        places = np.arange(len(slots))
+        hot[places, places] = np.linalg.norm(slots, axis=1)
+        return hot
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShuffledGraph(Placebo):
+    """Real vectors of a graph whose tails are permuted within each relation."""
+
+    kind: Literal["shuffled"] = "shuffled"
+    note: ClassVar[str] = "placebo: the graph's tails are permuted within each relation"
+
+    def change_graph(self, graph: KnowledgeGraph, seed: int) -> KnowledgeGraph:
+        """Permute the tails."""
+        return shuffle_tails(graph, seed)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WrongObject(Placebo):
+    """Real vectors of other objects: `scene.slot_subgraphs` replaces each by one of the graph."""
+
+    kind: Literal["wrong-object"] = "wrong-object"
+    note: ClassVar[str] = "placebo: every slot describes another object than its own"
+
+
+def check_one_hot(slots: int, dim: int) -> None:
+    """Refuse a one-hot code that is too short.
+
+    Raises:
+        UserError: there are more slots than numbers.
+    """
+    if slots > dim:
+        raise UserError(
+            f"{slots} slots do not fit a one-hot of {dim} numbers. Set dim to {slots} or more."
+        )
+
+
+def _real_sources() -> list[type[VectorSource]]:
+    """Return the registered sources that a placebo can copy."""
+    from knowarm.knowledge.vectors import SOURCES  # the registry imports this module
+
+    return [cls for cls in SOURCES.values() if issubclass(cls, VectorSource) and not cls.placebo]

@@ -1,42 +1,136 @@
-"""Word vectors go in; a source that finds every label it can, and says what it could not, out."""
+"""Word vectors, shipped or from a file, and the lookup of labels among them."""
 
 import hashlib
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cache, cached_property
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from safetensors.numpy import load_file
 
-from knowarm.errors import UserError
+from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge.sentence import Part
-from knowarm.knowledge.vectors.coverage import Coverage
-from knowarm.knowledge.vectors.forms import joined_forms, word_forms
-from knowarm.knowledge.vectors.source import Found
-from knowarm.knowledge.vectors.word_vectors import WordVectors
+from knowarm.knowledge.vectors.source import (
+    Coverage,
+    Found,
+    OnMissing,
+    Request,
+    VectorLookup,
+    VectorSource,
+)
+from knowarm.knowledge.vectors.word_forms import all_forms, joined_forms, word_forms
 
-OnMissing = Literal["error", "skip", "hash"]
+DATA = Path(__file__).parent / "data"
+
+SHIPPED = {"wordnet-gloss-50": DATA / "wordnet-gloss-50.safetensors"}
+"""Files of the shipped vectors: float16 `vectors` (n, dim), uint8 `words` (UTF-8, one per line).
+
+`wordnet-gloss-50` is made by scripts/build_wordnet_vectors.py from WordNet's glosses.
+"""
 
 
-class WordSource:
+@dataclass(frozen=True, kw_only=True)
+class WordVectors(VectorSource):
+    """One vector per word of a label."""
+
+    kind: Literal["words"] = "words"
+    """Tells this source from the others in a file."""
+    name: str = "wordnet-gloss-50"
+    """Key of `SHIPPED`: vectors that come with the package."""
+    file: str | None = None
+    """Path of a file in GloVe's format to read instead, e.g. glove.6B.50d.txt."""
+
+    @property
+    def short_name(self) -> str:
+        """Name of the vectors or path of the file."""
+        return self.file or self.name
+
+    def open(self, request: Request) -> VectorLookup:
+        """Load the shipped vectors, or read the words of the request from the file."""
+        if self.file is not None:
+            from knowarm.knowledge.vectors.glove import read_word_vectors
+
+            parts, aliases = request.parts, request.aliases
+            forms = {form for part in parts for form in all_forms(part.label, aliases)}
+            table = read_word_vectors(Path(self.file), forms)
+        elif self.name in SHIPPED:
+            table = shipped_vectors(self.name)
+        else:
+            raise unknown_name("shipped word vectors", self.name, SHIPPED)
+        return WordLookup(table, aliases=request.aliases, on_missing=request.on_missing)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WordTable:
+    """Words with their vectors and their frequency ranks."""
+
+    name: str
+    """Name in reports: a shipped name or a file's name."""
+    words: tuple[str, ...]
+    """The words held here; of a file, only those that were requested."""
+    vectors: np.ndarray = field(repr=False)
+    """One row per word, (n, dim) float32."""
+    ranks: np.ndarray = field(repr=False)
+    """Place of each word in the file, 1 = most frequent, (n,) int64."""
+    size: int
+    """Number of words in the whole file."""
+
+    @property
+    def dim(self) -> int:
+        """Numbers per word."""
+        return int(self.vectors.shape[1])
+
+    @cached_property
+    def index(self) -> dict[str, int]:
+        """Row by word."""
+        return {word: row for row, word in enumerate(self.words)}
+
+    @cached_property
+    def frequencies(self) -> np.ndarray:
+        """Estimated share of each word in running text, (n,) float64.
+
+        Zipf's law, p(rank) = 1 / (rank * H(size)): a vector file gives the order of words only.
+        """
+        harmonic = np.log(self.size) + 0.5772156649
+        return 1.0 / (self.ranks * harmonic)
+
+
+@cache
+def shipped_vectors(name: str) -> WordTable:
+    """Load shipped word vectors, all words, once per process."""
+    tensors = load_file(SHIPPED[name])
+    words = tuple(tensors["words"].tobytes().decode().split("\n"))
+    return WordTable(
+        name=name,
+        words=words,
+        vectors=tensors["vectors"].astype(np.float32),
+        ranks=np.arange(1, len(words) + 1),
+        size=len(words),
+    )
+
+
+class WordLookup:
     """Finds labels among word vectors.
 
-    A label is tried as one word, joined (`light-blue`), then word by word; a word is tried as it
-    stands, as the user's alias, in another spelling, singular, and as a lemma.
+    A label is tried as one word, as an alias, joined (`light-blue`), then word by word. A word is
+    tried unchanged, as an alias, in another spelling, in the singular, and as a lemma.
     """
 
     def __init__(
         self,
-        vectors: WordVectors,
+        vectors: WordTable,
         *,
         aliases: Mapping[str, str] | None = None,
         on_missing: OnMissing = "error",
     ) -> None:
-        """Make a source.
+        """Make a lookup.
 
         Args:
-            vectors: where to look.
-            aliases: other words for a label or word, e.g. {"irb120": "robot arm"}.
-            on_missing: what to do with a label of which no word is known: raise an error, leave
-                it out, or give each word a fixed random vector made of its letters.
+            vectors: the words.
+            aliases: other words for a label or word, e.g. {"cobot": "robot arm"}.
+            on_missing: what to do with a label of which no word is known.
         """
         self.words = vectors
         self.name = vectors.name
@@ -61,13 +155,13 @@ class WordSource:
         if self.on_missing == "error":
             raise UserError(
                 f"No word of the label {part.label!r} (of {part.name!r}) is in {self.name}. "
-                f"Give it another word with --aliases {part.label!r} WORD, or take "
-                f"--on-missing skip or hash."
+                f"Give it another word in `aliases`, e.g. {{{part.label!r}: 'word'}}, or set "
+                f"on_missing to 'skip' or 'hash'."
             )
         return Found(np.empty((0, self.dim), np.float32), np.empty(0))
 
     def _rows(self, label: str) -> tuple[list[int], str, list[str]]:
-        """Return rows of the vectors, how the label was found, and words that were not."""
+        """Return rows of the vectors, how the label was found, and the words that were not."""
         index = self.words.index
         if label in index:
             return [index[label]], "word", []
@@ -106,7 +200,7 @@ class WordSource:
                 yield [index[form]], "form"
 
     def _hashed(self, label: str, coverage: Coverage) -> Found:
-        """Return random vectors that depend on the words' letters alone, of a usual length."""
+        """Return random vectors of the median length that depend on the words' letters only."""
         length = float(np.median(np.linalg.norm(self.words.vectors, axis=1)))
         vectors = []
         for word in label.split():

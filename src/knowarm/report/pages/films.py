@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image
 
 from knowarm.errors import UserError
-from knowarm.experiment.film import read_film
+from knowarm.experiment.evaluation_files import read_film
 from knowarm.report.blocks import Film, Films, Page
 from knowarm.report.palette import colours
 from knowarm.report.study import Judged, Study, Task

@@ -7,9 +7,9 @@ from torch import Tensor
 
 from knowarm.errors import UserError
 from knowarm.world.appearance import Shown
+from knowarm.world.backends.device import INSTALL
+from knowarm.world.backends.warp import WarpSimulator
 from knowarm.world.config import EnvConfig
-from knowarm.world.gpu.device import INSTALL
-from knowarm.world.gpu.simulation import DeviceSimulation
 from knowarm.world.render.renderer import make_renderer
 from knowarm.world.scene import Scene
 
@@ -17,7 +17,7 @@ from knowarm.world.scene import Scene
 class TorchRenderer(Protocol):
     """Draws environments from a simulation's poses where they lie."""
 
-    def draw(self, simulation: DeviceSimulation, shown: Shown, out: Tensor, wanted: Any) -> None:
+    def draw(self, simulation: WarpSimulator, shown: Shown, out: Tensor, wanted: Any) -> None:
         """Draw images.
 
         Args:
@@ -56,7 +56,7 @@ class HostRenderer:
     def __init__(self, scene: Scene, config: EnvConfig) -> None:
         self._renderer = make_renderer(scene, config, config.image_size)
 
-    def draw(self, simulation: DeviceSimulation, shown: Shown, out: Tensor, wanted: Any) -> None:
+    def draw(self, simulation: WarpSimulator, shown: Shown, out: Tensor, wanted: Any) -> None:
         """Draw images; see ``TorchRenderer.draw``."""
         ids: Any = slice(None) if wanted is None else wanted.nonzero()[:, 0]
         positions = simulation.geom_position[ids].numpy()
@@ -107,7 +107,7 @@ class CudaRenderer:
                 "numba-cuda[cu12] or numba-cuda[cu13]; or use the CPU."
             ) from error
 
-    def draw(self, simulation: DeviceSimulation, shown: Shown, out: Tensor, wanted: Any) -> None:
+    def draw(self, simulation: WarpSimulator, shown: Shown, out: Tensor, wanted: Any) -> None:
         """Draw images; see ``TorchRenderer.draw``."""
         handle = torch.cuda.current_stream(self._device).cuda_stream
         self._caster.render(

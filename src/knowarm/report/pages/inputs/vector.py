@@ -9,7 +9,7 @@ import numpy as np
 from knowarm.config import from_dict
 from knowarm.errors import UserError
 from knowarm.experiment.run_folder import RunFolder
-from knowarm.knowledge import KnowledgeConfig, scene_subgraph
+from knowarm.knowledge import KnowledgeConfig, migrate_source, scene_subgraph
 from knowarm.report.blocks import Block, Column, Figure, Pair, Panel, Table, Verdict
 from knowarm.report.figures import graph_drawing, heat_strip
 from knowarm.report.study import Run
@@ -61,7 +61,7 @@ def _triples(run: Run, known: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     facets = known.get("facets") or run.provenance.get("facets")
     if not facets or known.get("config", {}).get("detail") == "none":
         return []
-    config = from_dict(KnowledgeConfig, known["config"], where="knowledge")
+    config = from_dict(KnowledgeConfig, migrate_source(known["config"]), where="knowledge")
     return list(scene_subgraph(config, [(str(a), str(b)) for a, b in facets]))
 
 

@@ -1,0 +1,115 @@
+"""Reading and writing of graphs by file format, and the shipped household graph."""
+
+from collections.abc import Callable
+from functools import cache, partial
+from pathlib import Path
+
+from pyoxigraph import RdfFormat
+
+from knowarm.errors import UserError, unknown_name
+from knowarm.knowledge.formats.conceptnet import read_conceptnet
+from knowarm.knowledge.formats.openke import read_openke
+from knowarm.knowledge.formats.rdf import read_rdf, write_rdf
+from knowarm.knowledge.formats.tables import read_table, write_table
+from knowarm.knowledge.graph import KnowledgeGraph
+
+FORMATS: dict[str, Callable[[Path], KnowledgeGraph]] = {
+    "turtle": partial(read_rdf, syntax=RdfFormat.TURTLE),
+    "ntriples": partial(read_rdf, syntax=RdfFormat.N_TRIPLES),
+    "rdfxml": partial(read_rdf, syntax=RdfFormat.RDF_XML),
+    "jsonld": partial(read_rdf, syntax=RdfFormat.JSON_LD),
+    "csv": partial(read_table, separator=","),
+    "tsv": partial(read_table, separator="\t"),
+    "openke": read_openke,
+    "conceptnet": read_conceptnet,
+}
+"""Reader by name of the format."""
+
+SUFFIXES = {
+    ".ttl": "turtle",
+    ".turtle": "turtle",
+    ".nt": "ntriples",
+    ".owl": "rdfxml",
+    ".rdf": "rdfxml",
+    ".xml": "rdfxml",
+    ".jsonld": "jsonld",
+    ".json": "jsonld",
+    ".csv": "csv",
+    ".tsv": "tsv",
+}
+"""Format by suffix; each may be followed by .gz, .bz2 or .xz."""
+
+WRITERS: dict[str, Callable[[KnowledgeGraph, Path], None]] = {
+    ".ttl": partial(write_rdf, syntax=RdfFormat.TURTLE),
+    ".nt": partial(write_rdf, syntax=RdfFormat.N_TRIPLES),
+    ".rdf": partial(write_rdf, syntax=RdfFormat.RDF_XML),
+    ".jsonld": partial(write_rdf, syntax=RdfFormat.JSON_LD),
+    ".csv": partial(write_table, separator=","),
+    ".tsv": partial(write_table, separator="\t"),
+}
+"""Writer by the file's suffix."""
+
+HOUSEHOLD = Path(__file__).parent.parent / "data" / "household.ttl"
+"""The shipped graph: 31 household objects and facts about them that matter to a robot arm."""
+
+
+def read_graph(path: str | Path, format: str | None = None) -> KnowledgeGraph:
+    """Read a graph from a file, or from a folder of OpenKE files.
+
+    Args:
+        path: the file or folder.
+        format: key of `FORMATS`; None takes the format of the suffix.
+
+    Raises:
+        UserError: there is no such file, the format is unknown, or the file is malformed.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise UserError(f"There is no graph file {path}. Give the path of a file, e.g. home.ttl.")
+    if format is None:
+        format = _format_of(path)
+    if format not in FORMATS:
+        raise unknown_name("graph format", format, FORMATS)
+    if path.is_dir() and format != "openke":
+        raise UserError(f"{path} is a folder, but {format} is read from a file. Give the file.")
+    return FORMATS[format](path)
+
+
+def write_graph(graph: KnowledgeGraph, path: str | Path) -> None:
+    """Write a graph to a file in the format of its suffix.
+
+    Raises:
+        UserError: the suffix belongs to no format, or the file cannot be written.
+    """
+    path = Path(path)
+    if path.suffix not in WRITERS:
+        raise UserError(
+            f"{path}: graphs are written as {', '.join(WRITERS)}, not {path.suffix!r}. "
+            f"Give the file one of these suffixes."
+        )
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        WRITERS[path.suffix](graph, path)
+    except OSError as error:
+        raise UserError(f"Cannot write {path}: {error.strerror}. Give another path.") from error
+
+
+@cache
+def household() -> KnowledgeGraph:
+    """Read the shipped graph, once per process."""
+    return read_graph(HOUSEHOLD)
+
+
+def _format_of(path: Path) -> str:
+    if path.is_dir():
+        return "openke"
+    if path.name.startswith("conceptnet-assertions"):
+        return "conceptnet"
+    compressed = path.suffix.lower() in (".gz", ".bz2", ".xz")
+    suffix = (Path(path.stem) if compressed else path).suffix.lower()
+    if suffix not in SUFFIXES:
+        raise UserError(
+            f"{path}: the suffix {suffix!r} belongs to no graph format. Known suffixes: "
+            f"{', '.join(sorted(SUFFIXES))}. Or give the format: {', '.join(FORMATS)}."
+        )
+    return SUFFIXES[suffix]

@@ -1,0 +1,157 @@
+"""RDF files: Turtle, N-Triples, RDF/XML and JSON-LD, parsed and serialized by pyoxigraph.
+
+Nothing is fetched: a JSON-LD context must lie in the file itself, and external XML entities are
+refused.
+"""
+
+import heapq
+import re
+import zlib
+from collections.abc import Iterator
+from lzma import LZMAError
+from pathlib import Path
+from typing import IO
+from xml.parsers import expat
+
+from pyoxigraph import BlankNode, RdfFormat, Triple, parse, serialize
+
+from knowarm.errors import UserError
+from knowarm.knowledge.builder import GraphBuilder
+from knowarm.knowledge.formats.lines import open_bytes
+from knowarm.knowledge.graph import KnowledgeGraph
+from knowarm.knowledge.terms import (
+    LABEL_RELATIONS,
+    NAMESPACE,
+    literal,
+    name_of_term,
+    triple_of_names,
+)
+
+PREFIXES = {
+    "": NAMESPACE,
+    "rdf": "http://www.w3.org/1999/02/22-rdf-syntax-ns#",
+    "rdfs": "http://www.w3.org/2000/01/rdf-schema#",
+    "owl": "http://www.w3.org/2002/07/owl#",
+    "skos": "http://www.w3.org/2004/02/skos/core#",
+    "xsd": "http://www.w3.org/2001/XMLSchema#",
+}
+"""Prefixes of written Turtle and of SPARQL queries."""
+
+_GENERATED = re.compile(r"[a-f][0-9a-f]{25,31}")
+"""Random ids that pyoxigraph gives to blank nodes without a name."""
+
+
+def read_rdf(path: Path, syntax: RdfFormat) -> KnowledgeGraph:
+    """Read an RDF file, plain or compressed (.gz, .bz2, .xz).
+
+    rdfs:label and skos:prefLabel become labels. Unnamed blank nodes are numbered in the order of
+    the file, and named graphs are merged.
+
+    Raises:
+        UserError: the file is malformed (with the line, where it is known), is OWL in functional
+            syntax, refers to a remote context, or cannot be decompressed.
+    """
+    builder = GraphBuilder()
+    unnamed: dict[str, str] = {}
+    base = None if syntax == RdfFormat.N_TRIPLES else path.absolute().as_uri()
+
+    def name(term: object) -> str:
+        if isinstance(term, BlankNode) and _GENERATED.fullmatch(term.value):
+            return unnamed.setdefault(term.value, f"_:unnamed{len(unnamed)}")
+        return name_of_term(term)  # type: ignore[arg-type]
+
+    try:
+        with open_bytes(path) as file:
+            for head, relation, tail, _ in parse(_Text(file, path), format=syntax, base_iri=base):
+                builder.add_statement(name(head), name(relation), name(tail))
+    except SyntaxError as error:
+        raise _malformed(path, syntax, error) from error
+    except (EOFError, OSError, LZMAError, zlib.error) as error:
+        raise UserError(
+            f"{path}: the file cannot be read or decompressed: {error}. Copy or compress it again."
+        ) from error
+    return builder.build()
+
+
+def write_rdf(graph: KnowledgeGraph, path: Path, syntax: RdfFormat) -> None:
+    """Write triples and labels, sorted by head. Entities without either are not in RDF.
+
+    Raises:
+        UserError: RDF/XML cannot hold one of the relations.
+    """
+    try:
+        prefixes = PREFIXES if syntax == RdfFormat.TURTLE else None
+        serialize(rdf_triples(graph), path, syntax, prefixes=prefixes)
+    except ValueError as error:
+        raise UserError(f"{path}: {error}. Write Turtle or N-Triples.") from error
+
+
+def rdf_triples(graph: KnowledgeGraph) -> Iterator[Triple]:
+    """Yield triples and labels as RDF, sorted by head."""
+    labels = sorted((n, LABEL_RELATIONS[0], literal(t)) for n, t in graph.own_labels().items())
+    return (triple_of_names(*statement) for statement in heapq.merge(graph, labels))
+
+
+class _Text:
+    """A binary file that refuses zero bytes, which no RDF syntax allows."""
+
+    def __init__(self, file: IO[bytes], path: Path) -> None:
+        self.file, self.path = file, path
+        self.line = 1
+
+    def read(self, size: int = -1) -> bytes:
+        """Read at most `size` bytes."""
+        block = self.file.read(size)
+        if (place := block.find(b"\0")) >= 0:
+            line = self.line + block.count(b"\n", 0, place)
+            raise UserError(
+                f"{self.path}, line {line}: contains a zero byte, so this is not a text file. "
+                f"Check the path and the format."
+            )
+        self.line += block.count(b"\n")
+        return block
+
+
+def _malformed(path: Path, syntax: RdfFormat, error: SyntaxError) -> UserError:
+    """Return the error for a file that the parser refuses."""
+    _refuse_functional_syntax(path)
+    reason = re.sub(r"^Parser error .*?: ", "", str(error.msg))
+    line = error.lineno
+    if "Invalid UTF-8" in reason:
+        return UserError(
+            f"{path}, line {line}: not UTF-8 ({reason}). "
+            f"Convert the file, e.g. `iconv -f latin1 -t utf-8`."
+        )
+    if "LoadDocumentCallback" in reason:
+        return UserError(
+            f"{path}: the JSON-LD context is a remote document, and nothing is fetched from the "
+            f"network. Write the context into the file."
+        )
+    if line is None and syntax == RdfFormat.RDF_XML:
+        line, reason = _xml_error(path) or (line, reason)
+    place = f"{path}, line {line}" if line else str(path)
+    return UserError(
+        f"{place}: not well-formed {syntax.name}: {reason}. "
+        f"Correct the file, or give the right format."
+    )
+
+
+def _xml_error(path: Path) -> tuple[int, str] | None:
+    """Return line and reason of the first place that is not well-formed XML."""
+    try:
+        with open_bytes(path) as file:
+            expat.ParserCreate().ParseFile(file)
+    except expat.ExpatError as error:
+        return error.lineno, expat.errors.messages[error.code]
+    return None
+
+
+def _refuse_functional_syntax(path: Path) -> None:
+    with open_bytes(path) as file:
+        for number, line in enumerate(file.read(20_000).splitlines(), 1):
+            if line.lstrip().startswith((b"Prefix(", b"Ontology(")):
+                raise UserError(
+                    f"{path}, line {number}: this is OWL functional syntax, which is not RDF. "
+                    f"Save it as RDF/XML or Turtle: in Protégé `File > Save as`, or "
+                    f"`robot convert --input {path.name} --output {path.stem}.ttl`."
+                )

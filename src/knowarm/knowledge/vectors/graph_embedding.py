@@ -1,0 +1,121 @@
+"""Graph embeddings as a vector source: trained on the graph itself, or read from a file."""
+
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from knowarm.errors import UserError
+from knowarm.knowledge.formats import household
+from knowarm.knowledge.graph import KnowledgeGraph
+from knowarm.knowledge.kge.config import KgeConfig
+from knowarm.knowledge.kge.split import all_triples
+from knowarm.knowledge.sentence import Part
+from knowarm.knowledge.vectors.source import Coverage, Found, Request, VectorLookup, VectorSource
+
+EMBED_EPOCHS = 100
+"""Epochs when all triples are used for training and none is left for early stopping."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraphEmbedding(VectorSource):
+    """One vector per entity and relation."""
+
+    kind: Literal["graph"] = "graph"
+    """Tells this source from the others in a file."""
+    model: str = "analogy"
+    """Model that is trained on the graph: analogy, transe, distmult, complex or rotate."""
+    file: str | None = None
+    """Path of a .safetensors file of a fitted model, read instead of training."""
+
+    @property
+    def short_name(self) -> str:
+        """Model or path of the file."""
+        return self.file or self.model
+
+    def open(self, request: Request) -> VectorLookup:
+        """Train the model on the graph, or read it."""
+        graph = request.graph
+        if self.file is not None:
+            return stored_lookup(Path(self.file), graph)
+        if graph is household():
+            return _embed_household(self.model, request.dim, request.seed)
+        return embed_graph(self.model, graph, dim=request.dim, seed=request.seed)
+
+
+class EntityLookup:
+    """Finds entities and relations by name among trained vectors."""
+
+    def __init__(
+        self, name: str, graph: KnowledgeGraph, entities: np.ndarray, relations: np.ndarray
+    ) -> None:
+        """Make a lookup.
+
+        Args:
+            name: name for messages and reports.
+            graph: the graph whose names the rows stand for.
+            entities: vectors in the order of the graph's names, (E, D) float32.
+            relations: vectors in the order of the graph's relation names, (R, D) float32.
+        """
+        self.name = name
+        self.dim = int(entities.shape[1])
+        self.graph = graph
+        self.entities, self.relations = entities, relations
+        ends = np.concatenate([graph.heads, graph.tails])
+        self.entity_shares = np.bincount(ends, minlength=len(entities)) / max(len(ends), 1)
+        uses = np.bincount(graph.relations, minlength=len(relations))
+        self.relation_shares = uses / max(len(graph), 1)
+
+    def find(self, part: Part, coverage: Coverage) -> Found:
+        """Return the vector of an entity or relation; its frequency is its share of triples."""
+        coverage.how[part.label] = "entity"
+        if part.is_relation:
+            row = self.graph.relation_id(part.name)
+            return Found(self.relations[row : row + 1], self.relation_shares[row : row + 1])
+        row = self.graph.entity_id(part.name)
+        return Found(self.entities[row : row + 1], self.entity_shares[row : row + 1])
+
+
+def embed_graph(model: str, graph: KnowledgeGraph, *, dim: int, seed: int) -> EntityLookup:
+    """Train a model on all triples of a graph."""
+    from knowarm.knowledge.kge.train import train  # torch takes a second to import
+
+    config = KgeConfig(model=model, dim=dim, seed=seed, epochs=EMBED_EPOCHS)
+    relations = len(graph.relation_names)
+    done = train(config, all_triples(graph), len(graph.names), relations)
+    vectors = done.model.relation_vectors().detach().numpy()[:relations]
+    return EntityLookup(model, graph, done.model.entity.detach().numpy(), vectors)
+
+
+def stored_lookup(path: Path, graph: KnowledgeGraph) -> EntityLookup:
+    """Read the vectors of a model that `kge.store.save_model` wrote.
+
+    Raises:
+        UserError: the model has no vector for an entity or relation of the graph.
+    """
+    from knowarm.knowledge.kge.store import load_model  # torch takes a second to import
+
+    stored = load_model(path)
+    vectors = {
+        "entity": (stored.entities, stored.model.entity, graph.names),
+        "relation": (stored.relations, stored.model.relation_vectors(), graph.relation_names),
+    }
+    tables = []
+    for kind, (known, matrix, names) in vectors.items():
+        row = {name: i for i, name in enumerate(known)}
+        missing = [name for name in names if name not in row]
+        if missing:
+            raise UserError(
+                f"{path} has no vector for {len(missing)} of the graph's names, first the {kind} "
+                f"{missing[0]!r}. Fit the model on this graph."
+            )
+        tables.append(matrix.detach().numpy()[[row[name] for name in names]])
+    return EntityLookup(path.name, graph, tables[0], tables[1])
+
+
+@cache
+def _embed_household(model: str, dim: int, seed: int) -> EntityLookup:
+    """Train on the shipped graph, once per process."""
+    return embed_graph(model, household(), dim=dim, seed=seed)

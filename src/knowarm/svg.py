@@ -1,0 +1,134 @@
+"""SVG builder: elements, text, paths and whole drawings as markup strings."""
+
+from collections.abc import Sequence
+from html import escape
+
+Point = tuple[float, float]
+"""x and y [px]; y points down."""
+
+FONT = "Helvetica, Arial, sans-serif"
+"""Font of `document`; inline drawings take the font of their page."""
+
+
+def element(tag: str, *children: str, **attributes: object) -> str:
+    """Return one element.
+
+    Args:
+        tag: name of the element.
+        children: markup, not escaped; use `label` for text.
+        attributes: values are escaped. ``class_`` becomes ``class``, underscores become hyphens,
+            floats are rounded to two decimals, and None leaves the attribute out.
+    """
+    shown = "".join(
+        f' {name.rstrip("_").replace("_", "-")}="{escape(number(value), quote=True)}"'
+        for name, value in attributes.items()
+        if value is not None
+    )
+    inner = "".join(children)
+    return f"<{tag}{shown}>{inner}</{tag}>" if inner else f"<{tag}{shown}/>"
+
+
+def label(x: float, y: float, words: str, **attributes: object) -> str:
+    """Return a text element whose baseline starts at (x, y)."""
+    return element("text", escape(words), x=x, y=y, **attributes)
+
+
+def hover(words: str) -> str:
+    """Return a tooltip, to be a child of the element that shows it."""
+    return element("title", escape(words))
+
+
+def path(points: Sequence[Point], *children: str, **attributes: object) -> str:
+    """Return a polyline through points."""
+    return element("path", *children, d=_polyline(points), **attributes)
+
+
+def band(upper: Sequence[Point], lower: Sequence[Point], **attributes: object) -> str:
+    """Return the closed area between two polylines of equal x."""
+    return element("path", d=_polyline([*upper, *reversed(lower)]) + "Z", **attributes)
+
+
+def curve(
+    start: Point, end: Point, *children: str, bend: float | None = None, **attributes: object
+) -> str:
+    """Return a cubic curve that leaves and arrives horizontally.
+
+    Args:
+        start: first point.
+        end: last point.
+        children: markup, such as `hover`.
+        bend: how far the curve swings out to the right of `start` [px], for points above each
+            other; None draws an S through the middle.
+        attributes: attributes of the element.
+    """
+    (x0, y0), (x1, y1) = start, end
+    middle = number((x0 + x1) / 2 if bend is None else x0 + bend)
+    bends = f"C{middle} {number(y0)} {middle} {number(y1)} {number(x1)} {number(y1)}"
+    return element("path", *children, d=f"M{number(x0)} {number(y0)}{bends}", **attributes)
+
+
+def drawing(width: float, height: float, name: str, *children: str, **attributes: object) -> str:
+    """Return an inline ``<svg>`` element that takes its colours from the page's style sheet.
+
+    Args:
+        width: width [px].
+        height: height [px].
+        name: text alternative for screen readers.
+        children: markup.
+        attributes: further attributes of the element.
+    """
+    return element(
+        "svg",
+        *children,
+        viewBox=f"0 0 {number(width)} {number(height)}",
+        width=width,
+        height=height,
+        role="img",
+        aria_label=name,
+        **attributes,
+    )
+
+
+def document(width: float, height: float, name: str, *children: str, description: str = "") -> str:
+    """Return the text of a standalone SVG file with a white background.
+
+    Args:
+        width: width [px].
+        height: height [px].
+        name: title of the file, read by screen readers.
+        children: markup; colours are given as attributes.
+        description: longer text alternative; "" leaves it out.
+    """
+    head = [element("title", escape(name))]
+    if description:
+        head.append(element("desc", escape(description)))
+    background = element("rect", width="100%", height="100%", fill="#ffffff")
+    return (
+        drawing(
+            width,
+            height,
+            name,
+            *(f"\n{part}" for part in (*head, background, *children, "")),
+            xmlns="http://www.w3.org/2000/svg",
+            font_family=FONT,
+            font_size=13,
+        )
+        + "\n"
+    )
+
+
+def text_width(words: str, font_size: float = 13) -> float:
+    """Estimate the width of text in a sans-serif font [px]: 0.57 em per character."""
+    return 0.57 * font_size * len(words)
+
+
+def number(value: object) -> str:
+    """Return an attribute's value as text: floats with at most two decimals, NaN as 0."""
+    if isinstance(value, float):
+        return f"{value:.2f}".rstrip("0").rstrip(".") if value == value else "0"
+    return str(value)
+
+
+def _polyline(points: Sequence[Point]) -> str:
+    """Return the path data of straight lines through points."""
+    return "M" + "L".join(f"{number(x)} {number(y)}" for x, y in points)
