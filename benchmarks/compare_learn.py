@@ -147,9 +147,7 @@ class PaperFeatures(BaseFeaturesExtractor):
         return torch.cat((self.image(observations["image"]), observations["knowledge"]), 1)
 
 
-def recurrent_ppo(
-    policy: Policy, config: PPOConfig, env: VecEnv, *, seed: int
-) -> RecurrentPPO:
+def recurrent_ppo(policy: Policy, config: PPOConfig, env: VecEnv, *, seed: int) -> RecurrentPPO:
     """Build RecurrentPPO with KnowArm's network, epochs and minibatches.
 
     One LSTM serves actor and critic, and the heads are single layers, as in KnowArm.

@@ -12,7 +12,6 @@ from knowarm.cli.main import COMMANDS, main, with_flags
 from knowarm.cli.train import parse_train
 from knowarm.config import to_dict
 from knowarm.experiment.agents import AGENTS
-from knowarm.experiment.run import stored_config
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.world.objects import TARGETS
 from knowarm.world.robots import ROBOTS
@@ -119,6 +118,11 @@ def test_errors_of_the_library_name_flags() -> None:
     assert with_flags(message) == expected
 
 
+def test_a_knowledge_source_is_chosen_by_name() -> None:
+    command = parse_train(["irb120-full-ppo", "--knowledge.source", "zeros"])
+    assert to_dict(command.config)["knowledge"]["source"]["kind"] == "zeros"
+
+
 def test_make_best_is_the_recipe_of_the_shipped_policy() -> None:
     done = subprocess.run(
         ["make", "--no-print-directory", "-n", "best"],
@@ -131,7 +135,7 @@ def test_make_best_is_the_recipe_of_the_shipped_policy() -> None:
     train = next(line for line in commands if " -m knowarm train " in line)
     arguments = shlex.split(train.split(" train ")[1])
     config = to_dict(parse_train([word for word in arguments if word != "--resume"]).config)
-    shipped = to_dict(stored_config(RunFolder.open(ROOT / "zoo" / config["name"])))
+    shipped = to_dict(RunFolder.open(ROOT / "zoo" / config["name"]).experiment())
     # The number of processes depends on the machine; it changes the rounding only.
     for values in (config, shipped):
         del values["algorithm"]["processes"]

@@ -88,12 +88,11 @@ def training_bytes(policy: Policy, config: EnvConfig, epochs: int, item: int) ->
 
 def activations(policy: Policy) -> int:
     """Return the number of values that the network's layers compute for one image."""
-    sizes = policy.config
     first = policy.encoder.patch_shape[0] * 4 * policy.encoder.conv1.out_channels
     # Gates, then cell, its hyperbolic tangent and the hidden state.
-    memory = (4 + 3) * sizes.hidden_size
-    heads = sizes.joints * sizes.levels + 1
-    return first + policy.encoder.width + sizes.features + memory + heads
+    memory = (4 + 3) * policy.hidden_size
+    heads = policy.shape.joints * policy.shape.levels + 1
+    return first + policy.encoder.width + policy.fc.out_features + memory + heads
 
 
 def forward_operations(policy: Policy) -> int:

@@ -47,7 +47,12 @@ class Evaluate:
     def _agent(self) -> tuple[str, AgentProtocol, EnvConfig, Path | None]:
         """Return the agent's name, the agent, its environment and the evaluation's folder."""
         if is_scripted(self.agent):
-            return self.agent, SCRIPTED_AGENTS[self.agent].make(self.evaluation.seed), self.env, None
+            return (
+                self.agent,
+                SCRIPTED_AGENTS[self.agent].make(self.evaluation.seed),
+                self.env,
+                None,
+            )
         if self.env != EnvConfig():
             raise UserError(
                 "A run is evaluated in the environment it was trained in: leave out the --env "

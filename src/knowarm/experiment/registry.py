@@ -38,9 +38,6 @@ def experiment_names() -> list[str]:
     """List the names of all experiments that the registries define now."""
     return [experiment_name(*parts) for parts in _combinations()]
 
-DEFAULT_EXPERIMENT = "irb120-full-ppo"
-"""Experiment of the benchmarks, of the installation check and of examples."""
-
 
 def experiment_config(name: str, **overrides: Any) -> ExperimentConfig:
     """Return the config of a named experiment.
