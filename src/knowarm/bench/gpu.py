@@ -6,7 +6,6 @@ GPU.
 
 import subprocess
 from collections.abc import Callable
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import torch
@@ -16,7 +15,7 @@ from knowarm.bench.gpu_measure import Ceilings, GpuBenchConfig, measure_row
 from knowarm.bench.learn import Row
 from knowarm.config import to_dict
 from knowarm.errors import UserError
-from knowarm.experiment.run_folder import provenance
+from knowarm.experiment.run_folder import package_version, provenance
 from knowarm.learn.device import tf32_products
 from knowarm.policy.policy import MatmulPrecision
 from knowarm.world.backends.device import choose_backend
@@ -106,7 +105,7 @@ def _check_before(before: Result | None, config: GpuBenchConfig, machine: Result
 def describe_machine(device: torch.device) -> dict[str, Any]:
     """Return versions, commit and host as in a run's provenance, with GPU, driver and CUDA."""
     facts = provenance()
-    facts["versions"] |= {name: _version(name) for name in PACKAGES}
+    facts["versions"] |= {name: package_version(name) for name in PACKAGES}
     facts["versions"]["cuda"] = torch.version.cuda
     if device.type != "cuda":
         return facts | {"gpu": None}
@@ -138,19 +137,17 @@ def measure_ceilings(
         ``<precision>_operations_per_s`` of matrix products, counting 2 n^3 operations each;
         None for tf32 on a CPU, which does not support it.
     """
-    ceilings: Ceilings = {"copy_bytes_per_s": _copy_rate(device, copy_bytes, seconds)}
+    source = torch.zeros(copy_bytes, dtype=torch.uint8, device=device)
+    target = torch.empty_like(source)
+    copy_rate = _rate(lambda: target.copy_(source), 2 * copy_bytes, seconds, device)
+    ceilings: Ceilings = {"copy_bytes_per_s": copy_rate}
+    del source, target
     precisions: tuple[MatmulPrecision, ...] = ("float32", "tf32", "bfloat16")
     for precision in precisions:
         missing = precision == "tf32" and device.type != "cuda"
         rate = None if missing else _product_rate(device, matmul_side, precision, seconds)
         ceilings[f"{precision}_operations_per_s"] = rate
     return ceilings
-
-
-def _copy_rate(device: torch.device, count: int, seconds: float) -> float:
-    source = torch.zeros(count, dtype=torch.uint8, device=device)
-    target = torch.empty_like(source)
-    return _rate(lambda: target.copy_(source), 2 * count, seconds, device)
 
 
 def _product_rate(
@@ -169,13 +166,6 @@ def _rate(run: Callable[[], Any], amount: int, seconds: float, device: torch.dev
     for _ in range(3):
         run()
     return amount / seconds_per_call(run, seconds, device)
-
-
-def _version(package: str) -> str | None:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return None
 
 
 def _driver() -> str | None:

@@ -44,12 +44,7 @@ def environment_bytes(scene: Scene, config: EnvConfig) -> int:
     warp, _ = import_warp()
     with warp.ScopedDevice("cpu"):
         one, two = (world_bytes(make_data(scene.model, count)) for count in (1, 2))
-    return image_bytes(config) + 2 * records + 2 * SUBSTEPS * (two - one)
-
-
-def image_bytes(config: EnvConfig) -> int:
-    """Return the bytes of one image, (H, W, 3) uint8."""
-    return 3 * config.image_size**2
+    return 3 * config.image_size**2 + 2 * records + 2 * SUBSTEPS * (two - one)
 
 
 def world_bytes(data: Any) -> int:
@@ -82,7 +77,7 @@ def training_bytes(policy: Policy, config: EnvConfig, epochs: int, item: int) ->
     """
     blocks, values = policy.encoder.patch_shape
     pixels, active = blocks * values, activations(policy)
-    kept = image_bytes(config) + (2 + epochs) * pixels
+    kept = 3 * config.image_size**2 + (2 + epochs) * pixels
     return kept + 2 * item * (pixels + active) + epochs * item * (3 * pixels + 5 * active)
 
 
