@@ -21,7 +21,7 @@ from knowarm.bench.gpu_estimate import (
 )
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.world.config import EnvConfig
-from knowarm.world.render.tables import BOX, CYLINDER, MESH
+from knowarm.world.render.intersections import BOX, CYLINDER, MESH
 from knowarm.world.scene import load_scene
 from knowarm.world.vector_env import ReachVectorEnv
 

@@ -6,6 +6,8 @@ from knowarm.errors import UserError
 from knowarm.knowledge.kge.config import KgeConfig
 from knowarm.knowledge.kge.models import MODELS
 from knowarm.knowledge.kge.train import new_model
+from knowarm.knowledge.vectors import source_named
+from knowarm.knowledge.vectors.graph_embedding import GraphEmbedding
 
 DIM = 10
 
@@ -71,7 +73,8 @@ def test_n3_by_hand():
 
 
 def test_the_names_are_known_to_the_embedding():
-    assert set(KGE_MODELS) == set(MODELS)
+    for name in MODELS:
+        assert source_named(name) == GraphEmbedding(model=name)
 
 
 def test_bad_configs():

@@ -2,13 +2,13 @@
 
 import pytest
 import torch
+from knowarm.world.env import ReachVectorEnv
+from knowarm.world.gpu.env import DeviceReachVectorEnv
 
 from knowarm.experiment.build import build
 from knowarm.experiment.registry import experiment_config
 from knowarm.learn import CheckpointStore, Hooks, NumpyToTorch, PPOConfig, PPOTrainer
 from knowarm.world.config import EnvConfig
-from knowarm.world.env import ReachVectorEnv
-from knowarm.world.gpu.env import DeviceReachVectorEnv
 from tests.devices import DEVICES
 
 ENV = EnvConfig(max_episode_steps=8, dynamics="kinematic")

@@ -137,17 +137,19 @@ def measure_ceilings(
         ``<precision>_operations_per_s`` of matrix products, counting 2 n^3 operations each;
         None for tf32 on a CPU, which does not support it.
     """
-    source = torch.zeros(copy_bytes, dtype=torch.uint8, device=device)
-    target = torch.empty_like(source)
-    copy_rate = _rate(lambda: target.copy_(source), 2 * copy_bytes, seconds, device)
-    ceilings: Ceilings = {"copy_bytes_per_s": copy_rate}
-    del source, target
+    ceilings: Ceilings = {"copy_bytes_per_s": _copy_rate(device, copy_bytes, seconds)}
     precisions: tuple[MatmulPrecision, ...] = ("float32", "tf32", "bfloat16")
     for precision in precisions:
         missing = precision == "tf32" and device.type != "cuda"
         rate = None if missing else _product_rate(device, matmul_side, precision, seconds)
         ceilings[f"{precision}_operations_per_s"] = rate
     return ceilings
+
+
+def _copy_rate(device: torch.device, count: int, seconds: float) -> float:
+    source = torch.zeros(count, dtype=torch.uint8, device=device)
+    target = torch.empty_like(source)
+    return _rate(lambda: target.copy_(source), 2 * count, seconds, device)
 
 
 def _product_rate(

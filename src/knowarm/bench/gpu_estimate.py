@@ -17,9 +17,8 @@ from knowarm.world.backends.warp import import_warp, make_data
 from knowarm.world.compose import SUBSTEPS
 from knowarm.world.config import EnvConfig
 from knowarm.world.render import Raycaster
-from knowarm.world.render.grid import BITS, TILE
-from knowarm.world.render.prepare import EXTENT, RECORD
-from knowarm.world.render.tables import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE
+from knowarm.world.render.intersections import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE
+from knowarm.world.render.tiles import BITS, EXTENT, RECORD, TILE
 from knowarm.world.scene import Scene
 
 NUMBER = 4
@@ -159,10 +158,10 @@ class _CountingRaycaster(Raycaster):
         matrix: NDArray[np.float32],
         rgba: NDArray[np.float32],
     ) -> int:
-        """Render one state and count; arguments as in ``Raycaster.render``, without n."""
+        """Render one state and count; arguments as in ``Raycaster.draw``, without n."""
         extent = self._scratch[0].extent
         extent[:, 0] = NO_GEOM
-        self.render(position[None], matrix[None], rgba[None])
+        self.draw(position[None], matrix[None], rgba[None])
         return tile_operations(extent)
 
 

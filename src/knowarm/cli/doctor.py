@@ -9,8 +9,8 @@ import tyro
 from knowarm.cli.tables import FilePath, check_json_path, print_table, write_json_table
 from knowarm.errors import UserError
 from knowarm.experiment.installation_check import check_installation
-from knowarm.world.doctor import check_robot
 from knowarm.world.objects import TARGETS
+from knowarm.world.robot_check import check_robot
 
 
 @dataclass(frozen=True, kw_only=True)

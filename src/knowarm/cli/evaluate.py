@@ -9,7 +9,8 @@ import tyro
 from knowarm.cli.tables import FilePath, check_json_path, print_table, write_json_table
 from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.build import Which, load_agent
-from knowarm.experiment.evaluate import EvaluationConfig, evaluate
+from knowarm.experiment.config import EvaluationConfig
+from knowarm.experiment.evaluate import evaluate
 from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
 from knowarm.world.config import EnvConfig
 

@@ -16,7 +16,7 @@ from knowarm.experiment.registry import DEFAULT_EXPERIMENT, experiment_config
 from knowarm.experiment.run_folder import provenance
 from knowarm.world.agents import OracleAgent
 from knowarm.world.config import EnvConfig
-from knowarm.world.doctor import Check
+from knowarm.world.robot_check import Check
 from knowarm.world.vector_env import ReachVectorEnv
 
 MIN_MEMORY_GIB = 2.0

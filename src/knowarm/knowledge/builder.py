@@ -1,7 +1,9 @@
 """Construction of graphs from triples of names, and union and difference of graphs."""
 
 from array import array
-from collections.abc import Iterable, Mapping
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping
+from itertools import count
 
 import numpy as np
 
@@ -20,21 +22,17 @@ class GraphBuilder:
     """
 
     def __init__(self) -> None:
-        self.entities: dict[str, int] = {}
-        self.relations: dict[str, int] = {}
+        self.entities: dict[str, int] = defaultdict(count().__next__)
+        self.relations: dict[str, int] = defaultdict(count().__next__)
         self.ids = array("i")
         self._labels: dict[str, tuple[int, str]] = {}  # (rank of the language, text) by name
 
     def add(self, head: str, relation: str, tail: str) -> None:
         """Add one triple."""
-        entities, relations = self.entities, self.relations
-        self.ids.extend(
-            (
-                entities.setdefault(head, len(entities)),
-                relations.setdefault(relation, len(relations)),
-                entities.setdefault(tail, len(entities)),
-            )
-        )
+        append = self.ids.append
+        append(self.entities[head])
+        append(self.relations[relation])
+        append(self.entities[tail])
 
     def add_statement(self, head: str, relation: str, tail: str) -> None:
         """Add one triple of a file; a label statement becomes the label of its head.
@@ -53,7 +51,7 @@ class GraphBuilder:
 
     def add_node(self, name: str) -> None:
         """Add an entity that may have no triple."""
-        self.entities.setdefault(name, len(self.entities))
+        self.entities[name]  # the lookup numbers a new name
 
     def add_graph(self, graph: KnowledgeGraph) -> None:
         """Add all triples and entities of a graph, without its labels."""
@@ -61,6 +59,12 @@ class GraphBuilder:
             self.add(head, relation, tail)
         for name in graph.entities:
             self.add_node(name)
+
+    def rename(self, new_name: Callable[[str], str]) -> None:
+        """Replace every name, after all triples were added; different names stay different."""
+        self.entities = {new_name(name): i for name, i in self.entities.items()}
+        self.relations = {new_name(name): i for name, i in self.relations.items()}
+        self._labels = {new_name(name): label for name, label in self._labels.items()}
 
     def build(self, labels: Mapping[str, str] | None = None) -> KnowledgeGraph:
         """Sort and number the names and make the graph.

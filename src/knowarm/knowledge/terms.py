@@ -11,7 +11,6 @@ The form of a name tells which RDF term it stands for:
 import re
 from collections.abc import Mapping
 from contextlib import suppress
-from functools import lru_cache
 from urllib.parse import quote, unquote
 
 from pyoxigraph import BlankNode, Literal, NamedNode, RdfFormat, Triple, parse
@@ -57,12 +56,14 @@ def iri_of_name(name: str) -> str:
     return _node(name).value
 
 
-@lru_cache(maxsize=1 << 16)
 def name_of_iri(iri: str) -> str:
-    """Return the name of an IRI without brackets: the plain name for those in `NAMESPACE`."""
+    """Return the name of an IRI without brackets: the plain name for those in `NAMESPACE`.
+
+    Other names, such as literals, are returned unchanged.
+    """
     if iri.startswith(NAMESPACE):
         name = unquote(iri[len(NAMESPACE) :])
-        if name and iri_of_name(name) == iri:
+        if name and not name.startswith(('"', "_:")) and iri_of_name(name) == iri:
             return name
     return iri
 
@@ -87,8 +88,7 @@ def name_of_term(term: Term | Triple) -> str:
         UserError: the term is a triple of RDF 1.2 (RDF-star).
     """
     if isinstance(term, NamedNode):
-        iri = term.value
-        return name_of_iri(iri) if iri.startswith(NAMESPACE) else iri
+        return name_of_iri(term.value)
     if isinstance(term, Triple):
         raise UserError(
             f"The triple {term} is used as a term (RDF-star), which a knowledge graph cannot "

@@ -27,28 +27,15 @@ from knowarm.policy import Policy
 StopReason = Literal["finished", "stopped"]
 
 
-def ignore_metrics(metrics: Metrics) -> None:
-    """Do nothing."""
-
-
-def ignore_evaluation(step: int, results: Metrics, is_best: bool) -> None:
-    """Do nothing."""
-
-
-def never() -> bool:
-    """Return false."""
-    return False
-
-
 @dataclass(frozen=True, kw_only=True)
 class Hooks:
     """Functions that a trainer calls."""
 
-    on_metrics: Callable[[Metrics], None] = ignore_metrics
+    on_metrics: Callable[[Metrics], None] = lambda metrics: None
     """Receives one row of metrics per update (PPO) or log interval (A3C)."""
-    on_evaluation: Callable[[int, Metrics, bool], None] = ignore_evaluation
+    on_evaluation: Callable[[int, Metrics, bool], None] = lambda step, results, is_best: None
     """Receives step, results, and whether they are the best so far."""
-    should_stop: Callable[[], bool] = never
+    should_stop: Callable[[], bool] = lambda: False
     """Called between updates; true saves a checkpoint and ends `Trainer.train`."""
 
 

@@ -20,8 +20,7 @@ from knowarm.world.backends.mujoco import MujocoSimulator
 from knowarm.world.backends.warp import WarpSimulator
 from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import EpisodeSource
-from knowarm.world.render.renderer import make_renderer
-from knowarm.world.render.torch_renderer import make_torch_renderer
+from knowarm.world.render.renderer import TorchRenderer, make_renderer
 from knowarm.world.scene import load_scene
 from knowarm.world.tasks.reach import ACTION_LEVELS, ReachTask
 from knowarm.world.vector_env import draw_images
@@ -98,7 +97,7 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
             self.simulation = MujocoSimulator(scene, num_envs, num_threads, config.dynamics)
             self._images = _HostImages(self)
         else:
-            self.renderer = make_torch_renderer(scene, config, self.device)
+            self.renderer = TorchRenderer(scene, config, self.device)
             self.simulation = WarpSimulator(scene, num_envs, self.device, config.dynamics)
             self._images = _DeviceImages(self)
         self.task = ReachTask(scene, config, self.simulation)
@@ -257,7 +256,10 @@ class _DeviceImages:
 
     def _draw(self, out: Tensor, wanted: Tensor | None) -> None:
         env = self._env
-        env.renderer.draw(env.simulation, env.task.shown, out, wanted=wanted)
+        simulation, shown = env.simulation, env.task.shown
+        env.renderer.draw(
+            simulation.geom_position, simulation.geom_matrix, *shown[:3], out=out, wanted=wanted
+        )
 
 
 def check_actions(actions: Any, shape: tuple[int, int], device: torch.device, levels: int) -> None:

@@ -10,10 +10,9 @@ import zlib
 from collections.abc import Iterator
 from lzma import LZMAError
 from pathlib import Path
-from typing import IO
 from xml.parsers import expat
 
-from pyoxigraph import BlankNode, RdfFormat, Triple, parse, serialize
+from pyoxigraph import BlankNode, NamedNode, RdfFormat, Triple, parse, serialize
 
 from knowarm.errors import UserError
 from knowarm.knowledge.builder import GraphBuilder
@@ -22,7 +21,10 @@ from knowarm.knowledge.graph import KnowledgeGraph
 from knowarm.knowledge.terms import (
     LABEL_RELATIONS,
     NAMESPACE,
+    Term,
+    iri_of_name,
     literal,
+    name_of_iri,
     name_of_term,
     triple_of_names,
 )
@@ -41,6 +43,10 @@ _GENERATED = re.compile(r"[a-f][0-9a-f]{25,31}")
 """Random ids that pyoxigraph gives to blank nodes without a name."""
 
 
+_XML_NAME = re.compile(r"[^\W\d][\w.-]*$")
+"""End of an IRI that RDF/XML can write as an element."""
+
+
 def read_rdf(path: Path, syntax: RdfFormat) -> KnowledgeGraph:
     """Read an RDF file, plain or compressed (.gz, .bz2, .xz).
 
@@ -55,21 +61,31 @@ def read_rdf(path: Path, syntax: RdfFormat) -> KnowledgeGraph:
     unnamed: dict[str, str] = {}
     base = None if syntax == RdfFormat.N_TRIPLES else path.absolute().as_uri()
 
-    def name(term: object) -> str:
+    def name(term: Term | Triple) -> str:
         if isinstance(term, BlankNode) and _GENERATED.fullmatch(term.value):
             return unnamed.setdefault(term.value, f"_:unnamed{len(unnamed)}")
-        return name_of_term(term)  # type: ignore[arg-type]
+        return name_of_term(term)
 
     try:
+        _refuse_binary(path)
+        add, add_statement = builder.add, builder.add_statement
         with open_bytes(path) as file:
-            for head, relation, tail, _ in parse(_Text(file, path), format=syntax, base_iri=base):
-                builder.add_statement(name(head), name(relation), name(tail))
+            for quad in parse(file, format=syntax, base_iri=base):
+                head, tail, relation = quad.subject, quad.object, quad.predicate.value
+                if type(head) is NamedNode and type(tail) is NamedNode:  # most triples: fast
+                    add(head.value, relation, tail.value)
+                else:
+                    subject = head.value if type(head) is NamedNode else name(head)
+                    add_statement(
+                        subject, relation, tail.value if type(tail) is NamedNode else name(tail)
+                    )
     except SyntaxError as error:
         raise _malformed(path, syntax, error) from error
     except (EOFError, OSError, LZMAError, zlib.error) as error:
         raise UserError(
             f"{path}: the file cannot be read or decompressed: {error}. Copy or compress it again."
         ) from error
+    builder.rename(name_of_iri)
     return builder.build()
 
 
@@ -79,11 +95,14 @@ def write_rdf(graph: KnowledgeGraph, path: Path, syntax: RdfFormat) -> None:
     Raises:
         UserError: RDF/XML cannot hold one of the relations.
     """
-    try:
-        prefixes = PREFIXES if syntax == RdfFormat.TURTLE else None
-        serialize(rdf_triples(graph), path, syntax, prefixes=prefixes)
-    except ValueError as error:
-        raise UserError(f"{path}: {error}. Write Turtle or N-Triples.") from error
+    bad = next((n for n in graph.relations_used if not _XML_NAME.search(iri_of_name(n))), None)
+    if syntax == RdfFormat.RDF_XML and bad is not None:
+        raise UserError(
+            f"{path}: RDF/XML cannot hold the relation {bad!r}, whose IRI does not end in an XML "
+            f"name. Write Turtle or N-Triples."
+        )
+    prefixes = PREFIXES if syntax == RdfFormat.TURTLE else None
+    serialize(rdf_triples(graph), path, syntax, prefixes=prefixes)
 
 
 def rdf_triples(graph: KnowledgeGraph) -> Iterator[Triple]:
@@ -92,24 +111,15 @@ def rdf_triples(graph: KnowledgeGraph) -> Iterator[Triple]:
     return (triple_of_names(*statement) for statement in heapq.merge(graph, labels))
 
 
-class _Text:
-    """A binary file that refuses zero bytes, which no RDF syntax allows."""
-
-    def __init__(self, file: IO[bytes], path: Path) -> None:
-        self.file, self.path = file, path
-        self.line = 1
-
-    def read(self, size: int = -1) -> bytes:
-        """Read at most `size` bytes."""
-        block = self.file.read(size)
-        if (place := block.find(b"\0")) >= 0:
-            line = self.line + block.count(b"\n", 0, place)
-            raise UserError(
-                f"{self.path}, line {line}: contains a zero byte, so this is not a text file. "
-                f"Check the path and the format."
-            )
-        self.line += block.count(b"\n")
-        return block
+def _refuse_binary(path: Path) -> None:
+    with open_bytes(path) as file:
+        start = file.read(1 << 16)
+    if (place := start.find(b"\0")) >= 0:
+        line = 1 + start.count(b"\n", 0, place)
+        raise UserError(
+            f"{path}, line {line}: contains a zero byte, so this is "
+            f"not a text file. Check the path and the format."
+        )
 
 
 def _malformed(path: Path, syntax: RdfFormat, error: SyntaxError) -> UserError:

@@ -10,7 +10,7 @@ from knowarm.errors import UserError
 from knowarm.world.backends import SimulatorName
 from knowarm.world.backends.warp import import_warp, make_data
 from knowarm.world.config import EnvConfig
-from knowarm.world.render.prepare import EXTENT, RECORD
+from knowarm.world.render.tiles import EXTENT, RECORD
 from knowarm.world.scene import Scene
 
 INSTALL = "pip install 'knowarm[gpu]'"

@@ -10,20 +10,23 @@ from knowarm.world.robot import Robot, Table
 class RobotEntry:
     """A robot of the registry."""
 
-    title: str
-    """Name for readers, as in "ABB IRB120"."""
-
     env_id: str
     """Gymnasium id of its reaching task, without the namespace ``knowarm/``."""
 
     robot: Robot
     """Description from which a scene is built."""
 
+    @property
+    def title(self) -> str:
+        """Name for readers, as in "ABB IRB120"."""
+        return self.robot.title
+
 
 _FOLDER = Path(__file__).parent
 
 _IRB120 = Robot(
     name="irb120",
+    title="ABB IRB120",
     mjcf=_FOLDER / "irb120" / "irb120.xml",
     joints=("joint_1", "joint_2", "joint_3", "joint_4", "joint_5", "joint_6"),
     tcp_site="tcp",
@@ -43,6 +46,7 @@ _IRB120 = Robot(
 
 _TIAGO = Robot(
     name="tiago",
+    title="PAL TIAGo",
     mjcf=_FOLDER / "tiago" / "tiago.xml",
     joints=tuple(f"arm_{i}_joint" for i in range(1, 8)),
     tcp_site="tcp",
@@ -59,8 +63,8 @@ _TIAGO = Robot(
 """7 arm joints, torso lift fixed at .35 m, two-finger gripper, table."""
 
 ROBOTS: dict[str, RobotEntry] = {
-    "irb120": RobotEntry(title="ABB IRB120", env_id="IRB120Reach-v0", robot=_IRB120),
-    "tiago": RobotEntry(title="PAL TIAGo", env_id="TiagoReach-v0", robot=_TIAGO),
+    "irb120": RobotEntry(env_id="IRB120Reach-v0", robot=_IRB120),
+    "tiago": RobotEntry(env_id="TiagoReach-v0", robot=_TIAGO),
 }
 """Robots by name. To add one, put its MJCF file in a folder here and add an entry."""
 
