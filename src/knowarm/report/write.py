@@ -36,7 +36,7 @@ FOLDED_ROWS = 16
 """Rows above which a table is folded at first."""
 
 
-def report(
+def write_report(
     run_paths: Sequence[Path], out: Path, reference_results: Mapping[str, Path] | None = None
 ) -> Path:
     """Write one report from run folders.
