@@ -7,8 +7,9 @@ from knowarm.errors import UserError
 from knowarm.experiment.build import build
 from knowarm.experiment.registry import experiment_config
 from knowarm.learn import PPOConfig
-from knowarm.world.env import EnvConfig, ReachVectorEnv
+from knowarm.world.config import EnvConfig
 from knowarm.world.knowledge_observation import VectorKnowledgeObservation
+from knowarm.world.vector_env import ReachVectorEnv
 
 
 def test_a_recurrent_policy_of_sb3_has_as_many_parameters() -> None:
