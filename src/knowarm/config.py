@@ -115,7 +115,7 @@ def _union(args: tuple[Any, ...], value: Any, path: str) -> Any:
 
 def _variant(configs: Iterable[Any], value: Any, path: str) -> Any:
     """Build the one of several configs whose literal field (`kind` or `name`) has the value's."""
-    tags = {}
+    tags: dict[tuple[str, Any], Any] = {}
     for config in configs:
         hints = typing.get_type_hints(config)
         tag = next(name for name in ("kind", "name") if get_origin(hints.get(name)) is Literal)
