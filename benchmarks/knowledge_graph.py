@@ -1,7 +1,8 @@
 """Benchmark of the graph store: load time, memory and query time on random graphs.
 
-A graph has a tenth as many entities as triples; every twentieth triple points to one of a few hubs, so that a hub has some 300 edges. Each size is measured in a process of its own. Memory is
-the growth of the process by reading, divided by the number of triples.
+A graph has a tenth as many entities as triples; every twentieth triple points to one of a few hubs,
+so that a hub has some 300 edges. Each size is measured in a process of its own. Memory is the
+growth of the process by reading, divided by the number of triples.
 
 On a busy machine compare CPU seconds rather than wall time.
 
