@@ -1,22 +1,22 @@
 #!/usr/bin/env bash
-# Wheels go in; parity, speeds and a whole training on this machine's GPU come out, no network needed.
+# Parity tests, benchmark and a whole training on this machine's GPU. Needs no network.
 #
 #   benchmarks/gpu.sh [WHEELS] [OUT]
 #
-# WHEELS  folder of wheels, made as gpu-requirements.txt says; *.whl.part* are put together first.
-#         They go into an environment of their own that sees the packages of PYTHON (torch, Numba).
-#         Left out or empty, PYTHON's packages serve as they are.
+# WHEELS  folder of wheels, made as gpu-requirements.txt says; split files (*.whl.part*) are joined.
+#         They are installed into an environment that also sees the packages of PYTHON (torch,
+#         Numba). If left out or empty, only PYTHON's packages are used.
 # OUT     folder for the results (runs/gpu): gpu.json, parity.txt, and of the training metrics.csv,
 #         evaluations.csv, config.json and provenance.json.
 #
 # Settings, as environment variables:
-#   STAGES   what to do, of "parity bench train" (all). Each takes up what an earlier call left:
-#            bench measures the rows that gpu.json lacks, train goes on from the last checkpoint.
-#   LIMIT_S  most seconds a stage may take (540); train then saves and stops, to be called again.
-#   PYTHON   interpreter (python3).      WORK  folder for what is kept between calls
-#   DEVICE   cuda (default) or cpu.            (runs/gpu-work); remove it to begin anew.
-#   TINY     1 for sizes that only show that everything runs.
-#   BENCH_OPTIONS, TRAIN_OPTIONS   more words for `knowarm bench gpu` and `knowarm train`.
+#   STAGES   stages to run, of "parity bench train" (all). Each resumes an earlier call:
+#            bench measures the rows that gpu.json lacks, train resumes from the last checkpoint.
+#   LIMIT_S  time limit per stage (540 s); train then saves and stops, call again to resume.
+#   PYTHON   interpreter (python3).      WORK  folder for files kept between calls
+#   DEVICE   cuda (default) or cpu.            (runs/gpu-work); remove it to start over.
+#   TINY     1 for small sizes that only check that every stage runs.
+#   BENCH_OPTIONS, TRAIN_OPTIONS   additional options of `knowarm bench gpu` and `knowarm train`.
 set -euo pipefail
 
 here=$(cd "$(dirname "$0")/.." && pwd)
@@ -30,7 +30,7 @@ run=$WORK/runs/$experiment/0
 fail() { echo "gpu.sh: $*" >&2; exit 1; }
 
 for stage in $STAGES; do
-  case $stage in parity | bench | train) ;; *) fail "no stage '$stage'; there are parity, bench, train." ;; esac
+  case $stage in parity | bench | train) ;; *) fail "unknown stage '$stage'; the stages are parity, bench, train." ;; esac
 done
 case $DEVICE in cpu | cuda) ;; *) fail "DEVICE must be cuda or cpu, got '$DEVICE'." ;; esac
 [ -z "$WHEELS" ] || [ -d "$WHEELS" ] || fail "the folder of wheels $WHEELS does not exist."
@@ -38,7 +38,7 @@ mkdir -p "$OUT" "$WORK"
 OUT=$(cd "$OUT" && pwd) WORK=$(cd "$WORK" && pwd) run=$WORK/runs/$experiment/0
 [ -z "$WHEELS" ] || WHEELS=$(cd "$WHEELS" && pwd)
 
-# What was found is worth having even if a later part fails.
+# Copy the results also if a later stage fails.
 publish() {
   for file in "$WORK"/gpu.json "$WORK"/parity.txt "$run"/{metrics,evaluations}.csv "$run"/{config,provenance}.json; do
     [ ! -f "$file" ] || cp "$file" "$OUT/"
@@ -46,8 +46,8 @@ publish() {
 }
 trap publish EXIT
 
-# An environment that sees PYTHON's packages, be PYTHON an environment itself: a plain
-# --system-site-packages would show those of the Python below it.
+# Make an environment that sees PYTHON's packages, also if PYTHON is itself in an environment:
+# --system-site-packages would only show the packages of the base Python.
 install() {
   local venv=$WORK/venv
   if [ ! -x "$venv/bin/python" ]; then
@@ -56,7 +56,7 @@ install() {
 for path in sys.path:
     if path.endswith(("site-packages", "dist-packages")):
         print(f"import site; site.addsitedir({path!r})")' \
-      > "$("$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/below.pth"
+      > "$("$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/base.pth"
   fi
   PYTHON=$venv/bin/python
   rm -rf "$WORK/wheels"
@@ -71,13 +71,13 @@ for path in sys.path:
 
 parity() {
   local tests chosen=cuda
-  # Only what has tests for a GPU: the other tests need packages that are not carried.
+  # Only files with tests for a GPU: other tests need packages that are not in WHEELS.
   mapfile -t tests < <(grep -rlE 'mark\.cuda|device_pairs|tests\.devices' "$here/tests" --include='test_*.py' | grep -v '/bench/' | sort)
   # Without a GPU the same comparisons run on the CPU device.
   [ "$DEVICE" = cuda ] || chosen='not cuda'
   [ -z "$TINY" ] || chosen="$chosen and not slow"
   timeout "$LIMIT_S" "$PYTHON" -m pytest -q -p no:cacheprovider -m "$chosen" "${tests[@]}" 2>&1 |
-    tee "$WORK/parity.txt" || fail "parity failed; nothing is measured. See $OUT/parity.txt."
+    tee "$WORK/parity.txt" || fail "the parity tests failed; nothing is measured. See $OUT/parity.txt."
   if [ "$DEVICE" = cuda ] && ! { tail -1 "$WORK/parity.txt" | grep -q ' passed' && ! tail -1 "$WORK/parity.txt" | grep -q skipped; }; then
     fail "parity tests were skipped; a GPU must run them all. See $OUT/parity.txt."
   fi
@@ -89,15 +89,15 @@ bench() {
     --matmul-side 64 --copy-bytes 1000000)
   # shellcheck disable=SC2086
   timeout "$LIMIT_S" "$PYTHON" -m knowarm bench gpu --json "$WORK/gpu.json" --resume \
-    "${options[@]}" ${BENCH_OPTIONS:-} || fail "the measurements were cut short; call again for the missing rows."
+    "${options[@]}" ${BENCH_OPTIONS:-} || fail "the benchmark was interrupted; call again to measure the missing rows."
 }
 
 train() {
   local times=$WORK/times begun=$WORK/begun options
-  [ -f "$WORK/gpu.json" ] || fail "the training is added to gpu.json; do the stage bench before."
+  [ -f "$WORK/gpu.json" ] || fail "train adds its result to gpu.json; run the stage bench first."
   if [ ! -f "$WORK/trained" ]; then
     if [ -d "$run/checkpoints/latest" ] || [ -d "$run/checkpoints/previous" ]; then
-      # A call that was killed had its time until the last row of metrics.
+      # The time of a killed call ends with the last row of metrics.
       [ ! -f "$begun" ] || echo "$(cat "$begun") $(stat -c %Y "$run/metrics.csv")" >> "$times"
       options=(--resume)
     else
@@ -107,7 +107,7 @@ train() {
         options+=(--total-steps 80 --algorithm.num-envs 8 --algorithm.minibatches 2 --algorithm.rollout-steps 5
           --interim.every-steps 40 --interim.episodes 2 --checkpoint-every-steps 40)
       else
-        # Checkpoints hold the environments' last images: rarer than on the CPU.
+        # Checkpoints hold the environments' last images: fewer than on the CPU.
         options+=(--total-steps 70000000 --algorithm.num-envs 4096 --algorithm.minibatches 16
           --checkpoint-every-steps 10000000)
       fi
@@ -115,15 +115,15 @@ train() {
       options+=(${TRAIN_OPTIONS:-})
     fi
     date +%s.%N > "$begun"
-    # Stopped, it saves and ends well; its own processes must not be told.
+    # On SIGTERM the command saves and exits with 0; --foreground signals only the command itself.
     timeout --foreground --preserve-status --kill-after=30 "$LIMIT_S" \
       "$PYTHON" -m knowarm train "$experiment" --runs "$WORK/runs" "${options[@]}" || fail "the training failed."
     echo "$(cat "$begun") $(date +%s.%N)" >> "$times"
     rm "$begun"
   fi
-  "$PYTHON" -m knowarm bench gpu-training "$run" --json "$WORK/gpu.json" --times "$times"
+  "$PYTHON" "$here/benchmarks/gpu_training.py" "$run" --json "$WORK/gpu.json" --times "$times"
   "$PYTHON" -c 'import json, sys; sys.exit(not json.load(open(sys.argv[1]))["training"]["finished"])' "$WORK/gpu.json" ||
-    fail "the training was stopped after $LIMIT_S s; call again with STAGES=train to go on."
+    fail "the training was stopped after $LIMIT_S s; call again with STAGES=train to resume."
   touch "$WORK/trained"
 }
 

@@ -1,8 +1,8 @@
-"""A file of requirements goes in; the versions that are installed, or what is amiss, come out.
+"""Check of the installed packages against a file of requirements; `gpu.sh` calls it.
 
     python benchmarks/gpu_versions.py benchmarks/gpu-requirements.txt cuda
 
-On the device "cpu" numba-cuda is not needed, and other versions than the required are only named.
+On device "cpu", numba-cuda is not needed and other versions than the required ones are allowed.
 """
 
 import sys
@@ -14,8 +14,8 @@ from packaging.requirements import Requirement
 
 
 def problems(lines: list[str], device: str) -> tuple[list[str], list[str]]:
-    """Print what is installed; return what keeps from going on, and what is only to be known."""
-    fatal, known = [], []
+    """Print the installed versions; return the errors and the warnings."""
+    errors, warnings = [], []
     for line in lines:
         requirement = Requirement(line)
         if device == "cpu" and requirement.name == "numba-cuda":
@@ -24,13 +24,13 @@ def problems(lines: list[str], device: str) -> tuple[list[str], list[str]]:
             found = version(requirement.name)
         except PackageNotFoundError:
             print(f"{requirement.name} is missing")
-            fatal.append(f"{requirement.name} is not installed")
+            errors.append(f"{requirement.name} is not installed")
             continue
         print(f"{requirement.name} {found}")
         if found not in requirement.specifier:
             text = f"{requirement.name} is {found}, not {requirement.specifier}"
-            (known if device == "cpu" else fatal).append(text)
-    return fatal, known
+            (warnings if device == "cpu" else errors).append(text)
+    return errors, warnings
 
 
 def main() -> None:
@@ -38,13 +38,13 @@ def main() -> None:
     print(f"python {sys.version.split()[0]} at {sys.executable}")
     print(f"torch {torch.__version__}, CUDA {torch.version.cuda}")
     lines = [line.split("#")[0].strip() for line in Path(path).read_text().splitlines()]
-    fatal, known = problems([line for line in lines if line], device)
+    errors, warnings = problems([line for line in lines if line], device)
     if device == "cuda" and not torch.cuda.is_available():
-        fatal.append("torch finds no GPU")
-    if known:
-        print(f"other versions: {'; '.join(known)}")
-    if fatal:
-        sys.exit(f"cannot go on: {'; '.join(fatal)}. The wheels come as {path} says.")
+        errors.append("torch finds no GPU")
+    if warnings:
+        print(f"other versions: {'; '.join(warnings)}")
+    if errors:
+        sys.exit(f"cannot continue: {'; '.join(errors)}. {path} says how to get the wheels.")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Whether each task can be solved: reachability, oracle, random agent, servo error, as a table.
+"""Solvability of each task: reachability, oracle, random agent and servo error.
 
 python benchmarks/oracle.py --episodes 300 --json oracle.json
 """
@@ -9,30 +9,30 @@ from pathlib import Path
 
 import numpy as np
 
-from knowarm.world.env import EnvConfig, ReachVectorEnv
+from knowarm.world.agents.scripted import OracleAgent, RandomAgent
+from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import evaluation_episodes
 from knowarm.world.ik import InverseKinematics
 from knowarm.world.objects import TARGETS
-from knowarm.world.oracle import OracleAgent
 from knowarm.world.play import play
 from knowarm.world.robots import ROBOTS
-from knowarm.world.scripted import RandomAgent
+from knowarm.world.vector_env import ReachVectorEnv
 
 SEED = 7
 
 
 def task_row(robot: str, target: str, dynamics: str, episodes: int) -> dict:
-    """One line of the table."""
+    """Measure reachability and the success of oracle and random agent."""
     config = EnvConfig(robot=robot, targets=(target,), dynamics=dynamics, image_size=8)
     env = ReachVectorEnv(config, episodes)
     fixed = evaluation_episodes(env.scene, config, episodes, SEED)
     env.reset(options={"episodes": fixed})
-    reach = InverseKinematics(env.scene).solve(
+    solution = InverseKinematics(env.scene).solve(
         env.grasp_position, env.grasp_matrix, env.joint_positions
     )
     oracle = play(OracleAgent(), env, fixed)
     random = play(RandomAgent(SEED), env, fixed)
-    reached = reach.within(config.success_distance_m, config.success_angle_deg)
+    reached = solution.within(config.success_distance_m, config.success_angle_deg)
     return {
         "robot": robot,
         "target": target,
@@ -47,15 +47,15 @@ def task_row(robot: str, target: str, dynamics: str, episodes: int) -> dict:
 
 
 def tracking_row(robot: str, dynamics: str, episodes: int) -> dict:
-    """How far the joints are from their targets after a step of a random agent [rad]."""
+    """Measure the distance of joints from their targets after actions of a random agent [rad]."""
     env = ReachVectorEnv(EnvConfig(robot=robot, dynamics=dynamics, image_size=8), episodes)
     env.reset(options={"episodes": evaluation_episodes(env.scene, env.config, episodes, SEED)})
     agent = RandomAgent(SEED)
     agent.start(env)
-    everyone = np.ones(episodes, dtype=np.bool_)
+    no_env = np.zeros(episodes, dtype=np.bool_)
     lags = []
     for _ in range(env.config.max_episode_steps):
-        env.advance(agent.act(np.empty(0, dtype=np.uint8)), ~everyone)
+        env.advance(agent.act(np.empty(0, dtype=np.uint8)), no_env)
         lags.append(np.abs(env.joint_positions - env.joint_targets))
     lag = np.stack(lags)
     return {

@@ -1,7 +1,7 @@
-"""Scenes go in; how fast the ray caster draws them, and what that depends on, comes out.
+"""Speed of the CPU ray caster by scene, batch size, image size and number of geoms.
 
-One thread draws; its own CPU time is measured, the best of several times, so that other work on the
-machine disturbs as little as possible. Pin it to a core for steadier figures:
+One thread draws; its CPU time is measured, the best of several repetitions, to reduce the influence
+of other load on the machine. Pin it to a core for less variation:
 
     taskset -c 0 python benchmarks/raycast.py --json runs/bench/raycast.json
 """
@@ -19,7 +19,7 @@ from knowarm.world.render import Raycaster
 from knowarm.world.scene import load_scene
 
 SECONDS = 0.4
-"""Thread time spent on each figure, at least."""
+"""Least thread time spent per measurement."""
 
 COLUMNS = (
     "scene",
@@ -36,14 +36,14 @@ Batch = tuple[mujoco.MjModel, int, NDArray[np.float64], NDArray[np.float64], NDA
 
 
 def robot_states(robot: str, count: int) -> Batch:
-    """States as in training: joints around home, one target on its rectangle, the others hidden."""
+    """Draw states as in training: joints around home, one target visible, the others hidden."""
     scene = load_scene(robot, ("mug", "bottle", "cereal_box"))
     model, rng = scene.model, np.random.default_rng(0)
     data = mujoco.MjData(model)
     centre, half = np.array(scene.robot.rectangle_centre_m), scene.robot.rectangle_half_size_m
     positions = np.empty((count, model.ngeom, 3))
     matrices = np.empty((count, model.ngeom, 9))
-    rgba = np.repeat(Raycaster(model, scene.camera, 4, 4).scenery.rgba[None], count, axis=0)
+    rgba = np.repeat(Raycaster(model, scene.camera, 4, 4).geom_rgba[None], count, axis=0)
     for e in range(count):
         angles = scene.home + rng.uniform(-0.5, 0.5, scene.num_joints)
         data.qpos[scene.qpos_index] = np.clip(angles, scene.joint_lower, scene.joint_upper)
@@ -56,7 +56,7 @@ def robot_states(robot: str, count: int) -> Batch:
 
 
 def free_states(geoms: str, assets: str, bodies: int, count: int) -> Batch:
-    """Free bodies of one geom each, somewhere over a floor."""
+    """Draw states of free bodies of one geom each over a floor."""
     body = f'<body><freejoint/><geom {geoms} mass="1" contype="0" conaffinity="0"/></body>'
     model = mujoco.MjModel.from_xml_string(f"""
     <mujoco><asset>{assets}</asset><worldbody>
@@ -76,7 +76,7 @@ def free_states(geoms: str, assets: str, bodies: int, count: int) -> Batch:
 
 
 def ball(subdivisions: int) -> str:
-    """MJCF of a ball of 2 n (n - 1) triangles, n = 4 x ``subdivisions``, as an asset."""
+    """Return the MJCF asset of a ball of 2 n (n - 1) triangles, n = 4 x ``subdivisions``."""
     n = 4 * subdivisions
     turn, tilt = np.arange(n) * 2 * np.pi / n, np.arange(1, n) * np.pi / n
     ring = np.stack(
@@ -101,28 +101,28 @@ def ball(subdivisions: int) -> str:
 
 
 def frames_per_s(batch: Batch, side: int, antialiasing: bool) -> float:
-    """Frames a second of CPU time on one thread, the best of several calls."""
+    """Measure frames per second of CPU time on one thread, the best of several calls."""
     model, camera, positions, matrices, rgba = batch
     caster = Raycaster(model, camera, side, side, antialiasing=antialiasing)
-    out = caster.render(positions, matrices, rgba)
+    out = caster.draw(positions, matrices, rgba)
     best, spent = np.inf, 0.0
     while spent < SECONDS:
         start = time.thread_time()
-        caster.render(positions, matrices, rgba, out)
+        caster.draw(positions, matrices, rgba, out=out)
         taken = time.thread_time() - start
         best, spent = min(best, taken), spent + taken
     return len(positions) / best
 
 
 def row(name: str, batch: Batch, side: int) -> dict[str, str | int | float]:
-    """One line of the table."""
+    """Measure one row of the table."""
     plain, smooth = (frames_per_s(batch, side, flag) for flag in (False, True))
     values = (name, len(batch[2]), side, round(plain), round(smooth), plain / smooth)
     return dict(zip(COLUMNS, values, strict=True))
 
 
 def measure() -> list[dict[str, str | int | float]]:
-    """Measure all lines of the table."""
+    """Measure all rows of the table."""
     rows = [row(robot, robot_states(robot, 256), 64) for robot in ROBOTS]
     rows += [row("irb120", robot_states("irb120", count), 64) for count in (1, 16, 4096)]
     rows += [row("irb120", robot_states("irb120", 64), side) for side in (32, 128, 256)]

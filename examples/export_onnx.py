@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import onnxruntime
 
-from knowarm.experiment.load import load_agent
+from knowarm.experiment.build import load_agent
 from knowarm.policy.onnx_export import export_onnx
-from knowarm.world.env import ReachVectorEnv
 from knowarm.world.episodes import evaluation_episodes
 from knowarm.world.play import play
+from knowarm.world.vector_env import ReachVectorEnv
 
 
 class OnnxAgent:

@@ -14,11 +14,11 @@ from sb3_contrib import RecurrentPPO
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from knowarm.experiment.build import build
-from knowarm.experiment.registry import experiment
+from knowarm.experiment.registry import experiment_config
 from knowarm.learn.sb3_vec_env import SB3VecEnv
-from knowarm.world.env import ReachVectorEnv
 from knowarm.world.knowledge_observation import KnowledgeObservation, VectorKnowledgeObservation
-from knowarm.world.single import ReachEnv
+from knowarm.world.single_env import ReachEnv
+from knowarm.world.vector_env import ReachVectorEnv
 
 
 def main() -> None:
@@ -29,7 +29,7 @@ def main() -> None:
     parser.add_argument("--single", action="store_true", help="step environments one by one")
     arguments = parser.parse_args()
 
-    chosen = experiment(arguments.experiment)
+    chosen = experiment_config(arguments.experiment)
     table = build(chosen).table
     if arguments.single:
         options = vars(chosen.env)

@@ -8,8 +8,9 @@ import sys
 import numpy as np
 from PIL import Image
 
-from knowarm.world.env import EnvConfig, ReachVectorEnv
+from knowarm.world.config import EnvConfig
 from knowarm.world.robots import ROBOTS
+from knowarm.world.vector_env import ReachVectorEnv
 
 SIDE = 240
 

@@ -1,17 +1,75 @@
-"""KnowArm: triples of a knowledge graph become a vector that a robot-arm policy sees.
+"""Deep reinforcement learning for robot arms, with commonsense from a knowledge graph.
 
-Two flows meet in the policy::
+A policy sees an image of one of several objects and moves a robot arm to its grasp point. Triples
+of a knowledge graph about these objects become a vector that enters the policy network::
 
     triples -> subgraph -> sentence -> vectors -> scene embedding ----.
                                                                       policy -> action
     MJCF -> scene -> batch simulation -> image -----------------------'
 
-Folders show the same way: ``knowledge`` and ``world`` feed ``policy``, ``learn`` trains it,
-``experiment`` puts the parts together and ``cli`` is what people type.
+Train the paper's agent and its baseline, evaluate both on the same episodes, and compare them::
+
+    import knowarm
+
+    for name in ("irb120-full-ppo", "irb120-bm-ppo"):
+        run = knowarm.train(name, runs="runs", total_steps=5_000_000)
+        knowarm.evaluate(run.folder.path, episodes=1000).write()
+    knowarm.write_report(["runs"], "runs/report.html")
+
+Use one part alone::
+
+    env = knowarm.make("irb120", num_envs=64)           # a Gymnasium vector environment
+    graph = knowarm.read_graph("kitchen.ttl")           # RDF, ConceptNet, OpenKE or a table
+    config = knowarm.KnowledgeConfig(detail="full")
+    vector = knowarm.scene_embedding(config, [("mug", "red"), ("bottle", "yellow")]).vector
+    trained = knowarm.load_agent("zoo/irb120-full-ppo")  # an agent, its policy and its config
+
+Experiments
+    train               train a named experiment or a config, or resume a run
+    evaluate            play fixed episodes and measure returns, accuracy and success
+    load_agent          load the trained agent of a run
+    write_report        write one HTML page that compares runs
+    experiment_config   the config of a named experiment, with overrides
+    experiment_names    the names of all experiments
+    ExperimentConfig    everything that defines a training run
+    EvaluationConfig    episodes and thresholds of an evaluation
+    Run, TrainedAgent, EvaluationResult    what train, load_agent and evaluate return
+World
+    make                make an environment: single or vector, NumPy or torch
+    EnvConfig           robot, targets, colours, dynamics and thresholds of the task
+    ReachVectorEnv      vector environment on NumPy arrays (Gymnasium)
+    TorchReachVectorEnv vector environment on torch tensors, on CPU or GPU
+Knowledge
+    read_graph          read a graph from a file
+    KnowledgeGraph      triples, entities and relations
+    KnowledgeConfig     from a graph to the knowledge vector
+    scene_embedding     compute the knowledge vector of a scene
+    SceneEmbedding      the vector with its slots, coverage and sentences
+Policy and learning
+    Policy              the recurrent network
+    PolicyConfig        choices of the network: fusion, sizes, preprocessing
+    PolicyShape         its input and output sizes
+    PolicyAgent         plays episodes with a policy
+    PPOConfig, A3CConfig    hyperparameters of the algorithms
+Registries: to extend KnowArm, add an entry (see CONTRIBUTING.md)
+    AGENTS, Agent       knowledge, policy and role of each agent
+    ALGORITHMS, Algorithm    config and trainer of each learning algorithm
+    ROBOTS              robots by name
+    TARGETS             target objects by name
+Errors
+    UserError           a mistake in an argument, config or file, with its remedy
+
+Public names are imported when they are first used, so that ``import knowarm`` stays fast. Importing
+the package registers its Gymnasium ids (``knowarm/IRB120Reach-v0``). The command line is ``knowarm
+--help``, the documentation is in ``docs/``.
 """
+
+import lazy_loader
 
 from knowarm.world import register_environments
 
 __version__ = "0.1.0"
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 register_environments()

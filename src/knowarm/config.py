@@ -1,18 +1,33 @@
-"""Config dataclasses go in and plain JSON values come out, and the strict way back."""
+"""Conversion between config dataclasses and JSON values, with strict checks when reading."""
 
 import dataclasses
 import types
 import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 
 from knowarm.errors import UserError, unknown_name
 
 T = TypeVar("T")
 
+_TYPES = "knowarm.config.types"
+
+
+def registered(config_types: Callable[[], Iterable[type]]) -> dict[str, Any]:
+    """Return the metadata of a dataclass field whose value is one of several registered configs.
+
+    The field is annotated with a common base class, and the types are looked up whenever a config
+    is read, so that an entry added to the registry can be read at once. As in a union, a literal
+    field ``kind`` or ``name`` tells the types apart in JSON.
+
+    Args:
+        config_types: returns the dataclasses that are registered now.
+    """
+    return {_TYPES: config_types}
+
 
 def to_dict(config: Any) -> dict[str, Any]:
-    """Turn a (nested) config dataclass into JSON values; tuples become lists."""
+    """Convert a (nested) config dataclass to JSON values; tuples become lists."""
     return {field.name: _plain(getattr(config, field.name)) for field in dataclasses.fields(config)}
 
 
@@ -26,13 +41,37 @@ def _plain(value: Any) -> Any:
     return value
 
 
+def replace(config: T, overrides: Mapping[str, Any], *, where: str = "") -> T:
+    """Copy a config with some fields changed and all types checked.
+
+    Args:
+        config: the dataclass instance to copy.
+        overrides: new values by field name. A nested config takes a config, or a mapping of those
+            of its fields that change: ``{"algorithm": {"num_envs": 64}}``.
+        where: dotted path of ``config`` in the whole config, for error messages.
+
+    Raises:
+        UserError: an unknown field or a value of another type than the field's.
+    """
+    values = to_dict(config)
+    for name, new in overrides.items():
+        current = getattr(config, name, None)
+        if isinstance(new, Mapping) and dataclasses.is_dataclass(current):
+            tag = _tag(type(current))
+            same_type = tag is None or new.get(tag) in (None, getattr(current, tag))
+            path = f"{where}.{name}" if where else name
+            new = to_dict(replace(current, new, where=path)) if same_type else new
+        values[name] = _plain(new)
+    return from_dict(type(config), values, where=where)
+
+
 def from_dict(cls: type[T], values: Mapping[str, Any], *, where: str = "") -> T:
-    """Build a config dataclass from JSON values, field by field, checking every type.
+    """Build a config dataclass from JSON values and check the type of every field.
 
     Args:
         cls: the dataclass to build.
-        values: one value a field; fields that have a default may be missing.
-        where: dotted path of ``values`` in the whole config, for the error messages.
+        values: one value per field; fields with a default may be missing.
+        where: dotted path of ``values`` in the whole config, for error messages.
 
     Raises:
         UserError: an unknown field (with the nearest names), a missing one, or a value of
@@ -53,14 +92,17 @@ def from_dict(cls: type[T], values: Mapping[str, Any], *, where: str = "") -> T:
     for name, field in fields.items():
         path = f"{where}.{name}" if where else name
         if name in values:
-            arguments[name] = _typed(hints[name], values[name], path)
+            hint = hints[name]
+            if _TYPES in field.metadata:
+                hint = Union[tuple(field.metadata[_TYPES]())]  # noqa: UP007 (built at run time)
+            arguments[name] = _typed(hint, values[name], path)
         elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
-            raise UserError(f"Field {path!r} is missing; {cls.__name__} needs it.")
+            raise UserError(f"Field {path!r} is missing; {cls.__name__} requires it.")
     return cls(**arguments)
 
 
 def _typed(hint: Any, value: Any, path: str) -> Any:
-    """Convert one JSON value to the annotated type, or say what the field takes."""
+    """Convert one JSON value to the annotated type."""
     origin, args = get_origin(hint), get_args(hint)
     if origin is typing.Annotated:
         return _typed(args[0], value, path)
@@ -70,8 +112,6 @@ def _typed(hint: Any, value: Any, path: str) -> Any:
         if value not in args:
             raise unknown_name(f"value of {path}", str(value), map(str, args))
         return value
-    if hasattr(hint, "variants"):  # a base class with a registry of its configs
-        return _variant(hint.variants().values(), value, path)
     if dataclasses.is_dataclass(hint):
         return from_dict(typing.cast(Any, hint), value, where=path)
     if origin is tuple:
@@ -98,12 +138,26 @@ def _typed(hint: Any, value: Any, path: str) -> Any:
 
 
 def _union(args: tuple[Any, ...], value: Any, path: str) -> Any:
+    """Convert a value to the first alternative that fits, or to the config that its tag names."""
     if value is None and type(None) in args:
         return None
     kinds = [kind for kind in args if kind is not type(None)]
-    configs = [kind for kind in kinds if dataclasses.is_dataclass(kind)]
-    if configs and isinstance(value, Mapping) and len(configs) > 1:
-        return _variant(configs, value, path)
+    tags = {kind: _tag(kind) for kind in kinds if dataclasses.is_dataclass(kind)}
+    if isinstance(value, Mapping) and tags and None not in tags.values():
+        tagged = {
+            (tag, choice): kind
+            for kind, tag in tags.items()
+            for choice in get_args(typing.get_type_hints(kind)[tag])
+        }
+        for (tag, choice), kind in tagged.items():
+            if value.get(tag) == choice:
+                return from_dict(kind, value, where=path)
+        tag = next(iter(tagged))[0]
+        choices = [str(choice) for _, choice in tagged]
+        raise unknown_name(f"{path}.{tag}", str(value.get(tag)), choices)
+    if tags and len(tags) == len(kinds):
+        names = ", ".join(kind.__name__ for kind in kinds)
+        raise UserError(f"{path} must hold the fields of one of {names}, got {value!r}.")
     errors = []
     for kind in kinds:
         try:
@@ -113,17 +167,7 @@ def _union(args: tuple[Any, ...], value: Any, path: str) -> Any:
     raise UserError(errors[0] if len(errors) == 1 else f"{path}: " + " Or: ".join(errors))
 
 
-def _variant(configs: Iterable[Any], value: Any, path: str) -> Any:
-    """Build the one of several configs whose literal field (`kind` or `name`) has the value's."""
-    tags: dict[tuple[str, Any], Any] = {}
-    for config in configs:
-        hints = typing.get_type_hints(config)
-        tag = next(name for name in ("kind", "name") if get_origin(hints.get(name)) is Literal)
-        tags |= {(tag, kind): config for kind in get_args(hints[tag])}
-    tag = next(iter(tags))[0]
-    kinds = [kind for _, kind in tags]
-    if not isinstance(value, Mapping):
-        raise UserError(f"{path} must hold fields with {tag} one of {kinds}, got {value!r}.")
-    if (tag, value.get(tag)) not in tags:
-        raise unknown_name(f"{path}.{tag}", str(value.get(tag)), kinds)
-    return from_dict(tags[tag, value[tag]], value, where=path)
+def _tag(cls: Any) -> str | None:
+    """Name of the literal field that tells a dataclass from its alternatives; None without one."""
+    hints = typing.get_type_hints(cls)
+    return next((name for name in ("kind", "name") if get_origin(hints.get(name)) is Literal), None)

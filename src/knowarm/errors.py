@@ -1,14 +1,15 @@
-"""What a user did wrong goes in; one message that says how to mend it comes out."""
+"""User errors: mistakes in arguments, configs and files that a user can fix."""
 
 from collections.abc import Iterable
 from difflib import get_close_matches
 
 
 class UserError(ValueError):
-    """A mistake the user can mend.
+    """A mistake that the user can fix.
 
-    The message is one line: what was wrong, what was given, what is allowed, what to do.
-    The command line prints it without a traceback and exits with code 2.
+    The message is one line: what was wrong, the given value, the allowed values, the remedy. It
+    names arguments (``resume=True``), not command line flags. The command line prints it without a
+    traceback and exits with code 2.
     """
 
 
@@ -16,12 +17,12 @@ def unknown_name(kind: str, given: str, allowed: Iterable[str]) -> UserError:
     """Build the error for a name that is not among the allowed ones, nearest names first.
 
     Args:
-        kind: what the name stands for, as the user knows it ("robot", "experiment", ...).
+        kind: what the name stands for ("robot", "experiment", ...).
         given: the name that was not found.
-        allowed: every name that would have been accepted.
+        allowed: all valid names.
 
     Returns:
-        The error, to be raised by the caller.
+        The error; the caller raises it.
     """
     names = sorted(allowed)
     near = get_close_matches(given, names, n=3, cutoff=0.5)

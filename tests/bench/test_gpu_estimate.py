@@ -1,4 +1,4 @@
-"""Bytes and operations of a step are those counted by hand, and by torch."""
+"""Tests of the estimated bytes and operations per step, against hand counts and torch."""
 
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -9,19 +9,21 @@ import torch
 from torch.utils.flop_counter import FlopCounterMode
 
 from knowarm.bench.gpu_estimate import (
+    NO_GEOM,
     activations,
     environment_bytes,
     forward_operations,
+    ray_operations,
+    tile_operations,
     training_bytes,
     training_operations,
     world_bytes,
 )
-from knowarm.bench.gpu_rays import NO_GEOM, ray_operations, tile_operations
 from knowarm.policy import Policy, PolicyConfig
 from knowarm.world.config import EnvConfig
-from knowarm.world.env import ReachVectorEnv
-from knowarm.world.render.tables import BOX, CYLINDER, MESH
+from knowarm.world.render.intersections import BOX, CYLINDER, MESH
 from knowarm.world.scene import load_scene
+from knowarm.world.vector_env import ReachVectorEnv
 
 FIRST = 2 * (9 * 4) * 27 * 16
 """Nine blocks of four patches of 27 pixel values, 16 channels."""

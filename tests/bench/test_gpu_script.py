@@ -1,4 +1,4 @@
-"""``benchmarks/gpu.sh`` runs every stage on the CPU device and installs wheels without network."""
+"""Tests of ``benchmarks/gpu.sh`` on the CPU device, without network."""
 
 import json
 import os
@@ -17,8 +17,9 @@ REQUIREMENTS = ROOT / "benchmarks" / "gpu-requirements.txt"
 
 
 def gpu_sh(folder: Path, *arguments: str, **settings: str) -> subprocess.CompletedProcess[str]:
-    """Run the script with this interpreter, keeping everything below a folder."""
+    """Run the script with this interpreter and a folder for all files, without a time limit."""
     environment = os.environ | {"DEVICE": "cpu", "TINY": "1", "PYTHON": sys.executable}
+    environment |= {"LIMIT_S": "86400"}
     return subprocess.run(
         [str(ROOT / "benchmarks" / "gpu.sh"), *(arguments or ("", str(folder / "out")))],
         env=environment | {"WORK": str(folder / "work")} | settings,
@@ -41,7 +42,7 @@ def test_every_stage_runs_on_the_cpu_device(tmp_path: Path) -> None:
     assert result["training_steps_per_s"] > 0
     assert result["training"]["finished"]
     assert result["training"]["evaluations"] == 3
-    assert 0 < result["training"]["minutes"] < 5
+    assert result["training"]["minutes"] > 0
     assert result["training_minutes_70m"] is None, "this was not the whole run"
     assert re.search(r"\d+ passed", (out / "parity.txt").read_text())
     assert done.stdout.count("80 of 80 steps") == 1
@@ -52,30 +53,49 @@ def test_every_stage_runs_on_the_cpu_device(tmp_path: Path) -> None:
     assert json.loads((out / "gpu.json").read_text()) == result
 
 
+TIMEOUT = """#!/usr/bin/env bash
+# In place of timeout: sends SIGTERM to a training once it has logged two more rows of metrics.
+while [[ $1 == --* ]]; do shift; done
+shift
+rows() { cat "$WORK/runs/$RUN/metrics.csv" 2> /dev/null | wc -l; }
+before=$(rows)
+"$@" &
+if [[ " $* " == *" train "* ]]; then
+  while kill -0 $! 2> /dev/null && (($(rows) < before + 2)); do sleep 0.1; done
+  kill -TERM $! 2> /dev/null
+fi
+wait $!
+"""
+
+
 @pytest.mark.slow
-def test_a_training_that_was_stopped_goes_on(tmp_path: Path) -> None:
+def test_a_stopped_training_is_resumed(tmp_path: Path) -> None:
     pytest.importorskip("mujoco_warp")
+    programs = tmp_path / "programs"
+    programs.mkdir()
+    (programs / "timeout").write_text(TIMEOUT)
+    (programs / "timeout").chmod(0o755)
     sizes = "--total-steps 1000000 --checkpoint-every-steps 1000000"
-    options = {"STAGES": "bench train", "BENCH_OPTIONS": "--no-training", "TRAIN_OPTIONS": sizes}
-    stopped = gpu_sh(tmp_path, LIMIT_S="15", **options)
+    stop = {"PATH": f"{programs}:{os.environ['PATH']}", "RUN": "irb120-full-ppo/0"}
+    options = {"BENCH_OPTIONS": "--no-training", "TRAIN_OPTIONS": sizes}
+    stopped = gpu_sh(tmp_path, STAGES="bench train", **options, **stop)
     assert stopped.returncode == 1, stopped.stdout + stopped.stderr
-    assert "call again with STAGES=train" in stopped.stderr
+    assert "call again with STAGES=train" in stopped.stderr, stopped.stdout + stopped.stderr
     json_path = tmp_path / "out" / "gpu.json"
     first = json.loads(json_path.read_text())["training"]
     assert 0 < first["step"] < 1_000_000
     assert not first["finished"]
 
-    options = {"STAGES": "train", "LIMIT_S": "10"}
-    stopped = gpu_sh(tmp_path, **options)
+    stopped = gpu_sh(tmp_path, STAGES="train", **stop)
     assert "call again with STAGES=train" in stopped.stderr, stopped.stdout + stopped.stderr
     second = json.loads(json_path.read_text())["training"]
     assert second["step"] > first["step"]
-    assert second["minutes"] > first["minutes"] + 5 / 60
+    assert second["minutes"] > first["minutes"]
     assert len((tmp_path / "work" / "times").read_text().splitlines()) == 2
 
 
 def write_wheel(path: Path) -> None:
-    """A package of one module, as a wheel."""
+    """Write the wheel of a package with one module."""
     info = f"{path.name.split('-')[0]}-1.0.dist-info"
     files = {
         "gpu_probe.py": "answer = 42\n",
@@ -88,7 +108,7 @@ def write_wheel(path: Path) -> None:
             archive.writestr(name, text)
 
 
-def test_wheels_in_parts_are_installed_beside_what_is_there(tmp_path: Path) -> None:
+def test_split_wheels_are_installed_beside_the_packages_of_python(tmp_path: Path) -> None:
     pytest.importorskip("mujoco_warp")
     whole, wheels = tmp_path / "gpu_probe-1.0-py3-none-any.whl", tmp_path / "wheels"
     write_wheel(whole)
@@ -96,7 +116,7 @@ def test_wheels_in_parts_are_installed_beside_what_is_there(tmp_path: Path) -> N
     content = whole.read_bytes()
     (wheels / f"{whole.name}.partaa").write_bytes(content[:300])
     (wheels / f"{whole.name}.partab").write_bytes(content[300:])
-    for _ in range(2):  # a second call finds everything there
+    for _ in range(2):  # the second call finds everything installed
         done = gpu_sh(tmp_path, str(wheels), str(tmp_path / "out"), STAGES="")
         assert done.returncode == 0, done.stdout + done.stderr
     assert "mujoco-warp 4" in done.stdout
@@ -113,10 +133,10 @@ def test_wheels_in_parts_are_installed_beside_what_is_there(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("arguments", "settings", "words"),
     [
-        ((), {"STAGES": "bench fly"}, "no stage 'fly'"),
+        ((), {"STAGES": "bench fly"}, "unknown stage 'fly'"),
         ((), {"DEVICE": "tpu"}, "DEVICE must be cuda or cpu"),
         (("/nowhere",), {}, "/nowhere does not exist"),
-        ((), {"STAGES": "train"}, "do the stage bench before"),
+        ((), {"STAGES": "train"}, "run the stage bench first"),
         pytest.param(
             (),
             {"DEVICE": "cuda"},
@@ -140,7 +160,7 @@ def required(lines: list[str]) -> set[str]:
     return {name.group().lower() for name in names if name}
 
 
-def test_the_wheels_hold_all_that_the_package_needs() -> None:
+def test_the_requirements_contain_all_dependencies() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     needed = required(project["dependencies"] + project["optional-dependencies"]["gpu"])
     assert needed - {"torch"} <= required(REQUIREMENTS.read_text().splitlines())

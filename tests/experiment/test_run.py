@@ -8,11 +8,10 @@ import torch
 from knowarm.config import from_dict, to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS
-from knowarm.experiment.build import build
+from knowarm.experiment.build import build, load_agent
 from knowarm.experiment.config import ExperimentConfig, InterimConfig
-from knowarm.experiment.load import load_agent
-from knowarm.experiment.registry import EXPERIMENTS, experiment
-from knowarm.experiment.run import stored_config, train
+from knowarm.experiment.registry import experiment_config, experiment_names
+from knowarm.experiment.run import train
 from knowarm.experiment.run_folder import RunFolder, read_csv
 from knowarm.learn.config import A3CConfig, PPOConfig
 
@@ -26,7 +25,7 @@ def one_thread():
 
 
 def short(name: str = "irb120-full-ppo", **changes) -> ExperimentConfig:
-    config = experiment(name)
+    config = experiment_config(name)
     algorithm = dataclasses.replace(
         config.algorithm, num_envs=4, rollout_steps=5, minibatches=2, processes=1
     )
@@ -48,7 +47,7 @@ def curve(folder: RunFolder) -> list[dict[str, str]]:
 def test_a_run_folder_tells_all(tmp_path):
     run = train(short(), tmp_path)
     assert run.result.step == 160
-    assert stored_config(run.folder) == short()
+    assert run.folder.experiment() == short()
     assert [int(row["step"]) for row in read_csv(run.folder.evaluations_path)] == [0, 80, 160]
     assert len(curve(run.folder)) == 8
     provenance = run.folder.provenance()
@@ -57,7 +56,7 @@ def test_a_run_folder_tells_all(tmp_path):
     assert provenance["facets"][0] == ["mug", "red"]
     assert run.folder.knowledge().shape == (3, 150)
     assert any(run.folder.tensorboard.iterdir())
-    with pytest.raises(UserError, match="--resume"):
+    with pytest.raises(UserError, match="resume=True"):
         train(short(), tmp_path)
 
 
@@ -85,10 +84,8 @@ def test_stop_and_resume_give_the_same_bytes(tmp_path):
 
 def test_another_config_is_not_resumed(tmp_path):
     train(short(total_steps=20), tmp_path)
-    changed = dataclasses.replace(
-        short(), network=dataclasses.replace(short().network, features=64)
-    )
-    with pytest.raises(UserError, match=r"network\.features: 128 \| 64"):
+    changed = dataclasses.replace(short(), policy=dataclasses.replace(short().policy, features=64))
+    with pytest.raises(UserError, match=r"policy\.features: 128 \| 64"):
         train(changed, tmp_path, resume=True)
     assert train(short(total_steps=40), tmp_path, resume=True).result.step == 40
 
@@ -133,16 +130,16 @@ SLOW = {"analogy"}  # trains a graph embedding
     "name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in AGENTS]
 )
 def test_every_agent_can_be_built(name):
-    config = experiment(f"irb120-{name}-dr-ppo")
+    config = experiment_config(f"irb120-{name}-dr-ppo")
     parts = build(config)
-    assert parts.table.shape == (6, parts.policy_config.knowledge_dim) or config.network.wide
+    assert parts.table.shape == (6, parts.policy_config.knowledge_dim) or config.policy.wide
     assert np.isfinite(parts.table).all()
     assert parts.new_policy(0).parameter_counts()["total"] > 0
 
 
 def test_wide_matches_full():
     full, wide = (
-        build(experiment(f"irb120-{name}-ppo")).new_policy(0) for name in ("full", "wide")
+        build(experiment_config(f"irb120-{name}-ppo")).new_policy(0) for name in ("full", "wide")
     )
     assert wide.config.hidden_size == full.config.hidden_size
     counts = [policy.parameter_counts()["total"] for policy in (wide, full)]
@@ -151,19 +148,19 @@ def test_wide_matches_full():
 
 @pytest.mark.parametrize("name", ["irb120-full-ppo", "tiago-bm-dr-a3c"])
 def test_configs_survive_json(name):
-    config = experiment(name)
+    config = experiment_config(name)
     assert from_dict(ExperimentConfig, to_dict(config)) == config
 
 
 def test_names_say_what_they_are():
-    config = experiment("tiago-partial-dr-a3c")
+    config = experiment_config("tiago-partial-dr-a3c")
     assert config.env.robot == "tiago"
     assert config.env.colours == "randomized"
     assert config.agent == "partial"
     assert isinstance(config.algorithm, A3CConfig)
-    assert isinstance(experiment("irb120-bm-ppo").algorithm, PPOConfig)
-    assert experiment("irb120-bm-ppo").env.colours == "fixed"
-    assert all(name == config.name for name, config in EXPERIMENTS.items())
+    assert isinstance(experiment_config("irb120-bm-ppo").algorithm, PPOConfig)
+    assert experiment_config("irb120-bm-ppo").env.colours == "fixed"
+    assert all(name == experiment_config(name).name for name in experiment_names())
 
 
 @pytest.mark.parametrize(
@@ -176,7 +173,7 @@ def test_names_say_what_they_are():
 )
 def test_unknown_names_offer_the_nearest(name, message):
     with pytest.raises(UserError, match=message):
-        experiment(name)
+        experiment_config(name)
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")

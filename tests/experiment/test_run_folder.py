@@ -10,7 +10,7 @@ from knowarm.experiment.run_folder import CsvLog, RunFolder, read_csv, write_jso
 def test_a_run_folder_is_created_once(tmp_path):
     folder = RunFolder.create(tmp_path / "x" / "0")
     folder.write_json("config.json", {"format": 2})
-    with pytest.raises(UserError, match="--resume"):
+    with pytest.raises(UserError, match="resume=True"):
         RunFolder.create(folder.path)
     assert RunFolder.open(folder.path).config() == {"format": 2}
 

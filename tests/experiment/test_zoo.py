@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from knowarm.experiment.build import load_agent
 from knowarm.experiment.evaluate import EvaluationConfig, evaluate
-from knowarm.experiment.load import load_agent
 
 ZOO = Path(__file__).parents[2] / "zoo"
 AGENTS = sorted(path.name for path in ZOO.iterdir() if path.is_dir())
@@ -33,4 +33,4 @@ def test_the_knowledge_it_was_trained_with_is_what_the_package_builds(name):
 
     trained = load_agent(ZOO / name)
     parts = build(dataclasses.replace(trained.config))
-    assert parts.table.tobytes() == trained.knowledge.tobytes()
+    assert parts.table.tobytes() == trained.folder.knowledge().tobytes()

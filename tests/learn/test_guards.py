@@ -1,5 +1,6 @@
 import logging
 import math
+import pickle
 
 import pytest
 import torch
@@ -8,7 +9,7 @@ from safetensors.torch import load_file
 from knowarm.learn.guards import FiniteGuard, HealthMonitor, NotFiniteError
 
 
-def test_the_guilty_term_is_named_and_the_batch_saved(tmp_path):
+def test_the_non_finite_term_is_named_and_the_batch_saved(tmp_path):
     guard = FiniteGuard(tmp_path / "failures")
     batch = {"reward": torch.arange(6.0).view(2, 3).t()}
     terms = {"the value loss": torch.tensor(1.0), "the entropy": torch.tensor([0.0, math.inf])}
@@ -16,6 +17,8 @@ def test_the_guilty_term_is_named_and_the_batch_saved(tmp_path):
         guard.check(terms, 40, batch)
     assert caught.value.term == "the entropy"
     assert torch.equal(load_file(caught.value.batch)["reward"], batch["reward"])
+    copy = pickle.loads(pickle.dumps(caught.value))
+    assert (str(copy), copy.term, copy.step) == (str(caught.value), "the entropy", 40)
 
 
 def test_finite_terms_pass_and_nothing_is_written(tmp_path):
@@ -41,4 +44,4 @@ def test_a_value_beyond_every_possible_return_is_warned_of(caplog):
         monitor.watch(step=1, entropy=0.6, values=torch.tensor([29.0]), rewards=rewards)
         assert not caplog.records
         monitor.watch(step=2, entropy=0.6, values=torch.tensor([-31.0]), rewards=rewards)
-    assert "the critic explodes" in caplog.text
+    assert "the critic diverges" in caplog.text

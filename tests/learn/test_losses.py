@@ -83,14 +83,14 @@ def test_ppo_inside_the_clip_range_is_ratio_times_advantage():
     terms, gradient = ppo(0.72, 2.0)
     assert terms.policy.item() == pytest.approx(-0.75 / 0.72 * 2, rel=1e-6)
     assert terms.value.item() == pytest.approx(2.0)
-    assert terms.clipped.item() == 0
+    assert terms.clip_fraction.item() == 0
     assert gradient.abs().sum() > 0
 
 
 def test_ppo_gains_nothing_beyond_the_clip_range():
     terms, gradient = ppo(0.5, 2.0)  # ratio 1.5
     assert terms.policy.item() == pytest.approx(-1.2 * 2, rel=1e-6)
-    assert terms.clipped.item() == 1
+    assert terms.clip_fraction.item() == 1
     assert gradient.abs().sum() == 0
 
 
@@ -102,4 +102,4 @@ def test_ppo_still_corrects_a_bad_step_beyond_the_clip_range():
 
 def test_kl_estimate_by_hand():
     terms, _ = ppo(0.5, 1.0)
-    assert terms.kl.item() == pytest.approx(1.5 - 1 - math.log(1.5), rel=1e-5)
+    assert terms.approx_kl.item() == pytest.approx(1.5 - 1 - math.log(1.5), rel=1e-5)

@@ -9,12 +9,16 @@ from knowarm.errors import UserError
 from knowarm.learn.checkpoint import CheckpointStore
 from knowarm.learn.config import PPOConfig
 from knowarm.learn.guards import NotFiniteError
-from knowarm.learn.ppo import PPOTrainer
-from knowarm.learn.trainer import Hooks
-from knowarm.policy import Policy, PolicyAgent, PolicyConfig
-from tests.learn.toys import JOINTS, LEVELS, SIDE, ToyEnv
+from knowarm.learn.ppo import PPOTrainer, learning_rate
+from tests.learn.toys import (
+    ToyEnv,
+    informed_toy_policy,
+    recorder,
+    success_rate,
+    toy_env,
+    toy_policy,
+)
 
-TABLE = np.zeros((1, 1), np.float32)
 SMALL = PPOConfig(
     num_envs=32,
     rollout_steps=10,
@@ -28,53 +32,28 @@ SMALL = PPOConfig(
 )
 
 
-def small_policy():
-    return Policy(
-        PolicyConfig(
-            joints=JOINTS,
-            levels=LEVELS,
-            image_size=SIDE,
-            features=32,
-            fusion="none",
-            pixel_shift=0.4,
-        )
-    )
-
-
-def successes(policy, *, recall, length):
-    """Share of episodes that end with the right action, played greedily."""
-    env = ToyEnv(100, recall=recall, length=length)
-    agent = PolicyAgent(policy, TABLE, greedy=True)
-    observation, _ = env.reset(seed=99)
-    agent.start(env)
-    for _ in range(length):
-        observation, _, _, _, infos = env.step(agent.act(observation))
-    return infos["final_info"]["is_success"].mean()
-
-
 def test_identity_task_is_solved():
-    policy = small_policy()
+    policy = toy_policy()
     config = dataclasses.replace(SMALL, gamma=0.5)  # images do not depend on actions
-    PPOTrainer(config, policy, ToyEnv(32, recall=False, length=5), TABLE, seed=0).train(10_000)
-    assert successes(policy, recall=False, length=5) > 0.95
+    PPOTrainer(config, policy, toy_env(32, recall=False, length=5), seed=0).train(10_000)
+    assert success_rate(policy, recall=False, length=5) > 0.95
 
 
 def test_memory_task_is_solved():
     """Rollouts of 10 steps hold episodes of 3: most rollouts start in the middle of one."""
-    policy = small_policy()
+    policy = toy_policy()
     config = dataclasses.replace(SMALL, num_envs=64, learning_rate=2e-3, gamma=0.9)
-    PPOTrainer(config, policy, ToyEnv(64, recall=True, length=3), TABLE, seed=0).train(40_000)
-    assert successes(policy, recall=True, length=3) > 0.95
+    PPOTrainer(config, policy, toy_env(64, recall=True, length=3), seed=0).train(40_000)
+    assert success_rate(policy, recall=True, length=3) > 0.95
 
 
 def build(folder, hooks=None, evaluate=None, **changes):
-    policy = small_policy()
-    store = CheckpointStore(folder, {"network": "small"}) if folder else None
+    policy = toy_policy()
+    store = CheckpointStore(folder, {"policy": "small"}) if folder else None
     trainer = PPOTrainer(
         dataclasses.replace(SMALL, **changes),
         policy,
-        ToyEnv(32, recall=True, length=7),
-        TABLE,
+        toy_env(32, recall=True, length=7),
         seed=3,
         hooks=hooks,
         evaluate=evaluate,
@@ -86,39 +65,31 @@ def build(folder, hooks=None, evaluate=None, **changes):
 
 
 def play(policy):
-    return {"return_mean": float(successes(policy, recall=True, length=7))}
+    return {"return_mean": float(success_rate(policy, recall=True, length=7))}
 
 
 def test_a_stopped_and_resumed_training_equals_an_uninterrupted_one_to_the_byte(tmp_path):
-    def recorder():
-        rows, evaluations = [], []
-        hooks = Hooks(
-            on_metrics=rows.append, on_evaluation=lambda *result: evaluations.append(result)
-        )
-        return rows, evaluations, hooks
-
-    rows, evaluations, hooks = recorder()
-    whole, expected = build(tmp_path / "whole", hooks, play)
+    expected = recorder()
+    whole, expected_policy = build(tmp_path / "whole", expected.hooks, play)
     whole.train(3200)
 
-    first, second, hooks = recorder()
-    hooks = dataclasses.replace(hooks, should_stop=lambda: len(first) == 4)
-    stopped, _ = build(tmp_path / "cut", hooks, play)
+    first = recorder(should_stop=lambda: len(first.rows) == 4)
+    stopped, _ = build(tmp_path / "cut", first.hooks, play)
     assert stopped.train(3200).reason == "stopped"
-    hooks = dataclasses.replace(hooks, should_stop=lambda: False)
-    resumed, got = build(tmp_path / "cut", hooks, play)
+    second = recorder()
+    resumed, policy = build(tmp_path / "cut", second.hooks, play)
     resumed.resume()
     result = resumed.train(3200)
 
     assert result.step == 3200
     assert result.best_step == whole.best.step
-    for name, value in expected.state_dict().items():
-        assert value.numpy().tobytes() == got.state_dict()[name].numpy().tobytes(), name
-    assert second == evaluations
+    for name, value in expected_policy.state_dict().items():
+        assert value.numpy().tobytes() == policy.state_dict()[name].numpy().tobytes(), name
+    assert first.evaluations + second.evaluations == expected.evaluations
     timing = {"wall_time_s", "steps_per_s", "environment_s", "inference_s", "learn_s"}
-    assert [{k: v for k, v in row.items() if k not in timing} for row in first] == [
-        {k: v for k, v in row.items() if k not in timing} for row in rows
-    ]
+    assert [
+        {k: v for k, v in row.items() if k not in timing} for row in first.rows + second.rows
+    ] == [{k: v for k, v in row.items() if k not in timing} for row in expected.rows]
     whole_files = sorted((tmp_path / "whole/latest").glob("*.safetensors"))
     assert [f.name for f in whole_files] == [
         "optimizer.safetensors", "policy.safetensors", "state.safetensors",
@@ -129,33 +100,37 @@ def test_a_stopped_and_resumed_training_equals_an_uninterrupted_one_to_the_byte(
 
 def test_the_best_policy_is_kept(tmp_path):
     returns = iter([1.0, 5.0, 3.0, 4.0, 2.0, 2.0])
-    seen = []
-    hooks = Hooks(on_evaluation=lambda step, _, is_best: seen.append((step, is_best)))
-    trainer, _ = build(tmp_path, hooks, lambda _: {"return_mean": next(returns)})
+    seen = recorder()
+    trainer, _ = build(tmp_path, seen.hooks, lambda _: {"return_mean": next(returns)})
     result = trainer.train(1920)
     assert (result.best_return, result.best_step) == (5.0, 640)
-    assert seen == [(0, True), (640, True), (1280, False), (1920, False)]
-    best = CheckpointStore(tmp_path, {"network": "small"}).load_best()
+    assert [(step, is_best) for step, _, is_best in seen.evaluations] == [
+        (0, True),
+        (640, True),
+        (1280, False),
+        (1920, False),
+    ]
+    best = CheckpointStore(tmp_path, {"policy": "small"}).load_best()
     assert best.facts["step"] == 640
 
 
 def test_the_passes_stop_when_the_policy_moved_too_far():
-    rows = []
-    trainer, _ = build(None, Hooks(on_metrics=rows.append), target_kl=1e-7)
+    seen = recorder()
+    trainer, _ = build(None, seen.hooks, target_kl=1e-7)
     trainer.train(320)
-    assert rows[0]["gradient_steps"] == 2  # the second minibatch already sees a moved policy
+    assert seen.rows[0]["gradient_steps"] == 2  # the second minibatch already sees a moved policy
 
 
 def test_truncation_bootstraps_from_the_final_observation():
     """A critic of 1 everywhere sees 1 after a truncated step and 0 after a terminated one."""
     for recall, expected in ((False, 1.0), (True, 0.0)):
-        policy = small_policy()
+        policy = toy_policy()
         with torch.no_grad():
             policy.critic.weight.zero_()
             policy.critic.bias.fill_(1.0)
-        trainer = PPOTrainer(SMALL, policy, ToyEnv(32, recall=recall, length=5), TABLE, seed=0)
+        trainer = PPOTrainer(SMALL, policy, toy_env(32, recall=recall, length=5), seed=0)
         rollout = trainer._learner.rollout
-        trainer._collector.collect(trainer._learner, rollout)
+        trainer._collector.collect(rollout)
         assert rollout.done[4].all()
         assert (rollout.final_value[4] == expected).all()
 
@@ -164,7 +139,7 @@ def test_truncation_bootstraps_from_the_final_observation():
     ("spoil", "term"),
     [
         (lambda t: t.policy.critic.weight.data.fill_(float("nan")), "the value"),
-        (lambda t: t._collector.table.fill_(float("inf")), "the knowledge"),
+        (lambda t: t.policy.knowledge_table.fill_(float("inf")), "the knowledge"),
     ],
 )
 def test_a_nan_stops_training_names_the_term_and_saves_the_batch(tmp_path, spoil, term):
@@ -188,15 +163,75 @@ def test_a_nan_gradient_names_the_parameter(tmp_path):
     assert all(torch.equal(v, before[k]) for k, v in policy.state_dict().items())
 
 
-def test_bad_configs_are_refused():
+def test_invalid_configs_are_rejected():
     with pytest.raises(UserError, match="must divide"):
         PPOConfig(num_envs=10, minibatches=4)
     with pytest.raises(UserError, match="learning_rate must be larger than 0"):
         PPOConfig(learning_rate=0.0)
 
 
-def test_a_table_with_too_few_rows_is_refused():
-    env = ToyEnv(32, recall=True, length=7)
-    env.facet_ids = env.facet_ids + 2
-    with pytest.raises(UserError, match="1 rows"):
-        PPOTrainer(SMALL, small_policy(), env, TABLE, seed=0)
+def test_a_table_with_too_few_rows_is_rejected():
+    env = toy_env(32, recall=True, length=7)
+    env.env.facet_ids = env.facet_ids.numpy() + 2
+    policy = informed_toy_policy(np.zeros((1, 4), np.float32))
+    with pytest.raises(UserError, match="1 rows and the environment has facet 2"):
+        PPOTrainer(SMALL, policy, env, seed=0)
+
+
+def test_an_environment_of_another_size_or_device_is_rejected():
+    env = toy_env(8, recall=False, length=5)
+    with pytest.raises(UserError, match="num_envs is 32 and the environment has 8"):
+        PPOTrainer(SMALL, toy_policy(), env, seed=0)
+    config = dataclasses.replace(SMALL, num_envs=8, device="cuda", processes=None)
+    with pytest.raises(UserError, match="device is 'cuda' and the environment is on cpu"):
+        PPOTrainer(config, toy_policy(), env, seed=0)
+
+
+def test_a_full_gpu_memory_is_reported_with_the_remedy():
+    class Full(ToyEnv):
+        def step(self, actions):
+            raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB.")
+
+    trainer, _ = build(None)
+    trainer._collector.env.env.__class__ = Full
+    with pytest.raises(
+        UserError, match=r"memory was full at step 0 with 32 environments.*2\.00 GiB"
+    ):
+        trainer.train(320)
+
+
+def test_a_gradient_that_is_not_finite_stays_out_of_the_parameters_on_a_gpu():
+    trainer, policy = build(None)
+    trainer.train(320)
+    trainer._device = torch.device("meta")  # takes the path of a GPU, without synchronization
+    before = {name: tensor.clone() for name, tensor in policy.state_dict().items()}
+    loss = trainer._learner.compute_gradient(torch.arange(4))
+    trainer._learner.gradient[3] = float("nan")
+    norm = trainer._gradient_step(loss)
+    assert all(torch.isfinite(tensor).all() for tensor in policy.state_dict().values())
+    assert any(not torch.equal(t, before[n]) for n, t in policy.state_dict().items())
+    with pytest.raises(NotFiniteError, match="the gradient's norm"):
+        trainer._guard.check_updates([loss], [norm], 96, trainer._learner.rollout)
+
+
+def test_a_constructor_changes_no_setting_of_the_process(monkeypatch):
+    from knowarm.learn import ppo
+
+    kept = []
+    monkeypatch.setattr(ppo, "keep_freed_memory", lambda: kept.append(True))
+    threads = torch.get_num_threads()
+    trainer, _ = build(None)
+    assert not kept
+    trainer.train(320)
+    assert kept
+    assert torch.get_num_threads() == threads
+
+
+@pytest.mark.parametrize(
+    ("schedule", "expected"),
+    [("constant", [2, 2, 2]), ("linear", [2, 1.1, 0.2]), ("cosine", [2, 1.1, 0.2])],
+)
+def test_learning_rates(schedule, expected):
+    config = PPOConfig(learning_rate=2.0, learning_rate_schedule=schedule, learning_rate_final=0.1)
+    got = [learning_rate(config, progress) for progress in (0.0, 0.5, 1.5)]
+    assert got == pytest.approx(expected)

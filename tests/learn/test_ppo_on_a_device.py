@@ -2,13 +2,13 @@
 
 import pytest
 import torch
-
-from knowarm.experiment.build import build
-from knowarm.experiment.registry import experiment
-from knowarm.learn import CheckpointStore, Hooks, PPOConfig, PPOTrainer
-from knowarm.world.config import EnvConfig
 from knowarm.world.env import ReachVectorEnv
 from knowarm.world.gpu.env import DeviceReachVectorEnv
+
+from knowarm.experiment.build import build
+from knowarm.experiment.registry import experiment_config
+from knowarm.learn import CheckpointStore, Hooks, NumpyToTorch, PPOConfig, PPOTrainer
+from knowarm.world.config import EnvConfig
 from tests.devices import DEVICES
 
 ENV = EnvConfig(max_episode_steps=8, dynamics="kinematic")
@@ -18,10 +18,10 @@ CONFIG = PPOConfig(
 
 
 def train(env, rows, store=None, *, updates=3, resume=False, stop_after=None):
-    parts = build(experiment("irb120-full-ppo"))
+    parts = build(experiment_config("irb120-full-ppo"))
     policy = parts.new_policy(0)
     hooks = Hooks(on_metrics=rows.append, should_stop=lambda: len(rows) == stop_after)
-    trainer = PPOTrainer(CONFIG, policy, env, parts.table, seed=1, hooks=hooks, checkpoints=store)
+    trainer = PPOTrainer(CONFIG, policy, env, seed=1, hooks=hooks, checkpoints=store)
     if resume:
         trainer.resume()
     trainer.train(40 * updates)
@@ -34,7 +34,7 @@ def test_losses_of_the_first_updates_agree(device):
     rows, device_rows = [], []
     # Actions of a GPU come from another generator: there only what precedes them can agree.
     updates = 3 if device == "cpu" else 1
-    train(ReachVectorEnv(ENV, 4), rows, updates=updates)
+    train(NumpyToTorch(ReachVectorEnv(ENV, 4)), rows, updates=updates)
     train(DeviceReachVectorEnv(ENV, 4, device), device_rows, updates=updates)
     for row, device_row in zip(rows, device_rows, strict=True):
         assert row["step"] == device_row["step"]

@@ -55,7 +55,7 @@ def test_advantages_do_not_leak_from_the_next_episode():
     assert result[1].item() == 2.75
 
 
-def test_trace_decay_one_gives_the_returns_of_the_paper_minus_the_values():
+def test_gae_lambda_one_gives_the_returns_of_the_paper_minus_the_values():
     torch.manual_seed(0)
     rewards, values, last = torch.randn(9, 4), torch.randn(9, 4), torch.randn(4)
     terminated, truncated = torch.rand(9, 4) < 0.2, torch.rand(9, 4) < 0.2

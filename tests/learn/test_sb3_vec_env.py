@@ -8,9 +8,9 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from knowarm.learn.sb3_vec_env import SB3VecEnv
 from knowarm.world.config import EnvConfig
-from knowarm.world.env import ReachVectorEnv
 from knowarm.world.knowledge_observation import KnowledgeObservation, VectorKnowledgeObservation
-from knowarm.world.single import ReachEnv
+from knowarm.world.single_env import ReachEnv
+from knowarm.world.vector_env import ReachVectorEnv
 
 TABLE = np.random.default_rng(0).standard_normal((3, 5)).astype(np.float32)
 SHORT = {"dynamics": "kinematic", "max_episode_steps": 6}

@@ -1,25 +1,42 @@
-"""Two small vector environments of images: copy what is seen, recall what was seen."""
+"""Small vector environments and helpers of the learning tests."""
+
+from types import SimpleNamespace
 
 import numpy as np
+import torch
+
+from knowarm.learn import Hooks, NumpyToTorch
+from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
 
 JOINTS, LEVELS, SIDE = 2, 3, 20
+SHAPE = PolicyShape(joints=JOINTS, levels=LEVELS, image_size=SIDE)
 
 
 class ToyEnv:
-    """Each joint must choose the level its half of the image shows, as a shade of grey.
+    """Each joint must choose the level that its half of the image shows as a shade of grey.
 
-    Identity (``recall=False``): a new image and a reward every step, cut after ``length``.
-    Memory (``recall=True``): the image is black after the first step and only the last action
-    is rewarded; the episode then terminates.
+    Identity task (``recall=False``): a new image and a reward every step, truncated after
+    ``length`` steps. Memory task (``recall=True``): the image is black after the first step and
+    only the last action is rewarded; the episode then terminates.
+
+    Args:
+        staggered: environments end their first episodes at different steps.
     """
 
-    def __init__(self, num_envs: int, *, recall: bool, length: int) -> None:
-        self.num_envs, self.recall, self.length = num_envs, recall, length
+    def __init__(self, num_envs, *, recall, length, staggered=False):
+        self.num_envs, self.recall, self.length, self.staggered = (
+            num_envs,
+            recall,
+            length,
+            staggered,
+        )
         self.facet_ids = np.zeros(num_envs, np.int64)
 
     def reset(self, *, seed=None, options=None):
         self._seed = seed
         self._clock = np.zeros(self.num_envs, np.int64)
+        if self.staggered:
+            self._clock = np.arange(self.num_envs) % self.length
         self._draws = np.zeros((), np.int64)
         self._cue = self._draw()
         return self._look(), {}
@@ -73,3 +90,54 @@ class ToyEnv:
         image[:, :, :half] = shade[:, 0, None, None, None]
         image[:, :, half:] = shade[:, 1, None, None, None]
         return image
+
+
+def toy_env(num_envs, **options):
+    """Create a toy environment as the learner expects it."""
+    return NumpyToTorch(ToyEnv(num_envs, **options))
+
+
+def toy_policy(*, features=32, pixel_shift=0.4, seed=0):
+    """Create a small policy without knowledge."""
+    config = PolicyConfig(features=features, fusion="none", pixel_shift=pixel_shift)
+    return Policy(config, SHAPE, seed=seed)
+
+
+def informed_toy_policy(table, *, seed=1):
+    """Create a small policy with a knowledge table (F, K) and visible actor outputs."""
+    shape = PolicyShape(joints=JOINTS, levels=LEVELS, image_size=SIDE, knowledge_dim=table.shape[1])
+    return Policy(PolicyConfig(features=16, actor_gain=1.0), shape, table, seed=seed)
+
+
+def success_rate(policy, *, recall, length):
+    """Return the fraction of episodes that end with the right action, played greedily."""
+    env = ToyEnv(100, recall=recall, length=length)
+    agent = PolicyAgent(policy, greedy=True)
+    observation, _ = env.reset(seed=99)
+    agent.start(env)
+    for _ in range(length):
+        observation, _, _, _, infos = env.step(agent.act(observation))
+    return infos["final_info"]["is_success"].mean()
+
+
+def fill_with_noise(learner, *, facets=1, seed=2):
+    """Write made-up numbers into rollout and targets of a learner."""
+    rng, rollout, targets = np.random.default_rng(seed), learner.rollout, learner.targets
+    rollout.patches.copy_(torch.from_numpy(rng.integers(0, 256, rollout.patches.shape, np.uint8)))
+    rollout.facet.copy_(torch.from_numpy(rng.integers(0, facets, rollout.facet.shape)))
+    rollout.episode_start.copy_(torch.from_numpy(rng.random(rollout.shape) < 0.2))
+    rollout.action.copy_(torch.from_numpy(rng.integers(0, LEVELS, rollout.action.shape)))
+    floats = (rollout.log_probability, rollout.start_h, rollout.start_c)
+    for tensor in (*floats, targets.advantage, targets.returns):
+        tensor.copy_(torch.from_numpy(rng.standard_normal(tensor.shape)))
+
+
+def recorder(**options):
+    """Return hooks and the rows of metrics and evaluations that they collect."""
+    rows, evaluations = [], []
+    hooks = Hooks(
+        on_metrics=rows.append,
+        on_evaluation=lambda *result: evaluations.append(result),
+        **options,
+    )
+    return SimpleNamespace(hooks=hooks, rows=rows, evaluations=evaluations)

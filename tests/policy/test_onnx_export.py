@@ -2,31 +2,29 @@ import numpy as np
 import pytest
 import torch
 
-from knowarm.policy import Policy, PolicyAgent
+from knowarm.policy import PolicyAgent
 from knowarm.policy.fusion import FUSIONS
 from knowarm.policy.onnx_export import export_onnx
-from tests.policy.test_policy import B, K, Still, T, config, inputs
+from tests.policy.test_policy import TABLE, B, Still, T, inputs, make_policy
 
 onnxruntime = pytest.importorskip("onnxruntime")
 pytest.importorskip("onnxscript")
-
-TABLE = np.random.default_rng(0).standard_normal((2, K)).astype(np.float32)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fusion", FUSIONS)
 def test_onnx_runtime_takes_the_same_actions(tmp_path, fusion):
-    policy = Policy(config(fusion, actor_gain=20.0, pixel_shift=0.3), seed=4)
+    policy = make_policy(fusion, actor_gain=20.0, pixel_shift=0.3, seed=4)
     export_onnx(policy, tmp_path / "policy.onnx")
     session = onnxruntime.InferenceSession(tmp_path / "policy.onnx")
-    agent = PolicyAgent(policy, TABLE, greedy=True)
+    agent = PolicyAgent(policy, greedy=True)
     agent.start(Still())
     image = inputs()[0].numpy()
     h, c = (s.numpy() for s in policy.initial_state(B))
     with torch.no_grad():
         expected, values, _ = policy.unroll(
-            policy.patches(torch.from_numpy(image)),
-            torch.from_numpy(TABLE)[Still.facet_ids].expand(T, B, K),
+            torch.from_numpy(image),
+            torch.from_numpy(Still.facet_ids).expand(T, B),
             policy.initial_state(B),
             torch.tensor([[True] * B] + [[False] * B] * (T - 1)),
         )

@@ -1,26 +1,33 @@
+import pickle
+
 import numpy as np
 import pytest
 import torch
 
 from knowarm.errors import UserError
-from knowarm.policy import Policy, PolicyAgent, PolicyConfig, matched_without_knowledge
-from knowarm.policy.fusion import FUSIONS
+from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
+from knowarm.policy.config import layer_widths
+from knowarm.policy.fusion import FUSIONS, Fusion
 
-T, B, K = 4, 3, 12
+T, B, K, FACETS = 4, 3, 12, 5
+SHAPE = {"joints": 2, "levels": 3, "image_size": 24, "knowledge_dim": K, "knowledge_slots": 3}
+TABLE = np.random.default_rng(7).standard_normal((FACETS, K)).astype(np.float32)
 USED = [name for name in FUSIONS if name != "none"]
 
 
-def config(fusion, **changes):
-    sizes = {"joints": 2, "levels": 3, "image_size": 24, "features": 16, "knowledge_dim": K}
-    return PolicyConfig(**{**sizes, "fusion": fusion, "knowledge_slots": 3, **changes})
+def make_policy(fusion, *, seed=0, table=TABLE, **changes):
+    """Create a small policy; ``changes`` go to the shape or to the config, by name."""
+    shape = {name: changes.pop(name, value) for name, value in SHAPE.items()}
+    config = PolicyConfig(features=16, fusion=fusion, **changes)
+    return Policy(config, PolicyShape(**shape), table, seed=seed)
 
 
 def inputs(seed=0):
     generator = torch.Generator().manual_seed(seed)
     image = torch.randint(0, 256, (T, B, 24, 24, 3), dtype=torch.uint8, generator=generator)
-    knowledge = torch.randn(T, B, K, generator=generator)
+    facet = torch.randint(0, FACETS, (T, B), generator=generator)
     start = torch.rand(T, B, generator=generator) < 0.3
-    return image, knowledge, start
+    return image, facet, start
 
 
 @pytest.mark.parametrize(
@@ -34,15 +41,11 @@ def inputs(seed=0):
     ],
 )
 def test_sizes_of_the_paper(knowledge, hidden, size, memory):
-    made = PolicyConfig(
-        joints=6,
-        knowledge_dim=knowledge,
-        hidden=hidden,
-        fusion="before_lstm" if knowledge else "none",
-    )
-    policy = Policy(made)
+    config = PolicyConfig(hidden=hidden, fusion="before_lstm" if knowledge else "none")
+    shape = PolicyShape(joints=6, knowledge_dim=knowledge)
+    policy = Policy(config, shape)
     assert policy.encoder.width == 1152
-    assert made.hidden_size == size
+    assert policy.hidden_size == layer_widths(config, shape).hidden == size
     counts = policy.parameter_counts()
     assert counts["memory"] == memory
     assert counts["image"] == 3 * 9 * 16 + 16 + 16 * 25 * 32 + 32 + 1152 * 128 + 128
@@ -51,14 +54,14 @@ def test_sizes_of_the_paper(knowledge, hidden, size, memory):
 
 @pytest.mark.parametrize("fusion", FUSIONS)
 def test_shapes_and_steps_agree_with_the_unroll(fusion):
-    policy = Policy(config(fusion), seed=1)
-    image, knowledge, start = inputs()
+    policy = make_policy(fusion, seed=1)
+    image, facet, start = inputs()
     state = policy.initial_state(B)
-    logits, values, last = policy.unroll(policy.patches(image), knowledge, state, start)
+    logits, values, last = policy.unroll(image, facet, state, start)
     assert logits.shape == (T, B, 2, 3)
     assert values.shape == (T, B)
     for t in range(T):
-        one, value, state = policy.step(policy.patches(image[t]), knowledge[t], state, start[t])
+        one, value, state = policy.step(image[t], facet[t], state, start[t])
         torch.testing.assert_close(one, logits[t])
         torch.testing.assert_close(value, values[t])
     torch.testing.assert_close(state, last)
@@ -66,11 +69,9 @@ def test_shapes_and_steps_agree_with_the_unroll(fusion):
 
 @pytest.mark.parametrize("fusion", FUSIONS)
 def test_every_live_parameter_gets_a_gradient(fusion):
-    policy = Policy(config(fusion, knowledge_encoder="learned", actor_gain=1.0))
-    image, knowledge, start = inputs()
-    logits, values, _ = policy.unroll(
-        policy.patches(image), knowledge, policy.initial_state(B), start
-    )
+    policy = make_policy(fusion, knowledge_encoder="learned", actor_gain=1.0)
+    image, facet, start = inputs()
+    logits, values, _ = policy.unroll(image, facet, policy.initial_state(B), start)
     (logits.square().sum() + values.square().sum()).backward()
     for name, parameter in policy.named_parameters():
         assert parameter.grad is not None, name
@@ -79,14 +80,14 @@ def test_every_live_parameter_gets_a_gradient(fusion):
 
 @pytest.mark.parametrize("fusion", ["before_lstm", "none"])
 def test_bfloat16_products_give_nearly_the_same_numbers_and_gradients(fusion):
-    image, knowledge, start = inputs()
+    image, facet, start = inputs()
     results = {}
     for precision in ("float32", "bfloat16"):
-        policy = Policy(config(fusion, pixel_shift=0.5, actor_gain=1.0), seed=1)
+        policy = make_policy(fusion, pixel_shift=0.5, actor_gain=1.0, seed=1)
         policy.matmul_precision = precision
         state = policy.initial_state(B)
-        logits, values, last = policy.unroll(policy.patches(image), knowledge, state, start)
-        one, _, _ = policy.step(policy.patches(image[0]), knowledge[0], state, start[0])
+        logits, values, last = policy.unroll(image, facet, state, start)
+        one, _, _ = policy.step(image[0], facet[0], state, start[0])
         torch.testing.assert_close(one, logits[0], atol=2e-2, rtol=0)
         assert logits.dtype == values.dtype == last[0].dtype == torch.float32
         (logits.square().sum() + values.square().sum()).backward()
@@ -100,27 +101,76 @@ def test_bfloat16_products_give_nearly_the_same_numbers_and_gradients(fusion):
 
 @pytest.mark.parametrize("fusion", USED)
 def test_knowledge_reaches_what_the_fusion_promises(fusion):
-    policy = Policy(config(fusion, actor_gain=1.0))
-    image, knowledge, start = inputs()
+    policy = make_policy(fusion, actor_gain=1.0)
+    image, facet, start = inputs()
     state = policy.initial_state(B)
-    logits, values, _ = policy.unroll(policy.patches(image), knowledge, state, start)
-    other_logits, other_values, _ = policy.unroll(
-        policy.patches(image), knowledge + 1, state, start
-    )
+    logits, values, _ = policy.unroll(image, facet, state, start)
+    policy.knowledge_table += 1
+    other_logits, other_values, _ = policy.unroll(image, facet, state, start)
     assert not torch.allclose(values, other_values)
     assert torch.allclose(logits, other_logits) == (fusion == "critic")
 
 
 def test_without_fusion_knowledge_changes_nothing():
-    policy = Policy(config("none"))
-    image, knowledge, start = inputs()
+    policy = make_policy("none")
+    image, facet, start = inputs()
     state = policy.initial_state(B)
-    first = policy.unroll(policy.patches(image), knowledge, state, start)[0]
-    assert torch.equal(first, policy.unroll(policy.patches(image), knowledge + 1, state, start)[0])
+    first = policy.unroll(image, facet, state, start)[0]
+    policy.knowledge_table += 1
+    assert torch.equal(first, policy.unroll(image, facet, state, start)[0])
+
+
+@pytest.mark.parametrize("fusion", ["none", "before_lstm"])
+def test_patches_and_images_give_the_same_numbers(fusion):
+    policy = make_policy(fusion, seed=1)
+    image, facet, start = inputs()
+    state = policy.initial_state(B)
+    patches = policy.patches(image)
+    assert patches.shape == (T, B, *policy.encoder.patch_shape)
+    for got, expected in zip(
+        policy.unroll(patches, facet, state, start)[:2],
+        policy.unroll(image, facet, state, start)[:2],
+        strict=True,
+    ):
+        assert torch.equal(got, expected)
+    one = policy.step(patches[0], facet[0], state, start[0])[0]
+    assert torch.equal(one, policy.step(image[0], facet[0], state, start[0])[0])
+
+
+def test_a_step_with_knowledge_is_that_of_its_facet():
+    policy = make_policy("before_lstm", seed=1, knowledge_encoder="learned")
+    image, facet, start = inputs()
+    state, knowledge = policy.initial_state(B), torch.from_numpy(TABLE)[facet[0]]
+    by_facet = policy.step(image[0], facet[0], state, start[0])[1]
+    by_vector = policy.step_with_knowledge(image[0], knowledge, state, start[0])[1]
+    assert torch.equal(by_facet, by_vector)
+
+
+def test_the_knowledge_table_is_copied_checked_and_part_of_no_checkpoint():
+    table = TABLE.copy()
+    policy = make_policy("before_lstm", table=table)
+    table += 1
+    np.testing.assert_array_equal(policy.knowledge_table.numpy(), TABLE)
+    assert not any("table" in name for name in policy.state_dict())
+    with pytest.raises(UserError, match=r"\(facets, 12\), got \(5, 11\)"):
+        make_policy("before_lstm", table=TABLE[:, 1:])
+    with pytest.raises(UserError, match="5 rows and the environment has facet 5"):
+        policy.check_facets(FACETS)
+    make_policy("none", table=None).check_facets(FACETS)
+
+
+def test_a_spec_builds_the_same_structure_with_the_same_knowledge():
+    policy = make_policy("attention", seed=4, knowledge_encoder="learned", wide=False)
+    built = pickle.loads(pickle.dumps(policy.spec())).build()
+    built.load_state_dict(policy.state_dict())
+    image, facet, start = inputs()
+    state = policy.initial_state(B)
+    expected = policy.unroll(image, facet, state, start)[0]
+    assert torch.equal(built.unroll(image, facet, state, start)[0], expected)
 
 
 def test_pixels_are_scaled_and_shifted():
-    policy = Policy(config("none", pixel_shift=0.5, pixel_scale=3.0))
+    policy = make_policy("none", pixel_shift=0.5, pixel_scale=3.0)
     image = inputs()[0][0]
     pixels = image.permute(0, 3, 1, 2).float() / 255
     pixels = 3 * (pixels - 0.5)
@@ -130,7 +180,7 @@ def test_pixels_are_scaled_and_shifted():
 
 
 def test_weights_are_orthogonal_and_come_from_the_seed():
-    first, again, other = (Policy(config("before_lstm"), seed=s) for s in (1, 1, 2))
+    first, again, other = (make_policy("before_lstm", seed=s) for s in (1, 1, 2))
     assert torch.equal(first.memory.weight_hh, again.memory.weight_hh)
     assert not torch.equal(first.memory.weight_hh, other.memory.weight_hh)
     gram = first.memory.weight_hh.T @ first.memory.weight_hh
@@ -140,12 +190,15 @@ def test_weights_are_orthogonal_and_come_from_the_seed():
 
 
 def test_the_capacity_control_matches_size_and_count():
-    with_knowledge = PolicyConfig(joints=6, knowledge_dim=150)
-    without = matched_without_knowledge(with_knowledge)
-    assert without.fusion == "none"
-    assert without.hidden_size == 278
-    counts = [Policy(c).parameter_counts()["total"] for c in (with_knowledge, without)]
+    shape = PolicyShape(joints=6, knowledge_dim=150)
+    informed, control = (Policy(PolicyConfig(wide=wide), shape) for wide in (False, True))
+    assert control.config.wide
+    assert not control.resolved_config.wide
+    assert control.resolved_config.fusion == "none"
+    assert control.hidden_size == informed.hidden_size == 278
+    counts = [policy.parameter_counts()["total"] for policy in (informed, control)]
     assert abs(counts[1] / counts[0] - 1) < 0.002
+    assert Policy(control.resolved_config, shape).parameter_counts() == control.parameter_counts()
 
 
 @pytest.mark.parametrize(
@@ -156,11 +209,12 @@ def test_the_capacity_control_matches_size_and_count():
         ({"hidden": 0}, "hidden"),
         ({"image_size": 8}, "image_size"),
         ({"joints": 0}, "joints"),
+        ({"knowledge_width": 0}, "knowledge_width"),
     ],
 )
-def test_bad_sizes_are_refused(changes, message):
+def test_invalid_sizes_are_rejected(changes, message):
     with pytest.raises(UserError, match=message):
-        config("before_lstm", **changes)
+        make_policy("before_lstm", table=None, **changes)
 
 
 class Still:
@@ -171,15 +225,14 @@ class Still:
 
 
 def test_the_agent_remembers_until_the_next_start_and_reads_its_facets_row():
-    policy = Policy(config("before_lstm", actor_gain=50.0), seed=3)
-    table = np.random.default_rng(0).standard_normal((2, K)).astype(np.float32)
+    policy = make_policy("before_lstm", actor_gain=50.0, seed=3)
     image = inputs()[0].numpy()
-    agent = PolicyAgent(policy, table, greedy=True)
+    agent = PolicyAgent(policy, greedy=True)
     agent.start(Still())
     acted = [agent.act(image[t]) for t in range(T)]
     logits, _, _ = policy.unroll(
-        policy.patches(torch.from_numpy(image)),
-        torch.from_numpy(table)[[0, 1, 1]].expand(T, B, K),
+        torch.from_numpy(image),
+        torch.tensor([0, 1, 1]).expand(T, B),
         policy.initial_state(B),
         torch.zeros(T, B, dtype=torch.bool),
     )
@@ -189,14 +242,37 @@ def test_the_agent_remembers_until_the_next_start_and_reads_its_facets_row():
 
 
 def test_sampled_actions_come_from_the_generator():
-    policy = Policy(config("none"))
+    policy = make_policy("none")
     image = inputs()[0].numpy()
 
     def draw(seed):
         generator = torch.Generator().manual_seed(seed)
-        agent = PolicyAgent(policy, np.zeros((2, K)), greedy=False, generator=generator)
+        agent = PolicyAgent(policy, greedy=False, generator=generator)
         agent.start(Still())
         return np.stack([agent.act(image[0]) for _ in range(8)])
 
     np.testing.assert_array_equal(draw(1), draw(1))
     assert (draw(1) != draw(2)).any()
+
+
+def test_an_unknown_fusion_is_rejected_with_the_nearest_names():
+    with pytest.raises(UserError, match=r"Unknown fusion 'filn'\. Did you mean 'film'"):
+        PolicyConfig(fusion="filn")
+
+
+def test_a_fusion_is_one_class_and_one_entry(monkeypatch):
+    class Doubled(Fusion):
+        """Knowledge twice before the LSTM."""
+
+        def extra_inputs(self, layer):
+            return 2 * self.knowledge if layer == "lstm" else 0
+
+        def forward(self, layer, x, knowledge):
+            return torch.cat((x, knowledge, knowledge), 1) if layer == "lstm" else x
+
+    monkeypatch.setitem(FUSIONS, "doubled", Doubled)
+    policy = make_policy("doubled")
+    image, facet, start = inputs()
+    logits, _, _ = policy.unroll(image, facet, policy.initial_state(B), start)
+    assert logits.shape == (T, B, 2, 3)
+    assert policy.memory.weight_ih.shape[1] == 16 + 2 * K

@@ -1,4 +1,4 @@
-"""A truth goes in; run folders that trainings with this truth could have left come out."""
+"""Synthetic studies: run folders as trainings with a known truth could have left them."""
 
 import json
 from dataclasses import dataclass, field
@@ -10,11 +10,16 @@ import numpy as np
 
 from knowarm.config import to_dict
 from knowarm.experiment.agents import AGENTS
-from knowarm.experiment.evaluation_files import EPISODE_COLUMNS, step_columns, write_table
-from knowarm.experiment.evaluation_summary import summarize
-from knowarm.experiment.film import write_film
+from knowarm.experiment.evaluate import summarize
+from knowarm.experiment.evaluation_files import (
+    EPISODE_COLUMNS,
+    step_columns,
+    write_film,
+    write_table,
+)
 from knowarm.experiment.run_folder import RunFolder
-from knowarm.knowledge import SceneEmbedding, scene_embedding
+from knowarm.knowledge import KnowledgeConfig, SceneEmbedding, scene_embedding
+from knowarm.world.robots import ROBOTS
 
 FACETS = {
     "fixed": [("mug", "red"), ("bottle", "yellow"), ("cereal_box", "brown")],
@@ -39,6 +44,8 @@ class Truth:
     """Mean success of each agent's trainings."""
     spread: float = 0.05
     """Standard deviation of success from training seed to training seed."""
+    roles: dict[str, str] = field(default_factory=dict)
+    """Roles stored in the configs; of the other agents only the registry knows the role."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +61,11 @@ class Size:
     total_steps: int = 4_000_000
     evaluation: dict[str, Any] = field(default_factory=dict)
     """Fields of the evaluation's config that differ from the usual ones."""
+
+
+def robot_title(name: str) -> str:
+    """Title of a robot, as a report shows it."""
+    return getattr(ROBOTS[name], "title", name)
 
 
 def env_of(robot: str = "irb120", colours: str = "fixed") -> dict[str, Any]:
@@ -79,7 +91,10 @@ def write_study(
             path = folder / f"{robot}-{colours}-{agent}-ppo" / str(number)
             level = float(np.clip(generator.normal(mean, truth.spread), 0.01, 0.99))
             env = env_of(robot, colours)
-            write_run(path, agent, number, level, env=env, generator=generator, size=size)
+            role = truth.roles.get(agent)
+            write_run(
+                path, agent, number, level, env=env, generator=generator, size=size, role=role
+            )
             paths.append(path)
     return paths
 
@@ -94,13 +109,14 @@ def write_run(
     generator: np.random.Generator | None = None,
     size: Size = Size(),
     algorithm: str = "ppo",
+    role: str | None = None,
 ) -> Path:
     """Write one whole run folder."""
     env = env or env_of()
     generator = generator or np.random.default_rng(seed)
     folder = RunFolder.create(path)
     facets = FACETS[env["colours"]]
-    known = AGENTS.get(agent, AGENTS["full"]).knowledge
+    known = knowledge_of(agent)
     folder.write_json(
         "config.json",
         {
@@ -113,7 +129,8 @@ def write_run(
             "network": {"fusion": "before_lstm", "wide": agent == "wide"},
             "algorithm": {"name": algorithm, "learning_rate": 1e-3},
             "total_steps": size.total_steps,
-        },
+        }
+        | ({} if role is None else {"role": role}),
     )
     _write_curves(folder, success, generator, size)
     if size.tables:
@@ -127,7 +144,12 @@ def write_run(
 
 @lru_cache
 def _embedding(agent: str, colours: str) -> SceneEmbedding:
-    return scene_embedding(AGENTS.get(agent, AGENTS["full"]).knowledge, FACETS[colours])
+    return scene_embedding(knowledge_of(agent), FACETS[colours])
+
+
+def knowledge_of(agent: str) -> KnowledgeConfig:
+    """Knowledge of a registered agent; that of ``full`` for others."""
+    return AGENTS[agent if agent in AGENTS else "full"].knowledge
 
 
 def _provenance(embedding: SceneEmbedding, facets: list[tuple[str, str]]) -> dict[str, Any]:

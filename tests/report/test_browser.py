@@ -140,7 +140,7 @@ def test_one_task_at_a_time_or_all(made, open_page):
 
 def test_a_film_plays_and_stops(made, open_page):
     page = open_page(made.page)
-    page.click("nav a[href='#films']")
+    page.click("nav a[href='#episodes']")
     button = page.locator("[data-play]").first
     image = button.locator("img")
     assert image.get_attribute("src").startswith("data:image/png")

@@ -7,11 +7,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic_study import LABEL, Size, Truth, env_of, write_evaluation, write_run, write_study
+from synthetic_study import (
+    LABEL,
+    Size,
+    Truth,
+    env_of,
+    robot_title,
+    write_evaluation,
+    write_run,
+    write_study,
+)
 
 from knowarm.errors import UserError
 from knowarm.report import report
-from knowarm.report.study import collect
+from knowarm.report.collect import collect
 
 LIGHT = Size(points=8, tables=False)
 TRUTH = Truth(success={"bm": 0.5, "full": 0.6})
@@ -34,10 +43,12 @@ def test_runs_are_sorted_into_tasks_and_agents(tmp_path):
     paths = study(tmp_path)
     paths += write_study(tmp_path / "runs", TRUTH, seeds=1, robot="tiago", size=LIGHT)
     found = collect(paths)
-    assert [task.title for task in found.tasks] == [
-        "IRB120 · fixed colours · PPO",
-        "TIAGo · fixed colours · PPO",
-    ]
+    titles = [f"{robot_title(name)} · fixed colours · PPO" for name in ("irb120", "tiago")]
+    assert [task.title for task in found.tasks] == sorted(titles)
+    assert {task.name for task in found.tasks} == {
+        "irb120-fixed-colours-ppo",
+        "tiago-fixed-colours-ppo",
+    }
     assert [(g.name, len(g.runs)) for g in found.tasks[0].groups] == [("bm", 2), ("full", 2)]
 
 
@@ -61,7 +72,7 @@ def test_agents_of_one_name_are_told_apart_by_what_differs(tmp_path):
     for path in paths[-2:]:
         other = tmp_path / "fixed" / path.name
         shutil.copytree(path, other)
-        edit(other / "config.json", network={"fusion": "before_lstm", "hidden": "fixed"})
+        edit(other / "config.json", policy={"fusion": "before_lstm", "hidden": "fixed"})
         paths.append(other)
     names = [group.name for group in collect(paths).tasks[0].groups]
     assert names[0] == "bm"
@@ -133,7 +144,7 @@ def test_metrics_cut_short_by_a_crash_lose_only_their_last_line(tmp_path):
     whole = path.read_text()
     path.write_text(whole + "99999999,12.")
     found = collect(paths)
-    assert "last line cut short: the line is left out" in named(found, path)
+    assert "last line truncated: the line is left out" in named(found, path)
     run = next(run for run in found.runs if run.path == paths[0])
     assert len(run.interim["step"]) == len(whole.splitlines()) - 1
 

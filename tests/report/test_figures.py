@@ -5,19 +5,10 @@ import numpy as np
 import pytest
 
 from knowarm.report import format
-from knowarm.report.figures import (
-    Dot,
-    Series,
-    densities,
-    dot_chart,
-    graph_drawing,
-    heat_strip,
-    line_chart,
-    stacked_bars,
-)
-from knowarm.report.figures.scale import Scale, fit
-from knowarm.report.palette import colours
-from knowarm.report.slug import slugs
+from knowarm.report.charts import Axis, Scale, Series, fit, histograms, line_chart
+from knowarm.report.diagrams import Dot, dot_chart, graph_diagram, heat_map, stacked_bars
+from knowarm.report.format import palette, slugs
+from knowarm.statistics import Interval
 
 XS = np.array([0.0, 1.0, 2.0, 3.0])
 
@@ -47,29 +38,27 @@ def drawings():
     gap = Series(name="gap", colour="c-grey", x=XS, y=np.array([1, np.nan, 2, 3.0]))
     empty = Series(name="none", colour="c-grey", x=XS, y=np.full(4, np.nan))
     one = Series(name="one", colour="c-grey", x=XS[:1], y=XS[:1])
-    chart = {"x_title": "steps & more", "y_title": "<y>"}
+    axes = (Axis(title="steps & more"), Axis(title="<y>"))
     return {
-        "lines": line_chart([line, gap, empty], "name", **chart),
-        "one point": line_chart([one], "name", **chart),
+        "lines": line_chart([line, gap, empty], "name", *axes),
+        "one point": line_chart([one], "name", *axes),
         "dots": dot_chart(
             [
                 Dot(
                     name="a&b",
                     colour="c-blue",
-                    value=0.5,
-                    low=0.1,
-                    high=0.9,
+                    value=Interval(0.5, 0.1, 0.9),
                     single=[0.2],
-                    beside=0.3,
+                    ring=0.3,
                 ),
                 Dot(name="none", colour="c-grey", value=None),
             ],
             "name",
-            x_title="x",
+            Axis(title="x"),
         ),
-        "graph": graph_drawing([("mug", "hasColor", "<red>"), ("box", "hasColor", "<red>")], "n"),
-        "heat": heat_strip(np.array([[0.1, -0.5], [0.0, 0.0]]), ["a", "b"], "name"),
-        "zeros": heat_strip(np.zeros((1, 3)), ["a"], "name"),
+        "graph": graph_diagram([("mug", "hasColor", "<red>"), ("box", "hasColor", "<red>")], "n"),
+        "heat": heat_map(np.array([[0.1, -0.5], [0.0, 0.0]]), ["a", "b"], "name"),
+        "zeros": heat_map(np.zeros((1, 3)), ["a"], "name"),
         "bars": stacked_bars({"bm": {"heads": 3, "memory": 5}}, "name"),
     }
 
@@ -96,9 +85,9 @@ def test_shared_facts_have_two_lines():
     assert drawings()["graph"].count("&lt;red&gt;</text>") == 1
 
 
-def test_densities_integrate_to_one():
+def test_histograms_integrate_to_one():
     samples = [np.random.default_rng(0).normal(size=5_000), np.full(10, 0.5)]
-    edges, heights = densities(samples)
+    edges, heights = histograms(samples)
     for height in heights:
         assert (height * np.diff(edges)).sum() == pytest.approx(1, abs=0.01)
 
@@ -121,7 +110,7 @@ def test_densities_integrate_to_one():
         (format.text(True), "yes"),
     ],
 )
-def test_numbers_as_people_read_them(written, shown):
+def test_numbers_are_formatted_for_people(written, shown):
     assert written == shown
 
 
@@ -132,6 +121,6 @@ def test_slugs_are_safe_and_differ():
 
 def test_agents_keep_the_paper_s_colours_and_differ():
     names = ["bm", "partial", "full", "full · fusion=film", "mine"]
-    found = colours(names)
+    found = palette((name, name.split(" · ")[0]) for name in names)
     assert (found["bm"], found["full"]) == ("c-orange", "c-blue")
     assert len(set(found.values())) == len(names)

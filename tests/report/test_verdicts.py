@@ -1,4 +1,4 @@
-"""Studies whose truth is known: the report finds what is there, and nothing else."""
+"""Verdicts on studies whose truth is known."""
 
 from pathlib import Path
 
@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from synthetic_study import Size, Truth, write_study
 
-from knowarm.report.claims import claims, horizon, scores
-from knowarm.report.study import collect
-from knowarm.report.verdict import Finding, finding
+from knowarm.report.claims import claims, scores
+from knowarm.report.collect import collect
+from knowarm.report.verdict import Finding, finding, findings
 from knowarm.statistics import holm, welch
 
 LIGHT = Size(points=12, tables=False)
@@ -59,7 +59,7 @@ def test_few_seeds_allow_no_claim_however_large_the_difference(tmp_path, seeds):
     truth = dict.fromkeys(AGENTS, 0.1) | {"full": 0.95}
     result = found(tmp_path, truth, seeds, spread=0.001)["success"]
     assert result.kind == "too few seeds"
-    assert "cannot be said" in result.sentence
+    assert "cannot be decided" in result.sentence
 
 
 @pytest.mark.parametrize(
@@ -77,14 +77,96 @@ def test_a_verdict_names_the_control_that_is_missing(tmp_path, agents, kind):
     assert found(tmp_path, truth, 6)["success"].kind == kind
 
 
-def test_a_claim_behind_a_closed_gate_is_not_asked(tmp_path):
+def decided(folder: Path, success: dict[str, float], **truth) -> list[Finding]:
+    """Findings on success of every subject of one study of six seeds."""
+    study = collect(write_study(folder, Truth(success=success, **truth), seeds=6, size=LIGHT))
+    return findings(study.tasks[0], claims(study))
+
+
+def words(found: Finding) -> set[str]:
+    """Words of the sentence, without the title of the task."""
+    return set(found.sentence.split(": ", 1)[1].replace(",", " ").replace(".", " ").split())
+
+
+@pytest.mark.parametrize(
+    ("level", "kind"), [(0.5, "knowledge matters"), (0.8, "input without meaning")]
+)
+def test_wrong_object_alone_tests_the_meaning(tmp_path, level, kind):
+    success = {"bm": 0.5, "full": 0.8, "wide": 0.5, "wrong-object": level}
+    (result,) = decided(tmp_path, success)
+    assert result.kind == kind
+    assert "wrong-object" in words(result)
+
+
+@pytest.mark.parametrize(
+    "success",
+    [REAL, {"bm": 0.5, "full": 0.8, "zeros": 0.5, "shuffled": 0.5}, CAPACITY],
+)
+def test_a_sentence_names_only_agents_that_ran(tmp_path, success):
+    (result,) = decided(tmp_path, success)
+    assert not words(result) & (set(EVERY_AGENT) - set(success))
+
+
+EVERY_AGENT = ("partial", "wide", "zeros", "random", "shuffled", "onehot", "wrong-object", "target")
+
+
+def test_a_privileged_agent_is_judged_by_controls_of_its_scope(tmp_path):
+    others = dict.fromkeys(("bm", "wide", "zeros", "random", "shuffled", "onehot"), 0.4)
+    both = others | {"target": 0.8, "target-onehot": 0.8}
+    (result,) = decided(tmp_path / "equal", both)
+    assert result.kind == "input without meaning"
+    assert "target-onehot" in words(result)
+    assert "random" not in words(result)
+    (result,) = decided(tmp_path / "better", both | {"target-onehot": 0.5})
+    assert result.kind == "knowledge matters"
+    (result,) = decided(tmp_path / "alone", others | {"target": 0.8})
+    assert result.kind == "meaning not tested"
+    assert "target-onehot" in words(result)  # offered from the registry
+    assert "shuffled" not in words(result)
+
+
+def test_an_agent_of_the_scene_is_not_judged_by_controls_of_the_target(tmp_path):
+    success = REAL | {"target": 0.9, "target-onehot": 0.9}
+    scene, target = decided(tmp_path, success)
+    assert scene.kind == "knowledge matters"
+    assert not {"target", "target-onehot"} & words(scene)
+    assert target.kind == "input without meaning"
+
+
+@pytest.mark.parametrize(
+    ("level", "kind"), [(0.5, "knowledge matters"), (0.8, "input without meaning")]
+)
+def test_the_role_of_an_unregistered_agent_is_read_from_its_config(tmp_path, level, kind):
+    success = {"bm": 0.5, "full": 0.8, "wide": 0.5, "toy": level}
+    (result,) = decided(tmp_path, success, roles={"toy": "content_control"})
+    assert result.kind == kind
+    assert "toy" in words(result)
+    (result,) = decided(tmp_path / "unknown", success)
+    assert result.kind == "meaning not tested"
+
+
+def test_every_role_can_come_from_the_config(tmp_path):
+    success = {"none": 0.5, "mine": 0.8, "large": 0.5, "other": 0.5}
+    roles = ("baseline", "knowledge", "capacity_control", "content_control")
+    (result,) = decided(tmp_path, success, roles=dict(zip(success, roles, strict=True)))
+    assert result.kind == "knowledge matters"
+    assert {"none", "mine", "large", "other"} <= words(result)
+
+
+def test_a_missing_capacity_control_is_offered_from_the_registry(tmp_path):
+    (result,) = decided(tmp_path, {"bm": 0.5, "full": 0.8})
+    assert result.kind == "size not excluded"
+    assert {"wide", "zeros"} <= words(result)
+
+
+def test_a_claim_behind_a_closed_gate_is_not_tested(tmp_path):
     # full beats zeros by far, but not the baseline.
     truth = dict.fromkeys(AGENTS, 0.7) | {"zeros": 0.1}
     paths = write_study(tmp_path, Truth(success=truth), seeds=6, size=LIGHT)
     decided = claims(collect(paths))
     zeros = next(c for c in decided if c.second.agent == "zeros" and c.outcome == "success")
     assert zeros.comparison.p_value < 1e-4
-    assert zeros.verdict == "not asked"
+    assert zeros.verdict == "not tested"
 
 
 def test_an_adjusted_p_is_never_below_the_plain_one(tmp_path):
@@ -93,7 +175,8 @@ def test_an_adjusted_p_is_never_below_the_plain_one(tmp_path):
         if claim.adjusted_p is not None:
             assert claim.adjusted_p >= claim.comparison.p_value
             if claim.verdict in ("better", "worse"):
-                assert claim.comparison.difference.excludes_zero
+                interval = claim.comparison.difference
+                assert interval.low > 0 or interval.high < 0
 
 
 @pytest.mark.slow
@@ -128,8 +211,8 @@ def test_curves_are_compared_as_far_as_every_agent_has_a_run(tmp_path):
             lines = (path / name).read_text().splitlines(keepends=True)
             (path / name).write_text("".join(lines[:7]))
     task = collect(paths).tasks[0]
-    assert horizon(task) == 2_000_000
-    bm, full = (task.group(name) for name in ("bm", "full"))
+    assert task.horizon == 2_000_000
+    bm, full = task.groups
     long, short = bm.runs[1], full.runs[0]
     assert long.interim["step"][-1] == 4_000_000
     early = long.interim["success"][long.interim["step"] <= 2_000_000]

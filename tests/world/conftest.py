@@ -1,14 +1,18 @@
 """Small environments: 16 x 16 pixels draw in no time, and the rest is the real thing."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from knowarm.world.env import EnvConfig, ReachVectorEnv
+from knowarm.world.config import EnvConfig
+from knowarm.world.vector_env import ReachVectorEnv
 
 MakeEnv = Callable[..., ReachVectorEnv]
+
+EXAMPLES = Path(__file__).parents[2] / "examples" / "own_robot"
 
 
 @pytest.fixture
@@ -25,3 +29,17 @@ def make_env() -> MakeEnv:
         return ReachVectorEnv(config, num_envs, num_threads, autoreset)
 
     return make
+
+
+def write_robot(path: Path, **changes: str) -> Path:
+    """Write the example robot's file with fields changed; an empty value removes the field."""
+    lines = [f"{name} = {value}" for name, value in changes.items() if value]
+    for line in (EXAMPLES / "scara.toml").read_text().splitlines():
+        name = line.partition("=")[0].strip()
+        if name == "mjcf" and "mjcf" not in changes:
+            line = f'mjcf = "{EXAMPLES / "scara.xml"}"'
+        if name not in changes:
+            lines.append(line)
+    out = path / "robot.toml"
+    out.write_text("\n".join(lines))
+    return out

@@ -11,9 +11,9 @@ from knowarm.world.config import EnvConfig
 from knowarm.world.draws import uniforms
 from knowarm.world.episodes import EpisodeSource
 from knowarm.world.held_out import HeldOut
-from knowarm.world.rewards import is_success, reward_terms
 from knowarm.world.robots import ROBOTS
 from knowarm.world.scene import Scene, load_scene, target_places
+from knowarm.world.tasks.reward import is_success, reward_terms
 from knowarm.world.visual_randomization import VisualRandomization
 
 EVERYTHING = VisualRandomization(

@@ -5,9 +5,11 @@ from conftest import MakeEnv
 from gymnasium.vector import AutoresetMode
 
 from knowarm.errors import UserError
-from knowarm.world.env import ACTION_LEVELS, EnvConfig, ReachVectorEnv
+from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import evaluation_episodes
 from knowarm.world.robots import ROBOTS
+from knowarm.world.tasks.reach import ACTION_LEVELS
+from knowarm.world.vector_env import ReachVectorEnv
 
 ALL_MODES = (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED)
 

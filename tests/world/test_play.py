@@ -2,12 +2,11 @@ import numpy as np
 import pytest
 from conftest import MakeEnv
 
+from knowarm.world.agents.scripted import OracleAgent, RandomAgent, ZeroAgent
 from knowarm.world.episodes import evaluation_episodes
 from knowarm.world.objects import TARGETS
-from knowarm.world.oracle import OracleAgent
 from knowarm.world.play import play
 from knowarm.world.robots import ROBOTS
-from knowarm.world.scripted import RandomAgent, ZeroAgent
 
 
 @pytest.mark.parametrize("target", TARGETS)

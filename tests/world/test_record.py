@@ -6,8 +6,8 @@ from conftest import MakeEnv
 from PIL import Image
 
 from knowarm.errors import UserError
+from knowarm.world.agents.scripted import OracleAgent
 from knowarm.world.episodes import evaluation_episodes
-from knowarm.world.oracle import OracleAgent
 from knowarm.world.record import record_episode, write_strip, write_video
 
 

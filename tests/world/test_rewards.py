@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from knowarm.world.rewards import is_success, measure, reward_terms
+from knowarm.world.tasks.reward import is_success, measure, reward_terms
 
 
 def rows(rotation: Rotation) -> np.ndarray:

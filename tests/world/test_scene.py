@@ -10,7 +10,7 @@ from knowarm.world.objects import TARGETS
 from knowarm.world.robots import ROBOTS
 from knowarm.world.scene import build_scene, find_robot, find_targets, load_scene, project
 
-IRB120, MUG = ROBOTS["irb120"], TARGETS["mug"]
+IRB120, MUG = ROBOTS["irb120"].robot, TARGETS["mug"]
 ALL = tuple(TARGETS)
 
 
@@ -107,11 +107,11 @@ def test_missing_joints_and_sites_are_named_with_those_there_are() -> None:
     joints = ("joint_1", "joint_2", "joint_3", "joint_4", "joint_5", "wrist")
     with pytest.raises(UserError, match=r"joints names 'wrist'.*joint_6"):
         build_scene(replace(IRB120, joints=joints), [MUG])
-    with pytest.raises(UserError, match=r"tcp_site is 'tool'.*Its sites: tcp"):
+    with pytest.raises(UserError, match=r"tcp_site names 'tool'.*Its sites: tcp"):
         build_scene(replace(IRB120, tcp_site="tool"), [MUG])
-    with pytest.raises(UserError, match=r"tcp_body is 'hand'.*gripper"):
+    with pytest.raises(UserError, match=r"tcp_body names 'hand'.*gripper"):
         build_scene(replace(IRB120, tcp_site="tool", tcp_body="hand"), [MUG])
-    with pytest.raises(UserError, match=r"grasp_site is 'handle'.*Its sites: grasp"):
+    with pytest.raises(UserError, match=r"grasp_site names 'handle'.*Its sites: grasp"):
         build_scene(IRB120, [replace(MUG, grasp_site="handle")])
     with pytest.raises(UserError, match=r"coloured_geoms names 'lid'.*cup"):
         build_scene(IRB120, [replace(MUG, coloured_geoms=("lid",))])

@@ -9,13 +9,14 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
 from knowarm.errors import UserError
-from knowarm.world import ENV_IDS
-from knowarm.world.env import ReachVectorEnv
+from knowarm.world import env_id
 from knowarm.world.knowledge_observation import KnowledgeObservation, VectorKnowledgeObservation
-from knowarm.world.single import ReachEnv
+from knowarm.world.robots import ROBOTS
+from knowarm.world.single_env import ReachEnv
+from knowarm.world.vector_env import ReachVectorEnv
 
 
-@pytest.mark.parametrize("env_id", ENV_IDS)
+@pytest.mark.parametrize("env_id", [env_id(robot) for robot in ROBOTS])
 def test_gymnasium_s_checker_passes_without_a_warning(env_id: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -23,7 +24,7 @@ def test_gymnasium_s_checker_passes_without_a_warning(env_id: str) -> None:
         check_env(env.unwrapped)
 
 
-@pytest.mark.parametrize("env_id", ENV_IDS)
+@pytest.mark.parametrize("env_id", [env_id(robot) for robot in ROBOTS])
 def test_stable_baselines3_s_checker_passes_without_a_warning(env_id: str) -> None:
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
     with warnings.catch_warnings():

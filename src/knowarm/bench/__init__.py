@@ -1,1 +1,4 @@
-"""What others built goes in beside ours; one table of speeds, measured in one run, comes out."""
+"""Benchmarks of the user's own machine: simulation, training, and both on a GPU.
+
+Comparisons with other libraries are scripts in the repository's ``benchmarks/`` folder.
+"""

@@ -1,36 +1,43 @@
-"""A network and a scene go in; the bytes and operations that one step needs come out.
+"""Estimates of the bytes and operations per environment step, from the sizes of arrays.
 
-Estimates from the sizes of arrays, for setting a measured speed beside the device's ceilings. They
-count what has to happen, not what does: weights, which caches hold, and everything small are left
-out. So the true distance from a ceiling is a little less than they say.
+They put a measured speed in relation to the device's peak rates. They count necessary work only:
+weights, which stay in caches, and everything small are omitted. The true share of a peak rate is
+therefore a little higher than the estimate.
 """
 
 import dataclasses
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from torch import nn
 
 from knowarm.policy import Policy
+from knowarm.world.backends.warp import import_warp, make_data
 from knowarm.world.compose import SUBSTEPS
 from knowarm.world.config import EnvConfig
-from knowarm.world.gpu.device import import_warp
-from knowarm.world.gpu.simulation import make_data
-from knowarm.world.render.prepare import EXTENT, RECORD
+from knowarm.world.render import Raycaster
+from knowarm.world.render.intersections import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE
+from knowarm.world.render.tiles import BITS, EXTENT, RECORD, TILE
 from knowarm.world.scene import Scene
 
 NUMBER = 4
 """Bytes of a float32 or int32."""
 
+NO_GEOM = -1
+
+TEST_OPERATIONS = {PLANE: 25, SPHERE: 64, CAPSULE: 164, ELLIPSOID: 80, CYLINDER: 74, BOX: 56}
+"""Operations of one ray-geom intersection, by geom type, counted in ``render/geometry.py``.
+
+Each addition, multiplication, division, square root, comparison, minimum or selection counts as
+one; 12 of them transform the ray into the geom's frame. Triangles of meshes are not counted."""
+
 
 def environment_bytes(scene: Scene, config: EnvConfig) -> int:
-    """Bytes that one environment's step moves: ``P + 2 R + 2 S W``.
+    """Return the bytes that one environment step moves: ``P + 2 R + 2 S W``.
 
-    P is its image, written once; R the records of its geoms before the camera, written and read;
-    S the substeps, in each of which all W bytes of Warp's arrays of one world are read and written.
-
-    Args:
-        scene: what is simulated.
-        config: side of the images.
+    P is the image, written once; R the records of the geoms in view, written and read; S the
+    number of substeps, each of which reads and writes the W bytes of Warp's arrays of one world.
     """
     records = NUMBER * (RECORD + EXTENT) * scene.model.ngeom
     warp, _ = import_warp()
@@ -40,14 +47,14 @@ def environment_bytes(scene: Scene, config: EnvConfig) -> int:
 
 
 def image_bytes(config: EnvConfig) -> int:
-    """Bytes of one image, (H, W, 3) uint8."""
+    """Return the bytes of one image, (H, W, 3) uint8."""
     return 3 * config.image_size**2
 
 
 def world_bytes(data: Any) -> int:
-    """Bytes of Warp's arrays in a dataclass, contacts and constraints (efc) left out.
+    """Return the bytes of Warp's arrays in a dataclass, without contacts and constraints (efc).
 
-    Those have room for the worst, which no step moves.
+    Those are allocated for the worst case, which no step moves.
     """
     return sum(
         int(getattr(getattr(data, field.name), "capacity", 0) or 0)
@@ -57,19 +64,20 @@ def world_bytes(data: Any) -> int:
 
 
 def training_bytes(policy: Policy, config: EnvConfig, epochs: int, item: int) -> int:
-    """Bytes that learning from one environment step moves, the environment's own left out.
+    """Return the bytes that learning from one environment step moves, without the environment's.
 
-    ``P + (2 + E) L + 2 i (L + A) + E i (3 L + 5 A)`` for E epochs: the image (P) is read and its
-    patches (L bytes) kept, read for inference and once an epoch. Products take the patches' L
-    values and A activations as items of i bytes: each is written and read when the network plays;
-    when it learns, patches are written, read, and read again for the weights' gradient, and so are
-    activations, whose own gradients are written and read besides.
+    ``P + (2 + E) L + 2 i (L + A) + E i (3 L + 5 A)`` for E epochs. The image (P bytes) is read and
+    its patches (L bytes) are stored, then read for inference and once per epoch. Matrix products
+    take the L values of the patches and the A activations as items of i bytes. Inference writes
+    and reads each of them. Learning writes the patches, reads them, and reads them again for the
+    gradient of the weights; the same holds for activations, whose own gradients are also written
+    and read.
 
     Args:
         policy: the network.
-        config: side of the images.
-        epochs: passes over each rollout.
-        item: bytes of an activation; 4, or 2 in bfloat16.
+        config: environment config with the size of the images.
+        epochs: passes over each rollout, E.
+        item: bytes per activation, i: 4, or 2 in bfloat16.
     """
     blocks, values = policy.encoder.patch_shape
     pixels, active = blocks * values, activations(policy)
@@ -78,7 +86,7 @@ def training_bytes(policy: Policy, config: EnvConfig, epochs: int, item: int) ->
 
 
 def activations(policy: Policy) -> int:
-    """Numbers that the network's layers give for one image."""
+    """Return the number of values that the network's layers compute for one image."""
     sizes = policy.config
     first = policy.encoder.patch_shape[0] * 4 * policy.encoder.conv1.out_channels
     # Gates, then cell, its hyperbolic tangent and the hidden state.
@@ -88,7 +96,7 @@ def activations(policy: Policy) -> int:
 
 
 def forward_operations(policy: Policy) -> int:
-    """Operations of the products that one image takes through the network, 2 a multiplication."""
+    """Return the operations of the matrix products for one image, 2 per multiplication."""
     memory = policy.memory
     inner = 4 * memory.hidden * (memory.weight_ih.shape[1] + memory.hidden)
     linear = sum(
@@ -96,14 +104,16 @@ def forward_operations(policy: Policy) -> int:
         for module in policy.modules()
         if isinstance(module, nn.Linear)
     )
-    return _first_layer(policy) + 2 * (_second_layer(policy) + inner + linear)
+    # The second convolution is computed as a 3 x 3 convolution over blocks of patches.
+    second = policy.encoder.width * 9 * 4 * policy.encoder.conv1.out_channels
+    return _first_layer(policy) + 2 * (second + inner + linear)
 
 
 def training_operations(policy: Policy, epochs: int) -> int:
-    """Operations of the products that one environment step takes in playing and learning.
+    """Return the operations of the matrix products per environment step, inference and learning.
 
-    ``F + E (3 F - C)``: the network plays once (F) and learns E times, forward, for the weights'
-    gradient and for the activations'; pixels (C, the first layer) need none.
+    ``F + E (3 F - C)``: one forward pass for inference (F), and per epoch one forward pass and the
+    gradients of weights and activations; the first layer (C) has no gradient of its input.
     """
     forward = forward_operations(policy)
     return forward + epochs * (3 * forward - _first_layer(policy))
@@ -114,7 +124,61 @@ def _first_layer(policy: Policy) -> int:
     return 2 * blocks * values * policy.encoder.conv1.out_channels
 
 
-def _second_layer(policy: Policy) -> int:
-    """Multiplications of the second convolution, as it is done: 3 x 3 over blocks."""
-    encoder = policy.encoder
-    return encoder.width * 9 * 4 * encoder.conv1.out_channels
+def ray_operations(
+    scene: Scene,
+    config: EnvConfig,
+    positions: NDArray[np.float32],
+    matrices: NDArray[np.float32],
+    rgba: NDArray[np.float32],
+) -> float:
+    """Return the mean number of ray-geom intersection operations per image.
+
+    A geom is tested for each sample of the tiles (4 x 4 samples) that its bounds overlap. Geoms
+    that do not move are in a cached image and cost nothing. Skipping distant geoms and shading are
+    omitted.
+
+    Args:
+        scene: the rendered scene.
+        config: size and anti-aliasing of the images.
+        positions: (n, G, 3) positions of the geoms in the world [m].
+        matrices: (n, G, 9) rotations from geom to world.
+        rgba: (n, G, 4) colours; alpha 0 hides a geom.
+    """
+    caster = _CountingRaycaster(
+        scene.model,
+        scene.camera,
+        config.image_size,
+        config.image_size,
+        antialiasing=config.antialiasing,
+    )
+    counts = [caster.operations(*state) for state in zip(positions, matrices, rgba, strict=True)]
+    return float(np.mean(counts))
+
+
+class _CountingRaycaster(Raycaster):
+    """Ray caster that counts the operations of the image it has rendered."""
+
+    def operations(
+        self,
+        position: NDArray[np.float32],
+        matrix: NDArray[np.float32],
+        rgba: NDArray[np.float32],
+    ) -> int:
+        """Render one state and count; arguments as in ``Raycaster.draw``, without n."""
+        extent = self._scratch[0].extent
+        extent[:, 0] = NO_GEOM
+        self.draw(position[None], matrix[None], rgba[None])
+        return tile_operations(extent)
+
+
+def tile_operations(extent: NDArray[np.int32]) -> int:
+    """Return the operations of testing geoms in all tiles that they overlap.
+
+    Args:
+        extent: (G, 6) type (-1 for none), geom, first and last column and row of samples.
+    """
+    columns = (extent[:, 3] >> BITS) - (extent[:, 2] >> BITS) + 1
+    rows = (extent[:, 5] >> BITS) - (extent[:, 4] >> BITS) + 1
+    samples = columns * rows * TILE * TILE
+    each = np.array([TEST_OPERATIONS.get(int(kind), 0) for kind in extent[:, 0]])
+    return int((samples * each).sum())

@@ -1,257 +1,218 @@
-"""Nothing but this machine goes in; training speed of our learners and of sb3-contrib's comes out.
-
-Every row trains the experiment ``<robot>-full``: physics, image, policy and update.
-"""
+"""Benchmark of training on this machine's CPU: PPO and A3C (`knowarm bench learn`)."""
 
 import os
-import time
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 
-from knowarm.bench.world import frames_per_core_s
+from knowarm.bench.clock import PartClock
+from knowarm.bench.world import measure_raycaster
+from knowarm.cores import processor
 from knowarm.errors import UserError
-from knowarm.experiment.build import EnvFactory, build
-from knowarm.experiment.provenance import processor
-from knowarm.experiment.registry import experiment
+from knowarm.experiment.build import EnvFactory, Parts, build
+from knowarm.experiment.registry import DEFAULT_EXPERIMENT, experiment_config
 from knowarm.learn import A3CConfig, Hooks, Metrics, PPOConfig, PPOTrainer
 from knowarm.learn.a3c import A3CTrainer
-from knowarm.policy import Policy
-from knowarm.world.env import ReachVectorEnv
-from knowarm.world.knowledge_observation import VectorKnowledgeObservation
 
-if TYPE_CHECKING:
-    from stable_baselines3.common.vec_env import VecEnv
+WARM_UP_UPDATES = 3
+"""Updates that are not measured: the first ones compile and fill caches."""
 
-WARM_UP_UPDATES = 2
-"""Updates that are not counted: the first ones compile and fill caches."""
+UNLIMITED = 10**9
+"""Environment steps to train for; the measuring time ends the training earlier."""
+
+Row = dict[str, Any]
+"""Results of one measurement, by name."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class BenchConfig:
-    """What is measured, and for how long."""
+class LearnBenchConfig:
+    """Settings of the training benchmark."""
 
-    robot: str = "irb120"
-    """Robot of the experiment ``<robot>-full``."""
+    experiment: str = DEFAULT_EXPERIMENT
+    """Experiment whose robot, agent and task are trained."""
 
     cores: int = 2
-    """Threads or processes everybody may use."""
+    """Processes and threads of each learner."""
 
     seconds: float = 15.0
-    """Time each row is measured for, at least."""
-
-    turns: int = 3
-    """Times our PPO and sb3-contrib's are measured, one after the other."""
+    """Minimum measuring time per row [s]."""
 
     epochs: int = 3
-    """Passes over a rollout, ours and theirs; 3 is what the target of 2,500 steps/s is set for."""
-
-    opengl_envs: int = 8
-    """Single environments with MuJoCo's OpenGL renderer; more do not make them faster."""
-
-    opengl: bool = True
-    """Whether the OpenGL row is measured; it needs EGL or OSMesa."""
+    """Passes over each rollout."""
 
     seed: int = 0
-    """Seed of everything."""
+    """Seed of weights, episodes and actions."""
+
+    def __post_init__(self) -> None:
+        for name in ("cores", "epochs"):
+            if getattr(self, name) < 1:
+                raise UserError(f"{name} must be at least 1, got {getattr(self, name)}.")
+
+    def ppo(self) -> PPOConfig:
+        """Return PPO's settings: 128 environments, 25 steps, 4 minibatches."""
+        return PPOConfig(
+            num_envs=128, rollout_steps=25, minibatches=4, epochs=self.epochs, processes=self.cores
+        )
 
 
-def bench_learn(config: BenchConfig | None = None) -> dict[str, Any]:
-    """Measure environment steps per second of training, row after row.
+def bench_learn(config: LearnBenchConfig | None = None) -> dict[str, Any]:
+    """Measure environment steps per second of training: physics, image, policy and update.
 
     Returns:
-        ``rows`` (name, envs, steps_per_s, shares of the time where known; the ray caster's alone
-        are frames of one core), ``steps_per_s`` of our PPO, ``ratio_vs_sb3`` (RecurrentPPO on our
-        vector environment, same sizes, epochs and minibatches), ``ratio_vs_sb3_opengl``
-        (RecurrentPPO on single environments with MuJoCo's renderer; None if left out),
-        ``ratio_a3c_batched`` (A3C with many environments a worker over the paper's 17 x 1), and
-        what it was measured on.
-
-    Raises:
-        UserError: the packages of ``pip install 'knowarm[sb3]'`` are missing.
+        ``rows`` with name, envs, steps_per_s and shares of the time (the row of the ray caster
+        counts frames of one core), ``steps_per_s`` of PPO, ``ratio_a3c_batched`` (A3C with many
+        environments per worker over the paper's 17 workers of one), and the machine.
     """
-    config = config or BenchConfig()
-    # The single environments' processes read it when they start.
-    os.environ.setdefault("MUJOCO_GL", "egl")
+    config = config or LearnBenchConfig()
     torch.set_num_threads(config.cores)
-    # In turns, since a machine is not equally fast at all times; the middle turn of each counts.
-    turns = [(_ppo(config), _sb3(config, opengl=False)) for _ in range(config.turns)]
-    ppo, sb3 = (sorted(rows, key=_speed)[len(rows) // 2] for rows in zip(*turns, strict=True))
-    rows = [_raycaster(config), ppo, _a3c(config, 17, 1), _a3c(config, config.cores, 128), sb3]
-    if config.opengl:
-        rows.append(_sb3(config, opengl=True))
+    rows = [
+        raycaster_row(config),
+        ppo_row(config),
+        a3c_row(config, "a3c", workers=17, envs_per_worker=1),
+        a3c_row(config, "a3c-batched", workers=config.cores, envs_per_worker=128),
+    ]
+    return summarize_rows(config, rows)
+
+
+def summarize_rows(config: LearnBenchConfig, rows: list[Row]) -> dict[str, Any]:
+    """Return the rows with the machine, PPO's speed and the speed-up of batched A3C."""
     speed = {row["name"]: row["steps_per_s"] for row in rows}
-    ours, theirs_opengl = speed["ppo"], speed.get("sb3-opengl")
     return {
-        "experiment": f"{config.robot}-full",
+        "experiment": config.experiment,
         "cores": config.cores,
         "epochs": config.epochs,
         "machine": f"{processor()}, {os.cpu_count()} cores",
         "torch": torch.__version__,
         "rows": rows,
-        "steps_per_s": ours,
-        "ratio_vs_sb3": ours / speed["sb3"],
-        "ratio_vs_sb3_opengl": ours / theirs_opengl if theirs_opengl else None,
+        "steps_per_s": speed["ppo"],
         "ratio_a3c_batched": speed["a3c-batched"] / speed["a3c"],
     }
 
 
-def _speed(row: dict[str, Any]) -> float:
-    return float(row["steps_per_s"])
-
-
-def _raycaster(config: BenchConfig) -> dict[str, Any]:
-    """The ray caster alone on one core, as training uses it: how fast this machine is."""
-    chosen = experiment(f"{config.robot}-full-ppo")
-    frames_per_s = frames_per_core_s(chosen.env, num_envs=128, seconds=config.seconds)
+def raycaster_row(config: LearnBenchConfig) -> Row:
+    """Measure the ray caster alone on one core: a reference for the speed of the machine."""
+    env = experiment_config(config.experiment).env
     return {
         "name": "raycaster",
         "what": "KnowArm's ray caster alone, frames of one core",
         "envs": 128,
-        "steps_per_s": frames_per_s,
+        "steps_per_s": measure_raycaster(env, num_envs=128, seconds=config.seconds / 2),
     }
 
 
-def _ppo(config: BenchConfig) -> dict[str, Any]:
-    """Our recurrent PPO."""
-    chosen = experiment(f"{config.robot}-full-ppo")
-    parts = build(chosen)
-    numbers = _ppo_numbers(config)
-    env = ReachVectorEnv(chosen.env, numbers.num_envs, num_threads=config.cores)
-    drawing = _DrawingClock(env)
-    rows: list[Metrics] = []
-    drawn: list[float] = []
-
-    def note(row: Metrics) -> None:
-        rows.append(row)
-        drawn.append(drawing.seconds)
-
-    def long_enough() -> bool:
-        begun = rows[WARM_UP_UPDATES:]
-        return bool(begun) and begun[-1]["wall_time_s"] - begun[0]["wall_time_s"] > config.seconds
-
-    policy = Policy(parts.policy_config, seed=config.seed)
-    hooks = Hooks(on_metrics=note, should_stop=long_enough)
-    PPOTrainer(numbers, policy, env, parts.table, seed=config.seed, hooks=hooks).train(10**9)
-    first, last = WARM_UP_UPDATES, len(rows) - 1
-    seconds = rows[last]["wall_time_s"] - rows[first]["wall_time_s"]
-    steps = rows[last]["step"] - rows[first]["step"]
-    images_s = drawn[last] - drawn[first]
-
-    def total(name: str) -> float:
-        return sum(row[name] for row in rows[first + 1 :])
-
+def ppo_row(config: LearnBenchConfig) -> Row:
+    """Measure recurrent PPO."""
+    chosen, ppo = experiment_config(config.experiment), config.ppo()
+    env = EnvFactory(chosen.env)(ppo.num_envs, config.cores)
+    clock = PartClock(torch.device("cpu"))
+    clock.time_methods("images", env.renderer, "draw")
+    row = train_ppo(
+        ppo,
+        build(chosen),
+        env,
+        seconds=config.seconds,
+        seed=config.seed,
+        image_seconds=lambda: clock.seconds().get("images", 0.0),
+    )
     return {
         "name": "ppo",
         "what": "KnowArm, recurrent PPO",
-        "envs": numbers.num_envs,
-        "steps_per_s": steps / seconds,
-        "share_simulation": (total("environment_s") - images_s) / seconds,
-        "share_image": images_s / seconds,
-        "share_inference": total("inference_s") / seconds,
-        "share_update": total("learn_s") / seconds,
+        "envs": ppo.num_envs,
+        "steps_per_s": row["steps_per_s"],
+        "share_simulation": row["share_environment"] - row["share_images"],
+        "share_images": row["share_images"],
+        "share_inference": row["share_inference"],
+        "share_update": row["share_update"],
     }
 
 
-def _a3c(config: BenchConfig, workers: int, envs_per_worker: int) -> dict[str, Any]:
-    """Our A3C: the paper's 17 workers of one environment each, or few workers of many."""
-    chosen = experiment(f"{config.robot}-full-a3c")
+def train_ppo(
+    config: PPOConfig,
+    parts: Parts,
+    env: Any,
+    *,
+    seconds: float,
+    seed: int,
+    image_seconds: Callable[[], float] = lambda: 0.0,
+) -> Row:
+    """Train with PPO for a while and measure everything after the first updates.
+
+    Args:
+        config: settings of PPO.
+        parts: policy and knowledge of the experiment.
+        env: vector environment with ``config.num_envs`` environments.
+        seconds: minimum measuring time [s].
+        seed: seed of weights, episodes and actions.
+        image_seconds: returns the total time spent rendering so far [s].
+
+    Returns:
+        ``steps_per_s``; ``share_environment`` (images included), ``share_images``,
+        ``share_inference`` and ``share_update`` of the time; ``precision`` of matrix products.
+    """
+    rows: list[Metrics] = []
+    images: list[float] = []
+    first = WARM_UP_UPDATES - 1
+
+    def record(row: Metrics) -> None:
+        rows.append(row)
+        images.append(image_seconds())
+
+    def elapsed() -> float:
+        return rows[-1]["wall_time_s"] - rows[first]["wall_time_s"]
+
+    hooks = Hooks(
+        on_metrics=record,
+        should_stop=lambda: len(rows) > WARM_UP_UPDATES and elapsed() > seconds,
+    )
+    policy = parts.new_policy(seed)
+    trainer = PPOTrainer(config, policy, env, seed=seed, hooks=hooks)
+    trainer.train(UNLIMITED)
+
+    def share(name: str) -> float:
+        return sum(row[name] for row in rows[first + 1 :]) / elapsed()
+
+    return {
+        "steps_per_s": (rows[-1]["step"] - rows[first]["step"]) / elapsed(),
+        "share_environment": share("environment_s"),
+        "share_images": (images[-1] - images[first]) / elapsed(),
+        "share_inference": share("inference_s"),
+        "share_update": share("learn_s"),
+        "precision": trainer.matmul_precision,
+    }
+
+
+def a3c_row(config: LearnBenchConfig, name: str, *, workers: int, envs_per_worker: int) -> Row:
+    """Measure A3C with a number of worker processes and environments per worker."""
+    chosen = experiment_config(config.experiment)
     parts = build(chosen)
-    numbers = A3CConfig(
+    a3c = A3CConfig(
         workers=workers,
         envs_per_worker=envs_per_worker,
-        # 17 x 1 is the paper's and has its precision.
+        # One environment per worker is the paper's setting, trained in the paper's precision.
         matmul_precision="float32" if envs_per_worker == 1 else "auto",
         log_every_steps=50 * envs_per_worker,
     )
     marks: list[tuple[float, float, float]] = []
 
-    def note(row: Metrics) -> None:
-        # Counting begins when every worker has done something: starting processes takes seconds.
+    def record(row: Metrics) -> None:
+        # Measuring starts when every worker has made a step: starting processes takes seconds.
         if all(row[f"worker_{i}_steps"] for i in range(workers)):
             marks.append((row["step"], row["wall_time_s"], row["staleness_mean"]))
 
-    policy = Policy(parts.policy_config, seed=config.seed)
     hooks = Hooks(
-        on_metrics=note,
+        on_metrics=record,
         should_stop=lambda: bool(marks) and marks[-1][1] - marks[0][1] > config.seconds,
     )
-    A3CTrainer(
-        numbers, policy, EnvFactory(chosen.env), parts.table, seed=config.seed, hooks=hooks
-    ).train(10**9)
+    make_env, policy = EnvFactory(chosen.env), parts.new_policy(config.seed)
+    trainer = A3CTrainer(a3c, policy, make_env, seed=config.seed, hooks=hooks)
+    trainer.train(UNLIMITED)
     steps, seconds = marks[-1][0] - marks[0][0], marks[-1][1] - marks[0][1]
     return {
-        "name": "a3c" if envs_per_worker == 1 else "a3c-batched",
+        "name": name,
         "what": f"KnowArm, A3C, {workers} workers of {envs_per_worker}",
         "envs": workers * envs_per_worker,
         "steps_per_s": steps / seconds,
         "staleness_mean": sum(mark[2] for mark in marks) / len(marks),
     }
-
-
-def _sb3(config: BenchConfig, *, opengl: bool) -> dict[str, Any]:
-    """sb3-contrib's RecurrentPPO, on our vector environment or on single ones with OpenGL."""
-    try:
-        from knowarm.bench.sb3_baseline import (
-            RolloutClock,
-            parameter_count,
-            recurrent_ppo,
-            single_environments,
-        )
-        from knowarm.learn.sb3_vec_env import SB3VecEnv
-    except ImportError as error:
-        raise UserError(
-            f"The comparison needs a package that is not installed ({error.name}): "
-            "pip install 'knowarm[sb3]'."
-        ) from error
-    chosen = experiment(f"{config.robot}-full-ppo")
-    parts = build(chosen)
-    numbers = _ppo_numbers(config)
-    env: VecEnv
-    if opengl:
-        env_config = replace(chosen.env, renderer="opengl")
-        # A quarter of our rollout, since one of ours would take a minute; a step costs the same.
-        numbers = replace(numbers, num_envs=config.opengl_envs, rollout_steps=100)
-        env = single_environments(env_config, parts.table, config.opengl_envs)
-    else:
-        vector = ReachVectorEnv(chosen.env, numbers.num_envs, num_threads=config.cores)
-        env = SB3VecEnv(VectorKnowledgeObservation(vector, parts.table), seed=config.seed)
-    clock = RolloutClock(config.seconds)
-    model = recurrent_ppo(parts.policy_config, numbers, env, seed=config.seed)
-    model.learn(10**9, callback=clock)
-    env.close()
-    (first_step, first_s), (last_step, last_s) = clock.marks[1], clock.marks[-1]
-    return {
-        "name": "sb3-opengl" if opengl else "sb3",
-        "what": "sb3-contrib, RecurrentPPO, "
-        + ("single environments, MuJoCo's OpenGL" if opengl else "KnowArm's vector environment"),
-        "envs": numbers.num_envs,
-        "steps_per_s": (last_step - first_step) / (last_s - first_s),
-        "parameters": parameter_count(model),
-        "parameters_ours": sum(p.numel() for p in parts.new_policy(0).parameters()),
-    }
-
-
-def _ppo_numbers(config: BenchConfig) -> PPOConfig:
-    return PPOConfig(
-        num_envs=128, rollout_steps=25, minibatches=4, epochs=config.epochs, processes=config.cores
-    )
-
-
-class _DrawingClock:
-    """Stands before what draws the images and adds up its time."""
-
-    def __init__(self, env: ReachVectorEnv) -> None:
-        self.seconds = 0.0
-        self._renderer = env.renderer
-        env.renderer = self
-
-    def draw(self, *arguments: Any, **options: Any) -> NDArray[np.uint8]:
-        """As `Renderer.draw`."""
-        begin = time.perf_counter()
-        images = self._renderer.draw(*arguments, **options)
-        self.seconds += time.perf_counter() - begin
-        return images

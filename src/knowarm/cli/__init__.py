@@ -1,1 +1,1 @@
-"""What people type: one file a command, and the only place that parses arguments."""
+"""Command line: one module per command, and the only package that parses arguments."""

@@ -1,4 +1,4 @@
-"""``knowarm evaluate``: a run or a scripted agent goes in; a table of its episodes comes out."""
+"""``knowarm evaluate``: the post-training evaluation of a trained or scripted agent."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -6,54 +6,57 @@ from typing import Annotated, Any
 
 import tyro
 
-from knowarm.cli.tables import check_json_path, print_table, write_json_table
+from knowarm.cli.tables import FilePath, check_json_path, print_table, write_json_table
 from knowarm.errors import UserError, unknown_name
+from knowarm.experiment.build import Which, load_agent
 from knowarm.experiment.evaluate import EvaluationConfig, evaluate
-from knowarm.experiment.load import Which, load_agent
+from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
 from knowarm.world.config import EnvConfig
-from knowarm.world.play import Agent
-from knowarm.world.scripted import SCRIPTED
 
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluate:
-    """Play the paper's post-training evaluation and print its table."""
+    """Evaluate an agent on the episodes of the paper's post-training evaluation."""
 
-    agent: tyro.conf.Positional[str]
-    """A run folder (runs/irb120-full-ppo/0), or a scripted agent: zero, random or oracle."""
+    agent: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="AGENT")]
+    """A run folder (runs/irb120-full-ppo/0), or a scripted agent (see `knowarm list`)."""
     evaluation: Annotated[EvaluationConfig, tyro.conf.OmitArgPrefixes] = field(
         default_factory=EvaluationConfig
     )
-    """How the agent is judged."""
+    """Episodes and success criteria."""
     which: Which = "best"
-    """Which policy of the run: of the best interim evaluation, the latest, or untrained."""
+    """Checkpoint of the run: best interim evaluation, latest, or untrained."""
     env: EnvConfig = field(default_factory=EnvConfig)
-    """The task of a scripted agent; a run brings its own."""
+    """Environment of a scripted agent; a run is evaluated in its own."""
     save: bool = True
-    """Keep the evaluation in the run folder, where reports find it."""
-    json: Path | None = None
+    """Save the evaluation in the run folder, where `knowarm report` reads it."""
+    json: FilePath = None
     """Also write the table to this JSON file."""
 
     def run(self) -> None:
-        """Play, print, and keep."""
+        """Evaluate, print and save."""
         check_json_path(self.json)
         name, agent, env, out = self._agent()
         result = evaluate(agent, env, self.evaluation, agent_name=name)
         _print(result.summary)
         if out is not None and self.save:
             result.write(out)
-            print(f"Kept in {out}")
+            print(f"Saved in {out}")
         write_json_table(self.json, result.summary)
 
-    def _agent(self) -> tuple[str, Agent, EnvConfig, Path | None]:
-        """Name, agent, its world, and where its evaluation is kept."""
-        if self.agent in SCRIPTED:
-            return self.agent, SCRIPTED[self.agent](self.evaluation.seed), self.env, None
-        if "/" not in self.agent and not Path(self.agent).exists():
-            raise unknown_name("agent or run folder", self.agent, SCRIPTED)
+    def _agent(self) -> tuple[str, AgentProtocol, EnvConfig, Path | None]:
+        """Return the agent's name, the agent, its environment and the evaluation's folder."""
+        if is_scripted(self.agent):
+            return (
+                self.agent,
+                SCRIPTED_AGENTS[self.agent].make(self.evaluation.seed),
+                self.env,
+                None,
+            )
         if self.env != EnvConfig():
             raise UserError(
-                "A run is evaluated in the world it was trained in: leave the env options out."
+                "A run is evaluated in the environment it was trained in: leave out the --env "
+                "options."
             )
         trained = load_agent(
             self.agent,
@@ -66,22 +69,34 @@ class Evaluate:
         return name, trained.agent, trained.config.env, trained.folder.evaluation(label)
 
 
+def is_scripted(agent: str) -> bool:
+    """Tell whether an agent argument names a scripted agent; otherwise it is a run folder.
+
+    Raises:
+        UserError: it is neither a scripted agent nor looks like a folder.
+    """
+    if agent not in SCRIPTED_AGENTS and "/" not in agent and not Path(agent).exists():
+        raise unknown_name("agent or run folder", agent, SCRIPTED_AGENTS)
+    return agent in SCRIPTED_AGENTS
+
+
 def _print(summary: dict[str, Any]) -> None:
-    """Print the table of all episodes and each target, and one of facets where colours vary."""
+    """Print the results by target and, if colours vary, by target and colour."""
     title = f"{summary['agent']}: {summary['label']}"
     _print_groups(title, {"all": summary, **summary["per_target"]})
     if len(summary["per_facet"]) > len(summary["per_target"]):
         _print_groups("By target and colour", summary["per_facet"])
-    judged = summary["config"]
+    criteria = summary["config"]
     print(
-        f"accuracy: distance <= {judged['distance_m']} m; success: also angle <= "
-        f"{judged['angle_deg']} deg; success wide: <= {judged['wide_angle_deg']} deg.\n"
-        "[95 % Wilson intervals]; mean ± standard deviation."
+        f"accuracy: distance <= {criteria['distance_m']} m. success: also angle <= "
+        f"{criteria['angle_deg']} deg. success wide: angle <= {criteria['wide_angle_deg']} deg.\n"
+        "failure m: final distance of failed episodes. [95 % Wilson interval]; mean ± standard "
+        "deviation."
     )
 
 
 def _print_groups(title: str, groups: dict[str, dict[str, Any]]) -> None:
-    """Print numbers as columns and groups of episodes as rows."""
+    """Print one row per group of episodes."""
     rows = []
     for name, group in groups.items():
         shares = [_share(group, share) for share in ("accuracy", "success", "success_wide")]
@@ -90,7 +105,16 @@ def _print_groups(title: str, groups: dict[str, dict[str, Any]]) -> None:
         rows.append([name, group["episodes"], *shares, *spreads, failure])
     print_table(
         title,
-        ["", "n", "accuracy %", "success %", "success wide %", "return", "length", "failure m"],
+        [
+            "target",
+            "episodes",
+            "accuracy %",
+            "success %",
+            "success wide %",
+            "return",
+            "steps",
+            "failure m",
+        ],
         rows,
     )
 
@@ -103,6 +127,3 @@ def _share(group: dict[str, Any], name: str) -> str:
 def _spread(group: dict[str, Any], name: str, digits: int) -> str:
     mean, deviation = group[f"{name}_mean"], group[f"{name}_std"]
     return "-" if mean is None else f"{mean:.{digits}f} ± {deviation:.{digits}f}"
-
-
-COMMAND = Evaluate

@@ -1,37 +1,45 @@
-"""``knowarm list``: the parts experiments are made of."""
+"""``knowarm list``: robots, targets, agents, algorithms and experiments."""
 
 from dataclasses import dataclass
-from pathlib import Path
 
-from knowarm.cli.tables import check_json_path, print_table, write_json_table
+from knowarm.cli.tables import FilePath, check_json_path, print_table, write_json_table
 from knowarm.experiment.agents import AGENTS
-from knowarm.experiment.registry import ALGORITHMS, EXPERIMENTS, TOTAL_STEPS
+from knowarm.experiment.algorithms import ALGORITHMS
+from knowarm.experiment.registry import experiment_names
+from knowarm.world.agents import SCRIPTED_AGENTS
 from knowarm.world.objects import TARGETS
 from knowarm.world.robots import ROBOTS
 
 
 @dataclass(frozen=True, kw_only=True)
 class List:
-    """Show the robots, targets, agents, algorithms and experiments there are."""
+    """List robots, targets, agents, algorithms and experiments."""
 
-    json: Path | None = None
+    json: FilePath = None
     """Also write the names to this JSON file."""
 
     def run(self) -> None:
-        """Print the tables."""
+        """Print one table per kind."""
         check_json_path(self.json)
-        print_table("Agents", ["agent", "what it is"], [[n, a.about] for n, a in AGENTS.items()])
+        print_table("Robots", ["robot"], [[name] for name in ROBOTS])
+        print_table(
+            "Agents",
+            ["agent", "description"],
+            [[name, agent.about] for name, agent in AGENTS.items()],
+        )
         print_table(
             "Algorithms",
-            ["algorithm", "steps"],
-            [[name, TOTAL_STEPS[name]] for name in ALGORITHMS],
+            ["algorithm", "environment steps"],
+            [[name, algorithm.total_steps] for name, algorithm in ALGORITHMS.items()],
         )
-        print(f"Robots: {', '.join(ROBOTS)}")
         print(f"Targets: {', '.join(TARGETS)}")
+        print(f"Scripted agents for `evaluate` and `view`: {', '.join(SCRIPTED_AGENTS)}\n")
+        examples = experiment_names()
         print(
-            "\nAn experiment is ROBOT-AGENT[-dr]-ALGORITHM; dr randomizes the targets' colours:\n"
-            "  knowarm train irb120-full-ppo\n"
-            "  knowarm train tiago-bm-dr-a3c"
+            "An experiment is named ROBOT-AGENT-ALGORITHM, or ROBOT-AGENT-dr-ALGORITHM with\n"
+            "randomized colours of the targets. Train one, for example:\n"
+            f"  knowarm train {examples[0]}\n"
+            f"  knowarm train {examples[-1]}"
         )
         write_json_table(
             self.json,
@@ -40,9 +48,7 @@ class List:
                 "targets": list(TARGETS),
                 "agents": {name: agent.about for name, agent in AGENTS.items()},
                 "algorithms": list(ALGORITHMS),
-                "experiments": list(EXPERIMENTS),
+                "scripted_agents": list(SCRIPTED_AGENTS),
+                "experiments": examples,
             },
         )
-
-
-COMMAND = List

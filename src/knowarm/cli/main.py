@@ -1,14 +1,10 @@
-"""Words of the command line go in; the command runs, and its exit code comes out.
+"""Entry point of the command line: runs one command and returns its exit code.
 
-Only the module of the command that was asked for is imported, so that help and typing errors
-answer at once. Such a module offers one of:
-
-- ``COMMAND``: a frozen dataclass whose fields are the arguments and whose ``run()`` does the work;
-- ``COMMANDS``: a dict of such dataclasses, for a group of commands;
-- ``parse(arguments)``: returns the dataclass, where the arguments depend on one another.
+Only the module of the given command is imported, so that help and typing errors answer at once.
 """
 
 import os
+import re
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -20,27 +16,32 @@ import knowarm
 from knowarm.errors import UserError, unknown_name
 
 COMMANDS = {
-    "demo": "train two small agents, evaluate them and write a report",
-    "list": "show the robots, agents, algorithms and experiments there are",
-    "train": "train one agent, or go on with a stopped run",
-    "evaluate": "play fixed episodes with a trained or scripted agent and print the table",
-    "report": "write one HTML report from run folders",
-    "knowledge": "look at a graph, its sentences, vectors and embeddings",
-    "view": "watch an agent in the browser, or record it",
-    "export": "write a trained policy as ONNX",
-    "bench": "measure this machine",
-    "doctor": "check this installation, or a robot of your own",
+    "demo": ("train:Demo", "train two agents for a short time, evaluate them, write a report"),
+    "list": ("list:List", "list robots, targets, agents, algorithms and experiments"),
+    "train": ("train:parse_train", "train one agent, or resume a stopped run"),
+    "evaluate": ("evaluate:Evaluate", "evaluate a trained or scripted agent on fixed episodes"),
+    "report": ("report:Report", "write one HTML report from run folders"),
+    "knowledge": ("knowledge:COMMANDS", "inspect a graph, its sentences, vectors and embeddings"),
+    "view": ("view:View", "show an agent in the browser, or record it"),
+    "export": ("report:Export", "write a trained policy as ONNX"),
+    "bench": ("bench:COMMANDS", "measure the speed of this machine"),
+    "doctor": ("doctor:Doctor", "check this installation, or a robot of your own"),
 }
+"""Where each command is defined, and its help text.
+
+The definition is a frozen dataclass whose fields are the arguments and whose ``run()`` does the
+work, a dict of such dataclasses by name, or a function that makes one from the arguments.
+"""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command.
 
     Args:
-        argv: the words after the program's name; None takes them from the process.
+        argv: arguments after the program's name; None takes them from ``sys.argv``.
 
     Returns:
-        0, or 2 for a mistake the user can mend, or 130 after Ctrl-C.
+        0, or 2 for a user error, or 130 after Ctrl-C.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     try:
@@ -51,40 +52,57 @@ def main(argv: Sequence[str] | None = None) -> int:
         else:
             _parse(arguments[0], arguments[1:]).run()
     except UserError as error:
-        print(f"knowarm: {error}", file=sys.stderr)
+        print(f"knowarm: {with_flags(str(error))}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130
-    except BrokenPipeError:  # the reader (head, less) has seen enough
+    except BrokenPipeError:  # the reader (head, less) has closed the pipe
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 0
 
 
+def with_flags(message: str) -> str:
+    """Replace boolean arguments in an error message of the library by flags.
+
+    ``resume=True`` becomes ``--resume``, ``matched_only=False`` becomes ``--no-matched-only``.
+    """
+
+    def flag(found: re.Match[str]) -> str:
+        name, value = found.groups()
+        return f"--{'' if value == 'True' else 'no-'}{name.replace('_', '-')}"
+
+    return re.sub(r"\b([a-z_]+)=(True|False)\b", flag, message)
+
+
 def _parse(name: str, arguments: list[str]) -> Any:
+    """Return the command with its arguments, ready to run."""
     if name not in COMMANDS:
         raise unknown_name("command", name, COMMANDS)
-    module = import_module(f"knowarm.cli.{name}")
+    where, description = COMMANDS[name]
+    module, _, attribute = where.partition(":")
+    command = getattr(import_module(f"knowarm.cli.{module}"), attribute)
     prog = f"knowarm {name}"
-    if hasattr(module, "parse"):
-        return module.parse(arguments)
-    if hasattr(module, "COMMANDS"):
-        if arguments and not arguments[0].startswith("-") and arguments[0] not in module.COMMANDS:
-            raise unknown_name(f"{name} command", arguments[0], module.COMMANDS)
-        return tyro.extras.subcommand_cli_from_dict(
-            module.COMMANDS, prog=prog, description=COMMANDS[name], args=arguments
-        )
-    return tyro.cli(module.COMMAND, prog=prog, args=arguments)
+    if isinstance(command, type):
+        return tyro.cli(command, prog=prog, args=arguments)
+    if not isinstance(command, dict):
+        return command(arguments)
+    if arguments and not arguments[0].startswith("-") and arguments[0] not in command:
+        raise unknown_name(f"{name} command", arguments[0], command)
+    return tyro.extras.subcommand_cli_from_dict(
+        command, prog=prog, description=f"{description.capitalize()}.", args=arguments
+    )
 
 
 def _help() -> str:
     width = max(map(len, COMMANDS))
-    lines = [f"  {name:<{width}}  {what}" for name, what in COMMANDS.items()]
+    lines = [f"  {name:<{width}}  {what}" for name, (_, what) in COMMANDS.items()]
     return "\n".join(
         [
-            "usage: knowarm COMMAND ...",
+            "usage: knowarm COMMAND [ARGUMENTS]",
             "",
-            "Commonsense for robot-arm policies.",
+            "Deep reinforcement learning of robot-arm policies with knowledge graphs.",
             "",
+            "commands:",
             *lines,
             "",
             "`knowarm COMMAND --help` shows a command's arguments.",

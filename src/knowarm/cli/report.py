@@ -1,24 +1,31 @@
-"""``knowarm report``: run folders go in; one HTML page comes out."""
+"""``knowarm report`` and ``knowarm export``: files made from run folders."""
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
-from knowarm.cli.tables import check_json_path
+from knowarm.cli.tables import FilePath, check_json_path
+from knowarm.experiment.build import Which, load_agent
 from knowarm.experiment.run_folder import read_json
+from knowarm.policy.onnx_export import INPUTS, OUTPUTS, export_onnx
 from knowarm.report import report
 
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """Write one self-contained HTML report, with its numbers as JSON and CSV beside it."""
+    """Write one self-contained HTML report, and its numbers as JSON and CSV."""
 
-    runs: tyro.conf.Positional[tuple[Path, ...]]
-    """Run folders, or folders that hold them at any depth."""
+    runs: Annotated[
+        tuple[Path, ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar="RUN...", help_behavior_hint="(required)"),
+    ]
+    """Run folders, or folders that contain them at any depth."""
     out: Path = Path("runs/report.html")
-    """The HTML file."""
-    json: Path | None = None
+    """HTML file; the JSON and CSV files are written to the same folder."""
+    json: FilePath = None
     """Also copy the report's JSON to this file."""
 
     def run(self) -> None:
@@ -27,11 +34,27 @@ class Report:
         path = report(self.runs, self.out)
         values = read_json(path.with_suffix(".json"))
         for problem in values["problems"]:
-            print(f"Note: {': '.join(map(str, problem.values()))}")
+            print(f"Note: {', '.join(map(str, problem.values()))}")
         print(f"Wrote {path}: open it in a browser.")
         if self.json is not None:
             self.json.write_bytes(path.with_suffix(".json").read_bytes())
             print(f"Wrote {self.json}")
 
 
-COMMAND = Report
+@dataclass(frozen=True, kw_only=True)
+class Export:
+    """Write a trained policy as an ONNX model of one time step."""
+
+    run_folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
+    """Run folder, such as runs/irb120-full-ppo/0."""
+    out: Path = Path("policy.onnx")
+    """ONNX file to write."""
+    which: Which = "best"
+    """Checkpoint of the run: best interim evaluation, latest, or untrained."""
+
+    def run(self) -> None:
+        """Export the policy and print the names of its inputs and outputs."""
+        trained = load_agent(self.run_folder, which=self.which)
+        export_onnx(trained.policy, self.out)
+        print(f"Wrote {self.out}: inputs {', '.join(INPUTS)}; outputs {', '.join(OUTPUTS)}.")
+        print("The knowledge vector of each facet is a row of the run's knowledge.safetensors.")

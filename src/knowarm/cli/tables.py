@@ -1,18 +1,22 @@
-"""Rows go in; a table on the terminal, and the same values as JSON, come out."""
+"""Tables for the terminal, and the same values as JSON files."""
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import tyro
 from rich.console import Console
 from rich.table import Table
 
 from knowarm.errors import UserError
 
+FilePath = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
+"""Type of an optional file argument, such as ``--json``."""
+
 
 def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """Print a table; numbers are right-aligned, floats below 1,000 get three decimals."""
+    """Print a table; numbers are right-aligned, floats below 1,000 have three decimals."""
     rows = [list(row) for row in rows]
     table = Table(title=title, title_justify="left", title_style="bold")
     for i, name in enumerate(columns):
@@ -34,10 +38,10 @@ def _cell(value: Any) -> str:
 
 
 def check_json_path(path: Path | None) -> None:
-    """Find out before the work, not after it, that the JSON file cannot be written.
+    """Check that a JSON file can be written, before the work whose result it will hold.
 
     Raises:
-        UserError: the folder of the file does not exist or cannot be written to.
+        UserError: the folder of the file cannot be created or written to.
     """
     if path is None:
         return
@@ -49,12 +53,12 @@ def check_json_path(path: Path | None) -> None:
             path.unlink()
     except OSError as error:
         raise UserError(
-            f"Cannot write the JSON file {path}: {error.strerror}. Give --json another place."
+            f"Cannot write the JSON file {path}: {error.strerror}. Choose another path for --json."
         ) from error
 
 
 def write_json_table(path: Path | None, values: Mapping[str, Any]) -> None:
-    """Write the values of a printed table as JSON, when a file was asked for."""
+    """Write the values of a printed table to a JSON file, if there is a path."""
     if path is not None:
         path.write_text(json.dumps(values, indent=2) + "\n")
         print(f"Wrote {path}")

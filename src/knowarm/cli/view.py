@@ -1,57 +1,59 @@
-"""``knowarm view``: a robot and an agent go in; a page, a video or a film strip comes out."""
+"""``knowarm view``: an agent in the web viewer, as a video or as a film strip."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
-from knowarm.errors import UserError, unknown_name
-from knowarm.experiment.load import load_agent
+from knowarm.cli.evaluate import is_scripted
+from knowarm.cli.tables import FilePath
+from knowarm.errors import UserError
+from knowarm.experiment.build import load_agent
+from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
 from knowarm.world.config import EnvConfig
-from knowarm.world.env import ReachVectorEnv
 from knowarm.world.episodes import evaluation_episodes
-from knowarm.world.play import Agent
 from knowarm.world.record import record_episode, write_strip, write_video
 from knowarm.world.scene import find_robot
-from knowarm.world.scripted import SCRIPTED
+from knowarm.world.vector_env import ReachVectorEnv
 from knowarm.world.watch import watch
 
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """Watch an agent in MuJoCo's web viewer, or record it."""
+    """Show an agent in MuJoCo's web viewer, or record it."""
 
-    robot: Annotated[str | None, tyro.conf.Positional] = None
-    """irb120, tiago, or the TOML file of a robot of your own; a run brings its own."""
-    agent: str = "oracle"
-    """zero, random, oracle, or a run folder."""
+    robot: Annotated[
+        str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[ROBOT]", help_behavior_hint="")
+    ] = None
+    """Robot (see `knowarm list`) or TOML file of a robot of your own; a run has its own."""
+    agent: Annotated[str, tyro.conf.arg(metavar="AGENT")] = "oracle"
+    """A scripted agent (see `knowarm list`), or a run folder."""
     episodes: int = 6
-    """Episodes to play."""
+    """Number of episodes."""
     seed: int = 0
-    """Seed of the episodes, and of an agent that draws."""
+    """Seed of the episodes, and of the actions of a stochastic agent."""
     targets: tuple[str, ...] = ()
-    """Objects to reach, by name or TOML file; none takes all, or the run's."""
+    """Objects to reach, by name or TOML file. Default: all, or the run's."""
     colours: Literal["fixed", "randomized"] | None = None
-    """Colours of the objects; none takes fixed ones, or the run's."""
+    """Colours of the objects. Default: fixed, or the run's."""
     dynamics: Literal["dynamic", "kinematic"] | None = None
-    """How the arm moves; none takes dynamic, or the run's."""
-    video: Path | None = None
-    """Record what the policy sees beside a large view into this .mp4 file."""
-    strip: Path | None = None
-    """Draw a film strip, a row an episode, into this image file."""
+    """Motion of the arm: simulated servos, or exact positions. Default: dynamic, or the run's."""
+    video: FilePath = None
+    """Write an .mp4 video of the policy's images beside a large view, instead of the viewer."""
+    strip: FilePath = None
+    """Write an image with one film strip per episode, instead of opening the viewer."""
     port: int = 0
-    """Port of the web viewer; 0 takes the first free one from 8080 on."""
+    """Port of the web viewer; 0 takes the first free port from 8080."""
     browser: bool = True
     """Open the web viewer in the browser."""
 
     def run(self) -> None:
-        """Play the episodes and show them."""
+        """Play the episodes and show or record them."""
         if self.episodes < 1:
             raise UserError(f"--episodes must be at least 1, got {self.episodes}.")
         make_agent, config = self._agent()
-        env = ReachVectorEnv(self._task(config), 1)
+        env = ReachVectorEnv(self._env_config(config), 1)
         episodes = evaluation_episodes(env.scene, env.config, self.episodes, self.seed)
         agent = make_agent()
         if self.video is None and self.strip is None:
@@ -60,7 +62,7 @@ class View:
                 target, colour = env.facets[int(env.facet_ids[0])]
                 print(f"Episode {number + 1} of {len(episodes)}: {colour} {target}", flush=True)
 
-            print("Ctrl-C ends it.", flush=True)
+            print("Press Ctrl-C to stop.", flush=True)
             watch(
                 agent,
                 env,
@@ -80,28 +82,24 @@ class View:
             write_strip(self.strip, films)
             print(f"Wrote {self.strip}")
 
-    def _agent(self) -> tuple[Callable[[], Agent], EnvConfig]:
-        if self.agent in SCRIPTED:
-            return lambda: SCRIPTED[self.agent](self.seed), EnvConfig(robot=self.robot or "irb120")
-        if "/" not in self.agent and not Path(self.agent).exists():
-            raise unknown_name("agent or run folder", self.agent, SCRIPTED)
+    def _agent(self) -> tuple[Callable[[], AgentProtocol], EnvConfig]:
+        """Return a constructor of the agent, and its environment's config."""
+        if is_scripted(self.agent):
+            config = EnvConfig() if self.robot is None else EnvConfig(robot=self.robot)
+            return lambda: SCRIPTED_AGENTS[self.agent].make(self.seed), config
         trained = load_agent(self.agent, seed=self.seed)
-        if self.robot is not None and find_robot(self.robot) != find_robot(
-            trained.config.env.robot
-        ):
+        config = trained.config.env
+        if self.robot is not None and find_robot(self.robot) != find_robot(config.robot):
             raise UserError(
-                f"The run {self.agent} was trained on robot {trained.config.env.robot!r}, not on "
-                f"{self.robot!r}: leave the robot out."
+                f"The run {self.agent} was trained on robot {config.robot!r}, not on "
+                f"{self.robot!r}: leave out the robot."
             )
-        return lambda: trained.agent, trained.config.env
+        return lambda: trained.agent, config
 
-    def _task(self, config: EnvConfig) -> EnvConfig:
+    def _env_config(self, config: EnvConfig) -> EnvConfig:
         return replace(
             config,
             targets=self.targets or config.targets,
             colours=self.colours or config.colours,
             dynamics=self.dynamics or config.dynamics,
         )
-
-
-COMMAND = View

@@ -1,123 +1,136 @@
-"""An experiment's config goes in; its environments, knowledge table and policy come out."""
+"""Parts of an experiment: built from its config, or loaded from its run folder."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import torch
 
+from knowarm.config import from_dict
+from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig, InterimConfig
+from knowarm.experiment.run_folder import RunFolder
 from knowarm.knowledge.embedding import SceneEmbedding, scene_embedding
-from knowarm.policy import Policy, PolicyConfig
-from knowarm.policy.agent import PolicyAgent
-from knowarm.policy.matched import matched_without_knowledge
-from knowarm.world.env import ACTION_LEVELS, EnvConfig, ReachVectorEnv
+from knowarm.learn import TorchVectorEnv, read_checkpoint
+from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
+from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import evaluation_episodes
-from knowarm.world.play import PlayResult, play
+from knowarm.world.play import EpisodeResults, play
+from knowarm.world.tasks.reach import ACTION_LEVELS
+from knowarm.world.torch_env import TorchReachVectorEnv
+from knowarm.world.vector_env import ReachVectorEnv
+
+Which = Literal["best", "latest", "untrained"]
+"""Policy of a run: of the best interim evaluation, the latest, or the initial weights."""
 
 
 @dataclass(frozen=True)
 class EnvFactory:
-    """Makes vector environments of one config; picklable, so that workers can call it."""
+    """Factory of training environments; picklable, so that worker processes can call it.
+
+    Attributes:
+        config: the task.
+    """
 
     config: EnvConfig
 
-    def __call__(self, num_envs: int, num_threads: int = 0) -> ReachVectorEnv:
-        """Make ``num_envs`` environments on ``num_threads`` threads (0: one a core)."""
-        return ReachVectorEnv(self.config, num_envs, num_threads=num_threads)
+    def __call__(
+        self, num_envs: int, num_threads: int = 0, *, device: str = "cpu"
+    ) -> TorchVectorEnv:
+        """Make ``num_envs`` environments on a device, with ``num_threads`` threads (0: all)."""
+        return TorchReachVectorEnv(self.config, num_envs, device=device, num_threads=num_threads)
 
 
 @dataclass(frozen=True)
 class Parts:
-    """What an experiment trains.
+    """The knowledge of an experiment and the configuration of its policy.
 
     Attributes:
-        embedding: the knowledge with its names, coverage and norm.
-        table: (F, K) float32, what the policy is given in an episode of each facet.
-        policy_config: sizes of the network.
-        facets: the environment's (object, colour) pairs, one a row of the table.
+        embedding: the scene embedding with its names, coverage and norm.
+        table: (F, K) float32, the policy's knowledge vector for each facet.
+        policy_config: choices of the policy.
+        policy_shape: input and output sizes of the policy.
+        facets: the environment's F (object, colour) pairs, one per row of the table.
     """
 
     embedding: SceneEmbedding
     table: np.ndarray
     policy_config: PolicyConfig
+    policy_shape: PolicyShape
     facets: tuple[tuple[str, str], ...]
 
     def new_policy(self, seed: int) -> Policy:
-        """Draw a policy."""
-        return Policy(self.policy_config, seed=seed)
+        """Initialize a policy; the same seed gives the same weights."""
+        return Policy(self.policy_config, self.policy_shape, self.table, seed=seed)
 
 
 def build(config: ExperimentConfig) -> Parts:
-    """Embed the experiment's knowledge and size its network.
+    """Compute the knowledge table of an experiment and the shape of its policy.
 
     Raises:
-        UserError: the graph does not know an object, or the sizes do not fit.
+        UserError: the graph lacks an object, or the sizes do not fit together.
     """
-    env = EnvFactory(config.env)(1)
+    env = ReachVectorEnv(config.env, 1)
     embedding = scene_embedding(config.knowledge, env.facets)
     table = embedding.table(env.facets)
-    policy_config = policy_sizes(config, env, embedding)
-    if config.network.wide:
-        table = table[:, :0]
-    return Parts(embedding, table, policy_config, env.facets)
-
-
-def policy_sizes(
-    config: ExperimentConfig, env: ReachVectorEnv, embedding: SceneEmbedding
-) -> PolicyConfig:
-    """Sizes of the policy network for a robot, a image and a knowledge vector."""
-    network = config.network
-    sizes = PolicyConfig(
+    shape = PolicyShape(
         joints=env.scene.num_joints,
         levels=len(ACTION_LEVELS),
         image_size=config.env.image_size,
-        features=network.features,
         knowledge_dim=embedding.dim,
         knowledge_slots=max(1, embedding.dim // max(1, embedding.slot_dim)),
-        knowledge_encoder=config.knowledge.source.encoder,
-        fusion=network.fusion if embedding.dim else "none",
-        hidden=network.hidden,
-        pixel_shift=network.pixel_shift,
-        pixel_scale=network.pixel_scale,
-        actor_gain=network.actor_gain,
     )
-    return matched_without_knowledge(sizes) if network.wide else sizes
+    policy = config.policy if embedding.dim else replace(config.policy, fusion="none")
+    if config.knowledge.source.encoder != policy.knowledge_encoder == "identity":
+        raise UserError(
+            f"The knowledge source {config.knowledge.source.short_name!r} has no meaning of its "
+            "own: set policy.knowledge_encoder to 'learned'."
+        )
+    if policy.wide:
+        table = table[:, :0]
+    return Parts(embedding, table, policy, shape, env.facets)
 
 
 @dataclass(frozen=True)
 class InterimFactory:
-    """Makes the function that plays the interim evaluation; picklable, so that it can be made in
-    the process that evaluates.
+    """Factory of the function that plays the interim evaluation.
+
+    It is picklable, so that the evaluating process can call it.
 
     Attributes:
-        env: the task, with the thresholds of training.
-        interim: how many episodes, and which.
-        table: (F, K) float32 knowledge.
+        env: the task, with the success thresholds of training.
+        interim: number and seed of the episodes.
     """
 
     env: EnvConfig
     interim: InterimConfig
-    table: np.ndarray
 
     def __call__(self) -> Callable[[Policy], dict[str, float]]:
-        """Make the environments and draw the episodes, once; return what plays them."""
+        """Make the environments, draw the episodes, and return the evaluating function."""
         interim = self.interim
         env = ReachVectorEnv(self.env, interim.episodes)
         episodes = evaluation_episodes(env.scene, self.env, interim.episodes, interim.seed)
 
         def evaluate(policy: Policy) -> dict[str, float]:
             generator = torch.Generator().manual_seed(interim.seed)
-            agent = PolicyAgent(policy, self.table, greedy=interim.greedy, generator=generator)
-            return summarize(play(agent, env, episodes), self.env.success_distance_m)
+            agent = PolicyAgent(policy, greedy=interim.greedy, generator=generator)
+            return interim_numbers(play(agent, env, episodes), self.env.success_distance_m)
 
         return evaluate
 
 
-def summarize(result: PlayResult, success_distance_m: float) -> dict[str, float]:
-    """Means over the episodes of one interim evaluation, at the thresholds of training.
+def interim_numbers(result: EpisodeResults, success_distance_m: float) -> dict[str, float]:
+    """Average the episodes of one interim evaluation, at the success thresholds of training.
 
-    ``accuracy`` counts distance alone (paper equation 8), ``success`` distance and orientation.
+    Args:
+        result: the played episodes.
+        success_distance_m: largest distance that counts for ``accuracy`` [m].
+
+    Returns:
+        Column of ``evaluations.csv`` to value: ``accuracy`` counts the distance only (paper
+        equation 8), ``success`` distance and orientation.
     """
     return {
         "return_mean": float(result.episode_return.mean()),
@@ -128,3 +141,77 @@ def summarize(result: PlayResult, success_distance_m: float) -> dict[str, float]
         "distance_mean": float(result.distance.mean()),
         "angle_mean": float(result.angle.mean()),
     }
+
+
+@dataclass(frozen=True)
+class TrainedAgent:
+    """A trained agent and its origin.
+
+    Attributes:
+        agent: plays episodes.
+        policy: its network, with the knowledge table.
+        config: the experiment that trained it.
+        folder: its run folder.
+        step: environment steps it was trained for.
+        which: which of the run's policies it is.
+    """
+
+    agent: PolicyAgent
+    policy: Policy
+    config: ExperimentConfig
+    folder: RunFolder
+    step: int
+    which: Which
+
+
+def load_agent(
+    path: Path | str, *, which: Which = "best", greedy: bool = True, seed: int = 0
+) -> TrainedAgent:
+    """Load the trained agent of a run.
+
+    Args:
+        path: the run folder, such as ``runs/irb120-full-ppo/0``.
+        which: the policy of the best interim evaluation, the latest policy, or the initial
+            weights.
+        greedy: take the most probable action instead of sampling one.
+        seed: seed of the sampled actions.
+
+    Returns:
+        The agent with its policy, config and run folder.
+
+    Raises:
+        UserError: the folder holds no run, no such checkpoint, or a damaged one.
+    """
+    folder = RunFolder.open(path)
+    config = folder.experiment()
+    stored = folder.provenance()["policy"]
+    policy = Policy(
+        from_dict(PolicyConfig, stored["config"], where="policy.config"),
+        from_dict(PolicyShape, stored["shape"], where="policy.shape"),
+        folder.knowledge(),
+        seed=config.seed,
+    )
+    step = 0
+    if which != "untrained":
+        checkpoint = read_checkpoint(folder.checkpoints / which)
+        step = int(checkpoint.facts["step"])
+        _load_parameters(policy, checkpoint.policy, folder.checkpoints / which)
+    policy.eval()
+    agent = PolicyAgent(policy, greedy=greedy, generator=torch.Generator().manual_seed(seed))
+    return TrainedAgent(agent, policy, config, folder, step, which)
+
+
+def _load_parameters(policy: Policy, arrays: dict[str, np.ndarray], where: Path) -> None:
+    """Copy parameters into the policy after comparing names and shapes."""
+    expected = {name: tuple(value.shape) for name, value in policy.state_dict().items()}
+    found = {name: value.shape for name, value in arrays.items()}
+    if expected != found:
+        different = sorted(
+            name for name in {*expected, *found} if expected.get(name) != found.get(name)
+        )
+        pairs = "; ".join(f"{n}: {found.get(n)} | {expected.get(n)}" for n in different)
+        raise UserError(
+            f"The checkpoint {where} does not fit the policy of its run folder (checkpoint | "
+            f"policy): {pairs}. One of the two was replaced: restore it."
+        )
+    policy.load_state_dict({name: torch.from_numpy(value) for name, value in arrays.items()})

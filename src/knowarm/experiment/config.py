@@ -1,61 +1,32 @@
-"""All choices of one experiment, resolved: what ``config.json`` of a run folder holds."""
+"""Configuration of one experiment: the content of ``config.json`` in a run folder."""
 
 from dataclasses import dataclass, field
-from typing import Literal
 
+from knowarm.config import registered
 from knowarm.errors import UserError
+from knowarm.experiment.agents import Role
+from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.knowledge.config import KnowledgeConfig
-from knowarm.learn.config import A3CConfig, PPOConfig
-from knowarm.policy.config import FusionName
+from knowarm.learn.config import AlgorithmConfig, PPOConfig
+from knowarm.policy.config import PolicyConfig
 from knowarm.world.config import EnvConfig
-
-Algorithm = PPOConfig | A3CConfig
-
-
-@dataclass(frozen=True, kw_only=True)
-class NetworkConfig:
-    """The choices of a policy that do not follow from the robot, the image or the knowledge."""
-
-    fusion: FusionName = "before_lstm"
-    """Where the knowledge enters; ``before_lstm`` is the paper's. An agent without knowledge
-    ignores it."""
-
-    hidden: Literal["grow", "fixed"] | int = "grow"
-    """LSTM size: ``grow`` adds the knowledge's width to ``features`` (the paper's 128 / 278 /
-    428), ``fixed`` keeps ``features``, or a number."""
-
-    features: int = 128
-    """Width of the fully connected layer after the convolutions."""
-
-    wide: bool = False
-    """Capacity control: the knowledge is taken away, and the network is given the same LSTM size
-    and number of parameters that it would have had with it."""
-
-    pixel_shift: float = 0.0
-    """Subtracted from the pixels after they were scaled to 0..1."""
-
-    pixel_scale: float = 1.0
-    """Multiplies the shifted pixels; .5 and 4 give images mean 0 and deviation about 1."""
-
-    actor_gain: float = 0.01
-    """Gain of the orthogonal initialization of the actor heads."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class InterimConfig:
-    """The evaluation that goes on beside the training (paper section 4.2.3)."""
+    """The evaluation at regular intervals during training (paper section 4.2.3)."""
 
     every_steps: int = 50_000
     """Environment steps between two interim evaluations."""
 
     episodes: int = 40
-    """Episodes of each; the same ones every time."""
+    """Episodes per evaluation; always the same ones."""
 
     greedy: bool = True
-    """Whether the most probable action is taken instead of a drawn one."""
+    """Take the most probable action instead of sampling one."""
 
     seed: int = 20_250_714
-    """Seed of the episodes; the same for every experiment, so that curves can be compared."""
+    """Seed of the episodes; the same for every experiment, so that curves are comparable."""
 
     def __post_init__(self) -> None:
         for name in ("every_steps", "episodes"):
@@ -65,37 +36,47 @@ class InterimConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class ExperimentConfig:
-    """One training run: a world, what is known about it, a network and how it learns."""
+    """One training run: environment, knowledge, policy network and learning algorithm.
+
+    Raises:
+        UserError: a value out of its range.
+    """
 
     name: str
-    """Name of the experiment; its runs lie in ``runs/<name>/<seed>/``."""
+    """Name of the experiment; its runs are stored in ``<runs>/<name>/<seed>/``."""
 
     agent: str
-    """Name of the agent, as in the paper's tables and the reports."""
+    """Name of the agent in tables and reports."""
+
+    role: Role = "knowledge"
+    """What the agent is for in a comparison of agents: see `knowarm.experiment.agents.Role`."""
 
     seed: int = 0
-    """Seed of weights, episodes, actions and minibatches."""
+    """Seed of initial weights, episodes, actions and minibatches."""
 
     total_steps: int = 10_000_000
     """Environment steps to train for, over all environments (the paper: 70 million)."""
 
     checkpoint_every_steps: int = 200_000
-    """Environment steps between two checkpoints: what a crash can cost at most."""
+    """Environment steps between two checkpoints: the most that a crash can lose."""
 
     env: EnvConfig = field(default_factory=EnvConfig)
     """Robot, targets, colours, dynamics and success thresholds."""
 
     knowledge: KnowledgeConfig
-    """What the agent is told about the targets."""
+    """From the graph to the agent's knowledge vector."""
 
-    network: NetworkConfig = field(default_factory=NetworkConfig)
+    policy: PolicyConfig = field(default_factory=PolicyConfig)
     """Choices of the policy network."""
 
-    algorithm: Algorithm = field(default_factory=PPOConfig)
-    """PPO or A3C with all of its numbers."""
+    algorithm: AlgorithmConfig = field(
+        default_factory=PPOConfig,
+        metadata=registered(lambda: [type(entry.config) for entry in ALGORITHMS.values()]),
+    )
+    """The learning algorithm and its hyperparameters."""
 
     interim: InterimConfig = field(default_factory=InterimConfig)
-    """The evaluation beside the training."""
+    """The evaluation at regular intervals during training."""
 
     def __post_init__(self) -> None:
         for name in ("total_steps", "checkpoint_every_steps"):

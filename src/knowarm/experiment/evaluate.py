@@ -1,22 +1,29 @@
-"""An agent and a world go in; played episodes, their numbers and their files come out."""
+"""Evaluation of an agent on fixed episodes (paper section 4.2.4)."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from knowarm.config import to_dict
+from knowarm.config import replace, to_dict
 from knowarm.errors import UserError
-from knowarm.experiment.evaluation_files import EPISODE_COLUMNS, step_columns, write_table
-from knowarm.experiment.evaluation_summary import summarize
-from knowarm.experiment.film import write_film
+from knowarm.experiment.build import TrainedAgent, load_agent
+from knowarm.experiment.evaluation_files import (
+    EPISODE_COLUMNS,
+    step_columns,
+    write_film,
+    write_table,
+)
 from knowarm.experiment.run_folder import write_json
-from knowarm.world.env import EnvConfig, ReachVectorEnv
+from knowarm.statistics import Interval, bootstrap, wilson
+from knowarm.world.agents import AgentProtocol
+from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import Episodes, evaluation_episodes
-from knowarm.world.play import Agent, PlayResult, play
+from knowarm.world.play import EpisodeResults, play
+from knowarm.world.vector_env import ReachVectorEnv
 
 FORMAT = 1
 """Version of the evaluation folder's layout."""
@@ -24,21 +31,21 @@ FORMAT = 1
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluationConfig:
-    """How a trained agent is judged (paper section 4.2.4).
+    """Settings of a post-training evaluation (paper section 4.2.4).
 
     Raises:
-        UserError: a number outside its range, or episodes that the seeds do not divide.
+        UserError: a number out of its range, or episodes that the seeds do not divide.
     """
 
     episodes: int = 1000
-    """Episodes played, in all."""
+    """Total number of episodes."""
 
     seed: int = 1_000_003
     """Seed of the fixed episodes; far from training seeds, so that none was trained on."""
 
     seeds: int = 1
-    """Episodes come from this many seeds, ``seed``, ``seed`` + 1, ..., in equal shares; the
-    paper's analysis of variance takes 30 seeds of 100 episodes."""
+    """Number of seeds that the episodes are drawn from in equal shares: ``seed``, ``seed`` + 1,
+    and so on; the paper's analysis of variance takes 30 seeds of 100 episodes."""
 
     distance_m: float = 0.10
     """Largest distance of a success [m]."""
@@ -47,26 +54,27 @@ class EvaluationConfig:
     """Largest angle of a success [deg]; the paper's section 4. Its section 3 says 20."""
 
     wide_angle_deg: float = 20.0
-    """Largest angle of ``success_wide`` [deg], reported beside."""
+    """Largest angle of ``success_wide`` [deg], reported as well."""
 
     actions: Literal["greedy", "sampled"] = "greedy"
-    """Whether the agent takes its most probable action or draws one."""
+    """Take the most probable action, or sample one."""
 
     held_out: bool = False
-    """Play the colours and places that the run's environment held out of its training."""
+    """Play the colours and places that the environment excluded from training."""
 
     label: str | None = None
-    """Name of the folder the evaluation is kept in; None takes ``post-training-<actions>``, with
-    ``-held-out`` behind it where that is played."""
+    """Name of the folder of the evaluation's files; None takes ``post-training-<actions>``, plus
+    ``-held-out`` for held-out episodes."""
 
     record_steps: bool = True
-    """Whether joint angles, actions, distances and angles of every step are kept."""
+    """Keep joint angles, action, distance and angle of every step."""
 
     record_films: int = 6
-    """Episodes, from the first, whose images are kept."""
+    """Number of episodes, from the first, whose images are kept."""
 
     num_envs: int = 128
-    """Episodes played at once. Part of the result: sums of other batches round differently."""
+    """Episodes played in parallel. It affects the result: another batch size rounds sums
+    differently."""
 
     def __post_init__(self) -> None:
         for name in ("episodes", "seeds", "num_envs"):
@@ -88,36 +96,48 @@ class EvaluationConfig:
 
     @property
     def folder(self) -> str:
-        """Name of the folder the evaluation is kept in."""
+        """Name of the folder of the evaluation's files."""
         return self.label or (
             f"post-training-{self.actions}" + ("-held-out" if self.held_out else "")
         )
 
 
 @dataclass(frozen=True)
-class Evaluation:
-    """Everything one evaluation found.
+class EvaluationResult:
+    """Everything that one evaluation measured.
 
     Attributes:
-        summary: the numbers of `summarize` beside the settings they were found with.
-        episodes: columns of ``episodes.parquet``.
-        steps: columns of ``steps.parquet``; None when steps were not kept.
-        films: one (T, H, W, 3) uint8 array for each filmed episode, the images the agent saw.
+        summary: the numbers of `summarize` and the settings they were measured with.
+        episodes: columns of ``episodes.parquet``, one row per episode.
+        steps: columns of ``steps.parquet``, one row per step; None where not recorded.
+        films: one (T, H, W, 3) uint8 array for each recorded episode, the agent's observations.
+        folder: where `write` stores the files: for a trained agent
+            ``<run>/evaluation/<label>/``, where reports find them; None for other agents.
     """
 
     summary: dict[str, Any]
     episodes: dict[str, np.ndarray]
     steps: dict[str, np.ndarray] | None = None
     films: Sequence[np.ndarray] = field(default=())
+    folder: Path | None = None
 
-    def write(self, folder: Path) -> None:
+    def write(self, folder: Path | str | None = None) -> Path:
         """Write ``summary.json``, ``episodes.parquet``, ``steps.parquet`` and ``films/``.
 
-        The summary comes last: a folder that has one is whole.
+        The summary is written last: a folder with a summary is complete.
+
+        Args:
+            folder: where to write; None takes ``self.folder``.
+
+        Returns:
+            The folder.
 
         Raises:
-            UserError: the folder cannot be written to.
+            UserError: there is no folder, or it cannot be written to.
         """
+        if folder is None and self.folder is None:
+            raise UserError("This evaluation belongs to no run: pass a folder to write it to.")
+        folder = Path(folder or self.folder or ".")
         try:
             folder.mkdir(parents=True, exist_ok=True)
             (folder / "summary.json").unlink(missing_ok=True)
@@ -130,38 +150,51 @@ class Evaluation:
         for number, frames in enumerate(self.films):
             write_film(folder / "films" / f"{number}.webp", frames)
         write_json(folder / "summary.json", self.summary)
+        return folder
 
 
 def evaluate(
-    agent: Agent, env_config: EnvConfig, config: EvaluationConfig, *, agent_name: str = "agent"
-) -> Evaluation:
-    """Play the fixed episodes and describe what happened.
+    agent: AgentProtocol | TrainedAgent | Path | str,
+    env_config: EnvConfig | None = None,
+    config: EvaluationConfig | None = None,
+    *,
+    agent_name: str = "agent",
+    **overrides: Any,
+) -> EvaluationResult:
+    """Play the fixed episodes and measure returns, accuracy and success.
 
-    Agents evaluated with the same two configs play the same episodes, so that their rows pair.
+    Agents evaluated with equal configs play the same episodes, so that their rows are paired.
 
     Args:
-        agent: whoever chooses the actions.
-        env_config: the task; its success thresholds are replaced by those of ``config``.
-        config: what to play and how to judge.
-        agent_name: goes into the summary.
+        agent: a run folder, what `load_agent` returned, or any object with ``start(env)`` and
+            ``act(images)``.
+        env_config: the task; its success thresholds are replaced by those of ``config``. None
+            takes the task that a trained agent was trained on.
+        config: episodes and thresholds; None takes the defaults.
+        agent_name: name in the summary; a trained agent has the name of its run.
+        **overrides: fields of ``config`` to change, such as ``episodes=200``.
+
+    Returns:
+        The result, with the columns of every episode; `EvaluationResult.write` stores it.
 
     Raises:
-        UserError: held-out episodes were asked for, and the environment holds none out.
+        UserError: a run folder that cannot be loaded, an agent without a task, or held-out
+            episodes of an environment that holds none out.
     """
-    held_out = env_config.held_out
-    if config.held_out:
-        if held_out is None:
-            raise UserError(
-                "held_out asks for episodes that training never showed, and this environment "
-                "holds none out. Train with env.held_out, or leave held_out away."
-            )
-        held_out = dataclasses.replace(held_out, play="held_out")
-    judged = dataclasses.replace(
-        env_config,
-        success_distance_m=config.distance_m,
-        success_angle_deg=config.angle_deg,
-        held_out=held_out,
-    )
+    config = replace(config or EvaluationConfig(), overrides)
+    if isinstance(agent, str | Path):
+        agent = load_agent(agent, greedy=config.actions == "greedy", seed=config.seed)
+    folder = None
+    if isinstance(agent, TrainedAgent):
+        if agent.which != "best":
+            config = dataclasses.replace(config, label=f"{config.folder}-{agent.which}")
+        env_config = env_config or agent.config.env
+        agent_name = f"{agent.config.name}/{agent.config.seed}"
+        folder = agent.folder.evaluation(config.folder)
+        agent = agent.agent
+    if env_config is None:
+        raise UserError("This agent has no task of its own: pass env_config=EnvConfig(...).")
+    judged = _with_thresholds(env_config, config)
     env = ReachVectorEnv(judged, min(config.num_envs, config.episodes))
     try:
         result = play(
@@ -183,11 +216,29 @@ def evaluate(
         "env": to_dict(judged),
         **summarize(episodes),
     }
-    return Evaluation(summary, episodes, steps, result.images)
+    return EvaluationResult(summary, episodes, steps, result.images, folder)
+
+
+def _with_thresholds(env_config: EnvConfig, config: EvaluationConfig) -> EnvConfig:
+    """Return the task with the success thresholds and the held-out episodes of the evaluation."""
+    held_out = env_config.held_out
+    if config.held_out:
+        if held_out is None:
+            raise UserError(
+                "held_out=True plays episodes that were excluded from training, and this "
+                "environment holds none out. Train with env.held_out, or leave held_out out."
+            )
+        held_out = dataclasses.replace(held_out, play="held_out")
+    return dataclasses.replace(
+        env_config,
+        success_distance_m=config.distance_m,
+        success_angle_deg=config.angle_deg,
+        held_out=held_out,
+    )
 
 
 def _episodes(env: ReachVectorEnv, config: EvaluationConfig) -> Episodes:
-    """The fixed list: equal shares of each evaluation seed, one after the other."""
+    """Draw the fixed episodes: equal shares of each evaluation seed, in order."""
     share = config.episodes // config.seeds
     lists = [
         evaluation_episodes(env.scene, env.config, share, config.seed + i)
@@ -198,7 +249,7 @@ def _episodes(env: ReachVectorEnv, config: EvaluationConfig) -> Episodes:
 
 
 def _episode_columns(
-    result: PlayResult, env: ReachVectorEnv, config: EvaluationConfig
+    result: EpisodeResults, env: ReachVectorEnv, config: EvaluationConfig
 ) -> dict[str, np.ndarray]:
     count = len(result.length)
     names = np.array(["/".join(facet) for facet in env.facets])
@@ -219,11 +270,11 @@ def _episode_columns(
     }
 
 
-def _ever_within(result: PlayResult, config: EvaluationConfig) -> np.ndarray:
-    """(N,) bool: success by the wider angle.
+def _ever_within(result: EpisodeResults, config: EvaluationConfig) -> np.ndarray:
+    """Return (N,) bool: success with the wider angle.
 
-    Exact although the episodes were played by the narrower one: until an episode meets the wider
-    threshold both rules play it alike.
+    Exact although the episodes were played with the narrower one: until an episode meets the wider
+    threshold, both thresholds give the same steps.
     """
     assert result.steps is not None
     steps = result.steps
@@ -233,7 +284,7 @@ def _ever_within(result: PlayResult, config: EvaluationConfig) -> np.ndarray:
     return within
 
 
-def _step_columns(result: PlayResult) -> dict[str, np.ndarray]:
+def _step_columns(result: EpisodeResults) -> dict[str, np.ndarray]:
     assert result.steps is not None
     steps = result.steps
     columns = {
@@ -247,3 +298,61 @@ def _step_columns(result: PlayResult) -> dict[str, np.ndarray]:
         columns[f"joint_{i + 1}_rad"] = steps.joint_positions[:, i]
         columns[f"action_{i + 1}"] = steps.actions[:, i]
     return columns
+
+
+Columns = Mapping[str, np.ndarray]
+"""One (n,) array per column, as `evaluation_files.EPISODE_COLUMNS` describes them."""
+
+
+def summarize(episodes: Columns) -> dict[str, Any]:
+    """Compute the numbers of the paper's post-training evaluation, with 95 % intervals.
+
+    Args:
+        episodes: the columns of `evaluation_files.EPISODE_COLUMNS`, n at least 1.
+
+    Returns:
+        Numbers of all episodes, and the same under ``per_target`` and ``per_facet``:
+        ``return_*``, ``length_*`` and ``failure_distance_*`` (mean, std, max; episodes without
+        success; None where there were none), ``accuracy`` (the paper's: final distance only),
+        ``success`` (distance and angle at the same step) and ``success_wide`` (the wider angle),
+        each of these three with Wilson's interval. ``return_mean`` and ``length_mean`` have
+        bootstrap intervals over episodes. Standard deviations are those of the sample (n - 1).
+    """
+    summary = _numbers(episodes)
+    for group, column in (("per_target", "target"), ("per_facet", "facet")):
+        keys = episodes[column]
+        summary[group] = {
+            str(name): _numbers({key: values[keys == name] for key, values in episodes.items()})
+            for name in sorted(set(keys))
+        }
+    return summary
+
+
+def _numbers(episodes: Columns) -> dict[str, Any]:
+    """The numbers of `summarize` for one group of episodes."""
+    count = len(episodes["return"])
+    failures = episodes["distance_m"][~episodes["success"]]
+    values: dict[str, Any] = {"episodes": count}
+    for name in ("return", "length"):
+        values[f"{name}_mean"] = float(np.mean(episodes[name]))
+        values[f"{name}_std"] = _std(episodes[name])
+        values |= _bounds(f"{name}_mean", bootstrap([episodes[name]], repetitions=2_000))
+    for name in ("accuracy", "success", "success_wide"):
+        column = "accurate" if name == "accuracy" else name
+        share = wilson(int(np.count_nonzero(episodes[column])), count)
+        values |= {name: share.estimate, **_bounds(name, share)}
+    values["failures"] = len(failures)
+    values["failure_distance_mean"] = float(np.mean(failures)) if len(failures) else None
+    values["failure_distance_std"] = _std(failures) if len(failures) else None
+    values["failure_distance_max"] = float(np.max(failures)) if len(failures) else None
+    values["distance_mean"] = float(np.mean(episodes["distance_m"]))
+    values["angle_mean"] = float(np.mean(episodes["angle_deg"]))
+    return values
+
+
+def _std(values: np.ndarray) -> float:
+    return float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
+
+
+def _bounds(name: str, interval: Interval) -> dict[str, float]:
+    return {f"{name}_low": interval.low, f"{name}_high": interval.high}

@@ -1,20 +1,121 @@
-"""Rows of metrics and evaluations go in; CSV, TensorBoard and the progress display get them."""
+"""Training logs: CSV files, TensorBoard and the progress display at the terminal."""
 
 import math
+import sys
+import time
+from collections import deque
+from collections.abc import Mapping
 
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from torch.utils.tensorboard import SummaryWriter
 
-from knowarm.experiment.progress import TrainingProgress
 from knowarm.experiment.run_folder import CsvLog, RunFolder
 from knowarm.learn.trainer import Metrics
 
+EPISODES_SHOWN = 500
+"""Number of latest episodes over which the displayed return and success are averaged."""
+
+
+class TrainingProgress:
+    """Progress display of one training; use it as a context manager.
+
+    On a terminal: a bar with rate, remaining time and the latest return and success. Elsewhere: a
+    plain line every ``every_s`` seconds, so that log files stay short.
+
+    Args:
+        label: name of the run, at the start of each line.
+        total_steps: environment steps at the end of the training.
+        every_s: time between two plain lines [s].
+    """
+
+    def __init__(self, label: str, total_steps: int, *, every_s: float = 10.0):
+        self._label = label
+        self._total = total_steps
+        self._every_s = every_s
+        self._console = Console(stderr=True)
+        self._bar: Progress | None = None
+        self._figures = ""
+        self._episodes: deque[tuple[float, float, float]] = deque()
+        self._start_time = self._last_line_time = time.monotonic()
+        self._first_step: int | None = None
+
+    def __enter__(self) -> "TrainingProgress":
+        """Start the display."""
+        if self._console.is_terminal:
+            self._bar = Progress(
+                TextColumn("[bold]{task.description}"),
+                BarColumn(),
+                TextColumn("{task.completed:,.0f}/{task.total:,.0f}"),
+                TextColumn("{task.fields[rate]}"),
+                TimeRemainingColumn(),
+                TextColumn("{task.fields[figures]}"),
+                console=self._console,
+            )
+            self._task = self._bar.add_task(self._label, total=self._total, rate="", figures="")
+            self._bar.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """Stop the display and restore the terminal."""
+        if self._bar is not None:
+            self._bar.stop()
+
+    def metrics(self, row: Mapping[str, float]) -> None:
+        """Display one row of training metrics; its ``step`` sets the bar."""
+        step = int(row["step"])
+        now = time.monotonic()
+        if self._first_step is None:
+            self._first_step, self._start_time = step, now
+        elapsed = now - self._start_time
+        rate = (step - self._first_step) / elapsed if elapsed > 0 else 0.0
+        if row.get("episodes"):
+            self._average(row["episodes"], row["return_mean"], row["success"])
+        speed = f"{rate:,.0f} steps/s" if rate else ""
+        if self._bar is not None:
+            self._bar.update(self._task, completed=step, rate=speed, figures=self._figures)
+        elif now - self._last_line_time >= self._every_s:
+            self._last_line_time = now
+            left = f", {(self._total - step) / rate / 60:.1f} min left" if rate else ""
+            share = 100 * step / self._total
+            self.line(f"{step:,} steps ({share:.1f} %), {speed}{left}, {self._figures}")
+
+    def _average(self, count: float, return_mean: float, success: float) -> None:
+        """Average over the latest episodes.
+
+        The episodes of one update are too few: where only some end, they are the ones that
+        succeeded early.
+        """
+        self._episodes.append((count, return_mean, success))
+        while sum(entry[0] for entry in self._episodes) - self._episodes[0][0] >= EPISODES_SHOWN:
+            self._episodes.popleft()
+        total = sum(entry[0] for entry in self._episodes)
+        mean = sum(entry[0] * entry[1] for entry in self._episodes) / total
+        share = sum(entry[0] * entry[2] for entry in self._episodes) / total
+        self._figures = f"return {mean:.1f} success {100 * share:.0f} %"
+
+    def evaluation(self, step: int, results: Mapping[str, float], is_best: bool) -> None:
+        """Print the result of an interim evaluation."""
+        best = ", best so far" if is_best else ""
+        self.line(
+            f"evaluation at {step:,}: return {results['return_mean']:.1f}, "
+            f"success {100 * results['success']:.0f} %{best}"
+        )
+
+    def line(self, text: str) -> None:
+        """Print a line above the bar, or to stderr without one."""
+        if self._bar is not None:
+            self._bar.console.print(f"{self._label}: {text}", highlight=False, markup=False)
+        else:
+            print(f"{self._label}: {text}", file=sys.stderr, flush=True)
+
 
 class RunLogs:
-    """Everything that listens to one training.
+    """Writers of metrics and evaluations: CSV, TensorBoard and the progress display.
 
     Args:
         folder: the run folder.
-        progress: what the person at the terminal sees.
+        progress: the display at the terminal.
     """
 
     def __init__(self, folder: RunFolder, progress: TrainingProgress):
@@ -22,7 +123,7 @@ class RunLogs:
         self._progress = progress
 
     def open(self, *, keep_to_step: int | None) -> None:
-        """Begin to write; rows after ``keep_to_step`` of an earlier part of the run are dropped."""
+        """Open the files; rows after ``keep_to_step`` of an earlier session are dropped."""
         self._metrics = CsvLog(self._folder.metrics_path, keep_to_step=keep_to_step)
         self._evaluations = CsvLog(self._folder.evaluations_path, keep_to_step=keep_to_step)
         self._tensorboard = SummaryWriter(
@@ -31,19 +132,19 @@ class RunLogs:
         )
 
     def metrics(self, row: Metrics) -> None:
-        """Take one row of training metrics."""
+        """Write one row of training metrics."""
         self._metrics.write(row)
         self._scalars("train", row)
         self._progress.metrics(row)
 
     def evaluation(self, step: int, results: Metrics, is_best: bool) -> None:
-        """Take one interim evaluation."""
+        """Write one interim evaluation."""
         self._evaluations.write({"step": step, **results, "best": int(is_best)})
         self._scalars("evaluation", {"step": step, **results})
         self._progress.evaluation(step, results, is_best)
 
     def close(self) -> None:
-        """Flush what TensorBoard still holds."""
+        """Flush TensorBoard's event file."""
         self._tensorboard.close()
 
     def _scalars(self, group: str, row: Metrics) -> None:

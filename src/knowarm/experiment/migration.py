@@ -1,9 +1,27 @@
-"""Migration of stored run files from run format 1 to 2."""
+"""Migration of stored run files from run format 1 to 2.
 
+Files of format 1 are converted whenever they are read; nothing is rewritten unless a run resumes.
+
+==================  ==================================================================
+file                change from format 1 to 2
+==================  ==================================================================
+config.json         ``network`` -> ``policy``; fields of ``algorithm`` renamed; ``role`` added;
+                    ``knowledge.source`` (and ``matches``): short name -> tagged config
+provenance.json     ``network`` -> ``policy.config`` and ``policy.shape``; ``knowledge.config`` as
+                    in config.json
+metrics.csv         columns renamed
+checkpoints         description in ``meta.json``: ``network.*`` -> ``policy.config.*`` and
+                    ``policy.shape.*``
+==================  ==================================================================
+"""
+
+import json
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
-from knowarm.knowledge.vectors import migrate_source
+from knowarm.experiment.agents import AGENTS, Role
+from knowarm.knowledge import migrate_source
 
 FORMAT = 2
 """Version of the run folder's layout that this version writes."""
@@ -15,8 +33,17 @@ ALGORITHM_FIELDS = {
     "entropy_weight": "ent_coef",
     "max_gradient_norm": "max_grad_norm",
     "precision": "matmul_precision",
+    "adam_epsilon": "adam_eps",
+    "rmsprop_decay": "rmsprop_alpha",
+    "rmsprop_epsilon": "rmsprop_eps",
 }
 """Fields of the algorithm's config: name in format 1 to name in format 2."""
+
+COLUMNS = {"gradient_norm": "grad_norm", "kl": "approx_kl", "clipped": "clip_fraction"}
+"""Columns of ``metrics.csv`` and ``evaluations.csv``: name in format 1 to name in format 2."""
+
+SHAPE_FIELDS = ("joints", "levels", "image_size", "knowledge_dim", "knowledge_slots")
+"""Fields of a format 1 ``network`` that belong to the policy's shape; the others are choices."""
 
 
 def migrate_config(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -26,15 +53,91 @@ def migrate_config(values: Mapping[str, Any]) -> dict[str, Any]:
         values: the file's JSON object, format 1 or 2.
 
     Returns:
-        The values in format 2; those of format 2 unchanged.
+        The values in format 2; values of format 2 are returned unchanged.
     """
     migrated = dict(values)
-    algorithm = values.get("algorithm")
-    if migrated.get("format") == 1 and isinstance(algorithm, Mapping):
-        migrated["format"] = FORMAT
-        migrated["algorithm"] = {
-            ALGORITHM_FIELDS.get(name, name): value for name, value in algorithm.items()
-        }
-        if isinstance(values.get("knowledge"), Mapping):
-            migrated["knowledge"] = migrate_source(values["knowledge"])
+    if migrated.get("format") != 1:
+        return migrated
+    migrated["format"] = FORMAT
+    if isinstance(knowledge := values.get("knowledge"), Mapping):
+        migrated["knowledge"] = migrate_source(knowledge)
+    if isinstance(algorithm := values.get("algorithm"), Mapping):
+        migrated["algorithm"] = _renamed(algorithm, ALGORITHM_FIELDS)
+    migrated["role"] = _role(values)
+    if isinstance(policy := migrated.pop("network", None), Mapping):
+        learned = values.get("knowledge", {}).get("source") == "learned"
+        encoder = {"knowledge_encoder": "learned"} if learned else {}
+        migrated["policy"] = {**policy, **encoder}
     return migrated
+
+
+def migrate_provenance(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Convert the values of a ``provenance.json`` to the current format.
+
+    Args:
+        values: the file's JSON object, format 1 or 2.
+
+    Returns:
+        The values in format 2; values of format 2 are returned unchanged.
+    """
+    migrated = dict(values)
+    if isinstance(network := migrated.pop("network", None), Mapping):
+        migrated["policy"] = _split(network)
+    if isinstance(knowledge := values.get("knowledge"), Mapping) and "config" in knowledge:
+        migrated["knowledge"] = {**knowledge, "config": migrate_source(knowledge["config"])}
+    return migrated
+
+
+def migrate_row(row: Mapping[str, str]) -> dict[str, str]:
+    """Convert one row of ``metrics.csv`` or ``evaluations.csv`` to the current column names."""
+    return _renamed(row, COLUMNS)
+
+
+def migrate_checkpoints(folder: Path) -> None:
+    """Rewrite the descriptions of format 1 checkpoints, so that their run can resume.
+
+    Args:
+        folder: the run's ``checkpoints`` folder.
+    """
+    for path in folder.glob("*/meta.json"):
+        try:
+            meta = json.loads(path.read_text())
+            description = migrate_description(meta["description"])
+        except (OSError, ValueError, KeyError, TypeError):
+            continue  # damaged: reading the checkpoint reports it
+        if description != meta["description"]:
+            temporary = path.with_name("meta.json.tmp")
+            temporary.write_text(json.dumps({**meta, "description": description}, indent=2))
+            temporary.replace(path)
+
+
+def migrate_description(description: Mapping[str, Any]) -> dict[str, Any]:
+    """Convert the description of a checkpoint (flat JSON values) to the current format."""
+    migrated = {}
+    for name, value in description.items():
+        group, _, field = name.partition(".")
+        if group == "network":
+            name = f"policy.{'shape' if field in SHAPE_FIELDS else 'config'}.{field}"
+        migrated[name] = value
+    return migrated
+
+
+def _role(values: Mapping[str, Any]) -> Role:
+    """Role of a format 1 agent, from the registry, or from its knowledge for other names."""
+    if values.get("agent") in AGENTS:
+        return AGENTS[values["agent"]].role
+    knowledge = values.get("knowledge", {})
+    if knowledge.get("detail") == "none":
+        return "baseline"
+    return "privileged" if knowledge.get("scope") == "target" else "knowledge"
+
+
+def _split(network: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    return {
+        "config": {name: value for name, value in network.items() if name not in SHAPE_FIELDS},
+        "shape": {name: value for name, value in network.items() if name in SHAPE_FIELDS},
+    }
+
+
+def _renamed(values: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, Any]:
+    return {names.get(name, name): value for name, value in values.items()}

@@ -1,69 +1,92 @@
-"""A name goes in; the experiment it stands for comes out.
+"""Named experiments: every combination of robot, agent, target colours and algorithm.
 
-Names are ``<robot>-<agent>[-dr]-<algorithm>``: ``irb120-full-ppo``, ``tiago-bm-dr-a3c``; ``dr``
-randomizes the targets' colours (paper section 4.2.5).
+Names are ``<robot>-<agent>[-dr]-<algorithm>``, such as ``irb120-full-ppo`` or ``tiago-bm-dr-a3c``;
+``dr`` randomizes the targets' colours (paper section 4.2.5).
 """
 
-from dataclasses import replace
-from typing import Literal
+import dataclasses
+from collections.abc import Iterator
+from typing import Any, Literal
 
+from knowarm.config import replace
 from knowarm.errors import unknown_name
-from knowarm.experiment.agents import AGENTS
-from knowarm.experiment.config import Algorithm, ExperimentConfig
-from knowarm.learn.config import A3CConfig, PPOConfig
+from knowarm.experiment.agents import AGENTS, first_of_role
+from knowarm.experiment.algorithms import ALGORITHMS
+from knowarm.experiment.config import ExperimentConfig
 from knowarm.world.config import EnvConfig
 from knowarm.world.robots import ROBOTS
 
-ALGORITHMS: dict[str, Algorithm] = {"ppo": PPOConfig(), "a3c": A3CConfig()}
-"""Each algorithm with the numbers an experiment of that name starts from."""
+Colours = Literal["fixed", "randomized"]
 
-PIXELS = {"ppo": (0.5, 4.0), "a3c": (0.0, 1.0)}
-"""Shift and scale of the pixels by algorithm: A3C gets them as the paper does, 0 to 1."""
-
-TOTAL_STEPS = {"ppo": 10_000_000, "a3c": 70_000_000}
-"""Environment steps by algorithm: A3C's is the paper's."""
+COLOURS: dict[str, Colours] = {"": "fixed", "-dr": "randomized"}
+"""Colours of the targets by the suffix of the agent in an experiment's name."""
 
 
-COLOURS: dict[str, Literal["fixed", "randomized"]] = {"": "fixed", "-dr": "randomized"}
-"""What a name's suffix says about the targets' colours."""
+def experiment_name(robot: str, agent: str, algorithm: str, colours: Colours = "fixed") -> str:
+    """Return the name of an experiment."""
+    suffix = next(suffix for suffix, value in COLOURS.items() if value == colours)
+    return f"{robot}-{agent}{suffix}-{algorithm}"
 
 
-def _experiments() -> dict[str, ExperimentConfig]:
-    experiments = {}
-    for robot in ROBOTS:
-        for agent, choices in AGENTS.items():
-            for suffix, colours in COLOURS.items():
-                for algorithm, numbers in ALGORITHMS.items():
-                    shift, scale = PIXELS[algorithm]
-                    name = f"{robot}-{agent}{suffix}-{algorithm}"
-                    experiments[name] = ExperimentConfig(
-                        name=name,
-                        agent=agent,
-                        total_steps=TOTAL_STEPS[algorithm],
-                        env=EnvConfig(robot=robot, colours=colours),
-                        knowledge=choices.knowledge,
-                        network=replace(choices.network, pixel_shift=shift, pixel_scale=scale),
-                        algorithm=numbers,
-                    )
-    return experiments
+DEFAULT_EXPERIMENT = experiment_name(
+    next(iter(ROBOTS)), first_of_role("knowledge"), next(iter(ALGORITHMS))
+)
+"""Experiment of the benchmarks, the installation check and the examples."""
 
 
-EXPERIMENTS = _experiments()
-"""Every named experiment."""
+def experiment_names() -> list[str]:
+    """List the names of all experiments that the registries define now."""
+    return [experiment_name(*parts) for parts in _combinations()]
 
 
-def experiment(name: str) -> ExperimentConfig:
-    """Look an experiment up.
+DEFAULT_EXPERIMENT = "irb120-full-ppo"
+"""Experiment of the benchmarks, of the installation check and of examples."""
+
+
+def experiment_config(name: str, **overrides: Any) -> ExperimentConfig:
+    """Return the config of a named experiment.
+
+    Args:
+        name: ``<robot>-<agent>[-dr]-<algorithm>``.
+        **overrides: fields to change; a nested config takes a mapping of its fields, such as
+            ``algorithm={"num_envs": 64}``.
 
     Raises:
-        UserError: there is none of that name; the message offers the nearest.
+        UserError: there is no experiment of that name (the message lists the nearest names), or an
+            override does not fit.
     """
-    if name not in EXPERIMENTS:
-        robot, _, rest = name.partition("-")
-        if robot not in ROBOTS:
-            raise unknown_name("robot of the experiment", robot, ROBOTS)
-        middle, _, algorithm = rest.rpartition("-")
-        if algorithm not in ALGORITHMS:
-            raise unknown_name("experiment", name, EXPERIMENTS)
-        raise unknown_name("agent of the experiment", middle.removesuffix("-dr"), AGENTS)
-    return EXPERIMENTS[name]
+    for parts in _combinations():
+        if name == experiment_name(*parts):
+            config = _config(name, *parts)
+            return replace(config, overrides) if overrides else config
+    robot, _, rest = name.partition("-")
+    if robot not in ROBOTS:
+        raise unknown_name("robot of the experiment", robot, ROBOTS)
+    middle, _, algorithm = rest.rpartition("-")
+    if algorithm not in ALGORITHMS:
+        raise unknown_name("experiment", name, experiment_names())
+    raise unknown_name("agent of the experiment", middle.removesuffix("-dr"), AGENTS)
+
+
+def _combinations() -> Iterator[tuple[str, str, str, Colours]]:
+    for robot in ROBOTS:
+        for agent in AGENTS:
+            for colours in COLOURS.values():
+                for algorithm in ALGORITHMS:
+                    yield robot, agent, algorithm, colours
+
+
+def _config(
+    name: str, robot: str, agent_name: str, algorithm_name: str, colours: Colours
+) -> ExperimentConfig:
+    agent, algorithm = AGENTS[agent_name], ALGORITHMS[algorithm_name]
+    return ExperimentConfig(
+        name=name,
+        agent=agent_name,
+        role=agent.role,
+        total_steps=algorithm.total_steps,
+        env=EnvConfig(robot=robot, colours=colours),
+        knowledge=agent.knowledge,
+        policy=dataclasses.replace(agent.policy, **algorithm.policy),
+        algorithm=algorithm.config,
+    )

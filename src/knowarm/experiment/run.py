@@ -1,33 +1,31 @@
-"""An experiment's config goes in; a run folder with its curves and checkpoints comes out."""
+"""Training of one experiment in its run folder, from the start or resumed."""
 
+import signal
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
-from knowarm.config import from_dict, to_dict
+from knowarm.config import replace, to_dict
 from knowarm.errors import UserError
+from knowarm.experiment.algorithms import ALGORITHMS, TrainerInputs
 from knowarm.experiment.build import EnvFactory, InterimFactory, Parts, build
 from knowarm.experiment.config import ExperimentConfig
-from knowarm.experiment.logs import RunLogs
-from knowarm.experiment.migration import FORMAT
-from knowarm.experiment.progress import TrainingProgress
-from knowarm.experiment.provenance import provenance
-from knowarm.experiment.run_folder import RunFolder
-from knowarm.learn.a3c import A3CTrainer
-from knowarm.learn.checkpoint import CheckpointStore
-from knowarm.learn.config import A3CConfig
-from knowarm.learn.ppo import PPOTrainer
-from knowarm.learn.trainer import Hooks, TrainingResult
+from knowarm.experiment.logs import RunLogs, TrainingProgress
+from knowarm.experiment.migration import FORMAT, migrate_checkpoints
+from knowarm.experiment.registry import experiment_config
+from knowarm.experiment.run_folder import RunFolder, provenance
+from knowarm.learn import CheckpointStore, Hooks, Trainer, TrainingResult
+from knowarm.learn.trainer import never
 from knowarm.policy import Policy
 
 SEED_STRIDE = 2**32
-"""Between the streams of two training seeds: environment i of a run takes stream seed + i, and
-neighbouring seeds must not share episodes."""
+"""Distance between the streams of two training seeds. Environment i of a run takes stream
+seed + i, and neighbouring seeds must not share episodes."""
 
-
-BEFORE_EVERYTHING = -1
-"""A step that drops every row of the curves."""
+BEFORE_FIRST_STEP = -1
+"""Step before every row of the curves: resuming from it drops them all."""
 
 
 @dataclass(frozen=True)
@@ -44,56 +42,68 @@ class Run:
 
 
 def run_path(runs: Path, config: ExperimentConfig) -> Path:
-    """Folder of one run: ``<runs>/<experiment>/<seed>``."""
+    """Return the folder of one run: ``<runs>/<experiment>/<seed>``."""
     return runs / config.name / str(config.seed)
 
 
 def train(
-    config: ExperimentConfig,
-    runs: Path,
+    config: ExperimentConfig | str,
+    runs: Path | str = "runs",
     *,
     resume: bool = False,
-    should_stop: Callable[[], bool] = lambda: False,
+    should_stop: Callable[[], bool] = never,
+    **overrides: Any,
 ) -> Run:
-    """Train one experiment, or go on with it.
+    """Train one experiment, or resume a training that was stopped.
 
     Args:
-        config: the experiment; when resuming it must be what the run began with.
-        runs: folder of all runs.
-        resume: go on from the run's latest whole checkpoint instead of refusing a folder that
-            holds a run; one that ended before its first checkpoint begins anew.
-        should_stop: asked between updates; true saves a checkpoint and ends the training.
+        config: the experiment's name, such as ``"irb120-full-ppo"``, or its config. To resume a
+            run, pass what it was started with; only ``total_steps`` may differ.
+        runs: folder of all runs; this one is stored in ``<runs>/<experiment>/<seed>/``.
+        resume: continue from the run's latest intact checkpoint instead of refusing a folder that
+            holds a run; a run that ended before its first checkpoint starts from the beginning.
+        should_stop: called between updates; true saves a checkpoint and ends the training.
+        **overrides: fields of the config to change; a nested config takes a mapping of its fields,
+            such as ``algorithm={"num_envs": 64}``.
+
+    Returns:
+        The run folder and how the training ended.
 
     Raises:
-        UserError: the folder is taken, missing, not writable or of another config.
+        UserError: an unknown experiment or field, or a run folder that already exists, is missing,
+            cannot be written to, or belongs to another config.
     """
-    path = run_path(runs, config)
+    if isinstance(config, str):
+        config = experiment_config(config)
+    config = replace(config, overrides) if overrides else config
+    path = run_path(Path(runs), config)
     if resume:
         _check_same(config, RunFolder.open(path))
     parts = build(config)
     if resume:
         folder = RunFolder.open(path)
         folder.write_json("config.json", {"format": FORMAT, **to_dict(config)})
+        migrate_checkpoints(folder.checkpoints)
     else:
         folder = RunFolder.create(path)
     policy = parts.new_policy(config.seed)
-    label = f"{config.name}/{config.seed}"
-    with TrainingProgress(label, config.total_steps) as progress:
+    with TrainingProgress(f"{config.name}/{config.seed}", config.total_steps) as progress:
         for line in announcements(parts):
-            progress.say(line)
+            progress.line(line)
         logs = RunLogs(folder, progress)
-        trainer = _trainer(config, parts, policy, folder, logs, should_stop)
+        trainer = _make_trainer(config, parts, policy, folder, logs, should_stop)
         if not resume:
-            # Not before: what this machine cannot train must not leave a run behind.
+            # Written after the trainer is built: a config that this machine cannot train leaves
+            # no run behind.
             _describe(folder, config, parts)
         keep_to_step = None
         if resume and folder.has_checkpoint:
             trainer.resume()
-            progress.say(f"going on at step {trainer.step:,}")
+            progress.line(f"resuming at step {trainer.step:,}")
             keep_to_step = trainer.step
         elif resume:
-            progress.say("it ended before its first checkpoint: beginning anew")
-            keep_to_step = BEFORE_EVERYTHING
+            progress.line("no checkpoint yet: starting from the beginning")
+            keep_to_step = BEFORE_FIRST_STEP
         logs.open(keep_to_step=keep_to_step)
         try:
             result = trainer.train(config.total_steps)
@@ -102,14 +112,8 @@ def train(
     return Run(folder, result)
 
 
-def stored_config(folder: RunFolder) -> ExperimentConfig:
-    """Read the config a run began with."""
-    values = {name: value for name, value in folder.config().items() if name != "format"}
-    return from_dict(ExperimentConfig, values)
-
-
 def announcements(parts: Parts) -> list[str]:
-    """What a person should know about the network and its knowledge before training."""
+    """Describe the policy network and its knowledge vector in a few lines for the terminal."""
     counts = parts.new_policy(0).parameter_counts()
     groups = ", ".join(f"{name} {n:,}" for name, n in counts.items() if name != "total" and n)
     lines = [f"{counts['total']:,} parameters ({groups})"]
@@ -123,31 +127,37 @@ def announcements(parts: Parts) -> list[str]:
             "network can only use as a bias; compare with the controls (knowarm list)"
         )
     if embedding.privileged:
-        lines.append("the knowledge names the episode's target: privileged information")
+        lines.append("the knowledge identifies the episode's target: privileged information")
     return [*lines, *([embedding.note] if embedding.note else [])]
 
 
 def description(config: ExperimentConfig, parts: Parts) -> dict[str, Any]:
-    """What a checkpoint belongs to, as flat values; another description is refused."""
-    network = {f"network.{name}": value for name, value in to_dict(parts.policy_config).items()}
+    """Describe what a checkpoint belongs to, as flat values; others are refused on resuming."""
+    # The capacity control is described by its resolved sizes, as in format 1.
+    choices = to_dict(parts.new_policy(0).resolved_config)
+    del choices["wide"]
     return {
         "robot": config.env.robot,
         "agent": config.agent,
         "algorithm": config.algorithm.name,
         "seed": config.seed,
-        **network,
+        **_flat(choices, "policy.config."),
+        **_flat(to_dict(parts.policy_shape), "policy.shape."),
     }
 
 
 def _describe(folder: RunFolder, config: ExperimentConfig, parts: Parts) -> None:
-    """Write what the run depends on, before the first step."""
+    """Write provenance, knowledge table and config before the first step."""
     policy = parts.new_policy(config.seed)
     folder.write_json(
         "provenance.json",
         {
             **provenance(),
             "parameter_counts": policy.parameter_counts(),
-            "network": to_dict(parts.policy_config),
+            "policy": {
+                "config": to_dict(parts.policy_config),
+                "shape": to_dict(parts.policy_shape),
+            },
             "facets": [list(facet) for facet in parts.facets],
             "knowledge": parts.embedding.describe(),
         },
@@ -157,18 +167,18 @@ def _describe(folder: RunFolder, config: ExperimentConfig, parts: Parts) -> None
 
 
 def _check_same(config: ExperimentConfig, folder: RunFolder) -> None:
-    """Refuse to go on with another config than the run began with, naming the fields.
+    """Refuse to resume with another config than the run's, and list the differing fields.
 
-    Only ``total_steps`` may change: a run may be made longer.
+    Only ``total_steps`` may change, to make a run longer.
     """
-    before, now = _flat(to_dict(stored_config(folder))), _flat(to_dict(config))
+    before, now = _flat(to_dict(folder.experiment())), _flat(to_dict(config))
     different = [name for name in {**before, **now} if before.get(name) != now.get(name)]
     different = [name for name in different if name != "total_steps"]
     if different:
         pairs = "; ".join(f"{name}: {before.get(name)!r} | {now.get(name)!r}" for name in different)
         raise UserError(
-            f"{folder.path} began with another config (run | asked for): {pairs}. Resume without "
-            "these overrides, or start a new run with another --runs folder or --seed."
+            f"{folder.path} was started with another config (run | given): {pairs}. Resume without "
+            "these overrides, or pass another runs folder or seed to start a new run."
         )
 
 
@@ -182,37 +192,59 @@ def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
-def _trainer(
+def _make_trainer(
     config: ExperimentConfig,
     parts: Parts,
     policy: Policy,
     folder: RunFolder,
     logs: RunLogs,
     should_stop: Callable[[], bool],
-) -> PPOTrainer | A3CTrainer:
-    common: dict[str, Any] = {
-        "seed": SEED_STRIDE * config.seed,
-        "evaluate_every": config.interim.every_steps,
-        "hooks": Hooks(
-            on_metrics=logs.metrics, on_evaluation=logs.evaluation, should_stop=should_stop
-        ),
-        "checkpoints": CheckpointStore(folder.checkpoints, description(config, parts)),
-        "checkpoint_every": config.checkpoint_every_steps,
-        "failure_folder": folder.path / "failure",
-    }
-    make_env = EnvFactory(config.env)
-    make_evaluate = InterimFactory(config.env, config.interim, parts.table)
-    algorithm = config.algorithm
-    if isinstance(algorithm, A3CConfig):
-        return A3CTrainer(
-            algorithm, policy, make_env, parts.table, make_evaluate=make_evaluate, **common
-        )
-    if algorithm.device == "cpu":
-        env = make_env(algorithm.num_envs)
-        return PPOTrainer(algorithm, policy, env, parts.table, evaluate=make_evaluate(), **common)
-    # Warp takes seconds to import.
-    from knowarm.world.gpu.env import DeviceReachVectorEnv
+) -> Trainer:
+    hooks = Hooks(on_metrics=logs.metrics, on_evaluation=logs.evaluation, should_stop=should_stop)
+    inputs = TrainerInputs(
+        config=config.algorithm,
+        policy=policy,
+        make_env=EnvFactory(config.env),
+        make_evaluate=InterimFactory(config.env, config.interim),
+        options={
+            "seed": SEED_STRIDE * config.seed,
+            "evaluate_every": config.interim.every_steps,
+            "hooks": hooks,
+            "checkpoints": CheckpointStore(folder.checkpoints, description(config, parts)),
+            "checkpoint_every": config.checkpoint_every_steps,
+            "failure_folder": folder.path / "failure",
+        },
+    )
+    return ALGORITHMS[config.algorithm.name].make_trainer(inputs)
 
-    on_gpu = DeviceReachVectorEnv(config.env, algorithm.num_envs, algorithm.device)
-    # The interim episodes are played on the CPU: alone on a GPU they would take as long.
-    return PPOTrainer(algorithm, policy, on_gpu, parts.table, make_evaluate=make_evaluate, **common)
+
+class StopRequest:
+    """Signal handler that turns the first Ctrl-C (or SIGTERM) into a request to save and stop.
+
+    A second signal raises KeyboardInterrupt. Use it as a context manager in the main thread and
+    pass it as ``should_stop``: calling it returns whether a signal arrived.
+    """
+
+    def __init__(self) -> None:
+        self._stop = False
+        self._previous: dict[signal.Signals, Any] = {}
+
+    def __call__(self) -> bool:
+        """Return whether a stop was requested."""
+        return self._stop
+
+    def __enter__(self) -> "StopRequest":
+        """Install the handlers."""
+        for number in (signal.SIGINT, signal.SIGTERM):
+            self._previous[number] = signal.signal(number, self._on_signal)
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """Restore the previous handlers."""
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        if self._stop:
+            raise KeyboardInterrupt
+        self._stop = True

@@ -1,12 +1,12 @@
-"""A path goes in; the files of one training run, written safely and read back, come out.
+"""Run folder: the files of one training run.
 
 Layout of ``runs/<experiment>/<seed>/``::
 
     config.json            the resolved ExperimentConfig
-    provenance.json        versions, commit, machine, parameter counts, knowledge
-    knowledge.safetensors  the table (F, K) the policy was given, a row a facet
-    metrics.csv            one row an update interval
-    evaluations.csv        one row an interim evaluation
+    provenance.json        versions, commit, machine, policy sizes, parameter counts, knowledge
+    knowledge.safetensors  the policy's knowledge table (F, K), one row per facet
+    metrics.csv            one row per update (PPO) or log interval (A3C)
+    evaluations.csv        one row per interim evaluation
     tensorboard/           the same curves for TensorBoard
     checkpoints/           latest, previous, best
     evaluation/<label>/    post-training evaluations
@@ -14,16 +14,26 @@ Layout of ``runs/<experiment>/<seed>/``::
 
 import csv
 import json
+import os
+import platform
+import subprocess
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 from safetensors.numpy import load_file, save_file
 
+from knowarm.config import from_dict
+from knowarm.cores import processor
 from knowarm.errors import UserError
-from knowarm.experiment.migration import FORMAT, migrate_config
+from knowarm.experiment.config import ExperimentConfig
+from knowarm.experiment.migration import FORMAT, migrate_config, migrate_provenance, migrate_row
+
+PACKAGES = ("knowarm", "torch", "mujoco", "numpy", "numba", "gymnasium", "safetensors")
 
 
 @dataclass(frozen=True)
@@ -38,16 +48,16 @@ class RunFolder:
 
     @classmethod
     def create(cls, path: Path) -> "RunFolder":
-        """Make a new, empty run folder and prove that it can be written to.
+        """Make a new, empty run folder and check that it can be written to.
 
         Raises:
-            UserError: the folder already holds a run, or cannot be written.
+            UserError: the folder already holds a run, or cannot be written to.
         """
         folder = cls(path)
         if folder.config_path.exists():
             raise UserError(
-                f"{path} already holds a run. Give --resume to go on with it, or another --seed "
-                "or --runs folder to start a new one."
+                f"{path} already holds a run. Pass resume=True to continue it, or another seed or "
+                "runs folder to start a new one."
             )
         try:
             path.mkdir(parents=True, exist_ok=True)
@@ -56,8 +66,8 @@ class RunFolder:
             probe.unlink()
         except OSError as error:
             raise UserError(
-                f"Cannot write to the output folder {path}: {error.strerror or error}. Choose "
-                "another one with --runs."
+                f"Cannot write to the output folder {path}: {error.strerror or error}. Pass "
+                "another runs folder."
             ) from error
         return folder
 
@@ -66,7 +76,7 @@ class RunFolder:
         """Open an existing run folder.
 
         Raises:
-            UserError: there is no such folder, or it does not hold a run of this format.
+            UserError: there is no such folder, or it holds no run of a format that can be read.
         """
         folder = cls(Path(path))
         if not folder.config_path.is_file():
@@ -78,14 +88,14 @@ class RunFolder:
         found = folder.config().get("format")
         if found != FORMAT:
             raise UserError(
-                f"{path} was written in run format {found!r}; this version reads format {FORMAT}. "
-                "Read it with the version named in its provenance.json."
+                f"{path} was written in run format {found!r}; this version reads formats 1 to "
+                f"{FORMAT}. Read it with the version named in its provenance.json."
             )
         return folder
 
     @property
     def config_path(self) -> Path:
-        """The resolved configuration."""
+        """Path of the resolved configuration."""
         return self.path / "config.json"
 
     @property
@@ -95,7 +105,7 @@ class RunFolder:
 
     @property
     def has_checkpoint(self) -> bool:
-        """Whether training can go on from somewhere; a damaged checkpoint counts."""
+        """Whether training can resume; a damaged checkpoint counts."""
         return any((self.checkpoints / name).is_dir() for name in ("latest", "previous"))
 
     @property
@@ -105,12 +115,12 @@ class RunFolder:
 
     @property
     def metrics_path(self) -> Path:
-        """Curves of the training itself."""
+        """Path of the training metrics."""
         return self.path / "metrics.csv"
 
     @property
     def evaluations_path(self) -> Path:
-        """Curves of the interim evaluations."""
+        """Path of the interim evaluations."""
         return self.path / "evaluations.csv"
 
     def evaluation(self, label: str) -> Path:
@@ -118,15 +128,20 @@ class RunFolder:
         return self.path / "evaluation" / label
 
     def config(self) -> dict[str, Any]:
-        """The resolved configuration as JSON values, in the current run format."""
+        """Read the resolved configuration as JSON values, in the current run format."""
         return migrate_config(read_json(self.config_path))
 
+    def experiment(self) -> ExperimentConfig:
+        """Read the configuration that the run was started with."""
+        values = {name: value for name, value in self.config().items() if name != "format"}
+        return from_dict(ExperimentConfig, values)
+
     def provenance(self) -> dict[str, Any]:
-        """Versions, machine, parameter counts and knowledge of the run."""
-        return read_json(self.path / "provenance.json")
+        """Read versions, machine, policy, parameter counts and knowledge of the run."""
+        return migrate_provenance(read_json(self.path / "provenance.json"))
 
     def write_json(self, name: str, values: Mapping[str, Any]) -> None:
-        """Write one of the folder's JSON files, whole or not at all."""
+        """Write one of the folder's JSON files atomically."""
         write_json(self.path / name, values)
 
     def write_knowledge(self, table: np.ndarray) -> None:
@@ -134,7 +149,7 @@ class RunFolder:
         save_file({"table": np.ascontiguousarray(table)}, self.path / "knowledge.safetensors")
 
     def knowledge(self) -> np.ndarray:
-        """The knowledge table (F, K), float32, that the policy was trained with."""
+        """Read the knowledge table (F, K), float32, that the policy was trained with."""
         file = self.path / "knowledge.safetensors"
         try:
             return load_file(file)["table"]
@@ -146,20 +161,18 @@ class RunFolder:
 
 
 class CsvLog:
-    """Rows appended to a CSV file, each on disk as soon as it is written.
+    """Rows appended to a CSV file, each flushed as soon as it is written.
 
-    The columns are those of the first row; a row that brings a new column rewrites the file
-    once. Cells a row does not have stay empty.
+    The columns are those of the first row; a row with a new column rewrites the file once. Cells
+    without a value stay empty.
+
+    Args:
+        path: the CSV file; created with the first row.
+        keep_to_step: when a run resumes, rows of later steps are dropped, because training will
+            produce them again; None drops all rows.
     """
 
     def __init__(self, path: Path, *, keep_to_step: int | None = None):
-        """Open the log.
-
-        Args:
-            path: the CSV file; created with the first row.
-            keep_to_step: when a run resumes, rows of later steps are dropped: they will be
-                produced again.
-        """
         self._path = path
         self._columns: list[str] = []
         if path.exists():
@@ -188,15 +201,15 @@ class CsvLog:
 
 
 def read_csv(path: Path) -> list[dict[str, str]]:
-    """Rows of a CSV log; a last line that a crash cut short is left out."""
+    """Read the rows of a CSV log in the current run format; skip a last line that is incomplete."""
     lines = path.read_text().splitlines(keepends=True)
     if lines and not lines[-1].endswith("\n"):
         lines.pop()
-    return list(csv.DictReader(lines))
+    return [migrate_row(row) for row in csv.DictReader(lines)]
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Values of a JSON file.
+    """Read a JSON object.
 
     Raises:
         UserError: the file is missing, not JSON, or holds no object.
@@ -213,10 +226,10 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def write_json(path: Path, values: Mapping[str, Any]) -> None:
-    """Write JSON by way of a temporary file, so that readers never see half of it.
+    """Write a JSON object through a temporary file, so that readers never see a part of it.
 
     Raises:
-        UserError: the place cannot be written to.
+        UserError: the file cannot be written.
     """
     temporary = path.with_name(path.name + ".tmp")
     try:
@@ -224,3 +237,41 @@ def write_json(path: Path, values: Mapping[str, Any]) -> None:
         temporary.replace(path)
     except OSError as error:
         raise UserError(f"Cannot write {path}: {error.strerror}.") from error
+
+
+def provenance() -> dict[str, Any]:
+    """Return the versions of the packages that shape a result, the commit, and the machine."""
+    return {
+        "versions": {"python": platform.python_version()}
+        | {name: _version(name) for name in PACKAGES},
+        "commit": _commit(),
+        "machine": {
+            "system": f"{platform.system()} {platform.release()}",
+            "processor": processor(),
+            "cores": os.cpu_count(),
+            "memory_gib": round(psutil.virtual_memory().total / 2**30, 1),
+        },
+    }
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def _commit() -> str | None:
+    """Commit of the checkout the package runs from, with "+changes" for uncommitted edits."""
+    here = Path(__file__).parent
+    try:
+        commit = _git("rev-parse", "HEAD", at=here)
+        return commit + ("+changes" if _git("status", "--porcelain", "-uno", at=here) else "")
+    except (OSError, subprocess.CalledProcessError):
+        return None  # installed from a wheel, or no git on the machine
+
+
+def _git(*arguments: str, at: Path) -> str:
+    return subprocess.run(
+        ["git", "-C", str(at), *arguments], capture_output=True, text=True, check=True
+    ).stdout.strip()

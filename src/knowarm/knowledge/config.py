@@ -3,8 +3,10 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
+from knowarm.config import registered
 from knowarm.knowledge.sentence import SentenceConfig
 from knowarm.knowledge.subgraph import Direction
+from knowarm.knowledge.vectors import SOURCES
 from knowarm.knowledge.vectors.source import OnMissing, Source
 from knowarm.knowledge.vectors.words import WordVectors
 
@@ -20,7 +22,9 @@ class KnowledgeConfig:
     detail: Detail
     """What a slot describes: "none" gives no vector (the paper's baseline); "partial" each object
     without its colours; "full" each object with one of its possible colours."""
-    source: Source = field(default_factory=WordVectors)
+    source: Source = field(
+        default_factory=WordVectors, metadata=registered(lambda: SOURCES.values())
+    )
     """Where vectors come from: one of the configs in `knowledge.vectors.SOURCES`, which are word
     vectors, graph embeddings, sentence encoders and placebos."""
     graph: str | None = None

@@ -1,24 +1,33 @@
-"""A policy, environments and a knowledge table go in; a trained policy comes out.
+"""Learning algorithms: recurrent PPO and A3C on torch vector environments.
 
-The path through the files: `collector` (arrays) or `tensor_collector` (tensors of a device) fills a
-`rollout`, `returns` and `losses` judge it, `ppo` and `a3c` learn from it, `guards` watch,
-`checkpoint` keeps. A `learner` does PPO's arithmetic: one process (`solo`) or several (`team`).
+A trainer (`ppo`, `a3c`, both on `trainer`) steps a vector environment (`environment`) with a
+`collector` that fills a `rollout`; `returns` and `losses` define what is learned from it. PPO's
+`learner` computes in one process or, with `data_parallel`, in several. `evaluation` runs interim
+evaluations, `guards` stop at non-finite values, `checkpoint` saves and resumes.
 """
 
+from knowarm.learn.a3c import A3CTrainer
 from knowarm.learn.checkpoint import Checkpoint, CheckpointStore, read_checkpoint
 from knowarm.learn.config import A3CConfig, PPOConfig
+from knowarm.learn.environment import NumpyToTorch, TorchVectorEnv
+from knowarm.learn.evaluation import Evaluate, MakeEvaluate, Metrics
 from knowarm.learn.ppo import PPOTrainer
-from knowarm.learn.trainer import Evaluate, Hooks, Metrics, TrainingResult
+from knowarm.learn.trainer import Hooks, Trainer, TrainingResult
 
 __all__ = [
     "A3CConfig",
+    "A3CTrainer",
     "Checkpoint",
     "CheckpointStore",
     "Evaluate",
     "Hooks",
+    "MakeEvaluate",
     "Metrics",
+    "NumpyToTorch",
     "PPOConfig",
     "PPOTrainer",
+    "TorchVectorEnv",
+    "Trainer",
     "TrainingResult",
     "read_checkpoint",
 ]

@@ -1,8 +1,7 @@
-"""Arrays and facts of a running training go in; checkpoints that are whole or not there come out.
+"""Checkpoints: atomic writing, integrity check, and reading without running code.
 
 A checkpoint is a folder of four files: ``policy.safetensors``, ``optimizer.safetensors``,
-``state.safetensors`` and ``meta.json``, which names the digest of the other three. Loading one
-runs no code.
+``state.safetensors`` and ``meta.json``, which holds the SHA-256 digests of the other three.
 """
 
 import hashlib
@@ -29,12 +28,12 @@ PARTS = ("policy", "optimizer", "state")
 
 @dataclass(frozen=True, kw_only=True)
 class Checkpoint:
-    """Everything a training needs to go on."""
+    """All that is needed to continue a training run."""
 
     policy: Arrays
-    """Parameters by name."""
+    """Parameters of the policy by name."""
     optimizer: Arrays = field(default_factory=dict)
-    """Statistics of the optimizer."""
+    """State of the optimizer."""
     state: Arrays = field(default_factory=dict)
     """Environments, generators, recurrent state, episode statistics."""
     facts: dict[str, Any] = field(default_factory=dict)
@@ -42,12 +41,12 @@ class Checkpoint:
 
 
 class CheckpointStore:
-    """The folder ``checkpoints/`` of one run: ``latest``, ``previous`` and ``best``.
+    """The checkpoints ``latest``, ``previous`` and ``best`` of one run.
 
     Args:
-        folder: where the three live; made when first needed.
-        description: what the checkpoints belong to (robot, agent, network, algorithm), as flat
-            JSON values; a checkpoint with another description is refused.
+        folder: parent folder of the three; created when first needed.
+        description: what the checkpoints belong to (robot, agent, policy, algorithm), as flat
+            JSON values; a checkpoint with another description is rejected.
     """
 
     def __init__(self, folder: Path, description: Mapping[str, Any]) -> None:
@@ -55,25 +54,25 @@ class CheckpointStore:
         self.description = json.loads(json.dumps(dict(description)))
 
     def save(self, checkpoint: Checkpoint) -> None:
-        """Make this the latest checkpoint; the one before becomes ``previous``.
+        """Save a checkpoint as ``latest``; the former latest becomes ``previous``.
 
-        At every moment one of the two is whole: the new one is written to a folder of its own
-        and renamed when it has reached the disk.
+        One of the two is complete at every moment: the new one is written to a temporary folder
+        and renamed once it is on disk.
 
         Raises:
-            UserError: the disk is full or not writable; the checkpoint before is untouched.
+            UserError: the disk is full or not writable; the former checkpoint is unchanged.
         """
         self._replace("latest", checkpoint, keep="previous")
 
     def save_best(self, checkpoint: Checkpoint) -> None:
-        """Make this the best policy so far. Errors as in `save`."""
+        """Save a checkpoint as ``best``; raises as `save`."""
         self._replace("best", checkpoint, keep=None)
 
     def load(self) -> Checkpoint:
-        """Return the latest whole checkpoint.
+        """Return the latest intact checkpoint.
 
         Raises:
-            UserError: there is none, all are damaged, or they belong to something else.
+            UserError: there is none, all are damaged, or they belong to another run.
         """
         problems = []
         for name in ("latest", "previous"):
@@ -88,32 +87,32 @@ class CheckpointStore:
         )
 
     def load_best(self) -> Checkpoint:
-        """Return the best policy. Errors as in `load`."""
+        """Return the checkpoint of the best policy; raises as `load`."""
         return read_checkpoint(self.folder / "best", self.description)
 
     def _replace(self, name: str, checkpoint: Checkpoint, keep: str | None) -> None:
-        fresh = self.folder / f".{name}-being-written"
+        temporary = self.folder / f".{name}-being-written"
         try:
-            shutil.rmtree(fresh, ignore_errors=True)
-            fresh.mkdir(parents=True)
-            self._write(fresh, checkpoint)
+            shutil.rmtree(temporary, ignore_errors=True)
+            temporary.mkdir(parents=True)
+            self._write(temporary, checkpoint)
             if keep is not None and (self.folder / name).exists():
                 shutil.rmtree(self.folder / keep, ignore_errors=True)
                 (self.folder / name).rename(self.folder / keep)
             elif (self.folder / name).exists():
-                # A folder cannot be renamed over a full one: the old best steps aside first.
+                # A folder cannot be renamed onto a non-empty one: first move the former best away.
                 aside = _aside(self.folder / name)
                 shutil.rmtree(aside, ignore_errors=True)
                 (self.folder / name).rename(aside)
-            fresh.rename(self.folder / name)
+            temporary.rename(self.folder / name)
             _sync(self.folder)
             shutil.rmtree(_aside(self.folder / name), ignore_errors=True)
         except OSError as error:
-            shutil.rmtree(fresh, ignore_errors=True)
+            shutil.rmtree(temporary, ignore_errors=True)
             raise UserError(
                 f"The checkpoint of step {checkpoint.facts.get('step')} cannot be written to "
-                f"{self.folder}: {error.strerror or error}. The checkpoint before is intact; free "
-                "the disk and resume."
+                f"{self.folder}: {error.strerror or error}. The former checkpoint is intact; free "
+                "disk space and resume."
             ) from error
 
     def _write(self, folder: Path, checkpoint: Checkpoint) -> None:
@@ -134,23 +133,23 @@ class CheckpointStore:
 
 
 class DamagedCheckpointError(UserError):
-    """A checkpoint is incomplete, truncated or changed."""
+    """A checkpoint is incomplete, truncated or modified."""
 
 
 def read_checkpoint(folder: Path, description: Mapping[str, Any] | None = None) -> Checkpoint:
-    """Read one checkpoint folder and prove it whole.
+    """Read a checkpoint folder and verify its digests.
 
     Args:
-        folder: holds the four files.
-        description: what the checkpoint must belong to; None takes any.
+        folder: contains the four files.
+        description: what the checkpoint must belong to; None accepts any.
 
     Raises:
-        DamagedCheckpointError: a file is missing or is not what was written.
-        UserError: there is no such folder, or the checkpoint belongs to something else; the
-            message shows both descriptions side by side.
+        DamagedCheckpointError: a file is missing or differs from what was written.
+        UserError: there is no such folder, or the checkpoint belongs to another run; the
+            message shows both descriptions.
     """
     if not folder.is_dir() and _aside(folder).is_dir():
-        # Writing ended between two renames: the one before is whole and stands aside.
+        # The process ended between two renames; the former checkpoint is complete.
         folder = _aside(folder)
     if not folder.is_dir():
         raise UserError(f"There is no checkpoint in {folder}.")
@@ -160,7 +159,7 @@ def read_checkpoint(folder: Path, description: Mapping[str, Any] | None = None) 
         written_for = meta["description"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise DamagedCheckpointError(
-            f"{folder / 'meta.json'} is missing or damaged ({error}); it is no whole checkpoint."
+            f"{folder / 'meta.json'} is missing or damaged ({error}); the checkpoint is incomplete."
         ) from error
     if description is not None:
         _compare(folder, written_for, json.loads(json.dumps(dict(description))))
@@ -170,7 +169,7 @@ def read_checkpoint(folder: Path, description: Mapping[str, Any] | None = None) 
         try:
             data = path.read_bytes()
             if hashlib.sha256(data).hexdigest() != digests[part]:
-                raise ValueError(f"its {len(data)} bytes are not those that were written")
+                raise ValueError(f"its {len(data)} bytes differ from those written")
             parts[part] = load_arrays(data)
         except (OSError, ValueError, KeyError, SafetensorError) as error:
             raise DamagedCheckpointError(f"{path} is damaged: {error}.") from error
@@ -178,7 +177,7 @@ def read_checkpoint(folder: Path, description: Mapping[str, Any] | None = None) 
 
 
 def _aside(folder: Path) -> Path:
-    """Where a checkpoint waits while another takes its place."""
+    """Return where a checkpoint is kept while it is being replaced."""
     return folder.with_name(f".{folder.name}-old")
 
 
@@ -192,7 +191,7 @@ def _compare(folder: Path, written: Mapping[str, Any], wanted: Mapping[str, Any]
     if different:
         pairs = "; ".join(f"{k}: {written.get(k)!r} | {wanted.get(k)!r}" for k in different)
         raise UserError(
-            f"The checkpoint {folder} belongs to something else (checkpoint | this run): {pairs}. "
+            f"The checkpoint {folder} belongs to another run (checkpoint | this run): {pairs}. "
             "Resume it with its own settings or choose another run folder."
         )
 
@@ -205,7 +204,7 @@ def _write_file(path: Path, data: bytes) -> None:
 
 
 def _sync(folder: Path) -> None:
-    """Make renames and new names in a folder reach the disk."""
+    """Flush renames and new names in a folder to disk."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)

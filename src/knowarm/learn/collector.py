@@ -1,129 +1,250 @@
-"""A policy and a vector environment go in; rollouts come out, episodes running on between them."""
+"""Rollout collector: steps vector environments with a policy and fills rollouts."""
 
-import time
+from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from knowarm.errors import UserError
-from knowarm.learn.environment import VectorEnvironment
-from knowarm.learn.player import Player
+from knowarm.learn.device import Stopwatch
+from knowarm.learn.environment import Infos, TorchVectorEnv
+from knowarm.learn.episode_statistics import EpisodeStatistics
 from knowarm.learn.rollout import Rollout
-from knowarm.learn.statistics import EpisodeStatistics
-from knowarm.policy import Policy
+from knowarm.policy import Policy, State
 from knowarm.policy.actions import log_probability, sample
-from knowarm.policy.memory import State
+
+Infer = Callable[[Rollout, int, Tensor, State], tuple[Tensor, State]]
+"""Inference of one step; arguments and results as `infer_step`."""
+
+
+@torch.no_grad()
+def infer_step(
+    policy: Policy,
+    rollout: Rollout,
+    t: int,
+    image: Tensor,
+    state: State,
+    envs: slice = slice(None),
+) -> tuple[Tensor, State]:
+    """Run the policy for step t of some environments.
+
+    Args:
+        policy: the policy.
+        rollout: ``facet`` and ``episode_start`` of step t are read; ``patches`` and ``value`` of
+            step t are written.
+        t: the step.
+        image: (B, H, W, 3) uint8 of all environments.
+        state: recurrent state of all environments after the previous step.
+        envs: the b environments to compute.
+
+    Returns:
+        Logits (b, J, A) and the next state of these environments, (b, H) each.
+    """
+    patches = rollout.patches[t, envs]
+    patches.copy_(policy.patches(image[envs]))
+    logits, values, state = policy.step(
+        patches,
+        rollout.facet[t, envs],
+        (state[0][envs], state[1][envs]),
+        rollout.episode_start[t, envs],
+    )
+    rollout.value[t, envs] = values
+    return logits, state
 
 
 class Collector:
-    """Steps the environments with the policy and remembers where each of them stands.
+    """Steps the environments with the policy; episodes continue from one rollout to the next.
 
     Args:
         env: the vector environment; it is reset with ``seed``.
-        policy: gives the recurrent state its size; `collect` takes what plays.
-        table: (F, K) float32 knowledge, one row a facet.
-        seed: of the episodes and of the drawn actions.
+        policy: on the environment's device.
+        seed: of the episodes and of the sampled actions.
+        final_values: computes the values of final observations; by default at once on the CPU
+            and later on a GPU.
 
-    Attributes:
-        environment_s: time the environments' steps have taken so far [s].
+    Raises:
+        UserError: the policy's knowledge table has no row for a facet of the environment.
     """
 
-    def __init__(self, env: VectorEnvironment, policy: Policy, table: Tensor, *, seed: int) -> None:
+    def __init__(
+        self,
+        env: TorchVectorEnv,
+        policy: Policy,
+        *,
+        seed: int,
+        final_values: "FinalValues | None" = None,
+    ) -> None:
         self.env = env
-        self.table = table
-        self.statistics = EpisodeStatistics(env.num_envs)
-        self.generator = torch.Generator().manual_seed(seed)
-        self.environment_s = 0.0
-        self._observation, _ = env.reset(seed=seed)
-        self._start = np.ones(env.num_envs, bool)
+        self.policy = policy
+        self.statistics = EpisodeStatistics(env.num_envs, env.device)
+        self.generator = torch.Generator(env.device).manual_seed(seed)
+        self._stopwatch = Stopwatch(env.device)
+        self._image, _ = env.reset(seed=seed)
+        self._start = torch.ones(env.num_envs, dtype=torch.bool, device=env.device)
         self._state: State = policy.initial_state(env.num_envs)
-        check_table(table, int(np.max(env.facet_ids)))
+        if final_values is None:
+            on_cpu = env.device.type == "cpu"
+            final_values = (
+                ImmediateFinalValues(policy) if on_cpu else DeferredFinalValues(policy, env)
+            )
+        self._final_values = final_values
+        policy.check_facets(int(env.facet_ids.max()))
+
+    @property
+    def environment_s(self) -> float:
+        """Total time of the environments' steps [s]; synchronizes with a GPU."""
+        return self._stopwatch.seconds()
 
     @torch.no_grad()
-    def collect(self, player: Player, rollout: Rollout) -> None:
-        """Fill the rollout with the next T steps of all environments."""
+    def collect(self, rollout: Rollout, infer: Infer | None = None) -> None:
+        """Fill the rollout with the next T steps of all environments.
+
+        Args:
+            rollout: overwritten.
+            infer: inference of one step; by default `infer_step` with the policy.
+        """
         steps, _ = rollout.shape
         logits = []
         rollout.start_h.copy_(self._state[0])
         rollout.start_c.copy_(self._state[1])
+        rollout.final_value.zero_()
         for t in range(steps):
-            rollout.facet[t] = self._facets()
-            rollout.episode_start[t] = torch.from_numpy(self._start)
-            image = torch.from_numpy(self._observation)
-            logit, self._state = player.play(rollout, t, image, self._state)
+            rollout.facet[t] = self.env.facet_ids
+            rollout.episode_start[t] = self._start
+            if infer is None:
+                logit, self._state = infer_step(self.policy, rollout, t, self._image, self._state)
+            else:
+                logit, self._state = infer(rollout, t, self._image, self._state)
             logits.append(logit)
             rollout.action[t] = sample(logit, self.generator)
-            actions, begin = rollout.action[t].numpy(), time.perf_counter()
-            self._observation, rewards, terminated, truncated, infos = self.env.step(actions)
-            self.environment_s += time.perf_counter() - begin
-            rollout.reward[t] = torch.from_numpy(np.asarray(rewards, np.float32))
-            rollout.terminated[t] = torch.from_numpy(terminated)
-            rollout.truncated[t] = torch.from_numpy(truncated)
-            rollout.final_value[t] = 0.0
-            cut = np.flatnonzero(truncated & ~terminated)
-            if len(cut):
-                final = np.stack([infos["final_obs"][i] for i in cut])
-                state = (self._state[0][cut], self._state[1][cut])
-                going_on = np.zeros(len(cut), np.bool_)
-                rollout.final_value[t, cut] = self._value(
-                    player.policy, final, rollout.facet[t, cut], state, going_on
-                )
-            self.statistics.add(rewards, terminated, truncated, infos)
+            self._stopwatch.start()
+            self._image, reward, terminated, truncated, infos = self.env.step(rollout.action[t])
+            self._stopwatch.stop()
+            rollout.reward[t] = reward
+            rollout.terminated[t] = terminated
+            rollout.truncated[t] = truncated
+            self._final_values.add(rollout, t, truncated & ~terminated, self._state, infos)
             self._start = terminated | truncated
+            success = infos.get("final_info", {}).get("is_success", terminated)
+            self.statistics.add(reward, self._start, success)
         rollout.log_probability.copy_(log_probability(torch.stack(logits), rollout.action))
-        rollout.last_value.copy_(
-            self._value(player.policy, self._observation, self._facets(), self._state, self._start)
-        )
-
-    def _facets(self) -> Tensor:
-        return torch.from_numpy(np.asarray(self.env.facet_ids, np.int64))
-
-    def _value(
-        self, policy: Policy, image: np.ndarray, facet: Tensor, state: State, start: np.ndarray
-    ) -> Tensor:
-        """Values (n,) of observations (n, H, W, 3)."""
-        patches = policy.patches(torch.from_numpy(image))
-        _, value, _ = policy.step(patches, self.table[facet], state, torch.from_numpy(start))
-        return value
+        _, value, _ = self.policy.step(self._image, self.env.facet_ids, self._state, self._start)
+        rollout.last_value.copy_(value)
 
     def get_state(self) -> dict[str, np.ndarray]:
-        """Return all that is needed to go on to the byte, the environment's state included."""
-        state = {
-            "observation": self._observation,
+        """Return all that `set_state` needs to continue identically, environments included."""
+        tensors = {
+            "observation": self._image,
             "episode_start": self._start,
-            "h": self._state[0].numpy(),
-            "c": self._state[1].numpy(),
-            "generator": self.generator.get_state().numpy(),
+            "h": self._state[0],
+            "c": self._state[1],
+            "generator": self.generator.get_state(),
         }
-        state = {name: np.array(value) for name, value in state.items()}
+        state = {name: tensor.cpu().numpy().copy() for name, tensor in tensors.items()}
         state.update({f"episode/{k}": v for k, v in self.statistics.get_state().items()})
         state.update({f"env/{k}": np.asarray(v) for k, v in self.env.get_state().items()})
         return state
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
-        """Go on from what `get_state` returned."""
-        self._observation = state["observation"].copy()
-        self._start = state["episode_start"].copy()
-        self._state = (torch.from_numpy(state["h"].copy()), torch.from_numpy(state["c"].copy()))
+        """Continue from the result of `get_state`."""
+
+        def place(name: str) -> Tensor:
+            return torch.from_numpy(state[name].copy()).to(self.env.device)
+
+        self._image, self._start = place("observation"), place("episode_start")
+        self._state = (place("h"), place("c"))
         self.generator.set_state(torch.from_numpy(state["generator"].copy()))
-        self.statistics.set_state(below(state, "episode/"))
-        self.env.set_state(below(state, "env/"))
+        self.statistics.set_state(select(state, "episode/"))
+        self.env.set_state(select(state, "env/"))
 
 
-def check_table(table: Tensor, highest: int) -> None:
-    """Refuse a knowledge table without a row for the highest facet that is shown.
+class FinalValues(Protocol):
+    """Writes the values of the final observations of truncated episodes into a rollout."""
 
-    Raises:
-        UserError: naming both.
+    def add(self, rollout: Rollout, t: int, cut: Tensor, state: State, infos: Infos) -> None:
+        """Handle step t.
+
+        Args:
+            rollout: ``final_value`` is written, at the latest when t is the last step.
+            t: the step.
+            cut: (B,) bool, truncated and not terminated at this step.
+            state: recurrent state after the step's inference.
+            infos: of the step, with ``final_obs``.
+        """
+        ...
+
+
+class ImmediateFinalValues:
+    """Values final observations at once, only those of truncated episodes: for the CPU.
+
+    Args:
+        policy: computes the values.
     """
-    if highest >= len(table):
-        raise UserError(
-            f"The knowledge table has {len(table)} rows and the environment shows facet "
-            f"{highest}; build the table from the facets of this environment."
-        )
+
+    def __init__(self, policy: Policy) -> None:
+        self._policy = policy
+
+    def add(self, rollout: Rollout, t: int, cut: Tensor, state: State, infos: Infos) -> None:
+        """As `FinalValues.add`."""
+        ids = cut.nonzero().squeeze(1)
+        if len(ids):
+            image, start = infos["final_obs"][ids], torch.zeros_like(cut[ids])
+            state = (state[0][ids], state[1][ids])
+            _, value, _ = self._policy.step(image, rollout.facet[t, ids], state, start)
+            rollout.final_value[t, ids] = value
 
 
-def below(state: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
-    """Return the entries whose names start with ``prefix``, without it."""
+class DeferredFinalValues:
+    """Values final observations together, without synchronizing with the device: for GPUs.
+
+    Finding out which episodes were truncated would synchronize. So the final observation of each
+    environment is stored, and all of them are valued after as many steps as no environment can be
+    truncated twice in.
+
+    Args:
+        policy: computes the values.
+        env: gives number of environments, device and smallest time between truncations.
+    """
+
+    def __init__(self, policy: Policy, env: TorchVectorEnv) -> None:
+        self._policy = policy
+        self._interval = env.max_episode_steps
+        count, device = env.num_envs, env.device
+        self._cut = torch.zeros(count, dtype=torch.bool, device=device)
+        self._time = torch.zeros(count, dtype=torch.int64, device=device)
+        self._facet = torch.zeros(count, dtype=torch.int64, device=device)
+        shape = (count, *policy.encoder.patch_shape)
+        self._patches = torch.zeros(shape, dtype=torch.uint8, device=device)
+        self._state: State = policy.initial_state(count)
+
+    def add(self, rollout: Rollout, t: int, cut: Tensor, state: State, infos: Infos) -> None:
+        """As `FinalValues.add`."""
+        if "final_obs" in infos:
+            self._store(rollout, t, cut, state, infos["final_obs"])
+        if (t + 1) % self._interval == 0 or t + 1 == len(rollout.reward):
+            self._write_values(rollout)
+
+    def _store(self, rollout: Rollout, t: int, cut: Tensor, state: State, image: Tensor) -> None:
+        column = cut[:, None]
+        patches = self._policy.patches(image)
+        self._patches = torch.where(column[..., None], patches, self._patches)
+        self._facet = torch.where(cut, rollout.facet[t], self._facet)
+        self._time = torch.where(cut, t, self._time)
+        h, c = (torch.where(column, new, old) for new, old in zip(state, self._state, strict=True))
+        self._state = (h, c)
+        self._cut = self._cut | cut
+
+    def _write_values(self, rollout: Rollout) -> None:
+        start = torch.zeros_like(self._cut)
+        _, value, _ = self._policy.step(self._patches, self._facet, self._state, start)
+        place = self._time[None]
+        old = rollout.final_value.gather(0, place)[0]
+        rollout.final_value.scatter_(0, place, torch.where(self._cut, value, old)[None])
+        self._cut = torch.zeros_like(self._cut)
+        self._time = torch.zeros_like(self._time)
+
+
+def select(state: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
+    """Return the entries whose names start with ``prefix``, without the prefix."""
     return {k[len(prefix) :]: v for k, v in state.items() if k.startswith(prefix)}

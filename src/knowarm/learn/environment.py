@@ -1,45 +1,158 @@
-"""What learning needs of a vector environment; any object with these members will do."""
+"""Vector environment of the learner: protocol, and adapter for Gymnasium's NumPy environments."""
 
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
+import torch
+from torch import Tensor
+
+from knowarm.errors import UserError
+
+Infos = dict[str, Any]
+StepResult = tuple[Tensor, Tensor, Tensor, Tensor, Infos]
 
 
-class VectorEnvironment(Protocol):
-    """A Gymnasium vector environment of images that resets within the step (SAME_STEP).
+class TorchVectorEnv(Protocol):
+    """A vector environment of images with tensors of one device, and SAME_STEP autoreset.
 
-    ``step`` returns the first observation of the next episode where one ended;
-    ``infos["final_obs"][i]`` is then the last observation of the old one, and
-    ``infos["final_info"]["is_success"][i]``, where given, tells how it ended.
+    Where an episode ends, ``step`` returns the first image of the next one, and the infos hold
+
+    - ``infos["final_obs"]``: (n, H, W, 3) uint8, the last image of each episode that was
+      truncated, undefined elsewhere. On a GPU always present; on the CPU whenever an episode was
+      truncated.
+    - ``infos["final_info"]["is_success"]``: (n,) bool, defined where an episode ended; optional,
+      terminated episodes count as successes without it.
+
+    Attributes:
+        num_envs: n.
+        device: of all tensors.
+        max_episode_steps: no environment is truncated twice within so many steps; 1 always holds.
     """
 
     num_envs: int
 
     @property
-    def facet_ids(self) -> np.ndarray:
-        """(n,) int64: row of the knowledge table of each episode now running."""
+    def device(self) -> torch.device:
+        """Device of all tensors."""
+        ...
+
+    @property
+    def max_episode_steps(self) -> int:
+        """Smallest number of steps between two truncations of one environment."""
+        ...
+
+    @property
+    def facet_ids(self) -> Tensor:
+        """Facet (row of the knowledge table) of each running episode, (n,) int64."""
         ...
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start episodes; observations (n, H, W, 3) uint8."""
+    ) -> tuple[Tensor, Infos]:
+        """Start new episodes; return images (n, H, W, 3) uint8 and infos."""
         ...
 
-    def step(
-        self, actions: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Take actions (n, J) int64: observations, rewards, terminated, truncated, infos."""
+    def step(self, actions: Tensor) -> StepResult:
+        """Advance every environment by one step.
+
+        Args:
+            actions: (n, J) int64.
+
+        Returns:
+            Images (n, H, W, 3) uint8, rewards (n,) float32 or float64, terminated (n,) bool,
+            truncated (n,) bool, infos.
+        """
         ...
 
     def get_state(self) -> dict[str, np.ndarray]:
-        """Return all that is needed to go on to the byte."""
+        """Return all that `set_state` needs to continue identically."""
         ...
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
-        """Go on from what `get_state` returned."""
+        """Continue from the result of `get_state`."""
         ...
 
     def close(self) -> None:
-        """Free what the environment holds."""
+        """Release the resources of the environment."""
         ...
+
+
+class NumpyToTorch:
+    """Adapter that gives a NumPy vector environment the interface `TorchVectorEnv` on the CPU.
+
+    Tensors share the memory of the environment's arrays where possible.
+
+    Args:
+        env: a Gymnasium vector environment with images (n, H, W, 3) uint8 as observations,
+            MultiDiscrete actions and autoreset mode SAME_STEP. Optional members: ``facet_ids``
+            (n,), 0 for every episode without it; ``get_state`` and ``set_state``, without which
+            training cannot write checkpoints.
+
+    Raises:
+        UserError: another autoreset mode.
+    """
+
+    device = torch.device("cpu")
+    max_episode_steps = 1
+
+    def __init__(self, env: Any) -> None:
+        mode = (getattr(env, "metadata", None) or {}).get("autoreset_mode")
+        mode = getattr(mode, "value", mode)
+        if mode not in (None, "SameStep"):
+            raise UserError(
+                f"The environment's autoreset mode is {mode!r}; training needs SAME_STEP: create "
+                "it with autoreset_mode=gymnasium.vector.AutoresetMode.SAME_STEP."
+            )
+        self.env = env
+        self.num_envs: int = env.num_envs
+
+    @property
+    def facet_ids(self) -> Tensor:
+        """As `TorchVectorEnv.facet_ids`."""
+        if not hasattr(self.env, "facet_ids"):
+            return torch.zeros(self.num_envs, dtype=torch.int64)
+        return torch.from_numpy(np.asarray(self.env.facet_ids, np.int64))
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Tensor, Infos]:
+        """As `TorchVectorEnv.reset`."""
+        images, infos = self.env.reset(seed=seed, options=options)
+        return torch.from_numpy(images), infos
+
+    def step(self, actions: Tensor) -> StepResult:
+        """As `TorchVectorEnv.step`."""
+        images, reward, terminated, truncated, infos = self.env.step(actions.numpy())
+        result: Infos = {}
+        if "final_info" in infos and "is_success" in infos["final_info"]:
+            success = np.asarray(infos["final_info"]["is_success"], np.bool_)
+            result["final_info"] = {"is_success": torch.from_numpy(success)}
+        ids = np.flatnonzero(truncated)
+        if len(ids):
+            final = np.zeros_like(images)
+            final[ids] = np.stack([infos["final_obs"][i] for i in ids])
+            result["final_obs"] = torch.from_numpy(final)
+        return (
+            torch.from_numpy(images),
+            torch.from_numpy(np.asarray(reward)),
+            torch.from_numpy(terminated),
+            torch.from_numpy(truncated),
+            result,
+        )
+
+    def get_state(self) -> dict[str, np.ndarray]:
+        """As `TorchVectorEnv.get_state`."""
+        if not hasattr(self.env, "get_state"):
+            raise UserError(
+                f"{type(self.env).__name__} has no get_state and set_state, which checkpoints "
+                "need; add them, or train without checkpoints."
+            )
+        return cast(dict[str, np.ndarray], self.env.get_state())
+
+    def set_state(self, state: dict[str, np.ndarray]) -> None:
+        """As `TorchVectorEnv.set_state`."""
+        self.env.set_state(state)
+
+    def close(self) -> None:
+        """As `TorchVectorEnv.close`."""
+        self.env.close()

@@ -1,126 +1,201 @@
-"""A policy goes in whenever an interim evaluation is due; results come out, now or later."""
+"""Interim evaluations during training: in the training process or in a background process."""
 
+import logging
+import os
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from multiprocessing.context import BaseContext
 from typing import Protocol
 
+import numpy as np
 import torch
 
-from knowarm.learn.checkpoint import Arrays, policy_arrays
-from knowarm.learn.evaluator import Evaluation, MakeEvaluate, Snapshot, run_evaluator
-from knowarm.learn.flat import FlatParameters
-from knowarm.learn.processes import Child, process_context
-from knowarm.learn.trainer import Evaluate, Metrics
-from knowarm.policy import Policy
+from knowarm.learn.flat_parameters import FlatParameters
+from knowarm.learn.processes import (
+    ChildProcess,
+    ProcessFailure,
+    prepare_child_process,
+    process_context,
+)
+from knowarm.policy import Policy, PolicySpec
 
-MOST_WAITING = 8
-"""Snapshots that may wait for the evaluator before training waits for it."""
+log = logging.getLogger("knowarm.learn")
+
+Metrics = dict[str, float]
+"""Values by name."""
+Evaluate = Callable[[Policy], Metrics]
+"""Plays fixed episodes with a policy; its ``return_mean`` determines the best policy."""
+MakeEvaluate = Callable[[], Evaluate]
+"""Creates the function that plays the fixed episodes; picklable."""
+
+MAX_PENDING = 8
+"""Evaluations that may be pending before training waits for the evaluator."""
+
+MAX_EXITS = 3
+"""Consecutive exits of the evaluator without a result after which training stops."""
 
 
 @dataclass(frozen=True)
-class Finished:
-    """One interim evaluation."""
+class CompletedEvaluation:
+    """Result of one interim evaluation."""
 
     step: int
-    policy: Arrays
-    """The parameters that were judged, by name."""
+    values: np.ndarray
+    """(P,) float32, the parameters of the evaluated policy; see `FlatParameters`."""
     results: Metrics
 
 
 class Evaluations(Protocol):
-    """Where interim evaluations are played."""
+    """Runs interim evaluations."""
 
-    def ask(self, step: int, policy: Policy) -> None:
-        """Have the policy judged as it is now."""
+    restarts: int
+    """Restarts of the evaluator so far."""
+
+    def submit(self, step: int, values: np.ndarray) -> None:
+        """Evaluate the policy with the parameters ``values`` (P,)."""
         ...
 
-    def finished(self, *, wait: bool) -> list[Finished]:
-        """Return what was not returned before, in the order it was asked for.
+    def completed(self, *, wait: bool) -> list[CompletedEvaluation]:
+        """Return evaluations that completed since the last call, in order of submission.
 
         Args:
-            wait: until everything that was asked for is there.
+            wait: wait until all submitted evaluations are complete.
         """
         ...
 
-    def end(self) -> None:
-        """Free what is held."""
+    def pending_steps(self) -> list[int]:
+        """Return the steps of the submitted evaluations without a result."""
+        ...
+
+    def close(self) -> None:
+        """Release resources."""
         ...
 
 
 class InlineEvaluations:
-    """Plays evaluations at once, while training waits.
+    """Runs each evaluation when it is submitted, while training waits.
 
     Args:
+        policy: structure and knowledge of the policy.
         evaluate: plays the fixed episodes.
     """
 
-    def __init__(self, evaluate: Evaluate) -> None:
+    def __init__(self, policy: PolicySpec, evaluate: Evaluate) -> None:
+        self.restarts = 0
+        self._policy = policy.build()
+        self._parameters = FlatParameters(self._policy)
         self._evaluate = evaluate
-        self._done: list[Finished] = []
+        self._completed: list[CompletedEvaluation] = []
 
-    def ask(self, step: int, policy: Policy) -> None:
-        """As `Evaluations.ask`."""
-        results = self._evaluate(policy)
-        self._done.append(Finished(step, policy_arrays(policy), results))
+    def submit(self, step: int, values: np.ndarray) -> None:
+        """As `Evaluations.submit`."""
+        self._parameters.values.copy_(torch.from_numpy(values))
+        self._completed.append(CompletedEvaluation(step, values, self._evaluate(self._policy)))
 
-    def finished(self, *, wait: bool) -> list[Finished]:
-        """As `Evaluations.finished`."""
-        done, self._done = self._done, []
-        return done
+    def completed(self, *, wait: bool) -> list[CompletedEvaluation]:
+        """As `Evaluations.completed`."""
+        completed, self._completed = self._completed, []
+        return completed
 
-    def end(self) -> None:
-        """Nothing is held."""
+    def pending_steps(self) -> list[int]:
+        """As `Evaluations.pending_steps`."""
+        return []
+
+    def close(self) -> None:
+        """As `Evaluations.close`."""
 
 
 class BackgroundEvaluations:
-    """Plays evaluations in a process of its own, while training goes on.
+    """Runs evaluations in a child process while training continues.
 
     Args:
-        policy: gives the network its sizes.
-        make_evaluate: makes, in the process, what plays the fixed episodes; picklable.
+        policy: structure and knowledge of the policy.
+        make_evaluate: called in the child process; picklable.
+        context: start method of the child process; by default `process_context`.
     """
 
-    def __init__(self, policy: Policy, make_evaluate: MakeEvaluate) -> None:
-        context = process_context(["knowarm.learn.evaluator"])
-        self._config = policy.config
-        self._child = Child.start(context, "evaluator", run_evaluator, policy.config, make_evaluate)
-        self._waiting: deque[Snapshot] = deque()
-        self._asked = 0
-        self._done: list[Finished] = []
+    def __init__(
+        self, policy: PolicySpec, make_evaluate: MakeEvaluate, context: BaseContext | None = None
+    ) -> None:
+        self.restarts = 0
+        self._context = context or process_context(["knowarm.learn.evaluation"])
+        self._arguments = policy, make_evaluate
+        self._child = self._start()
+        self._pending: deque[tuple[int, np.ndarray]] = deque()
+        self._completed: list[CompletedEvaluation] = []
+        self._exits = 0
 
-    def ask(self, step: int, policy: Policy) -> None:
-        """As `Evaluations.ask`; waits only if the evaluator is far behind."""
-        values = torch.cat([p.detach().flatten() for p in policy.parameters()]).cpu().numpy()
-        self._asked += 1
-        self._waiting.append(Snapshot(number=self._asked, step=step, values=values))
-        # One at a time: the pipe is small and sending to a busy process would wait for it.
-        if len(self._waiting) == 1:
-            self._child.send(self._waiting[0])
-        self._read(leave=MOST_WAITING)
+    def submit(self, step: int, values: np.ndarray) -> None:
+        """As `Evaluations.submit`; waits if more than `MAX_PENDING` evaluations are pending."""
+        self._pending.append((step, values))
+        # One request at a time: pipes are small, and sending to a busy process would block.
+        if len(self._pending) == 1:
+            self._child.send(values)
+        self._read(leave=MAX_PENDING)
 
-    def finished(self, *, wait: bool) -> list[Finished]:
-        """As `Evaluations.finished`."""
-        self._read(leave=0 if wait else len(self._waiting))
-        done, self._done = self._done, []
-        return done
+    def completed(self, *, wait: bool) -> list[CompletedEvaluation]:
+        """As `Evaluations.completed`."""
+        self._read(leave=0 if wait else len(self._pending))
+        completed, self._completed = self._completed, []
+        return completed
 
-    def end(self) -> None:
-        """End the process."""
-        self._child.end()
+    def pending_steps(self) -> list[int]:
+        """As `Evaluations.pending_steps`."""
+        return [step for step, _ in self._pending]
+
+    def close(self) -> None:
+        """Stop the child process."""
+        self._child.stop()
+
+    def _start(self) -> ChildProcess:
+        return ChildProcess.start(self._context, "evaluator", run_evaluator, *self._arguments)
 
     def _read(self, leave: int) -> None:
-        """Take results until at most ``leave`` snapshots wait, and what has come beyond these."""
-        while self._waiting and (len(self._waiting) > leave or self._child.connection.poll(0)):
+        """Take results until at most ``leave`` evaluations are pending, and all that are ready."""
+        while self._pending and (len(self._pending) > leave or self._child.connection.poll(0)):
             try:
-                answer: Evaluation = self._child.connection.recv()
+                answer = self._child.connection.recv()
             except (EOFError, ConnectionResetError):
-                raise RuntimeError(
-                    f"The evaluator {self._child.how_it_ended()}; the last checkpoint is whole."
-                ) from None
-            snapshot = self._waiting.popleft()
-            assert answer.number == snapshot.number
-            judged = Policy(self._config)
-            FlatParameters(judged).values.copy_(torch.from_numpy(snapshot.values))
-            self._done.append(Finished(snapshot.step, policy_arrays(judged), answer.results))
-            if self._waiting:
-                self._child.send(self._waiting[0])
+                self._restart(self._child.exit_reason())
+                continue
+            if isinstance(answer, ProcessFailure):
+                if answer.user_error is not None:
+                    raise answer.user_error
+                self._restart(f"failed:\n{answer.traceback}")
+                continue
+            self._exits = 0
+            step, values = self._pending.popleft()
+            self._completed.append(CompletedEvaluation(step, values, answer))
+            if self._pending:
+                self._child.send(self._pending[0][1])
+
+    def _restart(self, reason: str) -> None:
+        self._child.stop()
+        self._exits += 1
+        if self._exits >= MAX_EXITS:
+            raise RuntimeError(
+                f"The evaluator {reason}; {self._exits} times in a row. The last checkpoint is "
+                "intact."
+            )
+        log.warning("The evaluator %s; restarting it.", reason)
+        self.restarts += 1
+        self._child = self._start()
+        self._child.send(self._pending[0][1])
+
+
+def run_evaluator(policy: PolicySpec, make_evaluate: MakeEvaluate, connection: Connection) -> None:
+    """Entry point of the evaluator process: evaluate until the parent process exits."""
+    prepare_child_process()
+    try:
+        judge = policy.build()
+        parameters = FlatParameters(judge)
+        evaluate = make_evaluate()
+        while True:
+            parameters.values.copy_(torch.from_numpy(connection.recv()))
+            connection.send(evaluate(judge))
+    except (EOFError, BrokenPipeError, ConnectionResetError):
+        os._exit(0)
+    except Exception as error:
+        connection.send(ProcessFailure.of(error))

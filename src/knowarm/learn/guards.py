@@ -1,4 +1,4 @@
-"""Losses, gradients and observations go in; a stop that names the guilty one, or a warning."""
+"""Guards: stop training at non-finite values, warn of collapsed entropy and diverging values."""
 
 import logging
 import math
@@ -17,36 +17,45 @@ log = logging.getLogger("knowarm.learn")
 
 
 class NotFiniteError(UserError):
-    """Training met a NaN or an infinity; ``term`` names where, ``batch`` the saved file."""
+    """Training produced a NaN or an infinity.
+
+    Attributes:
+        term: the non-finite quantity.
+        step: environment steps so far.
+        batch: file with the rollout it occurred in; None if none was saved.
+    """
 
     def __init__(self, term: str, step: int, batch: Path | None) -> None:
-        where = f"; the batch is saved in {batch}" if batch else ""
+        where = f"; the rollout is saved in {batch}" if batch else ""
         super().__init__(
             f"Training stopped at step {step}: {term} is not finite (NaN or Inf){where}. A smaller "
-            "learning rate or gradient limit is the usual remedy; the last checkpoint is whole."
+            "learning_rate or max_grad_norm usually helps; the last checkpoint is intact."
         )
         self.term = term
         self.step = step
         self.batch = batch
 
+    def __reduce__(self) -> tuple[type, tuple[str, int, Path | None]]:
+        return type(self), (self.term, self.step, self.batch)
+
 
 class FiniteGuard:
-    """Stops training at the first number that is none.
+    """Stops training at the first non-finite value.
 
     Args:
-        folder: where the guilty batch is saved; None saves nothing.
+        folder: where the rollout with the value is saved; None saves nothing.
     """
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
 
     def check(self, terms: Mapping[str, Tensor], step: int, batch: Mapping[str, Tensor]) -> None:
-        """Raise if a term holds a NaN or an infinity.
+        """Raise an error if a term is not finite everywhere.
 
         Args:
-            terms: what is looked at, by the name the message uses.
+            terms: tensors by their name in the message.
             step: environment steps so far, for the message.
-            batch: tensors that are saved beside the message.
+            batch: tensors to save.
 
         Raises:
             NotFiniteError: naming the first such term.
@@ -56,7 +65,7 @@ class FiniteGuard:
                 raise NotFiniteError(name, step, self._save(step, batch))
 
     def check_rollout(self, rollout: Rollout, knowledge: Tensor, step: int) -> None:
-        """Raise if what was observed, rewarded or valued is not finite."""
+        """Raise an error if knowledge, rewards or values of a rollout are not finite."""
         terms = {
             "the knowledge": knowledge,
             "the reward": rollout.reward,
@@ -68,10 +77,9 @@ class FiniteGuard:
     def check_update(
         self, policy: nn.Module, loss: LossTerms, norm: Tensor, step: int, rollout: Rollout
     ) -> None:
-        """Raise if a loss or a gradient is not finite, naming the term or the parameter.
+        """Raise an error naming the loss term or parameter if a gradient step is not finite.
 
-        The scalars ``loss.total`` and ``norm`` (of the whole gradient) tell whether a closer look
-        is needed.
+        Single terms are examined only if ``loss.total`` or the gradient's ``norm`` is not finite.
         """
         if bool(torch.isfinite(norm + loss.total.detach())):
             return
@@ -90,9 +98,9 @@ class FiniteGuard:
     def check_updates(
         self, losses: Sequence[LossTerms], norms: Sequence[Tensor], step: int, rollout: Rollout
     ) -> None:
-        """Raise if a loss or a gradient of a whole update was not finite, naming the term.
+        """Raise an error naming the term if any gradient step of an update was not finite.
 
-        For a device that was not waited for between the gradient steps; their gradients are gone.
+        For GPUs, which are not synchronized with between gradient steps.
         """
         names = {"the policy loss": "policy", "the value loss": "value", "the entropy": "entropy"}
         terms = {
@@ -112,36 +120,36 @@ class FiniteGuard:
 
 
 class HealthMonitor:
-    """Warns once of a policy that stopped exploring and of values no return can reach.
+    """Warns once of a collapsed entropy, and once of values that no return can reach.
 
     Args:
         joints: J.
         levels: A.
-        gamma: discount factor; no return exceeds the largest reward over ``1 - gamma``.
+        gamma: discount factor; no return exceeds the largest reward divided by ``1 - gamma``.
     """
 
     def __init__(self, joints: int, levels: int, gamma: float) -> None:
-        self._most_entropy = joints * math.log(levels)
+        self._max_entropy = joints * math.log(levels)
         self._gamma = gamma
         self._largest_reward = 0.0
         self._warned: set[str] = set()
 
     def watch(self, *, step: int, entropy: float, values: Tensor, rewards: Tensor) -> None:
-        """Look at one update: mean entropy [nat], values and (scaled) rewards of the rollout."""
+        """Check one update: mean entropy [nat], values and (scaled) rewards of the rollout."""
         self._largest_reward = max(self._largest_reward, float(rewards.abs().max()))
         bound = self._largest_reward / (1 - self._gamma) if self._gamma < 1 else math.inf
         largest = float(values.abs().max())
-        if entropy < 0.02 * self._most_entropy:
+        if entropy < 0.02 * self._max_entropy:
             self._warn(
                 "entropy",
-                f"Step {step}: the entropy fell to {entropy:.3f} of {self._most_entropy:.2f} nat: "
-                "the policy hardly explores any more. A larger ent_coef is the remedy.",
+                f"Step {step}: the entropy fell to {entropy:.3f} of {self._max_entropy:.2f} nat, "
+                "so the policy hardly explores. Increase ent_coef.",
             )
         if largest > bound:
             self._warn(
                 "value",
-                f"Step {step}: a value of {largest:.3g} is larger than any return can be "
-                f"({bound:.3g}): the critic explodes. A smaller learning rate is the remedy.",
+                f"Step {step}: a value of {largest:.3g} exceeds the largest possible return "
+                f"({bound:.3g}), so the critic diverges. Decrease learning_rate.",
             )
 
     def _warn(self, kind: str, message: str) -> None:

@@ -1,35 +1,35 @@
-"""A policy, a device and a number of processes go in; what does PPO's arithmetic comes out."""
+"""Learner: inference and minibatch gradients of PPO, in one process or several."""
 
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from typing import Protocol
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from knowarm.cores import available_cores
+from knowarm.learn.collector import infer_step
 from knowarm.learn.config import PPOConfig
+from knowarm.learn.data_parallel import DataParallelLearner
+from knowarm.learn.device import CudaGraph, tf32_products
+from knowarm.learn.flat_parameters import FlatParameters
 from knowarm.learn.losses import PPOLossTerms
-from knowarm.learn.minibatch import Targets
-from knowarm.learn.rollout import Rollout
-from knowarm.learn.solo import Solo
-from knowarm.learn.team import Team
-from knowarm.policy import Policy
-from knowarm.policy.memory import State
-from knowarm.policy.policy import MatmulPrecision
+from knowarm.learn.minibatch import Targets, add_gradient, target_specs
+from knowarm.learn.rollout import Rollout, rollout_specs
+from knowarm.policy import MatmulPrecision, Policy, State
 
-SMALLEST_PART = 8
-"""Environments of a minibatch that a process is worth having for."""
+MIN_ENVS_PER_PROCESS = 8
+"""Environments of a minibatch below which another process does not pay."""
 
 
 class Learner(Protocol):
-    """Plays rollouts and differentiates minibatches of them.
+    """Computes inference and minibatch gradients.
 
     Attributes:
-        policy: as given; its parameters and gradients are parts of two long vectors.
-        rollout: what `play` writes and `differentiate` reads.
-        targets: likewise.
-        gradient: (P,) float32, the gradient after `differentiate`.
+        policy: as given; its parameters and gradients become views of two vectors.
+        rollout: written by `infer` and the collector, read by `compute_gradient`.
+        targets: read by `compute_gradient`.
+        gradient: (P,) float32, written by `compute_gradient`.
     """
 
     policy: Policy
@@ -37,44 +37,93 @@ class Learner(Protocol):
     targets: Targets
     gradient: Tensor
 
-    def at_work(self) -> AbstractContextManager[None]:
-        """Hold what is needed while training."""
+    def running(self) -> AbstractContextManager[None]:
+        """Return the context in which the learner works: processes, thread count, precision."""
         ...
 
-    def play(self, rollout: Rollout, t: int, image: Tensor, state: State) -> tuple[Tensor, State]:
-        """As `Player.play`; the state that is returned may be overwritten by the next call."""
+    def infer(self, rollout: Rollout, t: int, image: Tensor, state: State) -> tuple[Tensor, State]:
+        """Run the policy for step t, as `infer_step`; the next call may overwrite the state."""
         ...
 
-    def differentiate(self, columns: Tensor) -> PPOLossTerms:
-        """Compute the loss terms of the environments ``columns`` (b,) and leave their gradient."""
+    def compute_gradient(self, env_ids: Tensor) -> PPOLossTerms:
+        """Compute loss terms and gradient over the environments ``env_ids`` (b,) int64."""
         ...
+
+
+class SingleProcessLearner:
+    """Learner that works in the calling process, on the CPU or a GPU; see `Learner`.
+
+    Args:
+        policy: on the device.
+        config: rollout size and loss weights.
+        precision: of the matrix products.
+        device: of policy, rollout and targets.
+    """
+
+    def __init__(
+        self, policy: Policy, config: PPOConfig, precision: MatmulPrecision, device: torch.device
+    ) -> None:
+        self.policy = policy
+        self._config = config
+        self._precision = precision
+        self._device = device
+        steps, count = config.rollout_steps, config.num_envs
+        self.rollout = Rollout.zeros(rollout_specs(steps, count, policy), device)
+        self.targets = Targets(
+            **{
+                name: torch.zeros(shape, dtype=dtype, device=device)
+                for name, (shape, dtype) in target_specs(steps, count).items()
+            }
+        )
+        self.gradient = FlatParameters(policy).gradient
+        self._compute: Callable[[Tensor], Tensor] = self._loss_vector
+        if device.type == "cuda" and config.cuda_graphs:
+            self._compute = CudaGraph(self._loss_vector)
+
+    @contextmanager
+    def running(self) -> Iterator[None]:
+        """Use one PyTorch thread, and on a GPU the precision, until the context ends."""
+        before = torch.get_num_threads()
+        torch.set_num_threads(1)
+        try:
+            with tf32_products(self._precision, self._device):
+                yield
+        finally:
+            torch.set_num_threads(before)
+
+    def infer(self, rollout: Rollout, t: int, image: Tensor, state: State) -> tuple[Tensor, State]:
+        """As `Learner.infer`."""
+        return infer_step(self.policy, rollout, t, image, state)
+
+    def compute_gradient(self, env_ids: Tensor) -> PPOLossTerms:
+        """As `Learner.compute_gradient`."""
+        return PPOLossTerms.from_vector(self._compute(env_ids))
+
+    def _loss_vector(self, env_ids: Tensor) -> Tensor:
+        self.gradient.zero_()
+        terms = add_gradient(self.policy, self._config, self.rollout, self.targets, env_ids)
+        return terms.vector()
 
 
 def make_learner(
-    policy: Policy,
-    config: PPOConfig,
-    table: np.ndarray,
-    precision: MatmulPrecision,
-    device: torch.device,
+    policy: Policy, config: PPOConfig, precision: MatmulPrecision, device: torch.device
 ) -> Learner:
-    """Return a team where several processes are wanted and worth it, else one alone.
+    """Return a learner with as many processes as the config asks for and pay.
 
     Args:
-        policy: the policy; it is moved to the device.
-        config: sizes, and how many processes.
-        table: (F, K) float32 knowledge.
-        precision: of the products in encoder and memory.
+        policy: moved to the device.
+        config: sizes and number of processes.
+        precision: of the matrix products in encoder and LSTM.
         device: where to learn.
     """
     policy.to(device)
     processes = count_processes(config) if device.type == "cpu" else 1
     if processes > 1:
-        return Team(policy, config, table, precision, processes)
-    placed = torch.tensor(table, dtype=torch.float32, device=device)
-    return Solo(policy, config, placed, precision, device)
+        return DataParallelLearner(policy, config, precision, processes)
+    return SingleProcessLearner(policy, config, precision, device)
 
 
 def count_processes(config: PPOConfig) -> int:
-    """Number of processes that a config asks for and its minibatches are worth."""
-    worth = config.num_envs // config.minibatches // SMALLEST_PART
-    return max(1, min(config.processes or available_cores(), worth))
+    """Return the number of processes: as configured, limited by the size of a minibatch."""
+    most = config.num_envs // config.minibatches // MIN_ENVS_PER_PROCESS
+    return max(1, min(config.processes or available_cores(), most))

@@ -1,7 +1,7 @@
-"""Logits, values and what was observed go in; the named terms of each algorithm's loss come out.
+"""Losses of A3C and PPO.
 
-Logits are (..., J, A), all else (...); every term is a mean over the leading axes, and entropies
-and log-probabilities are sums over joints [nat].
+Logits are (..., J, A), actions (..., J), all else (...). Every term is a mean over the leading
+axes; entropies and log-probabilities are sums over joints [nat].
 """
 
 from dataclasses import dataclass, fields
@@ -14,7 +14,7 @@ from knowarm.policy.actions import entropy, log_probabilities, log_probability
 
 @dataclass(frozen=True, kw_only=True)
 class LossTerms:
-    """Scalars of one loss; ``total`` is what is minimized."""
+    """Scalar terms of a loss; ``total`` is minimized."""
 
     total: Tensor
     policy: Tensor
@@ -24,33 +24,33 @@ class LossTerms:
 
 @dataclass(frozen=True, kw_only=True)
 class PPOLossTerms(LossTerms):
-    """PPO's terms and how far the policy has moved since the rollout."""
+    """Terms of PPO's loss and measures of the policy's change since the rollout."""
 
-    kl: Tensor
+    approx_kl: Tensor
     """Estimate of KL(old, new) [nat]: mean of ratio - 1 - log ratio."""
-    clipped: Tensor
-    """Share of steps whose ratio was clipped."""
+    clip_fraction: Tensor
+    """Fraction of steps whose ratio was clipped."""
 
     @classmethod
     def names(cls) -> list[str]:
-        """Names of the terms, in the order of `vector`."""
+        """Return the names of the terms in the order of `vector`."""
         return [field.name for field in fields(cls)]
 
     def vector(self) -> Tensor:
-        """All terms as one tensor, without gradients."""
+        """Return all terms as one tensor, detached."""
         return torch.stack([getattr(self, name).detach() for name in self.names()])
 
     @classmethod
     def from_vector(cls, vector: Tensor) -> "PPOLossTerms":
-        """Return the terms that made a `vector`, which is copied."""
+        """Build the terms from a copy of a `vector`."""
         return cls(**dict(zip(cls.names(), vector.clone(), strict=True)))
 
-    def times(self, share: float) -> "PPOLossTerms":
-        """Every term times a number, without gradients."""
-        return PPOLossTerms(**{name: term.detach() * share for name, term in vars(self).items()})
+    def scaled(self, factor: float) -> "PPOLossTerms":
+        """Return every term times a factor, detached."""
+        return PPOLossTerms(**{name: term.detach() * factor for name, term in vars(self).items()})
 
     def __add__(self, other: "PPOLossTerms") -> "PPOLossTerms":
-        """Every term added to the other's: the terms of a batch from those of its parts."""
+        """Add term by term: the weighted terms of a batch's parts give those of the batch."""
         return PPOLossTerms(
             **{name: term + getattr(other, name) for name, term in vars(self).items()}
         )
@@ -66,11 +66,11 @@ def a3c_loss(
     vf_coef: float,
     ent_coef: float,
 ) -> LossTerms:
-    """A3C's loss (paper section 4.2.1), divided by the number of steps.
+    """Compute A3C's loss (paper section 4.2.1), divided by the number of steps.
 
     ``policy = -mean(log pi(a) A)``, ``value = mean((R - V)^2) / 2`` and
     ``total = policy + vf_coef * value - ent_coef * entropy``: entropy is rewarded.
-    The paper prints the opposite sign, under which a policy would be punished for exploring.
+    The paper prints the opposite sign of the entropy term, which would penalize exploration.
     """
     policy = -(log_probability(logits, actions) * advantages).mean()
     value = 0.5 * (returns - values).square().mean()
@@ -91,7 +91,7 @@ def ppo_loss(
     vf_coef: float,
     ent_coef: float,
 ) -> PPOLossTerms:
-    """PPO's clipped surrogate, value loss and entropy (Schulman et al. 2017, equations 7 and 9).
+    """Compute PPO's clipped surrogate loss (Schulman et al. 2017, equations 7 and 9).
 
     ``policy = -mean(min(r A, clip(r, 1 - clip_range, 1 + clip_range) A))`` with ``r`` the ratio of
     new to old probability; ``value`` and ``total`` as in `a3c_loss`.
@@ -106,13 +106,13 @@ def ppo_loss(
     value = 0.5 * (returns - values).square().mean()
     spread = -(log_p.exp() * log_p).sum((-2, -1)).mean()
     with torch.no_grad():
-        kl = (ratio - 1 - log_ratio).mean()
-        clipped = ((ratio - 1).abs() > clip_range).to(ratio.dtype).mean()
+        approx_kl = (ratio - 1 - log_ratio).mean()
+        clip_fraction = ((ratio - 1).abs() > clip_range).to(ratio.dtype).mean()
     return PPOLossTerms(
         total=policy + vf_coef * value - ent_coef * spread,
         policy=policy,
         value=value,
         entropy=spread,
-        kl=kl,
-        clipped=clipped,
+        approx_kl=approx_kl,
+        clip_fraction=clip_fraction,
     )

@@ -1,4 +1,4 @@
-"""A policy and some environments of a rollout go in; PPO's loss terms and gradient come out."""
+"""Minibatch gradient: PPO's loss and its gradient over some environments of a rollout."""
 
 from dataclasses import dataclass
 
@@ -8,13 +8,13 @@ from torch import Tensor
 from knowarm.learn.config import PPOConfig
 from knowarm.learn.losses import PPOLossTerms, ppo_loss
 from knowarm.learn.rollout import Rollout
-from knowarm.learn.shared import Shapes
+from knowarm.learn.shared_tensors import TensorSpecs
 from knowarm.policy import Policy
 
 
 @dataclass(frozen=True)
 class Targets:
-    """What a rollout teaches."""
+    """Targets of PPO's loss for one rollout."""
 
     advantage: Tensor
     """(T, B) float32."""
@@ -22,51 +22,49 @@ class Targets:
     """(T, B) float32."""
 
 
-def target_shapes(steps: int, batch: int) -> Shapes:
-    """Shapes and types of the targets of T steps of B environments."""
+def target_specs(steps: int, batch: int) -> TensorSpecs:
+    """Return shapes and dtypes of the targets of T steps of B environments."""
     return dict.fromkeys(("advantage", "returns"), ((steps, batch), torch.float32))
 
 
-def differentiate(
+def add_gradient(
     policy: Policy,
     config: PPOConfig,
-    table: Tensor,
     rollout: Rollout,
     targets: Targets,
-    columns: Tensor,
-    share: float = 1.0,
+    env_ids: Tensor,
+    weight: float = 1.0,
 ) -> PPOLossTerms:
-    """Add the gradient of the loss of some environments to the policy's.
+    """Add the gradient of the loss over some environments to the policy's gradients.
 
     Args:
         policy: its gradients are added to.
-        config: weights of the terms.
-        table: (F, K) float32 knowledge.
+        config: weights of the loss terms.
         rollout: T steps of B environments.
-        targets: its targets.
-        columns: (b,) int64, the environments.
-        share: what the loss is multiplied by: b over the minibatch's number of environments.
+        targets: of the rollout.
+        env_ids: (b,) int64, the environments.
+        weight: factor of the loss: b over the number of environments in the whole minibatch.
 
     Returns:
-        The terms times ``share``, so that those of a minibatch's parts add up to its own.
+        The terms times ``weight``, so that the terms of a minibatch's parts add up to its own.
     """
     h, c = rollout.start_state
     logits, values, _ = policy.unroll(
-        rollout.patches.index_select(1, columns),
-        table[rollout.facet[:, columns]],
-        (h[columns], c[columns]),
-        rollout.episode_start[:, columns],
+        rollout.patches.index_select(1, env_ids),
+        rollout.facet[:, env_ids],
+        (h[env_ids], c[env_ids]),
+        rollout.episode_start[:, env_ids],
     )
     terms = ppo_loss(
         logits,
         values,
-        rollout.action[:, columns],
-        rollout.log_probability[:, columns],
-        targets.advantage[:, columns],
-        targets.returns[:, columns],
+        rollout.action[:, env_ids],
+        rollout.log_probability[:, env_ids],
+        targets.advantage[:, env_ids],
+        targets.returns[:, env_ids],
         clip_range=config.clip_range,
         vf_coef=config.vf_coef,
         ent_coef=config.ent_coef,
     )
-    (terms.total * share).backward()
-    return terms.times(share)
+    (terms.total * weight).backward()
+    return terms.scaled(weight)

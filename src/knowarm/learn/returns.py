@@ -1,8 +1,8 @@
-"""Rewards, values and the two ways an episode ends go in; returns and advantages come out.
+"""Returns and generalized advantage estimates.
 
-All arrays are (T, B) float32 tensors, flags are (T, B) bool. An episode that *terminated* has no
-future; one that was *truncated* has one, worth the value of its final observation, but the next
-row belongs to another episode.
+All arrays are (T, B) float32 tensors, flags are (T, B) bool. The return of a *terminated*
+episode ends with its last reward; that of a *truncated* one continues with the value of its final
+observation. In both cases the next row belongs to another episode.
 """
 
 import torch
@@ -12,14 +12,14 @@ from torch import Tensor
 def next_values(
     values: Tensor, last_values: Tensor, final_values: Tensor, terminated: Tensor, truncated: Tensor
 ) -> Tensor:
-    """Value of what follows each step, within the same episode.
+    """Return the value of the state after each step, within the same episode.
 
     Args:
-        values: V of the observation each step was taken from.
+        values: V of the observation before each step.
         last_values: (B,) V of the observation after the last step.
         final_values: V of the final observation where ``truncated``; not read elsewhere.
-        terminated: the episode ended for good.
-        truncated: the time limit cut the episode.
+        terminated: the episode ended in a terminal state.
+        truncated: the time limit ended the episode.
 
     Returns:
         0 where terminated, ``final_values`` where truncated, else the next row's value.
@@ -30,7 +30,7 @@ def next_values(
 
 
 def n_step_returns(rewards: Tensor, following: Tensor, done: Tensor, gamma: float) -> Tensor:
-    """Discounted sum of rewards until the episode or the rollout ends, then the value.
+    """Compute n-step returns: discounted rewards until episode or rollout ends, then the value.
 
     ``R_t = r_t + gamma R_{t+1}``, with ``following`` in place of ``R_{t+1}`` in the last row and
     where ``done`` (paper section 4.2.1; Mnih et al. 2016).
@@ -51,10 +51,10 @@ def advantages(
     gamma: float,
     gae_lambda: float,
 ) -> Tensor:
-    """Generalized advantage estimates (paper equations 3 and 4).
+    """Compute generalized advantage estimates (paper equations 3 and 4).
 
     ``delta_t = r_t + gamma V(s_{t+1}) - V(s_t)``, ``A_t = delta_t + gamma lambda A_{t+1}``, the
-    sum cut where ``done``.
+    sum restarted where ``done``.
     """
     deltas = rewards + gamma * following - values
     decay = gamma * gae_lambda * (~done).to(rewards.dtype)

@@ -1,4 +1,4 @@
-"""Sizes go in; preallocated buffers for T steps of B environments come out."""
+"""Rollout buffers: T steps of B environments."""
 
 from dataclasses import dataclass
 
@@ -6,17 +6,16 @@ import torch
 from torch import Tensor
 
 from knowarm.learn.returns import next_values
-from knowarm.learn.shared import Shapes
-from knowarm.policy import Policy
-from knowarm.policy.memory import State
+from knowarm.learn.shared_tensors import TensorSpecs
+from knowarm.policy import Policy, State
 
 
 @dataclass(frozen=True)
 class Rollout:
-    """What T steps of B environments saw, did and got; the tensors are written in place."""
+    """Preallocated tensors of a rollout, written in place."""
 
     patches: Tensor
-    """(T, B, S, L) uint8: what the policy looks at of the images; see `Policy.patches`."""
+    """(T, B, S, L) uint8: patches of the images; see `Policy.patches`."""
     facet: Tensor
     """(T, B) int64: row of the knowledge table."""
     episode_start: Tensor
@@ -24,11 +23,11 @@ class Rollout:
     action: Tensor
     """(T, B, J) int64."""
     log_probability: Tensor
-    """(T, B) float32, of the whole action [nat]."""
+    """(T, B) float32: log-probability of the action, summed over joints [nat]."""
     value: Tensor
-    """(T, B) float32."""
+    """(T, B) float32: value of each observation."""
     reward: Tensor
-    """(T, B) float32, as the environment gives it."""
+    """(T, B) float32, unscaled."""
     terminated: Tensor
     """(T, B) bool."""
     truncated: Tensor
@@ -40,15 +39,15 @@ class Rollout:
     start_h: Tensor
     """(B, H) float32: hidden state before the first step."""
     start_c: Tensor
-    """(B, H) float32: cell before the first step."""
+    """(B, H) float32: cell state before the first step."""
 
     @classmethod
-    def zeros(cls, shapes: Shapes, device: torch.device | None = None) -> "Rollout":
-        """Make the tensors of `rollout_shapes`, on a device or in the host's memory."""
+    def zeros(cls, specs: TensorSpecs, device: torch.device | None = None) -> "Rollout":
+        """Allocate the tensors of `rollout_specs`; without a device, on the CPU."""
         return cls(
             **{
                 name: torch.zeros(shape, dtype=kind, device=device)
-                for name, (shape, kind) in shapes.items()
+                for name, (shape, kind) in specs.items()
             }
         )
 
@@ -65,34 +64,34 @@ class Rollout:
 
     @property
     def done(self) -> Tensor:
-        """(T, B) bool: an episode ended with this step."""
+        """(T, B) bool: the episode ended with this step."""
         return self.terminated | self.truncated
 
     def following(self) -> Tensor:
-        """(T, B) value of what follows each step within its episode; see `returns.next_values`."""
+        """Return the value after each step within its episode, (T, B); see `next_values`."""
         return next_values(
             self.value, self.last_value, self.final_value, self.terminated, self.truncated
         )
 
     def tensors(self) -> dict[str, Tensor]:
-        """All buffers by name, for saving a batch that went wrong."""
+        """Return all tensors by name."""
         return dict(vars(self))
 
 
-def rollout_shapes(steps: int, batch: int, policy: Policy) -> Shapes:
-    """Shapes and types of a rollout's tensors.
+def rollout_specs(steps: int, batch: int, policy: Policy) -> TensorSpecs:
+    """Return shapes and dtypes of a rollout's tensors.
 
     Args:
         steps: T.
         batch: B.
-        policy: gives patches, joints and state their sizes.
+        policy: determines the sizes of patches, actions and state.
     """
-    table, state = (steps, batch), (batch, policy.config.hidden_size)
+    table, state = (steps, batch), (batch, policy.hidden_size)
     return {
         "patches": ((*table, *policy.encoder.patch_shape), torch.uint8),
         "facet": (table, torch.int64),
         "episode_start": (table, torch.bool),
-        "action": ((*table, policy.config.joints), torch.int64),
+        "action": ((*table, policy.shape.joints), torch.int64),
         "log_probability": (table, torch.float32),
         "value": (table, torch.float32),
         "reward": (table, torch.float32),

@@ -1,66 +1,202 @@
-"""Callbacks and counters that every trainer shares."""
+"""Trainer: what PPO and A3C share of a training run.
 
+Hooks, interim evaluations with the best policy, checkpoints and resuming.
+"""
+
+from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
+from multiprocessing.context import BaseContext
+from pathlib import Path
 from typing import Literal
 
+import torch
+
+from knowarm.learn.checkpoint import Checkpoint, CheckpointStore
+from knowarm.learn.evaluation import (
+    BackgroundEvaluations,
+    Evaluate,
+    Evaluations,
+    InlineEvaluations,
+    MakeEvaluate,
+    Metrics,
+)
+from knowarm.learn.flat_parameters import unflatten_parameters
 from knowarm.policy import Policy
 
-Metrics = dict[str, float]
-Evaluate = Callable[[Policy], Metrics]
-"""Plays fixed episodes; its ``return_mean`` decides which policy is the best."""
+StopReason = Literal["finished", "stopped"]
 
 
 def ignore_metrics(metrics: Metrics) -> None:
-    """Take metrics and do nothing."""
+    """Do nothing."""
 
 
 def ignore_evaluation(step: int, results: Metrics, is_best: bool) -> None:
-    """Take an evaluation and do nothing."""
+    """Do nothing."""
 
 
 def never() -> bool:
-    """Never stop."""
+    """Return false."""
     return False
 
 
 @dataclass(frozen=True, kw_only=True)
 class Hooks:
-    """What the surroundings want to be told, and how they say stop."""
+    """Functions that a trainer calls."""
 
     on_metrics: Callable[[Metrics], None] = ignore_metrics
-    """Gets one row an update (PPO) or a log interval (A3C)."""
+    """Receives one row of metrics per update (PPO) or log interval (A3C)."""
     on_evaluation: Callable[[int, Metrics, bool], None] = ignore_evaluation
-    """Gets step, results and whether they are the best so far."""
+    """Receives step, results, and whether they are the best so far."""
     should_stop: Callable[[], bool] = never
-    """Asked between updates; true saves a checkpoint and ends `train`."""
+    """Called between updates; true saves a checkpoint and ends `Trainer.train`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingResult:
-    """How a call of ``train`` ended."""
+    """How a call of `Trainer.train` ended."""
 
     step: int
-    """Environment steps taken over the whole training."""
-    reason: Literal["finished", "stopped"]
+    """Environment steps of the whole training."""
+    reason: StopReason
+    """Whether all steps were taken or the hook ended training."""
     best_return: float | None
-    """Mean return of the best interim evaluation, None without one."""
+    """Mean return of the best interim evaluation; None without one."""
     best_step: int | None
+    """Step of the best interim evaluation."""
 
 
 @dataclass
-class Best:
-    """The best interim evaluation so far."""
+class BestEvaluation:
+    """The interim evaluation with the largest mean return so far."""
 
-    value: float | None = field(default=None)
-    step: int | None = field(default=None)
+    value: float | None = None
+    step: int | None = None
 
     def update(self, step: int, value: float) -> bool:
-        """Take one result; true if it is better than all before."""
+        """Take a result; return whether it is better than all before."""
         if self.value is not None and value <= self.value:
             return False
         self.value, self.step = value, step
         return True
+
+
+class Trainer(ABC):
+    """Base class of the trainers.
+
+    Args:
+        policy: trained in place.
+        seed: of episodes, actions and minibatches.
+        evaluate: plays the interim evaluation while training waits; None for none.
+        make_evaluate: instead of ``evaluate``, creates it in a child process that plays while
+            training continues; picklable. Results may arrive after later steps.
+        evaluate_every: steps between two interim evaluations; the first precedes training.
+        hooks: functions to call.
+        checkpoints: where checkpoints are saved; None saves none.
+        checkpoint_every: steps between two checkpoints.
+        failure_folder: where a rollout with non-finite values is saved; None saves nothing.
+
+    Attributes:
+        step: environment steps so far.
+        best: the best interim evaluation so far.
+    """
+
+    def __init__(
+        self,
+        policy: Policy,
+        *,
+        seed: int,
+        evaluate: Evaluate | None = None,
+        make_evaluate: MakeEvaluate | None = None,
+        evaluate_every: int = 50_000,
+        hooks: Hooks | None = None,
+        checkpoints: CheckpointStore | None = None,
+        checkpoint_every: int = 200_000,
+        failure_folder: Path | None = None,
+    ) -> None:
+        self.policy = policy
+        self.seed = seed
+        self.step = 0
+        self.best = BestEvaluation()
+        self.hooks = hooks or Hooks()
+        self.checkpoints = checkpoints
+        self.checkpoint_every = checkpoint_every
+        self.evaluate_every = evaluate_every
+        self.failure_folder = failure_folder
+        self._evaluate = evaluate
+        self._make_evaluate = make_evaluate
+        self._evaluations: Evaluations | None = None
+        self._context: BaseContext | None = None
+
+    @property
+    def evaluates(self) -> bool:
+        """Whether there are interim evaluations."""
+        return self._evaluate is not None or self._make_evaluate is not None
+
+    def train(self, total_steps: int) -> TrainingResult:
+        """Train until ``total_steps`` environment steps were taken in total.
+
+        Schedules extend over ``total_steps``, so a resumed training must be given the same number
+        to reproduce an uninterrupted one.
+
+        Raises:
+            NotFiniteError: a loss, gradient or input is not finite.
+            UserError: a checkpoint cannot be written, or the memory of a GPU is full.
+            RuntimeError: a child process exits or fails repeatedly.
+        """
+        if self._evaluate is not None:
+            self._evaluations = InlineEvaluations(self.policy.spec(), self._evaluate)
+        elif self._make_evaluate is not None:
+            self._evaluations = BackgroundEvaluations(
+                self.policy.spec(), self._make_evaluate, self._context
+            )
+        try:
+            reason = self._train(total_steps)
+        finally:
+            if self._evaluations is not None:
+                self._evaluations.close()
+        return TrainingResult(
+            step=self.step, reason=reason, best_return=self.best.value, best_step=self.best.step
+        )
+
+    def resume(self) -> None:
+        """Restore the latest intact checkpoint.
+
+        Raises:
+            UserError: there is none, or it belongs to another run.
+        """
+        assert self.checkpoints is not None, "resuming needs a checkpoint store"
+        checkpoint = self.checkpoints.load()
+        self.policy.load_state_dict({k: torch.from_numpy(v) for k, v in checkpoint.policy.items()})
+        self.step = checkpoint.facts["step"]
+        self.best = BestEvaluation(checkpoint.facts["best_return"], checkpoint.facts["best_step"])
+        self._restore(checkpoint)
+
+    @abstractmethod
+    def _train(self, total_steps: int) -> StopReason:
+        """Train; see `train`."""
+
+    @abstractmethod
+    def _restore(self, checkpoint: Checkpoint) -> None:
+        """Restore what `resume` does not: optimizer, environments, generators, counters."""
+
+    def _save(self, checkpoint: Checkpoint) -> None:
+        """Save a checkpoint, if there is a store, with the best evaluation so far."""
+        if self.checkpoints is not None:
+            best = {"best_return": self.best.value, "best_step": self.best.step}
+            self.checkpoints.save(replace(checkpoint, facts={**checkpoint.facts, **best}))
+
+    def _take_evaluations(self, *, wait: bool) -> None:
+        """Report completed evaluations to the hooks and save the best policy."""
+        if self._evaluations is None:
+            return
+        for done in self._evaluations.completed(wait=wait):
+            is_best = self.best.update(done.step, done.results["return_mean"])
+            if is_best and self.checkpoints is not None:
+                parameters = unflatten_parameters(self.policy, done.values)
+                facts = {"step": done.step, **done.results}
+                self.checkpoints.save_best(Checkpoint(policy=parameters, facts=facts))
+            self.hooks.on_evaluation(done.step, done.results, is_best)
 
 
 def crossed(before: int, after: int, every: int) -> bool:

@@ -1,13 +1,26 @@
-"""Renderer, knowledge vectors and a recurrent state go in; actions, values and the state come out.
+"""Recurrent policy: image encoder, knowledge fusion, LSTM, actor and critic heads.
 
-The path through the files: `config` -> `encoder` -> `fusion` -> `memory` -> `policy` ->
-`actions` -> `agent`.
+Modules in the order of the forward pass: `config` (choices and shapes), `encoder`, `fusion`,
+`lstm` (with `lstm_kernels`), `policy`, `actions`, `agent`; `onnx_export` writes a trained policy.
 """
 
 from knowarm.policy.agent import PolicyAgent
-from knowarm.policy.config import PolicyConfig
-from knowarm.policy.matched import matched_without_knowledge
-from knowarm.policy.memory import State
-from knowarm.policy.policy import Policy
+from knowarm.policy.config import PolicyConfig, PolicyShape
+from knowarm.policy.lstm import State
+from knowarm.policy.policy import (
+    MatmulPrecision,
+    Policy,
+    PolicySpec,
+    matched_without_knowledge,
+)
 
-__all__ = ["Policy", "PolicyAgent", "PolicyConfig", "State", "matched_without_knowledge"]
+__all__ = [
+    "MatmulPrecision",
+    "Policy",
+    "PolicyAgent",
+    "PolicyConfig",
+    "PolicyShape",
+    "PolicySpec",
+    "State",
+    "matched_without_knowledge",
+]

@@ -1,6 +1,7 @@
-"""Logits (..., J, A) go in; actions (..., J), log-probabilities and entropies come out.
+"""Factorized categorical action distribution: one softmax per joint.
 
-The joints choose independently, so log-probabilities and entropies are sums over joints.
+Logits are (..., J, A), actions (..., J). Joints are independent, so log-probabilities and
+entropies of an action are sums over the joints.
 """
 
 import torch
@@ -8,9 +9,7 @@ from torch import Tensor
 
 
 def sample(logits: Tensor, generator: torch.Generator) -> Tensor:
-    """Draw one level a joint from softmax(logits).
-
-    The Gumbel-max trick: argmax of logits minus log of exponential draws.
+    """Draw one level per joint from softmax(logits), by the Gumbel-max trick.
 
     Returns:
         int64 (..., J).
@@ -20,24 +19,24 @@ def sample(logits: Tensor, generator: torch.Generator) -> Tensor:
 
 
 def greedy(logits: Tensor) -> Tensor:
-    """Take the most probable level of every joint: int64 (..., J)."""
+    """Return the most probable level of every joint: int64 (..., J)."""
     return logits.argmax(-1)
 
 
 def log_probabilities(logits: Tensor) -> Tensor:
-    """Log of softmax(logits) over the levels: shape (..., J, A).
+    """Compute log softmax(logits) over the levels: (..., J, A).
 
-    ``torch.log_softmax`` takes four times as long on rows of so few numbers.
+    ``torch.log_softmax`` takes four times as long on rows of only A values.
     """
     return logits - logits.logsumexp(-1, keepdim=True)
 
 
 def log_probability(logits: Tensor, actions: Tensor) -> Tensor:
-    """Log-probability of whole actions (..., J): shape (...)."""
+    """Compute the log-probability of actions (..., J), summed over joints [nat]: (...)."""
     return log_probabilities(logits).gather(-1, actions[..., None]).squeeze(-1).sum(-1)
 
 
 def entropy(logits: Tensor) -> Tensor:
-    """Entropy of whole actions [nat]: shape (...)."""
+    """Compute the entropy of the action distribution, summed over joints [nat]: (...)."""
     log_p = log_probabilities(logits)
     return -(log_p.exp() * log_p).sum((-2, -1))

@@ -1,6 +1,6 @@
-"""A policy and a knowledge table go in; an agent that plays episodes comes out."""
+"""Policy agent: plays episodes of a vector environment with a policy."""
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -10,53 +10,41 @@ from knowarm.policy.policy import Policy
 
 
 class FacetEnv(Protocol):
-    """What a policy needs to know of a vector environment."""
+    """Members of a vector environment that `PolicyAgent` reads."""
 
     num_envs: int
 
     @property
-    def facet_ids(self) -> np.ndarray:
-        """(n,) int64: which row of the knowledge table belongs to each running episode."""
+    def facet_ids(self) -> Any:
+        """Facet of each running episode, (n,) int64, array or tensor."""
         ...
 
 
 class PolicyAgent:
-    """Plays a policy; `start` at the beginning of episodes, then `act` once a step.
+    """Chooses actions with a policy and keeps its recurrent state.
+
+    Call `start` after every reset of the environments, then `act` once per step.
 
     Args:
-        policy: the policy; it is not changed.
-        knowledge_table: (F, K) float32, one row a facet.
-        greedy: take the most probable action instead of drawing one.
-        generator: draws the actions; needed unless ``greedy``.
+        policy: the policy, with its knowledge table; it is not changed.
+        greedy: choose the most probable action instead of sampling.
+        generator: samples the actions; required unless ``greedy``.
     """
 
     def __init__(
-        self,
-        policy: Policy,
-        knowledge_table: np.ndarray,
-        *,
-        greedy: bool,
-        generator: torch.Generator | None = None,
+        self, policy: Policy, *, greedy: bool, generator: torch.Generator | None = None
     ) -> None:
-        assert greedy or generator is not None, "drawing actions needs a generator"
+        if not greedy and generator is None:
+            raise ValueError("PolicyAgent(greedy=False) needs a generator to sample actions.")
         self.policy = policy
         self.greedy = greedy
         self.generator = generator
-        self._table = torch.tensor(knowledge_table, dtype=torch.float32)
-
-    @classmethod
-    def seeded(
-        cls, policy: Policy, knowledge_table: np.ndarray, *, greedy: bool, seed: int
-    ) -> "PolicyAgent":
-        """Make an agent with a fresh generator of its own."""
-        generator = torch.Generator().manual_seed(seed)
-        return cls(policy, knowledge_table, greedy=greedy, generator=generator)
 
     def start(self, env: FacetEnv) -> None:
-        """Forget the past: all episodes of ``env`` were just reset."""
+        """Reset the recurrent state: all episodes of ``env`` have just been reset."""
         self._env = env
         self._state = self.policy.initial_state(env.num_envs)
-        self._first = torch.ones(env.num_envs, dtype=torch.bool)
+        self._episode_start = torch.ones(env.num_envs, dtype=torch.bool)
 
     @torch.inference_mode()
     def act(self, observations: np.ndarray) -> np.ndarray:
@@ -68,10 +56,10 @@ class PolicyAgent:
         Returns:
             (n, J) int64 levels.
         """
-        knowledge = self._table[torch.as_tensor(self._env.facet_ids)]
-        patches = self.policy.patches(torch.as_tensor(observations))
-        logits, _, self._state = self.policy.step(patches, knowledge, self._state, self._first)
-        self._first = torch.zeros_like(self._first)
+        facet = torch.as_tensor(self._env.facet_ids)
+        image = torch.as_tensor(observations)
+        logits, _, self._state = self.policy.step(image, facet, self._state, self._episode_start)
+        self._episode_start = torch.zeros_like(self._episode_start)
         if self.greedy:
             return greedy(logits).numpy()
         assert self.generator is not None

@@ -1,11 +1,31 @@
-"""Images (N, H, W, 3) uint8 go in; their patches, then convolution features come out."""
+"""Image encoder: two convolutions over patches of the image, and orthogonal initialization."""
+
+import math
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 SIDE, STRIDE = 3, 4
-"""Of the first convolution's patches [px]: they do not overlap and leave out 7 of 16 pixels."""
+"""Kernel size and stride of the first convolution [px]: its patches do not overlap and leave out
+7 of every 16 pixels."""
+
+RELU_GAIN = math.sqrt(2.0)
+"""Initialization gain of layers that are followed by a ReLU."""
+
+
+@torch.no_grad()
+def orthogonal(layer: nn.Module, gain: float, generator: torch.Generator) -> None:
+    """Initialize every weight matrix of a layer orthogonally and its biases with zeros.
+
+    Convolution kernels are treated as matrices (out, in * height * width). The paper (section
+    4.2.3) initializes all layers this way and gives no gains.
+    """
+    for parameter in layer.parameters(recurse=False):
+        if parameter.ndim >= 2:
+            nn.init.orthogonal_(parameter, gain, generator=generator)
+        else:
+            nn.init.zeros_(parameter)
 
 
 class ImageEncoder(nn.Module):
@@ -13,16 +33,21 @@ class ImageEncoder(nn.Module):
 
     A 64x64 image gives 6 x 6 positions of 32 channels: 1152 features (paper section 4.2.2).
 
-    The work is cut in two. `patches` takes the pixels that the first convolution sees and puts
-    them in the order it sees them; it has no parameters, so a rollout keeps its result and every
-    pass over the rollout saves it. `forward` is one matrix product over the patches and a
-    convolution. Four patches side by side make a block, and blocks with the channels of their
-    four patches turn the second convolution into one of 3x3 and stride 1, which processors do in
-    two thirds of the time (docs/learning.md).
+    The forward pass has two stages. `patches` gathers the pixels that the first convolution reads,
+    in the order it reads them. It has no parameters, so a rollout stores its result and every
+    pass over the rollout saves the work. `forward` is one matrix product over the patches and one
+    convolution: four neighbouring patches form a block, and over blocks with the channels of their
+    four patches the second convolution is one of 3x3 and stride 1, which takes two thirds of the
+    time on CPUs (docs/learning.md).
+
+    Args:
+        image_size: height and width of the image [px].
+        pixel_shift: subtracted from the pixels after scaling them to 0..1.
+        pixel_scale: factor applied after the shift.
 
     Attributes:
-        patch_shape: (S, L), shape of one image's patches: S blocks, L pixel values of each.
-        width: number of features.
+        patch_shape: (S, L), shape of one image's patches: S blocks of L pixel values.
+        width: number of output features.
     """
 
     channels = 32
@@ -37,18 +62,18 @@ class ImageEncoder(nn.Module):
         self.width = side * side * self.channels
         self._blocks = side + 2
         self.patch_shape = (self._blocks**2, 4 * SIDE * SIDE * 3)
-        # The last window of the last block may reach beyond the image; its weights are zero.
+        # The last patch of the last block may extend beyond the image; its weights are zero.
         self._padding = max(0, STRIDE * (2 * self._blocks - 1) + SIDE - image_size)
 
     def patches(self, image: Tensor) -> Tensor:
-        """Cut images into the patches of the first convolution.
+        """Gather the patches of the first convolution.
 
         Args:
             image: (..., H, W, 3) uint8.
 
         Returns:
-            (..., S, L) uint8: blocks row by row; in each 2 x 2 patches of 3 x 3 pixels of 3
-            colours.
+            (..., S, L) uint8: blocks in row-major order, each of 2 x 2 patches of 3 x 3 pixels
+            with 3 colour channels.
         """
         blocks, leading = self._blocks, image.shape[:-3]
         image = image.reshape(-1, *image.shape[-3:])
@@ -56,20 +81,20 @@ class ImageEncoder(nn.Module):
             image = F.pad(image, (0, 0, 0, self._padding, 0, self._padding))
         cut = image.unfold(1, SIDE, STRIDE).unfold(2, SIDE, STRIDE)[:, : 2 * blocks, : 2 * blocks]
         cut = cut.unflatten(2, (blocks, 2)).unflatten(1, (blocks, 2))
-        # row, row in block, column, column in block, colour, pixel row, pixel column
+        # axes: row, row in block, column, column in block, colour, pixel row, pixel column
         return cut.permute(0, 1, 3, 2, 4, 6, 7, 5).reshape(*leading, *self.patch_shape)
 
     def forward(self, patches: Tensor) -> Tensor:
         """Encode images.
 
         Args:
-            patches: (N, S, L) uint8 of `patches`.
+            patches: (N, S, L) uint8, from `patches`.
 
         Returns:
-            (N, width) float32, positions first, the channels of one position side by side.
+            (N, width) float32; the channels of one position are contiguous.
         """
         count, blocks, depth = patches.shape[0], self._blocks, self.conv1.out_channels
-        # Scaling the few weights instead of the many pixels gives the same sums.
+        # Scale the few weights instead of the many pixels.
         weight = self.conv1.weight.permute(0, 2, 3, 1).reshape(depth, -1)
         weight = weight * (self.pixel_scale / 255)
         bias = self.conv1.bias
@@ -78,20 +103,20 @@ class ImageEncoder(nn.Module):
             bias = bias - self.pixel_shift * 255 * weight.sum(1)
         pixels = patches.reshape(-1, weight.shape[1]).to(self.pixel_type())
         x = torch.relu(F.linear(pixels, weight, bias))
-        # Channels last is the order of the product, and the one convolutions are fastest in.
+        # Channels last is the layout of the product, and the fastest one for convolutions.
         x = x.view(count, blocks, blocks, 4 * depth).permute(0, 3, 1, 2)
         x = torch.relu(F.conv2d(x, self._block_weight(), self.conv2.bias))
         return x.permute(0, 2, 3, 1).reshape(count, self.width)
 
     def pixel_type(self) -> torch.dtype:
-        """Type the pixels are converted to: that of the products, which saves a conversion."""
+        """Return the dtype of the matrix products, to which the pixels are converted directly."""
         device = self.conv1.weight.device.type
         if torch.is_autocast_enabled(device):
             return torch.get_autocast_dtype(device)
         return self.conv1.weight.dtype
 
     def _block_weight(self) -> Tensor:
-        """Weights of the second convolution over blocks: (32, 16, 5, 5) -> (32, 64, 3, 3)."""
+        """Rearrange the second kernel for blocks: (32, 16, 5, 5) -> (32, 64, 3, 3)."""
         weight = F.pad(self.conv2.weight, (0, 1, 0, 1))
         out, depth = weight.shape[:2]
         weight = weight.view(out, depth, 3, 2, 3, 2).permute(0, 3, 5, 1, 2, 4)

@@ -1,4 +1,4 @@
-"""A trained policy goes in; one step of it as an ONNX file comes out."""
+"""ONNX export of one step of a policy."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ OUTPUTS = ("action", "logits", "value", "next_h", "next_c")
 
 
 class _Step(nn.Module):
-    """`Policy.step` with a flat signature and the most probable action as first output."""
+    """`Policy.step_with_knowledge` with a flat signature, and the greedy action as first output."""
 
     def __init__(self, policy: Policy) -> None:
         super().__init__()
@@ -22,19 +22,19 @@ class _Step(nn.Module):
     def forward(
         self, image: Tensor, knowledge: Tensor, h: Tensor, c: Tensor, episode_start: Tensor
     ) -> tuple[Tensor, ...]:
-        logits, value, (h, c) = self.policy.step(
-            self.policy.patches(image), knowledge, (h, c), episode_start
+        logits, value, (h, c) = self.policy.step_with_knowledge(
+            image, knowledge, (h, c), episode_start
         )
         return logits.argmax(-1), logits, value, h, c
 
 
 def export_onnx(policy: Policy, path: Path) -> None:
-    """Write one step of a policy as ONNX (opset 18), for any number B of environments.
+    """Write one step of a policy as ONNX (opset 18), for any batch size B.
 
     Inputs: ``image`` (B, H, W, 3) uint8, ``knowledge`` (B, K) float32, the recurrent state ``h``
     and ``c`` (B, hidden) float32 (zeros before the first step), ``episode_start`` (B,) bool.
-    Outputs: ``action`` (B, J) int64 the most probable levels, ``logits`` (B, J, A), ``value``
-    (B,), and the state for the next step, ``next_h`` and ``next_c``.
+    Outputs: ``action`` (B, J) int64, the most probable levels, ``logits`` (B, J, A), ``value``
+    (B,), and the next recurrent state, ``next_h`` and ``next_c``.
 
     Args:
         policy: the policy; it is not changed.
@@ -43,12 +43,12 @@ def export_onnx(policy: Policy, path: Path) -> None:
     Raises:
         UserError: the packages of ``pip install 'knowarm[onnx]'`` are missing.
     """
-    config = policy.config
+    shape = policy.shape
     batch = torch.export.Dim("batch", min=1)
-    # Two rows, since a traced size of one would be taken for a constant.
+    # Batch size 2: a traced batch size of 1 would be exported as a constant.
     example = (
-        torch.zeros((2, config.image_size, config.image_size, 3), dtype=torch.uint8),
-        torch.zeros(2, config.knowledge_dim),
+        torch.zeros((2, shape.image_size, shape.image_size, 3), dtype=torch.uint8),
+        torch.zeros(2, shape.knowledge_dim),
         *policy.initial_state(2),
         torch.ones(2, dtype=torch.bool),
     )

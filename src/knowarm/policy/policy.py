@@ -1,127 +1,199 @@
-"""Renderer, knowledge and a state go in; action logits, values and the next state come out.
+"""Recurrent actor-critic policy of the paper (section 4.2.2), with knowledge fusion.
 
-Dimension letters here and in `knowarm.learn`: T time, B batch, H height (of a image) or
-hidden size (of a state), W width, K knowledge, J joints, A levels of an action, S and L blocks
-and pixel values of a image's patches.
+Dimension letters in `knowarm.policy` and `knowarm.learn`: T time steps, B batch (environments), N
+images of a flattened batch, H and W height and width of an image, H also the hidden size of a
+recurrent state, K knowledge vector, F facets (rows of the knowledge table), J joints, A levels of
+an action, S blocks and L pixel values per block of an image's patches.
 """
 
+from dataclasses import dataclass, replace
 from typing import Literal
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
-from knowarm.policy.config import PolicyConfig
-from knowarm.policy.encoder import ImageEncoder
+from knowarm.errors import UserError
+from knowarm.policy.config import PolicyConfig, PolicyShape, layer_widths
+from knowarm.policy.encoder import RELU_GAIN, ImageEncoder, orthogonal
 from knowarm.policy.fusion import FUSIONS
-from knowarm.policy.initialization import RELU_GAIN, orthogonal
-from knowarm.policy.memory import Memory, State
+from knowarm.policy.lstm import MaskedLSTM, State
 
 MatmulPrecision = Literal["float32", "tf32", "bfloat16"]
+"""Precision of matrix products; "tf32" exists on GPUs only."""
 
 
 class Policy(nn.Module):
-    """The paper's network (section 4.2.2): two convolutions, one layer, an LSTM, J + 1 heads.
+    """Two convolutions, a fully connected layer, an LSTM, J actor heads and a critic.
+
+    Images may be given as such or as the patches that `patches` returns; the number of axes tells
+    which. Patches spare a training loop the repeated gathering of pixels.
 
     Args:
-        config: sizes and the place where knowledge enters.
-        seed: draws the weights; the same seed gives the same policy.
+        config: the choices.
+        shape: sizes given by robot, image and knowledge.
+        knowledge_table: (F, K) float32, one row per facet; None for a policy without knowledge,
+            or one whose parameters alone are of interest.
+        seed: of the initial weights.
 
     Attributes:
-        precision: of the products in encoder and memory; parameters, cell, heads and losses are
-            float32 always. "bfloat16" is for training on processors that have it in hardware;
-            "tf32" leaves float32 to be rounded by a GPU that was told so.
+        config: as given.
+        shape: as given.
+        resolved_config: ``config`` with the capacity control (``wide``) replaced by the sizes it
+            leads to; equal to ``config`` otherwise.
+        hidden_size: H.
+        knowledge_table: (F, K) buffer; part of no checkpoint.
+        matmul_precision: of the products in encoder and LSTM; parameters, cell state, heads and
+            losses are always float32. "tf32" needs the context
+            `knowarm.learn.device.tf32_products`.
+
+    Raises:
+        UserError: the sizes do not fit each other or the knowledge table.
     """
 
-    def __init__(self, config: PolicyConfig, *, seed: int = 0) -> None:
+    knowledge_table: Tensor
+
+    def __init__(
+        self,
+        config: PolicyConfig,
+        shape: PolicyShape,
+        knowledge_table: np.ndarray | Tensor | None = None,
+        *,
+        seed: int = 0,
+    ) -> None:
         super().__init__()
         self.config = config
-        self.encoder = ImageEncoder(config.image_size, config.pixel_shift, config.pixel_scale)
+        self.shape = shape
+        self.resolved_config = matched_without_knowledge(config, shape) if config.wide else config
+        config = self.resolved_config
+        widths = layer_widths(config, shape)
+        self.hidden_size = widths.hidden
+        self.encoder = ImageEncoder(shape.image_size, config.pixel_shift, config.pixel_scale)
         self.knowledge_encoder = (
-            nn.Linear(config.knowledge_dim, config.encoded_width, bias=False)
-            if config.knowledge_encoder == "learned" and config.fusion != "none"
+            nn.Linear(shape.knowledge_dim, widths.knowledge, bias=False)
+            if config.knowledge_encoder == "learned" and self.uses_knowledge
             else nn.Identity()
         )
-        self.fusion = FUSIONS[config.fusion](config)
-        self.fc = nn.Linear(self.encoder.width + self.fusion.fc_growth, config.features)
-        self.memory = Memory(config.features + self.fusion.memory_growth, config.hidden_size)
+        fusion = FUSIONS[config.fusion](config.features, widths.knowledge, shape.knowledge_slots)
+        self.fusion = fusion
+        self.fc = nn.Linear(self.encoder.width + fusion.extra_inputs("fc"), config.features)
+        self.memory = MaskedLSTM(config.features + fusion.extra_inputs("lstm"), widths.hidden)
         self.actor = nn.Linear(
-            config.hidden_size + self.fusion.actor_growth, config.joints * config.levels
+            widths.hidden + fusion.extra_inputs("actor"), shape.joints * shape.levels
         )
-        self.critic = nn.Linear(config.hidden_size + self.fusion.critic_growth, 1)
+        self.critic = nn.Linear(widths.hidden + fusion.extra_inputs("critic"), 1)
         self.matmul_precision: MatmulPrecision = "float32"
-        self.reset_parameters(torch.Generator().manual_seed(seed))
+        table = torch.zeros(0, shape.knowledge_dim) if knowledge_table is None else knowledge_table
+        table = torch.as_tensor(table, dtype=torch.float32).clone()
+        if self.uses_knowledge and table.shape[1:] != (shape.knowledge_dim,):
+            raise UserError(
+                f"knowledge_table must have shape (facets, {shape.knowledge_dim}), got "
+                f"{tuple(table.shape)}."
+            )
+        self.register_buffer("knowledge_table", table, persistent=False)
+        if not self.critic.weight.is_meta:
+            self.reset_parameters(torch.Generator().manual_seed(seed))
+
+    @property
+    def uses_knowledge(self) -> bool:
+        """Whether the knowledge vector enters the network anywhere."""
+        return self.resolved_config.fusion != "none"
 
     def reset_parameters(self, generator: torch.Generator) -> None:
-        """Draw all weights orthogonal; biases start at zero."""
+        """Initialize all weights orthogonally and all biases with zeros."""
         orthogonal(self.encoder.conv1, RELU_GAIN, generator)
         orthogonal(self.encoder.conv2, RELU_GAIN, generator)
         orthogonal(self.knowledge_encoder, 1.0, generator)
         self.fusion.reset_parameters(generator)
         orthogonal(self.fc, RELU_GAIN, generator)
         orthogonal(self.memory, 1.0, generator)
-        for head in self.actor.weight.data.split(self.config.levels):
+        for head in self.actor.weight.data.split(self.shape.levels):
             nn.init.orthogonal_(head, self.config.actor_gain, generator=generator)
         nn.init.zeros_(self.actor.bias)
         orthogonal(self.critic, 1.0, generator)
 
     def initial_state(self, batch: int) -> State:
-        """Return the state before the first step: (h, c), each (B, H) of zeros."""
+        """Return the state before the first step: (h, c), zeros (B, H) each."""
         return self.memory.initial_state(batch)
 
     def patches(self, image: Tensor) -> Tensor:
-        """Take the pixels the network looks at: (..., H, W, 3) uint8 -> (..., S, L) uint8.
+        """Gather the pixels that the network reads: (..., H, W, 3) uint8 -> (..., S, L) uint8.
 
-        They have no gradient and depend on no parameter: a rollout keeps them in place of the
-        images, and spares every pass over it the cutting; see `ImageEncoder.patches`.
+        Patches have no gradient and depend on no parameter, so a rollout stores them instead of
+        the images; see `ImageEncoder.patches`.
         """
         return self.encoder.patches(image)
 
+    def check_facets(self, highest: int) -> None:
+        """Check that the knowledge table has a row for every facet of an environment.
+
+        Args:
+            highest: largest facet id that occurs.
+
+        Raises:
+            UserError: it has not.
+        """
+        rows = len(self.knowledge_table)
+        if self.uses_knowledge and highest >= rows:
+            raise UserError(
+                f"The policy's knowledge table has {rows} rows and the environment has facet "
+                f"{highest}; build the table from the facets of this environment."
+            )
+
     def step(
-        self, patches: Tensor, knowledge: Tensor, state: State, episode_start: Tensor
+        self, image: Tensor, facet: Tensor, state: State, episode_start: Tensor
     ) -> tuple[Tensor, Tensor, State]:
         """Advance every environment by one step.
 
         Args:
-            patches: (B, S, L) uint8, `patches` of the images.
-            knowledge: (B, K) float32.
-            state: (h, c) after the step before, each (B, H).
+            image: (B, H, W, 3) uint8, or their patches (B, S, L) uint8.
+            facet: (B,) int64, row of the knowledge table.
+            state: (h, c) after the previous step, (B, H) each.
             episode_start: (B,) bool, true where the image is the first of an episode; the
-                state is forgotten there.
+                state is reset there.
 
         Returns:
-            logits (B, J, A), values (B,), next state.
+            Logits (B, J, A), values (B,), next state.
         """
+        return self.step_with_knowledge(image, self._knowledge(facet), state, episode_start)
+
+    def step_with_knowledge(
+        self, image: Tensor, knowledge: Tensor, state: State, episode_start: Tensor
+    ) -> tuple[Tensor, Tensor, State]:
+        """Advance by one step as `step`, with knowledge vectors (B, K) in place of facets."""
+        patches = self.patches(image) if image.ndim == 4 else image
         knowledge = self.knowledge_encoder(knowledge)
-        with self._products():
+        with self._autocast():
             features = self._features(patches, knowledge)
             hidden, state = self.memory.step(features, state, episode_start)
         logits, value = self._heads(hidden, knowledge)
         return logits, value, state
 
     def unroll(
-        self, patches: Tensor, knowledge: Tensor, state: State, episode_start: Tensor
+        self, image: Tensor, facet: Tensor, state: State, episode_start: Tensor
     ) -> tuple[Tensor, Tensor, State]:
-        """Advance T steps at once, for training.
+        """Advance every environment by T steps, for training.
 
         Args:
-            patches: (T, B, S, L) uint8, `patches` of the images.
-            knowledge: (T, B, K) float32.
-            state: (h, c) before the first step, each (B, H).
+            image: (T, B, H, W, 3) uint8, or their patches (T, B, S, L) uint8.
+            facet: (T, B) int64, row of the knowledge table.
+            state: (h, c) before the first step, (B, H) each.
             episode_start: (T, B) bool.
 
         Returns:
-            logits (T, B, J, A), values (T, B), state after the last step.
+            Logits (T, B, J, A), values (T, B), state after the last step.
         """
+        patches = self.patches(image) if image.ndim == 5 else image
         steps, batch = episode_start.shape
-        knowledge = self.knowledge_encoder(knowledge.flatten(0, 1))
-        with self._products():
+        knowledge = self.knowledge_encoder(self._knowledge(facet).flatten(0, 1))
+        with self._autocast():
             features = self._features(patches.flatten(0, 1), knowledge).view(steps, batch, -1)
             hidden, state = self.memory.unroll(features, state, episode_start)
         logits, value = self._heads(hidden.flatten(0, 1), knowledge)
         return logits.view(steps, batch, *logits.shape[1:]), value.view(steps, batch), state
 
     def parameter_counts(self) -> dict[str, int]:
-        """Count parameters by group, and in total."""
+        """Count the parameters per group and in total."""
         groups: dict[str, list[nn.Module]] = {
             "image": [self.encoder, self.fc],
             "knowledge": [self.knowledge_encoder, self.fusion],
@@ -135,19 +207,70 @@ class Policy(nn.Module):
         }
         return {**counts, "total": sum(counts.values())}
 
-    def _products(self) -> torch.autocast:
-        """Context in which matrix products and convolutions have the policy's precision."""
+    def spec(self) -> "PolicySpec":
+        """Return what another process needs to build a policy of the same structure."""
+        return PolicySpec(self.config, self.shape, self.knowledge_table.cpu().numpy())
+
+    def _knowledge(self, facet: Tensor) -> Tensor:
+        """Look up the knowledge of facets: (...) -> (..., K)."""
+        if not self.uses_knowledge:
+            return self.knowledge_table.new_empty((*facet.shape, 0))
+        return self.knowledge_table[facet]
+
+    def _autocast(self) -> torch.autocast:
+        """Return a context in which products and convolutions have the policy's precision."""
         low, device = self.matmul_precision == "bfloat16", self.critic.weight.device.type
-        # Every weight is used once: keeping its copy gains nothing and a CUDA graph forbids it.
+        # Each weight is used once, so caching its copy gains nothing; CUDA graphs forbid it.
         return torch.autocast(device, torch.bfloat16, enabled=low, cache_enabled=False)
 
     def _features(self, patches: Tensor, knowledge: Tensor) -> Tensor:
-        """(N, S, L) and (N, K) -> inputs of the LSTM."""
-        x = self.fusion.before_fc(self.encoder(patches), knowledge)
-        return self.fusion.before_lstm(torch.relu(self.fc(x)), knowledge)
+        """Compute the inputs of the LSTM from (N, S, L) and (N, K)."""
+        x = self.fusion("fc", self.encoder(patches), knowledge)
+        return self.fusion("lstm", torch.relu(self.fc(x)), knowledge)
 
     def _heads(self, hidden: Tensor, knowledge: Tensor) -> tuple[Tensor, Tensor]:
-        """(N, H) and (N, K) -> logits (N, J, A), values (N,)."""
-        logits = self.actor(self.fusion.before_actor(hidden, knowledge))
-        value = self.critic(self.fusion.before_critic(hidden, knowledge))
-        return logits.view(-1, self.config.joints, self.config.levels), value.squeeze(1)
+        """Compute logits (N, J, A) and values (N,) from (N, H) and (N, K)."""
+        logits = self.actor(self.fusion("actor", hidden, knowledge))
+        value = self.critic(self.fusion("critic", hidden, knowledge))
+        return logits.view(-1, self.shape.joints, self.shape.levels), value.squeeze(1)
+
+
+@dataclass(frozen=True)
+class PolicySpec:
+    """Structure and knowledge of a policy, picklable; the weights travel separately."""
+
+    config: PolicyConfig
+    shape: PolicyShape
+    knowledge_table: np.ndarray
+    """(F, K) float32."""
+
+    def build(self) -> Policy:
+        """Build a policy on the CPU, with the initial weights of seed 0."""
+        return Policy(self.config, self.shape, self.knowledge_table)
+
+
+def matched_without_knowledge(config: PolicyConfig, shape: PolicyShape) -> PolicyConfig:
+    """Return the capacity control: no knowledge, same LSTM size, same number of parameters.
+
+    Without knowledge the LSTM has fewer inputs; the fully connected layer is widened until the
+    total number of parameters is as close as one feature more or less allows.
+
+    Args:
+        config: a policy with knowledge; ``wide`` is ignored.
+        shape: its shape, with the knowledge that it would get.
+    """
+    config = replace(config, wide=False)
+    if shape.knowledge_dim == 0:
+        return replace(config, fusion="none")
+    hidden = layer_widths(config, shape).hidden
+
+    def candidate(features: int) -> PolicyConfig:
+        return replace(config, fusion="none", hidden=hidden, features=features)
+
+    def count(candidate: PolicyConfig) -> int:
+        with torch.device("meta"):
+            return Policy(candidate, shape).parameter_counts()["total"]
+
+    # The count is linear in the number of features: two points determine the line.
+    target, base, more = count(config), count(candidate(1)), count(candidate(2))
+    return candidate(max(1, round(1 + (target - base) / (more - base))))

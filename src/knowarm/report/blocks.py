@@ -1,138 +1,153 @@
-"""Nothing goes in; the few kinds of things a page is made of come out."""
+"""Building blocks of a report page: text, verdicts, tables, figures, films."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from knowarm.report.study import Task
+from knowarm.statistics import Interval
 
 Row = dict[str, Any]
 
 Tone = Literal["good", "bad", "open", "note"]
-"""Shown, refuted, undecided, or a remark."""
+"""Confirmed, refuted, undecided, or a remark."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Column:
-    """One column of a table."""
+    """One column of a table.
+
+    Attributes:
+        key: name in the rows and in the CSV.
+        label: heading, with the unit.
+        format: key of `format.FORMATS`.
+        interval: whether the rows also hold ``<key>_low`` and ``<key>_high``.
+        hint: explanation of the heading, one sentence.
+    """
 
     key: str
-    """Name in the rows and in the CSV."""
-
     label: str
-    """Heading, with the unit."""
-
     format: str = "text"
-    """Key of `format.FORMATS`."""
-
     interval: bool = False
-    """Whether the rows also hold ``<key>_low`` and ``<key>_high``."""
-
     hint: str = ""
-    """What the heading means, in one sentence."""
+
+
+SHARED = {
+    "task": Column("task", "task"),
+    "agent": Column("agent", "agent"),
+    "seed": Column("seed", "seed", "integer"),
+    "seeds": Column("seeds", "seeds", "integer", hint="training seeds"),
+    "return_mean": Column("return_mean", "mean return", "number1", interval=True),
+    "success": Column("success", "success", "percent", interval=True),
+    "accuracy": Column("accuracy", "accuracy", "percent", interval=True),
+}
+"""Columns of several tables, by key."""
+
+
+def shared(*keys: str) -> list[Column]:
+    """Return columns of `SHARED`."""
+    return [SHARED[key] for key in keys]
+
+
+def cells(key: str, interval: Interval | None) -> Row:
+    """Return the three cells of a table row that hold an interval."""
+    if interval is None:
+        return {key: None, f"{key}_low": None, f"{key}_high": None}
+    return {key: interval.estimate, f"{key}_low": interval.low, f"{key}_high": interval.high}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """Rows under named columns; written as CSV beside the page."""
+    """Rows under named columns; written as CSV beside the report.
+
+    Attributes:
+        name: stem of the CSV file; unique in a report.
+        title: heading.
+        columns: columns, left to right.
+        rows: values before formatting; ``_colour`` holds the palette class of a row.
+        sources: files and folders that the numbers were computed from.
+        note: how the numbers were computed and what they do not show.
+    """
 
     name: str
-    """Stem of the CSV file; unique in a report."""
-
     title: str
-    """What the rows are."""
-
     columns: Sequence[Column]
-    """Columns, left to right."""
-
     rows: Sequence[Row]
-    """Raw values, not yet formatted; text in ``_colour`` names the row's palette class."""
-
     sources: Sequence[Path] = ()
-    """Files and folders every number was computed from."""
-
     note: str = ""
-    """How the numbers were made and what they do not show."""
 
     def csv_columns(self) -> list[str]:
-        """Names of the CSV's columns, in order."""
+        """Return the names of the CSV's columns, in order."""
         keys = []
         for column in self.columns:
-            keys += [column.key]
-            if column.interval:
-                keys += [f"{column.key}_low", f"{column.key}_high"]
+            ends = ("", "_low", "_high") if column.interval else ("",)
+            keys += [f"{column.key}{end}" for end in ends]
         return keys
 
 
 @dataclass(frozen=True, kw_only=True)
 class Panel:
-    """One drawing of a figure."""
+    """One drawing of a figure.
+
+    Attributes:
+        svg: markup of one ``<svg>``.
+        title: heading above the drawing.
+        only: screens the drawing is meant for, where it comes in two widths.
+    """
 
     svg: str
-    """Markup of one ``<svg>``."""
-
     title: str = ""
-    """Heading above the drawing."""
-
     only: Literal["", "wide", "narrow"] = ""
-    """Screens the drawing is meant for: the same drawing may come in two widths."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Figure:
-    """Drawings with the table of everything they show."""
+    """Drawings with a table of the values they show.
+
+    Attributes:
+        title: heading.
+        caption: how to read the drawings.
+        panels: drawings, side by side where there is room.
+        table: the drawn values.
+        legend: pairs of name and palette class; each name toggles its series.
+        open_table: whether the table is expanded at first.
+    """
 
     title: str
-    """Heading: what one sees."""
-
     caption: str
-    """How to read it."""
-
     panels: Sequence[Panel]
-    """Drawings, shown side by side where there is room."""
-
     table: Table
-    """The drawn values, for those who cannot see the drawing."""
-
     legend: Sequence[tuple[str, str]] = ()
-    """Pairs of name and palette class; names can be switched off and on."""
-
     open_table: bool = False
-    """Whether the table is shown without being asked for."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Text:
-    """Paragraphs."""
+    """Paragraphs of plain text."""
 
     paragraphs: Sequence[str]
-    """Plain text."""
-
-    heading: str = ""
-    """Heading above them."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """A sentence that follows from the numbers, with what it rests on."""
+    """A statement derived from the numbers.
+
+    Attributes:
+        sentence: the statement.
+        reasons: what it follows from, one sentence each.
+        shown_reasons: reasons shown at first; the others are folded.
+        tone: how it is coloured.
+    """
 
     sentence: str
-    """The statement."""
-
     reasons: Sequence[str] = ()
-    """What it follows from, a sentence each."""
-
     shown_reasons: int = 99
-    """Reasons that are seen at once; the others on request."""
-
     tone: Tone = "note"
-    """How it is coloured."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Tile:
-    """One large number."""
+    """One large number with its label, a detail in small type and a palette class."""
 
     label: str
     value: str
@@ -149,24 +164,24 @@ class Tiles:
 
 @dataclass(frozen=True, kw_only=True)
 class Film:
-    """One episode of one agent: a strip of images, and the moving images."""
+    """One episode of one agent: selected frames and the animation.
+
+    Attributes:
+        name: name of the agent.
+        strip: data URI of a PNG and its label, per selected step.
+        moving: data URI of the animated WebP.
+        poster: data URI of the last frame.
+        size: width and height of a frame [px].
+        text: outcome of the episode, also the text alternative.
+        colour: palette class.
+    """
 
     name: str
     strip: Sequence[tuple[str, str]]
-    """Chosen steps: data URI of a PNG, and what to write under it."""
-
     moving: str
-    """Data URI of the animated WebP."""
-
     poster: str
-    """Data URI of its last image."""
-
     size: tuple[int, int]
-    """Width and height of one image [px]."""
-
     text: str
-    """What happens, for those who cannot see it."""
-
     colour: str = ""
 
 
@@ -188,14 +203,10 @@ class Pair:
 
 @dataclass(frozen=True, kw_only=True)
 class Part:
-    """The blocks of one task; where there are several tasks, one is looked at at a time."""
+    """The blocks of one task, with its name and title; the page shows the selected task."""
 
     name: str
-    """Name of the task."""
-
     title: str
-    """Title of the task."""
-
     blocks: Sequence["Block"]
 
 
@@ -203,7 +214,7 @@ Block = Text | Verdict | Tiles | Table | Figure | Films | Pair | Part
 
 
 def flat(blocks: Sequence[Block]) -> list[Block]:
-    """Blocks in reading order, those in columns too."""
+    """Return blocks in reading order, with nested ones unfolded."""
     found: list[Block] = []
     for block in blocks:
         if isinstance(block, Pair):
@@ -217,28 +228,21 @@ def flat(blocks: Sequence[Block]) -> list[Block]:
 
 @dataclass(frozen=True, kw_only=True)
 class Page:
-    """One section of the report."""
+    """One section of the report.
+
+    Attributes:
+        name: anchor in the address; capitalized, name in the navigation.
+        title: heading.
+        lead: one sentence under the heading.
+        blocks: content.
+    """
 
     name: str
-    """Anchor in the address."""
-
-    short: str
-    """Name in the navigation."""
-
     title: str
-    """Heading."""
-
-    lead: str = ""
-    """One sentence under the title."""
-
-    blocks: list[Block] = field(default_factory=list)
-
-    def add(self, task: Task, blocks: Sequence[Block]) -> None:
-        """Add the blocks of one task, if there are any."""
-        if blocks:
-            self.blocks.append(Part(name=task.name, title=task.title, blocks=blocks))
+    lead: str
+    blocks: Sequence[Block]
 
     def tables(self) -> list[Table]:
-        """Every table of the page, those under figures too."""
+        """Return every table of the page, including those of figures."""
         shown = [block for block in flat(self.blocks) if isinstance(block, Table | Figure)]
         return [block.table if isinstance(block, Figure) else block for block in shown]

@@ -1,4 +1,4 @@
-"""A study goes in; every difference the report decides on, and the verdict on each, comes out."""
+"""Claims: the differences between agents that a report decides on, with their p-values."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -7,20 +7,15 @@ from typing import Literal
 import numpy as np
 
 from knowarm.report import format
-from knowarm.report.study import Group, Run, Study, Task
-from knowarm.statistics import (
-    Comparison,
-    area_under_curve,
-    holm,
-    seeds_needed,
-    welch,
-)
+from knowarm.report.format import counted
+from knowarm.report.study import Group, Study, Task
+from knowarm.statistics import Comparison, area_under_curve, holm, seeds_needed, welch
 
 FEWEST_SEEDS = 3
-"""Training seeds of each agent below which no difference is called real."""
+"""Training seeds of each agent below which no difference is called significant."""
 
 ALPHA = 0.05
-"""Share of studies without any effect in which the report may claim one."""
+"""Fraction of studies without any effect in which the report may claim one."""
 
 Outcome = Literal["success", "speed"]
 
@@ -28,33 +23,42 @@ OUTCOMES: dict[Outcome, str] = {
     "success": "success after training",
     "speed": "mean success during training",
 }
-"""What is decided on. Everything else a report shows is described, not tested."""
+"""What is tested. Everything else in a report is descriptive."""
 
-Role = Literal["gate", "control", "described"]
-"""Against the baseline; against a control, asked once the gate is passed; only described."""
+Stage = Literal["gate", "after gate", "described"]
+"""Against the baseline; tested only once the gate is passed; never tested."""
 
-Decision = Literal["better", "worse", "undecided", "too few seeds", "not asked", "described"]
+Decision = Literal["better", "worse", "undecided", "too few seeds", "not tested", "described"]
+
+ENDINGS: dict[Decision, str] = {
+    "better": "significantly better",
+    "worse": "significantly worse",
+    "undecided": "no significant difference",
+    "too few seeds": f"not tested below {FEWEST_SEEDS} seeds",
+    "not tested": "not tested, because no advantage over the baseline is shown",
+    "described": "descriptive only",
+}
 
 
 @dataclass(frozen=True)
 class Claim:
-    """One difference between two agents on one task, and whether it may be called real.
+    """One difference between two agents on one task, and the decision on it.
 
     Attributes:
         task: the task.
-        first: agent whose advantage is asked for.
+        first: agent whose advantage is tested.
         second: agent it is compared with.
         outcome: what is compared.
-        role: how the difference enters the verdict.
-        comparison: Welch's comparison over training seeds; None below two seeds a side.
-        adjusted_p: see `claims`; None where nothing is decided.
+        stage: how the difference enters the verdict.
+        comparison: Welch's comparison over training seeds; None below two seeds per agent.
+        adjusted_p: see `claims`; None where nothing is tested.
     """
 
     task: Task
     first: Group
     second: Group
     outcome: Outcome
-    role: Role
+    stage: Stage
     comparison: Comparison | None = None
     adjusted_p: float | None = None
 
@@ -65,161 +69,137 @@ class Claim:
         return min(len(scores(self.task, group, self.outcome)) for group in groups)
 
     @property
-    def verdict(self) -> Decision:
-        """What the numbers allow to say about the first agent.
+    def testable(self) -> bool:
+        """Whether there are enough seeds for a test."""
+        return self.comparison is not None and self.seeds >= FEWEST_SEEDS
 
-        A difference is real when its adjusted p is at most .05. That p is never below the plain
-        one, so the plain 95 % interval then leaves out zero as well.
+    @property
+    def verdict(self) -> Decision:
+        """The decision on the first agent.
+
+        A difference is significant if its adjusted p is at most `ALPHA`. The adjusted p is never
+        below the unadjusted one, so the 95 % interval then excludes zero as well.
         """
-        if self.role == "described":
+        if self.stage == "described":
             return "described"
-        if self.comparison is None or self.seeds < FEWEST_SEEDS:
+        if self.comparison is None or not self.testable:
             return "too few seeds"
         if self.adjusted_p is None:
-            return "not asked"
+            return "not tested"
         if self.adjusted_p > ALPHA:
             return "undecided"
         return "better" if self.comparison.difference.estimate > 0 else "worse"
 
     @property
     def needed(self) -> int | None:
-        """Seeds of each agent that would show a difference as large as the one seen."""
+        """Seeds per agent that would detect a difference as large as the observed one."""
         size = self.comparison.effect_size if self.comparison else None
         return seeds_needed(size) if size else None
 
     def sentence(self) -> str:
-        """The difference in words, with its interval and what follows from it."""
+        """Return the difference in words, with its interval and the decision."""
+        who = f"{self.first.name} against {self.second.name}"
         if self.comparison is None:
-            return (
-                f"Against {self.second.name}: {count(self.seeds, 'training seed')}, so no "
-                "difference between the methods can be called real."
-            )
+            seeds = counted(self.seeds, "training seed")
+            return f"{who}: {seeds}, too few for a comparison of the methods."
         interval = self.comparison.difference
         seeds = f"{self.comparison.first_count} and {self.comparison.second_count} seeds"
-        ends: dict[Decision, str] = {
-            "better": "a real advantage",
-            "worse": "a real disadvantage",
-            "undecided": "not told apart from chance",
-            "too few seeds": f"no claim below {FEWEST_SEEDS} seeds",
-            "not asked": "not asked, since no advantage over the baseline is shown",
-            "described": "described only",
-        }
         p = f", adjusted p {format.p_value(self.adjusted_p)}" if self.adjusted_p is not None else ""
         return (
-            f"Against {self.second.name}: {format.points(interval.estimate)} points "
+            f"{who}: {format.points(interval.estimate)} points "
             f"(95 % interval {format.points(interval.low)} to {format.points(interval.high)}; "
-            f"{seeds}{p}): {ends[self.verdict]}."
+            f"{seeds}{p}): {ENDINGS[self.verdict]}."
         )
 
 
 def claims(study: Study) -> list[Claim]:
-    """Every difference of a report, decided in an order that keeps false claims at 5 %.
+    """Decide on every difference of a report so that at most 5 % of studies claim falsely.
 
-    The gates are the comparisons of the knowledge agent with the baseline, one a task and
-    outcome; Holm's correction runs over all of the report's gates. Behind a gate that is passed,
-    the controls of its task and outcome are asked, each at the gate's share of the 5 %
-    (multiplied by the number of gates). They are not corrected for their own number, since
-    `verdict.finding` calls a question settled only when every control of its kind is beaten (an
-    intersection-union test). Without any effect a claim therefore takes a falsely passed gate.
+    The gates are the comparisons of each subject (`Task.subjects`) with the baseline, one per
+    task and outcome; Holm's correction runs over all gates of the report. Behind a passed gate
+    the subject is compared with the other agents of its task, each at the gate's part of the 5 %
+    (p multiplied by the number of gates). These comparisons are not corrected for their own
+    number, because `verdict.finding` requires that every control of a kind is beaten (an
+    intersection-union test). Without any effect, a false claim therefore requires a falsely
+    passed gate.
 
-    Without a baseline every comparison with the knowledge agent is a gate.
+    Without a baseline every comparison of a subject is a gate.
     """
     found = [
-        Claim(task, first, second, outcome, role, _compare(task, first, second, outcome))
+        Claim(task, first, second, outcome, stage, _compare(task, first, second, outcome))
         for task in study.tasks
-        for first, second, role in pairs(task)
+        for first, second, stage in pairs(task)
         for outcome in OUTCOMES
     ]
-    gates = [c for c in found if c.role == "gate" and _decidable(c)]
+    gates = [c for c in found if c.stage == "gate" and c.testable]
     adjusted = holm([c.comparison.p_value for c in gates if c.comparison])
     passed = {id(gate): float(p) for gate, p in zip(gates, adjusted, strict=True)}
-    return [_decide(claim, found, passed) for claim in found]
+    return [_decide(claim, gates, passed) for claim in found]
 
 
-def _decide(claim: Claim, found: Sequence[Claim], passed: dict[int, float]) -> Claim:
-    if claim.role == "gate" and id(claim) in passed:
+def _decide(claim: Claim, gates: Sequence[Claim], passed: dict[int, float]) -> Claim:
+    if id(claim) in passed:
         return replace(claim, adjusted_p=passed[id(claim)])
-    if claim.role != "control" or not _decidable(claim) or claim.comparison is None:
+    if claim.stage != "after gate" or not claim.testable or claim.comparison is None:
         return claim
-    own = [
-        passed[id(gate)]
-        for gate in found
-        if id(gate) in passed and gate.task is claim.task and gate.outcome == claim.outcome
-    ]
-    if not own or min(own) > ALPHA:
+    key = (claim.task, claim.first, claim.outcome)
+    own = min((passed[id(g)] for g in gates if (g.task, g.first, g.outcome) == key), default=1.0)
+    if own > ALPHA:
         return claim
-    return replace(
-        claim, adjusted_p=max(min(own), min(1.0, claim.comparison.p_value * len(passed)))
-    )
+    return replace(claim, adjusted_p=max(own, min(1.0, claim.comparison.p_value * len(passed))))
 
 
-def _decidable(claim: Claim) -> bool:
-    return claim.comparison is not None and claim.seeds >= FEWEST_SEEDS
+def pairs(task: Task) -> list[tuple[Group, Group, Stage]]:
+    """Return the pairs of agents that are compared on a task, and the stage of each.
 
-
-def subject(task: Task) -> Group | None:
-    """The agent whose knowledge is in question: full, else another real one, as the task has it."""
-    for agent in ("full", "full+", "partial", "target"):
+    A subject is tested against the baseline, then against the agents that bear on it: other
+    agents with knowledge of its scope and the controls of `bears_on`. The rest is described.
+    """
+    baseline, found = task.baseline, list[tuple[Group, Group, Stage]]()
+    for subject in task.subjects:
         for group in task.groups:
-            if group.agent == agent:
-                return group
-    return None
+            if group is subject or (subject, group) in ((b, a) for a, b, _ in found):
+                continue
+            if not bears_on(group, subject):
+                stage: Stage = "described"
+            else:
+                stage = "gate" if group is baseline or baseline is None else "after gate"
+            found.append((subject, group, stage))
+    first = baseline or task.groups[0]
+    if baseline or not task.subjects:
+        others = [group for group in task.groups if group not in (*task.subjects, first)]
+        found += [(group, first, "described") for group in others]
+    return sorted(found, key=lambda pair: ("gate", "after gate", "described").index(pair[2]))
 
 
-def pairs(task: Task) -> list[tuple[Group, Group, Role]]:
-    """Pairs that are compared on a task, and what each is for."""
-    asked = subject(task)
-    baseline = next((group for group in task.groups if group.agent == "bm"), None)
-    found: list[tuple[Group, Group, Role]] = []
-    if asked is None:
-        first = baseline or task.groups[0]
-        return [(group, first, "described") for group in task.groups if group is not first]
-    for group in task.groups:
-        if group is not asked:
-            gate = group is baseline or baseline is None
-            found.append((asked, group, "gate" if gate else "control"))
-    if baseline:
-        others = [group for group in task.groups if group not in (asked, baseline)]
-        found += [(group, baseline, "described") for group in others]
-    return sorted(found, key=lambda pair: ("gate", "control", "described").index(pair[2]))
+def bears_on(group: Group, subject: Group) -> bool:
+    """Return whether a comparison with a group says something about a subject's knowledge.
+
+    Vectors of another scope do not: one vector per scene carries no information about the
+    episode, one per target does. Exceptions: the baseline has no vector, and a capacity control
+    for the vector of a whole scene has more parameters than a vector of one target needs.
+    """
+    if group.role == "baseline" or group.scope == subject.scope:
+        return True
+    return group.role == "capacity_control" and group.scope == "scene"
 
 
 def scores(task: Task, group: Group, outcome: Outcome) -> np.ndarray:
-    """(n,) float64: one score in 0..1 a training run.
+    """Return one score in 0..1 per training run, (n,) float64.
 
-    The mean success during training runs to the same step for all agents of a task; a run that
-    stopped before keeps its last value.
+    The mean success during training extends to the same step for all agents of a task; a run
+    that stopped before keeps its last value.
     """
     if outcome == "success":
         return group.scores("success")
-    until = horizon(task)
+    until = task.horizon
     return np.array(
         [
             area_under_curve(run.interim["step"], run.interim["success"], until)
             for run in group.runs
-            if has_curve(run)
+            if run.has_success_curve
         ]
     )
-
-
-def horizon(task: Task) -> float:
-    """Steps to which every agent of a task has at least one run; 0 without curves."""
-    longest = [
-        max(run.interim["step"][-1] for run in group.runs if has_curve(run))
-        for group in task.groups
-        if any(has_curve(run) for run in group.runs)
-    ]
-    return float(min(longest, default=0.0))
-
-
-def has_curve(run: Run) -> bool:
-    """Whether the run has a whole curve of interim success."""
-    return "success" in run.interim and bool(np.isfinite(run.interim["success"]).all())
-
-
-def count(number: int, what: str) -> str:
-    """A number with its noun."""
-    return f"{number} {what}" + ("" if number == 1 else "s")
 
 
 def _compare(task: Task, first: Group, second: Group, outcome: Outcome) -> Comparison | None:

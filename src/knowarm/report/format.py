@@ -1,16 +1,23 @@
-"""Numbers go in; the way people read them comes out."""
+"""Formatting for people: numbers, enumerations, names, colours of agents, settings that differ."""
 
+import json
 import math
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
+
+from knowarm.report._temporary import registered_colour
 
 MISSING = "–"
 MINUS = "\u2212"
 NARROW_SPACE = "\u202f"
 
+SPARE_COLOURS = ("c-navy", "c-gold", "c-teal", "c-purple", "c-pink", "c-brown", "c-grey")
+"""Palette classes for agents without a colour of their own, in the order in which they are used."""
+
 
 def text(value: Any) -> str:
-    """Anything as it is; yes and no for truth values."""
+    """Format any value; truth values as yes and no."""
     if value is None or value == "":
         return MISSING
     if isinstance(value, bool):
@@ -19,7 +26,7 @@ def text(value: Any) -> str:
 
 
 def number(value: float | None, decimals: int = 2) -> str:
-    """A number with fixed decimals, a true minus and thousands apart."""
+    """Format a number with fixed decimals, a typographic minus and separated thousands."""
     if value is None or math.isnan(value):
         return MISSING
     shown = f"{value:,.{decimals}f}".replace(",", NARROW_SPACE)
@@ -28,39 +35,52 @@ def number(value: float | None, decimals: int = 2) -> str:
     return shown.replace("-", MINUS)
 
 
+def decimals(count: int) -> Callable[[Any], str]:
+    """Return `number` with a fixed count of decimals."""
+    return lambda value: number(value, count)
+
+
+def integer(value: float | None) -> str:
+    """Format a count with separated thousands."""
+    return number(value, 0)
+
+
 def percent(value: float | None, decimals: int = 1) -> str:
-    """A share in 0..1 as per cent."""
+    """Format a fraction in 0..1 in per cent."""
     shown = number(None if value is None else value * 100, decimals)
     return shown if shown == MISSING else f"{shown}{NARROW_SPACE}%"
 
 
-def points(value: float | None, decimals: int = 1) -> str:
-    """A difference of shares as signed percentage points."""
-    if value is None or math.isnan(value):
-        return MISSING
-    return signed(value * 100, decimals)
+def whole_percent(value: float | None) -> str:
+    """Format a fraction in 0..1 in per cent without decimals, for axes."""
+    return percent(value, 0)
 
 
 def signed(value: float | None, decimals: int = 2) -> str:
-    """A number that shows its sign."""
+    """Format a number with its sign."""
     shown = number(value, decimals)
     if shown == MISSING or shown.startswith(MINUS) or not shown.strip("0.\u202f"):
         return shown
     return f"+{shown}"
 
 
+def points(value: float | None, decimals: int = 1) -> str:
+    """Format a difference of fractions in signed percentage points."""
+    return signed(None if value is None else value * 100, decimals)
+
+
 def steps(value: float | None) -> str:
-    """Environment steps, in k or M."""
+    """Format environment steps in k, M or G."""
     if value is None or math.isnan(value):
         return MISSING
     for size, unit in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
         if abs(value) >= size:
-            return f"{_short(value / size)}{NARROW_SPACE}{unit}"
-    return _short(value)
+            return f"{_three_digits(value / size)}{NARROW_SPACE}{unit}"
+    return _three_digits(value)
 
 
 def p_value(value: float | None) -> str:
-    """A p-value; very small ones as a bound."""
+    """Format a p-value; values below .001 as a bound."""
     if value is None or math.isnan(value):
         return MISSING
     if value < 1e-3:
@@ -68,19 +88,9 @@ def p_value(value: float | None) -> str:
     return f"{value:.3f}".lstrip("0") if value < 1 else "1"
 
 
-def integer(value: float | None) -> str:
-    """A count with thousands apart."""
-    return number(value, 0)
-
-
-def _short(value: float) -> str:
+def _three_digits(value: float) -> str:
     shown = f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
     return shown.replace("-", MINUS)
-
-
-def decimals(count: int) -> Callable[[Any], str]:
-    """`number` with so many decimals."""
-    return lambda value: number(value, count)
 
 
 FORMATS: dict[str, Callable[[Any], str]] = {
@@ -96,4 +106,73 @@ FORMATS: dict[str, Callable[[Any], str]] = {
     "p": p_value,
     "path": text,
 }
-"""Formats a table column can name."""
+"""Formats of table columns by name."""
+
+
+def listed(names: Sequence[str], conjunction: str = "and") -> str:
+    """Join names to an enumeration: "a, b and c"."""
+    return f" {conjunction} ".join([", ".join(names[:-1]), names[-1]] if names[1:] else names)
+
+
+def counted(number: int, noun: str) -> str:
+    """Format a count with its noun in the singular or plural."""
+    return f"{number} {noun}" + ("" if number == 1 else "s")
+
+
+def facet(name: str) -> str:
+    """Format a target or facet: "cereal_box/light_blue" as "cereal box, light blue"."""
+    return name.replace("_", " ").replace("/", ", ")
+
+
+def slugs(names: Iterable[str]) -> dict[str, str]:
+    """Return one slug per name, safe in file names and addresses, no two alike.
+
+    Args:
+        names: titles of tasks or names of agents, each once.
+    """
+    found: dict[str, str] = {}
+    for name in names:
+        base = re.sub(r"[^a-z0-9+]+", "-", name.lower()).strip("-") or "x"
+        slug, suffix = base, 2
+        while slug in found.values():
+            slug, suffix = f"{base}-{suffix}", suffix + 1
+        found[name] = slug
+    return found
+
+
+def palette(names: Iterable[tuple[str, str]]) -> dict[str, str]:
+    """Choose one palette class per group: its agent's registered colour, or a spare one.
+
+    Args:
+        names: name of the group and of its agent; equal names always get equal classes.
+    """
+    chosen: dict[str, str] = {}
+    for name, agent in names:
+        registered = registered_colour(agent)
+        taken = set(chosen.values())
+        if not registered or registered in taken:
+            free = [spare for spare in SPARE_COLOURS if spare not in taken]
+            registered = (free or SPARE_COLOURS)[0 if free else len(chosen) % len(SPARE_COLOURS)]
+        chosen[name] = registered
+    return chosen
+
+
+def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return nested mappings as one mapping of dotted names."""
+    flat: dict[str, Any] = {}
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            flat |= flatten(value, f"{prefix}{name}.")
+        else:
+            flat[f"{prefix}{name}"] = value
+    return flat
+
+
+def differing(settings: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the names whose values are not the same everywhere."""
+    names = sorted({name for each in settings for name in each})
+    return [
+        name
+        for name in names
+        if len({json.dumps(each.get(name), sort_keys=True) for each in settings}) > 1
+    ]

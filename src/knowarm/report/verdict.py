@@ -1,18 +1,15 @@
-"""The claims of one task go in; what they say about the knowledge comes out."""
+"""Verdicts: what the claims of one task say about the knowledge of a subject."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from knowarm.experiment.agents import AGENTS
+from knowarm.report._temporary import registered_role
 from knowarm.report.blocks import Tone, Verdict
-from knowarm.report.claims import FEWEST_SEEDS, OUTCOMES, Claim, Outcome, count, subject
-from knowarm.report.study import Task
-
-NO_KNOWLEDGE = ("wide", "zeros")
-"""Controls of the network's size: nothing is told, the parameters are the same."""
-
-NO_MEANING = ("random", "shuffled", "onehot")
-"""Controls of the content: something is told, it is not what the graph says."""
+from knowarm.report.claims import FEWEST_SEEDS, OUTCOMES, Claim, Outcome
+from knowarm.report.format import counted, listed
+from knowarm.report.study import Group, Task
 
 Kind = Literal[
     "nothing to compare",
@@ -37,7 +34,7 @@ TONES: dict[Kind, Tone] = {
 
 @dataclass(frozen=True)
 class Finding:
-    """What one task's comparisons say about one outcome.
+    """What the comparisons of one task say about one subject and outcome.
 
     Attributes:
         kind: the finding, for programs.
@@ -50,7 +47,7 @@ class Finding:
     reasons: tuple[str, ...] = ()
 
     def verdict(self, shown_reasons: int = 99) -> Verdict:
-        """The finding as a block of a page."""
+        """Return the finding as a block of a page."""
         return Verdict(
             sentence=self.sentence,
             reasons=self.reasons,
@@ -59,81 +56,116 @@ class Finding:
         )
 
 
-def finding(task: Task, decided: Sequence[Claim], outcome: Outcome = "success") -> Finding:
-    """Whether the knowledge matters on one task.
+def findings(task: Task, decided: Sequence[Claim], outcome: Outcome = "success") -> list[Finding]:
+    """Return the finding on every subject of a task; one finding if there is no subject."""
+    return [finding(task, decided, outcome, each) for each in task.subjects or (None,)]
 
-    The chain of questions, each needing a real difference as `Claim.verdict` defines it:
 
-    1. Is the agent better than the baseline? If not, no advantage is shown.
-    2. Better than every network of its size that is told nothing (wide, zeros)? If not, the size
-       may explain it.
-    3. Better than every vector without meaning (random, shuffled, onehot)? If not, an input
-       helps, and its meaning is not shown to.
+def finding(
+    task: Task, decided: Sequence[Claim], outcome: Outcome = "success", subject: Group | None = None
+) -> Finding:
+    """Decide whether the knowledge of a subject matters on one task.
 
-    The later questions are not asked before the earlier ones are answered.
+    Three questions, each answered by significant differences (`Claim.verdict`); a later one is
+    asked only after a positive answer to the one before:
+
+    1. Is the subject better than the baseline? If not, no advantage is shown.
+    2. Is it better than every capacity control that ran? If not, the size of the network may
+       explain the advantage.
+    3. Is it better than every content control of its scope that ran? If not, an input vector
+       helps, but its meaning is not shown to matter.
 
     Args:
         task: the task.
-        decided: every claim of the report; those of other tasks and outcomes are passed over.
-        outcome: what is asked for.
+        decided: all claims of the report; those of other tasks and outcomes are ignored.
+        outcome: the outcome.
+        subject: one of ``task.subjects``; None takes the first.
     """
-    asked = subject(task)
-    mine = [c for c in decided if c.task is task and c.outcome == outcome and c.first is asked]
-    if asked is None or not mine:
-        what = "no agent with knowledge" if asked is None else "only one agent"
+    subject = subject or next(iter(task.subjects), None)
+    mine = [c for c in decided if c.task is task and c.outcome == outcome and c.first is subject]
+    tested = [claim for claim in mine if claim.stage != "described"]
+    if subject is None or not tested:
+        what = (
+            "no agent with knowledge"
+            if subject is None
+            else f"nothing to compare {subject.name} with"
+        )
         return Finding("nothing to compare", f"{task.title}: {what} among these runs.")
     reasons = tuple(claim.sentence() for claim in mine)
-    against = {claim.second.agent: claim for claim in mine}
-    if all(claim.verdict == "too few seeds" for claim in against.values()):
-        fewest = min(claim.seeds for claim in against.values())
-        seeds = f"from {count(fewest, 'training seed')} an agent" if fewest else "without results"
+    if all(claim.verdict == "too few seeds" for claim in tested):
+        fewest = min(claim.seeds for claim in tested)
+        seeds = (
+            f"from {counted(fewest, 'training seed')} per agent" if fewest else "without results"
+        )
         return Finding(
             "too few seeds",
-            f"{task.title}, {OUTCOMES[outcome]}: whether knowledge helps cannot be said {seeds}.",
+            f"{task.title}, {OUTCOMES[outcome]}: whether the knowledge of {subject.name} helps "
+            f"cannot be decided {seeds}.",
             (
-                f"At least {FEWEST_SEEDS} seeds of each agent are needed: two networks of one "
-                "method that differ in their training seed alone can differ as much as two "
-                "methods.",
+                f"At least {FEWEST_SEEDS} seeds of each agent are required: two networks of one "
+                "method that differ only in the training seed can differ as much as two methods.",
                 *reasons,
             ),
         )
-    kind, words = _judge(asked.name, against)
+    kind, words = _judge(subject, tested)
     return Finding(kind, f"{task.title}, {OUTCOMES[outcome]}: {words}", reasons)
 
 
-def _judge(name: str, against: dict[str, Claim]) -> tuple[Kind, str]:
-    if "bm" not in against:
-        return "no baseline", f"there is no baseline to judge {name} by."
-    if against["bm"].verdict == "worse":
-        return "worse", f"{name} did worse than the baseline."
-    if against["bm"].verdict != "better":
-        return "no advantage", f"no advantage of {name} over the baseline is shown."
-    if not any(agent in against for agent in NO_KNOWLEDGE):
+def _judge(subject: Group, tested: Sequence[Claim]) -> tuple[Kind, str]:
+    """Return the finding on a subject and its sentence; both name only agents that ran."""
+    name = subject.name
+    gate = next((claim for claim in tested if claim.second.role == "baseline"), None)
+    if gate is None:
+        return "no baseline", f"there is no baseline to compare {name} with."
+    baseline = gate.second.name
+    if gate.verdict == "worse":
+        return "worse", f"{name} was worse than the baseline {baseline}."
+    if gate.verdict != "better":
+        return "no advantage", f"no advantage of {name} over the baseline {baseline} is shown."
+    better = f"{name} was better than the baseline {baseline}"
+    capacity = [claim for claim in tested if claim.second.role == "capacity_control"]
+    content = [claim for claim in tested if claim.second.role == "content_control"]
+    if not capacity:
         return "size not excluded", (
-            f"{name} did better than the baseline, but its network is larger too: without a "
-            "control of equal size (wide, zeros) this is no evidence for knowledge."
+            f"{better}, but its network is larger, too: without a capacity control this is no "
+            f"evidence for knowledge.{_hint('capacity_control', subject)}"
         )
-    if open_ones := _not_beaten(NO_KNOWLEDGE, against):
+    if missed := _not_beaten(capacity):
         return "size may explain it", (
-            f"{name} did better than the baseline, but not clearly better than "
-            f"{' and '.join(open_ones)}, which {'are' if len(open_ones) > 1 else 'is'} told "
-            "nothing: the size of the network may explain the advantage."
+            f"{better}, but not significantly better than {missed} without knowledge: the size of "
+            "the network may explain the advantage."
         )
-    if not any(agent in against for agent in NO_MEANING):
+    better = f"{better} and than {_names(capacity)}, as large but without knowledge"
+    if not content:
         return "meaning not tested", (
-            f"{name} did better than networks of equal size without knowledge; whether its meaning "
-            "matters takes random, shuffled or onehot beside it."
+            f"{better}; whether the content of the vector matters was not tested."
+            f"{_hint('content_control', subject)}"
         )
-    if open_ones := _not_beaten(NO_MEANING, against):
+    if missed := _not_beaten(content):
         return "input without meaning", (
             f"an input vector helps, but its meaning is not shown to matter: {name} was not "
-            f"clearly better than {' and '.join(open_ones)}."
+            f"significantly better than {missed}."
         )
     return "knowledge matters", (
-        f"the knowledge matters: {name} did better than the baseline, than networks of equal size, "
-        "and than vectors without meaning."
+        f"the knowledge matters: {better}, and than {_names(content)}, whose vectors have the same "
+        "shape but another content."
     )
 
 
-def _not_beaten(agents: Sequence[str], against: dict[str, Claim]) -> list[str]:
-    return [a for a in agents if a in against and against[a].verdict != "better"]
+def _names(claims: Sequence[Claim]) -> str:
+    return listed([claim.second.name for claim in claims])
+
+
+def _not_beaten(claims: Sequence[Claim]) -> str:
+    return listed([c.second.name for c in claims if c.verdict != "better"], "or")
+
+
+def _hint(role: str, subject: Group) -> str:
+    """Return a sentence that names the registered agents that would answer the question."""
+    scopes = {subject.scope, "scene"} if role == "capacity_control" else {subject.scope}
+    names = [
+        name
+        for name, agent in AGENTS.items()
+        if registered_role(name) == role and agent.knowledge.scope in scopes
+    ]
+    return f" Registered for this: {listed(names, 'or')}." if names else ""

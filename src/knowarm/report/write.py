@@ -1,37 +1,61 @@
-"""Paths of run folders go in; ``report.html``, ``report.json`` and CSVs come out."""
+"""Report writer: one self-contained HTML page, its JSON, and one CSV per table."""
 
+import csv
+import math
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
+from urllib.parse import quote
 
+from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+from markupsafe import Markup, escape
+
+import knowarm
 from knowarm.errors import UserError
-from knowarm.report.export import write_data
-from knowarm.report.html import render
+from knowarm.experiment.run_folder import write_json
+from knowarm.report.blocks import Column, Page, Row, Table, Verdict, flat
+from knowarm.report.collect import collect
+from knowarm.report.format import FORMATS, MISSING, counted
 from knowarm.report.pages import build_pages
-from knowarm.report.study import collect
+from knowarm.report.study import Study
+
+DIGITS = 9
+"""Significant digits of every written number."""
+
+FORMAT = 1
+"""Version of the format of ``report.json``."""
+
+MOST_SOURCES = 40
+"""Links under a table; ``report.json`` lists all sources."""
+
+LONG_TABLE = 400
+"""Rows of a table that are written into the page; the CSV has all of them."""
+
+FOLDED_ROWS = 16
+"""Rows above which a table is folded at first."""
 
 
 def report(
-    run_paths: Sequence[Path],
-    out: Path,
-    reference_results: Mapping[str, Path] | None = None,
+    run_paths: Sequence[Path], out: Path, reference_results: Mapping[str, Path] | None = None
 ) -> Path:
     """Write one report from run folders.
 
-    Beside ``out`` there are ``<out>.json`` with every table of the report and a folder
-    ``<out>-data`` with one CSV a table. The same folders give the same bytes.
+    Beside ``out`` it writes ``<out>.json`` with every table of the report and a folder
+    ``<out>-data`` with one CSV per table. Equal folders give equal bytes.
 
     Args:
         run_paths: run folders, or folders that hold them at any depth.
         out: the HTML file.
-        reference_results: more evaluation folders, of policies without a run (scripted ones),
-            by the name the report shows. One is shown with the tasks whose episodes it played.
-            Evaluations of untrained policies inside the run folders are found by themselves.
+        reference_results: further evaluation folders, of policies without a run (scripted ones),
+            by the name shown in the report. Each appears in the tasks whose episodes it was
+            evaluated on. Evaluations of untrained policies in the run folders need not be given.
 
     Returns:
         ``out``.
 
     Raises:
-        UserError: nothing to report, or ``out`` cannot be written.
+        UserError: there is nothing to report, or ``out`` cannot be written.
     """
     if out.suffix.lower() not in (".html", ".htm"):
         raise UserError(f"The report must be an .html file, got {out}.")
@@ -41,8 +65,8 @@ def report(
         raise UserError(f"Cannot write to {out.parent}: {error.strerror}.") from error
     study = collect(run_paths, reference_results)
     pages = build_pages(study)
-    write_data(study, pages, out)
-    page = render(study, pages, out)
+    _write_data(study, pages, out)
+    page = _render(study, pages, out)
     temporary = out.with_name(out.name + ".tmp")
     try:
         temporary.write_text(page, encoding="utf-8")
@@ -50,3 +74,133 @@ def report(
     except OSError as error:
         raise UserError(f"Cannot write {out}: {error.strerror}.") from error
     return out
+
+
+def _data_folder(out: Path) -> Path:
+    return out.with_name(f"{out.stem}-data")
+
+
+def _write_data(study: Study, pages: Sequence[Page], out: Path) -> None:
+    """Write the tables as CSV and JSON; paths in them are relative to the page."""
+    folder, start = _data_folder(out), out.parent
+    tables = {table.name: table for page in pages for table in page.tables()}
+    assert len(tables) == sum(len(page.tables()) for page in pages), "two tables of one name"
+    try:
+        folder.mkdir(exist_ok=True)
+        for old in folder.glob("*.csv"):
+            old.unlink()
+        for table in tables.values():
+            with (folder / f"{table.name}.csv").open("w", newline="", encoding="utf-8") as file:
+                writer = csv.writer(file, lineterminator="\n")
+                writer.writerow(table.csv_columns())
+                for row in table.rows:
+                    writer.writerow([_raw(row.get(key), start) for key in table.csv_columns()])
+    except OSError as error:
+        raise UserError(f"Cannot write {folder}: {error.strerror}.") from error
+    write_json(
+        out.with_suffix(".json"),
+        {
+            "format": FORMAT,
+            "knowarm": knowarm.__version__,
+            "tasks": [task.title for task in study.tasks],
+            "runs": [_relative(run.path, start) for run in study.runs],
+            "problems": [
+                {"path": _relative(each.path, start), "what": each.what, "done": each.done}
+                for each in study.problems
+            ],
+            "verdicts": [
+                {"page": page.name, "sentence": block.sentence, "reasons": list(block.reasons)}
+                for page in pages
+                for block in flat(page.blocks)
+                if isinstance(block, Verdict)
+            ],
+            "tables": {
+                table.name: {
+                    "title": table.title,
+                    "note": table.note,
+                    "csv": f"{folder.name}/{table.name}.csv",
+                    "sources": [_relative(path, start) for path in table.sources],
+                    "rows": [
+                        {key: _plain(row.get(key), start) for key in table.csv_columns()}
+                        for row in table.rows
+                    ],
+                }
+                for table in tables.values()
+            },
+        },
+    )
+
+
+def _render(study: Study, pages: Sequence[Page], out: Path) -> str:
+    """Fill the HTML template; links are relative to the page."""
+    environment = Environment(
+        loader=PackageLoader("knowarm.report"),
+        autoescape=select_autoescape(default=True, default_for_string=True),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    start = out.parent
+
+    def source_links(table: Table) -> list[tuple[str, str]]:
+        shown = dict.fromkeys(_relative(path, start) for path in table.sources)
+        return [(quote(path), path) for path in shown]
+
+    environment.filters["raw"] = lambda value: _raw(value, start)
+    environment.globals.update(
+        cell=lambda column, row: _cell(column, row, start),
+        source_links=source_links,
+        csv_link=lambda table: quote(f"{_data_folder(out).name}/{table.name}.csv"),
+        kind=lambda block: type(block).__name__,
+        numeric=lambda column: column.format not in ("text", "path"),
+        long_table=LONG_TABLE,
+        folded_rows=FOLDED_ROWS,
+        most_sources=MOST_SOURCES,
+    )
+    templates = Path(__file__).parent / "templates"
+    tasks = study.tasks
+    several = f"{len(tasks)} tasks, {counted(len(study.runs), 'run')}"
+    return environment.get_template("report.html.j2").render(
+        title=tasks[0].title if len(tasks) == 1 else several,
+        pages=pages,
+        tasks=tasks,
+        many_tasks=len(tasks) > 1,
+        style=Markup((templates / "style.css").read_text(encoding="utf-8")),
+        script=Markup((templates / "script.js").read_text(encoding="utf-8")),
+        version=knowarm.__version__,
+        json_link=quote(out.with_suffix(".json").name),
+    )
+
+
+def _cell(column: Column, row: Row, start: Path) -> Markup:
+    """Return one formatted cell, with its interval in smaller type."""
+    value = row.get(column.key)
+    if column.format == "path" and isinstance(value, Path):
+        path = _relative(value, start)
+        return Markup('<a href="{}">{}</a>').format(quote(path), path)
+    form = FORMATS[column.format]
+    shown = form(value)
+    low, high = row.get(f"{column.key}_low"), row.get(f"{column.key}_high")
+    if not column.interval or low is None or high is None or shown == MISSING:
+        return escape(shown)
+    return Markup('{} <span class="ci">{} to {}</span>').format(shown, form(low), form(high))
+
+
+def _relative(path: Path, start: Path) -> str:
+    """Return a path relative to the page's folder, with forward slashes."""
+    return Path(os.path.relpath(path, start)).as_posix()
+
+
+def _plain(value: Any, start: Path) -> Any:
+    """Return a value as JSON holds it: numbers rounded, non-finite ones as None."""
+    if isinstance(value, Path):
+        return _relative(value, start)
+    if isinstance(value, float):
+        return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
+    return value
+
+
+def _raw(value: Any, start: Path) -> str:
+    """Return a value as the CSV and the page's ``data-v`` attributes hold it."""
+    plain = _plain(value, start)
+    return "" if plain is None else repr(plain) if isinstance(plain, float) else str(plain)

@@ -1,73 +1,117 @@
-"""Scores of training runs, grouped by task, go in; bootstrap intervals come out."""
+"""Bootstrap intervals over training runs: mean, interquartile mean, improvement, profile.
+
+The measures are those of Agarwal et al. 2021, "Deep reinforcement learning at the edge of the
+statistical precipice".
+"""
 
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy.stats import trim_mean
+from scipy import stats
 
-from knowarm.statistics.interval import Interval
+from knowarm.statistics.interval import CONFIDENCE, Interval
 
-Statistic = Callable[[np.ndarray], np.ndarray]
-"""Maps (repetitions, n) float64 scores to (repetitions,) values."""
-
-REPETITIONS = 10_000
 BLOCK = 2_000_000
-"""Numbers resampled at once, which bounds the memory."""
+"""Upper limit of the numbers resampled at once, which bounds the memory."""
 
 
-def mean(scores: np.ndarray) -> np.ndarray:
-    """Mean along the last axis."""
-    return np.mean(scores, axis=-1)
-
-
-def iqm(scores: np.ndarray) -> np.ndarray:
-    """Interquartile mean along the last axis: the mean without the lowest and highest quarter.
-
-    As robust to one failed run as the median, with a narrower interval (Agarwal et al. 2021,
-    "Deep reinforcement learning at the edge of the statistical precipice").
-    """
-    return np.asarray(trim_mean(scores, 0.25, axis=-1))
+def iqm(scores: np.ndarray, axis: int = -1) -> np.ndarray:
+    """Compute the interquartile mean of scores: the mean of the middle half."""
+    return np.asarray(stats.trim_mean(scores, 0.25, axis=axis))
 
 
 def bootstrap(
     strata: Sequence[np.ndarray],
-    statistic: Statistic = mean,
+    statistic: Callable[..., np.ndarray] = np.mean,
     *,
-    confidence: float = 0.95,
-    repetitions: int = REPETITIONS,
+    repetitions: int = 10_000,
     seed: int = 0,
 ) -> Interval:
-    """Stratified percentile bootstrap: runs are drawn again within each stratum.
+    """Compute a stratified percentile bootstrap interval: each stratum is resampled by itself.
 
-    The unit is whatever one number stands for: the score of one training run when methods are
-    compared, the return of one episode when a single trained network is described.
+    One score is one observation: the score of one training run when methods are compared, the
+    return of one episode when a single trained network is described. A stratum of a single score
+    is held fixed; with no other stratum the interval has zero width.
 
     Args:
-        strata: one (n_i,) array a task; statistics are taken over all of them together.
-        statistic: ``mean``, ``iqm`` or any function with their signature.
-        confidence: coverage in 0..1.
+        strata: one (n_i,) array per task; the statistic is taken over all of them together.
+        statistic: function of an array and an ``axis``, such as ``np.mean`` or ``iqm``.
         repetitions: number of resamples.
-        seed: of the resampling; the same seed gives the same interval.
+        seed: seed of the resampling; equal seeds give equal intervals.
+    """
+    samples = [np.asarray(stratum, np.float64) for stratum in strata]
+    estimate = float(statistic(np.concatenate(samples), axis=-1))
+    varying = [sample for sample in samples if sample.size > 1]
+    if not varying:
+        return Interval(estimate, estimate, estimate)
+    single = np.array([sample[0] for sample in samples if sample.size == 1])
+
+    def over_all(*drawn: np.ndarray, axis: int) -> np.ndarray:
+        fixed = np.broadcast_to(single, (*drawn[0].shape[:-1], single.size))
+        return statistic(np.concatenate([*drawn, fixed], axis=axis), axis=axis)
+
+    return Interval(estimate, *_percentiles(varying, over_all, repetitions, seed))
+
+
+def probability_of_improvement(
+    first: np.ndarray, second: np.ndarray, *, repetitions: int = 2_000, seed: int = 0
+) -> Interval:
+    """Estimate P(a run of the first agent scores higher than one of the second), ties as 1/2.
+
+    The Mann-Whitney statistic U / (n m), with a bootstrap interval that resamples the runs of
+    both agents.
+
+    Args:
+        first: (n,) scores, one per training run, n at least 2.
+        second: (m,) scores, m at least 2.
+        repetitions, seed: as in `bootstrap`.
+    """
+    samples = [np.asarray(first, np.float64), np.asarray(second, np.float64)]
+
+    def wins(a: np.ndarray, b: np.ndarray, *, axis: int) -> np.ndarray:
+        a, b = a[..., :, None], b[..., None, :]
+        return ((a > b) + 0.5 * (a == b)).mean(axis=(-2, -1))
+
+    estimate = float(wins(*samples, axis=-1))
+    return Interval(estimate, *_percentiles(samples, wins, repetitions, seed))
+
+
+def performance_profile(
+    scores: np.ndarray, thresholds: np.ndarray, *, repetitions: int = 2_000, seed: int = 0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Compute the fraction of runs that score above tau, for every tau.
+
+    Args:
+        scores: (n,) scores of one task.
+        thresholds: (T,) values of tau.
+        repetitions, seed: as in `bootstrap`.
 
     Returns:
-        The statistic of the scores as they are, and the percentiles of its resamples. A single
-        score has no spread to resample: its interval is the score itself.
-
-    Raises:
-        ValueError: no scores at all, or a stratum without any.
+        Three (T,) float64 arrays: the fraction, and the ends of its pointwise bootstrap band.
     """
-    strata = [np.asarray(stratum, dtype=np.float64) for stratum in strata]
-    if not strata or any(stratum.size == 0 for stratum in strata):
-        raise ValueError("every stratum needs at least one score")
-    generator = np.random.default_rng(seed)
-    size = sum(stratum.size for stratum in strata)
-    block = max(1, BLOCK // size)
-    values = []
-    for start in range(0, repetitions, block):
-        count = min(block, repetitions - start)
-        drawn = [s[generator.integers(0, s.size, (count, s.size))] for s in strata]
-        values.append(statistic(np.concatenate(drawn, axis=1)))
-    tail = (1 - confidence) / 2
-    low, high = np.quantile(np.concatenate(values), [tail, 1 - tail])
-    estimate = float(statistic(np.concatenate(strata)[None])[0])
-    return Interval(estimate, float(low), float(high), confidence)
+    above = (np.asarray(scores, np.float64)[:, None] > thresholds).astype(float)
+    uniform = np.full(len(above), 1 / len(above))
+    drawn = np.random.default_rng(seed).multinomial(len(above), uniform, repetitions) @ above
+    tail = (1 - CONFIDENCE) / 2
+    low, high = np.quantile(drawn / len(above), [tail, 1 - tail], axis=0)
+    return above.mean(axis=0), low, high
+
+
+def _percentiles(
+    samples: Sequence[np.ndarray],
+    statistic: Callable[..., np.ndarray],
+    repetitions: int,
+    seed: int,
+) -> tuple[float, float]:
+    """Resample every sample by itself; return the ends of the percentile interval."""
+    low, high = stats.bootstrap(
+        samples,
+        statistic,
+        vectorized=True,
+        n_resamples=repetitions,
+        batch=max(1, BLOCK // sum(sample.size for sample in samples)),
+        confidence_level=CONFIDENCE,
+        method="percentile",
+        rng=np.random.default_rng(seed),
+    ).confidence_interval
+    return float(low), float(high)

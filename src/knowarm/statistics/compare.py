@@ -1,12 +1,16 @@
-"""Scores of two agents go in; their difference, its interval and its p-value come out."""
+"""Comparisons of agents: t tests, the paper's analysis of variance, Holm's correction, power."""
 
-from collections.abc import Sequence
+import math
+import warnings
+from bisect import bisect_left
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import stats
 
-from knowarm.statistics.interval import Interval
+from knowarm.statistics.interval import CONFIDENCE, Interval
 
 
 @dataclass(frozen=True)
@@ -14,9 +18,9 @@ class Comparison:
     """Difference of two means.
 
     Attributes:
-        difference: first minus second, with Welch's or Student's t interval.
-        p_value: two-sided; of no difference at all.
-        effect_size: difference in pooled standard deviations (Cohen's d); None without spread.
+        difference: first minus second, with the interval of the t test.
+        p_value: two-sided p-value of no difference.
+        effect_size: difference in standard deviations (Cohen's d); None without any spread.
         first_count: observations of the first agent.
         second_count: observations of the second agent.
     """
@@ -28,93 +32,70 @@ class Comparison:
     second_count: int
 
 
-def welch(first: np.ndarray, second: np.ndarray, confidence: float = 0.95) -> Comparison:
-    """Compare the means of two independent samples of unequal variance (Welch's t).
+def welch(first: np.ndarray, second: np.ndarray) -> Comparison:
+    """Compare the means of two independent samples of unequal variance (Welch's t test).
 
-    For training seeds: runs of two agents share nothing that would pair them. With few seeds
-    its interval keeps its coverage where the percentile bootstrap's is too narrow.
+    With few training seeds its interval keeps its coverage; the percentile bootstrap's does not.
 
     Args:
-        first: (n,) scores, one a training run.
+        first: (n,) scores, one per training run.
         second: (m,) scores.
-        confidence: coverage in 0..1.
 
     Raises:
-        ValueError: fewer than two scores on a side.
+        ValueError: a side has fewer than two scores.
     """
     first, second = np.asarray(first, np.float64), np.asarray(second, np.float64)
     if min(first.size, second.size) < 2:
         raise ValueError("a difference between methods needs at least two runs of each")
-    difference = float(first.mean() - second.mean())
-    first_variance, second_variance = first.var(ddof=1), second.var(ddof=1)
-    error2 = first_variance / first.size + second_variance / second.size
-    if error2 == 0:
-        exact = Interval(difference, difference, difference, confidence)
-        return Comparison(exact, 0.0 if difference else 1.0, None, first.size, second.size)
-    freedom = error2**2 / (
-        (first_variance / first.size) ** 2 / (first.size - 1)
-        + (second_variance / second.size) ** 2 / (second.size - 1)
-    )
-    pooled = np.sqrt((first_variance + second_variance) / 2)
-    return Comparison(
-        _interval(difference, float(np.sqrt(error2)), float(freedom), confidence),
-        float(2 * stats.t.sf(abs(difference) / np.sqrt(error2), freedom)),
-        float(difference / pooled),
-        first.size,
-        second.size,
-    )
+    spread = math.sqrt((first.var(ddof=1) + second.var(ddof=1)) / 2)
+    return _t_test(stats.ttest_ind, first, second, spread, equal_var=False)
 
 
-def paired(first: np.ndarray, second: np.ndarray, confidence: float = 0.95) -> Comparison:
-    """Compare two agents on the same episodes (Student's paired t).
+def paired(first: np.ndarray, second: np.ndarray) -> Comparison:
+    """Compare two agents on the same episodes (Student's paired t test).
 
-    Says whether these two trained networks differ on these episodes, and nothing about the
-    methods that trained them: another training seed would give other networks.
+    The result is about these two trained networks, not about the methods that trained them.
 
     Args:
-        first: (n,) one value an episode.
+        first: (n,) one value per episode.
         second: (n,) values of the same episodes in the same order.
-        confidence: coverage in 0..1.
 
     Raises:
-        ValueError: unequal lengths or fewer than two pairs.
+        ValueError: the lengths differ, or there are fewer than two pairs.
     """
     first, second = np.asarray(first, np.float64), np.asarray(second, np.float64)
     if first.shape != second.shape or first.size < 2:
         raise ValueError("paired values need two equal shapes of at least two pairs")
-    differences = first - second
-    difference = float(differences.mean())
-    spread = float(differences.std(ddof=1))
-    count = differences.size
-    if spread == 0:
-        exact = Interval(difference, difference, difference, confidence)
-        return Comparison(exact, 0.0 if difference else 1.0, None, count, count)
-    error = spread / np.sqrt(count)
-    return Comparison(
-        _interval(difference, error, count - 1, confidence),
-        float(2 * stats.t.sf(abs(difference) / error, count - 1)),
-        difference / spread,
-        count,
-        count,
-    )
+    spread = float((first - second).std(ddof=1))
+    return _t_test(stats.ttest_rel, first, second, spread)
 
 
-def _interval(difference: float, error: float, freedom: float, confidence: float) -> Interval:
-    half = float(stats.t.ppf(0.5 + confidence / 2, freedom)) * error
-    return Interval(difference, difference - half, difference + half, confidence)
+def one_way_anova(groups: Sequence[np.ndarray]) -> tuple[float, float]:
+    """Run the paper's test (section 5.3): 30 success rates per network, 100 episodes each.
+
+    All observations of a group come from one trained network. The test therefore says whether
+    these networks differ, and nothing about other training seeds of the same methods.
+
+    Args:
+        groups: one (n_i,) array of success rates per trained network, n_i at least 2.
+
+    Returns:
+        F value and p-value of equal means.
+    """
+    if all(np.ptp(group) == 0 for group in groups):  # 0 / 0: no variance within to divide by
+        equal = len({float(np.mean(group)) for group in groups}) == 1
+        return (0.0, 1.0) if equal else (math.inf, 0.0)
+    result = stats.f_oneway(*groups)
+    return float(result.statistic), float(result.pvalue)
 
 
 def holm(p_values: Sequence[float]) -> np.ndarray:
-    """Holm's step-down correction: p-values that hold for the whole family of comparisons.
+    """Adjust p-values for a family of comparisons with Holm's step-down correction.
 
-    The i-th smallest of m is multiplied by m - i (i from 0), kept in order and below 1. Claims
-    at an adjusted p of .05 are wrong together in at most 5 % of studies without any effect.
-
-    Args:
-        p_values: one a comparison.
+    The i-th smallest of m is multiplied by m - i (i from 0), made monotone and limited to 1.
 
     Returns:
-        (m,) float64 adjusted p-values, in the order given.
+        (m,) float64 adjusted p-values, in the given order.
     """
     values = np.asarray(p_values, np.float64)
     order = np.argsort(values, kind="stable")
@@ -122,3 +103,51 @@ def holm(p_values: Sequence[float]) -> np.ndarray:
     adjusted = np.empty_like(values)
     adjusted[order] = np.minimum(np.maximum.accumulate(scaled), 1.0)
     return adjusted
+
+
+def power_of_two_samples(effect_size: float, count: int) -> float:
+    """Compute the power of the two-sided two-sample t test at a significance level of 5 %.
+
+    Args:
+        effect_size: true difference in standard deviations (Cohen's d).
+        count: runs of each agent, at least 2.
+    """
+    freedom, noncentrality = 2 * count - 2, abs(effect_size) * math.sqrt(count / 2)
+    critical = stats.t.ppf(0.975, freedom)
+    # Where SciPy's tail underflows to NaN the power is 1 to machine precision.
+    upper = float(stats.nct.sf(critical, freedom, noncentrality))
+    lower = float(stats.nct.cdf(-critical, freedom, noncentrality))
+    return (1.0 if math.isnan(upper) else upper) + (0.0 if math.isnan(lower) else lower)
+
+
+def seeds_needed(effect_size: float, *, power: float = 0.8) -> int | None:
+    """Compute the number of training seeds per agent that detects a difference of this size.
+
+    For a difference that was selected because it was large the number is too small.
+
+    Args:
+        effect_size: difference in standard deviations (Cohen's d).
+        power: fraction of such studies that should detect it, two-sided at 5 %.
+
+    Returns:
+        The smallest sufficient number, at least 2, or None above 10,000.
+    """
+    counts = range(2, 10_001)
+    place = bisect_left(counts, power, key=lambda count: power_of_two_samples(effect_size, count))
+    return counts[place] if place < len(counts) else None
+
+
+def _t_test(
+    test: Callable[..., Any], first: np.ndarray, second: np.ndarray, spread: float, **options: Any
+) -> Comparison:
+    """Run one of SciPy's t tests; without any spread the difference is exact."""
+    difference = float(first.mean() - second.mean())
+    ends, p_value, effect_size = (difference, difference), 0.0 if difference else 1.0, None
+    if spread:
+        with warnings.catch_warnings():  # SciPy warns of a sample whose values are all equal
+            warnings.filterwarnings("ignore", "Precision loss", RuntimeWarning)
+            result = test(first, second, **options)
+        ends, p_value = result.confidence_interval(CONFIDENCE), float(result.pvalue)
+        effect_size = difference / spread
+    interval = Interval(difference, float(ends[0]), float(ends[1]))
+    return Comparison(interval, p_value, effect_size, first.size, second.size)

@@ -1,21 +1,20 @@
-"""A learning curve goes in; its area, its first crossing of a threshold and its trend come out."""
+"""Learning curves: area, first crossing of a threshold, interpolation, trend line."""
 
 import numpy as np
 
 
 def area_under_curve(steps: np.ndarray, values: np.ndarray, until: float) -> float:
-    """Mean height of a learning curve over 0..until, by the trapezoid rule.
+    """Compute the mean height of a learning curve over 0..until with the trapezoid rule.
 
-    The first value is carried back to step 0 and the last one on to ``until``, so that curves
-    of unequal length have areas of one scale.
+    The first value is extended back to step 0 and the last one forward to ``until``.
 
     Args:
-        steps: (n,) increasing, environment steps.
-        values: (n,) for instance success in 0..1.
+        steps: (n,) increasing environment steps.
+        values: (n,) values, for instance success in 0..1.
         until: right end [steps].
 
     Returns:
-        The area divided by ``until``: in the unit of ``values``.
+        Area divided by ``until``, in the unit of ``values``.
     """
     inside = steps < until
     xs = np.concatenate([[0.0], steps[inside], [until]])
@@ -24,37 +23,32 @@ def area_under_curve(steps: np.ndarray, values: np.ndarray, until: float) -> flo
 
 
 def first_crossing(steps: np.ndarray, values: np.ndarray, threshold: float) -> tuple[float, bool]:
-    """First evaluation at or above a threshold.
+    """Find the first evaluation at or above a threshold.
 
     Args:
-        steps: (n,) increasing, environment steps, n at least 1.
-        values: (n,) for instance success in 0..1.
-        threshold: the height to reach.
+        steps: (n,) increasing environment steps, n at least 1.
+        values: (n,) values, for instance success in 0..1.
+        threshold: value to reach.
 
     Returns:
         The step of the first evaluation that reaches it and True, or the last step and False:
-        the run is censored there, it was only seen not to reach it so far.
+        the run is censored there.
     """
     reached = np.flatnonzero(values >= threshold)
-    if reached.size:
-        return float(steps[reached[0]]), True
-    return float(steps[-1]), False
+    return (float(steps[reached[0]]), True) if reached.size else (float(steps[-1]), False)
 
 
 def on_grid(steps: np.ndarray, values: np.ndarray, grid: np.ndarray) -> np.ndarray:
-    """Values of a curve at the grid's steps, interpolated; nan outside the curve's own range."""
+    """Interpolate a curve at the steps of a grid; NaN outside the curve's own range."""
     return np.interp(grid, steps, values, left=np.nan, right=np.nan)
 
 
 def trend(values: np.ndarray, window: int) -> np.ndarray:
-    """Centred moving average that narrows at both ends, the paper's trend line.
+    """Compute a centred moving average whose window narrows at both ends (the paper's trend).
 
     Args:
         values: (n,) float64.
         window: number of points averaged in the middle.
-
-    Returns:
-        (n,) float64.
     """
     total = np.concatenate([[0.0], np.cumsum(values)])
     places = np.arange(len(values))

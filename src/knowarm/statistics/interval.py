@@ -1,32 +1,40 @@
-"""Nothing goes in; the shape that every estimate with its uncertainty has comes out."""
+"""Confidence intervals: their type, and Wilson's interval of a proportion."""
 
 from dataclasses import dataclass
+
+from scipy import stats
+
+CONFIDENCE = 0.95
+"""Coverage of every interval of this package, unless an argument says otherwise."""
 
 
 @dataclass(frozen=True)
 class Interval:
-    """An estimate and the ends of its confidence interval.
+    """An estimate with its confidence interval.
 
     Attributes:
-        estimate: the value itself.
-        low: lower end; equal to ``estimate`` where one observation allows no interval.
+        estimate: point estimate.
+        low: lower end; equal to ``estimate`` where a single observation allows no interval.
         high: upper end.
-        confidence: coverage the interval was made for, in 0..1.
     """
 
     estimate: float
     low: float
     high: float
-    confidence: float = 0.95
 
-    @property
-    def excludes_zero(self) -> bool:
-        """Whether zero lies outside the interval."""
-        return self.low > 0 or self.high < 0
 
-    def scaled(self, factor: float) -> "Interval":
-        """The same interval in another unit; ``factor`` is positive."""
-        assert factor > 0
-        return Interval(
-            self.estimate * factor, self.low * factor, self.high * factor, self.confidence
-        )
+def wilson(successes: int, trials: int, confidence: float = CONFIDENCE) -> Interval:
+    """Compute Wilson's score interval of a proportion.
+
+    Unlike the normal approximation it stays inside 0..1 and has a positive width at 0 and 100 %.
+
+    Args:
+        successes: number of successes, 0..trials.
+        trials: number of trials, at least 1.
+        confidence: coverage, in 0..1.
+
+    Raises:
+        ValueError: there are no trials, or more successes than trials.
+    """
+    ends = stats.binomtest(successes, trials).proportion_ci(confidence, method="wilson")
+    return Interval(successes / trials, float(ends.low), float(ends.high))

@@ -1,22 +1,65 @@
-"""MJCF files, seeds and actions go in; images, rewards and episodes come out.
+"""World: robots, scenes, simulation, rendering and environments of the reaching task.
 
-The data's way: ``robots`` and ``objects`` -> ``scene`` -> ``simulation`` -> ``images`` (drawn by
-``raycast``) and ``rewards`` -> ``env``. Importing this package imports no simulator.
+``scene`` composes a MuJoCo model of a robot and targets; ``backends`` simulate it; ``tasks``
+draw episodes, move the arm and judge the result; ``render`` draws the images; ``vector_env``,
+``torch_env`` and ``single_env`` are the environments. Importing this package imports no simulator.
 """
+
+from typing import Any
 
 import gymnasium
 
-ENV_IDS = {"knowarm/IRB120Reach-v0": "irb120", "knowarm/TiagoReach-v0": "tiago"}
-"""Robot behind each Gymnasium id."""
+from knowarm.errors import UserError, unknown_name
+from knowarm.world.robots import ROBOTS
+
+NAMESPACE = "knowarm"
+"""Namespace of the Gymnasium ids."""
+
+
+def env_id(robot: str) -> str:
+    """Return the Gymnasium id of a registered robot's task, as "knowarm/IRB120Reach-v0"."""
+    return f"{NAMESPACE}/{ROBOTS[robot].env_id}"
 
 
 def register_environments() -> None:
-    """Register the Gymnasium ids, for ``gymnasium.make`` and ``gymnasium.make_vec``."""
-    for env_id, robot in ENV_IDS.items():
-        if env_id not in gymnasium.registry:
+    """Register an id per robot, for ``gymnasium.make`` and ``gymnasium.make_vec``."""
+    for robot in ROBOTS:
+        if env_id(robot) not in gymnasium.registry:
             gymnasium.register(
-                env_id,
-                entry_point="knowarm.world.single:ReachEnv",
-                vector_entry_point="knowarm.world.single:make_vector_env",
+                env_id(robot),
+                entry_point="knowarm.world.single_env:ReachEnv",
+                vector_entry_point="knowarm.world.single_env:make_vector_env",
                 kwargs={"robot": robot},
             )
+
+
+def make(robot: str, num_envs: int | None = None, device: str | None = None, **options: Any) -> Any:
+    """Create an environment of the reaching task.
+
+    Args:
+        robot: a name in ``ROBOTS``, the Gymnasium id of one, or the TOML file of your own robot.
+        num_envs: number of environments; None for a single, unbatched one.
+        device: None for NumPy arrays; "cpu" or "cuda" for torch tensors (with ``num_envs``).
+        options: fields of ``EnvConfig``, and arguments of the environment's constructor.
+
+    Returns:
+        ``ReachEnv``, ``ReachVectorEnv`` or ``TorchReachVectorEnv``.
+
+    Raises:
+        UserError: an unknown robot, a device without ``num_envs``, or a wrong option.
+    """
+    from knowarm.world.single_env import ReachEnv, make_vector_env
+
+    ids = {env_id(name): name for name in ROBOTS}
+    ids |= {ROBOTS[name].env_id: name for name in ROBOTS}
+    name = ids.get(robot, robot)
+    if name not in ROBOTS and not name.endswith(".toml"):
+        raise unknown_name("robot or environment", robot, [*ROBOTS, *map(env_id, ROBOTS)])
+    if num_envs is None:
+        if device is not None:
+            raise UserError(
+                f"device {device!r} needs a vector environment; pass num_envs as well, or leave "
+                "out device."
+            )
+        return ReachEnv(robot=name, **options)
+    return make_vector_env(num_envs, device=device, robot=name, **options)

@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 from knowarm.errors import UserError
 from knowarm.world.arrays import Array, Place, array_namespace, here
 from knowarm.world.episodes import Episodes
-from knowarm.world.looks import LookSource
 from knowarm.world.scene import Scene
-from knowarm.world.visual_randomization import VisualRandomization
+from knowarm.world.visual_randomization import LookSource, VisualRandomization
 
 
 def resting_colours(scene: Scene, num_envs: int) -> NDArray[np.float32]:
@@ -109,61 +108,3 @@ class AppearanceSource:
             rgba[:, self._surfaces, :3] = seen.surface_rgb
         rgba[:, self._distractors, :3] = seen.distractor_rgb
         return Shown(rgba, seen.views, seen.lamps, seen.distractor_position)
-
-
-class Appearance:
-    """How n environments of the CPU look.
-
-    Attributes:
-        rgba: (n, G, 4) float32, alpha 0 where a geom is hidden.
-        views: (n, 12) float32 cameras, None for the model's.
-        lamps: (n, 4, 3) float32 lights, None for the model's.
-    """
-
-    def __init__(self, scene: Scene, randomization: VisualRandomization, num_envs: int) -> None:
-        self._source = AppearanceSource(scene, randomization)
-        self._count = num_envs
-        self.check = self._source.check
-        self.rgba = resting_colours(scene, num_envs)
-        self.views: NDArray[np.float32] | None = None
-        self.lamps: NDArray[np.float32] | None = None
-
-    def show(self, ids: NDArray[np.intp], episodes: Episodes) -> NDArray[np.float64] | None:
-        """Make environments look as their episodes want it.
-
-        Args:
-            ids: the environments, (k,).
-            episodes: theirs, k.
-
-        Returns:
-            Where the distractors stand, x and y [m], (k, D, 2); None when nothing is randomized.
-        """
-        shown = self._source(episodes.target, episodes.colour, episodes.position, episodes.look)
-        self.rgba[ids] = shown.rgba
-        self.views = self._written(self.views, ids, shown.views)
-        self.lamps = self._written(self.lamps, ids, shown.lamps)
-        return shown.distractor_position
-
-    def of(
-        self, ids: NDArray[np.intp] | slice
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None, NDArray[np.float32] | None]:
-        """Colours, cameras and lights of some environments."""
-        return (
-            self.rgba[ids],
-            None if self.views is None else self.views[ids],
-            None if self.lamps is None else self.lamps[ids],
-        )
-
-    def _written(
-        self,
-        array: NDArray[np.float32] | None,
-        ids: NDArray[np.intp],
-        values: NDArray[np.float32] | None,
-    ) -> NDArray[np.float32] | None:
-        """Write values (k, ...) at ids into an array (n, ...) that is made when first needed."""
-        if values is None:
-            return None
-        if array is None:
-            array = np.zeros((self._count, *values.shape[1:]), dtype=np.float32)
-        array[ids] = values
-        return array

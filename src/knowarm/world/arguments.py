@@ -1,4 +1,4 @@
-"""What a caller gave to ``step`` and ``reset`` goes in; checked arrays come out."""
+"""Checks of the arguments of ``step``, ``reset`` and ``set_state``."""
 
 from typing import Any, NamedTuple
 
@@ -9,20 +9,30 @@ from knowarm.errors import UserError
 
 
 class Seeds(NamedTuple):
-    """Seed of each environment's stream."""
+    """Seeds of the environments' streams."""
 
     given: NDArray[np.bool_]
-    """Where there is one, (n,)."""
+    """Which environments get a new seed, (n,)."""
 
     values: NDArray[np.uint64]
-    """The seeds, 0 where there is none, (n,)."""
+    """The seeds; 0 where ``given`` is False, (n,)."""
+
+
+def check_num_envs(num_envs: int) -> None:
+    """Check the number of environments.
+
+    Raises:
+        UserError: it is below 1.
+    """
+    if num_envs < 1:
+        raise UserError(f"num_envs must be at least 1, got {num_envs}.")
 
 
 def checked_actions(actions: ArrayLike, shape: tuple[int, int], levels: int) -> NDArray[np.int64]:
     """Return actions as int64 of a shape (n, J).
 
     Raises:
-        UserError: another shape, no integers, or a level outside 0 to levels - 1.
+        UserError: the wrong shape, no integers, or a value outside 0 to levels - 1.
     """
     array = np.asarray(actions)
     if array.shape != shape or array.dtype.kind not in "iu":
@@ -30,31 +40,41 @@ def checked_actions(actions: ArrayLike, shape: tuple[int, int], levels: int) -> 
             f"actions must be integers of shape {shape} (environments, joints), got "
             f"{array.dtype} of shape {array.shape}."
         )
-    if array.min() < 0 or array.max() >= levels:
-        raise UserError(
-            f"actions must lie in 0 to {levels - 1}, got {array.min()} to {array.max()}."
-        )
+    check_action_range(array, levels)
     return array.astype(np.int64, copy=False)
 
 
-def check_state(mine: dict[str, NDArray[Any]], state: dict[str, NDArray[Any]]) -> None:
-    """Refuse a state whose arrays are not named and shaped as an environment's own.
+def check_action_range(actions: NDArray[Any], levels: int) -> None:
+    """Check that actions index one of the levels.
 
     Raises:
-        UserError: the state is another kind of environment's.
+        UserError: a value outside 0 to levels - 1.
+    """
+    if actions.min() < 0 or actions.max() >= levels:
+        raise UserError(
+            f"actions must lie in 0 to {levels - 1}, got {actions.min()} to {actions.max()}."
+        )
+
+
+def check_state(mine: dict[str, NDArray[Any]], state: dict[str, NDArray[Any]]) -> None:
+    """Check that a state has arrays of the same names and shapes as the environment's own.
+
+    Raises:
+        UserError: the state belongs to another kind of environment.
     """
     described = [
         {name: array.shape for name, array in sorted(arrays.items())} for arrays in (mine, state)
     ]
     if described[0] != described[1]:
         raise UserError(
-            f"The state is of another environment: its arrays are {described[1]}, this one's "
-            f"are {described[0]}. Use the same robot, targets and number of environments."
+            f"The state belongs to another environment: its arrays are {described[1]}, those of "
+            f"this environment are {described[0]}. Use the same robot, targets and number of "
+            "environments."
         )
 
 
 def masked_ids(mask: ArrayLike | None, num_envs: int) -> NDArray[np.intp]:
-    """Return the environments of a reset mask, all for None.
+    """Return the indices of a reset mask, all of them for None.
 
     Raises:
         UserError: the mask is not (n,) bool with at least one True.
@@ -71,10 +91,10 @@ def masked_ids(mask: ArrayLike | None, num_envs: int) -> NDArray[np.intp]:
 
 
 def spread_seeds(seed: int | list[int | None] | None, num_envs: int) -> Seeds:
-    """Turn Gymnasium's seed argument into one seed an environment: seed, seed + 1, ...
+    """Expand Gymnasium's seed argument to one seed per environment: seed, seed + 1, ...
 
     Raises:
-        UserError: a list of another length, or a negative seed.
+        UserError: a list of the wrong length, or a negative seed.
     """
     if seed is None:
         seeds: list[int | None] = [None] * num_envs
@@ -84,7 +104,7 @@ def spread_seeds(seed: int | list[int | None] | None, num_envs: int) -> Seeds:
         seeds = list(seed)
     if len(seeds) != num_envs:
         raise UserError(
-            f"seed must be an integer or a list of {num_envs} (one an environment), got "
+            f"seed must be an integer or a list of {num_envs} (one per environment), got "
             f"{len(seeds)}."
         )
     if any(value is not None and value < 0 for value in seeds):

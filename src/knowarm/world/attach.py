@@ -1,17 +1,21 @@
-"""A robot's or a target's MJCF file goes in; it comes out attached to the scene's ``MjSpec``."""
+"""Attachment of a robot's or target's MJCF file to the ``MjSpec`` of a scene."""
 
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from knowarm.errors import UserError
 from knowarm.world.robot import Robot
-from knowarm.world.surroundings import ROBOT_BIT, SUPPORT_BIT
 from knowarm.world.target import Target
 
 ROBOT_PREFIX = "robot/"
-"""What every name of the robot's own file begins with in the scene."""
+"""Prefix of all names of the robot's own file in the scene."""
+
+ROBOT_BIT, SUPPORT_BIT = 1, 2
+"""MuJoCo contact bits: the only contacts are those between robot and support."""
 
 
 def read_mjcf(path: Path, owner: str) -> mujoco.MjSpec:
@@ -19,10 +23,10 @@ def read_mjcf(path: Path, owner: str) -> mujoco.MjSpec:
 
     Args:
         path: the file.
-        owner: whose file it is, for the message ("Robot 'irb120'").
+        owner: the description that names the file, for messages ("Robot 'irb120'").
 
     Raises:
-        UserError: when the file is missing or MuJoCo cannot read or compile it.
+        UserError: the file is missing, or MuJoCo cannot read or compile it.
     """
     if not path.is_file():
         raise UserError(f"{owner}: mjcf is {str(path)!r}, and there is no such file.")
@@ -32,49 +36,30 @@ def read_mjcf(path: Path, owner: str) -> mujoco.MjSpec:
     except ValueError as error:
         reason = " ".join(str(error).split())
         raise UserError(
-            f"{owner}: mjcf {str(path)!r} does not compile: {reason}. Mend the file; `python -m "
-            f"mujoco.viewer --mjcf={path}` shows the same error."
+            f"{owner}: mjcf {str(path)!r} does not compile: {reason}. Correct the file; "
+            f"`python -m mujoco.viewer --mjcf={path}` shows the same error."
         ) from None
     return spec
 
 
 def attach_robot(spec: mujoco.MjSpec, robot: Robot) -> None:
-    """Attach the robot, gravity compensated, with only the joints the agent moves.
+    """Attach the robot, gravity compensated, with only the joints that the agent moves.
 
     Raises:
         UserError: the file does not compile, or lacks a named joint, body or site.
     """
     owner = f"Robot {robot.name!r}"
     part = read_mjcf(robot.mjcf, owner)
-    joints = {joint.name: joint for joint in part.joints}
-    for name in robot.joints:
-        if name not in joints:
-            raise UserError(
-                f"{owner}: joints names {name!r}, which {robot.mjcf.name} does not have. Its "
-                f"joints: {', '.join(sorted(filter(None, joints))) or 'none'}."
-            )
-    for name in robot.held_joints:
-        if name not in joints:
-            raise UserError(
-                f"{owner}: held_joints names {name!r}, which {robot.mjcf.name} does not have. Its "
-                f"joints: {', '.join(sorted(filter(None, joints))) or 'none'}."
-            )
+    for field in ("joints", "held_joints"):
+        _check_names(owner, field, getattr(robot, field), robot.mjcf, "joints", part.joints)
     if robot.tcp_body is not None:
+        _check_names(owner, "tcp_body", [robot.tcp_body], robot.mjcf, "bodies", part.bodies)
         body = part.body(robot.tcp_body)
-        if body is None:
-            names = ", ".join(sorted(body.name for body in part.bodies if body.name))
-            raise UserError(
-                f"{owner}: tcp_body is {robot.tcp_body!r}, which {robot.mjcf.name} does not have. "
-                f"Its bodies: {names}."
-            )
         body.add_site(name=robot.tcp_site, pos=robot.tcp_position_m, quat=robot.tcp_quaternion)
-    elif part.site(robot.tcp_site) is None:
-        names = ", ".join(sorted(site.name for site in part.sites if site.name)) or "none"
-        raise UserError(
-            f"{owner}: tcp_site is {robot.tcp_site!r}, which {robot.mjcf.name} does not have. Its "
-            f"sites: {names}. Name one of them, or set tcp_body to have the site added."
-        )
-    # Only arm, servos and contacts with the support are simulated; what a file brings along for
+    else:
+        remedy = " Name one of them, or set tcp_body to have the site added."
+        _check_names(owner, "tcp_site", [robot.tcp_site], robot.mjcf, "sites", part.sites, remedy)
+    # Only arm, servos and contacts with the support are simulated. What else a file contains for
     # its own demo (keyframes, tendons, sensors, cameras, lights) would refer to removed joints.
     for elements in (
         part.keys,
@@ -105,7 +90,7 @@ def attach_robot(spec: mujoco.MjSpec, robot: Robot) -> None:
 
 
 def _hold(joint: mujoco.MjsJoint, value: float, owner: str) -> None:
-    """Move a joint's body to where the joint would carry it, so that the joint can go."""
+    """Move a joint's body to its pose at a joint value, so that the joint can be removed."""
     if value == 0:
         return
     body = joint.parent
@@ -126,7 +111,9 @@ def _hold(joint: mujoco.MjsJoint, value: float, owner: str) -> None:
         mujoco.mju_mulQuat(quaternion, body.quat, turn)
         body.quat = quaternion
     else:
-        raise UserError(f"{owner}: held_joints can hold hinges and slides, {joint.name!r} is none.")
+        raise UserError(
+            f"{owner}: held_joints can hold hinges and slides; {joint.name!r} is neither."
+        )
 
 
 def attach_target(spec: mujoco.MjSpec, robot: Robot, target: Target) -> None:
@@ -140,22 +127,11 @@ def attach_target(spec: mujoco.MjSpec, robot: Robot, target: Target) -> None:
     bodies = part.worldbody.bodies
     if len(bodies) != 1 or list(part.worldbody.geoms):
         raise UserError(
-            f"{owner}: {target.mjcf.name} must hold one top-level body with all geoms in it, and "
+            f"{owner}: {target.mjcf.name} must hold one top-level body with all geoms in it; it "
             f"holds {len(bodies)}."
         )
-    if part.site(target.grasp_site) is None:
-        names = ", ".join(sorted(site.name for site in part.sites if site.name)) or "none"
-        raise UserError(
-            f"{owner}: grasp_site is {target.grasp_site!r}, which {target.mjcf.name} does not "
-            f"have. Its sites: {names}."
-        )
-    geom_names = {geom.name for geom in part.geoms}
-    for name in target.coloured_geoms:
-        if name not in geom_names:
-            raise UserError(
-                f"{owner}: coloured_geoms names {name!r}, which {target.mjcf.name} does not have. "
-                f"Its geoms: {', '.join(sorted(filter(None, geom_names))) or 'none'}."
-            )
+    _check_names(owner, "grasp_site", [target.grasp_site], target.mjcf, "sites", part.sites)
+    _check_names(owner, "coloured_geoms", target.coloured_geoms, target.mjcf, "geoms", part.geoms)
     for joint in list(part.joints):
         part.delete(joint)
     for i, geom in enumerate(part.geoms):
@@ -173,6 +149,29 @@ def attach_target(spec: mujoco.MjSpec, robot: Robot, target: Target) -> None:
 
 
 def _hide_sites(part: mujoco.MjSpec) -> None:
-    """Keep gripper and grasp frames out of every image; viewers show group 5 when asked."""
+    """Move the sites to group 5, which no image shows and viewers show on request."""
     for site in part.sites:
         site.group = 5
+
+
+def _check_names(
+    owner: str,
+    field: str,
+    names: Iterable[str],
+    mjcf: Path,
+    kind: str,
+    elements: Iterable[Any],
+    remedy: str = "",
+) -> None:
+    """Check that all names of a field are among the elements of an MJCF file.
+
+    Raises:
+        UserError: a name is missing; the message lists those of its kind and adds ``remedy``.
+    """
+    known = {element.name for element in elements if element.name}
+    for name in names:
+        if name not in known:
+            raise UserError(
+                f"{owner}: {field} names {name!r}, which {mjcf.name} does not have. Its {kind}: "
+                f"{', '.join(sorted(known)) or 'none'}.{remedy}"
+            )

@@ -1,4 +1,4 @@
-"""A TOML file of a user's own robot or target goes in; its ``Robot`` or ``Target`` comes out."""
+"""Description files: TOML files of a user's own robots and targets."""
 
 import importlib.util
 import tomllib
@@ -13,21 +13,24 @@ from knowarm.world.target import Target
 T = TypeVar("T", Robot, Target)
 
 SUFFIX = ".toml"
+"""A name with this suffix is the path of a description file."""
 
 
 def read_robot(path: Path) -> Robot:
     """Read a robot: the fields of ``Robot``, with ``mjcf`` relative to the file.
 
-    ``mjcf = "package:inside/it.xml"`` names a file of an installed Python package.
+    ``mjcf = "package:path/in/it.xml"`` names a file of an installed Python package. ``name`` is the
+    file's stem unless given.
 
     Raises:
-        UserError: no such file, not TOML, or a field that is unknown, missing or of another type.
+        UserError: there is no such file, it is not TOML, or a field is unknown, missing or of the
+            wrong type.
     """
     return _read(path, Robot)
 
 
 def read_target(path: Path) -> Target:
-    """Read a target: the fields of ``Target``; else as ``read_robot``."""
+    """Read a target: the fields of ``Target``; otherwise as ``read_robot``."""
     return _read(path, Target)
 
 
@@ -49,7 +52,7 @@ def _read(path: Path, kind: type[T]) -> T:
 
 
 def _resolve(mjcf: str, path: Path) -> Path:
-    """Turn ``mjcf`` into a path: of a package when it names one, else relative to the TOML file."""
+    """Resolve ``mjcf``: in a package if it names one, else relative to the TOML file."""
     package, colon, inside = mjcf.partition(":")
     if not colon or not package.isidentifier():
         return path.parent / mjcf
@@ -57,6 +60,6 @@ def _resolve(mjcf: str, path: Path) -> Path:
     if found is None or not found.submodule_search_locations:
         raise UserError(
             f"{str(path)!r}: mjcf is {mjcf!r}, and the Python package {package!r} is not "
-            f"installed. Install it, or give the path of a file."
+            "installed. Install it, or give the path of a file."
         )
     return Path(found.submodule_search_locations[0]) / inside

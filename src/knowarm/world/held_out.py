@@ -1,4 +1,4 @@
-"""Colours and places to keep for a test go in; which draws an episode may take comes out."""
+"""Held-out colours and positions: training never shows them, evaluation tests them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,31 +8,34 @@ from knowarm.errors import UserError, unknown_name
 from knowarm.world.arrays import Array, array_namespace
 
 TRIES = 32
-"""Places drawn for an episode; the first allowed one is taken. At most half of the rectangle is
-held out, so all of them miss once in 2**32 episodes."""
+"""Positions drawn per episode, of which the first allowed one is used. At most half of the
+rectangle is held out, so all of them fail in one of 2**32 episodes."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class HeldOut:
-    """Colours and places that training never shows, to test generalization on them later.
+    """Colours and positions that training never shows, to test generalization to them.
 
     Train with ``play="rest"``, evaluate with ``play="held_out"`` and the same other fields.
     """
 
     colours: tuple[str, ...] = ()
-    """Names of held-out colours; a target keeps at least one of its own on either side."""
+    """Names of held-out colours. Every target needs a colour among them and one outside, or none of
+    its colours among them."""
 
     places: tuple[float, float, float, float] | None = None
-    """Held-out part of the rectangle, x from, x to, y from, y to, in -1..1 across it."""
+    """Held-out part of the rectangle of positions: x from, x to, y from, y to, in -1..1."""
 
     play: Literal["rest", "held_out"] = "rest"
-    """Which side this environment plays."""
+    """Whether this environment shows the held-out part or the rest."""
 
     def __post_init__(self) -> None:
         if self.play not in ("rest", "held_out"):
             raise UserError(f"HeldOut.play must be rest or held_out, got {self.play!r}.")
         if not self.colours and self.places is None:
-            raise UserError("HeldOut needs colours or places to hold out; give one, or leave it.")
+            raise UserError(
+                "HeldOut needs colours or places to hold out: give one, or pass held_out=None."
+            )
         if self.places is not None:
             x0, x1, y0, y1 = self.places
             share = (x1 - x0) * (y1 - y0) / 4
@@ -45,32 +48,41 @@ class HeldOut:
 
 
 def allowed_colours(held_out: HeldOut | None, colours: Sequence[str], target: str) -> list[int]:
-    """Indices of the colours of a target that may be drawn.
+    """Return the indices of the colours in which a target may be shown.
+
+    Args:
+        held_out: the held-out colours; None allows all.
+        colours: names of the target's colours.
+        target: name of the target, for the message.
 
     Raises:
-        UserError: none is left.
+        UserError: no colour is left.
     """
     if held_out is None or not held_out.colours:
         return list(range(len(colours)))
     wanted = held_out.play == "held_out"
     allowed = [i for i, name in enumerate(colours) if (name in held_out.colours) == wanted]
-    # A target none of whose colours is held out plays with all of them on both sides.
+    # A target without a held-out colour shows all of its colours on both sides.
     if not any(name in held_out.colours for name in colours):
         return list(range(len(colours)))
     if not allowed:
         raise UserError(
-            f"HeldOut.colours {held_out.colours} leave target {target!r} no colour to play "
-            f"{held_out.play!r} with; it has {', '.join(colours)}. Hold out fewer, or use "
+            f"HeldOut.colours {held_out.colours} leave target {target!r} no colour for "
+            f"play={held_out.play!r}; its colours are {', '.join(colours)}. Hold out fewer, or use "
             "colours='randomized'."
         )
     return allowed
 
 
 def check_names(held_out: HeldOut | None, names: Sequence[str]) -> None:
-    """Refuse held-out colours that no target has.
+    """Check that targets have the held-out colours.
+
+    Args:
+        held_out: the held-out colours.
+        names: names of the colours of all targets.
 
     Raises:
-        UserError: an unknown colour; the nearest names are in the message.
+        UserError: no target has a colour of this name; the message lists the nearest names.
     """
     for name in held_out.colours if held_out else ():
         if name not in names:
@@ -78,14 +90,14 @@ def check_names(held_out: HeldOut | None, names: Sequence[str]) -> None:
 
 
 def choose_places(held_out: HeldOut | None, signed: Array) -> Array:
-    """Take the first place of each episode that is on the side to be played.
+    """Select the first allowed position of each episode.
 
     Args:
-        held_out: the places held out; None allows all.
+        held_out: the held-out positions; None allows all.
         signed: candidates in -1..1, (n, T, 2) float64, NumPy or torch.
 
     Returns:
-        (n, 2), uniform on that side.
+        (n, 2), uniform over the allowed part.
     """
     if held_out is None or held_out.places is None:
         return signed[:, 0]

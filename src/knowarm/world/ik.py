@@ -1,4 +1,4 @@
-"""Gripper poses go in; joint angles that reach them come out, by damped least squares."""
+"""Inverse kinematics by damped least squares from several starts."""
 
 from dataclasses import dataclass
 
@@ -6,50 +6,52 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from knowarm.world.rewards import measure
+from knowarm.world.backends.mujoco import MujocoSimulator
 from knowarm.world.scene import Scene
-from knowarm.world.simulation import Simulation
+from knowarm.world.tasks.reward import measure
 
 ITERATIONS = 80
 DAMPING = 0.05
 MAX_STEP_RAD = 0.3
 ATTEMPTS = 6
-GOOD_M, GOOD_DEG = 0.01, 3.0
-"""What counts as there; far within any threshold of the task."""
+"""Sets of random starts tried for poses that are not reached."""
+
+REACHED_M, REACHED_DEG = 0.01, 3.0
+"""Errors below which a pose counts as reached; far below the task's thresholds."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reach:
+class IKSolution:
     """The best joint angles found for n gripper poses."""
 
     joints: NDArray[np.float64]
-    """(n, J) [rad], within the joints' ranges."""
+    """Joint angles within the joints' ranges, (n, J) [rad]."""
 
     distance: NDArray[np.float64]
-    """Distance left to the wanted position [m], (n,)."""
+    """Distance to the desired position [m], (n,)."""
 
     angle: NDArray[np.float64]
-    """Angle left to the wanted orientation [deg], (n,)."""
+    """Angle to the desired orientation [deg], (n,)."""
 
     contact: NDArray[np.bool_]
-    """Whether the robot touches floor or table there, (n,)."""
+    """Whether the robot is in contact with floor or table, (n,)."""
 
     def within(self, distance_m: float, angle_deg: float) -> NDArray[np.bool_]:
-        """Tell which poses are reached within thresholds and without contact, (n,)."""
+        """Return which poses are reached within thresholds and without contact, (n,)."""
         return (self.distance < distance_m) & (self.angle < angle_deg) & ~self.contact
 
 
 class InverseKinematics:
-    """Damped least squares from several starts at once (Nakamura and Hanafusa 1986).
+    """Damped least squares from several starts (Nakamura and Hanafusa 1986).
 
     dq = J' (J J' + lambda^2 I)^-1 e, with J the Jacobian of the gripper (6, J) and e its position
-    and rotation error (6,), clipped to the joints' ranges after every step. Of the starts that get
-    there without touching anything, the one with the shortest way from the first start is kept.
+    and rotation error (6,), clipped to the joints' ranges after every iteration. Among the
+    solutions without contact, the one nearest to the first start is selected.
 
     Args:
-        scene: the robot.
-        starts: starts for each pose: the given joints, then home, then random ones.
-        seed: of the random starts.
+        scene: the robot and its support.
+        starts: number of starts per pose: the given joints, then home, then random ones.
+        seed: seed of the random starts.
     """
 
     def __init__(self, scene: Scene, starts: int = 8, seed: int = 0) -> None:
@@ -67,26 +69,26 @@ class InverseKinematics:
         position: NDArray[np.float64],
         matrix: NDArray[np.float64],
         start: NDArray[np.float64],
-    ) -> Reach:
-        """Find joint angles for n gripper poses; what fails is tried again from other starts.
+    ) -> IKSolution:
+        """Find joint angles for n gripper poses, retrying those not reached from other starts.
 
         Args:
-            position: wanted gripper positions, world [m], (n, 3).
-            matrix: wanted rotations from gripper to world, row by row, (n, 9).
-            start: joints from which the way should be short [rad], (n, J).
+            position: desired gripper positions, world [m], (n, 3).
+            matrix: desired rotations from gripper to world, row-major, (n, 9).
+            start: joint angles that the solution should be near to [rad], (n, J).
         """
-        reach = self._solve_once(position, matrix, start, self._seed)
+        solution = self._solve_once(position, matrix, start, self._seed)
         for attempt in range(1, ATTEMPTS):
-            missed = np.flatnonzero(~reach.within(GOOD_M, GOOD_DEG))
+            missed = np.flatnonzero(~solution.within(REACHED_M, REACHED_DEG))
             if not len(missed):
                 break
             again = self._solve_once(
                 position[missed], matrix[missed], start[missed], self._seed + attempt
             )
-            better = again.within(GOOD_M, GOOD_DEG)
+            better = again.within(REACHED_M, REACHED_DEG)
             for name in ("joints", "distance", "angle", "contact"):
-                getattr(reach, name)[missed[better]] = getattr(again, name)[better]
-        return reach
+                getattr(solution, name)[missed[better]] = getattr(again, name)[better]
+        return solution
 
     def _solve_once(
         self,
@@ -94,11 +96,11 @@ class InverseKinematics:
         matrix: NDArray[np.float64],
         start: NDArray[np.float64],
         seed: int,
-    ) -> Reach:
+    ) -> IKSolution:
         n, joints = start.shape
         lower, upper = self.scene.joint_lower, self.scene.joint_upper
         generator = np.random.default_rng(seed)
-        # The same random starts for every pose: a result depends on its pose alone.
+        # All poses share the random starts, so a solution depends on its own pose only.
         starts = generator.uniform(lower, upper, (self._starts, 1, joints))
         q = np.repeat(starts, n, axis=1)
         q[0] = start
@@ -107,7 +109,7 @@ class InverseKinematics:
         q = q.reshape(-1, joints)
         position, matrix = np.tile(position, (self._starts, 1)), np.tile(matrix, (self._starts, 1))
 
-        simulation = Simulation(self.scene, len(q))
+        simulation = MujocoSimulator(self.scene, len(q))
         contacts = simulation.batch.bind("ncon")
         for _ in range(ITERATIONS):
             simulation.set_joints(q)
@@ -123,17 +125,21 @@ class InverseKinematics:
         distance, angle = measure(
             simulation.tcp_position, simulation.tcp_matrix, position, matrix, False
         )
-        way = np.abs(q - np.tile(start, (self._starts, 1))).max(axis=1)
+        change = np.abs(q - np.tile(start, (self._starts, 1))).max(axis=1)
         touches = contacts.reshape(len(q)) > 0
-        # Shortest way first, far behind it what touches, and last what does not get there.
-        cost = way + 100.0 * touches + 1000.0 * (distance / GOOD_M + angle / GOOD_DEG).clip(min=1.0)
+        # Smallest change first, then solutions in contact, then poses that are not reached.
+        cost = (
+            change
+            + 100.0 * touches
+            + 1000.0 * (distance / REACHED_M + angle / REACHED_DEG).clip(min=1.0)
+        )
         best = cost.reshape(self._starts, n).argmin(axis=0) * n + np.arange(n)
-        return Reach(
+        return IKSolution(
             joints=q[best], distance=distance[best], angle=angle[best], contact=touches[best]
         )
 
     def _unwind(self, q: NDArray[np.float64], start: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Turn hinges by whole turns to where the way from the start is shortest."""
+        """Shift hinges by whole turns to the angle nearest to the start."""
         turns = np.round((q - start) / (2 * np.pi)) * self._is_hinge
         unwound = q - 2 * np.pi * turns
         inside = (unwound >= self.scene.joint_lower) & (unwound <= self.scene.joint_upper)
@@ -141,9 +147,9 @@ class InverseKinematics:
 
 
 def _pose_error(
-    simulation: Simulation, position: NDArray[np.float64], matrix: NDArray[np.float64]
+    simulation: MujocoSimulator, position: NDArray[np.float64], matrix: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Position error [m] and rotation vector [rad] from gripper to wanted pose, (n, 6), world."""
+    """Return position error [m] and rotation vector [rad] to the desired pose, (n, 6), world."""
     n = len(position)
     turn = matrix.reshape(n, 3, 3) @ simulation.tcp_matrix.reshape(n, 3, 3).transpose(0, 2, 1)
     skew = np.stack(
@@ -156,7 +162,7 @@ def _pose_error(
     )
     sine = np.linalg.norm(skew, axis=1)
     angle = np.arctan2(sine, np.trace(turn, axis1=1, axis2=2) - 1.0)
-    # Half a turn away the axis is not defined by the skew part; any axis will do to get moving.
+    # At half a turn the skew part does not define the axis; any axis makes progress.
     axis = np.where(sine[:, None] > 1e-9, skew / np.maximum(sine, 1e-9)[:, None], [1.0, 0.0, 0.0])
     error = np.concatenate([position - simulation.tcp_position, axis * angle[:, None]], axis=1)
     return np.asarray(error)

@@ -10,8 +10,8 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from knowarm.errors import UserError
-from knowarm.world.env import ReachVectorEnv
-from knowarm.world.single import ReachEnv
+from knowarm.world.single_env import ReachEnv
+from knowarm.world.vector_env import ReachVectorEnv
 
 Observation = dict[str, NDArray[Any]]
 

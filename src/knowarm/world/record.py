@@ -1,4 +1,4 @@
-"""An agent and one episode go in; its frames come out, as a film strip or as a video."""
+"""Recording of played episodes as film strips and videos."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from knowarm.errors import UserError
-from knowarm.world.env import RENDER_SIZE, ReachVectorEnv
+from knowarm.world.agents.scripted import AgentProtocol
 from knowarm.world.episodes import Episodes
-from knowarm.world.play import Agent
+from knowarm.world.play import play_steps
+from knowarm.world.vector_env import RENDER_SIZE, ReachVectorEnv
 
 FRAMES_PER_S = 10
-"""Frames of the video a second: one a step, the real robot's speed."""
+"""Frames per second of the video: one per step, the speed of the real robot."""
 
 _LAST_FRAMES = 10
 _MARGIN, _LINE = 8, 28
@@ -23,13 +24,13 @@ _PAPER, _INK = (255, 255, 255), (30, 30, 30)
 
 @dataclass(frozen=True, kw_only=True)
 class Frame:
-    """One moment of an episode."""
+    """One frame of a recorded episode."""
 
     policy: NDArray[np.uint8]
-    """What the policy sees, (H, W, 3)."""
+    """Observation of the policy, (H, W, 3)."""
 
     large: NDArray[np.uint8]
-    """The same view, large, (480, 480, 3)."""
+    """The same view, enlarged, (480, 480, 3)."""
 
     step: int
     """Steps played so far."""
@@ -44,44 +45,34 @@ class Frame:
     """Whether the target is reached."""
 
 
-def record_episode(agent: Agent, env: ReachVectorEnv, episode: Episodes) -> list[Frame]:
+def record_episode(agent: AgentProtocol, env: ReachVectorEnv, episode: Episodes) -> list[Frame]:
     """Play one episode and keep every frame, from the start pose to the end.
 
     Args:
-        agent: whoever chooses the actions.
+        agent: chooses the actions.
         env: the environment, n = 1.
         episode: what to play, of length 1.
     """
-    observations, infos = env.reset(options={"episodes": episode})
-    agent.start(env)
-    frames: list[Frame] = []
-    running = np.ones(1, dtype=np.bool_)
-    while True:
-        frames.append(
-            Frame(
-                policy=observations[0].copy(),
-                large=env.render()[0],
-                step=len(frames),
-                distance=float(infos["distance"][0]),
-                angle=float(infos["angle"][0]),
-                success=bool(infos["is_success"][0]),
-            )
+    return [
+        Frame(
+            policy=moment.images[0].copy(),
+            large=env.render()[0],
+            step=moment.step,
+            distance=float(moment.infos["distance"][0]),
+            angle=float(moment.infos["angle"][0]),
+            success=bool(moment.infos["is_success"][0]),
         )
-        if not running[0]:
-            return frames
-        observations, _, terminated, truncated, infos = env.advance(
-            agent.act(observations), running
-        )
-        running = ~(terminated | truncated)
+        for moment in play_steps(agent, env, episode)
+    ]
 
 
 def write_strip(path: Path, episodes: Sequence[Sequence[Frame]], columns: int = 6) -> None:
-    """Write a film strip: a row an episode, moments evenly spaced from start to end.
+    """Write a film strip: one row per episode, frames evenly spaced from start to end.
 
     Args:
-        path: a image file; its suffix names the format.
+        path: an image file; its suffix selects the format.
         episodes: frames of each episode.
-        columns: images a row.
+        columns: images per row.
 
     Raises:
         UserError: the file cannot be written.
@@ -104,7 +95,7 @@ def write_strip(path: Path, episodes: Sequence[Sequence[Frame]], columns: int = 
 
 
 def write_video(path: Path, episodes: Sequence[Sequence[Frame]]) -> None:
-    """Write an H.264 video: what the policy sees beside the large view.
+    """Write an H.264 video with the policy's observation beside the enlarged view.
 
     Args:
         path: an .mp4 file.
@@ -118,7 +109,7 @@ def write_video(path: Path, episodes: Sequence[Sequence[Frame]]) -> None:
     except ImportError:
         raise UserError("Videos need PyAV: pip install 'knowarm[video]'.") from None
     if path.suffix.lower() != ".mp4":
-        raise UserError(f"--video must name an .mp4 file, got {path.name!r}.")
+        raise UserError(f"The video must be an .mp4 file, got {path.name!r}.")
 
     def write() -> None:
         with av.open(str(path), "w") as container:
@@ -136,7 +127,7 @@ def write_video(path: Path, episodes: Sequence[Sequence[Frame]]) -> None:
 
 
 def _side_by_side(frame: Frame) -> NDArray[np.uint8]:
-    """The policy's image with visible pixels, and the large one: (H, W, 3), sides even."""
+    """Draw the policy's image, its pixels enlarged, and the large view: (H, W, 3), even sides."""
     sheet = Image.new("RGB", (2 * RENDER_SIZE + 3 * _MARGIN, RENDER_SIZE + 44), _PAPER)
     size = (RENDER_SIZE, RENDER_SIZE)
     small = Image.fromarray(frame.policy).resize(size, Image.Resampling.NEAREST)

@@ -1,4 +1,4 @@
-"""An MJCF file and facts go in; a ``Robot`` that a scene can be built from comes out."""
+"""Robot description: model file, joints, gripper, and the scene around the robot."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -9,7 +9,7 @@ from knowarm.errors import UserError
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """A table the targets stand on, with four legs down to the floor."""
+    """A table with four legs on which the targets stand."""
 
     half_size_m: tuple[float, float]
     """Half extent of the top along x and y [m]."""
@@ -30,27 +30,30 @@ class Table:
 
 @dataclass(frozen=True, kw_only=True)
 class Robot:
-    """A fixed-base arm: its model file, the joints the agent moves, and the scene around it.
+    """A fixed-base arm: its model file, the joints that the agent moves, and the scene around it.
 
     Frames: the robot's base is the world origin, x forward, z up. Lengths in metres, angles in
     radians unless the name says degrees. Joints of the model that are not named in ``joints`` are
-    held still, at the value in ``held_joints`` or at their reference.
+    fixed at the value in ``held_joints`` or at their reference.
     """
 
     name: str
-    """The name users type."""
+    """Name by which users select the robot."""
+
+    title: str = ""
+    """Name in reports, with the maker's; ``name`` if empty."""
 
     mjcf: Path
-    """MJCF file of the robot. Its own actuators, keyframes and cameras are left out."""
+    """MJCF file of the robot. Its actuators, keyframes and cameras are ignored."""
 
     joints: tuple[str, ...]
-    """Names of the joints the agent moves, base to tip: hinges or slides with a range."""
+    """Names of the joints that the agent moves, base to tip: hinges, or slides with a range."""
 
     tcp_site: str
     """Site at the tool centre point: z is the approach direction, y the finger opening."""
 
     tcp_body: str | None = None
-    """Body to put ``tcp_site`` on when the model has no such site; None: the model has it."""
+    """Body to which ``tcp_site`` is added; None if the model has the site."""
 
     tcp_position_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Position of the added site in the frame of ``tcp_body`` [m]."""
@@ -62,41 +65,41 @@ class Robot:
     """Start angle of each joint [rad] (slides: [m])."""
 
     start_fraction: float = 0.15
-    """Half width of the start draw, as a share of half the joint's range (paper, table 1).
+    """Half-width of the start distribution relative to half the joint's range (paper, table 1).
 
-    The paper draws U(f * lower, f * upper). Written about home, home +- f * (upper - lower) / 2 is
-    that same interval wherever home is its middle, as it is for both shipped robots.
+    The paper draws U(f * lower, f * upper). The interval home +- f * (upper - lower) / 2 used here
+    is the same if home is the middle of the range, as for both shipped robots.
     """
 
     start_joints: tuple[int, ...] = (0, 1)
     """Indices of the joints that start at a random offset from home (paper: joints 1 and 2)."""
 
     held_joints: Mapping[str, float] = field(default_factory=dict)
-    """Value at which a joint outside ``joints`` is held [rad or m]."""
+    """Values at which joints outside ``joints`` are fixed [rad or m]."""
 
     base_position_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Where the model's origin is put in the world [m]."""
+    """Position of the model's origin, world [m]."""
 
     table: Table | None = None
-    """The table the targets stand on; None: they stand on the floor."""
+    """Table on which the targets stand; None for the floor."""
 
     rectangle_centre_m: tuple[float, float]
-    """Centre of the rectangle in which targets are placed, x and y [m]."""
+    """Centre of the rectangle of target positions, x and y [m]."""
 
     rectangle_half_size_m: tuple[float, float]
     """Half extent of that rectangle along x and y [m]."""
 
     target_yaw_deg: float
-    """Direction of the targets' x axis (the side that is grasped) about the vertical [deg]."""
+    """Direction of the targets' x axis (their grasp side) about the vertical [deg]."""
 
     target_yaws_deg: Mapping[str, float] = field(default_factory=dict)
-    """Yaw of single targets by name, where it differs from ``target_yaw_deg`` [deg]."""
+    """Yaw of single targets by name, if different from ``target_yaw_deg`` [deg]."""
 
     camera_position_m: tuple[float, float, float]
     """Position of the fixed camera [m]."""
 
     camera_look_at_m: tuple[float, float, float]
-    """Point in the middle of the image [m]."""
+    """Point at the centre of the image [m]."""
 
     camera_fovy_deg: float
     """Vertical field of view [deg]."""
@@ -105,44 +108,45 @@ class Robot:
     """Natural frequency of the critically damped position servos [Hz]."""
 
     def __post_init__(self) -> None:
-        where = f"Robot {self.name!r}"
-        if not self.joints:
-            raise UserError(f"{where}: joints is empty; name at least one hinge or slide joint.")
-        if len(set(self.joints)) != len(self.joints):
-            raise UserError(f"{where}: joints holds a name twice: {', '.join(self.joints)}.")
-        if len(self.home) != len(self.joints):
-            raise UserError(
-                f"{where}: home has {len(self.home)} values for {len(self.joints)} joints; give "
-                "one start angle a joint."
-            )
-        if not all(0 <= j < len(self.joints) for j in self.start_joints):
-            raise UserError(
-                f"{where}: start_joints {self.start_joints} must be indices 0 to "
-                f"{len(self.joints) - 1} into joints."
-            )
-        if not 0 <= self.start_fraction <= 1:
-            raise UserError(
-                f"{where}: start_fraction must lie in 0 to 1, got {self.start_fraction}."
-            )
-        if min(self.rectangle_half_size_m) < 0:
-            raise UserError(
-                f"{where}: rectangle_half_size_m must not be negative, got "
-                f"{self.rectangle_half_size_m}."
-            )
-        if not 0 < self.camera_fovy_deg < 180:
-            raise UserError(
-                f"{where}: camera_fovy_deg must lie between 0 and 180, got {self.camera_fovy_deg}."
-            )
-        if self.servo_frequency_hz <= 0:
-            raise UserError(
-                f"{where}: servo_frequency_hz must be positive, got {self.servo_frequency_hz}."
-            )
+        if not self.title:
+            object.__setattr__(self, "title", self.name)
+        count = len(self.joints)
+        for valid, message in (
+            (count, "joints is empty; name at least one hinge or slide joint"),
+            (len(set(self.joints)) == count, f"joints {self.joints} must be different names"),
+            (
+                len(self.home) == count,
+                f"home has {len(self.home)} values for {count} joints; give one per joint",
+            ),
+            (
+                all(0 <= j < count for j in self.start_joints),
+                f"start_joints {self.start_joints} must be indices 0 to {count - 1} into joints",
+            ),
+            (
+                0 <= self.start_fraction <= 1,
+                f"start_fraction must lie in 0 to 1, got {self.start_fraction}",
+            ),
+            (
+                min(self.rectangle_half_size_m) >= 0,
+                f"rectangle_half_size_m must not be negative, got {self.rectangle_half_size_m}",
+            ),
+            (
+                0 < self.camera_fovy_deg < 180,
+                f"camera_fovy_deg must lie between 0 and 180, got {self.camera_fovy_deg}",
+            ),
+            (
+                self.servo_frequency_hz > 0,
+                f"servo_frequency_hz must be positive, got {self.servo_frequency_hz}",
+            ),
+        ):
+            if not valid:
+                raise UserError(f"Robot {self.name!r}: {message}.")
 
     @property
     def support_height_m(self) -> float:
-        """Height of the surface the targets stand on [m]."""
+        """Height of the surface on which the targets stand [m]."""
         return self.table.height_m if self.table else 0.0
 
     def yaw_deg(self, target: str) -> float:
-        """Yaw at which a target of this name stands [deg]."""
+        """Return the yaw of the target of a name [deg]."""
         return self.target_yaws_deg.get(target, self.target_yaw_deg)

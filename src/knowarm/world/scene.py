@@ -1,4 +1,4 @@
-"""A robot and targets go in; one compiled MuJoCo model with all that stands in it comes out."""
+"""Scene: the compiled MuJoCo model of a robot and its targets, with the indices of its parts."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -12,27 +12,32 @@ from numpy.typing import NDArray
 from knowarm.errors import UserError, unknown_name
 from knowarm.world.arrays import Array, array_namespace
 from knowarm.world.attach import ROBOT_PREFIX
-from knowarm.world.compose import compose
+from knowarm.world.compose import CAMERA, DISTRACTOR, compose
 from knowarm.world.description_file import SUFFIX, read_robot, read_target
 from knowarm.world.objects import TARGETS
 from knowarm.world.robot import Robot
 from knowarm.world.robots import ROBOTS
-from knowarm.world.surroundings import CAMERA, DISTRACTOR
 from knowarm.world.target import Target
 
 ENDLESS_RANGE_RAD = (-2 * np.pi, 2 * np.pi)
-"""Range given to hinges that have none [rad]."""
+"""Range of hinges that have none of their own [rad]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """The compiled model and where in its arrays things stand. J joints, K targets, G geoms."""
+    """A compiled model and the indices of its parts.
+
+    Dimensions: J joints, K targets, C colours, D distractors, G geoms.
+    """
 
     model: mujoco.MjModel
     """Robot, table, floor, lights, the policy's camera, and the targets as mocap bodies."""
 
     robot: Robot
+    """Description of the robot."""
+
     targets: tuple[Target, ...]
+    """Descriptions of the targets."""
 
     qpos_index: NDArray[np.intp] = field(repr=False)
     """Index in qpos of each joint, (J,)."""
@@ -47,13 +52,13 @@ class Scene:
     """Start angle of each joint before the random offset [rad], (J,)."""
 
     tcp_site: int
-    """Id of the site at the tool centre point."""
+    """Id of the site at the tool centre point (TCP)."""
 
     camera: int
     """Id of the policy's camera."""
 
     camera_position: NDArray[np.float64] = field(repr=False)
-    """Where the camera is, world [m], (3,)."""
+    """Position of the camera, world [m], (3,)."""
 
     camera_matrix: NDArray[np.float64] = field(repr=False)
     """Rotation from camera (x right, y up, z backward) to world, (3, 3)."""
@@ -62,16 +67,16 @@ class Scene:
     """Index of the target each geom belongs to, -1 for none, (G,)."""
 
     geom_coloured: NDArray[np.bool_] = field(repr=False)
-    """Whether a geom takes its target's colour, (G,)."""
+    """Whether a geom has its target's colour, (G,)."""
 
     target_colours: NDArray[np.float32] = field(repr=False)
-    """RGB by target and colour, (K, C, 3); unused colours repeat the first."""
+    """RGB by target and colour, (K, C, 3); padded with the first colour."""
 
     colour_count: NDArray[np.intp] = field(repr=False)
     """Number of colours of each target, (K,)."""
 
     surface_geoms: tuple[int, ...]
-    """Ids of the floor and, where there is one, the table top."""
+    """Ids of the floor and, if there is one, the table top."""
 
     distractor_geoms: NDArray[np.intp] = field(repr=False)
     """Ids of the distractors' geoms, (D,)."""
@@ -83,7 +88,7 @@ class Scene:
     """Index in the mocap arrays of each target, (K,)."""
 
     grasp_position: NDArray[np.float64] = field(repr=False)
-    """Grasp point relative to the target's place on the support, world axes [m], (K, 3)."""
+    """Grasp point relative to the target's position on the support, world axes [m], (K, 3)."""
 
     grasp_matrix: NDArray[np.float64] = field(repr=False)
     """Rotation from grasp frame to world, (K, 3, 3)."""
@@ -100,23 +105,23 @@ class Scene:
 
 
 def find_robot(name: str) -> Robot:
-    """Return the robot of this name, or of this TOML file (see ``description_file``).
+    """Return the robot of a name, or of a TOML file (see ``description_file``).
 
     Raises:
-        UserError: when there is none; the nearest names are in the message.
+        UserError: the name is unknown; the message lists the nearest names.
     """
     if name.endswith(SUFFIX):
         return read_robot(Path(name))
     if name not in ROBOTS:
         raise unknown_name("robot", name, ROBOTS)
-    return ROBOTS[name]
+    return ROBOTS[name].robot
 
 
 def find_targets(names: Sequence[str]) -> tuple[Target, ...]:
-    """Return the targets of these names or TOML files, in their order.
+    """Return the targets of names or TOML files, in their order.
 
     Raises:
-        UserError: for a name there is none of; the nearest names are in the message.
+        UserError: a name is unknown; the message lists the nearest names.
     """
     targets = []
     for name in names:
@@ -131,16 +136,16 @@ def find_targets(names: Sequence[str]) -> tuple[Target, ...]:
 
 @lru_cache(maxsize=16)
 def load_scene(robot: str, targets: tuple[str, ...], distractors: int = 0) -> Scene:
-    """Build the scene of a named robot and named targets, once a process."""
+    """Build the scene of a named robot and named targets, cached per process."""
     return build_scene(find_robot(robot), find_targets(targets), distractors)
 
 
 def build_scene(robot: Robot, targets: Sequence[Target], distractors: int = 0) -> Scene:
-    """Compose and compile the scene, and find every joint, site and geom in it.
+    """Compose and compile a scene and look up its joints, sites and geoms.
 
     Raises:
         UserError: an MJCF does not compile, a named joint, site or geom is missing, a joint has no
-            range, or a target can stand outside the image.
+            range, or a target can be outside the image.
     """
     model = compose(robot, targets, distractors).compile()
     joint_ids = [model.joint(ROBOT_PREFIX + name).id for name in robot.joints]
@@ -159,11 +164,11 @@ def build_scene(robot: Robot, targets: Sequence[Target], distractors: int = 0) -
 
     geom_target = np.full(model.ngeom, -1, dtype=np.intp)
     geom_coloured = np.zeros(model.ngeom, dtype=np.bool_)
-    most = max(len(target.colours) for target in targets)
-    colours = np.zeros((len(targets), most, 3), dtype=np.float32)
+    width = max(len(target.colours) for target in targets)
+    colours = np.zeros((len(targets), width, 3), dtype=np.float32)
     for k, target in enumerate(targets):
         rgb = list(target.colours.values())
-        colours[k] = rgb + [rgb[0]] * (most - len(rgb))
+        colours[k] = rgb + [rgb[0]] * (width - len(rgb))
         for g in range(model.ngeom):
             name = model.geom(g).name
             if name.startswith(f"{target.name}/"):
@@ -205,7 +210,7 @@ def build_scene(robot: Robot, targets: Sequence[Target], distractors: int = 0) -
 
 
 def target_places(scene: Scene, position: Array) -> Array:
-    """Put x, y positions (n, 2) [m] on the support: (n, 3) world positions [m]; also of torch."""
+    """Lift positions (n, 2) [m] to the support: (n, 3) [m], world, NumPy or torch."""
     xp = array_namespace(position)
     height = xp.full_like(position[:, :1], scene.robot.support_height_m)
     return xp.concat([position, height], axis=1)
@@ -215,8 +220,8 @@ def project(scene: Scene, points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Project world points (n, 3) [m] into the square image.
 
     Returns:
-        (n, 2): right and up from the middle of the image, in half image widths: inside is
-        -1 to 1. Points behind the camera come out as NaN.
+        (n, 2): right and up from the centre of the image in half image widths, -1 to 1 inside it;
+        NaN for points behind the camera.
     """
     local = (points - scene.camera_position) @ scene.camera_matrix
     depth = np.where(local[:, 2:] < 0, -local[:, 2:], np.nan)
@@ -227,7 +232,7 @@ def project(scene: Scene, points: NDArray[np.float64]) -> NDArray[np.float64]:
 def _grasp_frames(
     data: mujoco.MjData, targets: Sequence[Target]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Grasp frames of the targets, at their yaw, relative to where they stand."""
+    """Return the grasp frames of the targets, at their yaw, relative to their positions."""
     model = data.model
     ids = [model.site(f"{target.name}/{target.grasp_site}").id for target in targets]
     bodies = model.site_bodyid[ids]
@@ -236,7 +241,7 @@ def _grasp_frames(
 
 
 def _target_mocap(model: mujoco.MjModel, targets: Sequence[Target]) -> NDArray[np.intp]:
-    """Index in the mocap arrays of each target; a robot's file may bring mocap bodies too."""
+    """Return each target's index in the mocap arrays; a robot's file can add mocap bodies too."""
     bodies = [
         model.site_bodyid[model.site(f"{target.name}/{target.grasp_site}").id] for target in targets
     ]
@@ -244,7 +249,7 @@ def _target_mocap(model: mujoco.MjModel, targets: Sequence[Target]) -> NDArray[n
 
 
 def _check_in_image(scene: Scene) -> None:
-    """Refuse a rectangle from whose corners a grasp point would be outside the image."""
+    """Check that all grasp points are inside the image at the corners of the rectangle."""
     robot = scene.robot
     centre, half = np.array(robot.rectangle_centre_m), np.array(robot.rectangle_half_size_m)
     signs = np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)])
@@ -256,8 +261,8 @@ def _check_in_image(scene: Scene) -> None:
             x, y, _ = corners[int(np.argmin(inside))]
             raise UserError(
                 f"Robot {robot.name!r}: target {target.name!r} standing at x {x:.3f}, y {y:.3f} m "
-                "has its grasp point outside the image. Allowed are rectangles "
-                "(rectangle_centre_m, rectangle_half_size_m) that camera_position_m, "
-                "camera_look_at_m and camera_fovy_deg show whole: widen the view or shrink the "
+                "has its grasp point outside the image. The image (camera_position_m, "
+                "camera_look_at_m, camera_fovy_deg) must show the whole rectangle "
+                "(rectangle_centre_m, rectangle_half_size_m): widen the view or shrink the "
                 "rectangle."
             )

@@ -1,4 +1,4 @@
-"""An object's MJCF file and its colours go in; a ``Target`` the robot can be sent to comes out."""
+"""Target description: an object to approach, its model file, grasp frame and colours."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,26 +9,27 @@ from knowarm.errors import UserError
 
 @dataclass(frozen=True, kw_only=True)
 class Target:
-    """An object to approach, drawn without physics: objects never collide.
+    """An object to approach, shown without physics: objects never collide.
 
-    The MJCF holds one body; its origin is the middle of the bottom, z up, and +x is the side from
-    which it is grasped. A site gives the grasp frame: z is the approach, y the finger opening.
+    The MJCF holds one body; its origin is the centre of the bottom, z points up, and +x is the side
+    at which it is grasped. A site gives the grasp frame: z is the approach direction, y the finger
+    opening.
     """
 
     name: str
-    """The name in the knowledge graph and on the command line."""
+    """Name in the knowledge graph and on the command line."""
 
     mjcf: Path
     """MJCF file with one top-level body."""
 
     colours: Mapping[str, tuple[float, float, float]]
-    """Possible colours by name, RGB in 0..1; the first is the fixed one."""
+    """Possible colours by name, RGB in 0..1; the first is used if colours are fixed."""
 
     coloured_geoms: tuple[str, ...]
-    """Names of the geoms that take the colour; the others keep the file's."""
+    """Names of the geoms that have this colour; the others keep the file's."""
 
     grasp_site: str = "grasp"
-    """Site of the grasp frame; it is never drawn."""
+    """Site of the grasp frame; it is never visible."""
 
     def __post_init__(self) -> None:
         if not self.colours:

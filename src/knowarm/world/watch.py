@@ -1,4 +1,4 @@
-"""An agent and a task go in; MuJoCo's web viewer shows episode after episode."""
+"""Live view of an agent in MuJoCo's web viewer."""
 
 import copy
 import time
@@ -8,21 +8,22 @@ import mujoco
 import numpy as np
 
 from knowarm.errors import UserError
+from knowarm.world.agents.scripted import AgentProtocol
 from knowarm.world.appearance import TargetColours
 from knowarm.world.compose import CONTROL_PERIOD_S
-from knowarm.world.env import ReachVectorEnv
 from knowarm.world.episodes import Episodes
-from knowarm.world.play import Agent
+from knowarm.world.play import play_steps
+from knowarm.world.vector_env import ReachVectorEnv
 
 PAUSE_S = 1.0
-"""How long the end of an episode stays on the screen [s]."""
+"""Time that the end of an episode is shown [s]."""
 
 FAR_BELOW_M = -100.0
-"""Where hidden targets wait [m]."""
+"""Height at which hidden targets are placed [m]."""
 
 
 def watch(
-    agent: Agent,
+    agent: AgentProtocol,
     env: ReachVectorEnv,
     episodes: Episodes,
     *,
@@ -30,15 +31,15 @@ def watch(
     open_browser: bool = True,
     on_episode: Callable[[int], None] = lambda number: None,
 ) -> None:
-    """Serve the viewer until it is closed or the episodes are over; blocks.
+    """Serve the viewer until it is closed or all episodes are played; blocks.
 
     Args:
-        agent: whoever chooses the actions.
+        agent: chooses the actions.
         env: the environment, n = 1.
         episodes: what to play, one after the other, at the speed of the real robot.
-        port: of the page; 0 takes the first free one from 8080 on.
+        port: port of the page; 0 for the first free one from 8080.
         open_browser: open the page in the user's browser.
-        on_episode: called with the number of each episode that begins.
+        on_episode: called with the number of each episode when it starts.
 
     Raises:
         UserError: ``mujoco-studio`` is not installed.
@@ -57,36 +58,29 @@ def watch(
         http_port=port,
         open_browser=open_browser,
     )
-    # The browser loads its page anew for another model, so the same one serves as long as no
-    # target needs another colour: hidden targets are put far below the floor.
+    # The browser reloads its page for another model, so one model is kept as long as no target
+    # changes its colour: hidden targets are placed far below the floor.
     model, data = None, None
     colours = tuple(0 for _ in env.scene.targets)
     with launch_web.launch(config) as viewer:
         for number in range(len(episodes)):
-            observations, _ = env.reset(options={"episodes": episodes[number : number + 1]})
-            agent.start(env)
-            on_episode(number)
-            if (paint := _paint(env, colours)) != colours or model is None:
-                colours = paint
-                model = _painted(env, colours)
-                data = mujoco.MjData(model)
-                viewer.set_model(model, data=data)
-            _copy_pose(env, data)
-            running = np.ones(1, dtype=np.bool_)
-            while running[0]:
-                observations, _, terminated, truncated, _ = env.advance(
-                    agent.act(observations), running
-                )
+            for moment in play_steps(agent, env, episodes[number : number + 1]):
+                if moment.step == 0:
+                    on_episode(number)
+                    if (current := _current_colours(env, colours)) != colours or model is None:
+                        colours = current
+                        model = _coloured_model(env, colours)
+                        data = mujoco.MjData(model)
+                        viewer.set_model(model, data=data)
                 _copy_pose(env, data)
-                if not _show(viewer, CONTROL_PERIOD_S):
+                if moment.step > 0 and not _show(viewer, CONTROL_PERIOD_S):
                     return
-                running = ~(terminated | truncated)
             if not _show(viewer, PAUSE_S):
                 return
 
 
 def _show(viewer: object, seconds: float) -> bool:
-    """Keep the viewer in touch for a while; False when it was closed."""
+    """Keep the viewer synchronized for some seconds; return False if it was closed."""
     end = time.monotonic() + seconds
     while True:
         if not viewer.is_running():  # type: ignore[attr-defined]
@@ -98,14 +92,14 @@ def _show(viewer: object, seconds: float) -> bool:
         time.sleep(min(left, 0.02))
 
 
-def _paint(env: ReachVectorEnv, colours: tuple[int, ...]) -> tuple[int, ...]:
-    """Colour of each target, with that of the running episode brought up to date."""
+def _current_colours(env: ReachVectorEnv, colours: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the colour index of each target, updated for the current episode."""
     target, colour = int(env.target[0]), int(env.colour[0])
     return (*colours[:target], colour, *colours[target + 1 :])
 
 
-def _painted(env: ReachVectorEnv, colours: tuple[int, ...]) -> mujoco.MjModel:
-    """The scene with every target shown, each in its colour."""
+def _coloured_model(env: ReachVectorEnv, colours: tuple[int, ...]) -> mujoco.MjModel:
+    """Copy the model with every target visible, each in its colour."""
     scene, model = env.scene, copy.copy(env.scene.model)
     every = np.arange(len(colours))
     rgba = TargetColours(scene)(every, np.array(colours))
@@ -118,6 +112,7 @@ def _painted(env: ReachVectorEnv, colours: tuple[int, ...]) -> mujoco.MjModel:
 
 
 def _copy_pose(env: ReachVectorEnv, data: mujoco.MjData) -> None:
+    """Copy the pose of environment 0 into the viewer's data."""
     batch, scene = env.simulation.batch, env.scene
     data.qpos[:] = batch.bind("qpos")[0]
     data.mocap_pos[:] = batch.bind("mocap_pos")[0]

@@ -13,13 +13,17 @@ import psutil
 import pytest
 
 from knowarm.errors import UserError
+from knowarm.learn import Hooks, NumpyToTorch
 from knowarm.learn.a3c import A3CTrainer
 from knowarm.learn.checkpoint import CheckpointStore
 from knowarm.learn.config import A3CConfig
 from knowarm.learn.guards import NotFiniteError
-from knowarm.learn.trainer import Hooks
-from tests.learn.test_ppo import TABLE, small_policy, successes
-from tests.learn.toys import ToyEnv
+from tests.learn.toys import (
+    ToyEnv,
+    informed_toy_policy,
+    success_rate,
+    toy_policy,
+)
 
 FAST = A3CConfig(
     workers=2,
@@ -50,12 +54,12 @@ class Make:
                 np.full(num_envs, np.nan),
                 *step(actions)[2:],
             )
-        return env
+        return NumpyToTorch(env)
 
 
 def make_play(recall, length):
     def play(policy):
-        return {"return_mean": float(successes(policy, recall=recall, length=length))}
+        return {"return_mean": float(success_rate(policy, recall=recall, length=length))}
 
     return play
 
@@ -67,26 +71,24 @@ policy that does not look, or does not remember, is right in a third of the epis
 
 @pytest.mark.slow
 def test_identity_task_is_solved():
-    policy = small_policy()
-    trainer = A3CTrainer(FAST, policy, Make(False, 5), TABLE, seed=0)
+    policy = toy_policy()
+    trainer = A3CTrainer(FAST, policy, Make(False, 5), seed=0)
     trainer.train(40_000)
-    assert successes(policy, recall=False, length=5) > SOLVED
+    assert success_rate(policy, recall=False, length=5) > SOLVED
 
 
 @pytest.mark.slow
 def test_memory_task_is_solved():
-    policy = small_policy()
+    policy = toy_policy()
     config = dataclasses.replace(FAST, gamma=0.99, learning_rate=1e-3)
-    A3CTrainer(config, policy, Make(True, 3), TABLE, seed=0).train(120_000)
-    assert successes(policy, recall=True, length=3) > SOLVED
+    A3CTrainer(config, policy, Make(True, 3), seed=0).train(120_000)
+    assert success_rate(policy, recall=True, length=3) > SOLVED
 
 
 def test_updates_of_both_workers_arrive_and_are_recorded():
     rows = []
-    policy = small_policy()
-    trainer = A3CTrainer(
-        FAST, policy, Make(False, 5), TABLE, seed=0, hooks=Hooks(on_metrics=rows.append)
-    )
+    policy = toy_policy()
+    trainer = A3CTrainer(FAST, policy, Make(False, 5), seed=0, hooks=Hooks(on_metrics=rows.append))
     before = trainer._values()
     result = trainer.train(20_000)
     assert result.step >= 20_000
@@ -107,29 +109,27 @@ def test_a_killed_worker_is_reported_and_replaced(caplog):
 
     def kill(row):
         if not killed:
-            killed.append(trainer._crew.workers[1].process.pid)
+            killed.append(trainer._pool.workers[1].process.pid)
             os.kill(killed[0], signal.SIGKILL)
 
-    trainer = A3CTrainer(
-        FAST, small_policy(), Make(False, 5), TABLE, seed=0, hooks=Hooks(on_metrics=kill)
-    )
+    trainer = A3CTrainer(FAST, toy_policy(), Make(False, 5), seed=0, hooks=Hooks(on_metrics=kill))
     with caplog.at_level(logging.WARNING, "knowarm.learn"):
         result = trainer.train(20_000)
     assert result.reason == "finished"
     assert trainer.restarts == 1
-    assert "worker 1 was killed by signal 9; another takes its place" in caplog.text
+    assert "Worker 1 was killed by signal 9; restarting it" in caplog.text
     assert not psutil.pid_exists(killed[0])
 
 
 @pytest.mark.slow
 def test_a_worker_that_always_fails_stops_the_training():
-    with pytest.raises(RuntimeError, match=r"again and again(.|\n)*takes 2 positional"):
-        A3CTrainer(FAST, small_policy(), partial(ToyEnv), TABLE, seed=0).train(1000)
+    with pytest.raises(RuntimeError, match=r"(?s)Worker \d fails repeatedly.*takes 2 positional"):
+        A3CTrainer(FAST, toy_policy(), partial(ToyEnv), seed=0).train(1000)
 
 
 def test_a_nan_in_a_worker_stops_the_training_and_names_the_term(tmp_path):
     trainer = A3CTrainer(
-        FAST, small_policy(), Make(False, 5, poison=True), TABLE, seed=0, failure_folder=tmp_path
+        FAST, toy_policy(), Make(False, 5, poison=True), seed=0, failure_folder=tmp_path
     )
     before = trainer._values()
     with pytest.raises(NotFiniteError, match="the reward") as caught:
@@ -138,25 +138,25 @@ def test_a_nan_in_a_worker_stops_the_training_and_names_the_term(tmp_path):
     np.testing.assert_array_equal(trainer._values(), before)
 
 
-def test_a_users_mistake_in_a_worker_is_said_as_one():
+def test_a_user_error_in_a_worker_is_raised_as_one():
+    policy = informed_toy_policy(np.zeros((0, 4), np.float32))
     with pytest.raises(UserError, match="0 rows"):
-        A3CTrainer(FAST, small_policy(), Make(False, 5), TABLE[:0], seed=0).train(1000)
+        A3CTrainer(FAST, policy, Make(False, 5), seed=0).train(1000)
 
 
 def test_more_workers_than_memory_holds_are_refused_before_the_start():
     config = dataclasses.replace(FAST, workers=100_000)
     with pytest.raises(UserError, match=r"choose at most \d+ workers"):
-        A3CTrainer(config, small_policy(), Make(False, 5), TABLE, seed=0)
+        A3CTrainer(config, toy_policy(), Make(False, 5), seed=0)
 
 
 def build(folder, **hooks):
     rows, evaluations = [], []
-    policy = small_policy()
+    policy = toy_policy()
     trainer = A3CTrainer(
         dataclasses.replace(FAST, workers=1),
         policy,
         Make(True, 7),
-        TABLE,
         seed=3,
         make_evaluate=partial(make_play, True, 7),
         evaluate_every=1000,
@@ -165,7 +165,7 @@ def build(folder, **hooks):
             on_evaluation=lambda *result: evaluations.append(result),
             **hooks,
         ),
-        checkpoints=CheckpointStore(folder, {"network": "small"}),
+        checkpoints=CheckpointStore(folder, {"policy": "small"}),
         checkpoint_every=1500,
     )
     return trainer, rows, evaluations

@@ -4,8 +4,9 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from knowarm.world.env import EnvConfig, ReachVectorEnv
-from knowarm.world.gpu.env import DeviceReachVectorEnv
+from knowarm.world.config import EnvConfig
+from knowarm.world.torch_env import TorchReachVectorEnv
+from knowarm.world.vector_env import ReachVectorEnv
 
 COUNT = 6
 EPISODE_STEPS = 12
@@ -16,7 +17,7 @@ class Pair:
     """The same tasks twice: NumPy's on the CPU, and tensors on a device."""
 
     host: ReachVectorEnv
-    device: DeviceReachVectorEnv
+    device: TorchReachVectorEnv
 
 
 def make_pair(device: str, count: int = COUNT, **options: Any) -> Pair:
@@ -24,7 +25,10 @@ def make_pair(device: str, count: int = COUNT, **options: Any) -> Pair:
     config = EnvConfig(
         **{"image_size": 16, "max_episode_steps": EPISODE_STEPS, "colours": "randomized"} | options
     )
-    return Pair(ReachVectorEnv(config, count, 1), DeviceReachVectorEnv(config, count, device))
+    return Pair(
+        ReachVectorEnv(config, count, 1),
+        TorchReachVectorEnv(config, count, device=device, simulator="warp"),
+    )
 
 
 @cache

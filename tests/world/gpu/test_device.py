@@ -8,16 +8,16 @@ import numba.cuda
 import pytest
 import torch
 from gymnasium.vector import AutoresetMode
+from knowarm.world.gpu import device as devices
+from knowarm.world.gpu.device import find_device
+from knowarm.world.gpu.memory import check_memory, memory_needed
 
 import knowarm  # noqa: F401 (registers the ids)
 from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig
-from knowarm.world.env import ReachVectorEnv
-from knowarm.world.gpu import device as devices
-from knowarm.world.gpu.device import find_device
-from knowarm.world.gpu.env import DeviceReachVectorEnv
-from knowarm.world.gpu.memory import check_memory, memory_needed
 from knowarm.world.scene import load_scene
+from knowarm.world.torch_env import TorchReachVectorEnv
+from knowarm.world.vector_env import ReachVectorEnv
 
 
 def without(package: str) -> Any:
@@ -90,12 +90,12 @@ def test_a_numba_that_finds_no_gpu_is_named(
 
 def test_opengl_is_refused() -> None:
     with pytest.raises(UserError, match="renderer 'opengl' draws on the CPU"):
-        DeviceReachVectorEnv(EnvConfig(renderer="opengl"), 2, "cpu")
+        TorchReachVectorEnv(EnvConfig(renderer="opengl"), 2, device="cpu", simulator="warp")
 
 
 def test_no_environments_are_refused() -> None:
     with pytest.raises(UserError, match="num_envs must be at least 1, got 0"):
-        DeviceReachVectorEnv(EnvConfig(), 0, "cpu")
+        TorchReachVectorEnv(EnvConfig(), 0, device="cpu", simulator="warp")
 
 
 @pytest.mark.parametrize("robot", ["irb120", "tiago"])
@@ -127,7 +127,7 @@ def test_too_many_environments_for_the_memory_are_refused() -> None:
 def test_make_vec_takes_a_device() -> None:
     options: dict[str, Any] = {"image_size": 16, "dynamics": "kinematic"}
     env = gymnasium.make_vec("knowarm/IRB120Reach-v0", num_envs=2, device="cpu", **options)
-    assert isinstance(env.unwrapped, DeviceReachVectorEnv)
+    assert isinstance(env.unwrapped, TorchReachVectorEnv)
     observation, infos = env.reset(seed=0)
     assert isinstance(observation, torch.Tensor)
     host = gymnasium.make_vec("knowarm/IRB120Reach-v0", num_envs=2, **options)

@@ -7,8 +7,8 @@ from device_pairs import EPISODE_STEPS, Pair, make_pair, shared_pair
 
 from knowarm.errors import UserError
 from knowarm.world.episodes import evaluation_episodes
-from knowarm.world.gpu.env import DeviceReachVectorEnv
 from knowarm.world.held_out import HeldOut
+from knowarm.world.torch_env import TorchReachVectorEnv
 from knowarm.world.visual_randomization import VisualRandomization
 from tests.devices import DEVICES
 
@@ -204,7 +204,9 @@ def test_bad_actions_are_refused(actions: object, message: str, pair: Pair) -> N
 
 
 def test_actions_out_of_range_are_refused_on_the_cpu() -> None:
-    env = DeviceReachVectorEnv(make_pair("cpu", 2, dynamics="kinematic").host.config, 2, "cpu")
+    env = TorchReachVectorEnv(
+        make_pair("cpu", 2, dynamics="kinematic").host.config, 2, device="cpu", simulator="warp"
+    )
     env.reset(seed=0)
     with pytest.raises(UserError, match="0 to 6, got 0 to 7"):
         env.step(torch.tensor([[0] * 5 + [7]] * 2))

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 import torch
+from knowarm.world.gpu.measure import measure
 from scipy.spatial.transform import Rotation
 
-from knowarm.world.gpu.measure import measure
-from knowarm.world.rewards import measure as measure_on_cpu
+from knowarm.world.tasks.reward import measure as measure_on_cpu
 
 
 def frames(count: int) -> tuple[np.ndarray, ...]:

@@ -6,18 +6,16 @@ import pytest
 import torch
 from device_pairs import shared_pair
 
+from knowarm.world.backends.warp import ROWS_PER_WORLD, WarpSimulator, capacity
 from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import evaluation_episodes
-from knowarm.world.gpu.capacity import ROWS_PER_WORLD, capacity
-from knowarm.world.gpu.simulation import DeviceSimulation
 from knowarm.world.scene import Scene, load_scene
-from knowarm.world.simulation import Simulation
 from tests.devices import DEVICES
 
 TARGETS = ("mug", "bottle", "cereal_box")
 
 
-def pose_error(host: Simulation, device: DeviceSimulation) -> np.ndarray:
+def pose_error(host: MujocoSimulator, device: WarpSimulator) -> np.ndarray:
     """Largest difference of any pose of each environment, [m] or of a matrix, (n,)."""
     n = len(host.geom_position)
     differences = [
@@ -32,13 +30,13 @@ def pose_error(host: Simulation, device: DeviceSimulation) -> np.ndarray:
     return np.max(differences, axis=0)
 
 
-def both(scene: Scene, device: str, dynamics: str, count: int) -> tuple[Simulation, ...]:
+def both(scene: Scene, device: str, dynamics: str, count: int) -> tuple[MujocoSimulator, ...]:
     """Start a simulation of either kind at the same episodes; with them, their joint angles."""
     episodes = evaluation_episodes(scene, EnvConfig(robot=scene.robot.name), count, seed=0)
     joints = scene.home + episodes.joint_offsets
-    host = Simulation(scene, count, 1, dynamics)
+    host = MujocoSimulator(scene, count, 1, dynamics)
     host.reset(np.arange(count), joints, episodes.position)
-    other = DeviceSimulation(scene, count, torch.device(device), dynamics)
+    other = WarpSimulator(scene, count, torch.device(device), dynamics)
     start = torch.as_tensor(joints, dtype=torch.float32, device=device)
     every = torch.ones(count, dtype=torch.bool, device=device)
     other.reset(every, start, torch.as_tensor(episodes.position, device=device))

@@ -6,11 +6,11 @@ from typing import Any
 import pytest
 import torch
 from device_pairs import make_pair
+from knowarm.world.gpu import env as device_env
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from knowarm.world.gpu import env as device_env
-from knowarm.world.gpu.env import DeviceReachVectorEnv
 from knowarm.world.held_out import HeldOut
+from knowarm.world.torch_env import TorchReachVectorEnv
 from knowarm.world.visual_randomization import VisualRandomization
 from tests.devices import DEVICES
 
@@ -68,7 +68,7 @@ def test_no_operation_of_a_step_waits(options: dict, monkeypatch: pytest.MonkeyP
 @pytest.mark.parametrize("device", DEVICES[1:])
 @pytest.mark.parametrize("options", OPTIONS, ids=["plain", "varied"])
 def test_a_gpu_is_never_waited_for(options: dict, device: str) -> None:
-    env: DeviceReachVectorEnv = make_pair(device, **options).device
+    env: TorchReachVectorEnv = make_pair(device, **options).device
     env.reset(seed=0)
     stay = torch.zeros((6, 6), dtype=torch.int64, device=device)
     env.step(stay)

@@ -1,7 +1,7 @@
-"""Nothing goes in; whether GPU and CPU images are equal comes out, as the exit code.
+"""Program that compares images of the CPU and CUDA ray casters; it fails if they differ.
 
-Run as a program, because Numba's simulator is chosen by an environment variable before Numba is
-first imported: ``NUMBA_ENABLE_CUDASIM=1 python cuda_images.py SIDE STATES``.
+It is a program of its own because an environment variable selects Numba's simulator before Numba
+is first imported: ``NUMBA_ENABLE_CUDASIM=1 python cuda_images.py SIDE STATES``.
 """
 
 import sys
@@ -15,7 +15,7 @@ from knowarm.world.render.cuda import CudaRaycaster
 
 
 def main(side: int, count: int) -> None:
-    """Draw scenes with both ray casters in every way there is and compare the bytes."""
+    """Draw scenes with both ray casters, with all options, and compare the bytes."""
     for make in (every_primitive, lambda: mesh_scene(6, 4)):
         states = random_states(make(), count, seed=1)
         poses = states.geom_xpos, states.geom_xmat
@@ -23,20 +23,27 @@ def main(side: int, count: int) -> None:
         for smooth in (False, True):
             host = Raycaster(states.model, CAMERA, side, side, antialiasing=smooth)
             device = CudaRaycaster(states.model, CAMERA, side, side, antialiasing=smooth)
-            rgba = np.repeat(host.scenery.rgba[None], count, axis=0)
+            rgba = np.repeat(host.geom_rgba[None], count, axis=0)
             rgba[0, 0, :3] = [0.1, 0.9, 0.1]
             rgba[-1, 1, 3] = 0
             views = np.repeat(host.view[None], count, axis=0)
             views[0, 0] += 0.1
-            # Of the last, one image in two is asked for; the others stay as they were.
-            half = np.arange(count) % 2 == 0
-            for options in ({}, {"geom_rgba": rgba}, {"views": views}, {"wanted": half}):
+            lamps = np.repeat(host.lamps[None], count, axis=0)
+            lamps[-1, 3] = [0, 0, 1]
+            every_second = np.arange(count) % 2 == 0
+            for options in (
+                {},
+                {"geom_rgba": rgba},
+                {"views": views},
+                {"lamps": lamps},
+                {"wanted": every_second},
+            ):
                 wanted = options.get("wanted", np.ones(count, dtype=np.bool_))
                 given = {name: cuda.to_device(value) for name, value in options.items()}
                 seen = {name: value for name, value in options.items() if name != "wanted"}
-                expected = host.render(*poses, **seen) * wanted[:, None, None, None]
+                expected = host.draw(*poses, **seen) * wanted[:, None, None, None]
                 out = cuda.to_device(np.zeros_like(expected))
-                device.render(*on_device, out=out, **given)
+                device.draw(*on_device, out=out, **given)
                 drawn = out.copy_to_host()
                 wrong = (drawn != expected).any(axis=-1).mean()
                 print(f"{make.__name__} smooth={smooth} {list(options)}: {wrong:.4%} differ")

@@ -1,7 +1,7 @@
-"""A compiled model and geom poses go in; MuJoCo's own images come out, in a process of its own.
+"""Images by MuJoCo's OpenGL renderer, drawn in a process of their own.
 
-MuJoCo chooses its OpenGL when it is first imported and aborts the interpreter where that fails, so
-tests call this as a program: ``opengl_images.py model.mjb poses.npz images.npy``.
+MuJoCo selects an OpenGL library when it is first imported and aborts the interpreter if that fails,
+so tests run this file as a program: ``opengl_images.py model.mjb poses.npz images.npy``.
 """
 
 import os
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 
 class NoOpenGL(Exception):
-    """MuJoCo's renderer does not run here; the message says why."""
+    """MuJoCo's renderer does not run on this machine; the message gives the reasons."""
 
 
 def opengl_images(
@@ -52,7 +52,7 @@ def opengl_images(
 
 
 def main(model_file: str, poses_file: str, images_file: str) -> None:
-    """Read model and poses, draw, write."""
+    """Draw the poses of a file with the model of another and write the images."""
     model, given = mujoco.MjModel.from_binary_path(model_file), np.load(poses_file)
     size, camera = int(given["size"]), int(given["camera"])
     model.vis.quality.offsamples = int(given["samples"])

@@ -1,4 +1,4 @@
-"""A random generator goes in; MuJoCo models and states to draw come out."""
+"""MuJoCo models and random states to draw in the ray caster's tests."""
 
 from dataclasses import dataclass
 
@@ -28,7 +28,7 @@ def every_primitive() -> mujoco.MjModel:
         for i in range(3):
             place = f"{0.3 * (k % 3) - 0.3} {0.3 * i - 0.3} {0.3 + 0.3 * (k // 3)}"
             colour = f"{0.2 + 0.1 * k} {0.9 - 0.2 * i} .4 1"
-            # A plane cannot be free: it stays with the world or moves with a mocap body.
+            # A plane cannot have a free joint: it belongs to the world or to a mocap body.
             mocap, joint = ('mocap="true"', "") if kind == "plane" else ("", "<freejoint/>")
             bodies += f"""<body name="{kind}{i}" pos="{place}" {mocap}>{joint}
                 <geom type="{kind}" size="{size}" rgba="{colour}" contype="0" conaffinity="0"
@@ -61,7 +61,7 @@ def torus(rings: int = 16, sides: int = 10) -> tuple[NDArray[np.float64], NDArra
 
 
 def mesh_scene(rings: int = 16, sides: int = 10) -> mujoco.MjModel:
-    """Free tori, tetrahedra and a ball among them, over a floor and a mesh that stands still."""
+    """Free tori, tetrahedra and balls over a floor and a mesh that stands still."""
     vertices, triangles = torus(rings, sides)
     numbers = " ".join(f"{x:.6f}" for x in vertices.ravel())
     faces = " ".join(map(str, triangles.ravel()))
@@ -102,7 +102,7 @@ class States:
 
 
 def random_states(model: mujoco.MjModel, count: int, seed: int) -> States:
-    """States of ``every_primitive`` or a scene with joints drawn anew in their neighbourhood."""
+    """Draw states with joints and mocap bodies near the model's reference state."""
     rng = np.random.default_rng(seed)
     batch = Batch(model, count, 2)
     positions, matrices = batch.bind("geom_xpos"), batch.bind("geom_xmat")
@@ -124,7 +124,7 @@ def robot_scene(robot: str) -> Scene:
 def camera_rays(
     model: mujoco.MjModel, camera: int | str, width: int, height: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The eye (3,) and unit directions (H * W, 3) through the pixels' middles, in the world."""
+    """The eye (3,) and unit directions (H * W, 3) through the pixels' centres, world."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     mujoco.mj_camlight(model, data)

@@ -1,4 +1,4 @@
-"""The GPU's images are the CPU's, to the byte: under Numba's simulator, and on a GPU."""
+"""Images of CPU and GPU are equal to the byte: under Numba's simulator, and on a GPU."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""The ray caster against MuJoCo's own rays: the same geom, distance and normal in every pixel."""
+"""Geom ids, distances and normals of the ray caster equal those of MuJoCo's rays."""
 
 import mujoco
 import numpy as np
@@ -72,7 +72,7 @@ def test_eye_inside_a_solid_sees_its_far_side(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", ["capsule", "cylinder", "box"])
 def test_ray_along_the_axis(kind: str) -> None:
-    """The middle pixel of an odd image looks exactly along the geom's axis."""
+    """The ray of the central pixel of an odd-sized image is exactly along the geom's axis."""
     model = mujoco.MjModel.from_xml_string(f"""
     <mujoco><worldbody><camera name="{CAMERA}" pos="0 0 2"/>
       <geom type="{kind}" size=".2 .3 {"" if kind != "box" else ".4"}"/>

@@ -1,4 +1,4 @@
-"""Our images beside those of MuJoCo's OpenGL renderer, shadows and reflections off."""
+"""Images resemble those of MuJoCo's OpenGL renderer, shadows and reflections off."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.opengl
 
 
 def ssim(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> float:
-    """Structural similarity (Wang et al. 2004), Gaussian window of 1.5 pixels, a channel each."""
+    """Structural similarity (Wang et al. 2004), Gaussian window of 1.5 pixels, channel mean."""
     values = []
     for channel in range(3):
         x, y = (image[..., channel].astype(np.float64) for image in (a, b))
@@ -38,7 +38,7 @@ def similarity(model: mujoco.MjModel, camera: int | str, folder: Path, smooth: b
     """Mean SSIM between our images and MuJoCo's, both with or both without anti-aliasing."""
     states = random_states(model, STATES, seed=1)
     poses = states.geom_xpos, states.geom_xmat
-    ours = Raycaster(model, camera, SIDE, SIDE, antialiasing=smooth).render(*poses)
+    ours = Raycaster(model, camera, SIDE, SIDE, antialiasing=smooth).draw(*poses)
     samples = 4 if smooth else 0
     try:
         theirs = opengl_images(model, model.camera(camera).id, *poses, SIDE, samples, folder)

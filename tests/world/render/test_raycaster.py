@@ -1,4 +1,4 @@
-"""Images do not depend on how they were asked for, and bad input is refused by name."""
+"""Ray caster: batches, threads, colours, anti-aliasing, cameras, lights, and refused input."""
 
 import mujoco
 import numpy as np
@@ -16,20 +16,20 @@ def test_same_bytes_at_any_batch_size_and_thread_count() -> None:
     states = random_states(scene.model, 9, seed=1)
     one = Raycaster(scene.model, scene.camera, SMALL, SMALL)
     three = Raycaster(scene.model, scene.camera, SMALL, SMALL, num_threads=3)
-    expected = one.render(states.geom_xpos, states.geom_xmat)
+    expected = one.draw(states.geom_xpos, states.geom_xmat)
     assert len(np.unique(expected.reshape(-1, 3), axis=0)) > 10
-    np.testing.assert_array_equal(three.render(states.geom_xpos, states.geom_xmat), expected)
+    np.testing.assert_array_equal(three.draw(states.geom_xpos, states.geom_xmat), expected)
     for e in range(9):
-        alone = three.render(states.geom_xpos[e : e + 1], states.geom_xmat[e : e + 1])
+        alone = three.draw(states.geom_xpos[e : e + 1], states.geom_xmat[e : e + 1])
         np.testing.assert_array_equal(alone[0], expected[e])
 
 
 def test_float32_poses_and_given_output() -> None:
     states = random_states(every_primitive(), 3, seed=1)
     caster = Raycaster(states.model, CAMERA, SMALL, SMALL)
-    expected = caster.render(states.geom_xpos, states.geom_xmat)
+    expected = caster.draw(states.geom_xpos, states.geom_xmat)
     out = np.zeros_like(expected)
-    given = caster.render(
+    given = caster.draw(
         states.geom_xpos.astype(np.float32), states.geom_xmat.astype(np.float32), out=out
     )
     assert given is out
@@ -60,7 +60,7 @@ def test_colours_are_those_of_each_environment() -> None:
     rgba = np.repeat(caster.geom_rgba[None], 2, axis=0)
     painted = [1, 12]
     rgba[1, painted, :3] = [0, 0, 1]
-    plain, blue = caster.render(positions, matrices, rgba)
+    plain, blue = caster.draw(positions, matrices, rgba)
     shows = np.isin(caster.trace(states.geom_xpos, states.geom_xmat).geom[0], painted)
     assert shows.any()
     np.testing.assert_array_equal((plain != blue).any(axis=-1), shows)
@@ -69,8 +69,8 @@ def test_colours_are_those_of_each_environment() -> None:
 def test_antialiasing_is_the_mean_of_four_rays_in_a_rotated_grid() -> None:
     states = random_states(every_primitive(), 3, seed=1)
     poses = states.geom_xpos, states.geom_xmat
-    smooth = Raycaster(states.model, CAMERA, SMALL, SMALL, antialiasing=True).render(*poses)
-    fine = Raycaster(states.model, CAMERA, 4 * SMALL, 4 * SMALL).render(*poses)
+    smooth = Raycaster(states.model, CAMERA, SMALL, SMALL, antialiasing=True).draw(*poses)
+    fine = Raycaster(states.model, CAMERA, 4 * SMALL, 4 * SMALL).draw(*poses)
     fine = fine.reshape(3, SMALL, 4, SMALL, 4, 3).astype(int)
     total = sum(fine[:, :, row, :, column] for row, column in enumerate((1, 3, 0, 2)))
     # Rounding may put a ray on the other side of an edge.
@@ -86,8 +86,8 @@ def test_antialiasing_sees_what_lies_between_the_middles() -> None:
       <geom type="box" size=".01 9 .01" pos=".095 0 0" rgba="0 0 0 1"/>
     </worldbody></mujoco>""")
     positions, matrices = model.geom_pos[None], np.tile(np.eye(3).reshape(9), (1, 2, 1))
-    sharp = Raycaster(model, CAMERA, 8, 8).render(positions, matrices)
-    smooth = Raycaster(model, CAMERA, 8, 8, antialiasing=True).render(positions, matrices)
+    sharp = Raycaster(model, CAMERA, 8, 8).draw(positions, matrices)
+    smooth = Raycaster(model, CAMERA, 8, 8, antialiasing=True).draw(positions, matrices)
     assert sharp.min() == 255
     assert (smooth[0, :, 4] == 191).all()
 
@@ -97,12 +97,12 @@ def test_camera_of_each_environment() -> None:
     caster = Raycaster(states.model, CAMERA, SMALL, SMALL)
     poses = states.geom_xpos, states.geom_xmat
     views = np.repeat(caster.view[None], 3, axis=0)
-    np.testing.assert_array_equal(caster.render(*poses, views=views), caster.render(*poses))
+    np.testing.assert_array_equal(caster.draw(*poses, views=views), caster.draw(*poses))
     views[1, :3] += [0.1, -0.2, 0.1]
     moved = every_primitive()
     moved.cam_pos[0] = views[1, :3]
-    expected = Raycaster(moved, CAMERA, SMALL, SMALL).render(*poses)
-    np.testing.assert_array_equal(caster.render(*poses, views=views)[1], expected[1])
+    expected = Raycaster(moved, CAMERA, SMALL, SMALL).draw(*poses)
+    np.testing.assert_array_equal(caster.draw(*poses, views=views)[1], expected[1])
 
 
 def test_lights_of_each_environment() -> None:
@@ -111,11 +111,11 @@ def test_lights_of_each_environment() -> None:
     poses = states.geom_xpos, states.geom_xmat
     lamps = np.repeat(caster.lamps[None], 2, axis=0)
     lamps[1, 3] = [0, 0, 1]
-    lit = caster.render(*poses, lamps=lamps)
-    np.testing.assert_array_equal(lit[0], caster.render(*poses)[0])
+    lit = caster.draw(*poses, lamps=lamps)
+    np.testing.assert_array_equal(lit[0], caster.draw(*poses)[0])
     model = every_primitive()
     model.light_dir[0] = [0, 0, -1]
-    np.testing.assert_array_equal(lit[1], Raycaster(model, CAMERA, SMALL, SMALL).render(*poses)[1])
+    np.testing.assert_array_equal(lit[1], Raycaster(model, CAMERA, SMALL, SMALL).draw(*poses)[1])
 
 
 def test_nothing_in_sight_is_background() -> None:
@@ -124,7 +124,7 @@ def test_nothing_in_sight_is_background() -> None:
         "<geom type='sphere' size='.1' pos='0 0 5'/></worldbody></mujoco>"
     )
     caster = Raycaster(model, CAMERA, 8, 8, background=(1.0, 0.5, 0.0))
-    image = caster.render(np.array([[[0.0, 0, 5]]]), np.eye(3).reshape(1, 1, 9))
+    image = caster.draw(np.array([[[0.0, 0, 5]]]), np.eye(3).reshape(1, 1, 9))
     assert (image == [255, 128, 0]).all()
 
 

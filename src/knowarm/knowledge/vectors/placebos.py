@@ -5,6 +5,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from knowarm.config import registered
 from knowarm.errors import UserError
 from knowarm.knowledge.builder import shuffle_tails
 from knowarm.knowledge.graph import KnowledgeGraph
@@ -43,7 +44,9 @@ class Placebo(VectorSource):
     """Base of the placebos that copy shape and norm of a real source."""
 
     placebo: ClassVar[bool] = True
-    matches: VectorSource = field(default_factory=WordVectors)
+    matches: VectorSource = field(
+        default_factory=WordVectors, metadata=registered(lambda: _real_sources())
+    )
     """The real source."""
 
     def __post_init__(self) -> None:
@@ -118,3 +121,10 @@ def check_one_hot(slots: int, dim: int) -> None:
         raise UserError(
             f"{slots} slots do not fit a one-hot of {dim} numbers. Set dim to {slots} or more."
         )
+
+
+def _real_sources() -> list[type[VectorSource]]:
+    """Return the registered sources that a placebo can copy."""
+    from knowarm.knowledge.vectors import SOURCES  # the registry imports this module
+
+    return [cls for cls in SOURCES.values() if issubclass(cls, VectorSource) and not cls.placebo]

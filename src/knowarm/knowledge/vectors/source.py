@@ -114,13 +114,6 @@ class Source:
         """Name for tables: the kind, or what the source loads."""
         return str(getattr(self, "kind", type(self).__name__))
 
-    @staticmethod
-    def variants() -> Mapping[str, type["Source"]]:
-        """Return the classes that a config may hold here, by kind."""
-        from knowarm.knowledge.vectors import SOURCES  # the registry imports this module
-
-        return SOURCES
-
 
 @dataclass(frozen=True, kw_only=True)
 class VectorSource(Source, ABC):

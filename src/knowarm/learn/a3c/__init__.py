@@ -1,6 +1,7 @@
-"""Worker processes on shared parameters: `trainer` starts and watches, `worker` learns.
+"""A3C: worker processes that update shared parameters asynchronously.
 
-`shared` is the memory they share, `rmsprop` how they change it, `messages` what they say.
+`trainer` starts and supervises the processes of `worker_pool`; each `worker` learns on the
+`shared_state`; `messages` are what they exchange.
 """
 
 from knowarm.learn.a3c.trainer import A3CTrainer

@@ -1,60 +1,63 @@
-"""What workers, the evaluator and the trainer tell each other; every class is one message."""
+"""Messages between A3C's trainer and its workers, and the statistics of their updates."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from knowarm.learn.checkpoint import Arrays
 from knowarm.learn.config import A3CConfig
-from knowarm.learn.environment import VectorEnvironment
-from knowarm.learn.statistics import FinishedEpisodes
-from knowarm.policy import PolicyConfig
+from knowarm.learn.environment import TorchVectorEnv
+from knowarm.learn.episode_statistics import FinishedEpisodes
+from knowarm.learn.evaluation import Metrics
+from knowarm.policy import PolicySpec
 
-MakeEnv = Callable[[int, int], VectorEnvironment]
-"""Makes (number of environments, number of threads); picklable."""
+MakeEnv = Callable[[int, int], TorchVectorEnv]
+"""Creates an environment on the CPU from num_envs and num_threads; picklable."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class WorkerJob:
-    """All a worker process needs besides the shared memory."""
+class A3CWorkerArgs:
+    """Arguments of a worker process besides the shared state."""
 
     index: int
     seed: int
     config: A3CConfig
-    policy: PolicyConfig
+    policy: PolicySpec
     make_env: MakeEnv
-    table: np.ndarray
     evaluate_every: int | None
     failure_folder: Path | None
     state: Arrays | None
-    """What the worker goes on from; None starts new episodes."""
+    """State of the collector to continue from; None starts new episodes."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Train:
-    """To a worker: go on until the shared steps reach ``total_steps``."""
+class TrainUntil:
+    """To a worker: continue until the steps of all workers reach ``total_steps``."""
 
     total_steps: int
 
 
 @dataclass(frozen=True, kw_only=True)
 class SendState:
-    """To a worker: send a `WorkerState`; ``leader`` adds the shared vectors; then perhaps end."""
+    """To a worker: send a `WorkerState`."""
 
-    leader: bool
-    then_end: bool
+    with_shared: bool
+    """Include copies of the shared parameters and statistics."""
+    then_exit: bool
+    """Exit afterwards."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Record:
+class UpdateReport:
     """From a worker: one rollout and its update."""
 
     steps: int
-    """Environment steps of this rollout."""
+    """Environment steps of the rollout."""
     staleness: int
-    """Updates of other workers since this one read the parameters."""
+    """Updates by other workers since this worker read the parameters."""
     policy_loss: float
     value_loss: float
     entropy: float
@@ -63,10 +66,19 @@ class Record:
 
 
 @dataclass(frozen=True, kw_only=True)
-class WorkerState:
-    """From a worker: where it stands between two updates."""
+class EvaluationRequest:
+    """From a worker: the parameters when interim evaluation ``number`` was due."""
 
-    state: Arrays
+    number: int
+    step: int
+    values: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorkerState:
+    """From a worker: its state between two updates."""
+
+    collector: Arrays
     steps: int
     updates: int
     values: np.ndarray | None = None
@@ -74,23 +86,63 @@ class WorkerState:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Finished:
-    """From a worker: the shared steps have reached the total."""
+class TotalReached:
+    """From a worker: the steps of all workers have reached the total."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Failure:
-    """From a process: it raised and ends."""
-
-    error: str
-    """Last line of the traceback."""
-    traceback: str
-    not_finite: tuple[str, int, Path | None] | None = None
-    """Term, step and saved batch, if a number was none."""
-    user_error: str | None = None
-    """The message, if it is a mistake the user can mend."""
+class WorkerRestarted:
+    """From the worker pool: a worker died and was restarted."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Restarted:
-    """From the crew, in place of a process that died: a new one has begun."""
+@dataclass
+class UpdateStatistics:
+    """Sums over the updates since the last row of metrics; plain numbers for checkpoints."""
+
+    updates: int = 0
+    steps: int = 0
+    stale: int = 0
+    staleness: int = 0
+    policy_loss: float = 0.0
+    value_loss: float = 0.0
+    entropy: float = 0.0
+    grad_norm: float = 0.0
+    episodes: int = 0
+    episode_return: float = 0.0
+    episode_length: int = 0
+    successes: int = 0
+
+    def add(self, report: UpdateReport) -> None:
+        """Add one update."""
+        self.updates += 1
+        self.steps += report.steps
+        self.stale += report.staleness > 0
+        self.staleness += report.staleness
+        for name in ("policy_loss", "value_loss", "entropy", "grad_norm"):
+            setattr(self, name, getattr(self, name) + getattr(report, name))
+        self.episodes += len(report.episodes.length)
+        self.episode_return += float(report.episodes.episode_return.sum())
+        self.episode_length += int(report.episodes.length.sum())
+        self.successes += int(report.episodes.success.sum())
+
+    def metrics(self) -> Metrics:
+        """Return means over updates and episodes.
+
+        ``stale_share`` is the fraction of gradients computed from parameters that another worker
+        had changed meanwhile, ``staleness_mean`` the mean number of such changes.
+        """
+        row: Metrics = {"episodes": self.episodes}
+        if self.episodes:
+            row["return_mean"] = self.episode_return / self.episodes
+            row["length_mean"] = self.episode_length / self.episodes
+            row["success"] = self.successes / self.episodes
+        for name in ("policy_loss", "value_loss", "entropy", "grad_norm"):
+            row[name] = getattr(self, name) / self.updates
+        row["updates"] = self.updates
+        row["stale_share"] = self.stale / self.updates
+        row["staleness_mean"] = self.staleness / self.updates
+        return row
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the sums as JSON values; ``UpdateStatistics(**values)`` restores them."""
+        return asdict(self)

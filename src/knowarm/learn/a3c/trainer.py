@@ -1,351 +1,258 @@
-"""A policy, an environment factory and knowledge go in; workers train it, and this one watches."""
+"""A3C trainer: starts and supervises the workers, logs, evaluates and saves checkpoints."""
 
-import dataclasses
 import time
-from pathlib import Path
-from typing import Literal
+from typing import Any
 
 import numpy as np
 import torch
 
-from knowarm.learn.a3c.crew import Crew
-from knowarm.learn.a3c.memory_check import check_memory
 from knowarm.learn.a3c.messages import (
-    Finished,
+    A3CWorkerArgs,
+    EvaluationRequest,
     MakeEnv,
-    Record,
-    Restarted,
     SendState,
-    Train,
-    WorkerJob,
+    TotalReached,
+    TrainUntil,
+    UpdateReport,
+    UpdateStatistics,
+    WorkerRestarted,
     WorkerState,
 )
-from knowarm.learn.a3c.shared import SharedLearning
-from knowarm.learn.a3c.window import Window
-from knowarm.learn.a3c.worker import run_worker
-from knowarm.learn.checkpoint import Arrays, Checkpoint, CheckpointStore, policy_arrays
-from knowarm.learn.collector import below
+from knowarm.learn.a3c.shared_state import SharedState
+from knowarm.learn.a3c.worker import run_a3c_worker
+from knowarm.learn.a3c.worker_pool import WorkerPool, check_memory
+from knowarm.learn.checkpoint import Arrays, Checkpoint
+from knowarm.learn.collector import select
 from knowarm.learn.config import A3CConfig
-from knowarm.learn.evaluator import Evaluation, MakeEvaluate, Snapshot, run_evaluator
-from knowarm.learn.flat import FlatParameters
-from knowarm.learn.processes import Child, process_context
-from knowarm.learn.trainer import Best, Hooks, TrainingResult, crossed
+from knowarm.learn.flat_parameters import FlatParameters, unflatten_parameters
+from knowarm.learn.processes import ChildProcess, process_context
+from knowarm.learn.trainer import StopReason, Trainer, crossed
 from knowarm.policy import Policy
 
-SEED_STRIDE = 1_000_003
-"""Between the seeds of two workers; more environments than a worker will ever have."""
+WORKER_SEED_STRIDE = 1_000_003
+"""Difference between the seeds of two workers; exceeds any number of environments per worker."""
 
 
-class A3CTrainer:
+class A3CTrainer(Trainer):
     """Asynchronous advantage actor-critic (paper section 4.2.1; Mnih et al. 2016).
 
-    Worker processes share parameters and RMSprop statistics and update them without waiting for
-    one another; one more process plays the interim evaluation. This object starts and watches
-    them, collects their records, and keeps checkpoints. With one worker, a stopped and resumed
-    training equals an uninterrupted one to the byte.
+    Worker processes share parameters and RMSprop statistics and update them asynchronously. With
+    one worker, a stopped and resumed training reproduces an uninterrupted one exactly.
 
     Args:
-        config: all choices.
-        policy: trained in place; it holds the result after `train`.
-        make_env: picklable; makes (number of environments, number of threads).
-        knowledge_table: (F, K) float32, one row a facet of the environment.
+        config: the algorithm's configuration.
+        policy: trained in place; holds the result after `train`.
+        make_env: creates the environments of a worker, on the CPU; picklable.
         seed: of episodes and actions; each worker derives its own.
-        make_evaluate: picklable; makes the function that plays the interim evaluation.
-        evaluate_every: steps between two interim evaluations; the first is before training.
-        hooks: who is told of metrics and evaluations.
-        checkpoints: where checkpoints go; None keeps none.
-        checkpoint_every: steps between two checkpoints.
-        failure_folder: where a batch with a NaN is saved; None saves nothing.
+        options: as `Trainer`.
+
+    Attributes:
+        restarts: restarts of workers so far.
 
     Raises:
-        UserError: the free memory does not hold so many workers.
+        UserError: the free memory is too small for the workers.
     """
 
     def __init__(
-        self,
-        config: A3CConfig,
-        policy: Policy,
-        make_env: MakeEnv,
-        knowledge_table: np.ndarray,
-        *,
-        seed: int,
-        make_evaluate: MakeEvaluate | None = None,
-        evaluate_every: int = 50_000,
-        hooks: Hooks | None = None,
-        checkpoints: CheckpointStore | None = None,
-        checkpoint_every: int = 200_000,
-        failure_folder: Path | None = None,
+        self, config: A3CConfig, policy: Policy, make_env: MakeEnv, *, seed: int, **options: Any
     ) -> None:
+        super().__init__(policy, seed=seed, **options)
         self.config = config
-        self.policy = policy
-        self.step = 0
-        self.best = Best()
         self.restarts = 0
         self._make_env = make_env
-        self._table = np.array(knowledge_table, np.float32)
-        self._seed = seed
-        self._make_evaluate = make_evaluate
-        self._evaluate_every = evaluate_every
-        self._hooks = hooks or Hooks()
-        self._checkpoints = checkpoints
-        self._checkpoint_every = checkpoint_every
-        self._failure_folder = failure_folder
-        self._flat = FlatParameters(policy)
-        check_memory(
-            config,
-            image_bytes=3 * policy.config.image_size**2,
-            parameters=self._flat.values.numel(),
-        )
-        self._context = process_context(
+        self._parameters = FlatParameters(policy)
+        count = self._parameters.values.numel()
+        check_memory(config, image_bytes=3 * policy.shape.image_size**2, parameters=count)
+        self._context = context = process_context(
             ["knowarm.learn.a3c.worker", getattr(make_env, "__module__", "knowarm")]
         )
-        self._shared = SharedLearning(self._context, self._flat.values.numel(), config.workers)
-        self._shared.values.copy_(self._flat.values)
-        self._window = Window()
+        self._shared = SharedState(context, count, config.workers)
+        self._shared.values.copy_(self._parameters.values)
+        self._statistics = UpdateStatistics()
         self._worker_steps = [0] * config.workers
-        self._lives = [0] * config.workers
-        self._states: dict[int, Arrays] = {}
-        self._snapshots: list[Snapshot] = []
-        self._request: SendState | None = None
-        self._replies: dict[int, WorkerState] = {}
+        self._worker_restarts = [0] * config.workers
+        self._worker_states: dict[int, Arrays] = {}
+        self._requested_evaluations: set[int] = set()
+        self._state_request: SendState | None = None
+        self._states: dict[int, WorkerState] = {}
         self._unsaved: Checkpoint | None = None
-        self._finished: set[int] = set()
+        self._done: set[int] = set()
 
-    def train(self, total_steps: int) -> TrainingResult:
-        """Train until ``total_steps`` environment steps were taken in all.
-
-        Raises:
-            NotFiniteError: a worker met a NaN or an infinity.
-            UserError: a checkpoint cannot be written.
-            RuntimeError: a worker fails again and again; the message holds its traceback.
-        """
+    def _train(self, total_steps: int) -> StopReason:
         self._total_steps = total_steps
-        self._begin = self._row_began = time.perf_counter()
-        self._finished.clear()
-        reason: Literal["finished", "stopped"] = "finished"
-        untrained = Snapshot(number=0, step=0, values=self._values())
-        self._crew = Crew(
-            self._start_worker,
-            self._start_evaluator if self._make_evaluate is not None else None,
-            self._lives,
-        )
+        self._begin = self._row_begin = time.perf_counter()
+        self._done.clear()
+        reason: StopReason = "finished"
+        if self.step == 0:
+            self._evaluate_once(EvaluationRequest(number=0, step=0, values=self._values()))
+        self._pool = WorkerPool(self._start_worker, self._worker_restarts)
         try:
-            if self._make_evaluate is not None and self.step == 0:
-                self._evaluate(untrained)
-            while len(self._finished) < self.config.workers:
+            while len(self._done) < self.config.workers:
                 self._read()
-                if self._hooks.should_stop():
+                if self.hooks.should_stop():
                     reason = "stopped"
                     break
-            self._read_until_answered()
-            self._ask(then_end=True)
-            self._read_until_answered()
-            while self._snapshots:
-                self._read()
+            self._read_until_states_arrived()
+            self._request_states(then_exit=True)
+            self._read_until_states_arrived()
         finally:
-            self._crew.end()
-            self._request = None
-        self._states = {index: reply.state for index, reply in self._replies.items()}
-        self._flat.values.copy_(self._shared.values)
-        return TrainingResult(
-            step=self.step,
-            reason=reason,
-            best_return=self.best.value,
-            best_step=self.best.step,
-        )
+            self._pool.stop()
+            self._state_request = None
+        self._take_evaluations(wait=True)
+        self._save_when_evaluated()
+        self._worker_states = {index: state.collector for index, state in self._states.items()}
+        self._parameters.values.copy_(self._shared.values)
+        return reason
 
-    def resume(self) -> None:
-        """Go on from the latest whole checkpoint.
-
-        Raises:
-            UserError: there is none, or it belongs to something else.
-        """
-        assert self._checkpoints is not None, "resuming needs a checkpoint store"
-        checkpoint = self._checkpoints.load()
-        self.policy.load_state_dict({k: torch.from_numpy(v) for k, v in checkpoint.policy.items()})
-        self._shared.values.copy_(self._flat.values)
+    def _restore(self, checkpoint: Checkpoint) -> None:
+        self._shared.values.copy_(self._parameters.values)
         for name in ("mean_square", "steps", "updates", "evaluated"):
             getattr(self._shared, name).copy_(torch.from_numpy(checkpoint.optimizer[name]))
-        self._states = {
+        self._worker_states = {
             index: state
             for index in range(self.config.workers)
-            if (state := below(checkpoint.state, f"worker-{index}/"))
+            if (state := select(checkpoint.state, f"worker-{index}/"))
         }
         facts = checkpoint.facts
-        self.step = facts["step"]
         self.restarts = facts["restarts"]
-        self.best = Best(facts["best_return"], facts["best_step"])
-        self._window = Window(**facts["window"])
-        self._lives = facts["lives"]
+        self._statistics = UpdateStatistics(**facts["window"])
+        self._worker_restarts = facts["lives"]
         self._worker_steps = checkpoint.optimizer["steps"].tolist()
 
     def _values(self) -> np.ndarray:
         return self._shared.values.numpy().copy()
 
-    def _start_worker(self, index: int, life: int) -> Child:
-        job = WorkerJob(
+    def _start_worker(self, index: int, restarts: int) -> ChildProcess:
+        args = A3CWorkerArgs(
             index=index,
-            seed=self._seed + SEED_STRIDE * (1 + index + self.config.workers * life),
+            seed=self.seed + WORKER_SEED_STRIDE * (1 + index + self.config.workers * restarts),
             config=self.config,
-            policy=self.policy.config,
+            policy=self.policy.spec(),
             make_env=self._make_env,
-            table=self._table,
-            evaluate_every=self._evaluate_every if self._make_evaluate else None,
-            failure_folder=self._failure_folder,
-            state=self._states.pop(index, None),
+            evaluate_every=self.evaluate_every if self.evaluates else None,
+            failure_folder=self.failure_folder,
+            state=self._worker_states.pop(index, None),
         )
-        child = Child.start(self._context, f"worker {index}", run_worker, job, self._shared)
-        child.send(Train(total_steps=self._total_steps))
+        assert self._context is not None
+        name = f"worker {index}"
+        child = ChildProcess.start(self._context, name, run_a3c_worker, args, self._shared)
+        child.send(TrainUntil(total_steps=self._total_steps))
         return child
 
-    def _start_evaluator(self) -> Child:
-        return Child.start(
-            self._context, "evaluator", run_evaluator, self.policy.config, self._make_evaluate
-        )
-
     def _read(self) -> None:
-        """Take what the processes have sent, waiting a moment for something to come."""
-        for index, message in self._crew.read(0.2):
-            if index is None:
-                if isinstance(message, Evaluation):
-                    self._evaluated(message)
-                if self._snapshots:
-                    self._send_to_evaluator()
-            elif isinstance(message, Record):
-                self._record(index, message)
-            elif isinstance(message, Snapshot):
-                self._evaluate(message)
+        """Handle the messages of the workers, waiting briefly for the first one."""
+        for index, message in self._pool.read(0.2):
+            if isinstance(message, UpdateReport):
+                self._add_report(index, message)
+            elif isinstance(message, EvaluationRequest):
+                self._evaluate_once(message)
             elif isinstance(message, WorkerState):
-                self._take_state(index, message)
-            elif isinstance(message, Finished):
-                self._finished.add(index)
-            elif isinstance(message, Restarted):
+                self._add_state(index, message)
+            elif isinstance(message, TotalReached):
+                self._done.add(index)
+            elif isinstance(message, WorkerRestarted):
                 self.restarts += 1
-                self._finished.discard(index)
-                if self._request is not None and index not in self._replies:
-                    self._ask_one(index)
+                self._done.discard(index)
+                if self._state_request is not None and index not in self._states:
+                    self._request_state(index)
+        self._take_evaluations(wait=False)
+        self._save_when_evaluated()
 
-    def _read_until_answered(self) -> None:
-        while self._request is not None:
+    def _read_until_states_arrived(self) -> None:
+        while self._state_request is not None:
             self._read()
 
-    def _record(self, index: int, record: Record) -> None:
-        """Count one update; write a row and ask for a checkpoint when they are due."""
+    def _add_report(self, index: int, report: UpdateReport) -> None:
+        """Count an update; log a row of metrics and request states when due."""
         before = self.step
-        self.step += record.steps
-        self._worker_steps[index] += record.steps
-        self._window.add(record)
+        self.step += report.steps
+        self._worker_steps[index] += report.steps
+        self._statistics.add(report)
         if crossed(before, self.step, self.config.log_every_steps):
             now = time.perf_counter()
-            seconds = now - self._row_began
-            self._hooks.on_metrics(
+            seconds = max(now - self._row_begin, 1e-9)
+            self.hooks.on_metrics(
                 {
                     "step": self.step,
                     "wall_time_s": now - self._begin,
-                    "steps_per_s": self._window.steps / seconds,
-                    "updates_per_s": self._window.updates / seconds,
-                    **self._window.row(),
+                    "steps_per_s": self._statistics.steps / seconds,
+                    "updates_per_s": self._statistics.updates / seconds,
+                    **self._statistics.metrics(),
                     "restarts": self.restarts,
                     **{f"worker_{i}_steps": n for i, n in enumerate(self._worker_steps)},
                 }
             )
-            self._row_began = now
-            self._window = Window()
-        if crossed(before, self.step, self._checkpoint_every):
-            self._ask(then_end=False)
+            self._row_begin = now
+            self._statistics = UpdateStatistics()
+        if crossed(before, self.step, self.checkpoint_every):
+            self._request_states(then_exit=False)
 
-    def _ask(self, *, then_end: bool) -> None:
-        """Ask all workers where they stand; the first one answers with the shared vectors too.
+    def _request_states(self, *, then_exit: bool) -> None:
+        """Request the states of all workers; the first one's includes the shared vectors.
 
-        With one worker vectors and state belong together to the byte. With more, the others go on
-        meanwhile, which a restart from the checkpoint cannot notice.
+        With one worker, vectors and state belong to the same moment. With several, the others
+        continue meanwhile, as they would after a restart.
         """
-        if self._request is not None or (self._unsaved is not None and not then_end):
+        if self._state_request is not None or (self._unsaved is not None and not then_exit):
             return
-        self._replies = {}
-        self._request = SendState(leader=False, then_end=then_end)
+        self._states = {}
+        self._state_request = SendState(with_shared=False, then_exit=then_exit)
         for index in range(self.config.workers):
-            self._ask_one(index)
+            self._request_state(index)
 
-    def _ask_one(self, index: int) -> None:
-        assert self._request is not None
-        request = SendState(leader=index == 0, then_end=self._request.then_end)
-        self._crew.workers[index].send(request)
+    def _request_state(self, index: int) -> None:
+        assert self._state_request is not None
+        then_exit = self._state_request.then_exit
+        self._pool.workers[index].send(SendState(with_shared=index == 0, then_exit=then_exit))
 
-    def _take_state(self, index: int, state: WorkerState) -> None:
-        assert self._request is not None
-        self._replies[index] = state
-        if self._request.then_end:
-            self._crew.dismiss(index)
-        if len(self._replies) == self.config.workers:
-            self._request = None
+    def _add_state(self, index: int, state: WorkerState) -> None:
+        assert self._state_request is not None
+        self._states[index] = state
+        if self._state_request.then_exit:
+            self._pool.expect_exit(index)
+        if len(self._states) == self.config.workers:
+            self._state_request = None
             self._unsaved = self._checkpoint()
-            self._save_when_evaluated()
 
     def _save_when_evaluated(self) -> None:
-        """Write the checkpoint once the evaluations asked for before it have their results."""
+        """Save the checkpoint once all earlier interim evaluations are complete."""
         checkpoint = self._unsaved
         if checkpoint is None:
             return
-        if all(snapshot.step > checkpoint.facts["step"] for snapshot in self._snapshots):
+        pending = self._evaluations.pending_steps() if self._evaluations is not None else []
+        if all(step > checkpoint.facts["step"] for step in pending):
             self._unsaved = None
-            if self._checkpoints is not None:
-                best = {"best_return": self.best.value, "best_step": self.best.step}
-                facts = {**checkpoint.facts, **best}
-                self._checkpoints.save(dataclasses.replace(checkpoint, facts=facts))
+            self._save(checkpoint)
 
     def _checkpoint(self) -> Checkpoint:
-        leader = self._replies[0]
-        assert leader.values is not None
-        assert leader.mean_square is not None
-        replies = [self._replies[index] for index in range(self.config.workers)]
-        steps = np.array([reply.steps for reply in replies])
+        first = self._states[0]
+        assert first.values is not None
+        assert first.mean_square is not None
+        states = [self._states[index] for index in range(self.config.workers)]
+        steps = np.array([state.steps for state in states])
         return Checkpoint(
-            policy=self._arrays(leader.values),
+            policy=unflatten_parameters(self.policy, first.values),
             optimizer={
-                "mean_square": leader.mean_square,
+                "mean_square": first.mean_square,
                 "steps": steps,
-                "updates": np.array([reply.updates for reply in replies]),
-                "evaluated": np.array([int(steps.sum()) // self._evaluate_every]),
+                "updates": np.array([state.updates for state in states]),
+                "evaluated": np.array([int(steps.sum()) // self.evaluate_every]),
             },
             state={
                 f"worker-{index}/{name}": value
-                for index, reply in enumerate(replies)
-                for name, value in reply.state.items()
+                for index, state in enumerate(states)
+                for name, value in state.collector.items()
             },
             facts={
                 "step": int(steps.sum()),
                 "restarts": self.restarts,
-                "window": self._window.facts(),
-                "lives": list(self._lives),
+                "window": self._statistics.to_dict(),
+                "lives": list(self._worker_restarts),
             },
         )
 
-    def _arrays(self, values: np.ndarray) -> Arrays:
-        """Parameters by name, from the vector of all of them."""
-        self._flat.values.copy_(torch.from_numpy(values))
-        return policy_arrays(self.policy)
-
-    def _evaluate(self, snapshot: Snapshot) -> None:
-        """Queue a snapshot for the evaluator, unless another worker's came first."""
-        if all(snapshot.number != earlier.number for earlier in self._snapshots):
-            self._snapshots.append(snapshot)
-            if len(self._snapshots) == 1:
-                self._send_to_evaluator()
-
-    def _send_to_evaluator(self) -> None:
-        # One at a time: the pipe is small and sending to a busy process would wait for it.
-        assert self._crew.evaluator is not None
-        self._crew.evaluator.send(self._snapshots[0])
-
-    def _evaluated(self, evaluation: Evaluation) -> None:
-        snapshot = self._snapshots.pop(0)
-        assert snapshot.number == evaluation.number
-        is_best = self.best.update(snapshot.step, evaluation.results["return_mean"])
-        if is_best and self._checkpoints is not None:
-            facts = {"step": snapshot.step, **evaluation.results}
-            self._checkpoints.save_best(
-                Checkpoint(policy=self._arrays(snapshot.values), facts=facts)
-            )
-        self._hooks.on_evaluation(snapshot.step, evaluation.results, is_best)
-        self._save_when_evaluated()
+    def _evaluate_once(self, request: EvaluationRequest) -> None:
+        """Submit an interim evaluation unless another worker has requested it before."""
+        if self._evaluations is not None and request.number not in self._requested_evaluations:
+            self._requested_evaluations.add(request.number)
+            self._evaluations.submit(request.step, request.values)

@@ -1,121 +1,122 @@
-"""Shared parameters and own environments go in; updates of the shared parameters come out."""
+"""A3C worker: process that collects rollouts and updates the shared parameters."""
 
 import contextlib
 import os
-import traceback
 from multiprocessing.connection import Connection
 
 import numpy as np
 import torch
 
-from knowarm.errors import UserError
 from knowarm.learn.a3c.messages import (
-    Failure,
-    Finished,
-    Record,
+    A3CWorkerArgs,
+    EvaluationRequest,
     SendState,
-    Train,
-    WorkerJob,
+    TotalReached,
+    TrainUntil,
+    UpdateReport,
     WorkerState,
 )
-from knowarm.learn.a3c.rmsprop import rmsprop_update
-from knowarm.learn.a3c.shared import SharedLearning
+from knowarm.learn.a3c.shared_state import SharedState, rmsprop_update
 from knowarm.learn.collector import Collector
-from knowarm.learn.evaluator import Snapshot
-from knowarm.learn.flat import FlatParameters
-from knowarm.learn.guards import FiniteGuard, NotFiniteError
+from knowarm.learn.device import resolve_precision
+from knowarm.learn.flat_parameters import FlatParameters
+from knowarm.learn.guards import FiniteGuard
 from knowarm.learn.losses import LossTerms, a3c_loss
-from knowarm.learn.player import SoloPlayer
-from knowarm.learn.precision import resolve_precision
-from knowarm.learn.processes import prepare_process
+from knowarm.learn.processes import ProcessFailure, prepare_child_process
 from knowarm.learn.returns import advantages, n_step_returns
-from knowarm.learn.rollout import Rollout, rollout_shapes
-from knowarm.policy import Policy
+from knowarm.learn.rollout import Rollout, rollout_specs
 
 
-def run_worker(job: WorkerJob, shared: SharedLearning, connection: Connection) -> None:
-    """Entry point of a worker process: work until told to end or until the trainer is gone."""
-    prepare_process()
+def run_a3c_worker(args: A3CWorkerArgs, shared: SharedState, connection: Connection) -> None:
+    """Entry point of a worker process: train until told to exit or the parent process exits."""
+    prepare_child_process()
     try:
-        Worker(job, shared, connection).run()
+        A3CWorker(args, shared, connection).run()
     except (EOFError, BrokenPipeError, ConnectionResetError):
-        # The trainer is gone: nobody is left to work for.
-        os._exit(0)
+        os._exit(0)  # parent process exited
     except Exception as error:
         with contextlib.suppress(BrokenPipeError, ConnectionResetError):
-            connection.send(_failure(error))
+            connection.send(ProcessFailure.of(error))
 
 
-class Worker:
-    """Reads the shared parameters, plays, computes a gradient, updates them, again and again."""
+class A3CWorker:
+    """Repeatedly reads the shared parameters, collects a rollout, and updates them.
 
-    def __init__(self, job: WorkerJob, shared: SharedLearning, connection: Connection) -> None:
-        self.job = job
-        self.config = job.config
+    Args:
+        args: what to train on.
+        shared: parameters and counters of all workers.
+        connection: pipe to the trainer.
+    """
+
+    def __init__(self, args: A3CWorkerArgs, shared: SharedState, connection: Connection) -> None:
+        self.args = args
+        self.config = args.config
         self._shared = shared
         self._connection = connection
-        self._policy = Policy(job.policy)
+        self._policy = args.policy.build()
         self._policy.matmul_precision = resolve_precision(
-            job.config.matmul_precision, torch.device("cpu")
+            args.config.matmul_precision, torch.device("cpu")
         )
-        self._flat = FlatParameters(self._policy)
-        self._table = torch.tensor(job.table, dtype=torch.float32)
-        env = job.make_env(self.config.envs_per_worker, 1)
-        self._collector = Collector(env, self._policy, self._table, seed=job.seed)
-        if job.state is not None:
-            self._collector.set_state(job.state)
+        self._parameters = FlatParameters(self._policy)
+        env = args.make_env(self.config.envs_per_worker, 1)
+        self._collector = Collector(env, self._policy, seed=args.seed)
+        if args.state is not None:
+            self._collector.set_state(args.state)
         self._rollout = Rollout.zeros(
-            rollout_shapes(self.config.rollout_steps, self.config.envs_per_worker, self._policy)
+            rollout_specs(self.config.rollout_steps, self.config.envs_per_worker, self._policy)
         )
-        self._player = SoloPlayer(self._policy, self._table)
-        self._guard = FiniteGuard(job.failure_folder)
+        self._guard = FiniteGuard(args.failure_folder)
         self._total_steps = 0
 
     def run(self) -> None:
-        """Obey the trainer's messages; between them, train."""
+        """Handle the trainer's messages and train between them."""
         while True:
-            idle = int(self._shared.steps.sum()) >= self._total_steps
+            idle = self._total_reached()
             while self._connection.poll(None if idle else 0):
                 message = self._connection.recv()
-                if isinstance(message, Train):
+                if isinstance(message, TrainUntil):
                     self._total_steps = message.total_steps
-                    idle = int(self._shared.steps.sum()) >= self._total_steps
+                    idle = self._total_reached()
                     if idle:
-                        self._connection.send(Finished())
+                        self._connection.send(TotalReached())
                 elif isinstance(message, SendState):
-                    self._connection.send(self._state(message.leader))
-                    if message.then_end:
+                    self._connection.send(self._state(message.with_shared))
+                    if message.then_exit:
                         return
             self._update()
-            if int(self._shared.steps.sum()) >= self._total_steps:
-                self._connection.send(Finished())
+            if self._total_reached():
+                self._connection.send(TotalReached())
+
+    def _total_reached(self) -> bool:
+        return int(self._shared.steps.sum()) >= self._total_steps
 
     def _update(self) -> None:
-        """One rollout and one step of the shared optimizer."""
+        """Collect one rollout and take one step of the shared optimizer."""
         config, shared, rollout = self.config, self._shared, self._rollout
         seen = int(shared.updates.sum())
-        self._flat.values.copy_(shared.values)
-        self._collector.collect(self._player, rollout)
+        self._parameters.values.copy_(shared.values)
+        self._collector.collect(rollout)
         steps = rollout.reward.numel()
-        self._guard.check_rollout(rollout, self._table, int(shared.steps.sum()) + steps)
+        step = int(shared.steps.sum()) + steps
+        self._guard.check_rollout(rollout, self._policy.knowledge_table, step)
         loss = self._loss()
-        self._flat.gradient.zero_()
+        self._parameters.gradient.zero_()
         loss.total.backward()
-        norm = self._flat.clip_gradient(config.max_grad_norm)
-        self._guard.check_update(self._policy, loss, norm, int(shared.steps.sum()) + steps, rollout)
+        norm = self._parameters.clip_gradient(config.max_grad_norm)
+        self._guard.check_update(self._policy, loss, norm, step, rollout)
         staleness = int(shared.updates.sum()) - seen
         rmsprop_update(
             shared.values,
             shared.mean_square,
-            self._flat.gradient,
+            self._parameters.gradient,
             learning_rate=config.learning_rate,
-            decay=config.rmsprop_decay,
-            epsilon=config.rmsprop_epsilon,
+            alpha=config.rmsprop_alpha,
+            eps=config.rmsprop_eps,
         )
-        shared.updates[self.job.index] += 1
-        shared.steps[self.job.index] += steps
+        shared.updates[self.args.index] += 1
+        shared.steps[self.args.index] += steps
         self._connection.send(
-            Record(
+            UpdateReport(
                 steps=steps,
                 staleness=staleness,
                 policy_loss=float(loss.policy.detach()),
@@ -125,7 +126,7 @@ class Worker:
                 episodes=self._collector.statistics.take(),
             )
         )
-        self._ask_for_evaluation()
+        self._request_evaluation()
 
     def _loss(self) -> LossTerms:
         config, rollout = self.config, self._rollout
@@ -136,10 +137,7 @@ class Worker:
         )
         returns = n_step_returns(reward, following, rollout.done, config.gamma)
         logits, values, _ = self._policy.unroll(
-            rollout.patches,
-            self._table[rollout.facet],
-            rollout.start_state,
-            rollout.episode_start,
+            rollout.patches, rollout.facet, rollout.start_state, rollout.episode_start
         )
         return a3c_loss(
             logits,
@@ -151,44 +149,31 @@ class Worker:
             ent_coef=config.ent_coef,
         )
 
-    def _ask_for_evaluation(self) -> None:
+    def _request_evaluation(self) -> None:
         """Send the shared parameters if the steps have reached the next interim evaluation.
 
-        Two workers may both ask; the trainer takes the first. Comparing with a shared number
-        instead of looking for a crossing means that none is missed.
+        Two workers may both send them; the trainer uses the first. Comparing with a shared counter
+        instead of detecting a crossing ensures that none is missed.
         """
-        if self.job.evaluate_every is None:
+        if self.args.evaluate_every is None:
             return
         step = int(self._shared.steps.sum())
-        number = step // self.job.evaluate_every
+        number = step // self.args.evaluate_every
         if number > int(self._shared.evaluated[0]):
             self._shared.evaluated[0] = number
             values = self._shared.values.numpy().copy()
-            self._connection.send(Snapshot(number=number, step=step, values=values))
+            self._connection.send(EvaluationRequest(number=number, step=step, values=values))
 
-    def _state(self, leader: bool) -> WorkerState:
-        shared, index = self._shared, self.job.index
+    def _state(self, with_shared: bool) -> WorkerState:
+        shared, index = self._shared, self.args.index
 
         def copy(vector: torch.Tensor) -> np.ndarray | None:
-            return vector.numpy().copy() if leader else None
+            return vector.numpy().copy() if with_shared else None
 
         return WorkerState(
-            state=self._collector.get_state(),
+            collector=self._collector.get_state(),
             steps=int(shared.steps[index]),
             updates=int(shared.updates[index]),
             values=copy(shared.values),
             mean_square=copy(shared.mean_square),
         )
-
-
-def _failure(error: Exception) -> Failure:
-    lines = traceback.format_exception(error)
-    not_finite = None
-    if isinstance(error, NotFiniteError):
-        not_finite = (error.term, error.step, error.batch)
-    return Failure(
-        error=lines[-1].strip(),
-        traceback="".join(lines),
-        not_finite=not_finite,
-        user_error=str(error) if isinstance(error, UserError) else None,
-    )

@@ -1,13 +1,13 @@
-"""Post-training evaluations go in; the page of the paper's table and its parts comes out."""
+"""Page "Results": the evaluation after training, in total and by target."""
 
-from pathlib import Path
+from collections.abc import Callable, Iterable, Sequence
 
 from knowarm.report import format
-from knowarm.report.blocks import Column, Figure, Page, Panel, Row, Table
-from knowarm.report.figures import Dot, dot_chart
-from knowarm.report.levels import cells, level, own_level, part_level
-from knowarm.report.palette import colours
-from knowarm.report.study import Study, Task
+from knowarm.report.blocks import Block, Column, Figure, Panel, Row, Table, cells, shared
+from knowarm.report.charts import SUCCESS_AXIS, Axis
+from knowarm.report.diagrams import Dot, dot_chart
+from knowarm.report.study import Evaluation, Group, Task
+from knowarm.statistics import Interval
 
 INTERVALS = ("return_mean", "success", "accuracy", "success_wide", "length_mean")
 PLAIN = (
@@ -19,131 +19,81 @@ PLAIN = (
 )
 
 
-def results_page(study: Study) -> Page:
-    """Every agent, and the untrained policy, on the same fixed episodes."""
-    page = Page(
-        name="results",
-        short="Results",
-        title="Evaluation after training",
-        lead="The best model of every run on the same fixed episodes, which none was trained on.",
-    )
-    for task in study.tasks:
-        if task.label is None:
-            continue
-        parts = (("per_target", "target"), ("per_facet", "target and colour"))
-        figures = [_parts(task, part, what) for part, what in parts]
-        page.add(task, [_table(task), *(figure for figure in figures if figure)])
-    return page
+def result_blocks(task: Task) -> list[Block]:
+    """Show all agents and the untrained policies on the same fixed episodes."""
+    if not task.label:
+        return []
+    parts = (("per_target", "target"), ("per_facet", "target and colour"))
+    figures = [_parts(task, part, what) for part, what in parts]
+    return [_table(task), *(figure for figure in figures if figure)]
 
 
 def _table(task: Task) -> Table:
-    chosen = colours(group.name for group in task.groups)
     rows: list[Row] = []
-    for group in task.groups:
-        row: Row = {"agent": group.name, "seeds": len(group.judged_runs)}
+    for each in (*task.groups, *task.references):
+        seeds = len(each.evaluations) if each in task.groups else None
+        row: Row = {"agent": each.name, "seeds": seeds, "_colour": task.colours[each.name]}
         for key in INTERVALS:
-            row |= cells(key, level(group, key))
+            row |= cells(key, each.level(key))
         for key in PLAIN:
-            value = level(group, key)
+            value = each.level(key)
             row[key] = value.estimate if value else None
-        rows.append(row | {"_colour": chosen[group.name]})
-    for each in task.references:
-        summary = each.judged.summary
-        row = {"agent": each.name, "seeds": None, "_colour": "c-faint"}
-        for key in INTERVALS:
-            row |= cells(key, own_level(summary, key))
-        rows.append(row | {key: summary.get(key) for key in PLAIN})
-    sources = [judged.folder / "summary.json" for g in task.groups for judged in g.judged()]
-    sources += [each.judged.folder / "summary.json" for each in task.references]
+        rows.append(row)
+    shown = [e for each in (*task.groups, *task.references) for e in each.evaluations]
+    first = shown[0] if shown else None
     return Table(
         name=f"evaluation-{task.name}",
-        title=f"{task.title}: {rules(task)}",
+        title=f"{task.title}: {_rules(first)}",
         columns=[
-            Column(key="agent", label="agent"),
-            Column(key="seeds", label="seeds", format="integer", hint="training seeds evaluated"),
-            Column(key="return_mean", label="mean return", format="number1", interval=True),
-            Column(key="return_std", label="std", format="number1"),
-            Column(key="success", label="success", format="percent", interval=True),
-            Column(key="accuracy", label="accuracy", format="percent", interval=True),
-            Column(key="success_wide", label=wide_label(task), format="percent", interval=True),
-            Column(key="length_mean", label="steps", format="number1", interval=True),
-            Column(key="length_std", label="std", format="number1"),
-            Column(key="failure_distance_mean", label="failure dist. [m]", format="number3"),
-            Column(key="failure_distance_std", label="std [m]", format="number3"),
-            Column(key="failure_distance_max", label="max [m]", format="number3"),
+            *shared("agent", "seeds", "return_mean"),
+            Column("return_std", "std", "number1"),
+            *shared("success", "accuracy"),
+            Column("success_wide", _wide(first), "percent", interval=True),
+            Column("length_mean", "steps", "number1", interval=True),
+            Column("length_std", "std", "number1"),
+            Column("failure_distance_mean", "failure dist. [m]", "number3"),
+            Column("failure_distance_std", "std [m]", "number3"),
+            Column("failure_distance_max", "max [m]", "number3"),
         ],
         rows=rows,
-        sources=sources,
+        sources=[evaluation.folder / "summary.json" for evaluation in shown],
         note="95 % intervals: over training seeds where there are several (bootstrap of the mean); "
-        "over episodes where there is one (Wilson for shares), and then they speak of that one "
-        "network. Failure distance: final distance of the episodes without success. Standard "
+        "over episodes where there is one (Wilson for success and accuracy), which then describe "
+        "that one network. Failure distance: final distance of unsuccessful episodes. Standard "
         "deviations are within an evaluation, averaged over seeds.",
     )
 
 
-def rules(task: Task) -> str:
-    """How the task's runs were judged, in words."""
-    judged = next((each for group in task.groups for each in group.judged()), None)
-    settings = judged.summary.get("config", {}) if judged else {}
-    if not judged or "distance_m" not in settings:
+def _rules(evaluation: Evaluation | None) -> str:
+    """Describe the episodes, thresholds and actions of an evaluation."""
+    if evaluation is None or "distance_m" not in evaluation.config:
         return "evaluation"
+    config = evaluation.config
     return (
-        f"{format.integer(judged.summary['episodes'])} episodes, success within "
-        f"{settings['distance_m'] * 100:g} cm and {settings['angle_deg']:g}°, "
-        f"{settings.get('actions', 'greedy')} actions"
+        f"{format.integer(evaluation.summary['episodes'])} episodes, success within "
+        f"{config['distance_m'] * 100:g} cm and {config['angle_deg']:g}°, "
+        f"{config.get('actions', 'greedy')} actions"
     )
 
 
-def wide_label(task: Task) -> str:
-    """Heading of the share of episodes that met the wider angle."""
-    judged = next((each for group in task.groups for each in group.judged()), None)
-    angle = judged.summary.get("config", {}).get("wide_angle_deg") if judged else None
+def _wide(evaluation: Evaluation | None) -> str:
+    """Return the heading of the fraction of episodes that met the wider angle threshold."""
+    angle = evaluation.config.get("wide_angle_deg") if evaluation else None
     return f"success {angle:g}°" if angle else "success, wide angle"
 
 
 def _parts(task: Task, part: str, what: str) -> Figure | None:
-    names = sorted(
-        {
-            name
-            for group in task.groups
-            for judged in group.judged()
-            for name in judged.summary.get(part, {})
-        }
-    )
+    evaluations = [evaluation for group in task.groups for evaluation in group.evaluations]
+    names = sorted({name for each in evaluations for name in each.summary.get(part, {})})
     if part == "per_facet" and len({name.split("/")[0] for name in names}) == len(names):
-        return None  # one colour a target: the same as per target
-    if not names:
+        return None  # one colour per target: the same as per target
+
+    def success(group: Group, name: str) -> Interval | None:
+        return group.level("success", part, name)
+
+    rows, panels = part_panels(task, names, task.groups, success, SUCCESS_AXIS)
+    if not panels:
         return None
-    chosen = colours(group.name for group in task.groups)
-    rows, panels = [], []
-    sources: list[Path] = [judged.folder for g in task.groups for judged in g.judged()]
-    for name in names:
-        dots = []
-        for group in task.groups:
-            value = part_level(group, part, name, "success")
-            rows.append(
-                {"part": name, "agent": group.name, "_colour": chosen[group.name]}
-                | cells("success", value)
-            )
-            dots.append(
-                Dot(
-                    name=group.name,
-                    colour=chosen[group.name],
-                    value=value.estimate if value else None,
-                    low=value.low if value else None,
-                    high=value.high if value else None,
-                )
-            )
-        title = name.replace("_", " ").replace("/", ", ")
-        svg = dot_chart(
-            dots,
-            f"Success on {title}",
-            x_title="success",
-            x_format=lambda v: format.percent(v, 0),
-            x_range=(0, 1),
-            width=340,
-        )
-        panels.append(Panel(svg=svg, title=title))
     return Figure(
         title=f"Success by {what}: {task.title}",
         caption="Dot: mean over training seeds; line: 95 % interval.",
@@ -151,12 +101,48 @@ def _parts(task: Task, part: str, what: str) -> Figure | None:
         table=Table(
             name=f"{part.replace('_', '-')}-{task.name}",
             title=f"Success by {what}",
-            columns=[
-                Column(key="part", label=what),
-                Column(key="agent", label="agent"),
-                Column(key="success", label="success", format="percent", interval=True),
-            ],
+            columns=[Column("part", what), *shared("agent", "success")],
             rows=rows,
-            sources=sources,
+            sources=[evaluation.folder for evaluation in evaluations],
         ),
     )
+
+
+def part_panels(
+    task: Task,
+    names: Iterable[str],
+    groups: Sequence[Group],
+    value: Callable[[Group, str], Interval | None],
+    axis: Axis,
+    *,
+    sign: str = "",
+) -> tuple[list[Row], list[Panel]]:
+    """Draw one dot chart per target or facet, one row per agent.
+
+    Args:
+        task: the task.
+        names: targets or facets.
+        groups: the agents.
+        value: estimate of an agent on a target or facet; None leaves the agent out.
+        axis: horizontal axis.
+        sign: written before the agents' names; values are then differences.
+
+    Returns:
+        Rows of the table, with the estimate in the column "success", and the drawings.
+    """
+    rows: list[Row] = []
+    panels = []
+    for name in names:
+        dots = []
+        for group in groups:
+            found, colour = value(group, name), task.colours[group.name]
+            if found is not None:
+                row = {"part": name, "agent": group.name, "_colour": colour}
+                rows.append(row | cells("success", found))
+                dots.append(Dot(name=sign + group.name, colour=colour, value=found))
+        if dots:
+            title = format.facet(name)
+            label = f"{axis.title} on {title}"
+            svg = dot_chart(dots, label, axis, zero=bool(sign), width=340, left=100)
+            panels.append(Panel(svg=svg, title=title))
+    return rows, panels

@@ -1,71 +1,55 @@
-"""Run folders go in; the page that says where every number came from comes out."""
+"""Page "Runs": the run folders behind the report, and their defects."""
 
-from knowarm.report.blocks import Column, Page, Row, Table, Text
-from knowarm.report.study import Study
+from knowarm.report.blocks import Block, Column, Table, Text, shared
+from knowarm.report.study import Run, Study
+
+VERSIONS = ("knowarm", "torch", "mujoco")
 
 
-def runs_page(study: Study) -> Page:
-    """Every run with its versions and machine, and everything that was wrong."""
-    rows: list[Row] = []
-    for task in study.tasks:
-        for group in task.groups:
-            for run in group.runs:
-                versions = run.provenance.get("versions", {})
-                machine = run.provenance.get("machine", {})
-                rows.append(
-                    {
-                        "task": task.title,
-                        "agent": group.name,
-                        "seed": run.seed,
-                        "folder": run.path,
-                        "commit": (run.provenance.get("commit") or "")[:10],
-                        "knowarm": versions.get("knowarm"),
-                        "torch": versions.get("torch"),
-                        "mujoco": versions.get("mujoco"),
-                        "machine": machine.get("processor"),
-                    }
-                )
-    page = Page(
+def run_blocks(study: Study) -> list[Block]:
+    """List every run with its versions and machine, and every defect of a folder."""
+    runs = Table(
         name="runs",
-        short="Runs",
-        title="Runs and sources",
-        lead="Every number of this report is computed from these folders.",
+        title="Runs",
+        columns=[
+            *shared("task", "agent", "seed"),
+            Column("folder", "folder", "path"),
+            Column("commit", "commit"),
+            *(Column(name, name) for name in VERSIONS),
+            Column("machine", "machine"),
+        ],
+        rows=[
+            {"task": task.title, "agent": group.name, "seed": run.seed, "folder": run.path}
+            | _origin(run)
+            for task in study.tasks
+            for group in task.groups
+            for run in group.runs
+        ],
+        sources=[run.path / "provenance.json" for run in study.runs],
     )
-    if study.problems:
-        page.blocks.append(
-            Table(
-                name="problems",
-                title="What was wrong, and what was done about it",
-                columns=[
-                    Column(key="path", label="folder or file", format="path"),
-                    Column(key="what", label="what was found"),
-                    Column(key="done", label="what was done"),
-                ],
-                rows=[
-                    {"path": each.path, "what": each.what, "done": each.done}
-                    for each in study.problems
-                ],
-            )
-        )
-    else:
-        page.blocks.append(Text(paragraphs=["Nothing was wrong with the folders."]))
-    page.blocks.append(
-        Table(
-            name="runs",
-            title="Runs",
-            columns=[
-                Column(key="task", label="task"),
-                Column(key="agent", label="agent"),
-                Column(key="seed", label="seed", format="integer"),
-                Column(key="folder", label="folder", format="path"),
-                Column(key="commit", label="commit"),
-                Column(key="knowarm", label="knowarm"),
-                Column(key="torch", label="torch"),
-                Column(key="mujoco", label="mujoco"),
-                Column(key="machine", label="machine"),
-            ],
-            rows=rows,
-            sources=[run.path / "provenance.json" for run in study.runs],
-        )
+    if not study.problems:
+        return [Text(paragraphs=["The folders have no defects."]), runs]
+    return [_problems(study), runs]
+
+
+def _origin(run: Run) -> dict[str, str | None]:
+    """Return the commit, the versions and the machine of a run."""
+    versions = run.provenance.get("versions", {})
+    return {
+        "commit": (run.provenance.get("commit") or "")[:10],
+        **{name: versions.get(name) for name in VERSIONS},
+        "machine": run.provenance.get("machine", {}).get("processor"),
+    }
+
+
+def _problems(study: Study) -> Table:
+    return Table(
+        name="problems",
+        title="Defects of the folders",
+        columns=[
+            Column("path", "folder or file", "path"),
+            Column("what", "found"),
+            Column("done", "handled as"),
+        ],
+        rows=[{"path": p.path, "what": p.what, "done": p.done} for p in study.problems],
     )
-    return page

@@ -1,10 +1,10 @@
 "use strict";
-// Colours: the system's choice, until the button is used.
+// Colour scheme: the system's until the button is used.
 (() => {
   const root = document.documentElement;
   const button = document.querySelector("[data-theme-button]");
   const store = { get: () => { try { return localStorage.getItem("knowarm-theme"); } catch { return null; } },
-                  set: (name) => { try { localStorage.setItem("knowarm-theme", name); } catch { /* file:// may forbid it */ } } };
+                  set: (name) => { try { localStorage.setItem("knowarm-theme", name); } catch { /* may be forbidden for file:// */ } } };
   const dark = () => root.classList.contains("dark") ||
     (!root.classList.contains("light") && matchMedia("(prefers-color-scheme: dark)").matches);
   const apply = (name) => { root.classList.remove("light", "dark"); if (name) root.classList.add(name); };
@@ -13,7 +13,7 @@
   button.addEventListener("click", () => { const name = dark() ? "light" : "dark"; apply(name); store.set(name); });
 })();
 
-// One page at a time, by the address; without a script all of them stand below one another.
+// Pages: show the one in the address; without a script all are shown, one below the other.
 (() => {
   const links = new Map([...document.querySelectorAll("nav a")].map((a) => [a.hash.slice(1), a]));
   const pages = [...document.querySelectorAll("main > section")];
@@ -31,7 +31,7 @@
   show();
 })();
 
-// One task at a time.
+// Tasks: show the selected one.
 (() => {
   const select = document.querySelector("[data-tasks]");
   if (!select) return;
@@ -42,7 +42,7 @@
   show();
 })();
 
-// A name in a legend switches its series off and on.
+// Legends: a name toggles its series.
 document.querySelectorAll("[data-toggle]").forEach((button) => {
   button.addEventListener("click", () => {
     const off = button.getAttribute("aria-pressed") === "true";
@@ -53,7 +53,7 @@ document.querySelectorAll("[data-toggle]").forEach((button) => {
   });
 });
 
-// Play and stop a film.
+// Films: play and stop.
 document.querySelectorAll("[data-play]").forEach((button) => {
   const image = button.querySelector("img");
   const poster = image.src;
@@ -64,7 +64,7 @@ document.querySelectorAll("[data-play]").forEach((button) => {
   });
 });
 
-// Line charts tell their values under the pointer.
+// Line charts: show the values under the pointer.
 (() => {
   const tip = document.querySelector(".tip");
   const short = (v) => {

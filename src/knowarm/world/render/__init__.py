@@ -1,5 +1,5 @@
-"""Geom poses and colours of a batch go in; images come out, without OpenGL."""
+"""Renderers: RGB images of batches of MuJoCo states, by ray casting on CPU and GPU or by OpenGL."""
 
-from knowarm.world.render.raycaster import Raycaster
+from knowarm.world.render.cpu import Raycaster
 
 __all__ = ["Raycaster"]

@@ -1,43 +1,68 @@
-"""A geom's record goes in; depth and value of the samples it wins come out.
+"""Fill loops of the CPU ray caster: depth and colour of the samples that a geom covers.
 
-The tiles of a geom that lie in one strip are one run of memory. One branch-free loop draws the run,
-which the compiler turns into vector code of sixteen samples, a tile.
+The tiles of a geom in one strip are contiguous in memory: one branch-free loop draws them, which
+the compiler vectorizes over the sixteen samples of a tile. Triangles of a mesh are drawn by the
+same loop, one after the other; in small images most triangles of a fine mesh lie between the
+samples and are skipped.
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from knowarm.world.render import geometry
-from knowarm.world.render.cast import sample_direction
-from knowarm.world.render.grid import BITS, TILE, Grid, sample_point
-from knowarm.world.render.numeric import Vector
-from knowarm.world.render.prepare import nine, record_paint, triple
+from knowarm.world.render import intersections
+from knowarm.world.render.intersections import (
+    BOX,
+    CAPSULE,
+    CYLINDER,
+    ELLIPSOID,
+    PLANE,
+    SPHERE,
+    Hit,
+    face_planes,
+)
+from knowarm.world.render.numeric import ONE, ZERO, Vector, minus, nine, scalar, to_parent, triple
+from knowarm.world.render.scenery import Meshes
 from knowarm.world.render.shading import shade
-from knowarm.world.render.tables import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE
+from knowarm.world.render.tiles import (
+    BITS,
+    NEAR,
+    TILE,
+    Grid,
+    first_sample,
+    last_sample,
+    sample_direction,
+    sample_point,
+)
 
 Field = tuple[NDArray[np.float32], NDArray[np.int32]]
 """Depth [m] and value (packed colour or geom id) of the samples, (strips * rows * TILE,) each."""
 
+PROJECTION = 3
+"""Numbers stored per vertex: X, Y, and 1 if it is behind the eye, else -1."""
+
 
 @njit(error_model="numpy")
 def _fill(
-    meet: Callable[[Vector, Vector, Vector], tuple[np.float32, Vector]],
+    hit: Callable[..., Hit],
+    first: tuple[Any, ...],
+    last: tuple[Any, ...],
+    window: tuple[int, int, int, int],
     record: NDArray[np.float32],
-    extent: NDArray[np.int32],
+    geom: np.int32,
     grid: Grid,
     field: Field,
     ids: bool,
 ) -> None:
-    """Draw a geom whose intersection function is ``meet``; write its id if ``ids``."""
-    origin, frame, size = triple(record, 0), nine(record, 3), triple(record, 12)
-    head, sun, colours = triple(record, 9), triple(record, 15), record_paint(record)
-    geom = extent[1]
-    upper = extent[4] >> BITS << BITS
-    rows = (extent[5] >> BITS << BITS) + TILE - upper
-    for strip in range(extent[2] >> BITS, (extent[3] >> BITS) + 1):
+    """Draw ``hit(first, direction, last)`` into columns and rows of samples."""
+    frame, head, sun = nine(record, 3), triple(record, 9), triple(record, 15)
+    paint = triple(record, 18), triple(record, 21), triple(record, 24)
+    upper = window[2] >> BITS << BITS
+    rows = (window[3] >> BITS << BITS) + TILE - upper
+    for strip in range(window[0] >> BITS, (window[1] >> BITS) + 1):
         start = (strip * grid.rows + upper) * TILE
         depth = field[0][start : start + rows * TILE]
         value = field[1][start : start + rows * TILE]
@@ -46,9 +71,8 @@ def _fill(
             lane = np.int32(k)
             column = np.int32(left + (lane & np.int32(TILE - 1)))
             x, y = sample_point(column, np.int32(top + (lane >> np.int32(BITS))), grid)
-            direction = sample_direction(x, y, frame)
-            t, normal = meet(origin, direction, size)
-            colour = shade(normal, head, sun, colours)
+            t, normal = hit(first, sample_direction(x, y, frame), last)
+            colour = shade(normal, head, sun, paint)
             farther, other = depth[k], value[k]
             closer = t < farther
             new = geom if ids else colour
@@ -57,20 +81,85 @@ def _fill(
 
 
 @njit(error_model="numpy")
-def fill(
+def fill_primitive(
     record: NDArray[np.float32], extent: NDArray[np.int32], grid: Grid, field: Field, ids: bool
 ) -> None:
-    """Draw a prepared geom of any primitive type."""
-    kind = extent[0]
+    """Draw a projected primitive."""
+    kind, geom = extent[0], extent[1]
+    origin, size = triple(record, 0), triple(record, 12)
+    window = (extent[2], extent[3], extent[4], extent[5])
     if kind == BOX:
-        _fill(geometry.box, record, extent, grid, field, ids)
+        _fill(intersections.box, origin, size, window, record, geom, grid, field, ids)
     elif kind == CYLINDER:
-        _fill(geometry.cylinder, record, extent, grid, field, ids)
+        _fill(intersections.cylinder, origin, size, window, record, geom, grid, field, ids)
     elif kind == CAPSULE:
-        _fill(geometry.capsule, record, extent, grid, field, ids)
+        _fill(intersections.capsule, origin, size, window, record, geom, grid, field, ids)
     elif kind == SPHERE:
-        _fill(geometry.sphere, record, extent, grid, field, ids)
+        _fill(intersections.sphere, origin, size, window, record, geom, grid, field, ids)
     elif kind == ELLIPSOID:
-        _fill(geometry.ellipsoid, record, extent, grid, field, ids)
+        _fill(intersections.ellipsoid, origin, size, window, record, geom, grid, field, ids)
     elif kind == PLANE:
-        _fill(geometry.plane, record, extent, grid, field, ids)
+        _fill(intersections.plane, origin, size, window, record, geom, grid, field, ids)
+
+
+@scalar
+def corners(meshes: Meshes, face: int, origin: Vector) -> tuple[Vector, Vector, Vector]:
+    """Corners of a triangle relative to an origin in the geom's frame [m]."""
+    return (
+        minus(triple(meshes.vertex[meshes.face[face, 0]], 0), origin),
+        minus(triple(meshes.vertex[meshes.face[face, 1]], 0), origin),
+        minus(triple(meshes.vertex[meshes.face[face, 2]], 0), origin),
+    )
+
+
+@njit(error_model="numpy")
+def fill_mesh(
+    record: NDArray[np.float32],
+    extent: NDArray[np.int32],
+    grid: Grid,
+    meshes: Meshes,
+    projection: NDArray[np.float32],
+    field: Field,
+    ids: bool,
+) -> None:
+    """Draw a projected mesh; ``projection`` is working memory (see ``Scratch``)."""
+    geom = extent[1]
+    span = meshes.span[geom]
+    eye, frame = triple(record, 0), nine(record, 3)
+    first = span[0]
+    # Seen from outside, the far side of a closed mesh is hidden by its near side.
+    away = minus(eye, triple(meshes.middle[geom], 0))
+    half = triple(meshes.half[geom], 0)
+    outside = (abs(away[0]) > half[0]) | (abs(away[1]) > half[1]) | (abs(away[2]) > half[2])
+    winding = np.float32(meshes.winding[geom]) if outside else ZERO
+    for i in range(span[1] - first):
+        p = to_parent(frame, minus(triple(meshes.vertex[first + i], 0), eye))
+        behind = p[2] > -NEAR
+        inverse = -ONE / (-ONE if behind else p[2])
+        projection[0, i] = p[0] * inverse
+        projection[1, i] = p[1] * inverse
+        projection[2, i] = ONE if behind else -ONE
+    for f in range(span[2], span[3]):
+        i, j, k = meshes.face[f, 0] - first, meshes.face[f, 1] - first, meshes.face[f, 2] - first
+        left, right, upper, lower = extent[2], extent[3], extent[4], extent[5]
+        if max(projection[2, i], projection[2, j], projection[2, k]) < 0:
+            x, y = projection[0], projection[1]
+            turn = (x[j] - x[i]) * (y[k] - y[i]) - (x[k] - x[i]) * (y[j] - y[i])
+            if turn * winding < ZERO:
+                continue
+            x0, x1 = min(x[i], x[j], x[k]) - grid.left, max(x[i], x[j], x[k]) - grid.left
+            y0, y1 = grid.top - max(y[i], y[j], y[k]), grid.top - min(y[i], y[j], y[k])
+            left = max(left, first_sample(x0, grid.pixel, grid.reach))
+            right = min(right, last_sample(x1, grid.pixel, grid.reach))
+            upper = max(upper, first_sample(y0, grid.step, ZERO))
+            lower = min(lower, last_sample(y1, grid.step, ZERO))
+        if (left > right) | (upper > lower):
+            continue
+        a, b, c = corners(meshes, f, eye)
+        normals = (
+            triple(meshes.normal[f], 0), triple(meshes.normal[f], 3), triple(meshes.normal[f], 6)
+        )  # fmt: skip
+        planes, window = face_planes(a, b, c), (left, right, upper, lower)
+        _fill(
+            intersections.smooth_triangle, planes, normals, window, record, geom, grid, field, ids
+        )

@@ -1,48 +1,74 @@
-"""A surface's normal and the lights go in; the packed colour of a pixel comes out.
+"""Shading: the packed colour of a surface under a headlight and a directional light.
 
-MuJoCo's fixed-function shading without specular highlights: for each colour channel
+MuJoCo's fixed-function shading without specular highlights: per colour channel
 ``rgb * (emission + sum of ambient + sum over lights of diffuse * max(0, n.l))``, at most 1.
-The headlight is directional, along the camera's view, so every light here is a direction.
+The headlight is directional, along the camera's view, so all lights here are directions.
 """
 
 import numpy as np
 
-from knowarm.world.render.numeric import HALF, ZERO, Vector, dot, scalar
+from knowarm.world.render.numeric import HALF, ZERO, Matrix, Vector, dot, scalar, times, to_local
 
 FULL = np.float32(255)
 
 Paint = tuple[Vector, Vector, Vector]
-"""Colour without light, plus a half, and what each of the two lights adds to it, 0 to 255."""
+"""RGB without light, plus a half for rounding, and RGB that headlight and directional light add at
+normal incidence, in 0..255."""
 
 
 @scalar
-def paint(rgb: Vector, glow: np.float32, lamps: tuple[Vector, Vector, Vector]) -> Paint:
-    """Multiply a geom's colour with the light: the sum of ambients, and two diffuse colours."""
-    ambient, first, second = lamps
-    r, g, b = rgb[0] * FULL, rgb[1] * FULL, rgb[2] * FULL
-    return (
-        (
-            r * (ambient[0] + glow) + HALF,
-            g * (ambient[1] + glow) + HALF,
-            b * (ambient[2] + glow) + HALF,
-        ),
-        (r * first[0], g * first[1], b * first[2]),
-        (r * second[0], g * second[1], b * second[2]),
+def light_geom(
+    rgb: Vector, emission: np.float32, lamps: tuple[Vector, Vector, Vector, Vector], matrix: Matrix
+) -> tuple[Vector, Paint]:
+    """Multiply a geom's colour by the light.
+
+    Args:
+        rgb: colour of the geom, in 0..1.
+        emission: emission of its material.
+        lamps: sum of ambient colours, diffuse colours of headlight and directional light, and the
+            unit vector towards the latter, world frame.
+        matrix: rotation from geom to world.
+
+    Returns:
+        The unit vector towards the directional light in the geom's frame, and the paint.
+    """
+    ambient, head, sun, towards_sun = lamps
+    r, g, b = times(rgb, FULL)
+    dark = (
+        r * (ambient[0] + emission) + HALF,
+        g * (ambient[1] + emission) + HALF,
+        b * (ambient[2] + emission) + HALF,
     )
+    paint = (
+        dark,
+        (r * head[0], g * head[1], b * head[2]),
+        (r * sun[0], g * sun[1], b * sun[2]),
+    )
+    return to_local(matrix, towards_sun), paint
 
 
 @scalar
 def _channel(value: np.float32) -> np.int32:
-    """Round down to a byte; the half that rounds to the nearest is in the paint already."""
+    """Convert to a byte by rounding down; the paint already holds the half that rounds."""
     return np.int32(min(value, FULL))
 
 
 @scalar
-def shade(normal: Vector, first: Vector, second: Vector, colours: Paint) -> np.int32:
-    """Light a surface. Normal and the unit vectors towards both lights share one frame."""
-    dark, head, sun = colours
-    a, b = max(dot(normal, first), ZERO), max(dot(normal, second), ZERO)
-    red = _channel(dark[0] + a * head[0] + b * sun[0])
-    green = _channel(dark[1] + a * head[1] + b * sun[1])
-    blue = _channel(dark[2] + a * head[2] + b * sun[2])
+def shade(normal: Vector, head: Vector, sun: Vector, paint: Paint) -> np.int32:
+    """Shade a surface.
+
+    Args:
+        normal: unit normal of the surface.
+        head: unit vector towards the headlight, in the frame of the normal.
+        sun: unit vector towards the directional light, in the frame of the normal.
+        paint: from ``light_geom``.
+
+    Returns:
+        Red, green and blue in the lowest three bytes.
+    """
+    dark, by_head, by_sun = paint
+    a, b = max(dot(normal, head), ZERO), max(dot(normal, sun), ZERO)
+    red = _channel(dark[0] + a * by_head[0] + b * by_sun[0])
+    green = _channel(dark[1] + a * by_head[1] + b * by_sun[1])
+    blue = _channel(dark[2] + a * by_head[2] + b * by_sun[2])
     return np.int32(red | np.int32(green << np.int32(8)) | np.int32(blue << np.int32(16)))

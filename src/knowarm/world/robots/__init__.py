@@ -1,11 +1,72 @@
-"""A robot's name goes in; its ``Robot`` description comes out."""
+"""Robots: their descriptions, titles and Gymnasium ids. MJCF files are in the folders beside."""
 
-from knowarm.world.robot import Robot
-from knowarm.world.robots.irb120 import IRB120
-from knowarm.world.robots.tiago import TIAGO
+from dataclasses import dataclass
+from pathlib import Path
 
-ROBOTS: dict[str, Robot] = {
-    "irb120": IRB120,
-    "tiago": TIAGO,
+from knowarm.world.robot import Robot, Table
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotEntry:
+    """A robot of the registry."""
+
+    env_id: str
+    """Gymnasium id of its reaching task, without the namespace ``knowarm/``."""
+
+    robot: Robot
+    """Description from which a scene is built."""
+
+    @property
+    def title(self) -> str:
+        """Name for readers, as in "ABB IRB120"."""
+        return self.robot.title
+
+
+_FOLDER = Path(__file__).parent
+
+_IRB120 = Robot(
+    name="irb120",
+    title="ABB IRB120",
+    mjcf=_FOLDER / "irb120" / "irb120.xml",
+    joints=("joint_1", "joint_2", "joint_3", "joint_4", "joint_5", "joint_6"),
+    tcp_site="tcp",
+    home=(0.0, 0.0, 0.4, 0.0, 0.2, 0.0),
+    # the paper's 60 x 20 cm rectangle, on the floor in front of the robot
+    rectangle_centre_m=(0.47, 0.0),
+    rectangle_half_size_m=(0.10, 0.30),
+    # the mug's handle and the bottle are turned so that the wrist stays within its range
+    target_yaw_deg=-165.0,
+    target_yaws_deg={"cereal_box": -135.0},
+    # at the right front of the robot; the view contains the workspace but not the robot's base
+    camera_position_m=(1.25, -0.90, 0.95),
+    camera_look_at_m=(0.42, -0.03, 0.20),
+    camera_fovy_deg=40.0,
+)
+"""6 joints, reach .580 m to the wrist centre, two-finger gripper."""
+
+_TIAGO = Robot(
+    name="tiago",
+    title="PAL TIAGo",
+    mjcf=_FOLDER / "tiago" / "tiago.xml",
+    joints=tuple(f"arm_{i}_joint" for i in range(1, 8)),
+    tcp_site="tcp",
+    home=(0.206, -0.036, -1.67, 1.79, 0.57, -0.56, -0.6),
+    table=Table(half_size_m=(0.25, 0.35), centre_m=(0.78, -0.08), height_m=0.60),
+    # the paper's 20 x 25 cm rectangle
+    rectangle_centre_m=(0.70, -0.08),
+    rectangle_half_size_m=(0.10, 0.125),
+    target_yaw_deg=-135.0,
+    camera_position_m=(1.35, -0.95, 1.50),
+    camera_look_at_m=(0.66, -0.06, 0.78),
+    camera_fovy_deg=34.0,
+)
+"""7 arm joints, torso lift fixed at .35 m, two-finger gripper, table."""
+
+ROBOTS: dict[str, RobotEntry] = {
+    "irb120": RobotEntry(env_id="IRB120Reach-v0", robot=_IRB120),
+    "tiago": RobotEntry(env_id="TiagoReach-v0", robot=_TIAGO),
 }
-"""Every robot by name. A new one is a folder beside these and one line here."""
+"""Robots by name. To add one, put its MJCF file in a folder here and add an entry."""
+
+DEFAULT_ROBOT = "irb120"
+"""Robot of an ``EnvConfig`` that names none."""

@@ -1,0 +1,224 @@
+"""Comparison of training speed: KnowArm's PPO and A3C with sb3-contrib's RecurrentPPO.
+
+    pip install 'knowarm[bench]'
+    python benchmarks/compare_learn.py --json runs/bench/compare-learn.json
+
+All train the same task with networks, epochs and minibatches of the same size, in one run.
+"""
+
+import os
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import tyro
+from gymnasium import spaces
+from sb3_contrib import RecurrentPPO
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv
+from torch import Tensor, nn
+
+from knowarm.bench.learn import (
+    LearnBenchConfig,
+    Row,
+    a3c_row,
+    ppo_row,
+    raycaster_row,
+    summarize_rows,
+)
+from knowarm.cli.bench import print_learn
+from knowarm.cli.tables import check_json_path, write_json_table
+from knowarm.experiment.build import build
+from knowarm.experiment.registry import experiment_config
+from knowarm.learn import PPOConfig
+from knowarm.learn.sb3_vec_env import SB3VecEnv
+from knowarm.policy import Policy
+from knowarm.world.config import EnvConfig
+from knowarm.world.knowledge_observation import KnowledgeObservation, VectorKnowledgeObservation
+from knowarm.world.single_env import ReachEnv
+from knowarm.world.vector_env import ReachVectorEnv
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompareLearnConfig(LearnBenchConfig):
+    """Settings of the comparison."""
+
+    turns: int = 3
+    """How often KnowArm's and sb3-contrib's PPO are measured alternately; the median counts."""
+
+    opengl: bool = True
+    """Also train on single environments with MuJoCo's OpenGL renderer (needs EGL or OSMesa)."""
+
+    opengl_envs: int = 8
+    """Number of these environments; more do not increase their speed."""
+
+    json: Path | None = None
+    """Also write the table to this JSON file."""
+
+
+def compare_learn(config: CompareLearnConfig) -> dict[str, Any]:
+    """Measure environment steps per second of training for all learners.
+
+    Returns:
+        The result of ``bench_learn`` with the rows ``sb3`` and ``sb3-opengl`` added,
+        ``ratio_vs_sb3`` (KnowArm's PPO over RecurrentPPO on KnowArm's vector environment) and
+        ``ratio_vs_sb3_opengl`` (over RecurrentPPO on single environments; None if left out).
+    """
+    # The processes of the single environments read it when they start.
+    os.environ.setdefault("MUJOCO_GL", "egl")
+    torch.set_num_threads(config.cores)
+    # Alternately and more than once, since the speed of a machine varies with time.
+    turns = [(ppo_row(config), sb3_row(config, opengl=False)) for _ in range(config.turns)]
+    ppo, sb3 = (_median(rows) for rows in zip(*turns, strict=True))
+    rows = [
+        raycaster_row(config),
+        ppo,
+        a3c_row(config, "a3c", workers=17, envs_per_worker=1),
+        a3c_row(config, "a3c-batched", workers=config.cores, envs_per_worker=128),
+        sb3,
+    ]
+    if config.opengl:
+        rows.append(sb3_row(config, opengl=True))
+    speed = {row["name"]: row["steps_per_s"] for row in rows}
+    return summarize_rows(config, rows) | {
+        "ratio_vs_sb3": speed["ppo"] / speed["sb3"],
+        "ratio_vs_sb3_opengl": speed["ppo"] / speed["sb3-opengl"] if config.opengl else None,
+    }
+
+
+def _median(rows: tuple[Row, ...]) -> Row:
+    """Return the row of median speed."""
+    return sorted(rows, key=lambda row: row["steps_per_s"])[len(rows) // 2]
+
+
+def sb3_row(config: CompareLearnConfig, *, opengl: bool) -> Row:
+    """Measure RecurrentPPO on KnowArm's vector environment, or on single ones with OpenGL."""
+    chosen, ppo = experiment_config(config.experiment), config.ppo()
+    parts = build(chosen)
+    env: VecEnv
+    if opengl:
+        # A quarter of the rollout, which would take a minute; the cost per step is the same.
+        ppo = replace(ppo, num_envs=config.opengl_envs, rollout_steps=100)
+        env = single_environments(
+            replace(chosen.env, renderer="opengl"), parts.table, config.opengl_envs
+        )
+    else:
+        vector = ReachVectorEnv(chosen.env, ppo.num_envs, num_threads=config.cores)
+        env = SB3VecEnv(VectorKnowledgeObservation(vector, parts.table), seed=config.seed)
+    clock = RolloutClock(config.seconds)
+    model = recurrent_ppo(parts.new_policy(0), ppo, env, seed=config.seed)
+    model.learn(10**9, callback=clock)
+    env.close()
+    (first_step, first_s), (last_step, last_s) = clock.marks[1], clock.marks[-1]
+    where = "single environments, MuJoCo's OpenGL" if opengl else "KnowArm's vector environment"
+    return {
+        "name": "sb3-opengl" if opengl else "sb3",
+        "what": f"sb3-contrib, RecurrentPPO, {where}",
+        "envs": ppo.num_envs,
+        "steps_per_s": (last_step - first_step) / (last_s - first_s),
+        "parameters": parameter_count(model),
+        "parameters_knowarm": sum(p.numel() for p in parts.new_policy(0).parameters()),
+    }
+
+
+class PaperFeatures(BaseFeaturesExtractor):
+    """The paper's image encoder, concatenated with the knowledge: the input of the LSTM."""
+
+    def __init__(self, observation_space: spaces.Dict, features: int) -> None:
+        knowledge = int(np.prod(observation_space["knowledge"].shape or (0,)))
+        super().__init__(observation_space, features + knowledge)
+        self.image = nn.Sequential(
+            nn.Conv2d(3, 16, 3, stride=4),
+            nn.ReLU(),
+            nn.Conv2d(16, 32, 5, stride=2),
+            nn.ReLU(),
+            nn.Flatten(),
+            nn.LazyLinear(features),
+            nn.ReLU(),
+        )
+        self.image(torch.zeros(1, *(observation_space["image"].shape or ())))
+
+    def forward(self, observations: dict[str, Tensor]) -> Tensor:
+        """(N, 3, H, W) scaled to 0..1 and (N, K) -> (N, features + K)."""
+        return torch.cat((self.image(observations["image"]), observations["knowledge"]), 1)
+
+
+def recurrent_ppo(policy: Policy, config: PPOConfig, env: VecEnv, *, seed: int) -> RecurrentPPO:
+    """Build RecurrentPPO with KnowArm's network, epochs and minibatches.
+
+    One LSTM serves actor and critic, and the heads are single layers, as in KnowArm.
+    """
+    steps = config.rollout_steps * config.num_envs
+    return RecurrentPPO(
+        "MultiInputLstmPolicy",
+        env,
+        learning_rate=config.learning_rate,
+        n_steps=steps // env.num_envs,
+        batch_size=steps // config.minibatches,
+        n_epochs=config.epochs,
+        gamma=config.gamma,
+        gae_lambda=config.gae_lambda,
+        clip_range=config.clip_range,
+        ent_coef=config.ent_coef,
+        vf_coef=config.vf_coef,
+        max_grad_norm=config.max_grad_norm,
+        policy_kwargs={
+            "features_extractor_class": PaperFeatures,
+            "features_extractor_kwargs": {"features": policy.fc.out_features},
+            "lstm_hidden_size": policy.hidden_size,
+            "shared_lstm": True,
+            "enable_critic_lstm": False,
+            "net_arch": [],
+        },
+        seed=seed,
+        device="cpu",
+    )
+
+
+def single_environments(config: EnvConfig, table: np.ndarray, count: int) -> VecEnv:
+    """Make ``count`` single environments in one process each, as Stable-Baselines3 does."""
+
+    def make() -> KnowledgeObservation:
+        return KnowledgeObservation(ReachEnv(**vars(config)), table)
+
+    return SubprocVecEnv([make] * count, start_method="spawn")
+
+
+class RolloutClock(BaseCallback):
+    """Record steps and time at the start of every rollout, and end the training.
+
+    Args:
+        seconds: how long to train after the first rollout and update [s].
+    """
+
+    def __init__(self, seconds: float) -> None:
+        super().__init__()
+        self._seconds = seconds
+        self.marks: list[tuple[int, float]] = []
+
+    def _on_rollout_start(self) -> None:
+        self.marks.append((self.num_timesteps, time.perf_counter()))
+
+    def _on_step(self) -> bool:
+        return len(self.marks) < 3 or self.marks[-1][1] - self.marks[1][1] < self._seconds
+
+
+def parameter_count(model: Any) -> int:
+    """Count the parameters of the policy of a Stable-Baselines3 model."""
+    return sum(p.numel() for p in model.policy.parameters())
+
+
+def main() -> None:
+    config = tyro.cli(CompareLearnConfig, description=__doc__)
+    check_json_path(config.json)
+    result = compare_learn(config)
+    print_learn(result)
+    write_json_table(config.json, result)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,113 @@
+"""Timing of work on a device: seconds per call, and seconds per named part."""
+
+import math
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from typing import Any
+
+import psutil
+import torch
+
+
+def cpu_seconds() -> float:
+    """Return the CPU time used so far by this process and its child processes [s]."""
+    # The system counts other processes' time in ticks of 10 ms: a short measurement may see none.
+    children = psutil.Process().children(recursive=True)
+    return time.process_time() + sum(sum(child.cpu_times()[:2]) for child in children)
+
+
+def synchronize(device: torch.device) -> None:
+    """Wait until a device has finished all launched work. Does nothing for the CPU."""
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+
+
+def seconds_per_call(run: Callable[[], Any], seconds: float, device: torch.device) -> float:
+    """Measure the mean time of a call of ``run``.
+
+    The number of calls is fixed before each measurement and increased until the measurement lasts
+    long enough, so that nothing waits for the device between calls.
+
+    Args:
+        run: function to time. Call it a few times before, so that no compilation is included.
+        seconds: minimum length of the measurement [s].
+        device: device on which the work is done.
+
+    Returns:
+        Time per call by the host's clock [s].
+    """
+    calls = 1
+    while True:
+        synchronize(device)
+        begin = time.perf_counter()
+        for _ in range(calls):
+            run()
+        synchronize(device)
+        elapsed = time.perf_counter() - begin
+        if elapsed >= seconds:
+            return elapsed / calls
+        calls = min(10 * calls, math.ceil(1.2 * calls * seconds / max(elapsed, 1e-9)))
+
+
+class PartClock:
+    """Total time spent in functions, by name.
+
+    On a GPU, two CUDA events on the current stream enclose each call: the time between them is the
+    time of the call's kernels, plus idle time if the host launches too slowly. On the CPU the
+    host's clock is used.
+
+    Args:
+        device: device on which the functions do their work.
+    """
+
+    def __init__(self, device: torch.device) -> None:
+        self._device = device
+        self._seconds: defaultdict[str, float] = defaultdict(float)
+        self._events: list[tuple[str, torch.cuda.Event, torch.cuda.Event]] = []
+        self._timed_methods: list[tuple[Any, str]] = []
+
+    def timed(self, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Return the function wrapped so that its time is added to the total of ``name``."""
+        wrap = self._on_gpu if self._device.type == "cuda" else self._on_cpu
+        return wrap(name, function)
+
+    def time_methods(self, name: str, owner: Any, *methods: str) -> None:
+        """Add the time of an object's methods to the total of ``name``, until ``restore``."""
+        for method in methods:
+            setattr(owner, method, self.timed(name, getattr(owner, method)))
+            self._timed_methods.append((owner, method))
+
+    def restore(self) -> None:
+        """Stop timing methods: the objects use the methods of their classes again."""
+        for owner, method in self._timed_methods:
+            delattr(owner, method)
+        self._timed_methods.clear()
+
+    def seconds(self) -> dict[str, float]:
+        """Wait for the device and return the total time of each name so far [s]."""
+        synchronize(self._device)
+        for name, begin, end in self._events:
+            self._seconds[name] += begin.elapsed_time(end) / 1000
+        self._events.clear()
+        return dict(self._seconds)
+
+    def _on_cpu(self, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any, **options: Any) -> Any:
+            begin = time.perf_counter()
+            result = function(*arguments, **options)
+            self._seconds[name] += time.perf_counter() - begin
+            return result
+
+        return call
+
+    def _on_gpu(self, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any, **options: Any) -> Any:
+            begin, end = (torch.cuda.Event(enable_timing=True) for _ in range(2))
+            begin.record()
+            result = function(*arguments, **options)
+            end.record()
+            self._events.append((name, begin, end))
+            return result
+
+        return call

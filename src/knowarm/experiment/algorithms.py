@@ -1,0 +1,95 @@
+"""Registry of learning algorithms: default config, trainer and training length of each."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol, cast
+
+from knowarm.learn import (
+    A3CConfig,
+    A3CTrainer,
+    MakeEvaluate,
+    PPOConfig,
+    PPOTrainer,
+    TorchVectorEnv,
+    Trainer,
+)
+from knowarm.learn.config import AlgorithmConfig
+from knowarm.policy import Policy
+
+
+class MakeEnv(Protocol):
+    """Picklable factory of training environments."""
+
+    def __call__(
+        self, num_envs: int, num_threads: int = 0, *, device: str = "cpu"
+    ) -> TorchVectorEnv:
+        """Make ``num_envs`` environments on a device, with ``num_threads`` threads (0: all)."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainerInputs:
+    """Everything a trainer is built from."""
+
+    config: AlgorithmConfig
+    """Hyperparameters, of the type of ``Algorithm.config``."""
+    policy: Policy
+    """The policy to train in place."""
+    make_env: MakeEnv
+    """Makes the training environments."""
+    make_evaluate: MakeEvaluate
+    """Makes the interim evaluation."""
+    options: Mapping[str, Any]
+    """Keyword arguments of the base class `knowarm.learn.Trainer`, such as ``seed``."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Algorithm:
+    """One learning algorithm and the defaults of its experiments."""
+
+    about: str
+    """One line for ``knowarm list``."""
+    config: AlgorithmConfig
+    """Default hyperparameters; the value of their literal ``name`` is the name in the registry."""
+    make_trainer: Callable[[TrainerInputs], Trainer]
+    """Builds a trainer."""
+    total_steps: int
+    """Environment steps of an experiment, over all environments."""
+    policy: Mapping[str, Any] = field(default_factory=dict)
+    """Fields of the policy's config that have other values under this algorithm."""
+
+
+def _make_ppo(inputs: TrainerInputs) -> Trainer:
+    config = cast(PPOConfig, inputs.config)
+    env = inputs.make_env(config.num_envs, device=config.device)
+    if config.device == "cpu":
+        evaluation: dict[str, Any] = {"evaluate": inputs.make_evaluate()}
+    else:
+        # The interim episodes are played on the CPU: on a GPU they would take as long as training.
+        evaluation = {"make_evaluate": inputs.make_evaluate}
+    return PPOTrainer(config, inputs.policy, env, **evaluation, **inputs.options)
+
+
+def _make_a3c(inputs: TrainerInputs) -> Trainer:
+    config = cast(A3CConfig, inputs.config)
+    evaluation = {"make_evaluate": inputs.make_evaluate}
+    return A3CTrainer(config, inputs.policy, inputs.make_env, **evaluation, **inputs.options)
+
+
+ALGORITHMS: dict[str, Algorithm] = {
+    "ppo": Algorithm(
+        about="recurrent proximal policy optimization; on CPU or GPU",
+        config=PPOConfig(),
+        make_trainer=_make_ppo,
+        total_steps=10_000_000,
+        policy={"pixel_shift": 0.5, "pixel_scale": 4.0},
+    ),
+    "a3c": Algorithm(
+        about="asynchronous advantage actor-critic with the paper's numbers; on CPU",
+        config=A3CConfig(),
+        make_trainer=_make_a3c,
+        total_steps=70_000_000,
+        policy={"pixel_shift": 0.0, "pixel_scale": 1.0},
+    ),
+}
+"""Every algorithm by name; the first is the demo's."""

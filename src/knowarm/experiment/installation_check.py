@@ -1,0 +1,134 @@
+"""Checks of the installation: packages, knowledge, simulation, policy, memory, disk, GPU."""
+
+import os
+import shutil
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import psutil
+import torch
+
+from knowarm.errors import UserError
+from knowarm.experiment.build import build
+from knowarm.experiment.registry import DEFAULT_EXPERIMENT, experiment_config
+from knowarm.experiment.run_folder import provenance
+from knowarm.world.agents import OracleAgent
+from knowarm.world.config import EnvConfig
+from knowarm.world.robot_check import Check
+from knowarm.world.vector_env import ReachVectorEnv
+
+MIN_MEMORY_GIB = 2.0
+"""Free memory that training needs."""
+
+MIN_DISK_GIB = 1.0
+"""Free disk space that a training run needs."""
+
+
+def check_installation(runs: Path) -> list[Check]:
+    """Check every part of the installation by using it once.
+
+    Args:
+        runs: output folder of training runs.
+    """
+    return [
+        _checked("versions", _versions),
+        _checked("knowledge", _knowledge),
+        _checked("world", _world),
+        _checked("policy", _policy),
+        _memory(),
+        _disk(runs),
+        _gpu(),
+    ]
+
+
+def _checked(name: str, check: Callable[[], str]) -> Check:
+    """Run one check; any exception is its failure."""
+    try:
+        return Check(name=name, ok=True, found=check())
+    except Exception as error:  # whatever is broken is reported, not raised
+        return Check(
+            name=name,
+            ok=False,
+            found=f"{type(error).__name__}: {error}",
+            remedy="Install knowarm in a new virtual environment, see README.md.",
+        )
+
+
+def _versions() -> str:
+    found = provenance()["versions"]
+    missing = [name for name, version in found.items() if version is None]
+    if missing:
+        raise UserError(f"not installed: {', '.join(missing)}")
+    return ", ".join(f"{name} {version}" for name, version in found.items())
+
+
+def _knowledge() -> str:
+    parts = build(experiment_config(DEFAULT_EXPERIMENT))
+    coverage = parts.embedding.describe()["coverage"]
+    share = 100 * coverage["share"]
+    return f"vector of {parts.embedding.dim} numbers, {share:.0f} % of labels covered"
+
+
+def _world() -> str:
+    """Check that the oracle agent approaches the target and that the image is not uniform."""
+    env = ReachVectorEnv(EnvConfig(), 4)
+    images, infos = env.reset(seed=0)
+    agent = OracleAgent(0)
+    agent.start(env)
+    before = infos["angle"].mean()
+    for _ in range(5):
+        images, _, _, _, infos = env.step(agent.act(images))
+    if not np.ptp(images) > 50 or not infos["angle"].mean() < before:
+        raise UserError("the simulation runs, but the image is uniform or the arm does not move")
+    return "simulation and ray caster work, without OpenGL"
+
+
+def _policy() -> str:
+    parts = build(experiment_config(DEFAULT_EXPERIMENT))
+    policy = parts.new_policy(0)
+    image = torch.zeros(1, 64, 64, 3, dtype=torch.uint8)
+    facet, start = torch.zeros(1, dtype=torch.int64), torch.ones(1, dtype=torch.bool)
+    logits, _, _ = policy.step(image, facet, policy.initial_state(1), start)
+    if not bool(torch.isfinite(logits).all()):
+        raise UserError("the network's outputs are not finite")
+    return f"{policy.parameter_counts()['total']:,} parameters, {torch.get_num_threads()} threads"
+
+
+def _memory() -> Check:
+    free = psutil.virtual_memory().available / 2**30
+    return Check(
+        name="memory",
+        ok=free >= MIN_MEMORY_GIB,
+        found=f"{free:.1f} GiB free, {os.cpu_count()} cores",
+        remedy=f"Training needs {MIN_MEMORY_GIB:.0f} GiB: close other programs.",
+    )
+
+
+def _disk(runs: Path) -> Check:
+    """Check the output folder, or its nearest parent that exists."""
+    folder = next(
+        parent for parent in [runs.absolute(), *runs.absolute().parents] if parent.exists()
+    )
+    free = shutil.disk_usage(folder).free / 2**30
+    writable = folder.is_dir() and os.access(folder, os.W_OK)
+    return Check(
+        name="output folder",
+        ok=writable and free >= MIN_DISK_GIB,
+        found=f"{runs}: {'writable' if writable else 'not writable'}, {free:.1f} GiB free",
+        remedy="Choose another folder for runs.",
+    )
+
+
+def _gpu() -> Check:
+    """Describe the GPU; training does not need one."""
+    if torch.cuda.is_available():
+        return Check(name="GPU", ok=True, found=torch.cuda.get_device_name())
+    torch_build = "built with CUDA" if torch.version.cuda else "built without CUDA"
+    return Check(
+        name="GPU",
+        ok=True,
+        found=f"none (torch is {torch_build}; Python {sys.version_info.major}."
+        f"{sys.version_info.minor}); training runs on the CPU",
+    )

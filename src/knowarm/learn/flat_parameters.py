@@ -1,0 +1,62 @@
+"""Flat parameters: all parameters and gradients of a module as two vectors."""
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+
+class FlatParameters:
+    """The parameters of a module as one vector, in the order of ``named_parameters``.
+
+    The module's parameters become views: writing the vector changes the module, and a backward
+    pass fills the gradient vector.
+
+    Args:
+        module: its parameters keep their values and move to new memory.
+
+    Attributes:
+        values: (P,) float32.
+        gradient: (P,) float32.
+    """
+
+    def __init__(self, module: nn.Module) -> None:
+        values = torch.cat([p.detach().flatten() for p in module.parameters()])
+        self._bind(module, values, torch.zeros_like(values))
+
+    @classmethod
+    def bind(cls, module: nn.Module, values: Tensor, gradient: Tensor) -> "FlatParameters":
+        """Make a module's parameters views of two vectors (P,); it takes over their values."""
+        flat = cls.__new__(cls)
+        flat._bind(module, values, gradient)
+        return flat
+
+    def _bind(self, module: nn.Module, values: Tensor, gradient: Tensor) -> None:
+        self.values, self.gradient = values, gradient
+        start = 0
+        for parameter in module.parameters():
+            end = start + parameter.numel()
+            parameter.data = values[start:end].view_as(parameter)
+            parameter.grad = gradient[start:end].view_as(parameter)
+            start = end
+
+    def clip_gradient(self, max_norm: float) -> Tensor:
+        """Scale the gradient down to ``max_norm`` if it is longer; return its norm before."""
+        norm = torch.linalg.vector_norm(self.gradient)
+        if norm > max_norm:
+            self.gradient.mul_(max_norm / norm)
+        return norm
+
+
+def flatten_parameters(module: nn.Module) -> np.ndarray:
+    """Copy all parameters of a module into one vector (P,) float32 on the host."""
+    return torch.cat([p.detach().flatten() for p in module.parameters()]).cpu().numpy()
+
+
+def unflatten_parameters(module: nn.Module, values: np.ndarray) -> dict[str, np.ndarray]:
+    """Split a vector (P,) into arrays with the names and shapes of a module's parameters."""
+    arrays, start = {}, 0
+    for name, parameter in module.named_parameters():
+        end = start + parameter.numel()
+        arrays[name] = values[start:end].reshape(parameter.shape).copy()
+        start = end
+    return arrays

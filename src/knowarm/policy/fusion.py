@@ -1,0 +1,156 @@
+"""Knowledge fusion: the places where the knowledge vector enters the network.
+
+A fusion is one subclass of `Fusion` and one entry of `FUSIONS`.
+"""
+
+import math
+from typing import ClassVar, Literal
+
+import torch
+from torch import Tensor, nn
+
+from knowarm.policy.encoder import ImageEncoder, orthogonal
+
+Layer = Literal["fc", "lstm", "actor", "critic"]
+"""Layers whose input a fusion can change: fully connected layer, LSTM, actor heads, critic."""
+
+
+class Fusion(nn.Module):
+    """No fusion, and the base class of all others.
+
+    Args:
+        features: output width of the fully connected layer, F.
+        knowledge: width of the encoded knowledge, K.
+        slots: number of equally wide parts of the knowledge.
+    """
+
+    def __init__(self, features: int, knowledge: int, slots: int) -> None:
+        super().__init__()
+        self.knowledge = knowledge
+
+    def reset_parameters(self, generator: torch.Generator) -> None:
+        """Initialize the fusion's own parameters, if it has any."""
+
+    def extra_inputs(self, layer: Layer) -> int:
+        """Return the number of inputs that the fusion adds to a layer."""
+        return 0
+
+    def forward(self, layer: Layer, x: Tensor, knowledge: Tensor) -> Tensor:
+        """Combine the activations before a layer with the knowledge.
+
+        Args:
+            layer: the layer that receives the result.
+            x: (N, width) activations.
+            knowledge: (N, K) encoded knowledge.
+
+        Returns:
+            (N, width + extra inputs of the layer).
+        """
+        return x
+
+
+class Concatenation(Fusion):
+    """Concatenate the knowledge to the inputs of ``layers``."""
+
+    layers: ClassVar[tuple[Layer, ...]]
+
+    def extra_inputs(self, layer: Layer) -> int:
+        """As `Fusion.extra_inputs`."""
+        return self.knowledge if layer in self.layers else 0
+
+    def forward(self, layer: Layer, x: Tensor, knowledge: Tensor) -> Tensor:
+        """As `Fusion.forward`."""
+        return torch.cat((x, knowledge), 1) if layer in self.layers else x
+
+
+class BeforeFC(Concatenation):
+    """Knowledge next to the convolution features."""
+
+    layers = ("fc",)
+
+
+class BeforeLSTM(Concatenation):
+    """Knowledge next to the LSTM's other inputs, as in the paper (section 4.2.2)."""
+
+    layers = ("lstm",)
+
+
+class AfterLSTM(Concatenation):
+    """Knowledge next to the hidden state, for actor and critic."""
+
+    layers = ("actor", "critic")
+
+
+class CriticOnly(Concatenation):
+    """Knowledge for the critic alone: the actor needs none when the policy is used."""
+
+    layers = ("critic",)
+
+
+class FiLM(Fusion):
+    """Feature-wise linear modulation of the second convolution's channels.
+
+    ``x[p, c] -> (1 + gamma_c(k)) x[p, c] + beta_c(k)`` at every position p (Perez et al. 2018,
+    with the 1 added so that the initial network is nearly unmodulated).
+    """
+
+    def __init__(self, features: int, knowledge: int, slots: int) -> None:
+        super().__init__(features, knowledge, slots)
+        self.modulation = nn.Linear(knowledge, 2 * ImageEncoder.channels)
+
+    def reset_parameters(self, generator: torch.Generator) -> None:
+        """Initialize orthogonally with a small gain, for a modulation near the identity."""
+        orthogonal(self.modulation, 0.1, generator)
+
+    def forward(self, layer: Layer, x: Tensor, knowledge: Tensor) -> Tensor:
+        """Modulate the convolution features: (N, positions * channels), (N, K) -> the same."""
+        if layer != "fc":
+            return x
+        gamma, beta = self.modulation(knowledge)[:, None].chunk(2, 2)
+        maps = x.view(x.shape[0], -1, ImageEncoder.channels)
+        return torch.addcmul(beta, 1 + gamma, maps).flatten(1)
+
+
+class Attention(Fusion):
+    """Cross-attention from the image features to the slots of the knowledge.
+
+    ``q = W_q x``, ``k_s = W_k slot_s``, ``v_s = W_v slot_s``; the attention output
+    ``sum_s softmax_s(q . k_s / sqrt(d)) v_s`` is concatenated to the LSTM's inputs.
+    """
+
+    def __init__(self, features: int, knowledge: int, slots: int) -> None:
+        super().__init__(features, knowledge, slots)
+        self.slots, width = slots, knowledge // slots
+        self.query = nn.Linear(features, width)
+        self.key = nn.Linear(width, width)
+        self.value = nn.Linear(width, width)
+
+    def reset_parameters(self, generator: torch.Generator) -> None:
+        """Initialize the three linear maps orthogonally."""
+        for layer in (self.query, self.key, self.value):
+            orthogonal(layer, 1.0, generator)
+
+    def extra_inputs(self, layer: Layer) -> int:
+        """As `Fusion.extra_inputs`."""
+        return self.knowledge // self.slots if layer == "lstm" else 0
+
+    def forward(self, layer: Layer, x: Tensor, knowledge: Tensor) -> Tensor:
+        """Attend to the slots before the LSTM: (N, F), (N, K) -> (N, F + K / slots)."""
+        if layer != "lstm":
+            return x
+        slots = knowledge.view(knowledge.shape[0], self.slots, -1)
+        scores = (self.query(x)[:, None] * self.key(slots)).sum(2) / math.sqrt(slots.shape[2])
+        mixture = (torch.softmax(scores, 1)[:, :, None] * self.value(slots)).sum(1)
+        return torch.cat((x, mixture), 1)
+
+
+FUSIONS: dict[str, type[Fusion]] = {
+    "none": Fusion,
+    "before_fc": BeforeFC,
+    "before_lstm": BeforeLSTM,
+    "after_lstm": AfterLSTM,
+    "film": FiLM,
+    "attention": Attention,
+    "critic": CriticOnly,
+}
+"""Fusions by name, as `PolicyConfig.fusion` gives it."""

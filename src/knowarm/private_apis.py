@@ -1,0 +1,61 @@
+"""Private APIs of other libraries: every use in KnowArm, with its reason.
+
+tests/test_private_apis.py fails where a new version of a library lacks one of them.
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial, update_wrapper
+from types import CellType, FunctionType
+from typing import Any
+
+import torch
+
+
+def cpu_has_bfloat16() -> bool:
+    """Tell whether the CPU multiplies bfloat16 matrices in hardware (AVX512-BF16 or AMX).
+
+    PyTorch has no public function for it: ``torch.backends.cpu.get_cpu_capability`` names the
+    vector instructions and leaves out both extensions.
+    """
+    return bool(torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported())
+
+
+def key_numba_cache(function: Callable[..., Any], key: str) -> Callable[..., Any]:
+    """Make a string part of the key under which Numba caches a function on disk.
+
+    Reason: Numba's key covers the function's own file only, not the files of the functions that it
+    calls, so an edit there would go unnoticed, and no option extends the key. The key also covers
+    the closure variables, hence the string becomes one.
+
+    Args:
+        function: a Python function without closure variables, to be compiled with ``cache=True``.
+        key: for instance a digest of the source files of all functions that are called.
+
+    Returns:
+        A copy of the function with ``key`` as its closure variable.
+    """
+    code = function.__code__.replace(co_freevars=("key",))
+    keyed = FunctionType(code, function.__globals__, closure=(CellType(key),))
+    return update_wrapper(keyed, function)
+
+
+@contextmanager
+def no_fused_multiply_add() -> Iterator[None]:
+    """Compile the CUDA kernels that are first launched inside this context without FMA.
+
+    Reason: a fused multiply-add rounds once where the CPU rounds twice, and images of CPU and GPU
+    must be equal. NVVM has the option ``fma``; ``numba.cuda.jit`` does not pass it on, so it is set
+    where Numba calls NVVM.
+    """
+    from numba.cuda.cudadrv import nvvm
+
+    compile_ir = getattr(nvvm, "compile_ir", None)
+    if compile_ir is None:  # Numba's CUDA simulator compiles nothing.
+        yield
+        return
+    nvvm.compile_ir = partial(compile_ir, fma=False)
+    try:
+        yield
+    finally:
+        nvvm.compile_ir = compile_ir

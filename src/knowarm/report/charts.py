@@ -1,0 +1,254 @@
+"""Charts with two axes in SVG: scales, axes, line charts, density charts."""
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from knowarm.report import format
+from knowarm.svg import Point, band, drawing, element, label, path
+
+BINS = 48
+"""Bins of a density chart."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Linear map from values to pixels.
+
+    Attributes:
+        low: value at ``start``.
+        high: value at ``end``; above ``low``.
+        start: first pixel.
+        end: last pixel; below ``start`` for a vertical axis.
+    """
+
+    low: float
+    high: float
+    start: float
+    end: float
+
+    def __call__(self, value: float) -> float:
+        """Return the pixel of a value."""
+        share = (value - self.low) / (self.high - self.low)
+        return self.start + share * (self.end - self.start)
+
+    def ticks(self, count: int = 5) -> list[float]:
+        """Return about ``count`` round values inside the range."""
+        rough = (self.high - self.low) / max(1, count)
+        power = 10.0 ** math.floor(math.log10(rough))
+        step = min((m * power for m in (1, 2, 2.5, 5, 10)), key=lambda s: abs(math.log(s / rough)))
+        first = math.ceil(self.low / step - 1e-9)
+        last = math.floor(self.high / step + 1e-9)
+        return [round(i * step, 12) for i in range(first, last + 1)]
+
+
+def fit(values: Iterable[float], start: float, end: float, *, pad: float = 0.06) -> Scale:
+    """Return a scale that covers all finite values with some margin."""
+    finite = [value for value in values if math.isfinite(value)] or [0.0, 1.0]
+    low, high = min(finite), max(finite)
+    margin = (high - low) * pad or abs(high) * 0.1 or 1.0
+    return Scale(low - margin, high + margin, start, end)
+
+
+@dataclass(frozen=True)
+class Box:
+    """Size of a drawing and of the margins around its plot area [px].
+
+    Attributes:
+        width: width of the drawing.
+        height: height of the drawing.
+        left: margin for the tick labels of the vertical axis.
+        right: margin.
+        top: margin for the title of the vertical axis.
+        bottom: margin for the tick labels and the title of the horizontal axis.
+    """
+
+    width: float = 400
+    height: float = 250
+    left: float = 46
+    right: float = 14
+    top: float = 24
+    bottom: float = 40
+
+    @property
+    def x(self) -> tuple[float, float]:
+        """First and last pixel of the plot area, from left to right."""
+        return self.left, self.width - self.right
+
+    @property
+    def y(self) -> tuple[float, float]:
+        """First and last pixel of the plot area, from bottom to top."""
+        return self.height - self.bottom, self.top
+
+
+@dataclass(frozen=True, kw_only=True)
+class Axis:
+    """Title and tick labels of an axis.
+
+    Attributes:
+        title: title, with the unit.
+        format: format of the tick labels.
+        range: ends of the axis; None fits the data.
+    """
+
+    title: str
+    format: Callable[[float], str] = format.number
+    range: tuple[float, float] | None = None
+
+
+STEPS_AXIS = Axis(title="environment steps", format=format.steps)
+SUCCESS_AXIS = Axis(title="success", format=format.whole_percent, range=(0.0, 1.0))
+RETURN_AXIS = Axis(title="mean return", format=format.decimals(0))
+
+
+def axes(box: Box, x: Scale, y: Scale, x_axis: Axis, y_axis: Axis) -> str:
+    """Draw grid lines, tick labels and axis titles; the vertical axis has its title on top."""
+    left, right = box.x
+    bottom, top = box.y
+    parts = []
+    for value in y.ticks(4):
+        at, words = y(value), y_axis.format(value)
+        parts.append(element("line", class_="grid", x1=left, x2=right, y1=at, y2=at))
+        parts.append(label(left - 6, at + 4, words, class_="tick", text_anchor="end"))
+    for value in x.ticks(max(4, int((right - left) / 85))):
+        at, words = x(value), x_axis.format(value)
+        parts.append(element("line", class_="mark", x1=at, x2=at, y1=bottom, y2=bottom + 4))
+        parts.append(label(at, bottom + 17, words, class_="tick", text_anchor="middle"))
+    parts.append(element("line", class_="axis", x1=left, x2=right, y1=bottom, y2=bottom))
+    parts.append(label(left - 40, top - 11, y_axis.title, class_="axis-title"))
+    end = {"class_": "axis-title", "text_anchor": "end"}
+    parts.append(label(right, bottom + 33, x_axis.title, **end))
+    return element("g", *parts, class_="axes", aria_hidden="true")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Series:
+    """One line of a line chart.
+
+    Attributes:
+        name: name in the legend.
+        colour: palette class.
+        x: (n,) float64, increasing.
+        y: (n,) float64; NaN where there is no value.
+        low: (n,) lower end of the band, or None.
+        high: (n,) upper end of the band, or None.
+        faint: (x, y) of thin lines in the background, one per training seed.
+        dashed: whether the line is dashed, which distinguishes it without colour.
+    """
+
+    name: str
+    colour: str
+    x: np.ndarray
+    y: np.ndarray
+    low: np.ndarray | None = None
+    high: np.ndarray | None = None
+    faint: Sequence[tuple[np.ndarray, np.ndarray]] = ()
+    dashed: bool = False
+
+
+def line_chart(
+    series: Sequence[Series], name: str, x_axis: Axis, y_axis: Axis, *, box: Box | None = None
+) -> str:
+    """Draw lines over their bands; the page's script shows the values under the pointer.
+
+    Args:
+        series: the lines, in drawing order.
+        name: text alternative.
+        x_axis: horizontal axis; it always fits the data.
+        y_axis: vertical axis.
+        box: size.
+    """
+    box = box or Box()
+    xs = np.concatenate([each.x for each in series])
+    x = Scale(float(xs.min()), max(float(xs.max()), float(xs.min()) + 1e-9), *box.x)
+    if y_axis.range is None:
+        arrays = [a for s in series for a in (s.y, s.low, s.high, *(ys for _, ys in s.faint))]
+        y = fit(np.concatenate([a for a in arrays if a is not None]).tolist(), *box.y)
+    else:
+        y = Scale(*y_axis.range, *box.y)
+    return drawing(
+        box.width,
+        box.height,
+        name,
+        axes(box, x, y, x_axis, y_axis),
+        *(_line(each, x, y) for each in series),
+        class_="chart lines many" if len(series) > 3 else "chart lines",
+        data_plot=" ".join(f"{v:.10g}" for v in (x.start, x.end, x.low, x.high, y.start, y.end)),
+        data_y=f"{y.low:.10g} {y.high:.10g}",
+    )
+
+
+def _line(series: Series, x: Scale, y: Scale) -> str:
+    def pixels(xs: np.ndarray, ys: np.ndarray) -> list[Point]:
+        return [(x(float(a)), y(float(b))) for a, b in zip(xs, ys, strict=True)]
+
+    parts = []
+    for xs, ys in series.faint:
+        parts += [path(pixels(xs[p], ys[p]), class_="seed") for p in _gapless(xs, ys)]
+    if series.low is not None and series.high is not None:
+        for p in _gapless(series.x, series.low + series.high):
+            upper, lower = (pixels(series.x[p], end[p]) for end in (series.high, series.low))
+            parts.append(band(upper, lower, class_="band"))
+    for p in _gapless(series.x, series.y):
+        points = pixels(series.x[p], series.y[p])
+        parts.append(path(points, class_="line dashed" if series.dashed else "line"))
+        if len(points) == 1:
+            parts.append(element("circle", cx=points[0][0], cy=points[0][1], r=3, class_="dot"))
+    data = ";".join(
+        f"{a:.9g},{b:.9g}"
+        for a, b in zip(series.x.tolist(), series.y.tolist(), strict=True)
+        if math.isfinite(b)
+    )
+    return element(
+        "g", *parts, class_=f"series {series.colour}", data_name=series.name, data_points=data
+    )
+
+
+def _gapless(x: np.ndarray, y: np.ndarray) -> list[slice]:
+    """Return the longest slices in which all values are finite."""
+    good = np.isfinite(x) & np.isfinite(y)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(int)))
+    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def histograms(samples: Sequence[np.ndarray]) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Compute densities on common bins that cover all samples but the outermost 0.1 %.
+
+    Returns:
+        (BINS + 1,) edges, and (BINS,) densities per sample.
+    """
+    low = min(float(np.quantile(each, 0.001)) for each in samples)
+    high = max(float(np.quantile(each, 0.999)) for each in samples)
+    edges = np.linspace(low, high if high > low else low + 1e-3, BINS + 1)
+    width = edges[1] - edges[0]
+    return edges, [np.histogram(each, edges)[0] / (each.size * width) for each in samples]
+
+
+def density_chart(
+    samples: Mapping[str, np.ndarray], colours: Mapping[str, str], name: str, x_title: str
+) -> str:
+    """Draw distributions as filled steps with a line at each mean.
+
+    Args:
+        samples: (n_i,) samples by name in the legend, in drawing order.
+        colours: palette class by name.
+        name: text alternative.
+        x_title: title of the horizontal axis, with its unit.
+    """
+    box = Box(width=320, height=190, left=40, top=26)
+    edges, heights = histograms(list(samples.values()))
+    x = Scale(float(edges[0]), float(edges[-1]), *box.x)
+    y = Scale(0.0, 1.08 * max(float(each.max()) for each in heights) or 1.0, *box.y)
+    x_axis, y_axis = (Axis(title=t, format=format.decimals(1)) for t in (x_title, "density"))
+    parts = [axes(box, x, y, x_axis, y_axis)]
+    corners = np.repeat(edges, 2).tolist()
+    for (each, values), height in zip(samples.items(), heights, strict=True):
+        levels = [0.0, *np.repeat(height, 2).tolist(), 0.0]
+        points = [(x(a), y(b)) for a, b in zip(corners, levels, strict=True)]
+        mean = x(min(max(float(values.mean()), x.low), x.high))
+        line = element("line", x1=mean, x2=mean, y1=y(0), y2=box.top, class_="mean")
+        kind = f"series {colours[each]}"
+        parts.append(element("g", path(points, class_="area"), line, class_=kind, data_name=each))
+    return drawing(box.width, box.height, name, *parts, class_="chart density")

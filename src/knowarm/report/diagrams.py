@@ -1,0 +1,232 @@
+"""Diagrams with one row per item in SVG: dot charts, bars, heat maps, knowledge graphs."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from knowarm.report import format
+from knowarm.report.charts import Axis, Box, Scale, fit
+from knowarm.report.study import Evaluated
+from knowarm.statistics import Interval
+from knowarm.svg import curve, drawing, element, hover, label
+
+ROW = 34
+"""Height of a row of a dot chart [px]."""
+
+SHADES = ("s0", "s1", "s2", "s3", "s4", "s5", "s6", "s7")
+"""Palette classes of the parts of a bar."""
+
+WIDTH, BAR_ROW = 560.0, 46
+"""Width of bars and heat maps, height of a row of bars [px]."""
+
+CELLS_PER_ROW = 25
+"""Cells in a row of a heat map."""
+
+HUES = ("h0", "h1", "h2", "h3", "h4", "h5")
+"""Palette classes of the objects of a graph."""
+
+MOST_FACTS = 90
+"""Facts drawn of a graph; the table below the drawing lists all."""
+
+POINTS_AXIS = Axis(title="difference [points]", format=lambda value: format.points(value, 0))
+"""Horizontal axis of differences."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dot:
+    """One row of a dot chart.
+
+    Attributes:
+        name: name of the row.
+        colour: palette class.
+        value: the estimate with its interval, or None.
+        single: values of the training seeds, drawn small.
+        ring: another value for comparison, such as the paper's, drawn as a ring.
+    """
+
+    name: str
+    colour: str
+    value: Interval | None
+    single: Sequence[float] = ()
+    ring: float | None = None
+
+
+def group_dot(
+    group: Evaluated, key: str, colours: Mapping[str, str], ring: float | None = None
+) -> Dot:
+    """Return the row of one number of a summary: the mean over seeds, and each seed."""
+    single = group.scores(key).tolist() if len(group.evaluations) > 1 else []
+    name, value = group.name, group.level(key)
+    return Dot(name=name, colour=colours[name], value=value, single=single, ring=ring)
+
+
+def dot_chart(
+    dots: Sequence[Dot],
+    name: str,
+    axis: Axis,
+    *,
+    zero: bool = False,
+    width: float = 400,
+    left: float = 96,
+) -> str:
+    """Draw one row per estimate: a dot, its interval and the values of the seeds.
+
+    Args:
+        dots: rows from top to bottom.
+        name: text alternative.
+        axis: horizontal axis; its format is used for the tooltips, too.
+        zero: whether to draw a line at zero, no difference.
+        width: width of the drawing [px].
+        left: space for the names [px].
+    """
+    box = Box(width=width, height=ROW * len(dots) + 52, left=left, right=24, top=8, bottom=44)
+    values = [0.0] if zero else []
+    for dot in dots:
+        ends = (dot.value.estimate, dot.value.low, dot.value.high) if dot.value else ()
+        values += [*ends, *dot.single, *([] if dot.ring is None else [dot.ring])]
+    x = Scale(*axis.range, *box.x) if axis.range else fit(values, *box.x)
+    bottom, top = box.y
+    parts = []
+    for value in x.ticks(max(2, int((box.x[1] - box.x[0]) / 70))):
+        at, words = x(value), axis.format(value)
+        parts.append(element("line", class_="grid", x1=at, x2=at, y1=top, y2=bottom))
+        parts.append(label(at, bottom + 16, words, class_="tick", text_anchor="middle"))
+    if zero:
+        parts.append(element("line", class_="zero", x1=x(0), x2=x(0), y1=top, y2=bottom))
+    parts.append(label(box.x[1], bottom + 34, axis.title, class_="axis-title", text_anchor="end"))
+    frame = element("g", *parts, class_="axes", aria_hidden="true")
+    rows = [_dot_row(dot, top + ROW * (i + 0.5), x, box, axis) for i, dot in enumerate(dots)]
+    return drawing(box.width, box.height, name, frame, *rows, class_="chart dots")
+
+
+def _dot_row(dot: Dot, y: float, x: Scale, box: Box, axis: Axis) -> str:
+    parts = [label(box.left - 10, y + 4, dot.name, class_="row-name", text_anchor="end")]
+    parts += [element("circle", cx=x(v), cy=y + 9, r=2.2, class_="single") for v in dot.single]
+    words = dot.name
+    if (value := dot.value) is not None:
+        words += f": {axis.format(value.estimate)}"
+        if value.low < value.high:
+            low, high = max(value.low, x.low), min(value.high, x.high)
+            parts.append(element("line", x1=x(low), x2=x(high), y1=y, y2=y, class_="whisker"))
+            words += f" ({axis.format(value.low)} to {axis.format(value.high)})"
+        parts.append(element("circle", cx=x(value.estimate), cy=y, r=5, class_="dot"))
+    if dot.ring is not None:
+        parts.append(element("circle", cx=x(dot.ring), cy=y, r=5, class_="ring"))
+    return element("g", hover(words), *parts, class_=f"row {dot.colour}", data_name=dot.name)
+
+
+def stacked_bars(counts: Mapping[str, Mapping[str, int]], title: str) -> str:
+    """Draw one bar per name on a common scale, its parts from left to right.
+
+    Args:
+        counts: counts by part for each name.
+        title: text alternative.
+    """
+    largest = max((sum(parts.values()) for parts in counts.values()), default=0) or 1
+    groups = list(dict.fromkeys(part for parts in counts.values() for part in parts))
+    rows = []
+    for row, (name, parts) in enumerate(counts.items()):
+        y, x = row * BAR_ROW, 0.0
+        total = format.integer(sum(parts.values()))
+        rows.append(label(0, y + 13, name, class_="row-name"))
+        rows.append(label(WIDTH, y + 13, total, class_="tick", text_anchor="end"))
+        for part, count in parts.items():
+            extent = WIDTH * count / largest
+            rows.append(
+                element(
+                    "rect",
+                    hover(f"{name}: {part} {format.integer(count)}"),
+                    x=x,
+                    y=y + 19,
+                    width=max(extent - 1, 0.5),
+                    height=15,
+                    class_=f"bar {SHADES[groups.index(part) % len(SHADES)]}",
+                )
+            )
+            x += extent
+    return drawing(WIDTH, max(BAR_ROW * len(counts), 1), title, *rows, class_="chart bars")
+
+
+def heat_map(matrix: np.ndarray, names: Sequence[str], title: str) -> str:
+    """Draw each slot as rows of cells: blue below zero, orange above, pale near zero.
+
+    Args:
+        matrix: (S, D) slots.
+        names: one name per slot.
+        title: text alternative.
+    """
+    largest = float(np.abs(matrix).max()) if matrix.size else 0.0
+    cell = WIDTH / CELLS_PER_ROW
+    height = min(cell, 16.0)
+    parts: list[str] = []
+    y = 0.0
+    for slot, name in zip(matrix, names, strict=True):
+        norm = f"norm {np.linalg.norm(slot.astype(np.float64)):.2f}"
+        parts.append(label(0, y + 13, name, class_="row-name"))
+        parts.append(label(WIDTH, y + 13, norm, class_="tick", text_anchor="end"))
+        y += 20
+        for i, value in enumerate(slot.tolist()):
+            row, column = divmod(i, CELLS_PER_ROW)
+            share = abs(value) / largest if largest else 0.0
+            parts.append(
+                element(
+                    "rect",
+                    hover(f"{name} [{i}] {value:.4f}"),
+                    x=column * cell,
+                    y=y + row * height,
+                    width=cell - 1,
+                    height=height - 1,
+                    class_="cell up" if value > 0 else "cell down",
+                    fill_opacity=round(0.06 + 0.94 * share, 3),
+                )
+            )
+        y += -(-len(slot) // CELLS_PER_ROW) * height + 12
+    return drawing(WIDTH, max(y, 1.0), title, *parts, class_="chart heat")
+
+
+def graph_diagram(triples: Sequence[tuple[str, str, str]], title: str) -> str:
+    """Draw heads left and tails right, grouped by relation; a shared fact has two lines.
+
+    Args:
+        triples: (head, relation, tail) labels; at most `MOST_FACTS` facts are drawn.
+        title: text alternative.
+    """
+    width, hub_x, tail_x, row, gap = 430.0, 108.0, 232.0, 17, 7
+    heads = list(dict.fromkeys(head for head, _, _ in triples))
+    facts: dict[tuple[str, str], list[str]] = {}
+    for head, relation, tail in sorted(triples, key=lambda t: (t[1], heads.index(t[0]), t[2])):
+        facts.setdefault((relation, tail), []).append(head)
+    drawn = list(facts.items())[:MOST_FACTS]
+    tails, places, y, last = [], [], 4.0, ""
+    for (relation, tail), _ in drawn:
+        if relation != last:
+            y += gap if last else 0
+            tails.append(label(width, y + 12, relation, class_="relation", text_anchor="end"))
+            last = relation
+        places.append(y + 8)
+        tails.append(label(tail_x, y + 12, tail, class_="tail"))
+        y += row
+    height = y + 4
+    hubs = {head: height * (i + 0.5) / len(heads) for i, head in enumerate(heads)}
+    hues = {head: HUES[i % len(HUES)] for i, head in enumerate(heads)}
+    links = [
+        curve(
+            (hub_x + 6, hubs[head]),
+            (tail_x - 6, place),
+            hover(f"{head} {relation} {tail}"),
+            class_=f"edge {hues[head]}",
+        )
+        for ((relation, tail), owners), place in zip(drawn, places, strict=True)
+        for head in owners
+    ]
+    nodes = [
+        element(
+            "g",
+            element("circle", cx=hub_x, cy=at, r=6, class_="hub"),
+            label(hub_x - 12, at + 4, head, class_="head", text_anchor="end"),
+            class_=hues[head],
+        )
+        for head, at in hubs.items()
+    ]
+    return drawing(width, height, title, *links, *tails, *nodes, class_="chart graph")

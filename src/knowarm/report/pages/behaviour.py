@@ -1,0 +1,149 @@
+"""Pages "Joints" and "Episodes": joint angles and films of the evaluated episodes."""
+
+import base64
+import io
+
+import numpy as np
+from PIL import Image
+
+from knowarm.errors import UserError
+from knowarm.experiment.evaluation_files import read_film
+from knowarm.report import format
+from knowarm.report.blocks import Block, Column, Figure, Film, Films, Panel, Row, Table, Verdict
+from knowarm.report.charts import density_chart
+from knowarm.report.pages.paper import published_comparison
+from knowarm.report.study import Evaluation, Group, Task
+
+STRIP_FRAMES = 8
+"""Frames of a film strip."""
+
+MOST_EPISODES = 3
+"""Episodes shown per task: the first recorded one of each target."""
+
+MOST_AGENTS = 4
+"""Agents shown per task: subjects and baseline first."""
+
+
+def joint_blocks(task: Task) -> list[Block]:
+    """Compare the distributions of the joint angles of two agents (paper, sections 5.1 and 5.2).
+
+    They are the first subject and the baseline, else the first two agents with stored steps.
+    """
+    stored = [group for group in task.groups if group.best and group.best.has_steps]
+    wanted = [group for group in (*task.subjects[:1], task.baseline) if group in stored]
+    pair = wanted if len(wanted) == 2 else stored
+    if len(pair) < 2:
+        return []
+    try:
+        return [_joints(task, *pair[:2])]
+    except UserError as error:
+        return [Verdict(sentence=str(error), tone="bad")]
+
+
+def _joints(task: Task, first: Group, second: Group) -> Figure:
+    evaluations = [group.best for group in (first, second) if group.best]
+    samples = [evaluation.steps() for evaluation in evaluations]
+    joints = sorted(
+        (name for name in samples[0] if name.startswith("joint_") and name in samples[1]),
+        key=lambda name: int(name.split("_")[1]),
+    )
+    published = published_comparison(task, first, second).get("std_changes", {})
+    rows: list[Row] = []
+    panels = []
+    names = (first.name, second.name)
+    for column in joints:
+        joint = int(column.split("_")[1])
+        angles = [each[column].astype(np.float64) for each in samples]
+        row: Row = {"joint": joint}
+        for key, values in (
+            ("mean", [float(a.mean()) for a in angles]),
+            ("std", [float(a.std()) for a in angles]),
+        ):
+            changes = {f"first_{key}": values[0], f"second_{key}": values[1]}
+            row |= {**changes, f"{key}_change": values[0] - values[1]}
+        rows.append(row | {"paper_std_change": published.get(str(joint))})
+        shown = dict(zip(names[::-1], angles[::-1], strict=True))
+        svg = density_chart(shown, task.colours, f"Angles of joint {joint}", "angle [rad]")
+        mean, std = (format.signed(row[f"{key}_change"]) for key in ("mean", "std"))
+        panels.append(Panel(svg=svg, title=f"joint {joint}: mean {mean}, std {std}"))
+    columns = [Column("joint", "joint", "integer")]
+    for key in ("mean", "std"):
+        columns += [
+            Column(f"first_{key}", f"{first.name} {key}", "number"),
+            Column(f"second_{key}", f"{second.name} {key}", "number"),
+            Column(f"{key}_change", "difference", "signed"),
+        ]
+    return Figure(
+        title=f"Joint angles of {first.name} and {second.name}: {task.title}",
+        caption=f"Above each chart: {first.name} minus {second.name} [rad]. Dashed: means. One "
+        "trained network per agent: another training seed may change them as much as the "
+        "knowledge does.",
+        panels=panels,
+        legend=[(name, task.colours[name]) for name in names],
+        table=Table(
+            name=f"joints-{task.name}",
+            title="Mean and standard deviation of every joint [rad]",
+            columns=[*columns, Column("paper_std_change", "paper", "signed")],
+            rows=rows,
+            sources=[evaluation.folder / "steps.parquet" for evaluation in evaluations],
+        ),
+    )
+
+
+def film_blocks(task: Task) -> list[Films]:
+    """Show agents on the same episodes: the policy's images as a strip and as an animation."""
+    first = (*task.subjects, task.baseline)
+    groups = sorted(task.groups, key=lambda group: group not in first)
+    filmed = [(g.name, g.best) for g in groups if g.best and g.best.films()][:MOST_AGENTS]
+    filmed += [(r.name, r.evaluations[0]) for r in task.references if r.evaluations[0].films()]
+    if not filmed:
+        return []
+    common = set.intersection(*(set(evaluation.films()) for _, evaluation in filmed))
+    blocks = []
+    try:
+        for number, facet in _first_of_each_target(filmed[0][1], sorted(common)):
+            title = f"Episode {number}, {format.facet(facet)}: {task.title}"
+            films = [_film(name, task.colours[name], each, number) for name, each in filmed]
+            blocks.append(Films(title=title, films=films))
+    except UserError:
+        return blocks
+    return blocks
+
+
+def _first_of_each_target(evaluation: Evaluation, numbers: list[int]) -> list[tuple[int, str]]:
+    """Return the number and the facet of the first episode of each target."""
+    episodes = evaluation.episodes()
+    found: dict[str, tuple[int, str]] = {}
+    for number in numbers:
+        found.setdefault(str(episodes["target"][number]), (number, str(episodes["facet"][number])))
+    return sorted(found.values())[:MOST_EPISODES]
+
+
+def _film(name: str, colour: str, evaluation: Evaluation, number: int) -> Film:
+    path = evaluation.films()[number]
+    frames = read_film(path)
+    episodes = evaluation.episodes()
+    length = int(episodes["length"][number])
+    outcome = "reached after" if episodes["success"][number] else "not reached in"
+    places = np.unique(np.linspace(0, len(frames) - 1, min(STRIP_FRAMES, len(frames))).round())
+    height, width = frames.shape[1:3]
+    return Film(
+        name=name,
+        colour=colour,
+        strip=[(_png(frames[int(i)]), f"step {int(i)}") for i in places],
+        moving=_data_uri("image/webp", path.read_bytes()),
+        poster=_png(frames[-1]),
+        size=(width, height),
+        text=f"{outcome} {length} steps; at the end {episodes['distance_m'][number] * 100:.1f} cm "
+        f"and {episodes['angle_deg'][number]:.0f}° from the grasp pose",
+    )
+
+
+def _png(image: np.ndarray) -> str:
+    buffer = io.BytesIO()
+    Image.fromarray(image).save(buffer, "PNG", optimize=True)
+    return _data_uri("image/png", buffer.getvalue())
+
+
+def _data_uri(kind: str, data: bytes) -> str:
+    return f"data:{kind};base64,{base64.b64encode(data).decode()}"

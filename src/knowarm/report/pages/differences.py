@@ -1,0 +1,329 @@
+"""Page "Differences": statistical comparisons of agents, over training seeds and the paper's."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from knowarm.errors import UserError
+from knowarm.report import format
+from knowarm.report.blocks import Block, Column, Figure, Panel, Row, Table, cells, shared
+from knowarm.report.charts import SUCCESS_AXIS, Axis, Box, Series, line_chart
+from knowarm.report.claims import ALPHA, FEWEST_SEEDS, OUTCOMES, Claim, pairs, scores
+from knowarm.report.pages.knowledge import forest_figure
+from knowarm.report.pages.paper import published_comparison
+from knowarm.report.study import Evaluation, Group, Task
+from knowarm.statistics import (
+    bootstrap,
+    iqm,
+    one_way_anova,
+    paired,
+    performance_profile,
+    probability_of_improvement,
+)
+
+EXPLANATION = (
+    "A method is a procedure for training networks; one observation of a method is one training "
+    "seed. A thousand evaluation episodes measure one network precisely and say nothing about the "
+    "next network that the same procedure trains.",
+    "Two outcomes are tested: success after training and mean success during training. Means are "
+    "compared with Welch's t test over training seeds. Each agent whose knowledge is tested is "
+    "first compared with the baseline, with Holm's correction over all tasks and outcomes of the "
+    "report. Only if that difference is significant is it compared with the controls, and a "
+    "question is answered only when every control of its kind is beaten. Significant means an "
+    f"adjusted p of at most {ALPHA} and at least {FEWEST_SEEDS} seeds of each agent. Of studies "
+    "without any effect, at most one in twenty reports a false claim.",
+    "Everything else on this page is descriptive: interquartile means, bootstrap intervals (too "
+    "narrow below about ten seeds), the probability that one run beats another.",
+)
+
+COMPARISON_COLUMNS = (
+    Column("outcome", "outcome"),
+    Column("first", "agent"),
+    Column("second", "against"),
+    Column("difference", "difference [points]", "points", interval=True),
+    Column("seeds", "seeds"),
+    Column("effect_size", "in std", "signed", hint="Cohen's d"),
+    Column("p", "p", "p", hint="Welch's t, two-sided"),
+    Column(
+        "adjusted_p",
+        "adjusted p",
+        "p",
+        hint="baseline: Holm over the report; controls: times the number of Holm's comparisons",
+    ),
+    Column("verdict", "verdict"),
+    Column(
+        "needed",
+        "seeds needed",
+        "integer",
+        hint="per agent, to detect a difference as large as the observed one in 80 % of studies",
+    ),
+)
+
+COMPARISON_NOTE = (
+    "Interval: Welch's t, 95 %, not corrected. Seeds needed: for a difference as large as the "
+    "observed one, 80 % power, two-sided 5 %, one comparison; too small for a difference that was "
+    "selected because it is large. Undecided is no evidence of equality: the interval shows which "
+    "differences remain possible. Described: not tested."
+)
+
+PROFILE_LEVELS = np.linspace(0, 1, 21)
+"""Levels of success of the performance profile."""
+
+PROFILE_BOXES: dict[Literal["wide", "narrow"], Box] = {
+    "wide": Box(width=640, height=300),
+    "narrow": Box(width=350, height=250, left=44),
+}
+
+FEWEST_RATES = 5
+"""Evaluation seeds below which the analysis of variance is not shown."""
+
+
+def difference_blocks(task: Task, decided: list[Claim]) -> list[Block]:
+    """Show the statistics over training seeds and the paper's, each with what it tests."""
+    if len(task.groups) < 2:
+        return []
+    found = (_comparisons(task, decided), _scores(task), _profile(task))
+    tables = (_networks(task), _variance(task))
+    return [block for block in (*found, *tables) if block]
+
+
+def _comparisons(task: Task, decided: Sequence[Claim]) -> Block:
+    """Show every difference that the report decides on."""
+    claims = [claim for claim in decided if claim.task is task]
+    table = Table(
+        name=f"comparisons-{task.name}",
+        title=f"Differences between agents: {task.title}",
+        columns=COMPARISON_COLUMNS,
+        rows=[_comparison_row(claim) for claim in claims],
+        sources=[run.path for run in task.runs],
+        note=COMPARISON_NOTE,
+    )
+    caption = "Difference of means in percentage points, with its 95 % interval."
+    panels = {words: [c for c in claims if c.outcome == key] for key, words in OUTCOMES.items()}
+    return forest_figure(table, caption, panels)
+
+
+def _comparison_row(claim: Claim) -> Row:
+    row: Row = {
+        "outcome": OUTCOMES[claim.outcome],
+        "first": claim.first.name,
+        "second": claim.second.name,
+        "seeds": str(claim.seeds),
+        "verdict": claim.verdict,
+        "needed": claim.needed if claim.verdict not in ("better", "worse") else None,
+        "adjusted_p": claim.adjusted_p,
+    }
+    if compared := claim.comparison:
+        row |= cells("difference", compared.difference) | {
+            "seeds": f"{compared.first_count} / {compared.second_count}",
+            "effect_size": compared.effect_size,
+            "p": compared.p_value,
+        }
+    return row
+
+
+def _scores(task: Task) -> Table:
+    """Show the success of each agent over training seeds; a single seed has no interval."""
+    baseline = task.baseline or task.groups[0]
+    base = scores(task, baseline, "success")
+    rows: list[Row] = []
+    for group in task.groups:
+        final, speed = scores(task, group, "success"), scores(task, group, "speed")
+        row: Row = {"agent": group.name, "seeds": len(final), "_colour": task.colours[group.name]}
+        measures = (("mean", final, np.mean), ("iqm", final, iqm), ("area", speed, np.mean))
+        for key, values, statistic in measures:
+            if values.size > 1:
+                row |= cells(key, bootstrap([values], statistic))
+            elif values.size:
+                row[key] = float(values[0])
+        if group is not baseline and min(final.size, base.size) > 1:
+            row |= cells("improvement", probability_of_improvement(final, base))
+        rows.append(row)
+    return Table(
+        name=f"scores-{task.name}",
+        title=f"Success over training seeds: {task.title}",
+        columns=[
+            *shared("agent", "seeds"),
+            Column("mean", "mean", "percent", interval=True),
+            Column("iqm", "interquartile mean", "percent", interval=True),
+            Column(
+                "improvement",
+                f"P(better than {baseline.name})",
+                "percent",
+                interval=True,
+                hint=f"probability that a run of the agent beats a run of {baseline.name}",
+            ),
+            Column(
+                "area",
+                "mean during training",
+                "percent",
+                interval=True,
+                hint="area under the curve of interim success, divided by its length",
+            ),
+        ],
+        rows=rows,
+        sources=[run.path for run in task.runs],
+        note="Intervals: 95 % percentile bootstrap over training seeds, 10,000 resamples (2,000 "
+        "for the probability), fixed seed.",
+    )
+
+
+def _profile(task: Task) -> Figure | None:
+    """Draw performance profiles of agents with enough seeds."""
+    series, rows = [], []
+    for group in task.groups:
+        final, colour = scores(task, group, "success"), task.colours[group.name]
+        if final.size < FEWEST_SEEDS:
+            continue
+        share, low, high = performance_profile(final, PROFILE_LEVELS)
+        series.append(
+            Series(name=group.name, colour=colour, x=PROFILE_LEVELS, y=share, low=low, high=high)
+        )
+        for values in zip(PROFILE_LEVELS, share, low, high, strict=True):
+            row = zip(
+                ("level", "share", "share_low", "share_high"), map(float, values), strict=True
+            )
+            rows.append({"agent": group.name, "_colour": colour, **dict(row)})
+    if not series:
+        return None
+    above = Axis(title="runs above", format=format.whole_percent, range=(0.0, 1.0))
+    name = f"Share of runs above each level of success on {task.title}"
+    return Figure(
+        title=f"Performance profile: {task.title}",
+        caption="Share of training runs that end above each level of success; further right is "
+        "better. Band: 95 % bootstrap over seeds, pointwise.",
+        panels=[
+            Panel(svg=line_chart(series, name, SUCCESS_AXIS, above, box=box), only=only)
+            for only, box in PROFILE_BOXES.items()
+        ],
+        legend=[(each.name, each.colour) for each in series],
+        table=Table(
+            name=f"profile-{task.name}",
+            title="Share of runs above each level of success",
+            columns=[
+                *shared("agent"),
+                Column("level", "success", "percent"),
+                Column("share", "runs above", "percent", interval=True),
+            ],
+            rows=rows,
+            sources=[run.path for run in task.runs],
+        ),
+    )
+
+
+def _networks(task: Task) -> Table | None:
+    """Compare the best runs of two agents episode by episode: networks, not methods."""
+    rows: list[Row] = []
+    sources = []
+    for first, second, _ in pairs(task):
+        found = [best for group in (first, second) if (best := group.best)]
+        try:
+            one, other = (each.episodes() for each in found)
+        except (UserError, ValueError):  # a damaged file, or an agent without evaluation
+            continue
+        if not np.array_equal(one["facet"], other["facet"]):
+            continue
+        row: Row = {"first": first.name, "second": second.name, "episodes": len(one["facet"])}
+        for key in ("success", "return", "length"):
+            row |= cells(key, paired(one[key], other[key]).difference)
+        rows.append(row)
+        sources += [each.folder / "episodes.parquet" for each in found]
+    return _network_table(
+        task,
+        "networks",
+        "Two networks on the same episodes",
+        [
+            Column("episodes", "episodes", "integer"),
+            Column("success", "success [points]", "points", interval=True),
+            Column("return", "return", "signed", interval=True),
+            Column("length", "steps", "signed", interval=True),
+        ],
+        rows,
+        sources,
+        "The best run of each agent, paired by episode (Student's t, 95 %). Tests whether these "
+        "two networks differ on this task; one network per method says nothing about the methods.",
+    )
+
+
+def _variance(task: Task) -> Table | None:
+    """Run the paper's one-way ANOVA (section 5.3) on success rates over evaluation seeds."""
+    rows: list[Row] = []
+    sources = []
+    for first, second, _ in pairs(task):
+        found = [rates for group in (first, second) if (rates := _success_rates(group))]
+        if len(found) < 2:
+            continue
+        (_, one), (_, other) = found
+        f_value, p_value = one_way_anova([one, other])
+        rows.append(
+            {
+                "first": first.name,
+                "second": second.name,
+                "rates": len(one),
+                "first_mean": float(one.mean()),
+                "second_mean": float(other.mean()),
+                "f": round(f_value, 2),
+                "p": p_value,
+                "paper_f": published_comparison(task, first, second).get("anova_f"),
+            }
+        )
+        sources += [evaluation.folder / "episodes.parquet" for evaluation, _ in found]
+    return _network_table(
+        task,
+        "anova",
+        "The paper's analysis of variance over evaluation seeds",
+        [
+            Column("rates", "evaluation seeds", "integer"),
+            Column("first_mean", "success", "percent"),
+            Column("second_mean", "success", "percent"),
+            Column("f", "F"),
+            Column("p", "p", "p"),
+            Column("paper_f", "paper's F", "number"),
+        ],
+        rows,
+        sources,
+        "Tests whether these two trained networks differ over random episodes. All observations "
+        "come from the same two networks, so it says nothing about what another training seed of "
+        "the same method would give: with more evaluation seeds any two networks differ "
+        "significantly.",
+    )
+
+
+def _network_table(
+    task: Task,
+    name: str,
+    title: str,
+    columns: Sequence[Column],
+    rows: Sequence[Row],
+    sources: Sequence[Path],
+    note: str,
+) -> Table | None:
+    """Return a table of pairs of single networks, if it has rows."""
+    if not rows:
+        return None
+    agents = (Column("first", "network of"), Column("second", "against that of"))
+    return Table(
+        name=f"{name}-{task.name}",
+        title=f"{title}: {task.title}",
+        columns=[*agents, *columns],
+        rows=rows,
+        sources=sources,
+        note=note,
+    )
+
+
+def _success_rates(group: Group) -> tuple[Evaluation, np.ndarray] | None:
+    """Return the success rate per evaluation seed of the best run, where there are enough seeds."""
+    best = group.best_run
+    for evaluation in best.evaluations.values() if best else ():
+        if int(evaluation.config.get("seeds", 1)) < FEWEST_RATES:
+            continue
+        try:
+            episodes = evaluation.episodes()
+        except UserError:
+            continue
+        seeds, success = episodes["evaluation_seed"], episodes["success"]
+        return evaluation, np.array([success[seeds == seed].mean() for seed in np.unique(seeds)])
+    return None

@@ -1,0 +1,86 @@
+"""Agent protocol, and the agents that act by a fixed rule: zero, random and oracle."""
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knowarm.world.ik import InverseKinematics
+from knowarm.world.tasks.reach import ACTION_LEVELS
+from knowarm.world.vector_env import ReachVectorEnv
+
+
+class AgentProtocol(Protocol):
+    """Chooses the actions of a vector environment, scripted or by a policy."""
+
+    def start(self, env: ReachVectorEnv) -> None:
+        """Prepare for new episodes: all environments of ``env`` were just reset."""
+
+    def act(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:
+        """Choose actions (n, J) in 0..6 from images (n, H, W, 3)."""
+
+
+class ZeroAgent:
+    """Never moves.
+
+    Args:
+        seed: unused; all scripted agents are created from a seed.
+    """
+
+    def __init__(self, seed: int = 0) -> None:
+        self._shape = (0, 0)
+
+    def start(self, env: ReachVectorEnv) -> None:
+        """Read the shape of the actions."""
+        self._shape = (env.num_envs, env.scene.num_joints)
+
+    def act(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:
+        """Return the action without movement, (n, J)."""
+        return np.zeros(self._shape, dtype=np.int64)
+
+
+class RandomAgent:
+    """Draws every action uniformly; a trained agent has to be better than this.
+
+    Args:
+        seed: of the draws, which continue from one ``start`` to the next.
+    """
+
+    def __init__(self, seed: int = 0) -> None:
+        self._generator = np.random.default_rng(seed)
+        self._shape = (0, 0)
+
+    def start(self, env: ReachVectorEnv) -> None:
+        """Read the shape of the actions."""
+        self._shape = (env.num_envs, env.scene.num_joints)
+
+    def act(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:
+        """Draw actions (n, J)."""
+        return self._generator.integers(len(ACTION_LEVELS), size=self._shape)
+
+
+class OracleAgent:
+    """Moves to the true grasp frame by inverse kinematics, without looking at the image.
+
+    It solves for the joint angles of the grasp frame once per episode; in every step each joint
+    takes the action that ends nearest to its solution. It shows that a task can be solved with the
+    seven actions, and its score is an upper reference for agents that see images.
+
+    Args:
+        seed: of the starting points of the solver.
+    """
+
+    def __init__(self, seed: int = 0) -> None:
+        self._seed = seed
+
+    def start(self, env: ReachVectorEnv) -> None:
+        """Solve the inverse kinematics of every episode."""
+        self._env = env
+        self._levels = env.config.mpi_rad * np.array(ACTION_LEVELS)
+        solver = InverseKinematics(env.scene, seed=self._seed)
+        self._reach = solver.solve(env.grasp_position, env.grasp_matrix, env.joint_positions)
+
+    def act(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:
+        """Choose for each joint the action that ends nearest to its solution, (n, J)."""
+        way = self._reach.joints - self._env.joint_targets
+        return np.abs(way[..., None] - self._levels).argmin(axis=-1)

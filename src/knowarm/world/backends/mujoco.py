@@ -1,0 +1,123 @@
+"""MuJoCo backend: ``mujoco.batch`` on a pool of CPU threads, in float64."""
+
+import copy
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from numpy.typing import NDArray
+
+from knowarm.world.arrays import IndexSelection, NumpyArrays
+from knowarm.world.backends import Dynamics
+from knowarm.world.compose import SUBSTEPS
+from knowarm.world.scene import Scene, target_places
+
+_POSES = mujoco.mjtStage.mjSTAGE_POS.value
+
+
+class MujocoSimulator:
+    """``Simulator`` on MuJoCo's thread pool; results depend on neither n nor the thread count.
+
+    "dynamic" moves the joints by position servos with ``SUBSTEPS`` physics steps per action;
+    "kinematic" sets them exactly and computes poses only. Array attributes are live views.
+
+    Args:
+        scene: the scene to simulate.
+        num_envs: n.
+        num_threads: size of the thread pool; 0 for one per core.
+        dynamics: how joints follow their targets.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        num_envs: int,
+        num_threads: int = 0,
+        dynamics: Dynamics = "dynamic",
+    ) -> None:
+        self.scene = scene
+        self.num_envs = num_envs
+        self.dynamics = dynamics
+        self.arrays = NumpyArrays()
+        model = scene.model
+        if dynamics == "kinematic":
+            # Poses need no contacts and no constraints.
+            model = copy.copy(model)
+            model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+            model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+        self.batch = Batch(model, num_envs, num_threads)
+        self._qpos = self.batch.bind("qpos")
+        self._qvel = self.batch.bind("qvel")
+        self._ctrl = self.batch.bind("ctrl")
+        self._warmstart = self.batch.bind("qacc_warmstart")
+        self._mocap = self.batch.bind("mocap_pos")
+        self._site_position = self.batch.bind("site_xpos")
+        self._site_matrix = self.batch.bind("site_xmat")
+        self.geom_position: NDArray[np.float64] = self.batch.bind("geom_xpos")
+        self.geom_matrix: NDArray[np.float64] = self.batch.bind("geom_xmat")
+
+    @property
+    def joint_positions(self) -> NDArray[np.float64]:
+        """Current joint angles, a copy, (n, J) [rad]."""
+        return self._qpos[:, self.scene.qpos_index]
+
+    @property
+    def tcp_position(self) -> NDArray[np.float64]:
+        """Position of the gripper, world, (n, 3) [m]."""
+        return self._site_position[:, self.scene.tcp_site]
+
+    @property
+    def tcp_matrix(self) -> NDArray[np.float64]:
+        """Rotation from gripper to world, row-major, (n, 9)."""
+        return self._site_matrix[:, self.scene.tcp_site]
+
+    def reset(
+        self,
+        selection: IndexSelection,
+        joint_targets: NDArray[np.float64],
+        target_position: NDArray[np.float64],
+        distractor_position: NDArray[np.float64] | None = None,
+    ) -> None:
+        """Put selected environments at rest at joint angles; see ``Simulator.reset``."""
+        ids = selection.env_ids
+        self._qpos[ids[:, None], self.scene.qpos_index] = joint_targets
+        self._qvel[ids] = 0.0
+        self._warmstart[ids] = 0.0
+        self._ctrl[ids] = joint_targets
+        places = target_places(self.scene, target_position)
+        self._mocap[ids[:, None], self.scene.target_mocap] = places[:, None, :]
+        if distractor_position is not None:
+            at = ids[:, None], self.scene.distractor_mocap
+            self._mocap[(*at, slice(2))] = distractor_position
+        self.batch.forward(ids=ids, stage=_POSES)
+
+    def step(self, joint_targets: NDArray[np.float64]) -> None:
+        """Advance every environment by one control period towards joint targets (n, J) [rad]."""
+        if self.dynamics == "kinematic":
+            self.set_joints(joint_targets)
+        else:
+            self._ctrl[:] = joint_targets
+            self.batch.step(nstep=SUBSTEPS, stage=_POSES)
+
+    def set_joints(self, joint_positions: NDArray[np.float64]) -> None:
+        """Set the joint angles (n, J) [rad] and compute poses without advancing time."""
+        self._qpos[:, self.scene.qpos_index] = joint_positions
+        self.batch.forward(stage=_POSES)
+
+    def get_state(self) -> NDArray[np.float64]:
+        """Copy MuJoCo's state, which includes servo targets and object positions, (n, S)."""
+        return self.batch.state.copy()
+
+    def set_state(
+        self,
+        state: NDArray[np.float64],
+        joint_targets: NDArray[np.float64],
+        target_position: NDArray[np.float64],
+        distractor_position: NDArray[np.float64] | None,
+    ) -> None:
+        """Restore a state of ``get_state``; the other arguments are part of it already."""
+        self.batch.state[:] = state
+        self.batch.forward(stage=_POSES)
+
+    def close(self) -> None:
+        """Do nothing: no work is pending."""

@@ -1,0 +1,266 @@
+"""CPU ray caster: images of MuJoCo geoms, compiled by Numba, without OpenGL."""
+
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from knowarm.errors import UserError
+from knowarm.world.render.cpu_kernels import Scratch, Stored, render_range, trace_field
+from knowarm.world.render.fill import PROJECTION, Field
+from knowarm.world.render.numeric import FAR
+from knowarm.world.render.scenery import read_lamps, read_scenery, read_view
+from knowarm.world.render.tiles import ANTIALIASING, EXTENT, RECORD, TILE, Grid, make_grid
+
+MAX_SIDE = 4096
+
+Appearance = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
+"""Colours (n or 1, G, 4), cameras (n or 1, 12) and lights (n or 1, 12)."""
+
+
+class Trace(NamedTuple):
+    """What the centre of each pixel shows."""
+
+    geom: NDArray[np.int32]
+    """Id of the geom, -1 for none, (n, H, W)."""
+
+    distance: NDArray[np.float32]
+    """Distance from the eye along the pixel's ray [m], -1 for none, (n, H, W)."""
+
+    normal: NDArray[np.float32]
+    """Outward unit normal, world, zero for none, (n, H, W, 3)."""
+
+
+class Raycaster:
+    """Ray caster for the geoms of a model, seen by one of its cameras; a ``Renderer``.
+
+    The same state gives the same bytes at any batch size and number of threads.
+
+    Args:
+        model: what to draw. Geoms welded to the world are drawn once and stored.
+        camera: name or id of a perspective camera that stands still.
+        width: width of the image [px].
+        height: height of the image [px], spanned by the camera's fovy.
+        antialiasing: four rays per pixel in a rotated grid instead of one through its centre.
+        num_threads: threads that share a batch.
+        geom_groups: geom groups that are drawn; MuJoCo's renderer draws 0, 1 and 2.
+        background: RGB where no geom is, in 0..1.
+
+    Attributes:
+        view: (12,) float32, position [m] and row-major rotation of the camera, world.
+        lamps: (4, 3) float32: sum of ambient colours, diffuse colours of headlight and directional
+            light, and the unit vector towards the latter, world.
+        grid: positions of the samples.
+        scenery: the model's geoms.
+        stored: images that every environment can start from.
+
+    Raises:
+        UserError: a size is out of range, or the model holds what cannot be drawn.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        camera: int | str,
+        width: int,
+        height: int,
+        *,
+        antialiasing: bool = False,
+        num_threads: int = 1,
+        geom_groups: tuple[int, ...] = (0, 1, 2),
+        background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ) -> None:
+        for name, side in (("width", width), ("height", height)):
+            if not 1 <= side <= MAX_SIDE:
+                raise UserError(f"Raycaster {name} must lie in 1 to {MAX_SIDE}, got {side}.")
+        if num_threads < 1:
+            raise UserError(f"Raycaster num_threads must be at least 1, got {num_threads}.")
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_camlight(model, data)
+        self.width, self.height = width, height
+        self.view, half_height = read_view(model, data, camera)
+        self.scenery, self.lamps = read_scenery(model, geom_groups), read_lamps(model, data)
+        self.grid = make_grid(width, height, half_height, ANTIALIASING if antialiasing else 1)
+        self._pool = ThreadPoolExecutor(num_threads) if num_threads > 1 else None
+        self._positions = np.empty((0, 0, 3), dtype=np.float32)
+        self._matrices = np.empty((0, 0, 9), dtype=np.float32)
+        span = self.scenery.meshes.span
+        vertices = int((span[:, 1] - span[:, 0]).max(initial=0))
+        self._scratch = [
+            _make_scratch(self.grid, model.ngeom, vertices) for _ in range(num_threads)
+        ]
+        self.stored = self._draw_fixed(data, background)
+
+    @property
+    def geom_rgba(self) -> NDArray[np.float32]:
+        """Colours of the model's geoms, (G, 4), a copy to modify and pass to ``draw``."""
+        return self.scenery.rgba.copy()
+
+    def draw(
+        self,
+        geom_position: NDArray[Any],
+        geom_matrix: NDArray[Any],
+        geom_rgba: NDArray[np.float32] | None = None,
+        views: NDArray[np.float32] | None = None,
+        lamps: NDArray[np.float32] | None = None,
+        *,
+        out: NDArray[np.uint8] | None = None,
+    ) -> NDArray[np.uint8]:
+        """Draw n images.
+
+        With ``views`` or ``lamps``, geoms that stand still are drawn again in every image.
+
+        Args:
+            geom_position: (n, G, 3) [m], world, float32 or float64.
+            geom_matrix: (n, G, 9), row-major rotation from geom to world.
+            geom_rgba: (n, G, 4) in 0..1; alpha 0 hides a geom and any other draws it opaque; None
+                for the model's.
+            views: (n, 12) cameras, as the attribute ``view``; None for the model's.
+            lamps: (n, 4, 3) lights, as the attribute ``lamps``; None for the model's.
+            out: (n, H, W, 3) to write; None for a new array.
+
+        Returns:
+            (n, H, W, 3) uint8 RGB.
+        """
+        count = len(geom_position)
+        if out is None:
+            out = np.empty((count, self.height, self.width, 3), dtype=np.uint8)
+        assert out.shape == (count, self.height, self.width, 3)
+        assert out.flags.c_contiguous
+        poses = self._poses(geom_position, geom_matrix)
+        seen = self._appearance(count, geom_rgba, views, lamps)
+        if self._pool is None or count == 1:
+            self._draw_range(0, count, poses, seen, 0, out)
+            return out
+        threads = min(len(self._scratch), count)
+        cuts = [count * t // threads for t in range(threads + 1)]
+        tasks = [
+            self._pool.submit(self._draw_range, cuts[t], cuts[t + 1], poses, seen, t, out)
+            for t in range(threads)
+        ]
+        for task in tasks:
+            task.result()
+        return out
+
+    def trace(
+        self,
+        geom_position: NDArray[Any],
+        geom_matrix: NDArray[Any],
+        geom_rgba: NDArray[np.float32] | None = None,
+    ) -> Trace:
+        """Find what the centre of each pixel shows, with the kernels that draw.
+
+        Args:
+            geom_position: as for ``draw``.
+            geom_matrix: as for ``draw``.
+            geom_rgba: as for ``draw``.
+
+        Raises:
+            UserError: the ray caster uses anti-aliasing.
+        """
+        if self.grid.mask:
+            raise UserError(
+                "Raycaster.trace needs antialiasing=False, because the rays of one pixel can hit "
+                "different geoms; construct another Raycaster for it."
+            )
+        positions, matrices = poses = self._poses(geom_position, geom_matrix)
+        seen = self._appearance(len(positions), geom_rgba, None, None)
+        shape = (len(positions), self.height, self.width)
+        result = Trace(
+            np.empty(shape, dtype=np.int32),
+            np.empty(shape, dtype=np.float32),
+            np.empty((*shape, 3), dtype=np.float32),
+        )
+        for e in range(len(positions)):
+            self._draw_range(e, e + 1, poses, seen, 0, None)
+            trace_field(
+                self._scratch[0].field, positions[e], matrices[e], self.view, self.scenery,
+                self.grid, result.geom[e], result.distance[e], result.normal[e],
+            )  # fmt: skip
+        return result
+
+    def _draw_fixed(self, data: mujoco.MjData, background: tuple[float, float, float]) -> Stored:
+        """Draw the background and the geoms that stand still."""
+        rgb = [int(min(max(channel, 0.0), 1.0) * 255 + 0.5) for channel in background]
+        empty = _make_field(self.grid, rgb[0] | rgb[1] << 8 | rgb[2] << 16)
+        empty_image = np.tile(np.array(rgb, dtype=np.uint8), self.height * self.width)
+        image = np.empty((1, self.height, self.width, 3), dtype=np.uint8)
+        scenery, scratch = self.scenery, self._scratch[0]
+        self.stored = Stored(empty, empty, empty_image, empty_image)
+        self.scenery = scenery._replace(fixed=scenery.fixed[:0], moving=scenery.fixed)
+        poses = self._poses(data.geom_xpos[None], data.geom_xmat[None])
+        self._draw_range(0, 1, poses, self._appearance(1, None, None, None), 0, image)
+        self.scenery = scenery
+        # Only the tiles that were touched are in the scratch field.
+        backdrop = empty[0].copy(), empty[1].copy()
+        for strip, dirty in enumerate(scratch.dirty):
+            first, last = (strip * self.grid.rows + dirty) * TILE
+            for target, source in zip(backdrop, scratch.field, strict=True):
+                target[first:last] = source[first:last]
+        return Stored(empty, backdrop, empty_image, image.reshape(-1))
+
+    def _draw_range(
+        self,
+        start: int,
+        stop: int,
+        poses: tuple[NDArray[np.float32], NDArray[np.float32]],
+        seen: Appearance,
+        thread: int,
+        out: NDArray[np.uint8] | None,
+    ) -> None:
+        """Draw environments start .. stop - 1; without ``out``, leave geom ids in the scratch."""
+        render_range(
+            start, stop, *poses, *seen, self.grid, self.scenery, self.stored,
+            self._scratch[thread], out is None,
+            np.empty((0, 0, 0, 3), dtype=np.uint8) if out is None else out,
+        )  # fmt: skip
+
+    def _appearance(
+        self,
+        count: int,
+        geom_rgba: NDArray[np.float32] | None,
+        views: NDArray[np.float32] | None,
+        lamps: NDArray[np.float32] | None,
+    ) -> Appearance:
+        """Return colours, cameras and lights: one for all environments, or one per environment."""
+        result = []
+        for given, own in (
+            (geom_rgba, self.scenery.rgba), (views, self.view), (lamps, self.lamps)
+        ):  # fmt: skip
+            assert given is None or given.shape == (count, *own.shape), given.shape
+            values = own[None] if given is None else given
+            result.append(np.ascontiguousarray(values, dtype=np.float32))
+        return result[0], result[1], result[2].reshape(-1, 12)
+
+    def _poses(
+        self, geom_position: NDArray[Any], geom_matrix: NDArray[Any]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Copy poses to reused float32 arrays: CPU and GPU compute from the same numbers."""
+        count, geoms = len(geom_position), len(self.scenery.kind)
+        assert geom_position.shape == (count, geoms, 3), geom_position.shape
+        assert geom_matrix.shape == (count, geoms, 9), geom_matrix.shape
+        if len(self._positions) < count:
+            self._positions = np.empty((count, geoms, 3), dtype=np.float32)
+            self._matrices = np.empty((count, geoms, 9), dtype=np.float32)
+        positions, matrices = self._positions[:count], self._matrices[:count]
+        np.copyto(positions, geom_position, casting="same_kind")
+        np.copyto(matrices, geom_matrix, casting="same_kind")
+        return positions, matrices
+
+
+def _make_field(grid: Grid, value: int) -> Field:
+    count = grid.strips * grid.rows * TILE
+    return np.full(count, FAR, dtype=np.float32), np.full(count, value, dtype=np.int32)
+
+
+def _make_scratch(grid: Grid, geoms: int, vertices: int) -> Scratch:
+    return Scratch(
+        field=_make_field(grid, 0),
+        record=np.empty((geoms, RECORD), dtype=np.float32),
+        extent=np.empty((geoms, EXTENT), dtype=np.int32),
+        projection=np.empty((PROJECTION, vertices), dtype=np.float32),
+        dirty=np.empty((grid.strips, 2), dtype=np.int32),
+    )

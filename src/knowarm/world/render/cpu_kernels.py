@@ -1,0 +1,305 @@
+"""CPU kernels of the ray caster: images and geom ids of environments, and normals of pixels.
+
+An image starts as the stored image of the geoms that stand still. The other geoms are projected
+first, so that only the tiles that any of them covers are drawn again.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from knowarm.world.render.fill import Field, corners, fill_mesh, fill_primitive
+from knowarm.world.render.intersections import MESH, face_planes, intersect, triangle
+from knowarm.world.render.numeric import (
+    FAR,
+    ONE,
+    TINY,
+    ZERO,
+    Vector,
+    cached_njit,
+    dot,
+    nine,
+    scalar,
+    times,
+    to_local,
+    to_parent,
+    triple,
+)
+from knowarm.world.render.scenery import Meshes, Scenery
+from knowarm.world.render.shading import light_geom
+from knowarm.world.render.tiles import BITS, TILE, Grid, project_geom, sample_point
+
+
+class Stored(NamedTuple):
+    """Images that every environment can start from."""
+
+    empty: Field
+    """Samples of the background."""
+
+    backdrop: Field
+    """Samples of the fixed geoms."""
+
+    empty_image: NDArray[np.uint8]
+    """Image of the background, (H * W * 3,)."""
+
+    image: NDArray[np.uint8]
+    """Image of the fixed geoms, (H * W * 3,)."""
+
+
+class Scratch(NamedTuple):
+    """Working memory of a thread."""
+
+    field: Field
+    """The samples, (strips * rows * TILE,) each."""
+
+    record: NDArray[np.float32]
+    """Records of the visible geoms, (G, RECORD)."""
+
+    extent: NDArray[np.int32]
+    """Extents of the visible geoms, (G, EXTENT)."""
+
+    projection: NDArray[np.float32]
+    """Projected vertices of a mesh, (PROJECTION, vertices of the largest)."""
+
+    dirty: NDArray[np.int32]
+    """First and one past the last row of each strip that a geom covers, (strips, 2)."""
+
+
+@scalar
+def _write(numbers: NDArray[np.float32], start: int, v: Vector) -> None:
+    numbers[start], numbers[start + 1], numbers[start + 2] = v
+
+
+@njit(error_model="numpy")
+def _project_geoms(
+    geoms: NDArray[np.int32],
+    position: NDArray[np.float32],
+    matrix: NDArray[np.float32],
+    rgba: NDArray[np.float32],
+    view: NDArray[np.float32],
+    lamps: NDArray[np.float32],
+    grid: Grid,
+    scenery: Scenery,
+    scratch: Scratch,
+    count: int,
+) -> int:
+    """Append the visible geoms of a list to ``count`` records; return the new count."""
+    eye, camera = triple(view, 0), nine(view, 3)
+    lights = (triple(lamps, 0), triple(lamps, 3), triple(lamps, 6), triple(lamps, 9))
+    meshes, dirty = scenery.meshes, scratch.dirty
+    for g in geoms:
+        if rgba[g, 3] <= 0:
+            continue
+        kind, size, own = scenery.kind[g], triple(scenery.size[g], 0), nine(matrix[g], 0)
+        visible, window, origin, frame = project_geom(
+            kind, size, triple(meshes.middle[g], 0), triple(meshes.half[g], 0),
+            triple(position[g], 0), own, eye, camera, grid,
+        )  # fmt: skip
+        if not visible:
+            continue
+        record, extent = scratch.record[count], scratch.extent[count]
+        count += 1
+        extent[0], extent[1] = kind, g
+        extent[2], extent[3], extent[4], extent[5] = window
+        sun, paint = light_geom(triple(rgba[g], 0), scenery.emission[g], lights, own)
+        _write(record, 0, origin)
+        for i in range(9):
+            record[3 + i] = frame[i]
+        _write(record, 12, size)
+        _write(record, 15, sun)
+        for i in range(3):
+            _write(record, 18 + 3 * i, paint[i])
+        upper = np.int32(extent[4] >> BITS << BITS)
+        lower = np.int32((extent[5] >> BITS << BITS) + TILE)
+        for strip in range(extent[2] >> BITS, (extent[3] >> BITS) + 1):
+            dirty[strip, 0] = min(dirty[strip, 0], upper)
+            dirty[strip, 1] = max(dirty[strip, 1], lower)
+    return count
+
+
+@njit(error_model="numpy")
+def _has_stored_colours(scenery: Scenery, rgba: NDArray[np.float32]) -> bool:
+    """Tell whether the fixed geoms have the colours of the stored image."""
+    for g in scenery.fixed:
+        for c in range(4):
+            if rgba[g, c] != scenery.rgba[g, c]:
+                return False
+    return True
+
+
+@njit(error_model="numpy")
+def _restore(field: Field, source: Field, dirty: NDArray[np.int32], grid: Grid) -> None:
+    """Copy the dirty samples of a stored field."""
+    for strip in range(dirty.shape[0]):
+        start = (strip * grid.rows + dirty[strip, 0]) * TILE
+        stop = (strip * grid.rows + dirty[strip, 1]) * TILE
+        depth, value = field[0][start:stop], field[1][start:stop]
+        old_depth, old_value = source[0][start:stop], source[1][start:stop]
+        for k in range(stop - start):
+            depth[k] = old_depth[k]
+            value[k] = old_value[k]
+
+
+@njit(error_model="numpy")
+def _average(
+    value: NDArray[np.int32],
+    dirty: NDArray[np.int32],
+    grid: Grid,
+    width: int,
+    out: NDArray[np.uint8],
+) -> None:
+    """Average the samples of the dirty pixels into an image (H * W * 3,)."""
+    samples = np.int32(grid.mask + 1)
+    power = np.int32(samples >> 1)  # 1 is 2 ** 0, and 4 is 2 ** 2
+    height = np.int32(out.shape[0] // (3 * width))
+    half = np.int32(samples >> 1)
+    for strip in range(grid.strips):
+        for j in range(dirty[strip, 0] >> power, min(dirty[strip, 1] >> power, height)):
+            first = (strip * grid.rows + j * samples) * TILE
+            pixel = (j * width + strip * TILE) * 3
+            for lane in range(min(TILE, width - strip * TILE)):
+                # Red and blue are summed in one integer, sixteen bits apart.
+                outer, green = np.int32(half | half << 16), half
+                for s in range(samples):
+                    packed = value[first + s * TILE + lane]
+                    outer += packed & np.int32(0xFF00FF)
+                    green += (packed >> np.int32(8)) & np.int32(0xFF)
+                out[pixel + 3 * lane] = (outer >> power) & 0xFF
+                out[pixel + 3 * lane + 1] = green >> power
+                out[pixel + 3 * lane + 2] = outer >> (power + 16)
+
+
+@cached_njit
+def render_range(
+    start: int,
+    stop: int,
+    positions: NDArray[np.float32],
+    matrices: NDArray[np.float32],
+    rgba: NDArray[np.float32],
+    views: NDArray[np.float32],
+    lamps: NDArray[np.float32],
+    grid: Grid,
+    scenery: Scenery,
+    stored: Stored,
+    scratch: Scratch,
+    ids: bool,
+    out: NDArray[np.uint8],
+) -> None:
+    """Draw environments start .. stop - 1.
+
+    Args:
+        start: first environment.
+        stop: one past the last.
+        positions: (n, G, 3) world positions of geoms [m].
+        matrices: (n, G, 9) row-major rotations from geom to world.
+        rgba: (n or 1, G, 4) colours; alpha 0 hides.
+        views: (n or 1, 12) cameras; the stored image is used only if one serves all.
+        lamps: (n or 1, 12) lights, as ``read_lamps``; likewise.
+        grid: the samples.
+        scenery: the geoms.
+        stored: images to start from.
+        scratch: working memory; afterwards it holds the last environment's samples.
+        ids: write geom ids instead of colours, and no image.
+        out: (n, H, W, 3) images to write; untouched with ``ids``.
+    """
+    field, dirty = scratch.field, scratch.dirty
+    size = stored.image.shape[0]
+    shared = (views.shape[0] == 1) & (lamps.shape[0] == 1) & (not ids)
+    for e in range(start, stop):
+        colours = rgba[min(e, rgba.shape[0] - 1)]
+        view, light = views[min(e, views.shape[0] - 1)], lamps[min(e, lamps.shape[0] - 1)]
+        reuse = shared and _has_stored_colours(scenery, colours)
+        dirty[:, 0] = grid.rows
+        dirty[:, 1] = 0
+        count = 0
+        if not reuse:
+            count = _project_geoms(
+                scenery.fixed, positions[e], matrices[e], colours, view, light, grid, scenery,
+                scratch, count,
+            )  # fmt: skip
+        count = _project_geoms(
+            scenery.moving, positions[e], matrices[e], colours, view, light, grid, scenery,
+            scratch, count,
+        )  # fmt: skip
+        if ids:
+            dirty[:, 0] = 0
+            dirty[:, 1] = grid.rows
+        _restore(field, stored.backdrop if reuse else stored.empty, dirty, grid)
+        if ids:
+            field[1][:] = -1
+        for i in range(count):
+            record, extent = scratch.record[i], scratch.extent[i]
+            if extent[0] == MESH:
+                fill_mesh(record, extent, grid, scenery.meshes, scratch.projection, field, ids)
+            else:
+                fill_primitive(record, extent, grid, field, ids)
+        if not ids:
+            image, old = out[e].reshape(size), stored.image if reuse else stored.empty_image
+            for i in range(size):
+                image[i] = old[i]
+            _average(field[1], dirty, grid, out.shape[2], image)
+
+
+@njit(error_model="numpy")
+def _mesh_normal(meshes: Meshes, geom: int, origin: Vector, direction: Vector) -> Vector:
+    """Return the unit normal of the triangle that a ray hits first, in the geom's frame."""
+    best, result = FAR, (ZERO, ZERO, ZERO)
+    for f in range(meshes.span[geom, 2], meshes.span[geom, 3]):
+        a, b, c = corners(meshes, f, origin)
+        planes = face_planes(a, b, c)
+        t, _ = triangle(planes, direction)
+        if t < best:
+            best, result = t, planes[3]
+    return times(result, ONE / math.sqrt(max(dot(result, result), TINY * TINY)))
+
+
+@cached_njit
+def trace_field(
+    field: Field,
+    position: NDArray[np.float32],
+    matrix: NDArray[np.float32],
+    view: NDArray[np.float32],
+    scenery: Scenery,
+    grid: Grid,
+    geom: NDArray[np.int32],
+    distance: NDArray[np.float32],
+    normal: NDArray[np.float32],
+) -> None:
+    """Read what an environment's samples show, with one sample per pixel.
+
+    Args:
+        field: depths and geom ids, as drawn by ``render_range`` with ``ids``.
+        position: (G, 3) world positions [m].
+        matrix: (G, 9) rotations from geom to world.
+        view: (12,) camera.
+        scenery: the geoms.
+        grid: the samples.
+        geom: (H, W) ids to write, -1 for none.
+        distance: (H, W) distances [m] to write, -1 for none.
+        normal: (H, W, 3) world normals to write, 0 for none.
+    """
+    camera = nine(view, 3)
+    for j in range(geom.shape[0]):
+        for i in range(geom.shape[1]):
+            place = ((i >> BITS) * grid.rows + j) * TILE + (i & (TILE - 1))
+            g = field[1][place]
+            geom[j, i] = g
+            distance[j, i] = -1
+            normal[j, i] = 0
+            if g < 0:
+                continue
+            x, y = sample_point(np.int32(i), np.int32(j), grid)
+            ray = (x, y, -ONE)
+            distance[j, i] = field[0][place] * math.sqrt(dot(ray, ray))
+            p, m = triple(position[g], 0), nine(matrix[g], 0)
+            origin = to_local(m, (view[0] - p[0], view[1] - p[1], view[2] - p[2]))
+            direction = to_local(m, to_parent(camera, ray))
+            if scenery.kind[g] == MESH:
+                n = _mesh_normal(scenery.meshes, g, origin, direction)
+            else:
+                size = triple(scenery.size[g], 0)
+                n = intersect(scenery.kind[g], origin, direction, size)[1]
+            normal[j, i, 0], normal[j, i, 1], normal[j, i, 2] = to_parent(m, n)

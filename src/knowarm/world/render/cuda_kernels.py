@@ -1,0 +1,275 @@
+"""CUDA kernels of the ray caster: one thread per geom projects it, one thread per pixel draws it.
+
+The kernels call the functions that the CPU's loops consist of, in the same order, and no
+multiplication and addition are fused, so CPU and GPU draw the same image.
+
+Numba's simulator must be able to run the kernels: there, a compiled function returns Python floats,
+float32 values of type float64, which ``np.float32`` converts back.
+"""
+
+from collections.abc import Callable
+from inspect import signature
+from typing import Any
+
+import numba.cuda
+import numpy as np
+
+from knowarm.world.render.intersections import (
+    MESH,
+    Hit,
+    blend,
+    face_planes,
+    intersect,
+    triangle,
+)
+from knowarm.world.render.numeric import FAR, ZERO, Matrix, Vector, minus, scalar
+from knowarm.world.render.shading import Paint, light_geom, shade
+from knowarm.world.render.tiles import (
+    BITS,
+    TILE,
+    Grid,
+    project_geom,
+    sample_direction,
+    sample_point,
+)
+
+cuda: Any = numba.cuda
+"""Numba's CUDA module; its type annotations do not cover kernels."""
+
+Array = Any
+"""A device array."""
+
+HIDDEN = -1
+"""Kind in the extent of a geom that is not drawn."""
+
+# Link-time optimization, numba-cuda's default, would fuse operations again.
+_OPTIONS = {"lto": False} if "lto" in signature(cuda.jit).parameters else {}
+
+
+def kernel(function: Callable[..., None]) -> Any:
+    """Compile a kernel at its first launch."""
+    return cuda.jit(function, **_OPTIONS)
+
+
+@scalar
+def _hit_geom(
+    kind: np.int32, origin: Vector, frame: Matrix, size: Vector, x: np.float32, y: np.float32
+) -> Hit:
+    """Intersect a sample with a primitive: depth and normal in the geom's frame."""
+    return intersect(kind, origin, sample_direction(x, y, frame), size)
+
+
+@scalar
+def _hit_triangle(
+    origin: Vector, frame: Matrix, a: Vector, b: Vector, c: Vector, x: np.float32, y: np.float32
+) -> Hit:
+    """Intersect a sample with a triangle of a mesh: depth and weights of the corners."""
+    planes = face_planes(minus(a, origin), minus(b, origin), minus(c, origin))
+    return triangle(planes, sample_direction(x, y, frame))
+
+
+@scalar
+def _colour(normal: Vector, frame: Matrix, sun: Vector, paint: Paint) -> np.int32:
+    """Shade a surface; the normal is in the geom's frame."""
+    return shade(normal, (frame[6], frame[7], frame[8]), sun, paint)
+
+
+@scalar
+def _smooth_colour(
+    weights: Vector, a: Vector, b: Vector, c: Vector, frame: Matrix, sun: Vector, paint: Paint
+) -> np.int32:
+    """Shade a triangle with the normal interpolated between its corners' normals."""
+    return _colour(blend(weights, a, b, c), frame, sun, paint)
+
+
+@cuda.jit(device=True)
+def _three(numbers: Array, start: int) -> Vector:
+    return (
+        np.float32(numbers[start]),
+        np.float32(numbers[start + 1]),
+        np.float32(numbers[start + 2]),
+    )
+
+
+@cuda.jit(device=True)
+def _nine(numbers: Array, start: int) -> Matrix:
+    a, b, c = _three(numbers, start), _three(numbers, start + 3), _three(numbers, start + 6)
+    return a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2]
+
+
+@cuda.jit(device=True)
+def _write(numbers: Array, start: int, v: Vector) -> None:
+    numbers[start], numbers[start + 1], numbers[start + 2] = v[0], v[1], v[2]
+
+
+@cuda.jit(device=True)
+def _floats(v: Vector) -> Vector:
+    return np.float32(v[0]), np.float32(v[1]), np.float32(v[2])
+
+
+@kernel
+def fill_kernel(numbers: Array, value: int) -> None:
+    """Set all elements to a value."""
+    index = cuda.grid(1)
+    if index < numbers.shape[0]:
+        numbers[index] = value
+
+
+@kernel
+def project_kernel(
+    order: Array,
+    fixed: int,
+    shape: tuple[Array, ...],
+    own_rgba: Array,
+    position: Array,
+    matrix: Array,
+    rgba: Array,
+    views: Array,
+    lamps: Array,
+    grid: Grid,
+    record: Array,
+    extent: Array,
+    redraw: Array,
+    wanted: Array,
+) -> None:
+    """Project one geom of one environment.
+
+    Args:
+        order: (D,) ids of the drawn geoms, those that stand still first.
+        fixed: number of geoms that stand still.
+        shape: kind (G,), size (G, 3), emission (G,), middle (G, 3) and half (G, 3) of the geoms.
+        own_rgba: (G, 4) colours of the model.
+        position: (n, G, 3) world positions.
+        matrix: (n, G, 9) row-major rotations from geom to world.
+        rgba: (n or 1, G, 4) colours; alpha 0 hides.
+        views: (n or 1, 12) cameras.
+        lamps: (n or 1, 12) lights.
+        grid: the samples.
+        record: (n, D, RECORD) to write.
+        extent: (n, D, EXTENT) to write, in tiles; kind ``HIDDEN`` for invisible geoms.
+        redraw: (n,) set to 1 where the stored image of the fixed geoms cannot be used.
+        wanted: (n or 1,) bool; the other environments are skipped.
+    """
+    index = cuda.grid(1)
+    e, slot = index // order.shape[0], index % order.shape[0]
+    if e >= position.shape[0] or not wanted[min(e, wanted.shape[0] - 1)]:
+        return
+    g = order[slot]
+    colour = rgba[min(e, rgba.shape[0] - 1), g]
+    view, lamp = views[min(e, views.shape[0] - 1)], lamps[min(e, lamps.shape[0] - 1)]
+    if slot < fixed:
+        for c in range(4):
+            if colour[c] != own_rgba[g, c]:
+                redraw[e] = 1
+    own = _nine(matrix[e, g], 0)
+    visible, window, origin, frame = project_geom(
+        shape[0][g], _three(shape[1][g], 0), _three(shape[3][g], 0), _three(shape[4][g], 0),
+        _three(position[e, g], 0), own, _three(view, 0), _nine(view, 3), grid,
+    )  # fmt: skip
+    target, numbers = extent[e, slot], record[e, slot]
+    target[0] = shape[0][g] if visible and colour[3] > 0 else HIDDEN
+    target[1] = g
+    # Tiles instead of samples, because the CPU draws whole tiles.
+    for i in range(4):
+        target[2 + i] = window[i] >> BITS
+    lights = _three(lamp, 0), _three(lamp, 3), _three(lamp, 6), _three(lamp, 9)
+    sun, paint = light_geom(_three(colour, 0), shape[2][g], lights, own)
+    _write(numbers, 0, origin)
+    for i in range(9):
+        numbers[3 + i] = frame[i]
+    _write(numbers, 12, _three(shape[1][g], 0))
+    _write(numbers, 15, sun)
+    for i in range(3):
+        _write(numbers, 18 + 3 * i, paint[i])
+
+
+@kernel
+def draw_kernel(
+    record: Array,
+    extent: Array,
+    fixed: int,
+    redraw: Array,
+    grid: Grid,
+    backdrop: tuple[Array, Array],
+    background: int,
+    triangles: tuple[Array, Array, Array, Array],
+    wanted: Array,
+    out: Array,
+) -> None:
+    """Draw one pixel of one environment.
+
+    Args:
+        record: (n, D, RECORD) from ``project_kernel``.
+        extent: (n, D, EXTENT) from ``project_kernel``.
+        fixed: number of geoms in the stored image.
+        redraw: (n,) 1 where these geoms are drawn again.
+        grid: the samples.
+        backdrop: depth and packed colour of the fixed geoms' samples.
+        background: packed colour where no geom is.
+        triangles: ``Meshes.vertex``, ``face``, ``normal`` and ``span``.
+        wanted: (n or 1,) bool; the other environments are skipped.
+        out: (n, H, W, 3) uint8 to write.
+    """
+    index = cuda.grid(1)
+    height, width = out.shape[1], out.shape[2]
+    e, pixel = index // (height * width), index % (height * width)
+    if e >= out.shape[0] or not wanted[min(e, wanted.shape[0] - 1)]:
+        return
+    j, i = pixel // width, pixel % width
+    vertex, face, corner_normal, span = triangles
+    samples = grid.mask + 1
+    half = samples >> 1
+    red, green, blue = half, half, half
+    for s in range(samples):
+        row = j * samples + s
+        sample = sample_point(np.int32(i), np.int32(row), grid)
+        x, y = np.float32(sample[0]), np.float32(sample[1])
+        depth, value, first = FAR, np.int32(background), 0
+        if not redraw[e]:
+            place = ((i >> BITS) * grid.rows + row) * TILE + (i & (TILE - 1))
+            depth, value, first = backdrop[0][place], backdrop[1][place], fixed
+        nearest, nearest_face = -1, -1
+        nx, ny, nz = ZERO, ZERO, ZERO
+        for slot in range(first, extent.shape[1]):
+            tiles, numbers = extent[e, slot], record[e, slot]
+            if (
+                tiles[0] == HIDDEN
+                or (i >> BITS) < tiles[2]
+                or (i >> BITS) > tiles[3]
+                or (row >> BITS) < tiles[4]
+                or (row >> BITS) > tiles[5]
+            ):
+                continue
+            origin, frame = _three(numbers, 0), _nine(numbers, 3)
+            if tiles[0] == MESH:
+                for f in range(span[tiles[1], 2], span[tiles[1], 3]):
+                    hit = _hit_triangle(
+                        origin, frame, _three(vertex[face[f, 0]], 0),
+                        _three(vertex[face[f, 1]], 0), _three(vertex[face[f, 2]], 0), x, y,
+                    )  # fmt: skip
+                    if np.float32(hit[0]) < depth:
+                        depth, nearest, nearest_face = np.float32(hit[0]), slot, f
+                        nx, ny, nz = _floats(hit[1])
+            else:
+                hit = _hit_geom(tiles[0], origin, frame, _three(numbers, 12), x, y)
+                if np.float32(hit[0]) < depth:
+                    depth, nearest = np.float32(hit[0]), slot
+                    nx, ny, nz = _floats(hit[1])
+        if nearest >= 0:
+            numbers = record[e, nearest]
+            frame, sun = _nine(numbers, 3), _three(numbers, 15)
+            paint = _three(numbers, 18), _three(numbers, 21), _three(numbers, 24)
+            if extent[e, nearest, 0] == MESH:
+                normals = corner_normal[nearest_face]
+                value = _smooth_colour(
+                    (nx, ny, nz), _three(normals, 0), _three(normals, 3), _three(normals, 6),
+                    frame, sun, paint,
+                )  # fmt: skip
+            else:
+                value = _colour((nx, ny, nz), frame, sun, paint)
+        red += value & 255
+        green += (value >> 8) & 255
+        blue += (value >> 16) & 255
+    out[e, j, i, 0] = red // samples
+    out[e, j, i, 1] = green // samples
+    out[e, j, i, 2] = blue // samples

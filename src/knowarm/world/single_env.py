@@ -1,0 +1,123 @@
+"""Single environment of the reaching task, and the entry points of Gymnasium's registry."""
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from numpy.typing import NDArray
+
+from knowarm.errors import UserError
+from knowarm.world.backends import SimulatorName
+from knowarm.world.config import EnvConfig
+from knowarm.world.vector_env import ReachVectorEnv
+
+
+class ReachEnv(gymnasium.Env[NDArray[np.uint8], NDArray[np.int64]]):
+    """The reaching task as ``gymnasium.make`` returns it: ``ReachVectorEnv`` with n = 1.
+
+    Args:
+        render_mode: "rgb_array" to draw enlarged images with ``render``, or None.
+        options: fields of ``EnvConfig``.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012 (Gymnasium's name)
+
+    def __init__(self, render_mode: str | None = None, **options: Any) -> None:
+        if render_mode not in (None, "rgb_array"):
+            raise UserError(f"render_mode must be 'rgb_array' or None, got {render_mode!r}.")
+        self.render_mode = render_mode
+        self._vector = ReachVectorEnv(
+            EnvConfig(**options), 1, num_threads=1, autoreset=AutoresetMode.DISABLED
+        )
+        self.config = self._vector.config
+        self.facets = self._vector.facets
+        self.observation_space = self._vector.single_observation_space
+        self.action_space = self._vector.single_action_space
+
+    @property
+    def joint_positions(self) -> NDArray[np.float64]:
+        """Current joint angles, (J,) [rad]."""
+        return self._vector.joint_positions[0]
+
+    @property
+    def facet_id(self) -> int:
+        """Index into ``facets`` of the current episode."""
+        return int(self._vector.facet_ids[0])
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.uint8], dict[str, Any]]:
+        """Start a new episode; ``options["episodes"]`` may be an ``Episodes`` of length 1."""
+        super().reset(seed=seed)
+        images, infos = self._vector.reset(seed=seed, options=options)
+        return images[0], _first(infos)
+
+    def step(
+        self, action: NDArray[np.int64]
+    ) -> tuple[NDArray[np.uint8], float, bool, bool, dict[str, Any]]:
+        """Play one step with an action of (J,) integers in 0..6."""
+        images, rewards, terminated, truncated, infos = self._vector.step(np.asarray(action)[None])
+        return (
+            images[0],
+            float(rewards[0]),
+            bool(terminated[0]),
+            bool(truncated[0]),
+            _first(infos),
+        )
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Draw the policy's view, (480, 480, 3) uint8; None without a render mode."""
+        return self._vector.render()[0] if self.render_mode else None
+
+
+def make_vector_env(
+    num_envs: int,
+    num_threads: int = 0,
+    autoreset: AutoresetMode = AutoresetMode.SAME_STEP,
+    render_mode: str | None = None,
+    device: str | None = None,
+    simulator: SimulatorName | None = None,
+    **options: Any,
+) -> VectorEnv[Any, Any, Any]:
+    """Create a vector environment: the entry point of ``gymnasium.make_vec``.
+
+    Args:
+        num_envs: n.
+        num_threads: threads of physics and rendering on the CPU; 0 for one per core.
+        autoreset: Gymnasium's mode.
+        render_mode: "rgb_array", or None.
+        device: None for ``ReachVectorEnv``, with NumPy arrays; "cpu" or "cuda" for
+            ``TorchReachVectorEnv``, with tensors on that device.
+        simulator: see ``TorchReachVectorEnv``; only with a device.
+        options: fields of ``EnvConfig``.
+
+    Raises:
+        UserError: a device is combined with an argument of the NumPy environment, or a simulator
+            is given without a device.
+    """
+    config = EnvConfig(**options)
+    if device is None:
+        if simulator is not None:
+            raise UserError(
+                f"simulator {simulator!r} needs a device: pass device='cpu' or 'cuda' for the "
+                "torch environment, or leave out simulator."
+            )
+        return ReachVectorEnv(config, num_envs, num_threads, autoreset, render_mode)
+    if (autoreset, render_mode) != (AutoresetMode.SAME_STEP, None):
+        raise UserError(
+            f"With device {device!r} environments are reset in the same step and have no render "
+            f"mode; got autoreset {autoreset.value} and render_mode {render_mode!r}. Leave these "
+            "out, or leave out device."
+        )
+    # Importing torch takes seconds, and the NumPy environment does not need it.
+    from knowarm.world.torch_env import TorchReachVectorEnv
+
+    return TorchReachVectorEnv(
+        config, num_envs, device=device, simulator=simulator, num_threads=num_threads
+    )
+
+
+def _first(infos: dict[str, Any]) -> dict[str, Any]:
+    """Return the infos of environment 0 as Python numbers, without the masks."""
+    return {name: values[0].item() for name, values in infos.items() if not name.startswith("_")}

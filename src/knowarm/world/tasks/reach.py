@@ -1,0 +1,287 @@
+"""Reaching task: state and formulas of n episodes, on NumPy arrays or torch tensors.
+
+The order of a step is ``move`` -> ``outcome`` -> ``start_next`` for what has ended. Images are
+drawn by the vector environments, from the simulator's poses and ``shown``.
+"""
+
+from dataclasses import fields
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knowarm.errors import UserError
+from knowarm.world.appearance import AppearanceSource, Shown
+from knowarm.world.arguments import check_state, masked_ids, spread_seeds
+from knowarm.world.arrays import Array, Selection, array_namespace
+from knowarm.world.backends import Simulator
+from knowarm.world.config import EnvConfig
+from knowarm.world.episodes import Episodes, EpisodeSource
+from knowarm.world.scene import Scene, target_places
+from knowarm.world.tasks.reward import is_success, measure, reward_terms
+
+ACTION_LEVELS = (0.0, 1.0, -1.0, 0.1, -0.1, 0.01, -0.01)
+"""Joint increments of the seven actions, in units of MPI (paper, table 1)."""
+
+_STATE = (
+    "streams",
+    "next_episode",
+    "steps",
+    "joint_targets",
+    "target",
+    "colour",
+    "position",
+    "look",
+)
+"""Arrays that, with the simulator's state, determine everything else."""
+
+
+class Outcome(NamedTuple):
+    """How a step went, (n,) each."""
+
+    reward: Array
+    """Sum of the reward's terms, in the simulator's precision."""
+
+    terminated: Array
+    """Whether the target is reached, bool."""
+
+    truncated: Array
+    """Whether the time limit ends the episode, bool; never where ``terminated``."""
+
+    @property
+    def ended(self) -> Array:
+        """Whether the episode has ended, (n,) bool."""
+        return self.terminated | self.truncated
+
+
+class ReachTask:
+    """n environments in which an arm reaches for one of several targets (paper, section 3).
+
+    No array is written after it was assigned to an attribute: attributes may be handed out, and
+    their owner must not write into them.
+
+    Args:
+        scene: robot and targets.
+        config: the task.
+        simulator: physics of n environments; it decides the array library and the precision.
+
+    Attributes:
+        facets: (target, colour) names; targets in config order, colours in theirs.
+        steps: steps played in the current episode, (n,) int64.
+        joint_targets: joint angles that the servos track, (n, J) [rad]; actions add to them.
+        target: index of the target, (n,) int64.
+        colour: index among the target's colours, (n,) int64.
+        position: x and y of the target, (n, 2) float64 [m].
+        look: draws of the visual randomization, (n, L) float64.
+        grasp_position: (n, 3) [m], world.
+        grasp_matrix: rotation from grasp frame to world, row-major, (n, 9).
+        shown: colours, cameras and lights for the renderer.
+        distance: gripper to grasp point, (n,) [m].
+        angle: between gripper and grasp frame, (n,) [deg].
+        success: whether both are below their thresholds, (n,) bool.
+    """
+
+    distance: Array
+    angle: Array
+    success: Array
+
+    def __init__(self, scene: Scene, config: EnvConfig, simulator: Simulator) -> None:
+        self.scene = scene
+        self.config = config
+        self.simulator = simulator
+        self.num_envs = n = simulator.num_envs
+        self._arrays = arrays = simulator.arrays
+        place, real = arrays.place, arrays.float_dtype
+        self._source = EpisodeSource(scene, config, place)
+        self._appearance = AppearanceSource(scene, config.randomization, place)
+        self.facets, first = list_facets(scene, config)
+        self._first_facet = place(first)
+        self._increments = place((config.mpi_rad * np.array(ACTION_LEVELS)).astype(real))
+        self._home = place(scene.home)
+        self._limits = place(scene.joint_lower), place(scene.joint_upper)
+        self._rounded_limits = (
+            place(scene.joint_lower.astype(real)),
+            place(scene.joint_upper.astype(real)),
+        )
+        self._grasp_offset = place(scene.grasp_position)
+        self._grasp_rotation = place(scene.grasp_matrix.reshape(-1, 9).astype(real))
+
+        self.streams = place(np.random.SeedSequence().generate_state(n, np.uint64))
+        self.next_episode = place(np.zeros(n, dtype=np.uint64))
+        self.steps = place(np.zeros(n, dtype=np.int64))
+        self.joint_targets = place(np.zeros((n, scene.num_joints), dtype=real))
+        self.target = place(np.zeros(n, dtype=np.int64))
+        self.colour = place(np.zeros(n, dtype=np.int64))
+        self.position = place(np.zeros((n, 2)))
+        self.look = place(np.zeros((n, config.randomization.draws)))
+        self.grasp_position = place(np.zeros((n, 3), dtype=real))
+        self.grasp_matrix = place(np.zeros((n, 9), dtype=real))
+        self.shown = Shown(None, None, None, None)
+        self.everywhere = place(np.ones(n, dtype=np.bool_))
+        self._all = arrays.select(np.arange(n), n)
+        self.start_next(self._all)
+
+    @property
+    def facet_ids(self) -> Array:
+        """Facet of each current episode, (n,) int64."""
+        return self._first_facet[self.target] + self.colour
+
+    def select_where(self, mask: Array) -> Selection:
+        """Select environments by a mask, (n,) bool."""
+        return self._arrays.select_where(mask)
+
+    def reset(
+        self, seed: int | list[int | None] | None, options: dict[str, Any] | None
+    ) -> NDArray[np.intp]:
+        """Start new episodes; see ``ReachVectorEnv.reset``.
+
+        Returns:
+            The environments that were reset, (k,).
+        """
+        options = options or {}
+        n = self.num_envs
+        ids = masked_ids(options.get("reset_mask"), n)
+        seeds = spread_seeds(seed, n)
+        seeded = ids[seeds.given[ids]]
+        if len(seeded):
+            self._seed(seeded, seeds.values[seeded])
+        selection = self._arrays.select(ids, n)
+        episodes = options.get("episodes")
+        if episodes is None:
+            self.start_next(selection)
+        elif len(episodes) == len(ids):
+            self._appearance.check(episodes)
+            rows = (getattr(episodes, field.name) for field in fields(episodes))
+            self._start(selection, Episodes(*(self._arrays.spread(r, ids, n) for r in rows)))
+        else:
+            raise UserError(
+                f"options['episodes'] holds {len(episodes)} episodes for {len(ids)} environments "
+                "that are reset; pass one per environment."
+            )
+        return ids
+
+    def start_next(self, selection: Selection) -> None:
+        """Start the next episode of each selected environment's stream."""
+        numbers = selection.take(self.next_episode)
+        episodes = self._source(selection.take(self.streams), numbers)
+        self.next_episode = selection.put(self.next_episode, numbers + 1)
+        self._start(selection, episodes)
+
+    def move(self, levels: Array) -> None:
+        """Add the increments of actions (n, J) to the joint targets and simulate one step."""
+        lower, upper = self._rounded_limits
+        self.joint_targets = (self.joint_targets + self._increments[levels]).clip(lower, upper)
+        self.simulator.step(self.joint_targets)
+        self.steps = self.steps + 1
+        self._measure()
+
+    def outcome(self) -> Outcome:
+        """Compute reward, success and time limit in the current state."""
+        terms = reward_terms(self.distance, self.angle, self.success)
+        reward = terms["success"] + terms["distance"] + terms["angle"]
+        truncated = (self.steps >= self.config.max_episode_steps) & ~self.success
+        return Outcome(reward, self.success, truncated)
+
+    def infos(self, mask: Array) -> dict[str, Array]:
+        """Return the metrics of the current state, (n,) each, with a mask ``_name`` per name."""
+        infos = {
+            "distance": self.distance,
+            "angle": self.angle,
+            "target": self.target,
+            "colour": self.colour,
+            "facet": self.facet_ids,
+            "is_success": self.success,
+        }
+        return infos | {f"_{name}": mask for name in infos}
+
+    def get_state(self) -> dict[str, NDArray[Any]]:
+        """Copy all that determines the following steps to the host."""
+        state = {name: self._arrays.to_host(getattr(self, name)) for name in _STATE}
+        return state | {"simulation": self.simulator.get_state()}
+
+    def set_state(self, state: dict[str, NDArray[Any]]) -> None:
+        """Restore a state of ``get_state``, of a task with the same config and n.
+
+        Raises:
+            UserError: the state belongs to another kind of environment.
+        """
+        check_state(self.get_state(), state)
+        for name in _STATE:
+            setattr(self, name, self._arrays.place(np.array(state[name])))
+        self._refresh(self._all)
+        self.simulator.set_state(
+            state["simulation"], self.joint_targets, self.position, self.shown.distractor_position
+        )
+        self._measure()
+
+    def _seed(self, env_ids: NDArray[np.intp], values: NDArray[np.uint64]) -> None:
+        """Give environments (k,) new streams, from their first episode."""
+        streams, numbers = map(self._arrays.to_host, (self.streams, self.next_episode))
+        streams[env_ids], numbers[env_ids] = values.view(streams.dtype), 0
+        self.streams, self.next_episode = map(self._arrays.place, (streams, numbers))
+
+    def _start(self, selection: Selection, episodes: Episodes) -> None:
+        """Put selected environments at the start of episodes, whose arrays have m rows."""
+        xp = array_namespace(self.position)
+        joints = (self._home + episodes.joint_offsets).clip(*self._limits)
+        joints = xp.astype(joints, self.joint_targets.dtype, copy=False)
+        self.joint_targets = selection.put(self.joint_targets, joints)
+        self.target = selection.put(self.target, episodes.target)
+        self.colour = selection.put(self.colour, episodes.colour)
+        self.position = selection.put(self.position, episodes.position)
+        self.look = selection.put(self.look, episodes.look)
+        self.steps = selection.put(self.steps, xp.zeros_like(selection.take(self.steps)))
+        distractors = self._refresh(selection)
+        self.simulator.reset(
+            selection,
+            selection.take(self.joint_targets),
+            selection.take(self.position),
+            distractors,
+        )
+        self._measure()
+
+    def _refresh(self, selection: Selection) -> Array | None:
+        """Recompute grasp frames and appearance; return distractor positions, (m, D, 2) [m]."""
+        xp = array_namespace(self.position)
+        target, position = selection.take(self.target), selection.take(self.position)
+        grasp = target_places(self.scene, position) + self._grasp_offset[target]
+        grasp = xp.astype(grasp, self.grasp_position.dtype, copy=False)
+        self.grasp_position = selection.update(self.grasp_position, grasp)
+        self.grasp_matrix = selection.update(self.grasp_matrix, self._grasp_rotation[target])
+        shown = self._appearance(
+            target, selection.take(self.colour), position, selection.take(self.look)
+        )
+        self.shown = Shown(
+            *(
+                new if old is None else selection.update(old, new)
+                for old, new in zip(self.shown, shown, strict=True)
+            )
+        )
+        return shown.distractor_position
+
+    def _measure(self) -> None:
+        """Measure distance, angle and success in the current state."""
+        config, simulator = self.config, self.simulator
+        self.distance, self.angle = measure(
+            simulator.tcp_position,
+            simulator.tcp_matrix,
+            self.grasp_position,
+            self.grasp_matrix,
+            config.ignore_roll,
+        )
+        self.success = is_success(
+            self.distance, self.angle, config.success_distance_m, config.success_angle_deg
+        )
+
+
+def list_facets(
+    scene: Scene, config: EnvConfig
+) -> tuple[tuple[tuple[str, str], ...], NDArray[np.int64]]:
+    """List the (target, colour) pairs of a config and the index of each target's first, (K,)."""
+    facets: list[tuple[str, str]] = []
+    first = []
+    for target in scene.targets:
+        colours = list(target.colours) if config.colours == "randomized" else [*target.colours][:1]
+        first.append(len(facets))
+        facets += [(target.name, colour) for colour in colours]
+    return tuple(facets), np.array(first, dtype=np.int64)

@@ -1,0 +1,298 @@
+"""Torch vector environment of the reaching task: what learning sees, on the CPU or a GPU."""
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+from torch import Tensor
+
+from knowarm.errors import UserError
+from knowarm.world.arguments import check_action_range, check_num_envs
+from knowarm.world.arrays import Array
+from knowarm.world.backends import Simulator, SimulatorName
+from knowarm.world.backends.device import check_memory, choose_backend, free_memory
+from knowarm.world.backends.mujoco import MujocoSimulator
+from knowarm.world.backends.warp import WarpSimulator
+from knowarm.world.config import EnvConfig
+from knowarm.world.episodes import EpisodeSource
+from knowarm.world.render.renderer import TorchRenderer, make_renderer
+from knowarm.world.scene import load_scene
+from knowarm.world.tasks.reach import ACTION_LEVELS, ReachTask
+from knowarm.world.vector_env import draw_images
+
+
+class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
+    """n environments as in ``ReachVectorEnv``, whose arguments and results are torch tensors.
+
+    With the same seed it plays the same episodes. Environments that end are reset in the same
+    step. On a GPU ``step`` only launches kernels, on torch's current stream, and never waits for
+    the device; therefore every environment is computed and a mask selects those that are reset.
+    On the CPU tensors share the memory of NumPy arrays.
+
+    Observations are uint8 images (n, H, W, 3), new at every call. Infos are tensors (n,), named
+    as those of ``ReachVectorEnv``, which are not to be written into. ``step`` always adds
+
+    - "final_obs": (n, H, W, 3) uint8, the last image of each episode that was truncated. Other
+      rows are undefined, and the next step overwrites the tensor.
+    - "_final_obs": (n,) bool, where an episode was truncated.
+    - "final_info": the infos before the reset, valid where an episode ended.
+    - "_final_info": (n,) bool, where an episode ended.
+
+    Args:
+        config: the task.
+        num_envs: n.
+        device: "cpu", or "cuda" for the first visible GPU.
+        simulator: "mujoco" (float64, CPU only), "warp" (float32, GPU or, for checking, CPU), or
+            None for MuJoCo on the CPU and Warp on a GPU.
+        num_threads: threads of physics and rendering with "mujoco"; 0 for one per core.
+
+    Attributes:
+        device: where the tensors are.
+        task: the state of the episodes.
+        simulation: the physics.
+        renderer: draws the observations.
+        facets: (target, colour) names; targets in config order, colours in theirs.
+
+    Raises:
+        UserError: the device or a package is missing, the GPU's memory is too small, or Warp is
+            combined with OpenGL.
+    """
+
+    def __init__(
+        self,
+        config: EnvConfig,
+        num_envs: int,
+        *,
+        device: str = "cpu",
+        simulator: SimulatorName | None = None,
+        num_threads: int = 0,
+    ) -> None:
+        check_num_envs(num_envs)
+        self.config = config
+        self.num_envs = num_envs
+        self.metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
+        self.scene = scene = load_scene(
+            config.robot, tuple(config.targets), config.randomization.distractors
+        )
+        EpisodeSource(scene, config)  # raises its errors before anything is allocated
+        self.device, backend = choose_backend(device, simulator)
+        if self.device.type == "cuda":
+            check_memory(scene, config, num_envs, free_memory(self.device))
+        side = config.image_size
+        self.single_observation_space = spaces.Box(0, 255, (side, side, 3), np.uint8)
+        self.single_action_space = spaces.MultiDiscrete(
+            np.full(scene.num_joints, len(ACTION_LEVELS))
+        )
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.renderer: Any  # Renderer or TorchRenderer
+        self.simulation: Simulator
+        self._images: _HostImages | _DeviceImages
+        if backend == "mujoco":
+            self.renderer = make_renderer(scene, config, side, num_threads)
+            self.simulation = MujocoSimulator(scene, num_envs, num_threads, config.dynamics)
+            self._images = _HostImages(self)
+        else:
+            self.renderer = TorchRenderer(scene, config, self.device)
+            self.simulation = WarpSimulator(scene, num_envs, self.device, config.dynamics)
+            self._images = _DeviceImages(self)
+        self.task = ReachTask(scene, config, self.simulation)
+        self.facets = self.task.facets
+
+    @cached_property
+    def observation_space(self) -> spaces.Box:  # type: ignore[override]
+        """Space of the observations; created on first use, because its bounds take 2 n images."""
+        space = batch_space(self.single_observation_space, self.num_envs)
+        assert isinstance(space, spaces.Box)
+        return space
+
+    @property
+    def max_episode_steps(self) -> int:
+        """Number of steps within which no environment is truncated twice."""
+        return self.config.max_episode_steps
+
+    @property
+    def facet_ids(self) -> Tensor:
+        """Facet of each current episode, (n,) int64."""
+        return _tensor(self.task.facet_ids)
+
+    @property
+    def joint_positions(self) -> Tensor:
+        """Current joint angles, (n, J) [rad], in the simulator's precision."""
+        return _tensor(self.simulation.joint_positions)
+
+    @property
+    def joint_targets(self) -> Tensor:
+        """Joint angles that the servos track, (n, J) [rad]; actions add to them."""
+        return _tensor(self.task.joint_targets)
+
+    def reset(
+        self,
+        *,
+        seed: int | list[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Tensor, dict[str, Any]]:
+        """Start a new episode in every environment, or in those of a mask.
+
+        Args:
+            seed: as in ``ReachVectorEnv.reset``.
+            options: "episodes", the ``Episodes`` (of NumPy arrays) to play instead of drawn ones,
+                one for each environment that is reset; "reset_mask", (n,) bool, the environments
+                to reset, a tensor or an array.
+
+        Raises:
+            UserError: a seed, mask or list of episodes of the wrong length.
+        """
+        options = dict(options or {})
+        if isinstance(mask := options.get("reset_mask"), Tensor):
+            options["reset_mask"] = mask.cpu().numpy()
+        self.task.reset(seed, options)
+        return self._images.draw(), _tensors(self.task.infos(self.task.everywhere))
+
+    def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
+        """Play one step in every environment.
+
+        Args:
+            actions: (n, J) int64 in 0..6, on the device. On a GPU values outside are clipped,
+                since detecting them would mean waiting for it.
+
+        Returns:
+            observation (n, H, W, 3) uint8, reward (n,) float32, terminated (n,) bool, truncated
+            (n,) bool, and infos.
+
+        Raises:
+            UserError: actions of the wrong shape, dtype or device; on the CPU also outside 0..6.
+        """
+        shape = (self.num_envs, self.scene.num_joints)
+        check_actions(actions, shape, self.device, len(ACTION_LEVELS))
+        task, images = self.task, self._images
+        task.move(images.levels(actions))
+        outcome = task.outcome()
+        ended = outcome.ended
+        images.draw_final(outcome.truncated)
+        before = task.infos(ended)
+        selection = task.select_where(ended)
+        if not selection.is_empty:
+            task.start_next(selection)
+        infos = _tensors(task.infos(task.everywhere)) | {
+            "final_obs": images.final,
+            "_final_obs": _tensor(outcome.truncated),
+            "final_info": _tensors(before),
+            "_final_info": _tensor(ended),
+        }
+        return (
+            images.draw(),
+            _tensor(outcome.reward).float(),
+            _tensor(outcome.terminated),
+            _tensor(outcome.truncated),
+            infos,
+        )
+
+    def get_state(self) -> dict[str, NDArray[Any]]:
+        """Copy all that determines the following steps to the host; on the CPU to the byte."""
+        return self.task.get_state()
+
+    def set_state(self, state: dict[str, NDArray[Any]]) -> None:
+        """Restore a state of ``get_state``, of an environment with the same config and n.
+
+        Raises:
+            UserError: the state belongs to another kind of environment.
+        """
+        self.task.set_state(state)
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Wait for the device and report problems of the simulation."""
+        self.simulation.close()
+
+
+class _HostImages:
+    """Images and actions at the border to NumPy: the CPU draws only the rows that are needed."""
+
+    def __init__(self, env: TorchReachVectorEnv) -> None:
+        self._env = env
+        self._final = np.zeros((env.num_envs, *env.single_observation_space.shape), np.uint8)
+        self.final = torch.from_numpy(self._final)
+
+    def levels(self, actions: Tensor) -> NDArray[np.int64]:
+        """Return the actions as an array of the same memory, (n, J)."""
+        return actions.numpy()
+
+    def draw(self) -> Tensor:
+        """Draw all environments, into a new tensor."""
+        return torch.from_numpy(draw_images(self._env.renderer, self._env.task))
+
+    def draw_final(self, truncated: NDArray[np.bool_]) -> None:
+        """Draw the environments of a mask (n,) into their rows of ``final``."""
+        ids = np.flatnonzero(truncated)
+        if len(ids):
+            self._final[ids] = draw_images(self._env.renderer, self._env.task, ids)
+
+
+class _DeviceImages:
+    """Images and actions on the device, drawn by a mask that the host does not read."""
+
+    def __init__(self, env: TorchReachVectorEnv) -> None:
+        self._env = env
+        shape = (env.num_envs, *env.single_observation_space.shape)
+        self.final = torch.zeros(shape, dtype=torch.uint8, device=env.device)
+
+    def levels(self, actions: Tensor) -> Tensor:
+        """Clip the actions to their range, (n, J)."""
+        return actions.clamp(0, len(ACTION_LEVELS) - 1)
+
+    def draw(self) -> Tensor:
+        """Draw all environments, into a new tensor."""
+        out = torch.empty_like(self.final)
+        self._draw(out, None)
+        return out
+
+    def draw_final(self, truncated: Tensor) -> None:
+        """Draw the environments of a mask (n,) into their rows of ``final``."""
+        self._draw(self.final, truncated)
+
+    def _draw(self, out: Tensor, wanted: Tensor | None) -> None:
+        env = self._env
+        simulation, shown = env.simulation, env.task.shown
+        env.renderer.draw(
+            simulation.geom_position, simulation.geom_matrix, *shown[:3], out=out, wanted=wanted
+        )
+
+
+def check_actions(actions: Any, shape: tuple[int, int], device: torch.device, levels: int) -> None:
+    """Check actions as far as that is possible without waiting for a GPU.
+
+    Args:
+        actions: the argument of ``step``.
+        shape: (n, J).
+        device: the environment's device.
+        levels: number of levels of each joint.
+
+    Raises:
+        UserError: no int64 tensor (n, J) on the device; on the CPU also a value outside 0 to
+            levels - 1.
+    """
+    expected = (
+        f"actions must be an int64 tensor of shape {shape} (environments, joints) on {device}"
+    )
+    if not isinstance(actions, Tensor):
+        raise UserError(f"{expected}, got {type(actions).__name__}.")
+    if (tuple(actions.shape), actions.dtype, actions.device) != (shape, torch.int64, device):
+        raise UserError(
+            f"{expected}, got {actions.dtype} of shape {tuple(actions.shape)} on {actions.device}."
+        )
+    if device.type == "cpu":
+        check_action_range(actions.numpy(), levels)
+
+
+def _tensor(array: Array) -> Tensor:
+    """Return an array as a tensor of the same memory, and a tensor as it is."""
+    return array if isinstance(array, Tensor) else torch.from_numpy(array)
+
+
+def _tensors(infos: dict[str, Array]) -> dict[str, Tensor]:
+    """Return the arrays of infos as tensors."""
+    return {name: _tensor(values) for name, values in infos.items()}

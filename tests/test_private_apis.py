@@ -1,0 +1,102 @@
+"""Private APIs of other libraries still do what ``knowarm.private_apis`` relies on."""
+
+import importlib.util
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+import torch
+from numba import njit
+
+from knowarm import private_apis
+from knowarm.private_apis import key_numba_cache, no_fused_multiply_add
+
+MULTIPLY_ADD = """
+import numpy as np
+from numba import cuda, types
+from knowarm.private_apis import no_fused_multiply_add
+
+def kernel(out, a, b, c):
+    out[0] = a * b + c
+
+signature = types.void(types.float32[:], *3 * [types.float32])
+
+def ptx(**options):
+    return cuda.compile_ptx(kernel, signature, cc=(9, 0), **options)[0]
+
+assert "fma" in ptx()
+with no_fused_multiply_add():
+    assert "fma" not in ptx()
+assert "fma" in ptx()
+"""
+
+
+def load(path: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_numba_caches_a_function_under_its_key(tmp_path: Path) -> None:
+    path = tmp_path / "cached_function.py"
+    path.write_text("def double(x):\n    return 2 * x\n")
+
+    def cache_hits(key: str) -> int:
+        compiled = njit(cache=True)(key_numba_cache(load(path).double, key))
+        assert compiled(4) == 8
+        return sum(compiled.stats.cache_hits.values())
+
+    assert [cache_hits(key) for key in ("a", "a", "b", "b", "a")] == [0, 1, 0, 1, 1]
+
+
+def test_keyed_function_keeps_its_name_and_docstring() -> None:
+    keyed = key_numba_cache(load, "key")
+    assert (keyed.__name__, keyed.__doc__) == (load.__name__, load.__doc__)
+
+
+def test_nvvm_is_called_where_it_is_patched() -> None:
+    """Needs no GPU: Numba must look the function up in the module at each call."""
+    from numba.cuda import codegen
+    from numba.cuda.cudadrv import nvvm
+
+    if not hasattr(nvvm, "compile_ir"):
+        pytest.skip("Numba's CUDA simulator is on")
+    original = nvvm.compile_ir
+    assert "nvvm.compile_ir(" in Path(codegen.__file__).read_text()
+    with no_fused_multiply_add():
+        assert nvvm.compile_ir.func is original
+        assert nvvm.compile_ir.keywords == {"fma": False}
+    assert nvvm.compile_ir is original
+
+
+def test_compiled_kernels_have_no_fused_multiply_add() -> None:
+    from numba.cuda.cudadrv import nvvm
+
+    try:
+        nvvm.NVVM()
+    except Exception as error:  # of Numba or the dynamic linker
+        pytest.skip(f"no NVVM: {error}")
+    done = subprocess.run(
+        [sys.executable, "-c", MULTIPLY_ADD],
+        env=os.environ | {"NUMBA_ENABLE_CUDASIM": "0"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_cpu_reports_whether_it_has_bfloat16_products():
+    assert isinstance(torch.cpu._is_avx512_bf16_supported(), bool)
+    assert isinstance(torch.cpu._is_amx_tile_supported(), bool)
+    assert isinstance(private_apis.cpu_has_bfloat16(), bool)
+
+
+def test_either_extension_is_enough(monkeypatch):
+    for vectors, tiles in ((False, False), (True, False), (False, True)):
+        monkeypatch.setattr(torch.cpu, "_is_avx512_bf16_supported", lambda answer=vectors: answer)
+        monkeypatch.setattr(torch.cpu, "_is_amx_tile_supported", lambda answer=tiles: answer)
+        assert private_apis.cpu_has_bfloat16() == (vectors or tiles)

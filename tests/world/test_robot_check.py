@@ -1,0 +1,46 @@
+"""Checks of a robot's description: the example passes, and each defect is named with a remedy."""
+
+from pathlib import Path
+
+import pytest
+from conftest import EXAMPLES, write_robot
+
+from knowarm.world.robot_check import check_robot
+from knowarm.world.robots import ROBOTS
+
+
+def test_example_robot_passes_all_checks() -> None:
+    checks = check_robot(EXAMPLES / "scara.toml", ["bottle", str(EXAMPLES / "bowl.toml")])
+    assert [check for check in checks if not check.ok] == []
+    assert {check.name for check in checks} >= {
+        "joints",
+        "gripper",
+        "servos",
+        "reach of bowl",
+        "green bowl in the image",
+    }
+
+
+@pytest.mark.parametrize(
+    ("changes", "name", "words"),
+    [
+        ({"rectangle_centre_m": "[0.75, 0.0]"}, "reach of bottle", "move or shrink the rectangle"),
+        ({"camera_fovy_deg": "150.0"}, "yellow bottle in the image", "camera_fovy_deg"),
+        ({"tcp_quaternion": "[1.0, 0.0, 0.0, 0.0]"}, "gripper", "tcp_quaternion"),
+        ({"servo_frequency_hz": "0.5"}, "servos", "servo_frequency_hz"),
+        ({"joints": '["shoulder", "knee"]'}, "scene", "home has"),
+    ],
+)
+def test_defects_are_named_with_a_remedy(
+    changes: dict, name: str, words: str, tmp_path: Path
+) -> None:
+    bad = {check.name: check for check in check_robot(write_robot(tmp_path, **changes), ["bottle"])}
+    assert not bad[name].ok
+    assert words in bad[name].remedy + bad[name].found
+
+
+def test_bare_mjcf_gets_a_template_of_its_description() -> None:
+    checks = {check.name: check for check in check_robot(ROBOTS["irb120"].robot.mjcf)}
+    assert "joint_6" in checks["joints"].found
+    assert not checks["description"].ok
+    assert 'joints = ["joint_1", ' in checks["description"].remedy
