@@ -2,7 +2,6 @@
 
 import pytest
 import torch
-from knowarm.world.env import ReachVectorEnv
 
 from knowarm.experiment.build import build
 from knowarm.experiment.registry import experiment_config
