@@ -255,6 +255,7 @@ def provenance() -> dict[str, Any]:
 
 
 def package_version(package: str) -> str | None:
+    """Return the version of an installed package; None where it is not installed."""
     try:
         return version(package)
     except PackageNotFoundError:
