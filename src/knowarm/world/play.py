@@ -198,7 +198,7 @@ def play(
     length = np.bincount(steps.episode, minlength=count)
     last = np.cumsum(length) - 1
     return EpisodeResults(
-        episode_return=np.bincount(steps.episode, weights=steps.reward, minlength=count),
+        episode_return=np.bincount(steps.episode, steps.reward, count).astype(np.float64),
         length=length,
         distance=steps.distance[last],
         angle=steps.angle[last],

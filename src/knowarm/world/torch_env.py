@@ -71,6 +71,7 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         simulator: SimulatorName | None = None,
         num_threads: int = 0,
     ) -> None:
+        self.config = config
         self.scene = scene = describe(self, config, num_envs)
         self.metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
         EpisodeSource(scene, config)  # raises its errors before anything is allocated

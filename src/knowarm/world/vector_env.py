@@ -57,6 +57,7 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
         autoreset: AutoresetMode = AutoresetMode.SAME_STEP,
         render_mode: str | None = None,
     ) -> None:
+        self.config = config
         self.scene = describe(self, config, num_envs)
         self.render_mode = render_mode
         self.metadata = {
@@ -238,7 +239,7 @@ def describe(env: VectorEnv[Any, Any, Any], config: EnvConfig, num_envs: int) ->
         raise UserError(f"num_envs must be at least 1, got {num_envs}.")
     scene = load_scene(config.robot, tuple(config.targets), config.randomization.distractors)
     shape = (config.image_size, config.image_size, 3)
-    env.config, env.num_envs = config, num_envs  # type: ignore[attr-defined]
+    env.num_envs = num_envs
     env.single_observation_space = spaces.Box(0, 255, shape, np.uint8)
     env.single_action_space = spaces.MultiDiscrete(np.full(scene.num_joints, len(ACTION_LEVELS)))
     env.action_space = batch_space(env.single_action_space, num_envs)
