@@ -5,23 +5,30 @@ listed, trained and evaluated.
 """
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
+import numpy as np
 import pytest
 import torch
 
 import knowarm
 from knowarm.cli.main import main
 from knowarm.experiment.algorithms import TrainerInputs
+from knowarm.knowledge.vectors import SOURCES, VectorSource
+from knowarm.knowledge.vectors.source import Found
 from knowarm.learn import Checkpoint, Trainer, TrainingResult
 from knowarm.learn.checkpoint import policy_arrays
 from knowarm.learn.config import AlgorithmConfig
 from knowarm.policy.fusion import FUSIONS, Fusion
+from knowarm.report.claims import claims
+from knowarm.report.collect import collect
+from knowarm.report.verdict import finding
 from knowarm.world import env_id, register_environments
 from knowarm.world.robots import RobotEntry
 from knowarm.world.scene import find_robot, find_targets
+from tests.report.synthetic_study import Size, Truth, write_study
 
 OWN = Path(__file__).parents[1] / "examples" / "own_robot"
 TINY = {
@@ -55,9 +62,7 @@ def train_and_evaluate(name, folder, **overrides):
 
 def test_a_robot(monkeypatch, listed, tmp_path):
     robot = find_robot(str(OWN / "scara.toml"))
-    monkeypatch.setitem(
-        knowarm.ROBOTS, "toy", RobotEntry(title="Toy SCARA", env_id="ToyReach-v0", robot=robot)
-    )
+    monkeypatch.setitem(knowarm.ROBOTS, "toy", RobotEntry(env_id="ToyReach-v0", robot=robot))
     register_environments()
     assert "toy" in listed()["robots"]
     assert knowarm.make(env_id("toy"), num_envs=2).reset(seed=0)[0].shape == (2, 64, 64, 3)
@@ -87,6 +92,33 @@ def test_a_fusion(monkeypatch, tmp_path):
     assert isinstance(knowarm.load_agent(run.folder.path).policy.fusion, LSTMGate)
 
 
+@dataclass(frozen=True, kw_only=True)
+class LetterCounts(VectorSource):
+    """Toy source: a word's vector counts its letters."""
+
+    kind: Literal["letters"] = "letters"
+    name: ClassVar[str] = "letters"
+    scale: float = 1.0
+    dim: ClassVar[int] = 26
+
+    def open(self, request):
+        return self
+
+    def find(self, part, coverage):
+        words = part.label.split()
+        coverage.how[part.label] = "words"
+        counts = [[word.count(chr(97 + i)) * self.scale for i in range(26)] for word in words]
+        return Found(np.array(counts, np.float32), np.full(len(words), 0.01))
+
+
+def test_an_embedding(monkeypatch, tmp_path):
+    monkeypatch.setitem(SOURCES, "letters", LetterCounts)
+    knowledge = {"source": {"kind": "letters", "scale": 0.5}, "dim": 26}
+    run, _ = train_and_evaluate("irb120-full-ppo", tmp_path, knowledge=knowledge)
+    assert run.folder.experiment().knowledge.source == LetterCounts(scale=0.5)
+    assert run.folder.knowledge().shape == (3, 78)
+
+
 def test_an_agent(monkeypatch, listed, tmp_path):
     agent = knowarm.Agent(
         about="control: the sentence of a graph with permuted tails, two hops",
@@ -98,6 +130,19 @@ def test_an_agent(monkeypatch, listed, tmp_path):
     assert listed()["agents"]["toy-control"] == agent.about
     run, _ = train_and_evaluate("irb120-toy-control-ppo", tmp_path)
     assert run.folder.config()["role"] == "content_control"
+
+
+@pytest.mark.parametrize(
+    ("success", "verdict"), [(0.35, "knowledge matters"), (0.75, "input without meaning")]
+)
+def test_the_verdict_on_an_agent_follows_its_role(monkeypatch, tmp_path, success, verdict):
+    """The only content control of the study is an agent that no file of the package names."""
+    control = replace(knowarm.AGENTS["shuffled"], about="toy control")
+    monkeypatch.setitem(knowarm.AGENTS, "toy-control", control)
+    truth = {"bm": 0.35, "full": 0.75, "zeros": 0.35, "wide": 0.35, "toy-control": success}
+    size = Size(points=12, tables=False)
+    study = collect(write_study(tmp_path, Truth(success=truth), seeds=6, size=size))
+    assert finding(study.tasks[0], claims(study), "success").kind == verdict
 
 
 @dataclass(frozen=True, kw_only=True)

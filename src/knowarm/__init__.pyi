@@ -6,8 +6,8 @@ from .experiment.algorithms import ALGORITHMS as ALGORITHMS
 from .experiment.algorithms import Algorithm as Algorithm
 from .experiment.build import TrainedAgent as TrainedAgent
 from .experiment.build import load_agent as load_agent
+from .experiment.config import EvaluationConfig as EvaluationConfig
 from .experiment.config import ExperimentConfig as ExperimentConfig
-from .experiment.evaluate import EvaluationConfig as EvaluationConfig
 from .experiment.evaluate import EvaluationResult as EvaluationResult
 from .experiment.evaluate import evaluate as evaluate
 from .experiment.registry import experiment_config as experiment_config

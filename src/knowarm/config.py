@@ -57,8 +57,8 @@ def replace(config: T, overrides: Mapping[str, Any], *, where: str = "") -> T:
     for name, new in overrides.items():
         current = getattr(config, name, None)
         if isinstance(new, Mapping) and dataclasses.is_dataclass(current):
-            tag = _tag(type(current))
-            same_type = tag is None or new.get(tag) in (None, getattr(current, tag))
+            tags = [field for field, _ in _tags(type(current))]
+            same_type = all(new.get(tag) in (None, getattr(current, tag)) for tag in tags)
             path = f"{where}.{name}" if where else name
             new = to_dict(replace(current, new, where=path)) if same_type else new
         values[name] = _plain(new)
@@ -142,20 +142,14 @@ def _union(args: tuple[Any, ...], value: Any, path: str) -> Any:
     if value is None and type(None) in args:
         return None
     kinds = [kind for kind in args if kind is not type(None)]
-    tags = {kind: _tag(kind) for kind in kinds if dataclasses.is_dataclass(kind)}
-    if isinstance(value, Mapping) and tags and None not in tags.values():
-        tagged = {
-            (tag, choice): kind
-            for kind, tag in tags.items()
-            for choice in get_args(typing.get_type_hints(kind)[tag])
-        }
-        for (tag, choice), kind in tagged.items():
-            if value.get(tag) == choice:
+    tags = {tag: kind for kind in kinds for tag in _tags(kind)}
+    if isinstance(value, Mapping) and tags:
+        for (field, choice), kind in tags.items():
+            if value.get(field) == choice:
                 return from_dict(kind, value, where=path)
-        tag = next(iter(tagged))[0]
-        choices = [str(choice) for _, choice in tagged]
-        raise unknown_name(f"{path}.{tag}", str(value.get(tag)), choices)
-    if tags and len(tags) == len(kinds):
+        field = next(iter(tags))[0]
+        raise unknown_name(f"{path}.{field}", str(value.get(field)), [choice for _, choice in tags])
+    if tags and all(map(_tags, kinds)):
         names = ", ".join(kind.__name__ for kind in kinds)
         raise UserError(f"{path} must hold the fields of one of {names}, got {value!r}.")
     errors = []
@@ -167,7 +161,10 @@ def _union(args: tuple[Any, ...], value: Any, path: str) -> Any:
     raise UserError(errors[0] if len(errors) == 1 else f"{path}: " + " Or: ".join(errors))
 
 
-def _tag(cls: Any) -> str | None:
-    """Name of the literal field that tells a dataclass from its alternatives; None without one."""
+def _tags(cls: Any) -> list[tuple[str, str]]:
+    """Literal field (``kind`` or ``name``) that tells a config from others, with each value."""
+    if not dataclasses.is_dataclass(cls):
+        return []
     hints = typing.get_type_hints(cls)
-    return next((name for name in ("kind", "name") if get_origin(hints.get(name)) is Literal), None)
+    field = next((name for name in ("kind", "name") if get_origin(hints.get(name)) is Literal), "")
+    return [(field, choice) for choice in get_args(hints.get(field))]

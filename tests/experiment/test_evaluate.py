@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from knowarm.errors import UserError
-from knowarm.experiment.evaluate import EvaluationConfig, evaluate, summarize
+from knowarm.experiment.config import EvaluationConfig
+from knowarm.experiment.evaluate import evaluate, summarize
 from knowarm.experiment.evaluation_files import read_film, read_table
 from knowarm.statistics import wilson
 from knowarm.world.agents import RandomAgent, ZeroAgent

@@ -132,7 +132,7 @@ SLOW = {"analogy"}  # trains a graph embedding
 def test_every_agent_can_be_built(name):
     config = experiment_config(f"irb120-{name}-dr-ppo")
     parts = build(config)
-    assert parts.table.shape == (6, parts.policy_config.knowledge_dim) or config.policy.wide
+    assert parts.table.shape == (6, parts.policy_shape.knowledge_dim) or config.policy.wide
     assert np.isfinite(parts.table).all()
     assert parts.new_policy(0).parameter_counts()["total"] > 0
 
@@ -141,7 +141,7 @@ def test_wide_matches_full():
     full, wide = (
         build(experiment_config(f"irb120-{name}-ppo")).new_policy(0) for name in ("full", "wide")
     )
-    assert wide.config.hidden_size == full.config.hidden_size
+    assert wide.hidden_size == full.hidden_size
     counts = [policy.parameter_counts()["total"] for policy in (wide, full)]
     assert abs(counts[0] / counts[1] - 1) < 0.005
 

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from knowarm.experiment.build import load_agent
-from knowarm.experiment.evaluate import EvaluationConfig, evaluate
+from knowarm.experiment.config import EvaluationConfig
+from knowarm.experiment.evaluate import evaluate
 
 ZOO = Path(__file__).parents[2] / "zoo"
 AGENTS = sorted(path.name for path in ZOO.iterdir() if path.is_dir())

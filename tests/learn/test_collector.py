@@ -7,6 +7,7 @@ import torch
 from knowarm.errors import UserError
 from knowarm.learn.collector import Collector, DeferredFinalValues
 from knowarm.learn.rollout import Rollout, rollout_specs
+from knowarm.learn.shared_tensors import zeros
 from tests.learn.toys import informed_toy_policy, toy_env, toy_policy
 
 COUNT, STEPS = 8, 12
@@ -21,7 +22,7 @@ def collect(rollouts, *, deferred, recall, length):
     env.max_episode_steps = length
     final_values = DeferredFinalValues(policy, env) if deferred else None
     collector = Collector(env, policy, seed=3, final_values=final_values)
-    rollout = Rollout.zeros(rollout_specs(STEPS, COUNT, policy))
+    rollout = Rollout(**zeros(rollout_specs(STEPS, COUNT, policy)))
     collected = []
     for _ in range(rollouts):
         collector.collect(rollout)
@@ -53,7 +54,7 @@ def test_every_truncated_step_and_no_other_has_a_final_value(deferred):
 def test_a_rollout_holds_what_the_policy_computed():
     policy, env = toy_policy(features=16), toy_env(COUNT, recall=False, length=5)
     collector = Collector(env, policy, seed=3)
-    rollout = Rollout.zeros(rollout_specs(STEPS, COUNT, policy))
+    rollout = Rollout(**zeros(rollout_specs(STEPS, COUNT, policy)))
     collector.collect(rollout)
     collector.collect(rollout)
     logits, values, _ = policy.unroll(
@@ -70,7 +71,7 @@ def test_a_restored_collector_continues_identically():
     first.statistics.take()
     second, _ = collect(0, deferred=False, recall=False, length=5)
     second.set_state({name: np.array(value) for name, value in first.get_state().items()})
-    rollouts = [Rollout.zeros(rollout_specs(STEPS, COUNT, first.policy)) for _ in range(2)]
+    rollouts = [Rollout(**zeros(rollout_specs(STEPS, COUNT, first.policy))) for _ in range(2)]
     for collector, rollout in zip((first, second), rollouts, strict=True):
         collector.collect(rollout)
     for name, tensor in rollouts[0].tensors().items():

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from knowarm.learn import PPOConfig
-from knowarm.learn.learner import make_learner
+from knowarm.learn.data_parallel import make_learner
 from tests.devices import DEVICES
 from tests.learn.toys import fill_with_noise, informed_toy_policy
 

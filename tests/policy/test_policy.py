@@ -45,7 +45,7 @@ def test_sizes_of_the_paper(knowledge, hidden, size, memory):
     shape = PolicyShape(joints=6, knowledge_dim=knowledge)
     policy = Policy(config, shape)
     assert policy.encoder.width == 1152
-    assert policy.hidden_size == layer_widths(config, shape).hidden == size
+    assert policy.hidden_size == layer_widths(config, shape)[1] == size
     counts = policy.parameter_counts()
     assert counts["memory"] == memory
     assert counts["image"] == 3 * 9 * 16 + 16 + 16 * 25 * 32 + 32 + 1152 * 128 + 128

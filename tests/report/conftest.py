@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from synthetic_study import LABEL, Size, Truth, env_of, write_evaluation, write_study
 
-from knowarm.report import report
+from knowarm.report import write_report
 
 
 @dataclass(frozen=True)
@@ -41,4 +41,4 @@ def made(tmp_path_factory) -> Made:
         )
         many = Size(episodes=300, evaluation={"seeds": 30})
         write_evaluation(path / "evaluation" / "anova", path.parent.name, 0.5, env, generator, many)
-    return Made(report(runs, folder / "report.html"), runs)
+    return Made(write_report(runs, folder / "report.html"), runs)

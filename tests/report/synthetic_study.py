@@ -45,7 +45,7 @@ class Truth:
     spread: float = 0.05
     """Standard deviation of success from training seed to training seed."""
     roles: dict[str, str] = field(default_factory=dict)
-    """Roles stored in the configs; of the other agents only the registry knows the role."""
+    """Roles stored in the configs; other agents have that of the registry, or none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +65,7 @@ class Size:
 
 def robot_title(name: str) -> str:
     """Title of a robot, as a report shows it."""
-    return getattr(ROBOTS[name], "title", name)
+    return ROBOTS[name].title
 
 
 def env_of(robot: str = "irb120", colours: str = "fixed") -> dict[str, Any]:
@@ -91,9 +91,15 @@ def write_study(
             path = folder / f"{robot}-{colours}-{agent}-ppo" / str(number)
             level = float(np.clip(generator.normal(mean, truth.spread), 0.01, 0.99))
             env = env_of(robot, colours)
-            role = truth.roles.get(agent)
             write_run(
-                path, agent, number, level, env=env, generator=generator, size=size, role=role
+                path,
+                agent,
+                number,
+                level,
+                env=env,
+                generator=generator,
+                size=size,
+                role=truth.roles.get(agent),
             )
             paths.append(path)
     return paths
@@ -117,20 +123,22 @@ def write_run(
     folder = RunFolder.create(path)
     facets = FACETS[env["colours"]]
     known = knowledge_of(agent)
+    if agent in AGENTS:
+        role = role or AGENTS[agent].role
     folder.write_json(
         "config.json",
         {
-            "format": 1,
+            "format": 2,
             "name": path.parent.name,
             "agent": agent,
             "seed": seed,
             "env": env,
             "knowledge": to_dict(known),
-            "network": {"fusion": "before_lstm", "wide": agent == "wide"},
+            "policy": {"fusion": "before_lstm", "wide": agent == "wide"},
             "algorithm": {"name": algorithm, "learning_rate": 1e-3},
             "total_steps": size.total_steps,
         }
-        | ({} if role is None else {"role": role}),
+        | ({"role": role} if role else {}),
     )
     _write_curves(folder, success, generator, size)
     if size.tables:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from synthetic_study import Size, Truth, write_study
 
-from knowarm.report import report
+from knowarm.report import write_report
 
 pytestmark = pytest.mark.browser
 
@@ -178,7 +178,7 @@ def test_sixty_runs_make_a_page_of_bounded_size(open_page, tmp_path):
     runs = write_study(tmp_path / "runs", truth, seeds=6, size=size)
     runs += write_study(tmp_path / "runs", truth, seeds=6, colours="randomized", size=size)
     assert len(runs) == 60
-    out = report(runs, tmp_path / "report.html")
+    out = write_report(runs, tmp_path / "report.html")
     # Seconds depend on who else uses the machine: what makes a page slow is its size, and that
     # nothing but drawing happens before it has loaded. docs/evidence.md has the time measured.
     assert out.stat().st_size < 6_000_000

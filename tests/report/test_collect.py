@@ -19,7 +19,7 @@ from synthetic_study import (
 )
 
 from knowarm.errors import UserError
-from knowarm.report import report
+from knowarm.report import write_report
 from knowarm.report.collect import collect
 
 LIGHT = Size(points=8, tables=False)
@@ -238,7 +238,7 @@ def test_a_report_is_written_whatever_is_missing(tmp_path):
     (paths[1] / "provenance.json").unlink()
     (paths[2] / "knowledge.safetensors").write_bytes(b"")
     shutil.rmtree(paths[3] / "evaluation")
-    out = report(paths, tmp_path / "report.html")
+    out = write_report(paths, tmp_path / "report.html")
     page = out.read_text()
     for path in (paths[1], paths[3]):
         assert str(path.relative_to(tmp_path).as_posix()) in page
@@ -248,9 +248,9 @@ def test_an_unwritable_place_is_refused(tmp_path):
     paths = study(tmp_path)
     (tmp_path / "file").write_text("")
     with pytest.raises(UserError, match="Cannot write"):
-        report(paths, tmp_path / "file" / "report.html")
+        write_report(paths, tmp_path / "file" / "report.html")
     with pytest.raises(UserError, match=r"\.html"):
-        report(paths, tmp_path / "report.pdf")
+        write_report(paths, tmp_path / "report.pdf")
 
 
 def test_held_out_colours_are_shown_beside_and_never_instead(tmp_path):
@@ -262,7 +262,7 @@ def test_held_out_colours_are_shown_beside_and_never_instead(tmp_path):
         folder = path / "evaluation" / f"{LABEL}-held-out"
         write_evaluation(folder, "x", 0.3, env_of(), generator, LIGHT)
     assert collect(paths).tasks[0].label == LABEL
-    report(paths, tmp_path / "report.html")
+    write_report(paths, tmp_path / "report.html")
     tables = json.loads((tmp_path / "report.json").read_text())["tables"]
     rows = tables["elsewhere-irb120-fixed-colours-ppo"]["rows"]
     assert [(row["agent"], row["seeds"]) for row in rows] == [("bm", 3), ("full", 3)]

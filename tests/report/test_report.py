@@ -8,7 +8,7 @@ from urllib.parse import unquote
 import pytest
 from synthetic_study import Size, Truth, robot_title, write_study
 
-from knowarm.report import report
+from knowarm.report import write_report
 
 
 class Reader(HTMLParser):
@@ -103,7 +103,7 @@ def test_the_json_holds_every_table_and_its_sources(made):
 
 
 def test_the_same_folders_give_the_same_bytes(made, tmp_path):
-    again = report(made.runs, made.page.with_name("again.html"))
+    again = write_report(made.runs, made.page.with_name("again.html"))
     first = made.page.read_text().replace("report-data", "again-data")
     assert again.read_text() == first.replace("report.json", "again.json")
 
@@ -115,7 +115,7 @@ def test_a_table_that_is_gone_leaves_no_csv_behind(tmp_path):
     (tmp_path / "report-data").mkdir()
     (tmp_path / "report-data" / "old.csv").write_text("")
     (tmp_path / "report-data" / "notes.txt").write_text("kept")
-    report(runs, tmp_path / "report.html")
+    write_report(runs, tmp_path / "report.html")
     assert not (tmp_path / "report-data" / "old.csv").exists()
     assert (tmp_path / "report-data" / "notes.txt").exists()
 
@@ -176,7 +176,8 @@ def test_a_study_with_two_subjects_is_reported(tmp_path):
     success = {"bm": 0.3, "full": 0.6, "target": 0.8, "target-onehot": 0.8, "toy": 0.5}
     truth = Truth(success=success, roles={"toy": "content_control"})
     size = Size(points=6, episodes=40, steps=True, films=1)
-    page = report(write_study(tmp_path / "runs", truth, seeds=3, size=size), tmp_path / "a.html")
+    runs = write_study(tmp_path / "runs", truth, seeds=3, size=size)
+    page = write_report(runs, tmp_path / "a.html")
     tables = json.loads(page.with_suffix(".json").read_text())["tables"]
     rows = tables["controls-irb120-fixed-colours-ppo"]["rows"]
     verdicts = {row["control"]: row["verdict"] for row in rows}
@@ -192,6 +193,6 @@ def test_names_from_folders_cannot_break_the_page(tmp_path):
         seeds=1,
         size=Size(points=5, episodes=9),
     )
-    page = report(runs, tmp_path / "report.html").read_text()
+    page = write_report(runs, tmp_path / "report.html").read_text()
     assert "<script>x" not in page
     assert "<b>&'" not in page

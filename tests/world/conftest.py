@@ -1,4 +1,4 @@
-"""Small environments: 16 x 16 pixels draw in no time, and the rest is the real thing."""
+"""Small environments: real ones except for images of 16 x 16 pixels."""
 
 from collections.abc import Callable
 from pathlib import Path

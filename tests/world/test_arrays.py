@@ -1,4 +1,4 @@
-"""The functions that draw and show episodes give the same numbers from NumPy and from torch."""
+"""Selections, and the same episodes and looks from NumPy arrays and from tensors."""
 
 from dataclasses import fields
 
@@ -7,13 +7,13 @@ import pytest
 import torch
 
 from knowarm.world.appearance import AppearanceSource
+from knowarm.world.arrays import IndexSelection, MaskSelection
 from knowarm.world.config import EnvConfig
 from knowarm.world.draws import uniforms
 from knowarm.world.episodes import EpisodeSource
 from knowarm.world.held_out import HeldOut
 from knowarm.world.robots import ROBOTS
 from knowarm.world.scene import Scene, load_scene, target_places
-from knowarm.world.tasks.reward import is_success, reward_terms
 from knowarm.world.visual_randomization import VisualRandomization
 
 EVERYTHING = VisualRandomization(
@@ -86,14 +86,17 @@ def test_torch_shows_the_same_looks(robot: str, randomization: VisualRandomizati
         assert got.numpy() == pytest.approx(want, abs=1e-6), name
 
 
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_torch_rewards_alike(dtype: torch.dtype) -> None:
-    distance, angle = np.array([0.01, 0.04, 0.3, 1.0]), np.array([3.0, 20.0, 4.0, 170.0])
-    success = is_success(distance, angle, 0.05, 15.0)
-    terms = reward_terms(distance, angle, success)
-    measured = torch.tensor(distance, dtype=dtype), torch.tensor(angle, dtype=dtype)
-    reached = is_success(*measured, 0.05, 15.0)
-    assert reached.tolist() == success.tolist() == [True, False, False, False]
-    for name, values in reward_terms(*measured, reached).items():
-        assert values.dtype == dtype
-        assert values.numpy() == pytest.approx(terms[name], rel=1e-6)
+def test_selections_by_index_and_by_mask_agree() -> None:
+    values = np.arange(12.0).reshape(6, 2)
+    ids = np.array([0, 3, 5])
+    mask = np.isin(np.arange(6), ids)
+    by_index, by_mask = IndexSelection(ids), MaskSelection(torch.as_tensor(mask))
+    new = -values
+    first = by_index.put(values, by_index.take(new))
+    second = by_mask.put(torch.as_tensor(values), by_mask.take(torch.as_tensor(new)))
+    assert (first == second.numpy()).all()
+    assert (first[mask] == new[mask]).all()
+    assert (first[~mask] == values[~mask]).all()
+    assert (values >= 0).all(), "the argument is not written into"
+    assert IndexSelection(ids[:0]).is_empty
+    assert not by_index.is_empty

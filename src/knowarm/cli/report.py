@@ -10,7 +10,7 @@ from knowarm.cli.tables import FilePath, check_json_path
 from knowarm.experiment.build import Which, load_agent
 from knowarm.experiment.run_folder import read_json
 from knowarm.policy.onnx_export import INPUTS, OUTPUTS, export_onnx
-from knowarm.report import report
+from knowarm.report import write_report
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +31,7 @@ class Report:
     def run(self) -> None:
         """Write the report."""
         check_json_path(self.json)
-        path = report(self.runs, self.out)
+        path = write_report(self.runs, self.out)
         values = read_json(path.with_suffix(".json"))
         for problem in values["problems"]:
             print(f"Note: {', '.join(map(str, problem.values()))}")

@@ -77,6 +77,7 @@ def parse_train(arguments: list[str]) -> Train:
 
 
 def _parse_options(name: str, arguments: list[str], config: ExperimentConfig) -> Train:
+    """Parse the options over a config; `--knowledge.source` also takes the name of a source."""
     arguments, source = take_source(arguments, "--knowledge.source")
     if source is not None:
         config = replace(config, knowledge=replace(config.knowledge, source=source))

@@ -51,10 +51,7 @@ AGENTS: dict[str, Agent] = {
         colour="c-orange",
     ),
     "full": Agent(
-        about="object types and colours (paper)",
-        role="knowledge",
-        knowledge=FULL,
-        colour="c-blue",
+        about="object types and colours (paper)", role="knowledge", knowledge=FULL, colour="c-blue"
     ),
     "partial": Agent(
         about="object types only (paper)",

@@ -62,18 +62,19 @@ class Algorithm:
 def _make_ppo(inputs: TrainerInputs) -> Trainer:
     config = cast(PPOConfig, inputs.config)
     env = inputs.make_env(config.num_envs, device=config.device)
+    options = dict(inputs.options)
     if config.device == "cpu":
-        evaluation: dict[str, Any] = {"evaluate": inputs.make_evaluate()}
+        options["evaluate"] = inputs.make_evaluate()
     else:
         # The interim episodes are played on the CPU: on a GPU they would take as long as training.
-        evaluation = {"make_evaluate": inputs.make_evaluate}
-    return PPOTrainer(config, inputs.policy, env, **evaluation, **inputs.options)
+        options["make_evaluate"] = inputs.make_evaluate
+    return PPOTrainer(config, inputs.policy, env, **options)
 
 
 def _make_a3c(inputs: TrainerInputs) -> Trainer:
     config = cast(A3CConfig, inputs.config)
-    evaluation = {"make_evaluate": inputs.make_evaluate}
-    return A3CTrainer(config, inputs.policy, inputs.make_env, **evaluation, **inputs.options)
+    options = {"make_evaluate": inputs.make_evaluate, **inputs.options}
+    return A3CTrainer(config, inputs.policy, inputs.make_env, **options)
 
 
 ALGORITHMS: dict[str, Algorithm] = {

@@ -1,6 +1,7 @@
-"""Configuration of one experiment: the content of ``config.json`` in a run folder."""
+"""Configuration of a training run (``config.json`` of its folder) and of an evaluation."""
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 from knowarm.config import registered
 from knowarm.errors import UserError
@@ -84,3 +85,76 @@ class ExperimentConfig:
                 raise UserError(f"{name} must be at least 1, got {getattr(self, name)}.")
         if self.seed < 0:
             raise UserError(f"seed must be 0 or more, got {self.seed}.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluationConfig:
+    """Settings of a post-training evaluation (paper section 4.2.4).
+
+    Raises:
+        UserError: a number out of its range, or episodes that the seeds do not divide.
+    """
+
+    episodes: int = 1000
+    """Total number of episodes."""
+
+    seed: int = 1_000_003
+    """Seed of the fixed episodes; far from training seeds, so that none was trained on."""
+
+    seeds: int = 1
+    """Number of seeds that the episodes are drawn from in equal shares: ``seed``, ``seed`` + 1,
+    and so on; the paper's analysis of variance takes 30 seeds of 100 episodes."""
+
+    distance_m: float = 0.10
+    """Largest distance of a success [m]."""
+
+    angle_deg: float = 17.0
+    """Largest angle of a success [deg]; the paper's section 4. Its section 3 says 20."""
+
+    wide_angle_deg: float = 20.0
+    """Largest angle of ``success_wide`` [deg], reported as well."""
+
+    actions: Literal["greedy", "sampled"] = "greedy"
+    """Take the most probable action, or sample one."""
+
+    held_out: bool = False
+    """Play the colours and places that the environment excluded from training."""
+
+    label: str | None = None
+    """Name of the folder of the evaluation's files; None takes ``post-training-<actions>``, plus
+    ``-held-out`` for held-out episodes."""
+
+    record_steps: bool = True
+    """Keep joint angles, action, distance and angle of every step."""
+
+    record_films: int = 6
+    """Number of episodes, from the first, whose images are kept."""
+
+    num_envs: int = 128
+    """Episodes played in parallel. It affects the result: another batch size rounds sums
+    differently."""
+
+    def __post_init__(self) -> None:
+        for name in ("episodes", "seeds", "num_envs"):
+            if getattr(self, name) < 1:
+                raise UserError(f"{name} must be at least 1, got {getattr(self, name)}.")
+        for name in ("distance_m", "angle_deg", "wide_angle_deg"):
+            if not getattr(self, name) > 0:
+                raise UserError(f"{name} must be above 0, got {getattr(self, name)}.")
+        if self.wide_angle_deg < self.angle_deg:
+            raise UserError(
+                f"wide_angle_deg ({self.wide_angle_deg}) must not be below angle_deg "
+                f"({self.angle_deg}); give a larger wide_angle_deg as well."
+            )
+        if self.episodes % self.seeds:
+            raise UserError(
+                f"{self.episodes} episodes cannot be shared equally by {self.seeds} seeds; give a "
+                f"multiple of {self.seeds}."
+            )
+
+    @property
+    def folder(self) -> str:
+        """Name of the folder of the evaluation's files."""
+        return self.label or (
+            f"post-training-{self.actions}" + ("-held-out" if self.held_out else "")
+        )

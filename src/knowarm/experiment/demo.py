@@ -7,8 +7,8 @@ from pathlib import Path
 from knowarm.experiment.agents import first_of_role
 from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.build import load_agent
-from knowarm.experiment.config import ExperimentConfig, InterimConfig
-from knowarm.experiment.evaluate import EvaluationConfig, evaluate
+from knowarm.experiment.config import EvaluationConfig, ExperimentConfig, InterimConfig
+from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.registry import experiment_config, experiment_name
 from knowarm.experiment.run import run_path, train
 from knowarm.world.robots import ROBOTS

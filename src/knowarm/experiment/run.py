@@ -17,7 +17,6 @@ from knowarm.experiment.migration import FORMAT, migrate_checkpoints
 from knowarm.experiment.registry import experiment_config
 from knowarm.experiment.run_folder import RunFolder, provenance
 from knowarm.learn import CheckpointStore, Hooks, Trainer, TrainingResult
-from knowarm.learn.trainer import never
 from knowarm.policy import Policy
 
 SEED_STRIDE = 2**32
@@ -51,7 +50,7 @@ def train(
     runs: Path | str = "runs",
     *,
     resume: bool = False,
-    should_stop: Callable[[], bool] = never,
+    should_stop: Callable[[], bool] = lambda: False,
     **overrides: Any,
 ) -> Run:
     """Train one experiment, or resume a training that was stopped.

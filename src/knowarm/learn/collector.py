@@ -1,7 +1,6 @@
 """Rollout collector: steps vector environments with a policy and fills rollouts."""
 
 from collections.abc import Callable
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -73,7 +72,7 @@ class Collector:
         policy: Policy,
         *,
         seed: int,
-        final_values: "FinalValues | None" = None,
+        final_values: "ImmediateFinalValues | DeferredFinalValues | None" = None,
     ) -> None:
         self.env = env
         self.policy = policy
@@ -159,22 +158,6 @@ class Collector:
         self.env.set_state(select(state, "env/"))
 
 
-class FinalValues(Protocol):
-    """Writes the values of the final observations of truncated episodes into a rollout."""
-
-    def add(self, rollout: Rollout, t: int, cut: Tensor, state: State, infos: Infos) -> None:
-        """Handle step t.
-
-        Args:
-            rollout: ``final_value`` is written, at the latest when t is the last step.
-            t: the step.
-            cut: (B,) bool, truncated and not terminated at this step.
-            state: recurrent state after the step's inference.
-            infos: of the step, with ``final_obs``.
-        """
-        ...
-
-
 class ImmediateFinalValues:
     """Values final observations at once, only those of truncated episodes: for the CPU.
 
@@ -186,7 +169,15 @@ class ImmediateFinalValues:
         self._policy = policy
 
     def add(self, rollout: Rollout, t: int, cut: Tensor, state: State, infos: Infos) -> None:
-        """As `FinalValues.add`."""
+        """Value the final observations of step t.
+
+        Args:
+            rollout: ``final_value`` is written.
+            t: the step.
+            cut: (B,) bool, truncated and not terminated at this step.
+            state: recurrent state after the step's inference.
+            infos: of the step, with ``final_obs``.
+        """
         ids = cut.nonzero().squeeze(1)
         if len(ids):
             image, start = infos["final_obs"][ids], torch.zeros_like(cut[ids])
@@ -219,7 +210,7 @@ class DeferredFinalValues:
         self._state: State = policy.initial_state(count)
 
     def add(self, rollout: Rollout, t: int, cut: Tensor, state: State, infos: Infos) -> None:
-        """As `FinalValues.add`."""
+        """Store the final observations; see `ImmediateFinalValues.add`."""
         if "final_obs" in infos:
             self._store(rollout, t, cut, state, infos["final_obs"])
         if (t + 1) % self._interval == 0 or t + 1 == len(rollout.reward):

@@ -1,9 +1,9 @@
 """Data-parallel learner: several processes share each inference step and minibatch gradient.
 
 PyTorch's threads share every single operation. The operations of a recurrent policy are many and
-small: threads wait for each other at each of them, and spinning while they wait they take time
-from physics and rendering; Python threads wait for the interpreter lock. Processes that each
-compute the whole network for a part of the environments avoid both (docs/lab-notes.md).
+small: threads synchronize after each of them, and by spinning while they wait they take time from
+physics and rendering; Python threads are serialized by the interpreter lock. Processes that each
+compute the entire network for a part of the environments avoid both (docs/lab-notes.md).
 """
 
 import logging
@@ -13,8 +13,10 @@ from contextlib import contextmanager
 import torch
 from torch import Tensor
 
+from knowarm.cores import available_cores
 from knowarm.learn.config import PPOConfig
 from knowarm.learn.flat_parameters import FlatParameters
+from knowarm.learn.learner import Learner
 from knowarm.learn.learner_worker import (
     GradientCommand,
     InferCommand,
@@ -32,12 +34,15 @@ from knowarm.policy import MatmulPrecision, Policy, State
 
 log = logging.getLogger("knowarm.learn")
 
+MIN_ENVS_PER_PROCESS = 8
+"""Smallest number of a minibatch's environments that is worth another process."""
+
 MAX_EXITS = 3
 """Unexpected exits of workers after which training stops."""
 
 
-class DataParallelLearner:
-    """Learner in several processes that share parameters, rollout and targets; see `Learner`.
+class DataParallelLearner(Learner):
+    """Learner in several processes that share parameters, rollout and targets.
 
     Workers keep no state between two commands, so one that dies is restarted without loss. Sums
     are taken in another order than in one process, always the same for a number of processes.
@@ -53,34 +58,34 @@ class DataParallelLearner:
         self, policy: Policy, config: PPOConfig, precision: MatmulPrecision, processes: int
     ) -> None:
         assert processes > 1, processes
-        self.policy = policy
         self.processes = processes
-        self._config = config
         self._context = process_context(["knowarm.learn.learner_worker"])
         self._args = LearnerWorkerArgs(policy.spec(), config, precision)
-        self._shared = SharedTensors(self._context, shared_specs(policy, config, processes))
+        self._workers: list[ChildProcess] = []
+        self._exits = 0
+        super().__init__(policy, config, precision, torch.device("cpu"))
+
+    def _allocate(self) -> None:
+        policy, config = self.policy, self._config
+        self._shared = SharedTensors(self._context, shared_specs(policy, config, self.processes))
         self._shared["parameters"].copy_(FlatParameters(policy).values)
         self.gradient = self._shared["gradients"][0]
         FlatParameters.bind(policy, self._shared["parameters"], self.gradient)
         steps, count = config.rollout_steps, config.num_envs
         self.rollout = Rollout(**self._shared.select(rollout_specs(steps, count, policy)))
         self.targets = Targets(**self._shared.select(target_specs(steps, count)))
-        self._workers: list[ChildProcess] = []
-        self._exits = 0
 
     @contextmanager
     def running(self) -> Iterator[None]:
-        """Run the workers and use one PyTorch thread per process until the context ends."""
-        before = torch.get_num_threads()
-        torch.set_num_threads(1)
-        try:
-            self._workers = [self._start(index) for index in range(1, self.processes)]
-            yield
-        finally:
-            for worker in self._workers:
-                worker.stop()
-            self._workers = []
-            torch.set_num_threads(before)
+        """Run the workers, and use one PyTorch thread per process, until the context ends."""
+        with super().running():
+            try:
+                self._workers = [self._start(index) for index in range(1, self.processes)]
+                yield
+            finally:
+                for worker in self._workers:
+                    worker.stop()
+                self._workers = []
 
     def infer(self, rollout: Rollout, t: int, image: Tensor, state: State) -> tuple[Tensor, State]:
         """As `Learner.infer`."""
@@ -162,3 +167,27 @@ class DataParallelLearner:
             )
         log.warning("The %s %s; restarting it.", worker.name, reason)
         self._workers[index] = self._start(index + 1)
+
+
+def make_learner(
+    policy: Policy, config: PPOConfig, precision: MatmulPrecision, device: torch.device
+) -> Learner:
+    """Create a learner with the number of processes of `count_processes`; one on a GPU.
+
+    Args:
+        policy: moved to the device.
+        config: sizes and number of processes.
+        precision: of the matrix products in encoder and LSTM.
+        device: where to learn.
+    """
+    policy.to(device)
+    processes = count_processes(config) if device.type == "cpu" else 1
+    if processes > 1:
+        return DataParallelLearner(policy, config, precision, processes)
+    return Learner(policy, config, precision, device)
+
+
+def count_processes(config: PPOConfig) -> int:
+    """Return the number of processes: as configured, limited by the size of a minibatch."""
+    most = config.num_envs // config.minibatches // MIN_ENVS_PER_PROCESS
+    return max(1, min(config.processes or available_cores(), most))

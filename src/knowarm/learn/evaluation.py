@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.context import BaseContext
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -47,33 +46,6 @@ class CompletedEvaluation:
     results: Metrics
 
 
-class Evaluations(Protocol):
-    """Runs interim evaluations."""
-
-    restarts: int
-    """Restarts of the evaluator so far."""
-
-    def submit(self, step: int, values: np.ndarray) -> None:
-        """Evaluate the policy with the parameters ``values`` (P,)."""
-        ...
-
-    def completed(self, *, wait: bool) -> list[CompletedEvaluation]:
-        """Return evaluations that completed since the last call, in order of submission.
-
-        Args:
-            wait: wait until all submitted evaluations are complete.
-        """
-        ...
-
-    def pending_steps(self) -> list[int]:
-        """Return the steps of the submitted evaluations without a result."""
-        ...
-
-    def close(self) -> None:
-        """Release resources."""
-        ...
-
-
 class InlineEvaluations:
     """Runs each evaluation when it is submitted, while training waits.
 
@@ -83,28 +55,31 @@ class InlineEvaluations:
     """
 
     def __init__(self, policy: PolicySpec, evaluate: Evaluate) -> None:
-        self.restarts = 0
         self._policy = policy.build()
         self._parameters = FlatParameters(self._policy)
         self._evaluate = evaluate
         self._completed: list[CompletedEvaluation] = []
 
     def submit(self, step: int, values: np.ndarray) -> None:
-        """As `Evaluations.submit`."""
+        """Evaluate the policy with the parameters ``values`` (P,)."""
         self._parameters.values.copy_(torch.from_numpy(values))
         self._completed.append(CompletedEvaluation(step, values, self._evaluate(self._policy)))
 
     def completed(self, *, wait: bool) -> list[CompletedEvaluation]:
-        """As `Evaluations.completed`."""
+        """Return the evaluations that completed since the last call, in order of submission.
+
+        Args:
+            wait: first wait until all submitted evaluations are complete.
+        """
         completed, self._completed = self._completed, []
         return completed
 
     def pending_steps(self) -> list[int]:
-        """As `Evaluations.pending_steps`."""
+        """Return the steps of the submitted evaluations without a result."""
         return []
 
     def close(self) -> None:
-        """As `Evaluations.close`."""
+        """Release resources: none."""
 
 
 class BackgroundEvaluations:
@@ -128,7 +103,7 @@ class BackgroundEvaluations:
         self._exits = 0
 
     def submit(self, step: int, values: np.ndarray) -> None:
-        """As `Evaluations.submit`; waits if more than `MAX_PENDING` evaluations are pending."""
+        """As `InlineEvaluations.submit`; waits if more than `MAX_PENDING` are pending."""
         self._pending.append((step, values))
         # One request at a time: pipes are small, and sending to a busy process would block.
         if len(self._pending) == 1:
@@ -136,13 +111,13 @@ class BackgroundEvaluations:
         self._read(leave=MAX_PENDING)
 
     def completed(self, *, wait: bool) -> list[CompletedEvaluation]:
-        """As `Evaluations.completed`."""
+        """As `InlineEvaluations.completed`."""
         self._read(leave=0 if wait else len(self._pending))
         completed, self._completed = self._completed, []
         return completed
 
     def pending_steps(self) -> list[int]:
-        """As `Evaluations.pending_steps`."""
+        """As `InlineEvaluations.pending_steps`."""
         return [step for step, _ in self._pending]
 
     def close(self) -> None:
@@ -183,6 +158,9 @@ class BackgroundEvaluations:
         self.restarts += 1
         self._child = self._start()
         self._child.send(self._pending[0][1])
+
+
+Evaluations = InlineEvaluations | BackgroundEvaluations
 
 
 def run_evaluator(policy: PolicySpec, make_evaluate: MakeEvaluate, connection: Connection) -> None:

@@ -11,12 +11,12 @@ from knowarm.errors import UserError
 from knowarm.learn.checkpoint import Checkpoint, policy_arrays
 from knowarm.learn.collector import Collector, select
 from knowarm.learn.config import PPOConfig
+from knowarm.learn.data_parallel import make_learner
 from knowarm.learn.device import resolve_precision
 from knowarm.learn.environment import TorchVectorEnv
 from knowarm.learn.evaluation import Metrics
 from knowarm.learn.flat_parameters import flatten_parameters
 from knowarm.learn.guards import FiniteGuard, HealthMonitor
-from knowarm.learn.learner import make_learner
 from knowarm.learn.losses import PPOLossTerms
 from knowarm.learn.processes import keep_freed_memory
 from knowarm.learn.returns import advantages

@@ -41,16 +41,6 @@ class Rollout:
     start_c: Tensor
     """(B, H) float32: cell state before the first step."""
 
-    @classmethod
-    def zeros(cls, specs: TensorSpecs, device: torch.device | None = None) -> "Rollout":
-        """Allocate the tensors of `rollout_specs`; without a device, on the CPU."""
-        return cls(
-            **{
-                name: torch.zeros(shape, dtype=kind, device=device)
-                for name, (shape, kind) in specs.items()
-            }
-        )
-
     @property
     def shape(self) -> tuple[int, int]:
         """(T, B)."""

@@ -13,6 +13,14 @@ TensorSpecs = Mapping[str, tuple[tuple[int, ...], torch.dtype]]
 """Shape and dtype of each tensor by name."""
 
 
+def zeros(specs: TensorSpecs, device: torch.device | None = None) -> dict[str, Tensor]:
+    """Allocate tensors of zeros by name, not shared; without a device, on the CPU."""
+    return {
+        name: torch.zeros(shape, dtype=dtype, device=device)
+        for name, (shape, dtype) in specs.items()
+    }
+
+
 class SharedTensors:
     """Tensors by name, initially zero, in memory shared with every process that receives them.
 

@@ -1,7 +1,4 @@
-"""Trainer: what PPO and A3C share of a training run.
-
-Hooks, interim evaluations with the best policy, checkpoints and resuming.
-"""
+"""Trainer base class: hooks, interim evaluations, the best policy, checkpoints, resuming."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -27,28 +24,15 @@ from knowarm.policy import Policy
 StopReason = Literal["finished", "stopped"]
 
 
-def ignore_metrics(metrics: Metrics) -> None:
-    """Do nothing."""
-
-
-def ignore_evaluation(step: int, results: Metrics, is_best: bool) -> None:
-    """Do nothing."""
-
-
-def never() -> bool:
-    """Return false."""
-    return False
-
-
 @dataclass(frozen=True, kw_only=True)
 class Hooks:
     """Functions that a trainer calls."""
 
-    on_metrics: Callable[[Metrics], None] = ignore_metrics
+    on_metrics: Callable[[Metrics], None] = lambda metrics: None
     """Receives one row of metrics per update (PPO) or log interval (A3C)."""
-    on_evaluation: Callable[[int, Metrics, bool], None] = ignore_evaluation
+    on_evaluation: Callable[[int, Metrics, bool], None] = lambda step, results, is_best: None
     """Receives step, results, and whether they are the best so far."""
-    should_stop: Callable[[], bool] = never
+    should_stop: Callable[[], bool] = lambda: False
     """Called between updates; true saves a checkpoint and ends `Trainer.train`."""
 
 
@@ -57,7 +41,7 @@ class TrainingResult:
     """How a call of `Trainer.train` ended."""
 
     step: int
-    """Environment steps of the whole training."""
+    """Environment steps since the start of training, resumed parts included."""
     reason: StopReason
     """Whether all steps were taken or the hook ended training."""
     best_return: float | None

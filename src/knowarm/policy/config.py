@@ -93,19 +93,11 @@ class PolicyShape:
             raise UserError(f"knowledge_dim must be 0 or more, got {self.knowledge_dim}.")
 
 
-@dataclass(frozen=True, kw_only=True)
-class LayerWidths:
-    """Layer widths that follow from a `PolicyConfig` and a `PolicyShape`."""
+def layer_widths(config: PolicyConfig, shape: PolicyShape) -> tuple[int, int]:
+    """Compute the layer widths that follow from choices and shape.
 
-    knowledge: int
-    """Width of the knowledge after its encoder: the input of the fusion."""
-
-    hidden: int
-    """Size of the LSTM's hidden state and of its cell state."""
-
-
-def layer_widths(config: PolicyConfig, shape: PolicyShape) -> LayerWidths:
-    """Compute the widths of the layers between input and heads.
+    Returns:
+        Width of the encoded knowledge, and hidden size of the LSTM.
 
     Raises:
         UserError: the fusion needs a knowledge vector and there is none, or the slots do not
@@ -130,4 +122,4 @@ def layer_widths(config: PolicyConfig, shape: PolicyShape) -> LayerWidths:
         hidden = config.features
     else:
         hidden = config.features + knowledge
-    return LayerWidths(knowledge=knowledge, hidden=hidden)
+    return knowledge, hidden

@@ -66,22 +66,20 @@ class Policy(nn.Module):
         self.shape = shape
         self.resolved_config = matched_without_knowledge(config, shape) if config.wide else config
         config = self.resolved_config
-        widths = layer_widths(config, shape)
-        self.hidden_size = widths.hidden
+        knowledge, hidden = layer_widths(config, shape)
+        self.hidden_size = hidden
         self.encoder = ImageEncoder(shape.image_size, config.pixel_shift, config.pixel_scale)
         self.knowledge_encoder = (
-            nn.Linear(shape.knowledge_dim, widths.knowledge, bias=False)
+            nn.Linear(shape.knowledge_dim, knowledge, bias=False)
             if config.knowledge_encoder == "learned" and self.uses_knowledge
             else nn.Identity()
         )
-        fusion = FUSIONS[config.fusion](config.features, widths.knowledge, shape.knowledge_slots)
+        fusion = FUSIONS[config.fusion](config.features, knowledge, shape.knowledge_slots)
         self.fusion = fusion
         self.fc = nn.Linear(self.encoder.width + fusion.extra_inputs("fc"), config.features)
-        self.memory = MaskedLSTM(config.features + fusion.extra_inputs("lstm"), widths.hidden)
-        self.actor = nn.Linear(
-            widths.hidden + fusion.extra_inputs("actor"), shape.joints * shape.levels
-        )
-        self.critic = nn.Linear(widths.hidden + fusion.extra_inputs("critic"), 1)
+        self.memory = MaskedLSTM(config.features + fusion.extra_inputs("lstm"), hidden)
+        self.actor = nn.Linear(hidden + fusion.extra_inputs("actor"), shape.joints * shape.levels)
+        self.critic = nn.Linear(hidden + fusion.extra_inputs("critic"), 1)
         self.matmul_precision: MatmulPrecision = "float32"
         table = torch.zeros(0, shape.knowledge_dim) if knowledge_table is None else knowledge_table
         table = torch.as_tensor(table, dtype=torch.float32).clone()
@@ -262,7 +260,7 @@ def matched_without_knowledge(config: PolicyConfig, shape: PolicyShape) -> Polic
     config = replace(config, wide=False)
     if shape.knowledge_dim == 0:
         return replace(config, fusion="none")
-    hidden = layer_widths(config, shape).hidden
+    _, hidden = layer_widths(config, shape)
 
     def candidate(features: int) -> PolicyConfig:
         return replace(config, fusion="none", hidden=hidden, features=features)

@@ -1,6 +1,5 @@
 """Report: one self-contained HTML page about the runs of a study, with its numbers as files."""
 
-from knowarm.report.write import report
-from knowarm.report.write import report as write_report
+from knowarm.report.write import write_report
 
-__all__ = ["report", "write_report"]
+__all__ = ["write_report"]

@@ -9,7 +9,7 @@ import numpy as np
 from knowarm.report import format
 from knowarm.report.format import counted
 from knowarm.report.study import Group, Study, Task
-from knowarm.statistics import Comparison, area_under_curve, holm, seeds_needed, welch
+from knowarm.statistics import Comparison, area_under_curve, holm, welch
 
 FEWEST_SEEDS = 3
 """Training seeds of each agent below which no difference is called significant."""
@@ -89,12 +89,6 @@ class Claim:
         if self.adjusted_p > ALPHA:
             return "undecided"
         return "better" if self.comparison.difference.estimate > 0 else "worse"
-
-    @property
-    def needed(self) -> int | None:
-        """Seeds per agent that would detect a difference as large as the observed one."""
-        size = self.comparison.effect_size if self.comparison else None
-        return seeds_needed(size) if size else None
 
     def sentence(self) -> str:
         """Return the difference in words, with its interval and the decision."""

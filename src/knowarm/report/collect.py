@@ -22,7 +22,6 @@ from knowarm.report.study import (
     Study,
     Task,
     rank,
-    role_of,
 )
 from knowarm.world.robots import ROBOTS
 
@@ -91,7 +90,8 @@ def read_run(path: Path, problems: list[Problem]) -> Run | None:
         The run, or None if the folder is no run, of another format or without its config.
     """
     try:
-        config = RunFolder.open(path).config()
+        folder = RunFolder.open(path)
+        config = folder.config()
     except UserError as error:
         problems.append(Problem(path, str(error), "left out"))
         return None
@@ -99,18 +99,18 @@ def read_run(path: Path, problems: list[Problem]) -> Run | None:
         problems.append(Problem(path, f"config.json lacks {', '.join(missing)}", "left out"))
         return None
     try:
-        provenance = read_json(path / "provenance.json")
+        provenance = folder.provenance()
     except UserError as error:
         problems.append(Problem(path, str(error), "kept; versions and parameters unknown"))
         provenance = {}
     evaluations = {}
-    for folder in sorted(each for each in (path / "evaluation").glob("*") if each.is_dir()):
+    for each in sorted(each for each in (path / "evaluation").glob("*") if each.is_dir()):
         try:
-            evaluations[folder.name] = read_evaluation(folder)
+            evaluations[each.name] = read_evaluation(each)
         except UserError as error:
-            problems.append(Problem(folder, str(error), "the evaluation is left out"))
-    interim = read_curve(path / "evaluations.csv", problems)
-    metrics = read_curve(path / "metrics.csv", problems)
+            problems.append(Problem(each, str(error), "the evaluation is left out"))
+    interim = read_curve(folder.evaluations_path, problems)
+    metrics = read_curve(folder.metrics_path, problems)
     run = Run(path, config, provenance, interim, metrics, evaluations)
     for found, what, where in (
         (interim, "no interim evaluations", "learning curves"),
@@ -214,7 +214,7 @@ def _task(
         for run, values in zip(same_agent, settings, strict=True):
             details = [f"{field.split('.')[-1]}={values.get(field)}" for field in fields]
             members[" · ".join([agent, *details])].append(run)
-        role = role_of(same_agent[0].config)
+        role = same_agent[0].role
         groups += [
             Group(each, agent, role, _one_run_per_seed(chosen, problems), label)
             for each, chosen in members.items()
@@ -234,7 +234,7 @@ def _untrained(runs: list[Run]) -> list[Reference]:
     found: dict[tuple[str, str], Reference] = {}
 
     def order(run: Run) -> tuple[Any, ...]:  # agents that know all details first
-        ranked = rank(role_of(run.config), run.agent)
+        ranked = rank(run.role, run.agent)
         return ranked[0], run.knowledge.get("detail") != "full", ranked, run.seed
 
     for run in sorted(runs, key=order):
@@ -301,7 +301,7 @@ def _titles(tasks: list[list[Run]]) -> list[tuple[str, str]]:
     short = []
     for runs in tasks:
         robot, colours = (str(runs[0].env.get(name)) for name in ("robot", "colours"))
-        title = getattr(ROBOTS.get(robot), "title", robot)
+        title = ROBOTS[robot].title if robot in ROBOTS else robot
         rest = [COLOURS.get(colours, COLOURS["fixed"]), runs[0].algorithm.upper()]
         short.append((" · ".join([robot, *rest]), " · ".join([title, *rest])))
     titles = []

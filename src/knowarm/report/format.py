@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from knowarm.report._temporary import registered_colour
+from knowarm.experiment.agents import AGENTS
 
 MISSING = "–"
 MINUS = "\u2212"
@@ -148,7 +148,7 @@ def palette(names: Iterable[tuple[str, str]]) -> dict[str, str]:
     """
     chosen: dict[str, str] = {}
     for name, agent in names:
-        registered = registered_colour(agent)
+        registered = AGENTS[agent].colour if agent in AGENTS else None
         taken = set(chosen.values())
         if not registered or registered in taken:
             free = [spare for spare in SPARE_COLOURS if spare not in taken]

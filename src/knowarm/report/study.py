@@ -10,7 +10,6 @@ import numpy as np
 
 from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.evaluation_files import read_table
-from knowarm.report._temporary import registered_role
 from knowarm.report.format import palette
 from knowarm.statistics import Interval, bootstrap
 
@@ -110,6 +109,11 @@ class Run:
     def agent(self) -> str:
         """Name of the agent."""
         return str(self.config["agent"])
+
+    @property
+    def role(self) -> str | None:
+        """Role of the agent, one of `ROLES`."""
+        return self.config.get("role")
 
     @property
     def seed(self) -> int:
@@ -329,11 +333,6 @@ class Study:
     def runs(self) -> list[Run]:
         """Runs of all tasks."""
         return [run for task in self.tasks for run in task.runs]
-
-
-def role_of(config: Mapping[str, Any]) -> str | None:
-    """Return the role of a run's agent: the stored one, else the registered one."""
-    return config.get("role") or registered_role(str(config["agent"]))
 
 
 def rank(role: str | None, agent: str) -> tuple[int, int, str]:

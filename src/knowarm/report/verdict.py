@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 from knowarm.experiment.agents import AGENTS
-from knowarm.report._temporary import registered_role
 from knowarm.report.blocks import Tone, Verdict
 from knowarm.report.claims import FEWEST_SEEDS, OUTCOMES, Claim, Outcome
 from knowarm.report.format import counted, listed
@@ -135,7 +134,7 @@ def _judge(subject: Group, tested: Sequence[Claim]) -> tuple[Kind, str]:
             f"{better}, but not significantly better than {missed} without knowledge: the size of "
             "the network may explain the advantage."
         )
-    better = f"{better} and than {_names(capacity)}, as large but without knowledge"
+    better = f"{better}, than {_names(capacity)} (as large, without knowledge)"
     if not content:
         return "meaning not tested", (
             f"{better}; whether the content of the vector matters was not tested."
@@ -147,8 +146,7 @@ def _judge(subject: Group, tested: Sequence[Claim]) -> tuple[Kind, str]:
             f"significantly better than {missed}."
         )
     return "knowledge matters", (
-        f"the knowledge matters: {better}, and than {_names(content)}, whose vectors have the same "
-        "shape but another content."
+        f"the knowledge matters: {better} and than {_names(content)} (same shape, other content)."
     )
 
 
@@ -166,6 +164,6 @@ def _hint(role: str, subject: Group) -> str:
     names = [
         name
         for name, agent in AGENTS.items()
-        if registered_role(name) == role and agent.knowledge.scope in scopes
+        if agent.role == role and agent.knowledge.scope in scopes
     ]
     return f" Registered for this: {listed(names, 'or')}." if names else ""

@@ -36,8 +36,10 @@ FOLDED_ROWS = 16
 """Rows above which a table is folded at first."""
 
 
-def report(
-    run_paths: Sequence[Path], out: Path, reference_results: Mapping[str, Path] | None = None
+def write_report(
+    run_paths: Sequence[Path | str],
+    out: Path | str,
+    reference_results: Mapping[str, Path | str] | None = None,
 ) -> Path:
     """Write one report from run folders.
 
@@ -57,13 +59,15 @@ def report(
     Raises:
         UserError: there is nothing to report, or ``out`` cannot be written.
     """
+    out = Path(out)
     if out.suffix.lower() not in (".html", ".htm"):
         raise UserError(f"The report must be an .html file, got {out}.")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(f"Cannot write to {out.parent}: {error.strerror}.") from error
-    study = collect(run_paths, reference_results)
+    references = {name: Path(path) for name, path in (reference_results or {}).items()}
+    study = collect([Path(path) for path in run_paths], references)
     pages = build_pages(study)
     _write_data(study, pages, out)
     page = _render(study, pages, out)

@@ -1,4 +1,4 @@
-"""Targets and colours of episodes go in; the colour of every geom comes out."""
+"""Appearance of episodes: colours of the geoms, cameras and lights."""
 
 from typing import NamedTuple
 
@@ -13,7 +13,7 @@ from knowarm.world.visual_randomization import LookSource, VisualRandomization
 
 
 def resting_colours(scene: Scene, num_envs: int) -> NDArray[np.float32]:
-    """Colours as the model files give them, all targets hidden: (n, G, 4) in 0..1."""
+    """Return the colours of the model files with all targets hidden, (n, G, 4) in 0..1."""
     model = scene.model
     rgba = model.geom_rgba.copy()
     with_material = model.geom_matid >= 0
@@ -23,11 +23,11 @@ def resting_colours(scene: Scene, num_envs: int) -> NDArray[np.float32]:
 
 
 class TargetColours:
-    """Shows one target in its colour and hides the others.
+    """Colours that show one target in one of its colours and hide the others.
 
     Args:
-        scene: where the targets' geoms are.
-        place: puts the constants where colours will be computed; on the CPU by default.
+        scene: the targets' geoms and colours.
+        place: moves the constants to the device of the computation.
     """
 
     def __init__(self, scene: Scene, place: Place = here) -> None:
@@ -37,7 +37,7 @@ class TargetColours:
         self._colours = place(scene.target_colours)
 
     def __call__(self, target: Array, colour: Array) -> Array:
-        """Colours of every geom, new, (k, G, 4) float32 in 0..1; alpha 0 hides.
+        """Return the colours of every geom, new, (k, G, 4) float32 in 0..1; alpha 0 hides.
 
         Args:
             target: index of the visible target, (k,) int64, NumPy or torch.
@@ -53,28 +53,28 @@ class TargetColours:
 
 
 class Shown(NamedTuple):
-    """How k environments look: what ``Renderer.draw`` takes besides the poses."""
+    """Appearance of k environments: the arguments of ``Renderer.draw`` besides the poses."""
 
     rgba: Array
-    """Colours of the geoms, alpha 0 where one is hidden, (k, G, 4) float32."""
+    """Colours of the geoms, alpha 0 for hidden ones, (k, G, 4) float32."""
 
     views: Array | None
-    """Cameras, (k, 12) float32; None for the model's."""
+    """Cameras, (k, 12) float32; None for the camera of the model."""
 
     lamps: Array | None
-    """Lights, (k, 4, 3) float32; None for the model's."""
+    """Lights, (k, 4, 3) float32; None for the lights of the model."""
 
     distractor_position: Array | None
-    """Where distractors stand, x and y [m], (k, D, 2) float64; None when nothing is randomized."""
+    """x and y of the distractors [m], (k, D, 2) float64; None without randomization."""
 
 
 class AppearanceSource:
-    """Computes how episodes look, on the CPU or on a device.
+    """Computes the appearance of episodes, with NumPy or torch.
 
     Args:
-        scene: what stands in the image.
-        randomization: what varies in it.
-        place: puts the constants where looks will be computed; on the CPU by default.
+        scene: the objects in the image.
+        randomization: what varies in the image.
+        place: moves the constants to the device of the computation.
     """
 
     def __init__(
@@ -87,19 +87,19 @@ class AppearanceSource:
         self._distractors = place(scene.distractor_geoms.astype(np.int64))
 
     def check(self, episodes: Episodes) -> None:
-        """Refuse episodes that were drawn for another randomization.
+        """Check that episodes were drawn for this randomization.
 
         Raises:
-            UserError: their look has another number of draws.
+            UserError: their look has the wrong number of draws.
         """
         if episodes.look.shape[1] != self._draws:
             raise UserError(
-                f"The episodes hold {episodes.look.shape[1]} draws of visual randomization, this "
-                f"environment needs {self._draws}: draw them with its config."
+                f"The episodes hold {episodes.look.shape[1]} draws of visual randomization, and "
+                f"this environment needs {self._draws}; draw them with its config."
             )
 
     def __call__(self, target: Array, colour: Array, position: Array, look: Array) -> Shown:
-        """Show k episodes; takes the fields of ``Episodes``, NumPy or torch."""
+        """Compute the appearance of k episodes from fields of ``Episodes``, NumPy or torch."""
         rgba = self._colours(target, colour)
         if not self._draws:
             return Shown(rgba, None, None, None)

@@ -1,10 +1,11 @@
-"""What a user sets about the task goes in, checked; every part of the world reads it."""
+"""Configuration of the reaching task."""
 
 from dataclasses import dataclass, field
 from typing import Literal
 
 from knowarm.errors import UserError
 from knowarm.world.held_out import HeldOut
+from knowarm.world.robots import DEFAULT_ROBOT
 from knowarm.world.visual_randomization import VisualRandomization
 
 MAX_IMAGE_SIZE = 4096
@@ -14,14 +15,14 @@ MAX_IMAGE_SIZE = 4096
 class EnvConfig:
     """The reaching task (paper, section 3). Defaults are the paper's training settings."""
 
-    robot: str = "irb120"
-    """A name in ``ROBOTS``, or the TOML file of a robot of your own."""
+    robot: str = DEFAULT_ROBOT
+    """A name in ``ROBOTS``, or the TOML file of your own robot."""
 
     targets: tuple[str, ...] = ("mug", "bottle", "cereal_box")
-    """Names in ``TARGETS`` or TOML files; one is drawn uniformly for each episode."""
+    """Names in ``TARGETS`` or TOML files; one is drawn uniformly per episode."""
 
     colours: Literal["fixed", "randomized"] = "fixed"
-    """Always a target's first colour, or one of its colours drawn for each episode."""
+    """Always a target's first colour, or one of its colours drawn per episode."""
 
     dynamics: Literal["dynamic", "kinematic"] = "dynamic"
     """Servos, inertia and contacts, or joint angles set exactly."""
@@ -30,13 +31,13 @@ class EnvConfig:
     """Steps after which an episode is truncated."""
 
     success_distance_m: float = 0.05
-    """Largest distance between gripper and grasp point that counts as reached [m]."""
+    """Distance from gripper to grasp point below which a target counts as reached [m]."""
 
     success_angle_deg: float = 15.0
-    """Largest angle between gripper and grasp frame that counts as reached [deg]."""
+    """Angle between gripper and grasp frame below which a target counts as reached [deg]."""
 
     ignore_roll: bool = False
-    """Leave the rotation about the approach axis out of the angle."""
+    """Ignore the rotation about the approach axis in the angle."""
 
     mpi_rad: float = 0.10
     """Maximum position increment, the largest joint step of an action [rad] (slides: [m])."""
@@ -45,16 +46,16 @@ class EnvConfig:
     """Width and height of the image [px]."""
 
     renderer: Literal["raycast", "opengl"] = "raycast"
-    """Our ray caster, or MuJoCo's own renderer as the (slow) reference."""
+    """KnowArm's ray caster, or MuJoCo's OpenGL renderer as the (slow) reference."""
 
     antialiasing: bool = True
-    """Average several rays where a pixel holds an edge (ray caster only)."""
+    """Average several rays in pixels that contain an edge (ray caster only)."""
 
     randomization: VisualRandomization = field(default_factory=VisualRandomization)
-    """What varies in the image besides the paper's colours: all off by default."""
+    """What varies in the image besides the paper's colours; all off by default."""
 
     held_out: HeldOut | None = None
-    """Colours and places kept for a test of generalization; None keeps none."""
+    """Colours and places reserved for a test of generalization; None reserves none."""
 
     def __post_init__(self) -> None:
         _one_of("colours", self.colours, ("fixed", "randomized"))
@@ -70,13 +71,14 @@ class EnvConfig:
             )
         if not 1 <= self.image_size <= MAX_IMAGE_SIZE:
             raise UserError(
-                f"EnvConfig.image_size must lie in 1 to {MAX_IMAGE_SIZE}, got {self.image_size}."
+                f"EnvConfig.image_size must be 1 to {MAX_IMAGE_SIZE}, got {self.image_size}."
             )
         if not self.targets:
             raise UserError("EnvConfig.targets is empty; name at least one target.")
         if len(set(self.targets)) != len(self.targets):
             raise UserError(
-                f"EnvConfig.targets holds a name twice: {', '.join(self.targets)}; name each once."
+                f"EnvConfig.targets contains a name twice: {', '.join(self.targets)}; list each "
+                "once."
             )
 
 

@@ -1,7 +1,7 @@
-"""Stream, episode and draw numbers go in; uniform numbers come out, without generator objects.
+"""Counter-based random numbers: uniform draws by stream, episode and draw number.
 
-Counter based: a draw is a hash of its three numbers, so any episode of any stream can be drawn at
-once, in any order and at any batch size, and the state of a stream is two integers. The hash is
+A draw is a hash of its three numbers, so any episodes of any streams can be drawn in one batch, in
+any order, and the state of a stream is two integers. The hash is
 splitmix64's finalizer (Steele, Lea and Flood 2014) applied to each number in turn.
 """
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from knowarm.world.arrays import Array, array_namespace
 
-# Constants as signed numbers: torch shifts no unsigned ones, and modulo 2**64 it is all the same.
+# Signed constants, because torch cannot shift unsigned numbers; modulo 2**64 nothing changes.
 _GAMMA = 0x9E3779B97F4A7C15 - 2**64
 _MIX_1 = 0xBF58476D1CE4E5B9 - 2**64
 _MIX_2 = 0x94D049BB133111EB - 2**64
@@ -21,7 +21,7 @@ def uniforms(streams: Array, episodes: Array, count: int) -> Array:
     Args:
         streams: seed of each episode's stream, (n,) uint64, or int64 with the same bits.
         episodes: index of the episode within its stream, (n,) likewise.
-        count: numbers drawn for each episode.
+        count: numbers drawn per episode.
 
     Returns:
         (n, count) float64 in [0, 1), the same numbers from NumPy and torch.
@@ -35,11 +35,11 @@ def uniforms(streams: Array, episodes: Array, count: int) -> Array:
 
 
 def derive(seed: int, label: str) -> int:
-    """Derive the seed of a stream that shares nothing with the streams seed, seed + 1, ...
+    """Derive the seed of a stream that is unrelated to the streams seed, seed + 1, ...
 
     Args:
         seed: any integer.
-        label: what the stream is for, as "evaluation".
+        label: purpose of the stream, as "evaluation".
 
     Returns:
         An integer in [0, 2**64).
@@ -59,5 +59,5 @@ def _mix(x: Array) -> Array:
 
 
 def _shifted(x: Array, bits: int) -> Array:
-    """Shift int64 numbers right and fill up with zeros, as if they had no sign."""
+    """Shift int64 numbers right and fill with zeros, as if they were unsigned."""
     return (x >> bits) & ((1 << (64 - bits)) - 1)

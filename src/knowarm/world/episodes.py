@@ -1,4 +1,4 @@
-"""Seeds go in; ``Episodes``, the start of each episode as plain arrays, come out."""
+"""Episodes as data: how they start, and how they are drawn from streams of random numbers."""
 
 from dataclasses import dataclass, fields
 
@@ -16,9 +16,9 @@ _TARGET, _X, _Y, _COLOUR, _JOINTS = range(5)  # order of an episode's draws
 
 @dataclass(frozen=True)
 class Episodes:
-    """Where n episodes start. Drawn first and played later, so a fixed set is just this.
+    """Start conditions of n episodes, drawn before they are played; a fixed test set is a value.
 
-    On a GPU the same fields hold torch tensors of the same shapes and dtypes.
+    On a GPU the fields are torch tensors of the same shapes and dtypes.
     """
 
     joint_offsets: NDArray[np.float64]
@@ -28,35 +28,35 @@ class Episodes:
     """Index into the config's targets, (n,)."""
 
     position: NDArray[np.float64]
-    """Where the target stands, x and y [m], (n, 2)."""
+    """x and y of the target [m], (n, 2)."""
 
     colour: NDArray[np.int64]
     """Index into the target's colours, (n,)."""
 
     look: NDArray[np.float64]
-    """Uniform draws of what varies in the image, (n, L); L = 0 when nothing does."""
+    """Uniform draws for the visual randomization, (n, L); L = 0 without any."""
 
     def __len__(self) -> int:
         return len(self.target)
 
     def __getitem__(self, index: slice | NDArray[np.intp] | NDArray[np.bool_]) -> "Episodes":
-        """Pick episodes by a slice or an index array."""
+        """Select episodes by a slice or an index array."""
         return Episodes(*(getattr(self, field.name)[index] for field in fields(self)))
 
 
 class EpisodeSource:
-    """Draws the episodes of a scene and config by their numbers (paper, table 1).
+    """Draws the episodes of a scene and config by stream and number (paper, table 1).
 
-    Target, place in the rectangle and colour are uniform; the start joints begin within
-    +-start_fraction of half their range about home.
+    Target, position in the rectangle and colour are uniform; the start joints are uniform within
+    +-start_fraction of half their range around home.
 
     Args:
         scene: the robot and targets.
-        config: which colours and places are drawn, and how many draws the image takes.
-        place: puts the constants where episodes will be drawn; on the CPU by default.
+        config: colours, held-out values and visual randomization.
+        place: moves the constants to the device of the draws.
 
     Raises:
-        UserError: held-out colours that no target has, or that leave a target none.
+        UserError: held-out colours that no target has, or that leave a target without colour.
     """
 
     def __init__(self, scene: Scene, config: EnvConfig, place: Place = here) -> None:
@@ -78,11 +78,11 @@ class EpisodeSource:
 
         Args:
             streams: seed of each episode's stream, (n,) uint64, or int64 with the same bits.
-            indices: number of the episode in its stream, (n,) likewise.
+            indices: number of the episode in its stream, (n,), same dtype.
 
         Returns:
-            n episodes, as arrays of the same library; the same numbers give the same episode at
-            any n and on any device.
+            n episodes, as arrays of the same library. An episode depends on its two numbers only,
+            not on n or the device.
         """
         xp = array_namespace(streams, indices)
         looks = _JOINTS + self._joints
@@ -103,14 +103,14 @@ class EpisodeSource:
 def draw_episodes(
     scene: Scene, config: EnvConfig, streams: NDArray[np.uint64], indices: NDArray[np.uint64]
 ) -> Episodes:
-    """Draw episodes of a scene and config once; see ``EpisodeSource``."""
+    """Draw episodes of a scene and config; see ``EpisodeSource``."""
     return EpisodeSource(scene, config)(streams, indices)
 
 
 def _allowed_colours(
     scene: Scene, config: EnvConfig
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Indices of the colours each target may be drawn in, (K, C), and how many they are, (K,)."""
+    """Return the allowed colour indices of each target, (K, C), and their number, (K,)."""
     every = [names if config.colours == "randomized" else names[:1] for names in scene.colour_names]
     check_names(config.held_out, [name for names in every for name in names])
     allowed = [
@@ -124,13 +124,13 @@ def _allowed_colours(
 
 
 def evaluation_episodes(scene: Scene, config: EnvConfig, count: int, seed: int) -> Episodes:
-    """Draw a fixed list of episodes that shares none with training streams.
+    """Draw a fixed list of episodes, none of which is part of a training stream.
 
     Args:
         scene: the robot and targets.
-        config: whether colours are randomized.
+        config: the task.
         count: number of episodes.
-        seed: seed of the list; a longer list begins with the shorter one.
+        seed: seed of the list; a shorter list is the beginning of a longer one.
     """
     streams = np.full(count, derive(seed, "evaluation"), dtype=np.uint64)
     return draw_episodes(scene, config, streams, np.arange(count, dtype=np.uint64))

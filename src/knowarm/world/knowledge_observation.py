@@ -1,4 +1,4 @@
-"""Images and a knowledge table go in; ``Dict(image, knowledge)`` observations come out."""
+"""Gymnasium wrappers that add the knowledge vector to the image: ``Dict(image, knowledge)``."""
 
 from typing import Any, cast
 
@@ -17,14 +17,14 @@ Observation = dict[str, NDArray[Any]]
 
 
 class KnowledgeObservation(gymnasium.Wrapper):
-    """Adds the knowledge vector of the running episode to a ``ReachEnv``'s image.
+    """Adds the knowledge vector of the current episode to the image of a ``ReachEnv``.
 
     Args:
         env: a reaching environment.
-        table: (F, K) float32, one row for each of the environment's ``facets``.
+        table: (F, K) float32, one row per facet in ``env.facets``.
 
     Raises:
-        UserError: a table of another number of rows.
+        UserError: a table with the wrong number of rows.
     """
 
     def __init__(self, env: gymnasium.Env, table: ArrayLike) -> None:
@@ -50,7 +50,7 @@ class KnowledgeObservation(gymnasium.Wrapper):
 
 
 class VectorKnowledgeObservation(VectorWrapper):
-    """The same for a ``ReachVectorEnv``; ``final_obs`` carry the knowledge of what ended."""
+    """Same as ``KnowledgeObservation`` for a ``ReachVectorEnv``, ``final_obs`` included."""
 
     def __init__(self, env: VectorEnv, table: ArrayLike) -> None:
         super().__init__(env)
@@ -98,6 +98,6 @@ def _checked_table(table: ArrayLike, facets: tuple[tuple[str, str], ...]) -> NDA
 
 
 def _with_knowledge(image: spaces.Space, table: NDArray[np.float32]) -> spaces.Dict:
-    """Space of the image beside a vector; its bounds are those of float32, as tables vary."""
+    """Return the space of the image beside an unbounded vector of float32."""
     knowledge = spaces.Box(-np.inf, np.inf, (table.shape[1],), np.float32)
     return spaces.Dict({"image": image, "knowledge": knowledge})

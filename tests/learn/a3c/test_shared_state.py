@@ -4,12 +4,13 @@ import multiprocessing
 import pytest
 import torch
 
-from knowarm.learn.a3c.shared_state import SharedState, rmsprop_update
+from knowarm.learn.a3c.shared_state import rmsprop_update, shared_state_specs
 from knowarm.learn.flat_parameters import (
     FlatParameters,
     flatten_parameters,
     unflatten_parameters,
 )
+from knowarm.learn.shared_tensors import SharedTensors
 
 NUMBERS = {"learning_rate": 0.1, "alpha": 0.9, "eps": 0.01}
 
@@ -57,17 +58,17 @@ def test_flattening_and_back():
 
 
 def write(shared, index):
-    shared.values[index] = 10.0 + index
-    shared.updates[index] += 1
+    shared["values"][index] = 10.0 + index
+    shared["updates"][index] += 1
 
 
 def test_processes_see_one_anothers_writes():
     context = multiprocessing.get_context("forkserver")
-    shared = SharedState(context, 4, 2)
+    shared = SharedTensors(context, shared_state_specs(4, 2))
     children = [context.Process(target=write, args=(shared, index)) for index in range(2)]
     for child in children:
         child.start()
     for child in children:
         child.join()
-    assert shared.values.tolist() == [10.0, 11.0, 0.0, 0.0]
-    assert shared.updates.tolist() == [1, 1]
+    assert shared["values"].tolist() == [10.0, 11.0, 0.0, 0.0]
+    assert shared["updates"].tolist() == [1, 1]

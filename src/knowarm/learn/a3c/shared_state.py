@@ -1,59 +1,33 @@
-"""Shared state of the A3C workers: parameters, RMSprop statistics and counters."""
-
-from multiprocessing.context import BaseContext
-from typing import Any
+"""State that A3C's workers share: parameters, RMSprop statistics and counters."""
 
 import torch
 from torch import Tensor
 
-from knowarm.learn.shared_tensors import SharedTensors
+from knowarm.learn.shared_tensors import TensorSpecs
 
 
-class SharedState:
-    """Parameters, optimizer statistics and counters of all workers, without locks.
+def shared_state_specs(parameters: int, workers: int) -> TensorSpecs:
+    """Return the tensors that all workers read and write, without locks.
 
     Each worker writes only its own counters, so no count is lost, and a worker that dies holds
     nothing that others wait for.
 
     Args:
-        context: start method of the worker processes.
         parameters: number of parameters P.
         workers: number of workers W.
 
-    Attributes:
-        values: (P,) float32, parameters of the policy.
-        mean_square: (P,) float32, RMSprop's running mean of squared gradients.
-        steps: (W,) int64, environment steps of each worker.
-        updates: (W,) int64, updates of each worker.
-        evaluated: (1,) int64, number of the last interim evaluation that a worker requested.
+    Returns:
+        ``values`` (P,), the parameters of the policy; ``mean_square`` (P,), RMSprop's running mean
+        of squared gradients; ``steps`` and ``updates`` (W,) of each worker; ``evaluated`` (1,),
+        number of the last interim evaluation that a worker requested.
     """
-
-    def __init__(self, context: BaseContext, parameters: int, workers: int) -> None:
-        self._tensors = SharedTensors(
-            context,
-            {
-                "values": ((parameters,), torch.float32),
-                "mean_square": ((parameters,), torch.float32),
-                "steps": ((workers,), torch.int64),
-                "updates": ((workers,), torch.int64),
-                "evaluated": ((1,), torch.int64),
-            },
-        )
-        self._open()
-
-    def _open(self) -> None:
-        self.values = self._tensors["values"]
-        self.mean_square = self._tensors["mean_square"]
-        self.steps = self._tensors["steps"]
-        self.updates = self._tensors["updates"]
-        self.evaluated = self._tensors["evaluated"]
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {"_tensors": self._tensors}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self._tensors = state["_tensors"]
-        self._open()
+    return {
+        "values": ((parameters,), torch.float32),
+        "mean_square": ((parameters,), torch.float32),
+        "steps": ((workers,), torch.int64),
+        "updates": ((workers,), torch.int64),
+        "evaluated": ((1,), torch.int64),
+    }
 
 
 def rmsprop_update(

@@ -18,7 +18,7 @@ from knowarm.learn.a3c.messages import (
     WorkerRestarted,
     WorkerState,
 )
-from knowarm.learn.a3c.shared_state import SharedState
+from knowarm.learn.a3c.shared_state import shared_state_specs
 from knowarm.learn.a3c.worker import run_a3c_worker
 from knowarm.learn.a3c.worker_pool import WorkerPool, check_memory
 from knowarm.learn.checkpoint import Arrays, Checkpoint
@@ -26,6 +26,7 @@ from knowarm.learn.collector import select
 from knowarm.learn.config import A3CConfig
 from knowarm.learn.flat_parameters import FlatParameters, unflatten_parameters
 from knowarm.learn.processes import ChildProcess, process_context
+from knowarm.learn.shared_tensors import SharedTensors
 from knowarm.learn.trainer import StopReason, Trainer, crossed
 from knowarm.policy import Policy
 
@@ -66,8 +67,8 @@ class A3CTrainer(Trainer):
         self._context = context = process_context(
             ["knowarm.learn.a3c.worker", getattr(make_env, "__module__", "knowarm")]
         )
-        self._shared = SharedState(context, count, config.workers)
-        self._shared.values.copy_(self._parameters.values)
+        self._shared = SharedTensors(context, shared_state_specs(count, config.workers))
+        self._shared["values"].copy_(self._parameters.values)
         self._statistics = UpdateStatistics()
         self._worker_steps = [0] * config.workers
         self._worker_restarts = [0] * config.workers
@@ -101,13 +102,13 @@ class A3CTrainer(Trainer):
         self._take_evaluations(wait=True)
         self._save_when_evaluated()
         self._worker_states = {index: state.collector for index, state in self._states.items()}
-        self._parameters.values.copy_(self._shared.values)
+        self._parameters.values.copy_(self._shared["values"])
         return reason
 
     def _restore(self, checkpoint: Checkpoint) -> None:
-        self._shared.values.copy_(self._parameters.values)
+        self._shared["values"].copy_(self._parameters.values)
         for name in ("mean_square", "steps", "updates", "evaluated"):
-            getattr(self._shared, name).copy_(torch.from_numpy(checkpoint.optimizer[name]))
+            self._shared[name].copy_(torch.from_numpy(checkpoint.optimizer[name]))
         self._worker_states = {
             index: state
             for index in range(self.config.workers)
@@ -120,7 +121,7 @@ class A3CTrainer(Trainer):
         self._worker_steps = checkpoint.optimizer["steps"].tolist()
 
     def _values(self) -> np.ndarray:
-        return self._shared.values.numpy().copy()
+        return self._shared["values"].numpy().copy()
 
     def _start_worker(self, index: int, restarts: int) -> ChildProcess:
         args = A3CWorkerArgs(

@@ -16,7 +16,7 @@ from knowarm.learn.a3c.messages import (
     UpdateReport,
     WorkerState,
 )
-from knowarm.learn.a3c.shared_state import SharedState, rmsprop_update
+from knowarm.learn.a3c.shared_state import rmsprop_update
 from knowarm.learn.collector import Collector
 from knowarm.learn.device import resolve_precision
 from knowarm.learn.flat_parameters import FlatParameters
@@ -25,9 +25,10 @@ from knowarm.learn.losses import LossTerms, a3c_loss
 from knowarm.learn.processes import ProcessFailure, prepare_child_process
 from knowarm.learn.returns import advantages, n_step_returns
 from knowarm.learn.rollout import Rollout, rollout_specs
+from knowarm.learn.shared_tensors import SharedTensors, zeros
 
 
-def run_a3c_worker(args: A3CWorkerArgs, shared: SharedState, connection: Connection) -> None:
+def run_a3c_worker(args: A3CWorkerArgs, shared: SharedTensors, connection: Connection) -> None:
     """Entry point of a worker process: train until told to exit or the parent process exits."""
     prepare_child_process()
     try:
@@ -48,7 +49,7 @@ class A3CWorker:
         connection: pipe to the trainer.
     """
 
-    def __init__(self, args: A3CWorkerArgs, shared: SharedState, connection: Connection) -> None:
+    def __init__(self, args: A3CWorkerArgs, shared: SharedTensors, connection: Connection) -> None:
         self.args = args
         self.config = args.config
         self._shared = shared
@@ -62,8 +63,10 @@ class A3CWorker:
         self._collector = Collector(env, self._policy, seed=args.seed)
         if args.state is not None:
             self._collector.set_state(args.state)
-        self._rollout = Rollout.zeros(
-            rollout_specs(self.config.rollout_steps, self.config.envs_per_worker, self._policy)
+        self._rollout = Rollout(
+            **zeros(
+                rollout_specs(self.config.rollout_steps, self.config.envs_per_worker, self._policy)
+            )
         )
         self._guard = FiniteGuard(args.failure_folder)
         self._total_steps = 0
@@ -88,33 +91,33 @@ class A3CWorker:
                 self._connection.send(TotalReached())
 
     def _total_reached(self) -> bool:
-        return int(self._shared.steps.sum()) >= self._total_steps
+        return int(self._shared["steps"].sum()) >= self._total_steps
 
     def _update(self) -> None:
         """Collect one rollout and take one step of the shared optimizer."""
         config, shared, rollout = self.config, self._shared, self._rollout
-        seen = int(shared.updates.sum())
-        self._parameters.values.copy_(shared.values)
+        seen = int(shared["updates"].sum())
+        self._parameters.values.copy_(shared["values"])
         self._collector.collect(rollout)
         steps = rollout.reward.numel()
-        step = int(shared.steps.sum()) + steps
+        step = int(shared["steps"].sum()) + steps
         self._guard.check_rollout(rollout, self._policy.knowledge_table, step)
         loss = self._loss()
         self._parameters.gradient.zero_()
         loss.total.backward()
         norm = self._parameters.clip_gradient(config.max_grad_norm)
         self._guard.check_update(self._policy, loss, norm, step, rollout)
-        staleness = int(shared.updates.sum()) - seen
+        staleness = int(shared["updates"].sum()) - seen
         rmsprop_update(
-            shared.values,
-            shared.mean_square,
+            shared["values"],
+            shared["mean_square"],
             self._parameters.gradient,
             learning_rate=config.learning_rate,
             alpha=config.rmsprop_alpha,
             eps=config.rmsprop_eps,
         )
-        shared.updates[self.args.index] += 1
-        shared.steps[self.args.index] += steps
+        shared["updates"][self.args.index] += 1
+        shared["steps"][self.args.index] += steps
         self._connection.send(
             UpdateReport(
                 steps=steps,
@@ -157,11 +160,11 @@ class A3CWorker:
         """
         if self.args.evaluate_every is None:
             return
-        step = int(self._shared.steps.sum())
+        step = int(self._shared["steps"].sum())
         number = step // self.args.evaluate_every
-        if number > int(self._shared.evaluated[0]):
-            self._shared.evaluated[0] = number
-            values = self._shared.values.numpy().copy()
+        if number > int(self._shared["evaluated"][0]):
+            self._shared["evaluated"][0] = number
+            values = self._shared["values"].numpy().copy()
             self._connection.send(EvaluationRequest(number=number, step=step, values=values))
 
     def _state(self, with_shared: bool) -> WorkerState:
@@ -172,8 +175,8 @@ class A3CWorker:
 
         return WorkerState(
             collector=self._collector.get_state(),
-            steps=int(shared.steps[index]),
-            updates=int(shared.updates[index]),
-            values=copy(shared.values),
-            mean_square=copy(shared.mean_square),
+            steps=int(shared["steps"][index]),
+            updates=int(shared["updates"][index]),
+            values=copy(shared["values"]),
+            mean_square=copy(shared["mean_square"]),
         )

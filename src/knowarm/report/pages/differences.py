@@ -1,7 +1,6 @@
 """Page "Differences": statistical comparisons of agents, over training seeds and the paper's."""
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -21,6 +20,7 @@ from knowarm.statistics import (
     paired,
     performance_profile,
     probability_of_improvement,
+    seeds_needed,
 )
 
 EXPLANATION = (
@@ -46,19 +46,9 @@ COMPARISON_COLUMNS = (
     Column("seeds", "seeds"),
     Column("effect_size", "in std", "signed", hint="Cohen's d"),
     Column("p", "p", "p", hint="Welch's t, two-sided"),
-    Column(
-        "adjusted_p",
-        "adjusted p",
-        "p",
-        hint="baseline: Holm over the report; controls: times the number of Holm's comparisons",
-    ),
+    Column("adjusted_p", "adjusted p", "p", hint="baseline: Holm; others: times its comparisons"),
     Column("verdict", "verdict"),
-    Column(
-        "needed",
-        "seeds needed",
-        "integer",
-        hint="per agent, to detect a difference as large as the observed one in 80 % of studies",
-    ),
+    Column("needed", "seeds needed", "integer", hint="per agent, for the observed difference"),
 )
 
 COMPARISON_NOTE = (
@@ -67,6 +57,8 @@ COMPARISON_NOTE = (
     "selected because it is large. Undecided is no evidence of equality: the interval shows which "
     "differences remain possible. Described: not tested."
 )
+
+NETWORKS = (Column("first", "network of"), Column("second", "against that of"))
 
 PROFILE_LEVELS = np.linspace(0, 1, 21)
 """Levels of success of the performance profile."""
@@ -112,7 +104,6 @@ def _comparison_row(claim: Claim) -> Row:
         "second": claim.second.name,
         "seeds": str(claim.seeds),
         "verdict": claim.verdict,
-        "needed": claim.needed if claim.verdict not in ("better", "worse") else None,
         "adjusted_p": claim.adjusted_p,
     }
     if compared := claim.comparison:
@@ -121,6 +112,8 @@ def _comparison_row(claim: Claim) -> Row:
             "effect_size": compared.effect_size,
             "p": compared.p_value,
         }
+        if compared.effect_size and claim.verdict not in ("better", "worse"):
+            row["needed"] = seeds_needed(compared.effect_size)
     return row
 
 
@@ -148,25 +141,14 @@ def _scores(task: Task) -> Table:
             *shared("agent", "seeds"),
             Column("mean", "mean", "percent", interval=True),
             Column("iqm", "interquartile mean", "percent", interval=True),
-            Column(
-                "improvement",
-                f"P(better than {baseline.name})",
-                "percent",
-                interval=True,
-                hint=f"probability that a run of the agent beats a run of {baseline.name}",
-            ),
-            Column(
-                "area",
-                "mean during training",
-                "percent",
-                interval=True,
-                hint="area under the curve of interim success, divided by its length",
-            ),
+            Column("improvement", f"P(better than {baseline.name})", "percent", interval=True),
+            Column("area", "mean during training", "percent", interval=True),
         ],
         rows=rows,
         sources=[run.path for run in task.runs],
-        note="Intervals: 95 % percentile bootstrap over training seeds, 10,000 resamples (2,000 "
-        "for the probability), fixed seed.",
+        note="P: probability that a run of the agent beats a run of the other. Mean during "
+        "training: area under the curve of interim success, divided by its length. Intervals: 95 % "
+        "percentile bootstrap over training seeds, 10,000 resamples (2,000 for P), fixed seed.",
     )
 
 
@@ -230,20 +212,22 @@ def _networks(task: Task) -> Table | None:
             row |= cells(key, paired(one[key], other[key]).difference)
         rows.append(row)
         sources += [each.folder / "episodes.parquet" for each in found]
-    return _network_table(
-        task,
-        "networks",
-        "Two networks on the same episodes",
-        [
+    if not rows:
+        return None
+    return Table(
+        name=f"networks-{task.name}",
+        title=f"Two networks on the same episodes: {task.title}",
+        columns=[
+            *NETWORKS,
             Column("episodes", "episodes", "integer"),
             Column("success", "success [points]", "points", interval=True),
             Column("return", "return", "signed", interval=True),
             Column("length", "steps", "signed", interval=True),
         ],
-        rows,
-        sources,
-        "The best run of each agent, paired by episode (Student's t, 95 %). Tests whether these "
-        "two networks differ on this task; one network per method says nothing about the methods.",
+        rows=rows,
+        sources=sources,
+        note="The best run of each agent, paired by episode (Student's t, 95 %). Tests whether "
+        "these two networks differ; one network per method says nothing about the methods.",
     )
 
 
@@ -270,11 +254,13 @@ def _variance(task: Task) -> Table | None:
             }
         )
         sources += [evaluation.folder / "episodes.parquet" for evaluation, _ in found]
-    return _network_table(
-        task,
-        "anova",
-        "The paper's analysis of variance over evaluation seeds",
-        [
+    if not rows:
+        return None
+    return Table(
+        name=f"anova-{task.name}",
+        title=f"The paper's analysis of variance over evaluation seeds: {task.title}",
+        columns=[
+            *NETWORKS,
             Column("rates", "evaluation seeds", "integer"),
             Column("first_mean", "success", "percent"),
             Column("second_mean", "success", "percent"),
@@ -282,35 +268,12 @@ def _variance(task: Task) -> Table | None:
             Column("p", "p", "p"),
             Column("paper_f", "paper's F", "number"),
         ],
-        rows,
-        sources,
-        "Tests whether these two trained networks differ over random episodes. All observations "
-        "come from the same two networks, so it says nothing about what another training seed of "
-        "the same method would give: with more evaluation seeds any two networks differ "
-        "significantly.",
-    )
-
-
-def _network_table(
-    task: Task,
-    name: str,
-    title: str,
-    columns: Sequence[Column],
-    rows: Sequence[Row],
-    sources: Sequence[Path],
-    note: str,
-) -> Table | None:
-    """Return a table of pairs of single networks, if it has rows."""
-    if not rows:
-        return None
-    agents = (Column("first", "network of"), Column("second", "against that of"))
-    return Table(
-        name=f"{name}-{task.name}",
-        title=f"{title}: {task.title}",
-        columns=[*agents, *columns],
         rows=rows,
         sources=sources,
-        note=note,
+        note="Tests whether these two trained networks differ over random episodes. All "
+        "observations come from the same two networks, so it says nothing about what another "
+        "training seed of the same method would give: with more evaluation seeds any two networks "
+        "differ significantly.",
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from knowarm.config import from_dict
 from knowarm.errors import UserError
 from knowarm.experiment.run_folder import RunFolder
-from knowarm.knowledge import KnowledgeConfig, migrate_source, scene_subgraph
+from knowarm.knowledge import KnowledgeConfig, scene_subgraph
 from knowarm.report.blocks import Block, Column, Figure, Pair, Panel, Row, Table, Verdict, shared
 from knowarm.report.diagrams import SHADES, graph_diagram, heat_map, stacked_bars
 from knowarm.report.format import listed, slugs
@@ -92,13 +92,10 @@ def _overview(task: Task) -> Table:
         coverage = known.get("coverage")
         share = coverage.get("share") if isinstance(coverage, Mapping) else coverage
         slots = known.get("slots") or []
-        source = (known.get("config") or {}).get("source") if slots else None
-        if isinstance(source, Mapping):
-            source = source.get("model") or source.get("kind")
         rows.append(
             {
                 "agent": group.name,
-                "source": source,
+                "source": _source(known) if slots else None,
                 "slots": len(slots),
                 "numbers": known.get("dim", 0) or 0,
                 "norm": known.get("norm"),
@@ -125,6 +122,17 @@ def _overview(task: Task) -> Table:
         rows=rows,
         sources=[group.runs[0].path / "provenance.json" for group in task.groups],
     )
+
+
+def _config(known: Mapping[str, Any]) -> KnowledgeConfig:
+    return from_dict(KnowledgeConfig, known["config"], where="knowledge")
+
+
+def _source(known: Mapping[str, Any]) -> str | None:
+    try:
+        return _config(known).source.short_name
+    except (UserError, KeyError):  # of another version
+        return None
 
 
 def _knowledge(group: Group, stem: str, known: Mapping[str, Any], graphs: set[str]) -> list[Block]:
@@ -164,8 +172,7 @@ def _triples(run: Run, known: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     facets = known.get("facets") or run.provenance.get("facets")
     if not facets or known.get("config", {}).get("detail") == "none":
         return []
-    config = from_dict(KnowledgeConfig, migrate_source(known["config"]), where="knowledge")
-    return list(scene_subgraph(config, [(str(a), str(b)) for a, b in facets]))
+    return list(scene_subgraph(_config(known), [(str(a), str(b)) for a, b in facets]))
 
 
 def _graph(name: str, stem: str, triples: list[tuple[str, str, str]], run: Run) -> Figure:

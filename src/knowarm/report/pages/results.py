@@ -125,7 +125,7 @@ def part_panels(
         groups: the agents.
         value: estimate of an agent on a target or facet; None leaves the agent out.
         axis: horizontal axis.
-        sign: written before the agents' names; values are then differences.
+        sign: written before the agents' names, if the values are differences.
 
     Returns:
         Rows of the table, with the estimate in the column "success", and the drawings.

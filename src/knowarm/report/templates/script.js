@@ -36,7 +36,13 @@
   const select = document.querySelector("[data-tasks]");
   if (!select) return;
   const parts = [...document.querySelectorAll("[data-part]")];
-  const show = () => parts.forEach((part) => { part.hidden = select.value !== "" && part.dataset.part !== select.value; });
+  const show = () => {
+    parts.forEach((part) => { part.hidden = select.value !== "" && part.dataset.part !== select.value; });
+    document.querySelectorAll("[data-nothing]").forEach((note) => {
+      const own = [...note.parentElement.querySelectorAll("[data-part]")];
+      note.hidden = !own.length || own.some((part) => !part.hidden);
+    });
+  };
   select.hidden = false;
   select.addEventListener("change", show);
   show();

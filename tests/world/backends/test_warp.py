@@ -1,16 +1,18 @@
-"""MuJoCo Warp's poses are mujoco.batch's, step for step."""
+"""MuJoCo Warp's poses are those of ``mujoco.batch``, step for step."""
 
 import mujoco
 import numpy as np
 import pytest
 import torch
-from device_pairs import shared_pair
 
+from knowarm.world.arrays import IndexSelection, MaskSelection
+from knowarm.world.backends.mujoco import MujocoSimulator
 from knowarm.world.backends.warp import ROWS_PER_WORLD, WarpSimulator, capacity
 from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import evaluation_episodes
 from knowarm.world.scene import Scene, load_scene
 from tests.devices import DEVICES
+from tests.world.faces import CUDA, WARP, shared_env
 
 TARGETS = ("mug", "bottle", "cereal_box")
 
@@ -30,16 +32,18 @@ def pose_error(host: MujocoSimulator, device: WarpSimulator) -> np.ndarray:
     return np.max(differences, axis=0)
 
 
-def both(scene: Scene, device: str, dynamics: str, count: int) -> tuple[MujocoSimulator, ...]:
-    """Start a simulation of either kind at the same episodes; with them, their joint angles."""
+def both(
+    scene: Scene, device: str, dynamics: str, count: int
+) -> tuple[MujocoSimulator, WarpSimulator, np.ndarray]:
+    """Start both simulators at the same episodes; return them and the joint angles."""
     episodes = evaluation_episodes(scene, EnvConfig(robot=scene.robot.name), count, seed=0)
     joints = scene.home + episodes.joint_offsets
     host = MujocoSimulator(scene, count, 1, dynamics)
-    host.reset(np.arange(count), joints, episodes.position)
+    host.reset(IndexSelection(np.arange(count)), joints, episodes.position)
     other = WarpSimulator(scene, count, torch.device(device), dynamics)
     start = torch.as_tensor(joints, dtype=torch.float32, device=device)
     every = torch.ones(count, dtype=torch.bool, device=device)
-    other.reset(every, start, torch.as_tensor(episodes.position, device=device))
+    other.reset(MaskSelection(every), start, torch.as_tensor(episodes.position, device=device))
     assert pose_error(host, other).max() < 1e-5
     return host, other, joints
 
@@ -86,7 +90,7 @@ PRESSING = [53, 113, 177, 227, 247, 251, 0, 1]
 
 @pytest.mark.parametrize("device", DEVICES)
 def test_too_many_contacts_are_reported_once(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    simulation = shared_pair(device, "irb120").device.simulation
+    simulation = shared_env(CUDA if device == "cuda" else WARP, "irb120").simulation
     monkeypatch.setattr(simulation, "_warned", False)
     simulation._overflow[1] = 1
     still = simulation.joint_positions

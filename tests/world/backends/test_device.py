@@ -1,23 +1,17 @@
-"""What is missing or too small is named before anything starts."""
+"""Checks of devices, packages and memory."""
 
 from types import SimpleNamespace
 from typing import Any
 
-import gymnasium
 import numba.cuda
 import pytest
 import torch
-from gymnasium.vector import AutoresetMode
-from knowarm.world.gpu import device as devices
-from knowarm.world.gpu.device import find_device
-from knowarm.world.gpu.memory import check_memory, memory_needed
 
-import knowarm  # noqa: F401 (registers the ids)
 from knowarm.errors import UserError
+from knowarm.world.backends import device as devices
+from knowarm.world.backends.device import check_memory, choose_backend, memory_needed
 from knowarm.world.config import EnvConfig
 from knowarm.world.scene import load_scene
-from knowarm.world.torch_env import TorchReachVectorEnv
-from knowarm.world.vector_env import ReachVectorEnv
 
 
 def without(package: str) -> Any:
@@ -35,27 +29,55 @@ def gpu_of_torch(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("package", ["mujoco_warp", "warp"])
 def test_a_missing_package_is_named(package: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(devices, "find_spec", without(package))
-    with pytest.raises(UserError, match=rf"{package} is not installed: pip install 'knowarm\[gpu"):
-        find_device("cuda")
+    with pytest.raises(
+        UserError, match=rf"{package}, which is not installed: pip install 'knowarm\[gpu"
+    ):
+        choose_backend("cuda", None)
 
 
 @pytest.mark.parametrize("name", ["gpu", "cuda:1", "mps", ""])
 def test_other_devices_are_refused(name: str) -> None:
     with pytest.raises(UserError, match=r"'cuda' or 'cpu', got .*CUDA_VISIBLE_DEVICES"):
-        find_device(name)
+        choose_backend(name, None)
+
+
+@pytest.mark.parametrize(
+    ("device", "simulator", "expected"),
+    [
+        ("cpu", None, "mujoco"),
+        ("cpu", "mujoco", "mujoco"),
+        ("cpu", "warp", "warp"),
+    ],
+)
+def test_the_cpu_has_both_simulators(device: str, simulator: str | None, expected: str) -> None:
+    assert choose_backend(device, simulator) == (torch.device("cpu"), expected)
+
+
+def test_mujoco_needs_no_other_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(devices, "find_spec", without("mujoco_warp"))
+    assert choose_backend("cpu", None)[1] == "mujoco"
+    with pytest.raises(UserError, match="mujoco_warp"):
+        choose_backend("cpu", "warp")
+
+
+def test_wrong_simulators_are_refused() -> None:
+    with pytest.raises(UserError, match="simulator 'mujoco' runs on the CPU, got device 'cuda'"):
+        choose_backend("cuda", "mujoco")
+    with pytest.raises(UserError, match="must be 'mujoco', 'warp' or None, got 'bullet'"):
+        choose_backend("cpu", "bullet")
 
 
 def test_a_torch_without_cuda_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.version, "cuda", None)
     with pytest.raises(UserError, match="is built without"):
-        find_device("cuda")
+        choose_backend("cuda", None)
 
 
 def test_a_machine_without_a_gpu_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.version, "cuda", "13.0")
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(UserError, match=r"finds no GPU.*nvidia-smi"):
-        find_device("cuda")
+        choose_backend("cuda", None)
 
 
 def test_a_driver_too_old_for_warp_is_named(
@@ -68,7 +90,7 @@ def test_a_driver_too_old_for_warp_is_named(
     )
     monkeypatch.setattr(devices, "import_warp", lambda: (warp, None))
     with pytest.raises(UserError, match=r"older than Warp's CUDA 13\.4: install a newer driver"):
-        find_device("cuda")
+        choose_backend("cuda", None)
 
 
 @pytest.mark.parametrize("fails", [False, True])
@@ -84,18 +106,8 @@ def test_a_numba_that_finds_no_gpu_is_named(
     monkeypatch.setattr(devices, "import_warp", lambda: (warp, None))
     monkeypatch.setattr(numba.cuda, "is_available", is_available)
     with pytest.raises(UserError, match=r"Numba cannot use the GPU.*numba-cuda\[cu13\]") as raised:
-        find_device("cuda")
+        choose_backend("cuda", None)
     assert ("libcuda is broken" in str(raised.value)) == fails
-
-
-def test_opengl_is_refused() -> None:
-    with pytest.raises(UserError, match="renderer 'opengl' draws on the CPU"):
-        TorchReachVectorEnv(EnvConfig(renderer="opengl"), 2, device="cpu", simulator="warp")
-
-
-def test_no_environments_are_refused() -> None:
-    with pytest.raises(UserError, match="num_envs must be at least 1, got 0"):
-        TorchReachVectorEnv(EnvConfig(), 0, device="cpu", simulator="warp")
 
 
 @pytest.mark.parametrize("robot", ["irb120", "tiago"])
@@ -122,23 +134,3 @@ def test_too_many_environments_for_the_memory_are_refused() -> None:
         check_memory(scene, config, int(1.01 * fit), free)
     with pytest.raises(UserError, match="up to 0 fit"):
         check_memory(scene, config, 1, 1000)
-
-
-def test_make_vec_takes_a_device() -> None:
-    options: dict[str, Any] = {"image_size": 16, "dynamics": "kinematic"}
-    env = gymnasium.make_vec("knowarm/IRB120Reach-v0", num_envs=2, device="cpu", **options)
-    assert isinstance(env.unwrapped, TorchReachVectorEnv)
-    observation, infos = env.reset(seed=0)
-    assert isinstance(observation, torch.Tensor)
-    host = gymnasium.make_vec("knowarm/IRB120Reach-v0", num_envs=2, **options)
-    assert isinstance(host.unwrapped, ReachVectorEnv)
-    assert infos["distance"].numpy() == pytest.approx(host.reset(seed=0)[1]["distance"], abs=1e-5)
-    for given in (
-        {"num_threads": 2},
-        {"autoreset": AutoresetMode.DISABLED},
-        {"render_mode": "rgb_array"},
-    ):
-        with pytest.raises(UserError, match="leave out device"):
-            gymnasium.make_vec(
-                "knowarm/IRB120Reach-v0", num_envs=2, device="cpu", **options, **given
-            )

@@ -5,8 +5,6 @@ from conftest import MakeEnv
 from gymnasium.vector import AutoresetMode
 
 from knowarm.errors import UserError
-from knowarm.world.config import EnvConfig
-from knowarm.world.episodes import evaluation_episodes
 from knowarm.world.robots import ROBOTS
 from knowarm.world.tasks.reach import ACTION_LEVELS
 from knowarm.world.vector_env import ReachVectorEnv
@@ -35,19 +33,6 @@ def test_steps_give_what_the_spaces_promise(robot: str, dynamics: str, make_env:
         assert rewards == pytest.approx(-2 * infos["distance"] ** 2 - infos["angle"] / 70)
         assert not (terminated | truncated).any()
         previous = observations
-
-
-def test_actions_add_the_paper_s_increments_and_stop_at_the_range(make_env: MakeEnv) -> None:
-    env = make_env(7, dynamics="kinematic", mpi_rad=0.2)
-    env.reset(seed=0)
-    start = env.joint_positions
-    actions = np.repeat(np.arange(7)[:, None], 6, axis=1)
-    env.step(actions)
-    expected = 0.2 * np.array([0, 1, -1, 0.1, -0.1, 0.01, -0.01])
-    assert env.joint_positions - start == pytest.approx(np.repeat(expected[:, None], 6, axis=1))
-    for _ in range(45):
-        env.step(np.ones((7, 6), dtype=np.int64))
-    assert env.joint_positions[:, :5] == pytest.approx(np.tile(env.scene.joint_upper[:5], (7, 1)))
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
@@ -94,26 +79,6 @@ def test_an_episode_is_the_same_to_the_byte_at_any_number_of_environments_and_th
             assert alone[4][name][0] == together[4][name][-1]
 
 
-@pytest.mark.parametrize("colours", ["fixed", "randomized"])
-def test_state_goes_on_to_the_byte(colours: str, make_env: MakeEnv) -> None:
-    env, other = make_env(colours=colours), make_env(colours=colours)
-    generator = np.random.default_rng(0)
-    env.reset(seed=5)
-    for _ in range(23):
-        env.step(random_actions(env, generator))
-    other.set_state(env.get_state())
-    for _ in range(60):
-        actions = random_actions(env, generator)
-        for a, b in zip(env.step(actions)[:4], other.step(actions)[:4], strict=True):
-            assert a.tobytes() == b.tobytes()
-    assert (env.facet_ids == other.facet_ids).all()
-
-
-def test_a_state_of_another_environment_is_refused(make_env: MakeEnv) -> None:
-    with pytest.raises(UserError, match="state is of another environment"):
-        make_env(3).set_state(make_env(2).get_state())
-
-
 def test_facets_list_targets_with_their_possible_colours(make_env: MakeEnv) -> None:
     fixed = make_env(targets=("bottle", "mug"))
     assert fixed.facets == (("bottle", "yellow"), ("mug", "red"))
@@ -136,35 +101,6 @@ def test_the_target_is_shown_in_its_colour_and_the_others_are_hidden(make_env: M
     assert (red.sum(axis=(1, 2))[~is_red] == 0).all()
     assert (blue.sum(axis=(1, 2))[is_blue] > 10).all()
     assert (blue.sum(axis=(1, 2))[~is_blue] == 0).all()
-
-
-def test_given_episodes_are_played(make_env: MakeEnv) -> None:
-    env = make_env(4, colours="randomized")
-    episodes = evaluation_episodes(env.scene, env.config, 4, seed=9)
-    _, infos = env.reset(options={"episodes": episodes})
-    assert (infos["target"] == episodes.target).all()
-    assert env.joint_positions == pytest.approx(env.scene.home + episodes.joint_offsets)
-    assert env.grasp_position[:, :2] == pytest.approx(
-        episodes.position + env.scene.grasp_position[episodes.target, :2]
-    )
-    with pytest.raises(UserError, match="holds 3 episodes for 4 environments"):
-        env.reset(options={"episodes": episodes[:3]})
-
-
-def test_the_time_limit_truncates_and_success_terminates(make_env: MakeEnv) -> None:
-    env = make_env(2, max_episode_steps=3, autoreset=AutoresetMode.DISABLED)
-    env.reset(seed=0)
-    stay = np.zeros((2, 6), dtype=np.int64)
-    for wanted in (False, False, True):
-        _, _, terminated, truncated, _ = env.step(stay)
-        assert not terminated.any()
-        assert (truncated == wanted).all()
-    easy = make_env(2, max_episode_steps=1, success_distance_m=9.0, success_angle_deg=181.0)
-    easy.reset(seed=0)
-    _, rewards, terminated, truncated, _ = easy.step(stay)
-    assert terminated.all()
-    assert not truncated.any(), "success in the last step is no truncation"
-    assert (rewards == 100).all()
 
 
 def test_same_step_autoreset_matches_gymnasium_s_own(make_env: MakeEnv) -> None:
@@ -233,31 +169,3 @@ def test_reset_without_a_seed_goes_on_in_the_stream(mode: AutoresetMode, make_en
     one, two = env.reset()[1], other.reset()[1]
     assert (one["distance"] == two["distance"]).all()
     assert (one["distance"] != env.reset(seed=3)[1]["distance"]).all()
-
-
-@pytest.mark.parametrize(
-    ("actions", "message"),
-    [
-        (np.zeros((2, 5), dtype=np.int64), r"shape \(2, 6\)"),
-        (np.zeros((2, 6)), "integers"),
-        (np.full((2, 6), 7), "0 to 6, got 7"),
-        (np.full((2, 6), -1), "0 to 6, got -1"),
-    ],
-)
-def test_bad_actions_are_refused(actions: np.ndarray, message: str, make_env: MakeEnv) -> None:
-    env = make_env(2)
-    env.reset(seed=0)
-    with pytest.raises(UserError, match=message):
-        env.step(actions)
-
-
-def test_bad_seeds_masks_and_counts_are_refused(make_env: MakeEnv) -> None:
-    env = make_env(2)
-    with pytest.raises(UserError, match="seed must be an integer or a list of 2"):
-        env.reset(seed=[1, 2, 3])
-    with pytest.raises(UserError, match="seed must not be negative"):
-        env.reset(seed=-1)
-    with pytest.raises(UserError, match="reset_mask"):
-        env.reset(options={"reset_mask": np.zeros(2, dtype=np.bool_)})
-    with pytest.raises(UserError, match="num_envs must be at least 1, got 0"):
-        ReachVectorEnv(EnvConfig(), 0)
