@@ -1,14 +1,14 @@
-# `make demo` and `make test` set up what they need and run; `make help` lists the rest.
+# `make help` lists the targets; each sets up the environment it needs.
 PYTHON ?= python3
 VENV := .venv
 PY := $(VENV)/bin/python
 PIP := $(PY) -m pip --disable-pip-version-check install --quiet
-# One exact pin: a looser one may pull gigabytes of GPU packages onto a machine without a GPU.
+# Pinned exactly: a looser requirement may install gigabytes of GPU packages on a CPU machine.
 TORCH := torch==2.13.0
-# Only the comparison with MuJoCo's own renderer draws with OpenGL; EGL needs no display.
+# Only comparisons with MuJoCo's own renderer use OpenGL; EGL needs no display.
 export MUJOCO_GL ?= egl
 
-.PHONY: help demo test check format lint types fast-tests bench clean
+.PHONY: help demo best test check format lint types fast-tests bench bench-compare clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*##' Makefile | sed 's/:.*##/\t/'
@@ -23,15 +23,22 @@ $(VENV)/.dev: $(VENV)/.runtime
 	$(PIP) -e '.[dev]'
 	touch $@
 
-demo: $(VENV)/.runtime ## set up .venv, train bm and full on IRB120, write runs/demo/report.html
+demo: $(VENV)/.runtime ## set up .venv, train two small agents, write runs/demo/report.html
 	$(PY) -m knowarm demo
 
-test: $(VENV)/.dev ## set up .venv, run every test
+# The recipe of the shipped policy zoo/irb120-full-ppo. After Ctrl-C, `make best` resumes.
+BEST := irb120-full-ppo
+best: $(VENV)/.runtime ## train and evaluate the best recipe so far in runs/best (98 % success)
+	$(PY) -m knowarm train $(BEST) --runs runs/best --total-steps 5000000 \
+	  $(if $(wildcard runs/best/$(BEST)/0/checkpoints),--resume)
+	$(PY) -m knowarm evaluate runs/best/$(BEST)/0
+
+test: $(VENV)/.dev ## set up .venv, run all tests
 	$(PY) -m pytest -n 2 --dist worksteal
 
-check: format-check lint types fast-tests ## what every commit passes
+check: format-check lint types fast-tests ## format, lint, types and fast tests: what every commit must pass
 
-format: $(VENV)/.dev ## rewrite the code in the project's format
+format: $(VENV)/.dev ## format the code
 	$(PY) -m ruff format .
 	$(PY) -m ruff check --fix .
 
@@ -39,18 +46,22 @@ format: $(VENV)/.dev ## rewrite the code in the project's format
 format-check: $(VENV)/.dev
 	$(PY) -m ruff format --check .
 
-lint: $(VENV)/.dev ## ruff
+lint: $(VENV)/.dev ## run ruff
 	$(PY) -m ruff check .
 
-types: $(VENV)/.dev ## mypy
+types: $(VENV)/.dev ## run mypy
 	$(PY) -m mypy
 
-fast-tests: $(VENV)/.dev ## the tests that take seconds
+fast-tests: $(VENV)/.dev ## run the fast tests
 	$(PY) -m pytest -q -n 2 --dist worksteal -m "not slow and not browser and not opengl"
 
-bench: $(VENV)/.dev ## measure this machine: worlds, then learning
+bench: $(VENV)/.runtime ## measure the speed of this machine: simulation, then training
 	$(PY) -m knowarm bench world --json runs/bench/world.json
 	$(PY) -m knowarm bench learn --json runs/bench/learn.json
 
-clean: ## remove caches, the environment and nothing else
+bench-compare: $(VENV)/.dev ## the same, compared with Gymnasium + OpenGL, MuJoCo Warp and sb3-contrib
+	$(PY) benchmarks/compare_world.py --json runs/bench/compare-world.json
+	$(PY) benchmarks/compare_learn.py --json runs/bench/compare-learn.json
+
+clean: ## remove the environment and caches
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache build dist

@@ -1,10 +1,10 @@
-"""Made-up graphs go in; a table of load time, memory and query time of the graph store comes out.
+"""Benchmark of the graph store: load time, memory and query time on random graphs.
 
-A graph has a tenth as many entities as triples; every twentieth triple points to or from one of a
-few hubs, so that a hub has some 300 edges. Each size is measured in a process of its own. Memory is
-what the process holds more after reading than before, divided by the triples.
+A graph has a tenth as many entities as triples; every twentieth triple points to one of a few hubs,
+so that a hub has some 300 edges. Each size is measured in a process of its own. Memory is the
+growth of the process by reading, divided by the number of triples.
 
-On a busy machine the CPU seconds tell more than those of the clock.
+On a busy machine compare CPU seconds rather than wall time.
 
     python benchmarks/knowledge_graph.py --json runs/bench/knowledge_graph.json
 """
@@ -44,7 +44,7 @@ def write_random_graph(path: Path, triples: int, seed: int = 0) -> None:
 
 
 def measure(path: Path) -> dict[str, float]:
-    """Read the graph and ask it; everything in this process."""
+    """Read the graph and query it in this process."""
     process = psutil.Process()
     gc.collect()
     before = process.memory_info().rss

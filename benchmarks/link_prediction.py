@@ -18,7 +18,7 @@ import torch
 from apartment_graph import apartment_graph
 
 from knowarm.cli.tables import print_table
-from knowarm.knowledge.kge.config import KgeConfig
+from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.kge.models import MODELS
 from knowarm.knowledge.kge.rank import rank
 from knowarm.knowledge.kge.split import Split, split_graph

@@ -62,9 +62,7 @@ def train_and_evaluate(name, folder, **overrides):
 
 def test_a_robot(monkeypatch, listed, tmp_path):
     robot = find_robot(str(OWN / "scara.toml"))
-    monkeypatch.setitem(
-        knowarm.ROBOTS, "toy", RobotEntry(title="Toy SCARA", env_id="ToyReach-v0", robot=robot)
-    )
+    monkeypatch.setitem(knowarm.ROBOTS, "toy", RobotEntry(env_id="ToyReach-v0", robot=robot))
     register_environments()
     assert "toy" in listed()["robots"]
     assert knowarm.make(env_id("toy"), num_envs=2).reset(seed=0)[0].shape == (2, 64, 64, 3)

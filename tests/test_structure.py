@@ -51,6 +51,8 @@ OTHER_MEANINGS = {
     # Value of PolicyConfig.knowledge_encoder, which format 1 derived from the knowledge's source.
     "policy": {"learned"},
     "experiment/migration.py": {"learned"},
+    # Field of PolicyConfig.
+    "experiment/run.py": {"wide"},
 }
 """Words in files or folders that equal the name of an agent but mean something else there."""
 

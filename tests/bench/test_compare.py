@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
-from knowarm.world.env import EnvConfig, ReachVectorEnv
 
 from knowarm.errors import UserError
 from knowarm.experiment.build import build
 from knowarm.experiment.registry import experiment_config
 from knowarm.learn import PPOConfig
+from knowarm.world.config import EnvConfig
 from knowarm.world.knowledge_observation import VectorKnowledgeObservation
+from knowarm.world.vector_env import ReachVectorEnv
 
 
 def test_a_recurrent_policy_of_sb3_has_as_many_parameters() -> None:
@@ -20,7 +21,7 @@ def test_a_recurrent_policy_of_sb3_has_as_many_parameters() -> None:
     parts = build(chosen)
     env = SB3VecEnv(VectorKnowledgeObservation(ReachVectorEnv(chosen.env, 4), parts.table))
     config = PPOConfig(num_envs=4, minibatches=2)
-    model = recurrent_ppo(parts.policy_config, config, env, seed=0)
+    model = recurrent_ppo(parts.new_policy(0), config, env, seed=0)
     counts = parts.new_policy(0).parameter_counts()
     assert parameter_count(model) == counts["total"]
     assert sum(p.numel() for p in model.policy.lstm_actor.parameters()) == counts["memory"]

@@ -89,7 +89,7 @@ def test_shares_of_ceilings_are_those_counted_by_hand() -> None:
 def test_environments_that_do_not_fit_are_a_row(
     error: Exception, words: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse(*arguments: Any) -> None:
+    def refuse(*arguments: Any, **options: Any) -> None:
         raise error
 
     monkeypatch.setattr(gpu_measure, "TorchReachVectorEnv", refuse)
@@ -101,7 +101,7 @@ def test_environments_that_do_not_fit_are_a_row(
 
 
 def test_other_errors_are_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*arguments: Any) -> None:
+    def fail(*arguments: Any, **options: Any) -> None:
         raise RuntimeError("an illegal instruction was encountered")
 
     monkeypatch.setattr(gpu_measure, "TorchReachVectorEnv", fail)

@@ -19,7 +19,7 @@ from knowarm.bench.gpu_estimate import (
     training_operations,
     world_bytes,
 )
-from knowarm.policy import Policy, PolicyConfig
+from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.world.config import EnvConfig
 from knowarm.world.render.intersections import BOX, CYLINDER, MESH
 from knowarm.world.scene import load_scene
@@ -34,8 +34,8 @@ FORWARD = FIRST + SECOND + 2 * (32 * 16 + 4 * 28 * (28 + 28) + 28 * 6 + 28)
 
 @pytest.fixture
 def policy() -> Policy:
-    sizes = {"joints": 2, "levels": 3, "image_size": 24, "features": 16, "knowledge_dim": 12}
-    return Policy(PolicyConfig(**sizes))
+    shape = PolicyShape(joints=2, levels=3, image_size=24, knowledge_dim=12)
+    return Policy(PolicyConfig(features=16), shape, torch.zeros(1, 12))
 
 
 def test_operations_are_those_counted_by_hand(policy: Policy) -> None:
@@ -46,13 +46,14 @@ def test_operations_are_those_counted_by_hand(policy: Policy) -> None:
 def test_operations_are_those_torch_counts(policy: Policy) -> None:
     steps, batch = 5, 3
     image = torch.zeros(steps, batch, 24, 24, 3, dtype=torch.uint8)
-    knowledge, start = torch.zeros(steps, batch, 12), torch.zeros(steps, batch, dtype=torch.bool)
+    facet = torch.zeros(steps, batch, dtype=torch.int64)
+    start = torch.zeros(steps, batch, dtype=torch.bool)
     patches, state = policy.patches(image), policy.initial_state(batch)
     with FlopCounterMode(display=False) as counter:
-        policy.step(patches[0], knowledge[0], state, start[0])
+        policy.step(patches[0], facet[0], state, start[0])
     assert counter.get_total_flops() == batch * forward_operations(policy)
     with FlopCounterMode(display=False) as counter:
-        logits, value, _ = policy.unroll(patches, knowledge, state, start)
+        logits, value, _ = policy.unroll(patches, facet, state, start)
         (logits.sum() + value.sum()).backward()
     learning = training_operations(policy, epochs=1) - forward_operations(policy)
     assert counter.get_total_flops() == steps * batch * learning

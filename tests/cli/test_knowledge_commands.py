@@ -95,6 +95,22 @@ def test_probe(capsys, tmp_path):
     assert "Nothing to recover" in text
 
 
+def test_sources_by_short_name_and_by_field(capsys, tmp_path):
+    code, text, _ = run(capsys, "embed", "--source", "zeros", "--dim", "9")
+    assert code == 0
+    assert "6 slots of 9 numbers" in text
+    vectors = tmp_path / "v.txt"
+    vectors.write_text("mug 1 0 0\nred 0 1 0\nblue 0 0 1\n")
+    options = ("--objects", "mug", "--dim", "3", "--on-missing", "skip")
+    code, short, _ = run(capsys, "embed", f"--source={vectors}", *options)
+    assert code == 0
+    code, field, _ = run(capsys, "embed", "--source.file", vectors, *options)
+    assert (code, field) == (0, short)
+    code, _, error = run(capsys, "embed", "--source", "random", "--source.matches.name", "none")
+    assert code == 2
+    assert "shipped word vectors 'none'" in error
+
+
 def test_draw(capsys, tmp_path):
     out = tmp_path / "g.svg"
     code, *_ = run(capsys, "draw", "--out", out, "--objects", "mug", "--hops", "2")
@@ -108,6 +124,8 @@ def test_draw(capsys, tmp_path):
         (("show", "--objects", "mugg"), "Did you mean 'mug'"),
         (("show", "--agent", "ful"), "Did you mean 'full'"),
         (("show", "--source", "none.txt"), "no word-vector file none.txt"),
+        (("show", "--source", "zero"), "Did you mean 'zeros'"),
+        (("show", "--source"), "--source needs a name"),
         (("show", "--graph", "none.ttl"), "no graph file none.ttl"),
         (("show", "--json", "/proc/none/x.json"), "Cannot write the JSON file"),
         (("subgraph", "none.ttl"), "no graph file none.ttl"),

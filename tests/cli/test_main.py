@@ -1,9 +1,22 @@
+"""Tests of the command line: help, names and errors of every command."""
+
 import json
+import shlex
+import subprocess
+from pathlib import Path
 
 import pytest
 
 from knowarm.cli import main as cli
-from knowarm.cli.main import COMMANDS, main
+from knowarm.cli.main import COMMANDS, main, with_flags
+from knowarm.cli.train import parse_train
+from knowarm.config import to_dict
+from knowarm.experiment.agents import AGENTS
+from knowarm.experiment.run_folder import RunFolder
+from knowarm.world.objects import TARGETS
+from knowarm.world.robots import ROBOTS
+
+ROOT = Path(__file__).parent.parent.parent
 
 
 def run(capsys, *arguments: str) -> tuple[int, str, str]:
@@ -30,7 +43,7 @@ def test_list_shows_and_writes_the_names(capsys, tmp_path):
     file = tmp_path / "names.json"
     code, out, _ = run(capsys, "list", "--json", str(file))
     assert code == 0
-    assert "wide" in out
+    assert all(name in out for name in (*ROBOTS, *AGENTS, *TARGETS))
     names = json.loads(file.read_text())
     assert {"irb120", "tiago"} <= set(names["robots"])
     assert "irb120-full-a3c" in names["experiments"]
@@ -42,7 +55,7 @@ def test_list_shows_and_writes_the_names(capsys, tmp_path):
         (["trian"], ["Unknown command 'trian'", "'train'"]),
         (["train", "irb120-fulll-ppo"], ["Unknown agent", "'full'"]),
         (["train", "irb121-full-ppo"], ["Unknown robot", "'irb120'"]),
-        (["train", "--seed", "1"], ["first word"]),
+        (["train", "--seed", "1"], ["first argument"]),
         (["train", "irb120-bm-ppo", "--env.targets", "mgu"], ["mgu", "'mug'"]),
         (["train", "irb120-bm-ppo", "--resume", "--runs", "nowhere"], ["is not a run folder"]),
         (["evaluate", "runs/none/0"], ["is not a run folder"]),
@@ -97,3 +110,33 @@ def test_evaluate_prints_and_writes_the_table(capsys, tmp_path):
     assert {"return_mean", "accuracy", "success", "length_mean"} <= set(table)
     assert table["episodes"] == 6
     assert "success" in out
+
+
+def test_errors_of_the_library_name_flags() -> None:
+    message = "Pass resume=True to continue, or record_steps=False to save less (x=1, s='a')."
+    expected = "Pass --resume to continue, or --no-record-steps to save less (x=1, s='a')."
+    assert with_flags(message) == expected
+
+
+def test_a_knowledge_source_is_chosen_by_name() -> None:
+    command = parse_train(["irb120-full-ppo", "--knowledge.source", "zeros"])
+    assert to_dict(command.config)["knowledge"]["source"]["kind"] == "zeros"
+
+
+def test_make_best_is_the_recipe_of_the_shipped_policy() -> None:
+    done = subprocess.run(
+        ["make", "--no-print-directory", "-n", "best"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    commands = done.stdout.replace("\\\n", " ").splitlines()
+    train = next(line for line in commands if " -m knowarm train " in line)
+    arguments = shlex.split(train.split(" train ")[1])
+    config = to_dict(parse_train([word for word in arguments if word != "--resume"]).config)
+    shipped = to_dict(RunFolder.open(ROOT / "zoo" / config["name"]).experiment())
+    # The number of processes depends on the machine; it changes the rounding only.
+    for values in (config, shipped):
+        del values["algorithm"]["processes"]
+    assert config == shipped

@@ -3,7 +3,7 @@ import pytest
 import torch
 
 from knowarm.errors import UserError
-from knowarm.knowledge.kge.config import KgeConfig
+from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.kge.models import MODELS
 from knowarm.knowledge.kge.train import new_model
 from knowarm.knowledge.vectors import source_named

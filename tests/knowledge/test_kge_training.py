@@ -9,7 +9,7 @@ import torch
 
 from knowarm.errors import UserError
 from knowarm.knowledge import KnowledgeConfig, graph_of, household, scene_embedding
-from knowarm.knowledge.kge.config import KgeConfig
+from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.kge.models import MODELS, KgeModel
 from knowarm.knowledge.kge.rank import LinkPrediction, rank, reciprocal
 from knowarm.knowledge.kge.split import all_triples, split_graph
@@ -224,8 +224,10 @@ def test_metrics_agree_with_pykeen():
 @pytest.mark.slow
 def test_graph_embeddings_are_the_same_in_any_process():
     code = (
-        "import hashlib; from knowarm.knowledge import scene_embedding\n"
-        "e = scene_embedding(KNOWLEDGE['analogy'], [('mug', 'red'), ('bottle', 'yellow')])\n"
+        "import hashlib; from knowarm.knowledge import KnowledgeConfig, scene_embedding\n"
+        "from knowarm.knowledge.vectors.graph_embedding import GraphEmbedding\n"
+        "config = KnowledgeConfig(detail='full', source=GraphEmbedding(), relation_words=False)\n"
+        "e = scene_embedding(config, [('mug', 'red'), ('bottle', 'yellow')])\n"
         "print(hashlib.sha256(e.vector.tobytes()).hexdigest())\n"
     )
 

@@ -139,7 +139,10 @@ def test_truncation_bootstraps_from_the_final_observation():
     ("spoil", "term"),
     [
         (lambda t: t.policy.critic.weight.data.fill_(float("nan")), "the value"),
-        (lambda t: t.policy.knowledge_table.fill_(float("inf")), "the knowledge"),
+        (
+            lambda t: setattr(t.policy, "knowledge_table", torch.full((1, 1), float("inf"))),
+            "the knowledge",
+        ),
     ],
 )
 def test_a_nan_stops_training_names_the_term_and_saves_the_batch(tmp_path, spoil, term):

@@ -2,13 +2,13 @@
 
 import pytest
 import torch
-from knowarm.world.env import ReachVectorEnv
-from knowarm.world.gpu.env import DeviceReachVectorEnv
 
 from knowarm.experiment.build import build
 from knowarm.experiment.registry import experiment_config
 from knowarm.learn import CheckpointStore, Hooks, NumpyToTorch, PPOConfig, PPOTrainer
 from knowarm.world.config import EnvConfig
+from knowarm.world.torch_env import TorchReachVectorEnv
+from knowarm.world.vector_env import ReachVectorEnv
 from tests.devices import DEVICES
 
 ENV = EnvConfig(max_episode_steps=8, dynamics="kinematic")
@@ -35,7 +35,9 @@ def test_losses_of_the_first_updates_agree(device):
     # Actions of a GPU come from another generator: there only what precedes them can agree.
     updates = 3 if device == "cpu" else 1
     train(NumpyToTorch(ReachVectorEnv(ENV, 4)), rows, updates=updates)
-    train(DeviceReachVectorEnv(ENV, 4, device), device_rows, updates=updates)
+    train(
+        TorchReachVectorEnv(ENV, 4, device=device, simulator="warp"), device_rows, updates=updates
+    )
     for row, device_row in zip(rows, device_rows, strict=True):
         assert row["step"] == device_row["step"]
         assert row["entropy"] == pytest.approx(device_row["entropy"], rel=1e-2)
@@ -51,10 +53,14 @@ def test_losses_of_the_first_updates_agree(device):
 @pytest.mark.parametrize("device", DEVICES)
 def test_stop_and_resume(device, tmp_path):
     whole, first, second = [], [], []
-    train(DeviceReachVectorEnv(ENV, 4, device), whole, CheckpointStore(tmp_path / "whole", {}))
+    train(
+        TorchReachVectorEnv(ENV, 4, device=device, simulator="warp"),
+        whole,
+        CheckpointStore(tmp_path / "whole", {}),
+    )
     cut = CheckpointStore(tmp_path / "cut", {})
-    train(DeviceReachVectorEnv(ENV, 4, device), first, cut, stop_after=2)
-    train(DeviceReachVectorEnv(ENV, 4, device), second, cut, resume=True)
+    train(TorchReachVectorEnv(ENV, 4, device=device, simulator="warp"), first, cut, stop_after=2)
+    train(TorchReachVectorEnv(ENV, 4, device=device, simulator="warp"), second, cut, resume=True)
     assert [row["step"] for row in first + second] == [row["step"] for row in whole]
     if device == "cpu":
         for part in ("policy", "optimizer", "state"):

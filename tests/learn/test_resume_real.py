@@ -3,22 +3,21 @@
 import numpy as np
 import pytest
 
-from knowarm.learn import CheckpointStore, Hooks, NumpyToTorch, PPOConfig, PPOTrainer
+from knowarm.learn import CheckpointStore, Hooks, PPOConfig, PPOTrainer
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.world.config import EnvConfig
-from knowarm.world.vector_env import ReachVectorEnv
+from knowarm.world.torch_env import TorchReachVectorEnv
 
 CONFIG = PPOConfig(num_envs=4, rollout_steps=6, minibatches=2, processes=1)
 
 
 def trainer(folder, colours, stop_after=None):
-    env = ReachVectorEnv(EnvConfig(max_episode_steps=8, colours=colours), 4, num_threads=1)
+    env = TorchReachVectorEnv(EnvConfig(max_episode_steps=8, colours=colours), 4, num_threads=1)
     table = np.eye(len(env.facets), dtype=np.float32)
     policy = Policy(PolicyConfig(), PolicyShape(joints=6, knowledge_dim=len(table)), table)
     rows = []
     hooks = Hooks(on_metrics=rows.append, should_stop=lambda: len(rows) == stop_after)
     store = CheckpointStore(folder, {"robot": "irb120"})
-    env = NumpyToTorch(env)
     return PPOTrainer(CONFIG, policy, env, seed=5, hooks=hooks, checkpoints=store), rows
 
 

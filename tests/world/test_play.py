@@ -33,7 +33,7 @@ def test_chunks_of_any_size_give_the_same_result(make_env: MakeEnv) -> None:
     for num_envs in (3, 7, 10):
         env = make_env(num_envs, colours="randomized")
         episodes = evaluation_episodes(env.scene, env.config, 10, seed=2)
-        results.append(play(OracleAgent(), env, episodes, record_steps=True, record_images=4))
+        results.append(play(OracleAgent(), env, episodes, record_images=4))
     for other in results[1:]:
         for name in ("episode_return", "length", "distance", "success", "facet"):
             assert (getattr(results[0], name) == getattr(other, name)).all()
@@ -45,9 +45,8 @@ def test_chunks_of_any_size_give_the_same_result(make_env: MakeEnv) -> None:
 def test_the_step_table_holds_every_step_of_every_episode(make_env: MakeEnv) -> None:
     env = make_env(4)
     episodes = evaluation_episodes(env.scene, env.config, 6, seed=3)
-    result = play(OracleAgent(), env, episodes, record_steps=True, record_images=2)
+    result = play(OracleAgent(), env, episodes, record_images=2)
     steps = result.steps
-    assert steps is not None
     assert (np.bincount(steps.episode) == result.length).all()
     for i in range(6):
         rows = steps.episode == i
@@ -60,8 +59,7 @@ def test_the_step_table_holds_every_step_of_every_episode(make_env: MakeEnv) -> 
 def test_zero_stays_at_the_start(make_env: MakeEnv) -> None:
     env = make_env(2, max_episode_steps=5)
     episodes = evaluation_episodes(env.scene, env.config, 2, seed=3)
-    result = play(ZeroAgent(), env, episodes, record_steps=True)
-    assert result.steps is not None
+    result = play(ZeroAgent(), env, episodes)
     assert result.steps.joint_positions == pytest.approx(
         np.repeat(env.scene.home + episodes.joint_offsets, 5, axis=0), abs=1e-6
     )

@@ -47,7 +47,7 @@ def test_a_video_holds_every_frame(films: list, tmp_path: Path) -> None:
         frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
     assert len(frames) == sum(len(film) + 10 for film in films)
     assert frames[0].std() > 10
-    with pytest.raises(UserError, match=r"must name an .mp4 file, got 'film.gif'"):
+    with pytest.raises(UserError, match=r"must be an .mp4 file, got 'film.gif'"):
         write_video(tmp_path / "film.gif", films)
 
 

@@ -1,6 +1,7 @@
 """Timing of work on a device: seconds per call, and seconds per named part."""
 
 import math
+import os
 import time
 from collections import defaultdict
 from collections.abc import Callable
@@ -11,10 +12,11 @@ import torch
 
 
 def cpu_seconds() -> float:
-    """Return the CPU time used so far by this process and its child processes [s]."""
+    """Return the CPU time used so far by this process and all of its child processes [s]."""
     # The system counts other processes' time in ticks of 10 ms: a short measurement may see none.
-    children = psutil.Process().children(recursive=True)
-    return time.process_time() + sum(sum(child.cpu_times()[:2]) for child in children)
+    running = psutil.Process().children(recursive=True)
+    ended = sum(os.times()[2:4])
+    return time.process_time() + ended + sum(sum(child.cpu_times()[:4]) for child in running)
 
 
 def synchronize(device: torch.device) -> None:

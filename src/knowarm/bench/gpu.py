@@ -6,7 +6,6 @@ GPU.
 
 import subprocess
 from collections.abc import Callable
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import torch
@@ -16,7 +15,7 @@ from knowarm.bench.gpu_measure import Ceilings, GpuBenchConfig, measure_row
 from knowarm.bench.learn import Row
 from knowarm.config import to_dict
 from knowarm.errors import UserError
-from knowarm.experiment.run_folder import provenance
+from knowarm.experiment.run_folder import package_version, provenance
 from knowarm.learn.device import tf32_products
 from knowarm.policy.policy import MatmulPrecision
 from knowarm.world.backends.device import choose_backend
@@ -106,7 +105,7 @@ def _check_before(before: Result | None, config: GpuBenchConfig, machine: Result
 def describe_machine(device: torch.device) -> dict[str, Any]:
     """Return versions, commit and host as in a run's provenance, with GPU, driver and CUDA."""
     facts = provenance()
-    facts["versions"] |= {name: _version(name) for name in PACKAGES}
+    facts["versions"] |= {name: package_version(name) for name in PACKAGES}
     facts["versions"]["cuda"] = torch.version.cuda
     if device.type != "cuda":
         return facts | {"gpu": None}
@@ -169,13 +168,6 @@ def _rate(run: Callable[[], Any], amount: int, seconds: float, device: torch.dev
     for _ in range(3):
         run()
     return amount / seconds_per_call(run, seconds, device)
-
-
-def _version(package: str) -> str | None:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return None
 
 
 def _driver() -> str | None:

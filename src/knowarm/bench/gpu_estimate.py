@@ -43,12 +43,7 @@ def environment_bytes(scene: Scene, config: EnvConfig) -> int:
     warp, _ = import_warp()
     with warp.ScopedDevice("cpu"):
         one, two = (world_bytes(make_data(scene.model, count)) for count in (1, 2))
-    return image_bytes(config) + 2 * records + 2 * SUBSTEPS * (two - one)
-
-
-def image_bytes(config: EnvConfig) -> int:
-    """Return the bytes of one image, (H, W, 3) uint8."""
-    return 3 * config.image_size**2
+    return 3 * config.image_size**2 + 2 * records + 2 * SUBSTEPS * (two - one)
 
 
 def world_bytes(data: Any) -> int:
@@ -81,18 +76,17 @@ def training_bytes(policy: Policy, config: EnvConfig, epochs: int, item: int) ->
     """
     blocks, values = policy.encoder.patch_shape
     pixels, active = blocks * values, activations(policy)
-    kept = image_bytes(config) + (2 + epochs) * pixels
+    kept = 3 * config.image_size**2 + (2 + epochs) * pixels
     return kept + 2 * item * (pixels + active) + epochs * item * (3 * pixels + 5 * active)
 
 
 def activations(policy: Policy) -> int:
     """Return the number of values that the network's layers compute for one image."""
-    sizes = policy.config
     first = policy.encoder.patch_shape[0] * 4 * policy.encoder.conv1.out_channels
     # Gates, then cell, its hyperbolic tangent and the hidden state.
-    memory = (4 + 3) * sizes.hidden_size
-    heads = sizes.joints * sizes.levels + 1
-    return first + policy.encoder.width + sizes.features + memory + heads
+    memory = (4 + 3) * policy.hidden_size
+    heads = policy.shape.joints * policy.shape.levels + 1
+    return first + policy.encoder.width + policy.fc.out_features + memory + heads
 
 
 def forward_operations(policy: Policy) -> int:

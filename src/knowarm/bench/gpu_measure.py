@@ -138,7 +138,7 @@ def _measure(
     config: GpuBenchConfig, chosen: ExperimentConfig, row: Row, ceilings: Ceilings
 ) -> None:
     """Fill a row in place; an error leaves the values measured before it."""
-    env = TorchReachVectorEnv(chosen.env, row["num_envs"], device=config.device)
+    env = TorchReachVectorEnv(chosen.env, row["num_envs"], device=config.device, simulator="warp")
     row |= environment_row(env, config.seconds, config.seed)
     moved, rays = environment_bytes(env.scene, chosen.env), count_rays(env)
     row |= {"env_bytes_per_step": moved, "env_operations_per_step": rays}
@@ -217,7 +217,7 @@ def count_rays(env: TorchReachVectorEnv) -> float:
         for values in (
             env.simulation.geom_position,
             env.simulation.geom_matrix,
-            env.running.shown.rgba,
+            env.task.shown.rgba,
         )
     )
     return ray_operations(env.scene, env.config, position, matrix, rgba)

@@ -13,8 +13,9 @@ from knowarm.cores import processor
 from knowarm.errors import UserError
 from knowarm.experiment.build import EnvFactory, Parts, build
 from knowarm.experiment.registry import DEFAULT_EXPERIMENT, experiment_config
-from knowarm.learn import A3CConfig, Hooks, Metrics, PPOConfig, PPOTrainer
+from knowarm.learn import A3CConfig, Hooks, Metrics, PPOConfig, PPOTrainer, TorchVectorEnv
 from knowarm.learn.a3c import A3CTrainer
+from knowarm.world.torch_env import TorchReachVectorEnv
 
 WARM_UP_UPDATES = 3
 """Updates that are not measured: the first ones compile and fill caches."""
@@ -105,7 +106,7 @@ def raycaster_row(config: LearnBenchConfig) -> Row:
 def ppo_row(config: LearnBenchConfig) -> Row:
     """Measure recurrent PPO."""
     chosen, ppo = experiment_config(config.experiment), config.ppo()
-    env = EnvFactory(chosen.env)(ppo.num_envs, config.cores)
+    env = TorchReachVectorEnv(chosen.env, ppo.num_envs, num_threads=config.cores)
     clock = PartClock(torch.device("cpu"))
     clock.time_methods("images", env.renderer, "draw")
     row = train_ppo(
@@ -131,7 +132,7 @@ def ppo_row(config: LearnBenchConfig) -> Row:
 def train_ppo(
     config: PPOConfig,
     parts: Parts,
-    env: Any,
+    env: TorchVectorEnv,
     *,
     seconds: float,
     seed: int,

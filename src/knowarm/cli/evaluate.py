@@ -101,23 +101,11 @@ def _print_groups(title: str, groups: dict[str, dict[str, Any]]) -> None:
     rows = []
     for name, group in groups.items():
         shares = [_share(group, share) for share in ("accuracy", "success", "success_wide")]
-        spreads = [_spread(group, *what) for what in (("return", 1), ("length", 1))]
-        failure = _spread(group, "failure_distance", 3)
-        rows.append([name, group["episodes"], *shares, *spreads, failure])
-    print_table(
-        title,
-        [
-            "target",
-            "episodes",
-            "accuracy %",
-            "success %",
-            "success wide %",
-            "return",
-            "steps",
-            "failure m",
-        ],
-        rows,
-    )
+        means = [("return", 1), ("length", 1), ("failure_distance", 3)]
+        spreads = [_spread(group, *mean) for mean in means]
+        rows.append([name, group["episodes"], *shares, *spreads])
+    shares = ["accuracy %", "success %", "success wide %"]
+    print_table(title, ["target", "episodes", *shares, "return", "steps", "failure m"], rows)
 
 
 def _share(group: dict[str, Any], name: str) -> str:

@@ -21,19 +21,27 @@ class List:
     def run(self) -> None:
         """Print one table per kind."""
         check_json_path(self.json)
-        print_table("Robots", ["robot"], [[name] for name in ROBOTS])
+        print_table(
+            "Robots",
+            ["robot", "name", "Gymnasium id"],
+            [[name, entry.title, f"knowarm/{entry.env_id}"] for name, entry in ROBOTS.items()],
+        )
         print_table(
             "Agents",
-            ["agent", "description"],
-            [[name, agent.about] for name, agent in AGENTS.items()],
+            ["agent", "role", "description"],
+            [[name, agent.role, agent.about] for name, agent in AGENTS.items()],
         )
         print_table(
             "Algorithms",
-            ["algorithm", "environment steps"],
-            [[name, algorithm.total_steps] for name, algorithm in ALGORITHMS.items()],
+            ["algorithm", "steps", "description"],
+            [[name, entry.total_steps, entry.about] for name, entry in ALGORITHMS.items()],
         )
-        print(f"Targets: {', '.join(TARGETS)}")
-        print(f"Scripted agents for `evaluate` and `view`: {', '.join(SCRIPTED_AGENTS)}\n")
+        print_table(
+            "Scripted agents, for `knowarm evaluate` and `knowarm view`",
+            ["agent", "description"],
+            [[name, agent.about] for name, agent in SCRIPTED_AGENTS.items()],
+        )
+        print(f"Targets: {', '.join(TARGETS)}\n")
         examples = experiment_names()
         print(
             "An experiment is named ROBOT-AGENT-ALGORITHM, or ROBOT-AGENT-dr-ALGORITHM with\n"
@@ -44,9 +52,10 @@ class List:
         write_json_table(
             self.json,
             {
-                "robots": list(ROBOTS),
+                "robots": {name: entry.title for name, entry in ROBOTS.items()},
                 "targets": list(TARGETS),
                 "agents": {name: agent.about for name, agent in AGENTS.items()},
+                "roles": {name: agent.role for name, agent in AGENTS.items()},
                 "algorithms": list(ALGORITHMS),
                 "scripted_agents": list(SCRIPTED_AGENTS),
                 "experiments": examples,

@@ -21,7 +21,7 @@ COMMANDS = {
     "train": ("train:parse_train", "train one agent, or resume a stopped run"),
     "evaluate": ("evaluate:Evaluate", "evaluate a trained or scripted agent on fixed episodes"),
     "report": ("report:Report", "write one HTML report from run folders"),
-    "knowledge": ("knowledge:COMMANDS", "inspect a graph, its sentences, vectors and embeddings"),
+    "knowledge": ("knowledge:parse", "inspect a graph, its sentences, vectors and embeddings"),
     "view": ("view:View", "show an agent in the browser, or record it"),
     "export": ("report:Export", "write a trained policy as ONNX"),
     "bench": ("bench:COMMANDS", "measure the speed of this machine"),

@@ -1,12 +1,13 @@
 """``knowarm train`` and ``knowarm demo``: training runs."""
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+from knowarm.cli.knowledge.options import take_source
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.demo import STEPS, demo
@@ -76,6 +77,10 @@ def parse_train(arguments: list[str]) -> Train:
 
 
 def _parse_options(name: str, arguments: list[str], config: ExperimentConfig) -> Train:
+    """Parse the options over a config; `--knowledge.source` also takes the name of a source."""
+    arguments, source = take_source(arguments, "--knowledge.source")
+    if source is not None:
+        config = replace(config, knowledge=replace(config.knowledge, source=source))
     return tyro.cli(
         Train,
         prog=f"knowarm train {name}",

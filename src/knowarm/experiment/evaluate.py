@@ -129,7 +129,6 @@ def evaluate(
             agent,
             env,
             _episodes(env, config),
-            record_steps=True,
             record_images=config.record_films,
         )
         episodes = _episode_columns(result, env, config)

@@ -39,10 +39,6 @@ def experiment_names() -> list[str]:
     return [experiment_name(*parts) for parts in _combinations()]
 
 
-DEFAULT_EXPERIMENT = "irb120-full-ppo"
-"""Experiment of the benchmarks, of the installation check and of examples."""
-
-
 def experiment_config(name: str, **overrides: Any) -> ExperimentConfig:
     """Return the config of a named experiment.
 

@@ -243,7 +243,7 @@ def provenance() -> dict[str, Any]:
     """Return the versions of the packages that shape a result, the commit, and the machine."""
     return {
         "versions": {"python": platform.python_version()}
-        | {name: _version(name) for name in PACKAGES},
+        | {name: package_version(name) for name in PACKAGES},
         "commit": _commit(),
         "machine": {
             "system": f"{platform.system()} {platform.release()}",
@@ -254,7 +254,8 @@ def provenance() -> dict[str, Any]:
     }
 
 
-def _version(package: str) -> str | None:
+def package_version(package: str) -> str | None:
+    """Return the version of an installed package; None where it is not installed."""
     try:
         return version(package)
     except PackageNotFoundError:

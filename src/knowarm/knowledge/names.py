@@ -1,5 +1,6 @@
 """Table of sorted names in two arrays: compact, and searched without unpacking."""
 
+from bisect import bisect_left
 from collections.abc import Iterable, Iterator
 
 import numpy as np
@@ -49,16 +50,8 @@ class Names:
 
     def find(self, name: str) -> int | None:
         """Return the id of a name, or None: a binary search."""
-        target, low, high = name.encode(), 0, len(self)
-        blob, offsets = self.blob, self.offsets
-        while low < high:
-            middle = (low + high) // 2
-            if blob[offsets[middle] : offsets[middle + 1] - 1] < target:
-                low = middle + 1
-            else:
-                high = middle
-        found = low < len(self) and blob[offsets[low] : offsets[low + 1] - 1] == target
-        return low if found else None
+        place = bisect_left(self, name)
+        return place if place < len(self) and self[place] == name else None
 
     def find_local(self, local: str) -> list[int]:
         """Return the ids of IRIs whose last part is `local` (after `#`, `/` or `:`)."""

@@ -1,9 +1,9 @@
 """Data-parallel learner: several processes share each inference step and minibatch gradient.
 
 PyTorch's threads share every single operation. The operations of a recurrent policy are many and
-small: threads wait for each other at each of them, and spinning while they wait they take time
-from physics and rendering; Python threads wait for the interpreter lock. Processes that each
-compute the whole network for a part of the environments avoid both (docs/lab-notes.md).
+small: threads synchronize after each of them, and by spinning while they wait they take time from
+physics and rendering; Python threads are serialized by the interpreter lock. Processes that each
+compute the entire network for a part of the environments avoid both (docs/lab-notes.md).
 """
 
 import logging
@@ -35,7 +35,7 @@ from knowarm.policy import MatmulPrecision, Policy, State
 log = logging.getLogger("knowarm.learn")
 
 MIN_ENVS_PER_PROCESS = 8
-"""Environments of a minibatch below which another process does not pay."""
+"""Smallest number of a minibatch's environments that is worth another process."""
 
 MAX_EXITS = 3
 """Unexpected exits of workers after which training stops."""
@@ -172,7 +172,7 @@ class DataParallelLearner(Learner):
 def make_learner(
     policy: Policy, config: PPOConfig, precision: MatmulPrecision, device: torch.device
 ) -> Learner:
-    """Return a learner with as many processes as the config asks for and pay.
+    """Create a learner with the number of processes of `count_processes`; one on a GPU.
 
     Args:
         policy: moved to the device.

@@ -24,8 +24,8 @@ def keep_freed_memory() -> bool:
 
     A gradient step allocates tensors of tens of megabytes, frees them, and allocates them again.
     By default glibc maps such blocks afresh every time and the kernel zeroes their pages, which
-    takes a third of an update's time on two cores (docs/learning.md). The setting holds for the
-    whole process; `Trainer.train` and the child processes make it.
+    takes a third of an update's time on two cores (docs/learning.md). The setting applies to
+    the entire process; `PPOTrainer.train` and the child processes change it.
 
     Returns:
         Whether the setting took effect; only glibc has it.

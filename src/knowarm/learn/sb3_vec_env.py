@@ -1,6 +1,6 @@
-"""A Gymnasium vector environment goes in; the VecEnv that Stable-Baselines3 trains on comes out.
+"""Stable-Baselines3 adapter: a ``VecEnv`` over a Gymnasium vector environment.
 
-Needs ``pip install 'knowarm[sb3]'``; nothing else in `knowarm.learn` does.
+The only module of `knowarm.learn` that needs ``pip install 'knowarm[sb3]'``.
 """
 
 from collections.abc import Sequence
@@ -16,16 +16,16 @@ Observations = np.ndarray | dict[str, np.ndarray]
 
 
 class SB3VecEnv(VecEnv):
-    """Steps all environments at once where Stable-Baselines3 would step them one by one.
+    """Vectorized ``VecEnv``: all environments advance in one call.
 
     Args:
-        env: a vector environment that resets within the step (SAME_STEP); its observations may
-            be a ``Dict``, as those of `knowarm.world.VectorKnowledgeObservation`.
+        env: a vector environment with autoreset mode SAME_STEP; its observations may be a
+            ``Dict``, as those of `knowarm.world.VectorKnowledgeObservation`.
         seed: of the first reset.
     """
 
     def __init__(self, env: VectorEnv[Any, Any, Any], *, seed: int | None = None) -> None:
-        self.env = env  # the constructor of VecEnv asks for its render_mode
+        self.env = env  # read by the constructor of VecEnv, for its render_mode
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
         self._seed = seed
         self._actions = np.zeros(0)
@@ -37,11 +37,15 @@ class SB3VecEnv(VecEnv):
         return observations[0]
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Take the actions (n, J) for `step_wait`."""
+        """Store the actions (n, J) for `step_wait`."""
         self._actions = actions
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Step; infos hold ``terminal_observation`` and ``TimeLimit.truncated`` at an end."""
+        """Advance by one step.
+
+        Where an episode ends, its info holds ``terminal_observation``, ``TimeLimit.truncated`` and
+        ``is_success``.
+        """
         observations, rewards, terminated, truncated, infos = self.env.step(self._actions)
         done = terminated | truncated
         listed: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
@@ -58,7 +62,7 @@ class SB3VecEnv(VecEnv):
         self.env.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Return an attribute of the vector environment, once for each index."""
+        """Return an attribute of the vector environment, repeated for each index."""
         return [getattr(self.env, attr_name)] * len(self._indices(indices))
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
@@ -68,14 +72,14 @@ class SB3VecEnv(VecEnv):
     def env_method(
         self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Call a method of the vector environment once; its result for each index."""
+        """Call a method of the vector environment once; return its result for each index."""
         result = getattr(self.env, method_name)(*method_args, **method_kwargs)
         return [result] * len(self._indices(indices))
 
     def env_is_wrapped(
         self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: Any = None
     ) -> list[bool]:
-        """No single environment is wrapped: there are none."""
+        """Return false for each index: there are no single environments to wrap."""
         return [False] * len(self._indices(indices))
 
     def _indices(self, indices: Any) -> Sequence[int]:

@@ -1,7 +1,4 @@
-"""Trainer: what PPO and A3C share of a training run.
-
-Hooks, interim evaluations with the best policy, checkpoints and resuming.
-"""
+"""Trainer base class: hooks, interim evaluations, the best policy, checkpoints, resuming."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -44,7 +41,7 @@ class TrainingResult:
     """How a call of `Trainer.train` ended."""
 
     step: int
-    """Environment steps of the whole training."""
+    """Environment steps since the start of training, resumed parts included."""
     reason: StopReason
     """Whether all steps were taken or the hook ended training."""
     best_return: float | None

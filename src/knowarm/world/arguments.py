@@ -1,31 +1,11 @@
 """Checks of the arguments of ``step``, ``reset`` and ``set_state``."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knowarm.errors import UserError
-
-
-class Seeds(NamedTuple):
-    """Seeds of the environments' streams."""
-
-    given: NDArray[np.bool_]
-    """Which environments get a new seed, (n,)."""
-
-    values: NDArray[np.uint64]
-    """The seeds; 0 where ``given`` is False, (n,)."""
-
-
-def check_num_envs(num_envs: int) -> None:
-    """Check the number of environments.
-
-    Raises:
-        UserError: it is below 1.
-    """
-    if num_envs < 1:
-        raise UserError(f"num_envs must be at least 1, got {num_envs}.")
 
 
 def checked_actions(actions: ArrayLike, shape: tuple[int, int], levels: int) -> NDArray[np.int64]:
@@ -90,8 +70,13 @@ def masked_ids(mask: ArrayLike | None, num_envs: int) -> NDArray[np.intp]:
     return np.flatnonzero(array)
 
 
-def spread_seeds(seed: int | list[int | None] | None, num_envs: int) -> Seeds:
+def spread_seeds(
+    seed: int | list[int | None] | None, num_envs: int
+) -> tuple[NDArray[np.bool_], NDArray[np.uint64]]:
     """Expand Gymnasium's seed argument to one seed per environment: seed, seed + 1, ...
+
+    Returns:
+        which environments get a seed, (n,), and the seeds, 0 for the others, (n,).
 
     Raises:
         UserError: a list of the wrong length, or a negative seed.
@@ -109,7 +94,5 @@ def spread_seeds(seed: int | list[int | None] | None, num_envs: int) -> Seeds:
         )
     if any(value is not None and value < 0 for value in seeds):
         raise UserError(f"seed must not be negative, got {seed}.")
-    return Seeds(
-        given=np.array([value is not None for value in seeds]),
-        values=np.array([(value or 0) % 2**64 for value in seeds], dtype=np.uint64),
-    )
+    given = np.array([value is not None for value in seeds])
+    return given, np.array([(value or 0) % 2**64 for value in seeds], dtype=np.uint64)

@@ -7,7 +7,7 @@ with a mask, because looking up the selected rows would make the host wait for t
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from array_api_compat import array_namespace
@@ -21,7 +21,6 @@ Place = Callable[[NDArray[Any]], Array]
 
 __all__ = [
     "Array",
-    "ArrayBackend",
     "IndexSelection",
     "MaskSelection",
     "NumpyArrays",
@@ -37,33 +36,9 @@ def here(array: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(array)
 
 
-class Selection(Protocol):
-    """A subset of n environments. No method writes into its arguments.
-
-    ``take`` returns the m rows that have to be computed: the selected ones, or all n.
-    """
-
-    @property
-    def is_empty(self) -> bool:
-        """Whether nothing is selected; False where only the device knows."""
-        ...
-
-    def take(self, array: Array) -> Array:
-        """Return the rows to compute, (n, ...) -> (m, ...)."""
-        ...
-
-    def put(self, array: Array, values: Array) -> Array:
-        """Return a copy of ``array`` (n, ...) with ``values`` (m, ...) in the selected rows."""
-        ...
-
-    def update(self, array: Array, values: Array) -> Array:
-        """Same as ``put`` for values that equal ``array`` in the rows that are not selected."""
-        ...
-
-
 @dataclass(frozen=True)
 class IndexSelection:
-    """Environments by index: m is the number of selected environments (NumPy)."""
+    """Some of n environments by index; the m rows to compute are the selected ones."""
 
     env_ids: NDArray[np.intp]
     """Selected environments, (m,), each at most once."""
@@ -73,30 +48,30 @@ class IndexSelection:
         """Whether nothing is selected."""
         return len(self.env_ids) == 0
 
-    def take(self, array: NDArray[Any]) -> NDArray[Any]:
-        """Return the selected rows, (m, ...)."""
+    def take(self, array: Array) -> Array:
+        """Return the rows to compute, (n, ...) -> (m, ...)."""
         return array[self.env_ids]
 
-    def put(self, array: NDArray[Any], values: Any) -> NDArray[Any]:
-        """Return a copy of ``array`` with ``values`` in the selected rows."""
+    def put(self, array: Array, values: Array) -> Array:
+        """Return a copy of ``array`` (n, ...) with ``values`` (m, ...) in the selected rows."""
         result = array.copy()
         result[self.env_ids] = values
         return result
 
-    update = put
+    def update(self, array: Array, values: Array) -> Array:
+        """Same as ``put`` for values that equal ``array`` in rows that are not selected."""
+        return self.put(array, values)
 
 
 @dataclass(frozen=True)
 class MaskSelection:
-    """Environments by mask: m = n, so that no operation depends on the mask's values (torch)."""
+    """Some of n environments by mask; m = n, so that no operation depends on the mask's values."""
 
     mask: Array
     """Selected environments, (n,) bool."""
 
-    @property
-    def is_empty(self) -> bool:
-        """Return False: the mask is not read."""
-        return False
+    is_empty = False
+    """Whether nothing is selected: not known without reading the mask."""
 
     def take(self, array: Array) -> Array:
         """Return all rows."""
@@ -108,59 +83,38 @@ class MaskSelection:
         return array_namespace(array).where(rows, values, array)
 
     def update(self, array: Array, values: Array) -> Array:
-        """Return ``values``: they were computed for all rows."""
+        """Return ``values``, which were computed for all rows."""
         return values
 
 
-class ArrayBackend(Protocol):
-    """Where the arrays of a task are kept and in which precision poses are computed."""
-
-    float_dtype: type[np.floating]
-
-    def place(self, array: NDArray[Any]) -> Array:
-        """Move a host array to the device; uint64 becomes int64 with the same bits in torch."""
-        ...
-
-    def to_host(self, array: Array) -> NDArray[Any]:
-        """Copy an array to the host."""
-        ...
-
-    def select(self, env_ids: NDArray[np.intp], num_envs: int) -> Selection:
-        """Select environments by their indices on the host, (k,)."""
-        ...
-
-    def select_where(self, mask: Array) -> Selection:
-        """Select environments by a mask, (n,) bool."""
-        ...
-
-    def spread(self, values: NDArray[Any], env_ids: NDArray[np.intp], num_envs: int) -> Array:
-        """Arrange host rows (k, ...) of environments (k,) as the selection's ``put`` takes them."""
-        ...
+Selection = IndexSelection | MaskSelection
+"""A subset of environments. No method writes into its arguments."""
 
 
 class NumpyArrays:
-    """``ArrayBackend`` of NumPy: float64, selections by index."""
+    """Where a simulator's arrays are, and in which precision: NumPy, float64, indices.
 
-    float_dtype = np.float64
+    ``TorchArrays`` in ``backends.warp`` is the other kind.
+    """
 
-    def place(self, array: NDArray[Any]) -> NDArray[Any]:
-        """Return the array itself."""
+    float_dtype: type[np.floating] = np.float64
+
+    def place(self, array: NDArray[Any]) -> Array:
+        """Move a host array to the device."""
         return np.asarray(array)
 
-    def to_host(self, array: NDArray[Any]) -> NDArray[Any]:
-        """Copy the array."""
+    def to_host(self, array: Array) -> NDArray[Any]:
+        """Copy an array to the host."""
         return array.copy()
 
-    def select(self, env_ids: NDArray[np.intp], num_envs: int) -> IndexSelection:
-        """Select environments by their indices, (k,)."""
+    def select(self, env_ids: NDArray[np.intp], num_envs: int) -> Selection:
+        """Select environments by their indices on the host, (k,)."""
         return IndexSelection(env_ids)
 
-    def select_where(self, mask: NDArray[np.bool_]) -> IndexSelection:
+    def select_where(self, mask: Array) -> Selection:
         """Select environments by a mask, (n,) bool."""
         return IndexSelection(np.flatnonzero(mask))
 
-    def spread(
-        self, values: NDArray[Any], env_ids: NDArray[np.intp], num_envs: int
-    ) -> NDArray[Any]:
-        """Return the rows as they are, (k, ...)."""
+    def spread(self, values: NDArray[Any], env_ids: NDArray[np.intp], num_envs: int) -> Array:
+        """Arrange host rows (k, ...) of environments (k,) as the selection's ``put`` takes them."""
         return values

@@ -95,8 +95,8 @@ class EpisodeResults:
     facet: NDArray[np.int64]
     """Index into the environment's facets."""
 
-    steps: StepTable | None = None
-    """Every step, if recorded."""
+    steps: StepTable
+    """Every step."""
 
     images: tuple[NDArray[np.uint8], ...] = ()
     """Observations of the first episodes, before each step and at the end: (T + 1, H, W, 3)
@@ -155,7 +155,6 @@ def play(
     env: ReachVectorEnv,
     episodes: Episodes,
     *,
-    record_steps: bool = False,
     record_images: int = 0,
 ) -> EpisodeResults:
     """Play a list of episodes to their end, ``env.num_envs`` at a time.
@@ -164,66 +163,22 @@ def play(
         agent: chooses the actions.
         env: the environment; its current episodes are abandoned.
         episodes: what to play, N.
-        record_steps: keep joints, actions and metrics of every step.
         record_images: number of episodes, from the first, whose images are kept.
     """
-    chunks = [
-        _play_chunk(agent, env, episodes, first, record_steps, record_images)
-        for first in range(0, len(episodes), env.num_envs)
-    ]
-    columns = {name: np.concatenate([chunk[0][name] for chunk in chunks]) for name in chunks[0][0]}
-    images = tuple(image for chunk in chunks for image in chunk[2])
-    steps = None
-    if record_steps:
-        rows = {name: np.concatenate([chunk[1][name] for chunk in chunks]) for name in chunks[0][1]}
-        order = np.lexsort((rows["step"], rows["episode"]))
-        steps = StepTable(**{name: column[order] for name, column in rows.items()})
-    return EpisodeResults(**columns, steps=steps, images=images)
-
-
-def _play_chunk(
-    agent: AgentProtocol,
-    env: ReachVectorEnv,
-    episodes: Episodes,
-    first: int,
-    record_steps: bool,
-    record_images: int,
-) -> tuple[dict[str, NDArray], dict[str, NDArray], list[NDArray[np.uint8]]]:
-    """Play the episodes from ``first`` that fit into the environments.
-
-    Returns:
-        Columns of ``EpisodeResults``, columns of ``StepTable``, and the recorded images.
-    """
-    n = env.num_envs
-    count = min(n, len(episodes) - first)
-    recorded = min(count, max(0, record_images - first))
-    films: list[list[NDArray[np.uint8]]] = [[] for _ in range(recorded)]
-    result: dict[str, NDArray] = {}
-    records: list[dict[str, NDArray]] = []
-    for moment in play_steps(agent, env, episodes[first : first + count]):
-        played, infos = moment.played, moment.infos
-        ids = np.flatnonzero(played)
-        for i in ids[ids < recorded]:
-            films[i].append(moment.images[i].copy())
-        if moment.actions is None:
-            result = {
-                "episode_return": np.zeros(n),
-                "length": np.zeros(n, dtype=np.int64),
-                "distance": np.zeros(n),
-                "angle": np.zeros(n),
-                "success": np.zeros(n, dtype=np.bool_),
-                "target": infos["target"],
-                "colour": infos["colour"],
-                "facet": infos["facet"],
-            }
-            continue
-        result["episode_return"][played] += moment.reward[played]
-        result["length"][played] = moment.step
-        result["success"][played] = moment.terminated[played]
-        for name in ("distance", "angle"):
-            result[name][played] = infos[name][played]
-        if record_steps:
-            records.append(
+    count, n = len(episodes), env.num_envs
+    images: list[list[NDArray[np.uint8]]] = [[] for _ in range(min(count, record_images))]
+    facets: list[NDArray[np.int64]] = []
+    rows: list[dict[str, NDArray]] = []
+    for first in range(0, count, n):
+        chunk = episodes[first : first + n]
+        for moment in play_steps(agent, env, chunk):
+            ids, infos = np.flatnonzero(moment.played), moment.infos
+            for i in ids[first + ids < len(images)]:
+                images[first + i].append(moment.images[i].copy())
+            if moment.actions is None:
+                facets.append(infos["facet"][: len(chunk)])
+                continue
+            rows.append(
                 {
                     "episode": first + ids,
                     "step": np.full(len(ids), moment.step, dtype=np.int64),
@@ -232,15 +187,25 @@ def _play_chunk(
                     "distance": infos["distance"][ids],
                     "angle": infos["angle"][ids],
                     "reward": moment.reward[ids],
+                    "terminated": moment.terminated[ids],
                 }
             )
-    table = (
-        {name: np.concatenate([record[name] for record in records]) for name in records[0]}
-        if records
-        else {}
-    )
-    return (
-        {name: values[:count] for name, values in result.items()},
-        table,
-        [np.stack(film) for film in films],
+    columns = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
+    order = np.lexsort((columns["step"], columns["episode"]))
+    columns = {name: column[order] for name, column in columns.items()}
+    terminated = columns.pop("terminated")
+    steps = StepTable(**columns)
+    length = np.bincount(steps.episode, minlength=count)
+    last = np.cumsum(length) - 1
+    return EpisodeResults(
+        episode_return=np.bincount(steps.episode, steps.reward, count).astype(np.float64),
+        length=length,
+        distance=steps.distance[last],
+        angle=steps.angle[last],
+        success=terminated[last],
+        target=episodes.target,
+        colour=episodes.colour,
+        facet=np.concatenate(facets),
+        steps=steps,
+        images=tuple(np.stack(frames) for frames in images),
     )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from knowarm.errors import UserError
-from knowarm.world.arguments import check_action_range, check_num_envs
+from knowarm.world.arguments import check_action_range
 from knowarm.world.arrays import Array
 from knowarm.world.backends import Simulator, SimulatorName
 from knowarm.world.backends.device import check_memory, choose_backend, free_memory
@@ -21,9 +21,8 @@ from knowarm.world.backends.warp import WarpSimulator
 from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import EpisodeSource
 from knowarm.world.render.renderer import TorchRenderer, make_renderer
-from knowarm.world.scene import load_scene
 from knowarm.world.tasks.reach import ACTION_LEVELS, ReachTask
-from knowarm.world.vector_env import draw_images
+from knowarm.world.vector_env import describe, draw_images
 
 
 class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
@@ -72,34 +71,25 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         simulator: SimulatorName | None = None,
         num_threads: int = 0,
     ) -> None:
-        check_num_envs(num_envs)
         self.config = config
-        self.num_envs = num_envs
+        self.scene = scene = describe(self, config, num_envs)
         self.metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
-        self.scene = scene = load_scene(
-            config.robot, tuple(config.targets), config.randomization.distractors
-        )
         EpisodeSource(scene, config)  # raises its errors before anything is allocated
         self.device, backend = choose_backend(device, simulator)
         if self.device.type == "cuda":
             check_memory(scene, config, num_envs, free_memory(self.device))
         side = config.image_size
-        self.single_observation_space = spaces.Box(0, 255, (side, side, 3), np.uint8)
-        self.single_action_space = spaces.MultiDiscrete(
-            np.full(scene.num_joints, len(ACTION_LEVELS))
-        )
-        self.action_space = batch_space(self.single_action_space, num_envs)
         self.renderer: Any  # Renderer or TorchRenderer
         self.simulation: Simulator
-        self._images: _HostImages | _DeviceImages
-        if backend == "mujoco":
+        self._on_host = backend == "mujoco"
+        if self._on_host:
             self.renderer = make_renderer(scene, config, side, num_threads)
             self.simulation = MujocoSimulator(scene, num_envs, num_threads, config.dynamics)
-            self._images = _HostImages(self)
         else:
             self.renderer = TorchRenderer(scene, config, self.device)
             self.simulation = WarpSimulator(scene, num_envs, self.device, config.dynamics)
-            self._images = _DeviceImages(self)
+        shape = (num_envs, side, side, 3)
+        self._final_images = torch.zeros(shape, dtype=torch.uint8, device=self.device)
         self.task = ReachTask(scene, config, self.simulation)
         self.facets = self.task.facets
 
@@ -151,7 +141,7 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         if isinstance(mask := options.get("reset_mask"), Tensor):
             options["reset_mask"] = mask.cpu().numpy()
         self.task.reset(seed, options)
-        return self._images.draw(), _tensors(self.task.infos(self.task.everywhere))
+        return self._draw(), _tensors(self.task.infos(self.task.everywhere))
 
     def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
         """Play one step in every environment.
@@ -161,32 +151,32 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
                 since detecting them would mean waiting for it.
 
         Returns:
-            observation (n, H, W, 3) uint8, reward (n,) float32, terminated (n,) bool, truncated
-            (n,) bool, and infos.
+            observation (n, H, W, 3) uint8, reward (n,) of the simulator's dtype, terminated (n,)
+            bool, truncated (n,) bool, and infos.
 
         Raises:
             UserError: actions of the wrong shape, dtype or device; on the CPU also outside 0..6.
         """
         shape = (self.num_envs, self.scene.num_joints)
         check_actions(actions, shape, self.device, len(ACTION_LEVELS))
-        task, images = self.task, self._images
-        task.move(images.levels(actions))
+        task = self.task
+        task.move(actions.numpy() if self._on_host else actions.clamp(0, len(ACTION_LEVELS) - 1))
         outcome = task.outcome()
         ended = outcome.ended
-        images.draw_final(outcome.truncated)
+        self._draw_final(outcome.truncated)
         before = task.infos(ended)
         selection = task.select_where(ended)
         if not selection.is_empty:
             task.start_next(selection)
         infos = _tensors(task.infos(task.everywhere)) | {
-            "final_obs": images.final,
+            "final_obs": self._final_images,
             "_final_obs": _tensor(outcome.truncated),
             "final_info": _tensors(before),
             "_final_info": _tensor(ended),
         }
         return (
-            images.draw(),
-            _tensor(outcome.reward).float(),
+            self._draw(),
+            _tensor(outcome.reward),
             _tensor(outcome.terminated),
             _tensor(outcome.truncated),
             infos,
@@ -208,72 +198,39 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         """Wait for the device and report problems of the simulation."""
         self.simulation.close()
 
-
-class _HostImages:
-    """Images and actions at the border to NumPy: the CPU draws only the rows that are needed."""
-
-    def __init__(self, env: TorchReachVectorEnv) -> None:
-        self._env = env
-        self._final = np.zeros((env.num_envs, *env.single_observation_space.shape), np.uint8)
-        self.final = torch.from_numpy(self._final)
-
-    def levels(self, actions: Tensor) -> NDArray[np.int64]:
-        """Return the actions as an array of the same memory, (n, J)."""
-        return actions.numpy()
-
-    def draw(self) -> Tensor:
+    def _draw(self) -> Tensor:
         """Draw all environments, into a new tensor."""
-        return torch.from_numpy(draw_images(self._env.renderer, self._env.task))
+        if self._on_host:
+            return torch.from_numpy(draw_images(self.renderer, self.task))
+        images = torch.empty_like(self._final_images)
+        self._render(images)
+        return images
 
-    def draw_final(self, truncated: NDArray[np.bool_]) -> None:
-        """Draw the environments of a mask (n,) into their rows of ``final``."""
-        ids = np.flatnonzero(truncated)
-        if len(ids):
-            self._final[ids] = draw_images(self._env.renderer, self._env.task, ids)
-
-
-class _DeviceImages:
-    """Images and actions on the device, drawn by a mask that the host does not read."""
-
-    def __init__(self, env: TorchReachVectorEnv) -> None:
-        self._env = env
-        shape = (env.num_envs, *env.single_observation_space.shape)
-        self.final = torch.zeros(shape, dtype=torch.uint8, device=env.device)
-
-    def levels(self, actions: Tensor) -> Tensor:
-        """Clip the actions to their range, (n, J)."""
-        return actions.clamp(0, len(ACTION_LEVELS) - 1)
-
-    def draw(self) -> Tensor:
-        """Draw all environments, into a new tensor."""
-        out = torch.empty_like(self.final)
-        self._draw(out, None)
-        return out
-
-    def draw_final(self, truncated: Tensor) -> None:
-        """Draw the environments of a mask (n,) into their rows of ``final``."""
-        self._draw(self.final, truncated)
-
-    def _draw(self, out: Tensor, wanted: Tensor | None) -> None:
-        env = self._env
-        simulation, shown = env.simulation, env.task.shown
-        env.renderer.draw(
+    def _render(self, out: Tensor, wanted: Tensor | None = None) -> None:
+        """Draw the environments of a mask (n,), or all, on the device."""
+        simulation, shown = self.simulation, self.task.shown
+        self.renderer.draw(
             simulation.geom_position, simulation.geom_matrix, *shown[:3], out=out, wanted=wanted
         )
+
+    def _draw_final(self, truncated: Array) -> None:
+        """Draw the environments of a mask (n,) into their rows of the final images.
+
+        On the CPU only these are computed; on a GPU the host does not know which they are.
+        """
+        if not self._on_host:
+            self._render(self._final_images, wanted=truncated)
+        elif truncated.any():
+            ids = np.flatnonzero(truncated)
+            self._final_images.numpy()[ids] = draw_images(self.renderer, self.task, ids)
 
 
 def check_actions(actions: Any, shape: tuple[int, int], device: torch.device, levels: int) -> None:
     """Check actions as far as that is possible without waiting for a GPU.
 
-    Args:
-        actions: the argument of ``step``.
-        shape: (n, J).
-        device: the environment's device.
-        levels: number of levels of each joint.
-
     Raises:
-        UserError: no int64 tensor (n, J) on the device; on the CPU also a value outside 0 to
-            levels - 1.
+        UserError: no int64 tensor of this shape (n, J) on the device; on the CPU also a value
+            outside 0 to levels - 1.
     """
     expected = (
         f"actions must be an int64 tensor of shape {shape} (environments, joints) on {device}"

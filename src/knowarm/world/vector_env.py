@@ -9,11 +9,11 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from knowarm.errors import UserError
-from knowarm.world.arguments import check_num_envs, check_state, checked_actions
+from knowarm.world.arguments import check_state, checked_actions
 from knowarm.world.backends.mujoco import MujocoSimulator
 from knowarm.world.config import EnvConfig
 from knowarm.world.render.renderer import Renderer, make_renderer
-from knowarm.world.scene import load_scene
+from knowarm.world.scene import Scene, load_scene
 from knowarm.world.tasks.reach import ACTION_LEVELS, ReachTask
 
 RENDER_SIZE = 480
@@ -57,30 +57,20 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
         autoreset: AutoresetMode = AutoresetMode.SAME_STEP,
         render_mode: str | None = None,
     ) -> None:
-        check_num_envs(num_envs)
         self.config = config
-        self.num_envs = num_envs
+        self.scene = describe(self, config, num_envs)
         self.render_mode = render_mode
         self.metadata = {
             "render_modes": ["rgb_array"],
             "render_fps": 10,
             "autoreset_mode": autoreset,
         }
-        self.scene = load_scene(
-            config.robot, tuple(config.targets), config.randomization.distractors
-        )
         self.simulation = MujocoSimulator(self.scene, num_envs, num_threads, config.dynamics)
         self.renderer: Renderer = make_renderer(self.scene, config, config.image_size, num_threads)
         self._large_renderer: Renderer | None = None
         self.task = ReachTask(self.scene, config, self.simulation)
         self.facets = self.task.facets
-        self._image_shape = (config.image_size, config.image_size, 3)
-        self.single_observation_space = spaces.Box(0, 255, self._image_shape, np.uint8)
-        self.single_action_space = spaces.MultiDiscrete(
-            np.full(self.scene.num_joints, len(ACTION_LEVELS))
-        )
         self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
         self._ended = np.ones(num_envs, dtype=np.bool_)
 
     @property
@@ -92,16 +82,6 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
     def joint_targets(self) -> NDArray[np.float64]:
         """Joint angles that the servos track, (n, J) [rad]; actions add to them."""
         return self.task.joint_targets.copy()
-
-    @property
-    def target(self) -> NDArray[np.int64]:
-        """Index of each environment's target, (n,)."""
-        return self.task.target.copy()
-
-    @property
-    def colour(self) -> NDArray[np.int64]:
-        """Index of each target's colour among its colours, (n,)."""
-        return self.task.colour.copy()
 
     @property
     def geom_rgba(self) -> NDArray[np.float32]:
@@ -185,7 +165,8 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
         self._move(actions)
         reward, terminated, truncated = self._outcome()
         self._ended = terminated | truncated
-        images = np.zeros((self.num_envs, *self._image_shape), dtype=np.uint8)
+        side = self.config.image_size
+        images = np.zeros((self.num_envs, side, side, 3), dtype=np.uint8)
         ids = np.flatnonzero(active)
         if len(ids):
             images[ids] = self._render_images(ids)
@@ -246,6 +227,23 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
             "final_info": final,
             "_final_info": ended.copy(),
         }
+
+
+def describe(env: VectorEnv[Any, Any, Any], config: EnvConfig, num_envs: int) -> Scene:
+    """Load the scene of a config and set the attributes that both vector environments have.
+
+    Raises:
+        UserError: ``num_envs`` is below 1, or the scene cannot be built.
+    """
+    if num_envs < 1:
+        raise UserError(f"num_envs must be at least 1, got {num_envs}.")
+    scene = load_scene(config.robot, tuple(config.targets), config.randomization.distractors)
+    shape = (config.image_size, config.image_size, 3)
+    env.num_envs = num_envs
+    env.single_observation_space = spaces.Box(0, 255, shape, np.uint8)
+    env.single_action_space = spaces.MultiDiscrete(np.full(scene.num_joints, len(ACTION_LEVELS)))
+    env.action_space = batch_space(env.single_action_space, num_envs)
+    return scene
 
 
 def draw_images(

@@ -14,7 +14,7 @@ from knowarm.cli.knowledge.subgraph import Draw, Subgraph
 from knowarm.errors import unknown_name
 from knowarm.knowledge import KnowledgeConfig
 
-COMMANDS: dict[str, type] = {
+COMMANDS: dict[str, Any] = {
     "show": Show,
     "subgraph": Subgraph,
     "embed": Embed,

@@ -12,7 +12,7 @@ from knowarm.cli.tables import check_json_path, print_table, write_json_table
 from knowarm.errors import UserError
 from knowarm.knowledge import household, read_graph
 from knowarm.knowledge.formats.openke import is_openke, read_openke_split
-from knowarm.knowledge.kge.config import KgeConfig
+from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.kge.split import Split, split_graph
 
 if TYPE_CHECKING:  # imports torch, which takes seconds

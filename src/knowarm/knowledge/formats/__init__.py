@@ -37,7 +37,9 @@ SUFFIXES = {
     ".csv": "csv",
     ".tsv": "tsv",
 }
-"""Format by suffix; each may be followed by .gz, .bz2 or .xz."""
+"""Format by suffix; each may be followed by one of `COMPRESSED`."""
+
+COMPRESSED = (".gz", ".bz2", ".xz", ".zip")
 
 WRITERS: dict[str, Callable[[KnowledgeGraph, Path], None]] = {
     ".ttl": partial(write_rdf, syntax=RdfFormat.TURTLE),
@@ -105,7 +107,7 @@ def _format_of(path: Path) -> str:
         return "openke"
     if path.name.startswith("conceptnet-assertions"):
         return "conceptnet"
-    compressed = path.suffix.lower() in (".gz", ".bz2", ".xz")
+    compressed = path.suffix.lower() in COMPRESSED
     suffix = (Path(path.stem) if compressed else path).suffix.lower()
     if suffix not in SUFFIXES:
         raise UserError(

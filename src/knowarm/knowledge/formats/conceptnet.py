@@ -8,7 +8,7 @@ from pyoxigraph import RdfFormat
 
 from knowarm.errors import UserError
 from knowarm.knowledge.builder import GraphBuilder
-from knowarm.knowledge.formats.lines import decode, line_blocks, open_bytes
+from knowarm.knowledge.formats.lines import byte_lines, decode
 from knowarm.knowledge.formats.rdf import read_rdf, write_rdf
 from knowarm.knowledge.graph import KnowledgeGraph
 
@@ -40,30 +40,25 @@ def read_conceptnet(
     wanted = None if relations is None else {f"/r/{name}".encode() for name in relations}
     prefixes = tuple(f"/c/{language}/".encode() for language in sorted(languages))
     builder = GraphBuilder()
-    with open_bytes(path) as file:
-        for first, lines in line_blocks(file, path):
-            for number, line in enumerate(lines, first):
-                columns = line.rstrip(b"\r").split(b"\t")
-                if len(columns) != 5:
-                    if not line.strip():
-                        continue
-                    raise UserError(
-                        f"{path}, line {number}: has {len(columns)} columns, but a ConceptNet "
-                        f"assertion has 5 (uri, relation, start, end, JSON). Give the file "
-                        f"conceptnet-assertions-5.*.csv as it was downloaded."
-                    )
-                _, relation, start, end, properties = columns
-                if not (start.startswith(prefixes) and end.startswith(prefixes)):
-                    continue
-                if wanted is not None and relation not in wanted:
-                    continue
-                if min_weight > 0 and _weight(properties, path, number) < min_weight:
-                    continue
-                builder.add(
-                    _entity(decode(start, path, number)),
-                    decode(relation, path, number).removeprefix("/r/"),
-                    _entity(decode(end, path, number)),
-                )
+    for number, line in byte_lines(path):
+        columns = line.split(b"\t")
+        if len(columns) != 5:
+            if not line.strip():
+                continue
+            raise UserError(
+                f"{path}, line {number}: has {len(columns)} columns, but a ConceptNet assertion "
+                f"has 5 (uri, relation, start, end, JSON). Give the file "
+                f"conceptnet-assertions-5.*.csv as it was downloaded."
+            )
+        _, relation, start, end, properties = columns
+        if not (start.startswith(prefixes) and end.startswith(prefixes)):
+            continue
+        if wanted is not None and relation not in wanted:
+            continue
+        if min_weight > 0 and _weight(properties, path, number) < min_weight:
+            continue
+        head, name, tail = (decode(column, path, number) for column in (start, relation, end))
+        builder.add(_entity(head), name.removeprefix("/r/"), _entity(tail))
     graph = builder.build()
     if cache is not None:
         write_rdf(graph, cache, RdfFormat.N_TRIPLES)

@@ -3,90 +3,75 @@
 import bz2
 import gzip
 import lzma
-from collections.abc import Iterator
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import IO, cast
+from typing import IO, Any, cast
 
 from knowarm.errors import UserError
-
-BLOCK = 1 << 22
-"""Bytes read at once."""
 
 MAX_LINE = 1 << 20
 """Longest line in bytes; a file with a longer one is not line-based."""
 
+READ_ERRORS = (EOFError, OSError, lzma.LZMAError, zlib.error, zipfile.BadZipFile)
+"""Errors of reading a file that is incomplete or not compressed as its suffix says."""
+
 
 def open_bytes(path: Path) -> IO[bytes]:
-    """Open a file for reading bytes, decompressing .gz, .bz2 and .xz."""
+    """Open a file for reading bytes, decompressing .gz, .bz2, .xz and .zip (with one member)."""
     suffix = path.suffix.lower()
-    if suffix == ".gz":
-        return cast(IO[bytes], gzip.open(path, "rb"))
-    if suffix == ".bz2":
-        return cast(IO[bytes], bz2.open(path, "rb"))
-    if suffix == ".xz":
-        return cast(IO[bytes], lzma.open(path, "rb"))
-    return path.open("rb")
+    if suffix == ".zip":
+        archive = zipfile.ZipFile(path)
+        if len(names := archive.namelist()) != 1:
+            raise UserError(
+                f"{path} must contain one file, but contains {', '.join(names[:6]) or 'none'}. "
+                f"Unpack it and give the path of the file."
+            )
+        return archive.open(names[0])
+    openers: dict[str, Callable[..., Any]] = {".gz": gzip.open, ".bz2": bz2.open, ".xz": lzma.open}
+    return cast(IO[bytes], openers.get(suffix, open)(path, "rb"))
 
 
-def line_blocks(
-    file: IO[bytes], path: Path, max_line: int = MAX_LINE
-) -> Iterator[tuple[int, list[bytes]]]:
-    """Yield (number of the first line, lines without their ends), a few megabytes at a time.
-
-    Args:
-        file: the open file.
-        path: its path, for messages.
-        max_line: longest line in bytes. A longer one is refused after one block, so that a file
-            of many gigabytes without a line end takes no memory.
+def byte_lines(path: Path) -> Iterator[tuple[int, bytes]]:
+    """Yield (line number, line without its end) of a file.
 
     Raises:
-        UserError: a line is too long, or the file cannot be decompressed.
+        UserError: a line is longer than `MAX_LINE`, so that a file of many gigabytes without a
+            line end takes no memory; or the file cannot be decompressed.
     """
-    number, rest = 1, b""
+    number = 0
     try:
-        while block := file.read(BLOCK):
-            end = block.rfind(b"\n")
-            if end >= 0:
-                lines = (rest + block[:end]).split(b"\n")
-                rest = block[end + 1 :]
-                yield number, lines
-                number += len(lines)
-            else:
-                rest += block
-            if len(rest) > max_line:
-                raise UserError(
-                    f"{path}, line {number}: the line is longer than {max_line:,} bytes, so the "
-                    f"file does not hold one record per line. Check the format and the line ends."
-                )
-    except (EOFError, OSError, lzma.LZMAError) as error:
-        raise UserError(
-            f"{path}, near line {number}: the file cannot be decompressed: {error}. "
-            f"Copy or compress it again."
-        ) from error
-    if rest:
-        yield number, [rest]
+        with open_bytes(path) as file:
+            while line := file.readline(MAX_LINE + 1):
+                number += 1
+                if len(line) > MAX_LINE:
+                    raise UserError(
+                        f"{path}, line {number}: the line is longer than {MAX_LINE:,} bytes, so "
+                        f"the file does not hold one record per line. Check the format."
+                    )
+                yield number, line.rstrip(b"\r\n")
+    except READ_ERRORS as error:
+        raise unreadable(path, error) from error
 
 
 def text_lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield (line number, text) of every line of a UTF-8 file.
+    """Yield (line number, text without its end) of a UTF-8 file.
 
     Raises:
         UserError: a line is too long or is not UTF-8.
     """
-    with open_bytes(path) as file:
-        for first, lines in line_blocks(file, path):
-            for number, line in enumerate(lines, first):
-                yield number, decode(line, path, number)
+    return ((number, decode(line, path, number)) for number, line in byte_lines(path))
 
 
 def decode(line: bytes, path: Path, number: int) -> str:
-    """Decode one line, without its carriage return.
+    """Decode one line.
 
     Raises:
         UserError: it is not UTF-8, or contains a zero byte.
     """
     try:
-        text = line.decode().rstrip("\r")
+        text = line.decode()
     except UnicodeDecodeError as error:
         raise UserError(
             f"{path}, line {number}: not UTF-8 ({error.reason} at byte {error.start}). "
@@ -98,3 +83,10 @@ def decode(line: bytes, path: Path, number: int) -> str:
             f"Check the path and the format."
         )
     return text.removeprefix("\ufeff") if number == 1 else text
+
+
+def unreadable(path: Path, error: Exception) -> UserError:
+    """Return the error for a file that cannot be read or decompressed."""
+    return UserError(
+        f"{path}: the file cannot be read or decompressed: {error}. Copy or compress it again."
+    )

@@ -6,9 +6,7 @@ refused.
 
 import heapq
 import re
-import zlib
 from collections.abc import Iterator
-from lzma import LZMAError
 from pathlib import Path
 from xml.parsers import expat
 
@@ -16,7 +14,7 @@ from pyoxigraph import BlankNode, NamedNode, RdfFormat, Triple, parse, serialize
 
 from knowarm.errors import UserError
 from knowarm.knowledge.builder import GraphBuilder
-from knowarm.knowledge.formats.lines import open_bytes
+from knowarm.knowledge.formats.lines import READ_ERRORS, open_bytes, unreadable
 from knowarm.knowledge.graph import KnowledgeGraph
 from knowarm.knowledge.terms import (
     LABEL_RELATIONS,
@@ -62,29 +60,26 @@ def read_rdf(path: Path, syntax: RdfFormat) -> KnowledgeGraph:
     base = None if syntax == RdfFormat.N_TRIPLES else path.absolute().as_uri()
 
     def name(term: Term | Triple) -> str:
+        if isinstance(term, NamedNode):
+            return term.value  # renamed at the end, once per name
         if isinstance(term, BlankNode) and _GENERATED.fullmatch(term.value):
             return unnamed.setdefault(term.value, f"_:unnamed{len(unnamed)}")
         return name_of_term(term)
 
     try:
         _refuse_binary(path)
-        add, add_statement = builder.add, builder.add_statement
+        add = builder.add
         with open_bytes(path) as file:
             for quad in parse(file, format=syntax, base_iri=base):
                 head, tail, relation = quad.subject, quad.object, quad.predicate.value
                 if type(head) is NamedNode and type(tail) is NamedNode:  # most triples: fast
                     add(head.value, relation, tail.value)
                 else:
-                    subject = head.value if type(head) is NamedNode else name(head)
-                    add_statement(
-                        subject, relation, tail.value if type(tail) is NamedNode else name(tail)
-                    )
+                    builder.add_statement(name(head), relation, name(tail))
     except SyntaxError as error:
         raise _malformed(path, syntax, error) from error
-    except (EOFError, OSError, LZMAError, zlib.error) as error:
-        raise UserError(
-            f"{path}: the file cannot be read or decompressed: {error}. Copy or compress it again."
-        ) from error
+    except READ_ERRORS as error:
+        raise unreadable(path, error) from error
     builder.rename(name_of_iri)
     return builder.build()
 

@@ -1,1 +1,31 @@
 """Knowledge-graph embeddings: models, training, link prediction and files of fitted vectors."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class KgeConfig:
+    """1-vs-all training with reciprocal relations (Lacroix, Usunier and Obozinski 2018)."""
+
+    model: str = "analogy"
+    """Key of `kge.models.MODELS`: analogy, transe, distmult, complex, rotate."""
+    dim: int = 50
+    """Numbers per entity."""
+    epochs: int = 400
+    """Largest number of passes over the training triples."""
+    batch_size: int = 128
+    """Queries per gradient step."""
+    learning_rate: float | None = None
+    """Adam's step size; None takes the model's own."""
+    n3: float | None = None
+    """Weight of the N3 penalty; None takes the model's own."""
+    label_smoothing: float = 0.0
+    """Share of the target probability spread over all entities, 0 to 1."""
+    evaluate_every: int = 10
+    """Epochs between two evaluations on the validation triples."""
+    patience: int = 8
+    """Evaluations without a better MRR after which training stops."""
+    seed: int = 0
+    """Seed of the initial vectors and the order of triples."""
+    threads: int = 1
+    """CPU threads; with one, the same seed gives the same bytes on the same machine."""

@@ -12,7 +12,7 @@ from safetensors.torch import save_file
 from knowarm.config import from_dict
 from knowarm.errors import UserError
 from knowarm.knowledge.graph import KnowledgeGraph
-from knowarm.knowledge.kge.config import KgeConfig
+from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.kge.models import KgeModel
 from knowarm.knowledge.kge.train import new_model
 from knowarm.knowledge.names import SEPARATOR

@@ -8,7 +8,7 @@ import torch
 from torch.nn.functional import cross_entropy
 
 from knowarm.errors import UserError, unknown_name
-from knowarm.knowledge.kge.config import KgeConfig
+from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.kge.models import MODELS, KgeModel
 from knowarm.knowledge.kge.rank import rank, reciprocal
 

@@ -1,28 +1,27 @@
 """Reader of text files of word vectors in the formats of GloVe and word2vec."""
 
 import re
-import zipfile
 from collections import Counter
-from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from collections.abc import Collection
+from itertools import chain, islice
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 
 from knowarm.errors import UserError
-from knowarm.knowledge.formats.lines import decode, line_blocks, open_bytes
+from knowarm.knowledge.formats.lines import byte_lines, decode
 from knowarm.knowledge.vectors.words import WordTable
 
-_HEADER = re.compile(rb"\d+ \d+ *\r?")
+_HEADER = re.compile(rb"\d+ \d+ *")
 _NUMBER = re.compile(r"[-+]?\d+\.\d+(?:[eE][-+]?\d+)?")
+_FLOAT = re.compile(rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?(?:nan|inf)", re.I)
 _FIRST_LINES = 100
 
 
 def read_word_vectors(path: Path, wanted: Collection[str] | None = None) -> WordTable:
     """Read word vectors: lines of `word number number ...`, most frequent word first.
 
-    The file is plain text, .gz, .bz2, .xz or .zip (with one .txt or .vec member) and may have a
+    The file is plain text, .gz, .bz2, .xz or .zip (with one member) and may have a
     word2vec header and words that contain spaces. Numbers are parsed for wanted words only: a file
     of 400,000 words x 50 takes about a second.
 
@@ -50,31 +49,28 @@ def read_word_vectors(path: Path, wanted: Collection[str] | None = None) -> Word
     rows: list[np.ndarray] = []
     ranks: list[int] = []
     seen: set[bytes] = set()
-    dim, count, header = 0, 0, 0
-    with _open(path) as file:
-        for first, lines in line_blocks(file, path):
-            if first == 1:
-                header = int(_HEADER.fullmatch(lines[0]) is not None)
-                dim = _dimension(lines[header : header + _FIRST_LINES], path, header)
-            for number, line in enumerate(lines, first):
-                fields = line.count(b" ")
-                if fields != dim:
-                    if number <= header or not line.strip():
-                        continue
-                    line = line.rstrip(b" \r")
-                    fields = line.count(b" ")
-                    if fields != dim:
-                        _check_wide(line, dim, path, number)
-                count += 1
-                if first_words is not None and line[: line.find(b" ")] not in first_words:
-                    continue
-                word, *numbers = line.rsplit(b" ", dim)
-                if word in seen or (keep is not None and word not in keep):
-                    continue
-                seen.add(word)
-                words.append(decode(word, path, number))
-                rows.append(_vector(numbers, words[-1], path, number))
-                ranks.append(count)
+    count = 0
+    lines = byte_lines(path)
+    beginning = list(islice(lines, _FIRST_LINES))
+    header = int(bool(beginning) and _HEADER.fullmatch(beginning[0][1]) is not None)
+    dim = _dimension([line for _, line in beginning[header:]], path, header)
+    for number, line in chain(beginning, lines):
+        if line.count(b" ") != dim:
+            if number <= header or not line.strip():
+                continue
+            line = line.rstrip(b" ")
+            if line.count(b" ") != dim:
+                _check_wide(line, dim, path, number)
+        count += 1
+        if first_words is not None and line[: line.find(b" ")] not in first_words:
+            continue
+        word, *numbers = line.rsplit(b" ", dim)
+        if word in seen or (keep is not None and word not in keep):
+            continue
+        seen.add(word)
+        words.append(decode(word, path, number))
+        rows.append(_vector(numbers, words[-1], path, number))
+        ranks.append(count)
     vectors = np.array(rows, np.float32).reshape(len(rows), dim)
     return WordTable(
         name=path.name, words=tuple(words), vectors=vectors, ranks=np.array(ranks), size=count
@@ -108,7 +104,7 @@ def _vector(numbers: list[bytes], word: str, path: Path, number: int) -> np.ndar
     try:
         vector = np.array(numbers, dtype=np.float32)
     except ValueError:
-        bad = next(field for field in numbers if not _is_number(field))
+        bad = next((f for f in numbers if not _FLOAT.fullmatch(f)), b" ".join(numbers[:3]))
         raise UserError(
             f"{path}, line {number}: {bad.decode(errors='replace')!r} in the vector of {word!r} "
             f"is no number. Correct or delete the line."
@@ -119,34 +115,3 @@ def _vector(numbers: list[bytes], word: str, path: Path, number: int) -> np.ndar
             f"Correct or delete the line."
         )
     return vector
-
-
-def _is_number(field: bytes) -> bool:
-    try:
-        float(field)
-    except ValueError:
-        return False
-    return True
-
-
-@contextmanager
-def _open(path: Path) -> Iterator[IO[bytes]]:
-    if path.suffix.lower() != ".zip":
-        with open_bytes(path) as file:
-            yield file
-        return
-    try:
-        with zipfile.ZipFile(path) as archive:
-            members = [n for n in archive.namelist() if n.endswith((".txt", ".vec"))]
-            if len(members) != 1:
-                held = ", ".join(archive.namelist()[:6]) or "nothing"
-                raise UserError(
-                    f"{path} must contain one .txt or .vec file, but contains {held}. "
-                    f"Unpack it and give the path of the file."
-                )
-            with archive.open(members[0]) as file:
-                yield file
-    except zipfile.BadZipFile as error:
-        raise UserError(
-            f"{path} is not a complete zip file: {error}. Download it again."
-        ) from error

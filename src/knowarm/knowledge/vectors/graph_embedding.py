@@ -10,7 +10,7 @@ import numpy as np
 from knowarm.errors import UserError
 from knowarm.knowledge.formats import household
 from knowarm.knowledge.graph import KnowledgeGraph
-from knowarm.knowledge.kge.config import KgeConfig
+from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.kge.split import all_triples
 from knowarm.knowledge.sentence import Part
 from knowarm.knowledge.vectors.source import Coverage, Found, Request, VectorLookup, VectorSource

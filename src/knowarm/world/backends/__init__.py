@@ -8,7 +8,7 @@ from typing import Any, Literal, Protocol
 
 from numpy.typing import NDArray
 
-from knowarm.world.arrays import Array, ArrayBackend, Selection
+from knowarm.world.arrays import Array, NumpyArrays
 
 SimulatorName = Literal["mujoco", "warp"]
 """Names of the backends."""
@@ -26,7 +26,7 @@ class Simulator(Protocol):
     """
 
     num_envs: int
-    arrays: ArrayBackend
+    arrays: NumpyArrays
 
     @property
     def tcp_position(self) -> Array:
@@ -55,7 +55,7 @@ class Simulator(Protocol):
 
     def reset(
         self,
-        selection: Selection,
+        selection: Any,
         joint_targets: Array,
         target_position: Array,
         distractor_position: Array | None = None,
@@ -66,7 +66,7 @@ class Simulator(Protocol):
         joints keep their angles, and ``joint_targets`` are what the servos already track.
 
         Args:
-            selection: the environments.
+            selection: the environments, made by ``arrays``.
             joint_targets: (m, J) [rad].
             target_position: x and y of the targets, of which one is visible, (m, 2) [m].
             distractor_position: x and y of the distractors, (m, D, 2) [m]; None without any.

@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from knowarm.world.arrays import MaskSelection
+from knowarm.world.arrays import MaskSelection, NumpyArrays
 from knowarm.world.backends import Dynamics
 from knowarm.world.compose import SUBSTEPS
 from knowarm.world.scene import Scene, target_places
@@ -38,8 +38,8 @@ def import_warp() -> tuple[Any, Any]:
     return warp, importlib.import_module("mujoco_warp")
 
 
-class TorchArrays:
-    """``ArrayBackend`` of torch: float32, selections by mask.
+class TorchArrays(NumpyArrays):
+    """Arrays of torch: float32, selections by mask; see ``NumpyArrays``.
 
     Args:
         device: where tensors are kept.
@@ -98,7 +98,7 @@ class WarpSimulator:
         self.num_envs = num_envs
         self.dynamics = dynamics
         self.device = device
-        self.arrays = TorchArrays(device)
+        self.arrays: NumpyArrays = TorchArrays(device)
         self._warp, self._mjw = import_warp()
         self._warp_device = self._warp.device_from_torch(device)
         with self._warp.ScopedDevice(self._warp_device):

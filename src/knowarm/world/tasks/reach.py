@@ -141,10 +141,10 @@ class ReachTask:
         options = options or {}
         n = self.num_envs
         ids = masked_ids(options.get("reset_mask"), n)
-        seeds = spread_seeds(seed, n)
-        seeded = ids[seeds.given[ids]]
+        given, seeds = spread_seeds(seed, n)
+        seeded = ids[given[ids]]
         if len(seeded):
-            self._seed(seeded, seeds.values[seeded])
+            self._seed(seeded, seeds[seeded])
         selection = self._arrays.select(ids, n)
         episodes = options.get("episodes")
         if episodes is None:
