@@ -23,6 +23,7 @@ from knowarm.report import write_report
 from knowarm.report.collect import collect
 
 LIGHT = Size(points=8, tables=False)
+DAMAGED = '{"format": 2, "agent": "full", "seed": 0, "env": {}, "algorithm": "ppo"}'
 TRUTH = Truth(success={"bm": 0.5, "full": 0.6})
 
 
@@ -100,7 +101,9 @@ def test_another_format_is_left_out(tmp_path):
     assert "format 7" in named(found, paths[0])
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", '{"format": 1}', '{"format": 1, "seed": 0}'])
+@pytest.mark.parametrize(
+    "text", ["", "{", "[]", '{"format": 1}', '{"format": 1, "seed": 0}', DAMAGED]
+)
 def test_a_broken_config_is_left_out(tmp_path, text):
     paths = study(tmp_path)
     (paths[0] / "config.json").write_text(text)

@@ -26,7 +26,7 @@ from knowarm.report.study import (
 from knowarm.world.robots import ROBOTS
 
 NEEDED_NUMBERS = ("episodes", "return_mean", "success", "accuracy")
-NEEDED_CONFIG = ("agent", "seed", "env", "algorithm")
+NEEDED_CONFIG = {"agent": str, "seed": int, "env": dict, "algorithm": dict}
 
 PREFERRED_LABEL = "post-training-greedy"
 UNTRAINED, LATEST, HELD_OUT = "-untrained", "-latest", "-held-out"
@@ -95,7 +95,7 @@ def read_run(path: Path, problems: list[Problem]) -> Run | None:
     except UserError as error:
         problems.append(Problem(path, str(error), "left out"))
         return None
-    if missing := [name for name in NEEDED_CONFIG if name not in config]:
+    if missing := [n for n, kind in NEEDED_CONFIG.items() if not isinstance(config.get(n), kind)]:
         problems.append(Problem(path, f"config.json lacks {', '.join(missing)}", "left out"))
         return None
     try:

@@ -131,7 +131,7 @@ class Run:
     @property
     def algorithm(self) -> str:
         """Name of the learning algorithm."""
-        return str(self.config["algorithm"]["name"])
+        return str(self.config["algorithm"].get("name", "?"))
 
     @property
     def knowledge(self) -> Mapping[str, Any]:
