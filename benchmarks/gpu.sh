@@ -72,7 +72,7 @@ for path in sys.path:
 parity() {
   local tests chosen=cuda
   # Only files with tests for a GPU: other tests need packages that are not in WHEELS.
-  mapfile -t tests < <(grep -rlE 'mark\.cuda|device_pairs|tests\.devices' "$here/tests" --include='test_*.py' | grep -v '/bench/' | sort)
+  mapfile -t tests < <(grep -rlE 'mark\.cuda|tests\.devices|tests\.world\.faces' "$here/tests" --include='test_*.py' | grep -v '/bench/' | sort)
   # Without a GPU the same comparisons run on the CPU device.
   [ "$DEVICE" = cuda ] || chosen='not cuda'
   [ -z "$TINY" ] || chosen="$chosen and not slow"
