@@ -20,6 +20,12 @@ from knowarm.world.torch_env import TorchReachVectorEnv
 WARM_UP_UPDATES = 3
 """Updates that are not measured: the first ones compile and fill caches."""
 
+PPO, A3C = PPOConfig().name, A3CConfig().name
+"""Names of the rows; the paper's A3C has 17 workers with one environment each."""
+
+A3C_BATCHED = f"{A3C}-batched"
+"""Name of the row of A3C with many environments per worker."""
+
 UNLIMITED = 10**9
 """Environment steps to train for; the measuring time ends the training earlier."""
 
@@ -71,8 +77,8 @@ def bench_learn(config: LearnBenchConfig | None = None) -> dict[str, Any]:
     rows = [
         raycaster_row(config),
         ppo_row(config),
-        a3c_row(config, "a3c", workers=17, envs_per_worker=1),
-        a3c_row(config, "a3c-batched", workers=config.cores, envs_per_worker=128),
+        a3c_row(config, A3C, workers=17, envs_per_worker=1),
+        a3c_row(config, A3C_BATCHED, workers=config.cores, envs_per_worker=128),
     ]
     return summarize_rows(config, rows)
 
@@ -87,8 +93,8 @@ def summarize_rows(config: LearnBenchConfig, rows: list[Row]) -> dict[str, Any]:
         "machine": f"{processor()}, {os.cpu_count()} cores",
         "torch": torch.__version__,
         "rows": rows,
-        "steps_per_s": speed["ppo"],
-        "ratio_a3c_batched": speed["a3c-batched"] / speed["a3c"],
+        "steps_per_s": speed[PPO],
+        "ratio_a3c_batched": speed[A3C_BATCHED] / speed[A3C],
     }
 
 
@@ -118,7 +124,7 @@ def ppo_row(config: LearnBenchConfig) -> Row:
         image_seconds=lambda: clock.seconds().get("images", 0.0),
     )
     return {
-        "name": "ppo",
+        "name": PPO,
         "what": "KnowArm, recurrent PPO",
         "envs": ppo.num_envs,
         "steps_per_s": row["steps_per_s"],
