@@ -31,7 +31,8 @@ def test_every_agent_gives_a_finite_table_of_its_size(agent, facets):
     assert table.dtype == np.float32
     assert np.isfinite(table).all()
     assert embedding.constant == (embedding.dim > 0 and len(np.unique(table, axis=0)) == 1)
-    assert embedding.privileged == (embedding.dim > 0 and embedding.scope == "target")
+    told = embedding.dim > 0 and embedding.scope == "target" and not embedding.constant
+    assert embedding.privileged == told
     json.dumps(embedding.describe())
 
 
@@ -69,7 +70,7 @@ def test_partial_says_no_colour_and_full_says_its_own(facets):
 def test_placebos_copy_the_real_shape_and_norm(facets):
     real = scene_embedding(KNOWLEDGE["full"], facets)
     lengths = np.linalg.norm(real.matrix, axis=1)
-    for agent in ("random", "onehot"):
+    for agent in ("random", "onehot", "shuffled", "wrong-object"):
         placebo = scene_embedding(KNOWLEDGE[agent], facets)
         np.testing.assert_allclose(np.linalg.norm(placebo.matrix, axis=1), lengths, rtol=1e-5)
     assert not scene_embedding(KNOWLEDGE["zeros"], facets).vector.any()

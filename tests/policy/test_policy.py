@@ -189,16 +189,27 @@ def test_weights_are_orthogonal_and_come_from_the_seed():
         torch.testing.assert_close(head @ head.T, 1e-4 * torch.eye(3), atol=1e-7, rtol=0)
 
 
-def test_the_capacity_control_matches_size_and_count():
-    shape = PolicyShape(joints=6, knowledge_dim=150)
+@pytest.mark.parametrize("joints", [6, 7])
+@pytest.mark.parametrize("knowledge", [50, 150, 300])
+def test_the_capacity_control_has_the_same_encoder_and_as_many_parameters(joints, knowledge):
+    shape = PolicyShape(joints=joints, knowledge_dim=knowledge)
     informed, control = (Policy(PolicyConfig(wide=wide), shape) for wide in (False, True))
     assert control.config.wide
     assert not control.resolved_config.wide
     assert control.resolved_config.fusion == "none"
-    assert control.hidden_size == informed.hidden_size == 278
-    counts = [policy.parameter_counts()["total"] for policy in (informed, control)]
-    assert abs(counts[1] / counts[0] - 1) < 0.002
-    assert Policy(control.resolved_config, shape).parameter_counts() == control.parameter_counts()
+    assert control.resolved_config.features == 128
+    counts, others = informed.parameter_counts(), control.parameter_counts()
+    assert others["image"] == counts["image"]
+    assert abs(others["total"] / counts["total"] - 1) < 0.002
+    assert Policy(control.resolved_config, shape).parameter_counts() == others
+
+
+def test_a_capacity_control_of_earlier_versions_is_built_from_its_stored_sizes():
+    """It had an LSTM of 278 and 202 visual features, which run folders store."""
+    stored = PolicyConfig(fusion="none", hidden=278, features=202)
+    policy = Policy(stored, PolicyShape(joints=6, knowledge_dim=150))
+    assert policy.parameter_counts()["total"] == 794_167
+    assert policy.resolved_config == stored
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from knowarm.config import to_dict
 from knowarm.experiment.agents import AGENTS
@@ -19,6 +20,7 @@ from knowarm.experiment.evaluation_files import (
 )
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.knowledge import KnowledgeConfig, SceneEmbedding, scene_embedding
+from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.world.robots import ROBOTS
 
 FACETS = {
@@ -46,6 +48,9 @@ class Truth:
     """Standard deviation of success from training seed to training seed."""
     roles: dict[str, str] = field(default_factory=dict)
     """Roles stored in the configs; other agents have that of the registry, or none."""
+    sizes: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """Stored sizes of single agents that differ from the true ones: "knowledge" and
+    "parameter_counts" as in provenance.json."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +62,7 @@ class Size:
     films: int = 0
     steps: bool = False
     tables: bool = True
-    """Whether the Parquet files and the knowledge are written, or only what verdicts need."""
+    """Whether the Parquet files and the vectors are written, or only what verdicts need."""
     total_steps: int = 4_000_000
     evaluation: dict[str, Any] = field(default_factory=dict)
     """Fields of the evaluation's config that differ from the usual ones."""
@@ -100,6 +105,7 @@ def write_study(
                 generator=generator,
                 size=size,
                 role=truth.roles.get(agent),
+                sizes=truth.sizes.get(agent),
             )
             paths.append(path)
     return paths
@@ -116,6 +122,7 @@ def write_run(
     size: Size = Size(),
     algorithm: str = "ppo",
     role: str | None = None,
+    sizes: dict[str, Any] | None = None,
 ) -> Path:
     """Write one whole run folder."""
     env = env or env_of()
@@ -134,18 +141,21 @@ def write_run(
             "seed": seed,
             "env": env,
             "knowledge": to_dict(known),
-            "policy": {"fusion": "before_lstm", "wide": agent == "wide"},
+            "policy": {"fusion": "before_lstm", "wide": policy_of(agent).wide},
             "algorithm": {"name": algorithm, "learning_rate": 1e-3},
             "total_steps": size.total_steps,
         }
         | ({"role": role} if role else {}),
     )
     _write_curves(folder, success, generator, size)
+    embedding = _embedding(agent, env["colours"])
+    provenance = _provenance(agent, embedding, facets, JOINTS[env["robot"]])
+    for part, values in (sizes or {}).items():
+        provenance[part] = provenance[part] | values
+    folder.write_json("provenance.json", provenance)
     if size.tables:
-        embedding = _embedding(agent, env["colours"])
         table = embedding.table(facets)
-        folder.write_json("provenance.json", _provenance(embedding, facets))
-        folder.write_knowledge(table[:, :0] if agent == "wide" else table)
+        folder.write_knowledge(table[:, :0] if policy_of(agent).wide else table)
     write_evaluation(path / "evaluation" / LABEL, agent, success, env, generator, size)
     return path
 
@@ -160,14 +170,29 @@ def knowledge_of(agent: str) -> KnowledgeConfig:
     return AGENTS[agent if agent in AGENTS else "full"].knowledge
 
 
-def _provenance(embedding: SceneEmbedding, facets: list[tuple[str, str]]) -> dict[str, Any]:
-    hidden = 128 + embedding.dim
-    counts = {"encoder": 161_168, "memory": 8 * hidden * (hidden + 1), "heads": 43 * (hidden + 1)}
+def policy_of(agent: str) -> PolicyConfig:
+    """Policy of a registered agent; that of ``full`` for others."""
+    return AGENTS[agent if agent in AGENTS else "full"].policy
+
+
+@lru_cache
+def _parameter_counts(config: PolicyConfig, joints: int, dim: int, slots: int) -> dict[str, int]:
+    shape = PolicyShape(joints=joints, knowledge_dim=dim, knowledge_slots=slots)
+    with torch.device("meta"):
+        return Policy(config, shape).parameter_counts()
+
+
+def _provenance(
+    agent: str, embedding: SceneEmbedding, facets: list[tuple[str, str]], joints: int
+) -> dict[str, Any]:
+    config = policy_of(agent) if embedding.dim else PolicyConfig(fusion="none")
+    slots = max(1, embedding.dim // max(1, embedding.slot_dim))
+    counts = _parameter_counts(config, joints, embedding.dim, slots)
     return {
         "versions": {"knowarm": "0.1.0", "torch": "2.13.0", "mujoco": "4.0.0"},
         "commit": "0123456789abcdef",
         "machine": {"processor": "a processor", "cores": 2},
-        "parameter_counts": counts | {"total": sum(counts.values())},
+        "parameter_counts": counts,
         "facets": facets,
         "knowledge": embedding.describe(),
     }

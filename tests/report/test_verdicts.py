@@ -111,23 +111,86 @@ def test_a_sentence_names_only_agents_that_ran(tmp_path, success):
 EVERY_AGENT = ("partial", "wide", "zeros", "random", "shuffled", "onehot", "wrong-object", "target")
 
 
+SCENE_CONTROLS = ("wide", "zeros", "random", "shuffled", "onehot")
+TARGET_CONTROLS = ("target-zeros", "target-random", "target-shuffled", "target-onehot")
+
+
 def test_a_privileged_agent_is_judged_by_controls_of_its_scope(tmp_path):
-    others = dict.fromkeys(("bm", "wide", "zeros", "random", "shuffled", "onehot"), 0.4)
+    others = dict.fromkeys(("bm", "target-zeros", *SCENE_CONTROLS), 0.4)
     both = others | {"target": 0.8, "target-onehot": 0.8}
     (result,) = decided(tmp_path / "equal", both)
     assert result.kind == "input without meaning"
     assert "target-onehot" in words(result)
-    assert "random" not in words(result)
+    assert not set(SCENE_CONTROLS) & words(result)
     (result,) = decided(tmp_path / "better", both | {"target-onehot": 0.5})
     assert result.kind == "knowledge matters"
+    assert not set(SCENE_CONTROLS) & words(result)
     (result,) = decided(tmp_path / "alone", others | {"target": 0.8})
     assert result.kind == "meaning not tested"
-    assert "target-onehot" in words(result)  # offered from the registry
+    assert {"target-random", "target-shuffled", "target-onehot"} <= words(result)  # registered
+    assert "target-onehot+" not in words(result)  # those of another agent
     assert "shuffled" not in words(result)
 
 
+def test_a_constant_vector_is_no_capacity_control_of_a_privileged_agent(tmp_path):
+    success = dict.fromkeys(("bm", *SCENE_CONTROLS), 0.4) | {"target": 0.8, "target-onehot": 0.4}
+    (result,) = decided(tmp_path, success)
+    assert result.kind == "size not excluded"
+    assert "target-zeros" in words(result)  # offered from the registry
+    assert any("zeros" in r and "scope scene instead of target" in r for r in result.reasons)
+
+
+def test_all_controls_of_a_privileged_agent_have_to_be_beaten(tmp_path):
+    success = {"bm": 0.4, "target": 0.8} | dict.fromkeys(TARGET_CONTROLS, 0.4)
+    (result,) = decided(tmp_path / "all", success)
+    assert result.kind == "knowledge matters"
+    assert set(TARGET_CONTROLS) <= words(result)
+    (result,) = decided(tmp_path / "one", success | {"target-random": 0.8})
+    assert result.kind == "input without meaning"
+    (result,) = decided(tmp_path / "zeros", success | {"target-zeros": 0.8})
+    assert result.kind == "size may explain it"
+
+
+@pytest.mark.parametrize(
+    ("control", "stored", "reason"),
+    [
+        ("random", {"knowledge": {"dim": 300}}, "knowledge width 300 instead of 150"),
+        ("random", {"knowledge": {"norm": 9.0}}, "norm 9 instead of"),
+        ("random", {"knowledge": {"dim": None}}, "knowledge width unknown"),
+        ("random", {"parameter_counts": {"total": 900_000}}, "parameters 900,000 instead of"),
+        # 202 visual features: the capacity control of earlier versions
+        ("wide", {"parameter_counts": {"image": 246_186}}, "parameters of the image encoder"),
+    ],
+)
+def test_a_control_of_another_size_is_described_and_named(tmp_path, control, stored, reason):
+    success = {"bm": 0.5, "full": 0.8, "zeros": 0.5, "onehot": 0.5, control: 0.8}
+    (result,) = decided(tmp_path, success, sizes={control: stored})
+    assert result.kind == "knowledge matters"
+    assert f"Not counted as controls: {control} ({reason}" in result.sentence
+    assert control not in result.sentence.split("Not counted")[0].split(": ", 1)[1]
+    described = [r for r in result.reasons if f"against {control}:" in r]
+    assert described
+    assert all("descriptive only" in r and reason in r for r in described)
+
+
+def test_the_registered_controls_match_their_subjects(tmp_path):
+    """The vector of ``full+`` is longer than that of ``full``: each has its own controls."""
+    controls = ("wide", "zeros", "random+", "shuffled+", "onehot+")
+    success = {"bm": 0.4, "full+": 0.8} | dict.fromkeys((*controls, "random"), 0.4)
+    (result,) = decided(tmp_path, success)
+    assert result.kind == "knowledge matters"
+    assert set(controls) <= words(result)
+    assert "Not counted as controls: random (norm" in result.sentence
+
+
+def test_a_learned_vector_has_more_parameters(tmp_path):
+    (result,) = decided(tmp_path, REAL | {"learned": 0.9})
+    assert result.kind == "knowledge matters"
+    assert "Not counted as controls: learned (parameters" in result.sentence
+
+
 def test_an_agent_of_the_scene_is_not_judged_by_controls_of_the_target(tmp_path):
-    success = REAL | {"target": 0.9, "target-onehot": 0.9}
+    success = REAL | {"target": 0.9, "target-onehot": 0.9, "target-zeros": 0.4}
     scene, target = decided(tmp_path, success)
     assert scene.kind == "knowledge matters"
     assert not {"target", "target-onehot"} & words(scene)

@@ -1,13 +1,14 @@
 """Registry of agents: the knowledge and the policy network of each, and its role in a study."""
 
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 from knowarm.knowledge import FULL, FULL_PLUS, KnowledgeConfig
 from knowarm.knowledge.vectors import GraphEmbedding
 from knowarm.knowledge.vectors.placebos import (
     Learned,
     OneHot,
+    Placebo,
     RandomVectors,
     ShuffledGraph,
     WrongObject,
@@ -43,6 +44,22 @@ class Agent:
     a spare one."""
 
 
+def _control(about: str, knowledge: KnowledgeConfig, source: Placebo, **fields: Any) -> Agent:
+    """Return a content control: the knowledge of a subject with other content.
+
+    All choices but the source stay, so that scope, width, number of slots and norm are equal.
+    """
+    return Agent(
+        about=f"control of {about}",
+        role="content_control",
+        knowledge=replace(knowledge, source=source),
+        **fields,
+    )
+
+
+_TARGET = replace(FULL, scope="target")
+_TARGET_PLUS = replace(FULL_PLUS, scope="target")
+
 AGENTS: dict[str, Agent] = {
     "bm": Agent(
         about="baseline: no knowledge (paper)",
@@ -73,48 +90,44 @@ AGENTS: dict[str, Agent] = {
     "target": Agent(
         about="the slot of the episode's own object and colour (privileged)",
         role="privileged",
-        knowledge=replace(FULL, scope="target"),
+        knowledge=_TARGET,
         colour="c-gold",
     ),
     "target+": Agent(
         about="as target, with the embedding of full+ (privileged)",
         role="privileged",
-        knowledge=replace(FULL_PLUS, scope="target"),
+        knowledge=_TARGET_PLUS,
     ),
-    "target-onehot": Agent(
-        about="control of target: the index of the facet, no meaning (privileged)",
-        role="content_control",
-        knowledge=replace(FULL, source=OneHot(), scope="target"),
+    "target-zeros": Agent(
+        about="control of target and target+: their shape, all zeros",
+        role="capacity_control",
+        knowledge=replace(_TARGET, source=Zeros()),
     ),
+    "target-random": _control("target: one random vector per facet", _TARGET, RandomVectors()),
+    "target-shuffled": _control(
+        "target: from a graph with permuted tails", _TARGET, ShuffledGraph()
+    ),
+    "target-onehot": _control("target: the index of the facet, no meaning", _TARGET, OneHot()),
+    "target-random+": _control("target+, as target-random", _TARGET_PLUS, RandomVectors()),
+    "target-shuffled+": _control("target+, as target-shuffled", _TARGET_PLUS, ShuffledGraph()),
+    "target-onehot+": _control("target+, as target-onehot", _TARGET_PLUS, OneHot()),
     "zeros": Agent(
-        about="control: full's shape, all zeros",
+        about="control of full and full+: their shape, all zeros",
         role="capacity_control",
         knowledge=replace(FULL, source=Zeros()),
         colour="c-grey",
     ),
-    "random": Agent(
-        about="control: full's shape and norm, random",
-        role="content_control",
-        knowledge=replace(FULL, source=RandomVectors()),
-        colour="c-purple",
+    "random": _control(
+        "full: its shape and norm, random", FULL, RandomVectors(), colour="c-purple"
     ),
-    "shuffled": Agent(
-        about="control: full from a graph with permuted tails",
-        role="content_control",
-        knowledge=replace(FULL, source=ShuffledGraph()),
-        colour="c-pink",
+    "shuffled": _control(
+        "full: from a graph with permuted tails", FULL, ShuffledGraph(), colour="c-pink"
     ),
-    "onehot": Agent(
-        about="control: one-hot slots",
-        role="content_control",
-        knowledge=replace(FULL, source=OneHot()),
-        colour="c-teal",
-    ),
-    "wrong-object": Agent(
-        about="control: each slot describes another object",
-        role="content_control",
-        knowledge=replace(FULL, source=WrongObject()),
-    ),
+    "onehot": _control("full: one-hot slots", FULL, OneHot(), colour="c-teal"),
+    "random+": _control("full+, as random", FULL_PLUS, RandomVectors()),
+    "shuffled+": _control("full+, as shuffled", FULL_PLUS, ShuffledGraph()),
+    "onehot+": _control("full+, as onehot", FULL_PLUS, OneHot()),
+    "wrong-object": _control("full: each slot describes another object", FULL, WrongObject()),
     "learned": Agent(
         about="control: the vector is learned with the policy",
         role="content_control",
@@ -122,7 +135,7 @@ AGENTS: dict[str, Agent] = {
         policy=PolicyConfig(knowledge_encoder="learned"),
     ),
     "wide": Agent(
-        about="control: no knowledge, full's LSTM size and parameter count",
+        about="control: no knowledge, full's parameter count in a larger LSTM",
         role="capacity_control",
         knowledge=FULL,
         policy=PolicyConfig(wide=True),
@@ -171,3 +184,29 @@ AGENTS: dict[str, Agent] = {
 def first_of_role(role: Role) -> str:
     """Return the name of the first agent in the registry with a role."""
     return next(name for name, agent in AGENTS.items() if agent.role == role)
+
+
+def controls_of(subject: str, role: Role) -> list[str]:
+    """Return the registered controls that match an agent in everything but their purpose.
+
+    A content control has the subject's knowledge but for the source, and the same network. A
+    capacity control has its scope, slots and width, or no knowledge and as many parameters.
+
+    Args:
+        subject: name of a registered agent; others have no registered controls.
+        role: of the controls.
+    """
+    if (agent := AGENTS.get(subject)) is None:
+        return []
+
+    def matches(control: Agent) -> bool:
+        if replace(control.policy, wide=False) != agent.policy:
+            return False
+        if role == "content_control":
+            return replace(control.knowledge, source=agent.knowledge.source) == agent.knowledge
+        return all(
+            getattr(control.knowledge, name) == getattr(agent.knowledge, name)
+            for name in ("scope", "detail", "dim")
+        )
+
+    return [name for name, each in AGENTS.items() if each.role == role and matches(each)]

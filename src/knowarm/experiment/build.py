@@ -185,20 +185,32 @@ def load_agent(
     folder = RunFolder.open(path)
     config = folder.experiment()
     stored = folder.provenance()["policy"]
+    checkpoint = None if which == "untrained" else read_checkpoint(folder.checkpoints / which)
+    choices = from_dict(PolicyConfig, stored["config"], where="policy.config")
+    if choices.wide and checkpoint:
+        choices = _sizes_of_checkpoint(choices, checkpoint.policy)
     policy = Policy(
-        from_dict(PolicyConfig, stored["config"], where="policy.config"),
+        choices,
         from_dict(PolicyShape, stored["shape"], where="policy.shape"),
         folder.knowledge(),
         seed=config.seed,
     )
     step = 0
-    if which != "untrained":
-        checkpoint = read_checkpoint(folder.checkpoints / which)
+    if checkpoint:
         step = int(checkpoint.facts["step"])
         _load_parameters(policy, checkpoint.policy, folder.checkpoints / which)
     policy.eval()
     agent = PolicyAgent(policy, greedy=greedy, generator=torch.Generator().manual_seed(seed))
     return TrainedAgent(agent, policy, config, folder, step, which)
+
+
+def _sizes_of_checkpoint(config: PolicyConfig, arrays: dict[str, np.ndarray]) -> PolicyConfig:
+    """Return the sizes of a capacity control whose run stored only that it is one.
+
+    Earlier versions did, and computed other sizes.
+    """
+    features, hidden = arrays["fc.weight"].shape[0], arrays["memory.weight_hh"].shape[1]
+    return replace(config, wide=False, fusion="none", features=features, hidden=hidden)
 
 
 def _load_parameters(policy: Policy, arrays: dict[str, np.ndarray], where: Path) -> None:

@@ -154,7 +154,7 @@ def _describe(folder: RunFolder, config: ExperimentConfig, parts: Parts) -> None
             **provenance(),
             "parameter_counts": policy.parameter_counts(),
             "policy": {
-                "config": to_dict(parts.policy_config),
+                "config": to_dict(policy.resolved_config),
                 "shape": to_dict(parts.policy_shape),
             },
             "facets": [list(facet) for facet in parts.facets],

@@ -4,7 +4,7 @@ Pipeline: graph -> Gamma -> sentence -> vectors -> one slot per facet -> slots c
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from knowarm.knowledge.pooling import centre_of, slot_vector
 from knowarm.knowledge.scene import Facets, load_graph, slot_subgraphs
 from knowarm.knowledge.sentence import Part, graph_parts, sentence_parts
 from knowarm.knowledge.terms import label_of
+from knowarm.knowledge.vectors.placebos import Placebo
 from knowarm.knowledge.vectors.source import CodeSource, Coverage, Request, VectorSource
 
 
@@ -67,12 +68,14 @@ class SceneEmbedding:
     @property
     def constant(self) -> bool:
         """Whether every episode gets the same numbers, which then act as a bias."""
-        return self.dim > 0 and (self.scope == "scene" or len(self.slots) == 1)
+        return self.dim > 0 and (
+            self.scope == "scene" or bool(np.ptp(self.matrix, axis=0).max() == 0)
+        )
 
     @property
     def privileged(self) -> bool:
         """Whether the numbers identify the target of the episode."""
-        return self.dim > 0 and self.scope == "target"
+        return self.dim > 0 and self.scope == "target" and not self.constant
 
     def table(self, facets: Facets) -> np.ndarray:
         """Return the knowledge input of the policy for each facet, (F, K) float32.
@@ -139,6 +142,8 @@ def scene_embedding(config: KnowledgeConfig, facets: Facets) -> SceneEmbedding:
         changed = source.change_slots(matrix, config.seed)
         if changed is None:
             sentences = real_sentences
+            if isinstance(source, Placebo):
+                matrix = _with_real_lengths(matrix, config, source, slots)
         else:
             matrix = changed
     else:
@@ -153,10 +158,24 @@ def scene_embedding(config: KnowledgeConfig, facets: Facets) -> SceneEmbedding:
     )
 
 
+def _with_real_lengths(
+    matrix: np.ndarray, config: KnowledgeConfig, source: Placebo, slots: Sequence[Facet]
+) -> np.ndarray:
+    """Scale each slot of a placebo (S, D) to the length of the real one, so norms are equal."""
+    real, _ = _pooled_slots(replace(config, source=source.matches), source.matches, slots)
+    wanted, found = (np.linalg.norm(each, axis=1, keepdims=True) for each in (real, matrix))
+    factor = np.divide(wanted, found, out=np.zeros_like(wanted), where=found > 0)
+    return (matrix * factor).astype(np.float32)
+
+
 def _pooled_slots(
-    config: KnowledgeConfig, source: VectorSource, slots: Sequence[Facet], coverage: Coverage
+    config: KnowledgeConfig,
+    source: VectorSource,
+    slots: Sequence[Facet],
+    coverage: Coverage | None = None,
 ) -> tuple[np.ndarray, tuple[str, ...]]:
     """Return the slots' vectors, (S, D) float32, and sentences; record how labels were found."""
+    coverage = coverage or Coverage()
     graph = load_graph(config)
     subgraphs, colours = slot_subgraphs(graph, slots, config)
     sentences = [sentence_parts(sub, config.sentence) for sub in subgraphs]

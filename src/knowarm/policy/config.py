@@ -35,8 +35,8 @@ class PolicyConfig:
     """Output width of the trained linear map; None keeps the width of the knowledge vector."""
 
     wide: bool = False
-    """Capacity control: no knowledge input, but the LSTM size and the number of parameters of the
-    same policy with knowledge."""
+    """Capacity control: no knowledge input, but an LSTM so large that the policy has as many
+    parameters as the same one with knowledge."""
 
     pixel_shift: float = 0.0
     """Subtracted from the pixels after scaling them to 0..1."""

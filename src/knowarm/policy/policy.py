@@ -248,10 +248,11 @@ class PolicySpec:
 
 
 def matched_without_knowledge(config: PolicyConfig, shape: PolicyShape) -> PolicyConfig:
-    """Return the capacity control: no knowledge, same LSTM size, same number of parameters.
+    """Return the capacity control: no knowledge, same encoder, same number of parameters.
 
-    Without knowledge the LSTM has fewer inputs; the fully connected layer is widened until the
-    total number of parameters is as close as one feature more or less allows.
+    Without knowledge the LSTM has fewer inputs; its hidden size is increased until the total
+    number of parameters is as close as one unit more or less allows. The image encoder keeps its
+    size, since more visual features would be another advantage.
 
     Args:
         config: a policy with knowledge; ``wide`` is ignored.
@@ -260,15 +261,19 @@ def matched_without_knowledge(config: PolicyConfig, shape: PolicyShape) -> Polic
     config = replace(config, wide=False)
     if shape.knowledge_dim == 0:
         return replace(config, fusion="none")
-    _, hidden = layer_widths(config, shape)
 
-    def candidate(features: int) -> PolicyConfig:
-        return replace(config, fusion="none", hidden=hidden, features=features)
+    def candidate(hidden: int) -> PolicyConfig:
+        return replace(config, fusion="none", hidden=hidden)
 
     def count(candidate: PolicyConfig) -> int:
         with torch.device("meta"):
             return Policy(candidate, shape).parameter_counts()["total"]
 
-    # The count is linear in the number of features: two points determine the line.
-    target, base, more = count(config), count(candidate(1)), count(candidate(2))
-    return candidate(max(1, round(1 + (target - base) / (more - base))))
+    # The count grows with the hidden size: find the first that is not below the target.
+    target, low, high = count(config), 1, 2
+    while count(candidate(high)) < target:
+        low, high = high, 2 * high
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if count(candidate(middle)) < target else (low, middle)
+    return candidate(min(low, high, key=lambda hidden: abs(count(candidate(hidden)) - target)))

@@ -8,7 +8,7 @@ import numpy as np
 
 from knowarm.report import format
 from knowarm.report.format import counted
-from knowarm.report.study import Group, Study, Task
+from knowarm.report.study import CONTROLS, Group, Study, Task
 from knowarm.statistics import Comparison, area_under_curve, holm, welch
 
 FEWEST_SEEDS = 3
@@ -16,6 +16,17 @@ FEWEST_SEEDS = 3
 
 ALPHA = 0.05
 """Fraction of studies without any effect in which the report may claim one."""
+
+TOLERANCE = 0.01
+"""Largest relative difference in size between a control and its subject."""
+
+SIZES = {
+    "knowledge width": ("knowledge", "dim"),
+    "parameters": ("parameter_counts", "total"),
+    "parameters of the image encoder": ("parameter_counts", "image"),
+    "norm": ("knowledge", "norm"),
+}
+"""Sizes in which controls must equal their subject: where ``provenance.json`` has them."""
 
 Outcome = Literal["success", "speed"]
 
@@ -96,13 +107,16 @@ class Claim:
         if self.comparison is None:
             seeds = counted(self.seeds, "training seed")
             return f"{who}: {seeds}, too few for a comparison of the methods."
+        ending = ENDINGS[self.verdict]
+        if reason := mismatch(self.second, self.first) if self.verdict == "described" else None:
+            ending = f"{ending}, because they differ in more than content ({reason})"
         interval = self.comparison.difference
         seeds = f"{self.comparison.first_count} and {self.comparison.second_count} seeds"
         p = f", adjusted p {format.p_value(self.adjusted_p)}" if self.adjusted_p is not None else ""
         return (
             f"{who}: {format.points(interval.estimate)} points "
             f"(95 % interval {format.points(interval.low)} to {format.points(interval.high)}; "
-            f"{seeds}{p}): {ENDINGS[self.verdict]}."
+            f"{seeds}{p}): {ending}."
         )
 
 
@@ -147,7 +161,8 @@ def pairs(task: Task) -> list[tuple[Group, Group, Stage]]:
     """Return the pairs of agents that are compared on a task, and the stage of each.
 
     A subject is tested against the baseline, then against the agents that bear on it: other
-    agents with knowledge of its scope and the controls of `bears_on`. The rest is described.
+    agents with knowledge of its scope and the controls that match it in size (`mismatch`). The
+    rest is described.
     """
     baseline, found = task.baseline, list[tuple[Group, Group, Stage]]()
     for subject in task.subjects:
@@ -167,15 +182,44 @@ def pairs(task: Task) -> list[tuple[Group, Group, Stage]]:
 
 
 def bears_on(group: Group, subject: Group) -> bool:
-    """Return whether a comparison with a group says something about a subject's knowledge.
+    """Return whether a comparison with a group says something about a subject's knowledge."""
+    return mismatch(group, subject) is None
+
+
+def mismatch(group: Group, subject: Group) -> str | None:
+    """Return why a comparison with a group says nothing about a subject's knowledge.
 
     Vectors of another scope do not: one vector per scene carries no information about the
-    episode, one per target does. Exceptions: the baseline has no vector, and a capacity control
-    for the vector of a whole scene has more parameters than a vector of one target needs.
+    episode, one per target does. A control, moreover, must equal the subject in the width of the
+    knowledge vector, in the parameters of the image encoder and in total, and a content control
+    in the norm of the vector; numbers are compared within `TOLERANCE`. Sizes that are not stored
+    cannot be compared. A baseline differs by definition.
+
+    Returns:
+        The difference in words, or None if there is none.
     """
-    if group.role == "baseline" or group.scope == subject.scope:
-        return True
-    return group.role == "capacity_control" and group.scope == "scene"
+    if group.role == "baseline":
+        return None
+    if group.scope != subject.scope:
+        return f"knowledge of scope {group.scope} instead of {subject.scope}"
+    if group.role not in CONTROLS:
+        return None
+    for name in SIZES:
+        if name == "norm" and group.role != "content_control":
+            continue
+        own, other = _size(group, name), _size(subject, name)
+        if own is None or other is None:
+            return f"{name} unknown"
+        if abs(own - other) > TOLERANCE * abs(other):
+            return f"{name} {own:,.6g} instead of {other:,.6g}"
+    return None
+
+
+def _size(group: Group, name: str) -> float | None:
+    """Return a stored size of an agent's network or input; None if it is not stored."""
+    part, key = SIZES[name]
+    value = (group.runs[0].provenance.get(part) or {}).get(key)
+    return float(value) if isinstance(value, int | float) else None
 
 
 def scores(task: Task, group: Group, outcome: Outcome) -> np.ndarray:

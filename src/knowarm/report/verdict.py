@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 from typing import Literal
 
-from knowarm.experiment.agents import AGENTS
+from knowarm.experiment.agents import Role, controls_of
 from knowarm.report.blocks import Tone, Verdict
-from knowarm.report.claims import FEWEST_SEEDS, OUTCOMES, Claim, Outcome
+from knowarm.report.claims import FEWEST_SEEDS, OUTCOMES, Claim, Outcome, mismatch
 from knowarm.report.format import counted, listed
-from knowarm.report.study import Group, Task
+from knowarm.report.study import CONTROLS, Group, Task
 
 Kind = Literal[
     "nothing to compare",
@@ -46,8 +46,11 @@ def finding(
     1. Is the subject better than the baseline? If not, no advantage is shown.
     2. Is it better than every capacity control that ran? If not, the size of the network may
        explain the advantage.
-    3. Is it better than every content control of its scope that ran? If not, an input vector
-       helps, but its meaning is not shown to matter.
+    3. Is it better than every content control that ran? If not, an input vector helps, but its
+       meaning is not shown to matter.
+
+    Controls of another size than the subject's (`claims.mismatch`) do not count; the sentence
+    names those of its scope.
 
     Args:
         task: the task.
@@ -82,6 +85,7 @@ def finding(
             ),
         )
     kind, words = _judge(subject, tested)
+    words += _not_counted(task, subject)
     return _verdict(kind, f"{task.title}, {OUTCOMES[outcome]}: {words}", reasons)
 
 
@@ -138,12 +142,19 @@ def _not_beaten(claims: Sequence[Claim]) -> str:
     return listed([c.second.name for c in claims if c.verdict != "better"], "or")
 
 
-def _hint(role: str, subject: Group) -> str:
-    """Return a sentence that names the registered agents that would answer the question."""
-    scopes = {subject.scope, "scene"} if role == "capacity_control" else {subject.scope}
-    names = [
-        name
-        for name, agent in AGENTS.items()
-        if agent.role == role and agent.knowledge.scope in scopes
+def _not_counted(task: Task, subject: Group) -> str:
+    """Return a sentence that names the controls of the subject's scope that do not match it."""
+    reasons = [
+        f"{group.name} ({reason})"
+        for group in task.groups
+        if group.role in CONTROLS
+        and group.scope == subject.scope
+        and (reason := mismatch(group, subject))
     ]
+    return f" Not counted as controls: {listed(reasons)}." if reasons else ""
+
+
+def _hint(role: Role, subject: Group) -> str:
+    """Return a sentence that names the registered agents that would answer the question."""
+    names = controls_of(subject.agent, role)
     return f" Registered for this: {listed(names, 'or')}." if names else ""
