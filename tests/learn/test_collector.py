@@ -86,3 +86,72 @@ def test_a_facet_without_knowledge_is_rejected():
     policy = informed_toy_policy(np.ones((2, 4), np.float32))
     with pytest.raises(UserError, match="2 rows and the environment has facet 2"):
         Collector(env, policy, seed=0)
+
+
+class Recorder:
+    """A vector environment that keeps what it returned and received, step by step."""
+
+    def __init__(self, env):
+        self.env, self.steps = env, []
+
+    def __getattr__(self, name):
+        return getattr(self.env, name)
+
+    def reset(self, *, seed=None, options=None):
+        result = self.env.reset(seed=seed, options=options)
+        self._shown = result[0], self.env.facet_ids.clone()
+        return result
+
+    def step(self, actions):
+        image, facet = self._shown
+        result = self.env.step(actions)
+        final = result[4].get("final_obs", torch.zeros_like(image)).clone()
+        self.steps.append((image, facet, actions.clone(), *result[1:4], final))
+        self._shown = result[0].clone(), self.env.facet_ids.clone()
+        return result
+
+
+@pytest.mark.parametrize("deferred", [False, True])
+@pytest.mark.parametrize("recall", [False, True])
+@torch.no_grad()
+def test_a_rollout_pairs_each_image_with_its_facet_state_and_final_value(deferred, recall):
+    """The same rollout, written as plain loops over what the environments returned."""
+    table = np.random.default_rng(0).standard_normal((4, 6)).astype(np.float32)
+    policy = informed_toy_policy(table)
+    env = toy_env(COUNT, recall=recall, length=5, staggered=True, facets=4)
+    env.max_episode_steps = 5
+    recorder = Recorder(env)
+    final_values = DeferredFinalValues(policy, env) if deferred else None
+    collector = Collector(recorder, policy, seed=3, final_values=final_values)
+    rollout = Rollout(**zeros(rollout_specs(STEPS, COUNT, policy)))
+    state, start = policy.initial_state(COUNT), torch.ones(COUNT, dtype=torch.bool)
+    expected_value = None
+    for _ in range(3):
+        recorder.steps.clear()
+        collector.collect(rollout)
+        following = torch.zeros(STEPS, COUNT)
+        for t, (image, facet, action, reward, ended, cut, final) in enumerate(recorder.steps):
+            _, value, state = policy.step(image, facet, state, start)
+            torch.testing.assert_close(rollout.value[t], value)
+            if expected_value is not None:  # of the rollout before
+                torch.testing.assert_close(expected_value, value)
+                expected_value = None
+            assert torch.equal(rollout.patches[t], policy.patches(image))
+            assert torch.equal(rollout.facet[t], facet)
+            assert torch.equal(rollout.action[t], action)
+            assert torch.equal(rollout.reward[t], reward.float())
+            assert torch.equal(rollout.terminated[t], ended)
+            assert torch.equal(rollout.truncated[t], cut)
+            if t:
+                following[t - 1] = torch.where(rollout.done[t - 1], following[t - 1], value)
+            none = torch.zeros_like(start)
+            final_value = policy.step(final, facet, state, none)[1]
+            following[t] = torch.where(cut, final_value, 0.0)
+            start = ended | cut
+        last = torch.where(rollout.done[-1], following[-1], rollout.last_value)
+        following[-1] = last
+        torch.testing.assert_close(rollout.following(), following)
+        expected_value = rollout.last_value.clone()
+        assert len(rollout.facet.unique()) == 4
+    assert rollout.done.any()
+    assert (rollout.facet[1:] != rollout.facet[:-1]).any()

@@ -94,6 +94,19 @@ def test_ppo_gains_nothing_beyond_the_clip_range():
     assert gradient.abs().sum() == 0
 
 
+def test_ppo_gains_nothing_below_the_clip_range():
+    terms, gradient = ppo(0.99, -2.0)  # ratio .758: already less probable
+    assert terms.policy.item() == pytest.approx(0.8 * 2, rel=1e-6)
+    assert terms.clip_fraction.item() == 1
+    assert gradient.abs().sum() == 0
+
+
+def test_ppo_still_corrects_a_good_step_below_the_clip_range():
+    terms, gradient = ppo(0.99, 2.0)
+    assert terms.policy.item() == pytest.approx(-0.75 / 0.99 * 2, rel=1e-6)
+    assert gradient.abs().sum() > 0
+
+
 def test_ppo_still_corrects_a_bad_step_beyond_the_clip_range():
     terms, gradient = ppo(0.5, -2.0)
     assert terms.policy.item() == pytest.approx(1.5 * 2, rel=1e-6)

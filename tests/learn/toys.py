@@ -15,21 +15,21 @@ SHAPE = PolicyShape(joints=JOINTS, levels=LEVELS, image_size=SIDE)
 class ToyEnv:
     """Each joint must choose the level that its half of the image shows as a shade of grey.
 
+    Weak noise makes every image another one, final observations included. It does not depend on
+    the actions.
+
     Identity task (``recall=False``): a new image and a reward every step, truncated after
     ``length`` steps. Memory task (``recall=True``): the image is black after the first step and
     only the last action is rewarded; the episode then terminates.
 
     Args:
         staggered: environments end their first episodes at different steps.
+        facets: number of facets, one drawn per episode; with 1 they stay as they are.
     """
 
-    def __init__(self, num_envs, *, recall, length, staggered=False):
-        self.num_envs, self.recall, self.length, self.staggered = (
-            num_envs,
-            recall,
-            length,
-            staggered,
-        )
+    def __init__(self, num_envs, *, recall, length, staggered=False, facets=1):
+        self.num_envs, self.recall, self.length = num_envs, recall, length
+        self.staggered, self.facets = staggered, facets
         self.facet_ids = np.zeros(num_envs, np.int64)
 
     def reset(self, *, seed=None, options=None):
@@ -39,6 +39,7 @@ class ToyEnv:
             self._clock = np.arange(self.num_envs) % self.length
         self._draws = np.zeros((), np.int64)
         self._cue = self._draw()
+        self._draw_facets(np.ones(self.num_envs, np.bool_))
         return self._look(), {}
 
     def step(self, actions):
@@ -47,12 +48,10 @@ class ToyEnv:
         done = self._clock == self.length
         if not self.recall:
             self._cue = self._draw()
-        before = self._look()
-        if self.recall:
-            reward = np.where(done, right, 0.0)
-            self._cue = np.where(done[:, None], self._draw(), self._cue)
-        else:
-            reward = right
+        before = self._look(final=True)
+        reward = np.where(done, right, 0.0) if self.recall else right
+        self._cue = np.where(done[:, None], self._draw(), self._cue)
+        self._draw_facets(done)
         self._clock[done] = 0
         none = np.zeros_like(done)
         success = right == 1
@@ -66,11 +65,13 @@ class ToyEnv:
             "cue": self._cue.copy(),
             "draws": np.array(self._draws),
             "seed": np.array(self._seed),
+            "facets": np.array(self.facet_ids),
         }
 
     def set_state(self, state):
         self._clock, self._cue = state["clock"].copy(), state["cue"].copy()
         self._draws, self._seed = np.array(state["draws"]), int(state["seed"])
+        self.facet_ids = state["facets"].copy()
 
     def close(self):
         pass
@@ -80,7 +81,13 @@ class ToyEnv:
         random = np.random.default_rng((self._seed, int(self._draws)))
         return random.integers(0, LEVELS, (self.num_envs, JOINTS))
 
-    def _look(self):
+    def _draw_facets(self, where):
+        if self.facets > 1:
+            random = np.random.default_rng((self._seed, int(self._draws), 1))
+            drawn = random.integers(0, self.facets, self.num_envs)
+            self.facet_ids = np.where(where, drawn, self.facet_ids)
+
+    def _look(self, final=False):
         image = np.zeros((self.num_envs, SIDE, SIDE, 3), np.uint8)
         if self.recall:
             shade = np.where(self._clock[:, None] == 0, 60 + 90 * self._cue, 0)
@@ -89,7 +96,8 @@ class ToyEnv:
         half = SIDE // 2
         image[:, :, :half] = shade[:, 0, None, None, None]
         image[:, :, half:] = shade[:, 1, None, None, None]
-        return image
+        noise = np.random.default_rng((self._seed, int(self._draws), 2 + final))
+        return image + noise.integers(0, 6, image.shape, np.uint8)
 
 
 def toy_env(num_envs, **options):
