@@ -194,7 +194,8 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         Raises:
             UserError: the state belongs to another kind of environment.
         """
-        self.task.set_state(state)
+        # Run format 1 also stored which environments had ended; here none has after a step.
+        self.task.set_state({name: array for name, array in state.items() if name != "ended"})
 
     def close_extras(self, **kwargs: Any) -> None:
         """Wait for the device and report problems of the simulation."""
