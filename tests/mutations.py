@@ -163,8 +163,8 @@ POLICY = [
     (
         "no ReLU after the fully connected layer",
         "policy/policy.py",
-        "torch.relu(self.fc(x))",
-        "self.fc(x)",
+        'return self.fusion("lstm", ',
+        'return (lambda layer, _, known: self.fusion(layer, self.fc(x), known))("lstm", ',
         REFERENCE,
     ),
     (
@@ -207,9 +207,9 @@ POLICY = [
 LEARN = [
     (
         "time limit and success swapped",
-        "learn/rollout.py",
-        "self.final_value, self.terminated, self.truncated",
-        "self.final_value, self.truncated, self.terminated",
+        "learn/returns.py",
+        "final_values: Tensor, terminated: Tensor, truncated: Tensor",
+        "final_values: Tensor, truncated: Tensor, terminated: Tensor",
         UPDATE,
     ),
     (
