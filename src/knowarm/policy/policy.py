@@ -18,6 +18,7 @@ from knowarm.policy.config import PolicyConfig, PolicyShape, layer_widths
 from knowarm.policy.encoder import RELU_GAIN, ImageEncoder, orthogonal
 from knowarm.policy.fusion import FUSIONS
 from knowarm.policy.lstm import MaskedLSTM, State
+from knowarm.seeding import torch_generator
 
 MatmulPrecision = Literal["float32", "tf32", "bfloat16"]
 """Precision of matrix products; "tf32" exists on GPUs only."""
@@ -90,7 +91,7 @@ class Policy(nn.Module):
             )
         self.register_buffer("knowledge_table", table, persistent=False)
         if not self.critic.weight.is_meta:
-            self.reset_parameters(torch.Generator().manual_seed(seed))
+            self.reset_parameters(torch_generator(seed, "weights"))
 
     @property
     def uses_knowledge(self) -> bool:

@@ -60,7 +60,9 @@ class A3CWorker:
         )
         self._parameters = FlatParameters(self._policy)
         env = args.make_env(self.config.envs_per_worker, 1)
-        self._collector = Collector(env, self._policy, seed=args.seed)
+        self._collector = Collector(
+            env, self._policy, seed=args.seed, stream=(args.index, args.restarts)
+        )
         if args.state is not None:
             self._collector.set_state(args.state)
         self._rollout = Rollout(
