@@ -214,3 +214,15 @@ def test_the_untrained_policy_of_an_earlier_version_is_drawn_as_it_was(tmp_path)
     assert not torch.equal(policy.critic.weight, expected.critic.weight)
     expected.reset_parameters(torch.Generator().manual_seed(0))
     assert torch.equal(policy.critic.weight, expected.critic.weight)
+
+
+def test_each_training_seed_draws_its_own_placebo_and_keeps_it(tmp_path):
+    config = short("irb120-random-ppo", total_steps=20)
+    tables = [build(dataclasses.replace(config, seed=seed)).table for seed in range(2)]
+    assert not np.array_equal(*tables)
+    folder = train(config, tmp_path).folder
+    np.testing.assert_array_equal(folder.knowledge(), tables[0])
+    # A run goes on with the table it was started with, however a later version draws it.
+    folder.write_knowledge(tables[1])
+    resumed = train(dataclasses.replace(config, total_steps=40), tmp_path, resume=True)
+    np.testing.assert_array_equal(load_agent(resumed.folder.path).policy.knowledge_table, tables[1])

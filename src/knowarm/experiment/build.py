@@ -78,7 +78,7 @@ def build(config: ExperimentConfig) -> Parts:
         UserError: the graph lacks an object, or the sizes do not fit together.
     """
     env = ReachVectorEnv(config.env, 1)
-    embedding = scene_embedding(config.knowledge, env.facets)
+    embedding = scene_embedding(config.knowledge, env.facets, run_seed=config.seed)
     table = embedding.table(env.facets)
     shape = PolicyShape(
         joints=env.scene.num_joints,

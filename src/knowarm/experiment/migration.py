@@ -1,4 +1,4 @@
-"""Migration of stored run files from run format 1 to 2.
+"""Migration of stored run files: from run format 1 to 2, and fields added to format 2 since.
 
 Files of format 1 are converted whenever they are read; nothing is rewritten unless a run resumes.
 
@@ -13,6 +13,9 @@ metrics.csv         columns renamed
 checkpoints         description in ``meta.json``: ``network.*`` -> ``policy.config.*`` and
                     ``policy.shape.*``
 ==================  ==================================================================
+
+Fields that were added to format 2 get the meaning that the earlier version had (``earlier_values``
+of the algorithms' and the vector sources' configs).
 """
 
 import json
@@ -53,14 +56,15 @@ def migrate_config(values: Mapping[str, Any]) -> dict[str, Any]:
         values: the file's JSON object, format 1 or 2.
 
     Returns:
-        The values in format 2; values of format 2 are returned unchanged.
+        The values in format 2 with all current fields of knowledge and algorithm whose default
+        differs from what earlier versions did.
     """
     migrated = dict(values)
+    if isinstance(knowledge := values.get("knowledge"), Mapping):
+        migrated["knowledge"] = migrate_source(knowledge)
     if migrated.get("format") != 1:
         return migrated
     migrated["format"] = FORMAT
-    if isinstance(knowledge := values.get("knowledge"), Mapping):
-        migrated["knowledge"] = migrate_source(knowledge)
     if isinstance(algorithm := values.get("algorithm"), Mapping):
         migrated["algorithm"] = _renamed(algorithm, ALGORITHM_FIELDS)
     migrated["role"] = _role(values)

@@ -3,6 +3,7 @@
 import signal
 from collections.abc import Callable
 from dataclasses import dataclass
+from dataclasses import replace as replace_fields
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -79,6 +80,8 @@ def train(
         folder = RunFolder.open(path)
         folder.write_json("config.json", {"format": FORMAT, **to_dict(config)})
         migrate_checkpoints(folder.checkpoints)
+        if folder.has_checkpoint:
+            parts = replace_fields(parts, table=folder.knowledge())
     else:
         folder = RunFolder.create(path)
     policy = parts.new_policy(config.seed)
