@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from knowarm.experiment.agents import AGENTS, Role
+from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.knowledge import migrate_source
 
 FORMAT = 2
@@ -45,6 +46,9 @@ ALGORITHM_FIELDS = {
 COLUMNS = {"gradient_norm": "grad_norm", "kl": "approx_kl", "clipped": "clip_fraction"}
 """Columns of ``metrics.csv`` and ``evaluations.csv``: name in format 1 to name in format 2."""
 
+ADDED_TO_DESCRIPTIONS = {"policy.config.fc_activation": "relu"}
+"""Fields that descriptions of checkpoints lack if an earlier version wrote them."""
+
 SHAPE_FIELDS = ("joints", "levels", "image_size", "knowledge_dim", "knowledge_slots")
 """Fields of a format 1 ``network`` that belong to the policy's shape; the others are choices."""
 
@@ -62,11 +66,14 @@ def migrate_config(values: Mapping[str, Any]) -> dict[str, Any]:
     migrated = dict(values)
     if isinstance(knowledge := values.get("knowledge"), Mapping):
         migrated["knowledge"] = migrate_source(knowledge)
+    if isinstance(algorithm := values.get("algorithm"), Mapping):
+        if values.get("format") == 1:
+            algorithm = _renamed(algorithm, ALGORITHM_FIELDS)
+        entry = ALGORITHMS.get(algorithm.get("name", ""))
+        migrated["algorithm"] = {**(entry.config.earlier_values if entry else {}), **algorithm}
     if migrated.get("format") != 1:
         return migrated
     migrated["format"] = FORMAT
-    if isinstance(algorithm := values.get("algorithm"), Mapping):
-        migrated["algorithm"] = _renamed(algorithm, ALGORITHM_FIELDS)
     migrated["role"] = _role(values)
     if isinstance(policy := migrated.pop("network", None), Mapping):
         learned = values.get("knowledge", {}).get("source") == "learned"
@@ -98,7 +105,7 @@ def migrate_row(row: Mapping[str, str]) -> dict[str, str]:
 
 
 def migrate_checkpoints(folder: Path) -> None:
-    """Rewrite the descriptions of format 1 checkpoints, so that their run can resume.
+    """Rewrite the descriptions of checkpoints of earlier versions, so that their run can resume.
 
     Args:
         folder: the run's ``checkpoints`` folder.
@@ -123,6 +130,8 @@ def migrate_description(description: Mapping[str, Any]) -> dict[str, Any]:
         if group == "network":
             name = f"policy.{'shape' if field in SHAPE_FIELDS else 'config'}.{field}"
         migrated[name] = value
+    if any(name.startswith("policy.config.") for name in migrated):
+        migrated = {**ADDED_TO_DESCRIPTIONS, **migrated}
     return migrated
 
 

@@ -99,15 +99,21 @@ class Collector:
         return self._stopwatch.seconds()
 
     @torch.no_grad()
-    def collect(self, rollout: Rollout, infer: Infer | None = None) -> None:
+    def collect(
+        self, rollout: Rollout, infer: Infer | None = None, *, until_episode_end: bool = False
+    ) -> int:
         """Fill the rollout with the next T steps of all environments.
 
         Args:
             rollout: overwritten.
             infer: inference of one step; by default `infer_step` with the policy.
+            until_episode_end: stop after the first step in which an episode ends (CPU only).
+
+        Returns:
+            The number of steps t; only the rollout's first t rows are valid (`Rollout.first`).
         """
         steps, _ = rollout.shape
-        logits = []
+        logits: list[Tensor] = []
         rollout.start_h.copy_(self._state[0])
         rollout.start_c.copy_(self._state[1])
         rollout.final_value.zero_()
@@ -130,9 +136,15 @@ class Collector:
             self._start = terminated | truncated
             success = infos.get("final_info", {}).get("is_success", terminated)
             self.statistics.add(reward, self._start, success)
-        rollout.log_probability.copy_(log_probability(torch.stack(logits), rollout.action))
+            if until_episode_end and bool(self._start.any()):
+                break
+        count = len(logits)
+        rollout.log_probability[:count] = log_probability(
+            torch.stack(logits), rollout.action[:count]
+        )
         _, value, _ = self.policy.step(self._image, self.env.facet_ids, self._state, self._start)
         rollout.last_value.copy_(value)
+        return count
 
     def get_state(self) -> dict[str, np.ndarray]:
         """Return all that `set_state` needs to continue identically, environments included."""

@@ -104,7 +104,8 @@ class Policy(nn.Module):
         orthogonal(self.encoder.conv2, RELU_GAIN, generator)
         orthogonal(self.knowledge_encoder, 1.0, generator)
         self.fusion.reset_parameters(generator)
-        orthogonal(self.fc, RELU_GAIN, generator)
+        rectified = self.config.fc_activation == "relu"
+        orthogonal(self.fc, RELU_GAIN if rectified else 1.0, generator)
         orthogonal(self.memory, 1.0, generator)
         for head in self.actor.weight.data.split(self.shape.levels):
             nn.init.orthogonal_(head, self.config.actor_gain, generator=generator)
@@ -225,7 +226,10 @@ class Policy(nn.Module):
     def _features(self, patches: Tensor, knowledge: Tensor) -> Tensor:
         """Compute the inputs of the LSTM from (N, S, L) and (N, K)."""
         x = self.fusion("fc", self.encoder(patches), knowledge)
-        return self.fusion("lstm", torch.relu(self.fc(x)), knowledge)
+        features = self.fc(x)
+        if self.config.fc_activation == "relu":
+            features = torch.relu(features)
+        return self.fusion("lstm", features, knowledge)
 
     def _heads(self, hidden: Tensor, knowledge: Tensor) -> tuple[Tensor, Tensor]:
         """Compute logits (N, J, A) and values (N,) from (N, H) and (N, K)."""
