@@ -124,3 +124,13 @@ def test_checkpoints_of_format_1_belong_to_their_migrated_run(tmp_path):
     again = (best / "meta.json").read_bytes()
     migrate_checkpoints(tmp_path / "checkpoints")
     assert (best / "meta.json").read_bytes() == again
+
+
+def test_the_sums_of_a_format_1_a3c_run_are_renamed(tmp_path):
+    meta = tmp_path / "latest" / "meta.json"
+    meta.parent.mkdir()
+    window = {"updates": 3, "gradient_norm": 7.5}
+    meta.write_text(json.dumps({"description": {}, "facts": {"step": 9, "window": window}}))
+    migrate_checkpoints(tmp_path)
+    facts = json.loads(meta.read_text())["facts"]
+    assert facts == {"step": 9, "window": {"updates": 3, "grad_norm": 7.5}}

@@ -1,9 +1,5 @@
 import pytest
 
-from knowarm.experiment.agents import AGENTS
-
-KNOWLEDGE = {name: agent.knowledge for name, agent in AGENTS.items()}
-
 FACETS = [
     ("mug", "red"),
     ("mug", "blue"),

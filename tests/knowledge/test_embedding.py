@@ -19,7 +19,7 @@ from knowarm.knowledge import (
 from knowarm.knowledge.scene import scene_subgraph
 from knowarm.knowledge.vectors.placebos import RandomVectors, ShuffledGraph, WrongObject
 from knowarm.knowledge.vectors.words import WordVectors
-from tests.knowledge.conftest import KNOWLEDGE
+from tests.knowledge.helpers import KNOWLEDGE
 
 
 def test_the_papers_sizes(facets, fixed_facets):
@@ -160,7 +160,8 @@ def test_errors_name_what_is_known(facets):
 
 def test_the_same_bytes_in_any_process(facets):
     code = (
-        "import hashlib; from knowarm.knowledge import *; from tests.knowledge.conftest import *\n"
+        "import hashlib; from knowarm.knowledge import *; from tests.knowledge.conftest import FACETS\n"
+        "from tests.knowledge.helpers import KNOWLEDGE\n"
         "for n in ('full', 'full+', 'shuffled', 'wrong-object', 'random'):\n"
         "    e = scene_embedding(KNOWLEDGE[n], FACETS)\n"
         "    print(n, hashlib.sha256(e.vector.tobytes()).hexdigest(), e.sentences[0])\n"

@@ -16,7 +16,7 @@ from knowarm.knowledge.kge.split import all_triples, split_graph
 from knowarm.knowledge.kge.store import load_model, save_model
 from knowarm.knowledge.kge.train import new_model, train
 from knowarm.knowledge.vectors.graph_embedding import GraphEmbedding
-from tests.knowledge.conftest import KNOWLEDGE
+from tests.knowledge.helpers import KNOWLEDGE
 
 
 class Fixed(KgeModel):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from knowarm.knowledge.probe import _predict, _share_found, probe
-from tests.knowledge.conftest import KNOWLEDGE
+from tests.knowledge.helpers import KNOWLEDGE
 
 
 def test_full_plus_keeps_object_and_colour(facets):

@@ -10,7 +10,7 @@ from knowarm.knowledge import KnowledgeConfig, graph_of, scene_embedding, senten
 from knowarm.knowledge.scene import scene_sentences
 from knowarm.knowledge.sentence import SentenceConfig, sentence_parts
 from knowarm.knowledge.vectors.encoder import SentenceEncoder
-from tests.knowledge.conftest import KNOWLEDGE
+from tests.knowledge.helpers import KNOWLEDGE
 
 MUG = graph_of(
     [("mug", "hasColor", "light_blue"), ("mug", "isMadeOf", "ceramic"), ("mug", "isA", "cup")],

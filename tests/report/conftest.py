@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic_study import LABEL, Size, Truth, env_of, write_evaluation, write_study
 
 from knowarm.report import write_report
+from tests.report.synthetic_study import LABEL, Size, Truth, env_of, write_evaluation, write_study
 
 
 @dataclass(frozen=True)

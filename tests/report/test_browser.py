@@ -5,9 +5,9 @@ import shutil
 from pathlib import Path
 
 import pytest
-from synthetic_study import Size, Truth, write_study
 
 from knowarm.report import write_report
+from tests.report.synthetic_study import Size, Truth, write_study
 
 pytestmark = pytest.mark.browser
 

@@ -7,7 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic_study import (
+
+from knowarm.errors import UserError
+from knowarm.report import write_report
+from knowarm.report.collect import collect
+from tests.report.synthetic_study import (
     LABEL,
     Size,
     Truth,
@@ -17,10 +21,6 @@ from synthetic_study import (
     write_run,
     write_study,
 )
-
-from knowarm.errors import UserError
-from knowarm.report import write_report
-from knowarm.report.collect import collect
 
 LIGHT = Size(points=8, tables=False)
 DAMAGED = '{"format": 2, "agent": "full", "seed": 0, "env": {}, "algorithm": "ppo"}'

@@ -6,9 +6,9 @@ from pathlib import Path
 from urllib.parse import unquote
 
 import pytest
-from synthetic_study import Size, Truth, robot_title, write_study
 
 from knowarm.report import write_report
+from tests.report.synthetic_study import Size, Truth, robot_title, write_study
 
 
 class Reader(HTMLParser):

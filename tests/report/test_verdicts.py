@@ -4,13 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic_study import Size, Truth, write_study
 
 from knowarm.report.blocks import Verdict
 from knowarm.report.claims import claims, scores
 from knowarm.report.collect import collect
 from knowarm.report.verdict import finding, findings
 from knowarm.statistics import holm, welch
+from tests.report.synthetic_study import Size, Truth, write_study
 
 LIGHT = Size(points=12, tables=False)
 

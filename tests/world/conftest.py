@@ -1,7 +1,5 @@
 """Small environments: real ones except for images of 16 x 16 pixels."""
 
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -9,10 +7,7 @@ from gymnasium.vector import AutoresetMode
 
 from knowarm.world.config import EnvConfig
 from knowarm.world.vector_env import ReachVectorEnv
-
-MakeEnv = Callable[..., ReachVectorEnv]
-
-EXAMPLES = Path(__file__).parents[2] / "examples" / "own_robot"
+from tests.world.helpers import MakeEnv
 
 
 @pytest.fixture
@@ -29,17 +24,3 @@ def make_env() -> MakeEnv:
         return ReachVectorEnv(config, num_envs, num_threads, autoreset)
 
     return make
-
-
-def write_robot(path: Path, **changes: str) -> Path:
-    """Write the example robot's file with fields changed; an empty value removes the field."""
-    lines = [f"{name} = {value}" for name, value in changes.items() if value]
-    for line in (EXAMPLES / "scara.toml").read_text().splitlines():
-        name = line.partition("=")[0].strip()
-        if name == "mjcf" and "mjcf" not in changes:
-            line = f'mjcf = "{EXAMPLES / "scara.xml"}"'
-        if name not in changes:
-            lines.append(line)
-    out = path / "robot.toml"
-    out.write_text("\n".join(lines))
-    return out

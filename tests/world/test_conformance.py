@@ -114,7 +114,7 @@ def test_results_have_the_promised_types(face: Face, robot: str) -> None:
         assert reward.dtype == np.float64
         return
     assert later.data_ptr() != images.data_ptr(), "a new image at every call"
-    assert host(reward).dtype == env.simulation.float_dtype
+    assert host(reward).dtype == host(env.simulation.tcp_position).dtype
     assert later.dtype == torch.uint8
     assert env.max_episode_steps == EPISODE_STEPS
     results = (later, reward, terminated, truncated, env.facet_ids, infos["distance"])

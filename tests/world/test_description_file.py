@@ -4,13 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import EXAMPLES, MakeEnv, write_robot
 
 from knowarm.errors import UserError
 from knowarm.world.agents.scripted import OracleAgent
 from knowarm.world.description_file import read_robot, read_target
 from knowarm.world.episodes import evaluation_episodes
 from knowarm.world.play import play
+from tests.world.helpers import EXAMPLES, MakeEnv, write_robot
 
 
 def test_example_robot_and_target_can_be_solved(

@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
-from conftest import MakeEnv
 
 from knowarm.world.agents.scripted import OracleAgent, RandomAgent, ZeroAgent
 from knowarm.world.episodes import evaluation_episodes
 from knowarm.world.objects import TARGETS
 from knowarm.world.play import play
 from knowarm.world.robots import ROBOTS
+from tests.world.helpers import MakeEnv
 
 
 @pytest.mark.parametrize("target", TARGETS)

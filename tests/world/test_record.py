@@ -2,13 +2,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import MakeEnv
 from PIL import Image
 
 from knowarm.errors import UserError
 from knowarm.world.agents.scripted import OracleAgent
 from knowarm.world.episodes import evaluation_episodes
 from knowarm.world.record import record_episode, write_strip, write_video
+from tests.world.helpers import MakeEnv
 
 
 @pytest.fixture

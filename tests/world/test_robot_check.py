@@ -3,10 +3,10 @@
 from pathlib import Path
 
 import pytest
-from conftest import EXAMPLES, write_robot
 
 from knowarm.world.robot_check import check_robot
 from knowarm.world.robots import ROBOTS
+from tests.world.helpers import EXAMPLES, write_robot
 
 
 def test_example_robot_passes_all_checks() -> None:

@@ -3,7 +3,8 @@ import gc
 import numpy as np
 import psutil
 import pytest
-from conftest import MakeEnv
+
+from tests.world.helpers import MakeEnv
 
 STEPS = 1_000_000  # over both robots
 MAX_GROWTH_MIB = 30

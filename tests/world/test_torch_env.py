@@ -142,3 +142,12 @@ def test_make_vec_takes_a_device() -> None:
 def test_opengl_is_refused_with_warp() -> None:
     with pytest.raises(UserError, match="renderer 'opengl' draws on the CPU"):
         TorchReachVectorEnv(EnvConfig(renderer="opengl"), 2, simulator="warp")
+
+
+def test_a_state_of_run_format_1_is_restored() -> None:
+    env = TorchReachVectorEnv(EnvConfig(image_size=16), 2)
+    env.reset(seed=3)
+    state = env.get_state()
+    env.step(torch.ones((2, 6), dtype=torch.int64))
+    env.set_state(state | {"ended": np.zeros(2, dtype=np.bool_)})
+    assert (env.joint_targets.numpy() == state["joint_targets"]).all()

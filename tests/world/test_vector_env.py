@@ -1,13 +1,13 @@
 import gymnasium
 import numpy as np
 import pytest
-from conftest import MakeEnv
 from gymnasium.vector import AutoresetMode
 
 from knowarm.errors import UserError
 from knowarm.world.robots import ROBOTS
 from knowarm.world.tasks.reach import ACTION_LEVELS
 from knowarm.world.vector_env import ReachVectorEnv
+from tests.world.helpers import MakeEnv
 
 ALL_MODES = (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED)
 

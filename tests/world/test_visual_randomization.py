@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-from conftest import MakeEnv
 from scipy.spatial.transform import Rotation
 
 from knowarm.errors import UserError
@@ -9,6 +8,7 @@ from knowarm.world.episodes import draw_episodes, evaluation_episodes
 from knowarm.world.held_out import HeldOut
 from knowarm.world.scene import load_scene
 from knowarm.world.visual_randomization import VisualRandomization, rotations
+from tests.world.helpers import MakeEnv
 
 TARGETS = ("mug", "bottle", "cereal_box")
 EVERYTHING = VisualRandomization(

@@ -27,7 +27,7 @@ NUMBER = 4
 NO_GEOM = -1
 
 TEST_OPERATIONS = {PLANE: 25, SPHERE: 64, CAPSULE: 164, ELLIPSOID: 80, CYLINDER: 74, BOX: 56}
-"""Operations of one ray-geom intersection, by geom type, counted in ``render/geometry.py``.
+"""Operations of one ray-geom intersection, by geom type, counted in ``render/intersections.py``.
 
 Each addition, multiplication, division, square root, comparison, minimum or selection counts as
 one; 12 of them transform the ray into the geom's frame. Triangles of meshes are not counted."""

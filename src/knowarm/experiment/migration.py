@@ -10,8 +10,8 @@ config.json         ``network`` -> ``policy``; fields of ``algorithm`` renamed; 
 provenance.json     ``network`` -> ``policy.config`` and ``policy.shape``; ``knowledge.config`` as
                     in config.json
 metrics.csv         columns renamed
-checkpoints         description in ``meta.json``: ``network.*`` -> ``policy.config.*`` and
-                    ``policy.shape.*``
+checkpoints         ``meta.json``: ``network.*`` -> ``policy.config.*`` and ``policy.shape.*`` in
+                    the description; sums of A3C's log interval renamed as the columns
 ==================  ==================================================================
 
 Fields that were added to format 2 get the meaning that the earlier version had (``earlier_values``
@@ -105,7 +105,7 @@ def migrate_row(row: Mapping[str, str]) -> dict[str, str]:
 
 
 def migrate_checkpoints(folder: Path) -> None:
-    """Rewrite the descriptions of checkpoints of earlier versions, so that their run can resume.
+    """Rewrite the ``meta.json`` of checkpoints of earlier versions, so that their run can resume.
 
     Args:
         folder: the run's ``checkpoints`` folder.
@@ -113,12 +113,16 @@ def migrate_checkpoints(folder: Path) -> None:
     for path in folder.glob("*/meta.json"):
         try:
             meta = json.loads(path.read_text())
-            description = migrate_description(meta["description"])
-        except (OSError, ValueError, KeyError, TypeError):
+            migrated = {
+                **meta,
+                "description": migrate_description(meta["description"]),
+                "facts": _migrate_facts(meta["facts"]),
+            }
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
             continue  # damaged: reading the checkpoint reports it
-        if description != meta["description"]:
+        if migrated != meta:
             temporary = path.with_name("meta.json.tmp")
-            temporary.write_text(json.dumps({**meta, "description": description}, indent=2))
+            temporary.write_text(json.dumps(migrated, indent=2))
             temporary.replace(path)
 
 
@@ -133,6 +137,12 @@ def migrate_description(description: Mapping[str, Any]) -> dict[str, Any]:
     if any(name.startswith("policy.config.") for name in migrated):
         migrated = {**ADDED_TO_DESCRIPTIONS, **migrated}
     return migrated
+
+
+def _migrate_facts(facts: Mapping[str, Any]) -> dict[str, Any]:
+    """Rename the sums of A3C's current log interval, which have the names of its columns."""
+    window = facts.get("window")
+    return {**facts, "window": _renamed(window, COLUMNS)} if window else dict(facts)
 
 
 def _role(values: Mapping[str, Any]) -> Role:

@@ -21,7 +21,7 @@ from knowarm.world.backends.warp import WarpSimulator
 from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import EpisodeSource
 from knowarm.world.render.renderer import TorchRenderer, make_renderer
-from knowarm.world.tasks.reach import ACTION_LEVELS, ReachTask
+from knowarm.world.tasks.reach import ACTION_LEVELS, MASKS, ReachTask
 from knowarm.world.vector_env import describe, draw_images
 
 
@@ -92,6 +92,7 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         self._final_images = torch.zeros(shape, dtype=torch.uint8, device=self.device)
         self.task = ReachTask(scene, config, self.simulation)
         self.facets = self.task.facets
+        self._everywhere = torch.ones(num_envs, dtype=torch.bool, device=self.device)
 
     @cached_property
     def observation_space(self) -> spaces.Box:  # type: ignore[override]
@@ -141,7 +142,7 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         if isinstance(mask := options.get("reset_mask"), Tensor):
             options["reset_mask"] = mask.cpu().numpy()
         self.task.reset(seed, options)
-        return self._draw(), _tensors(self.task.infos(self.task.everywhere))
+        return self._draw(), self._infos(self._everywhere)
 
     def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
         """Play one step in every environment.
@@ -164,14 +165,15 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         outcome = task.outcome()
         ended = outcome.ended
         self._draw_final(outcome.truncated)
-        before = task.infos(ended)
+        final = infos = self._infos(_tensor(ended))
         selection = task.select_where(ended)
         if not selection.is_empty:
             task.start_next(selection)
-        infos = _tensors(task.infos(task.everywhere)) | {
+            infos = self._infos(self._everywhere)
+        extra = {
             "final_obs": self._final_images,
             "_final_obs": _tensor(outcome.truncated),
-            "final_info": _tensors(before),
+            "final_info": final,
             "_final_info": _tensor(ended),
         }
         return (
@@ -179,7 +181,7 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
             _tensor(outcome.reward),
             _tensor(outcome.terminated),
             _tensor(outcome.truncated),
-            infos,
+            infos | dict.fromkeys(MASKS, self._everywhere) | extra,
         )
 
     def get_state(self) -> dict[str, NDArray[Any]]:
@@ -192,11 +194,17 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         Raises:
             UserError: the state belongs to another kind of environment.
         """
-        self.task.set_state(state)
+        # Run format 1 also stored which environments had ended; here none has after a step.
+        self.task.set_state({name: array for name, array in state.items() if name != "ended"})
 
     def close_extras(self, **kwargs: Any) -> None:
         """Wait for the device and report problems of the simulation."""
         self.simulation.close()
+
+    def _infos(self, mask: Tensor) -> dict[str, Any]:
+        """Return the metrics of the current state as tensors, each with a mask (n,)."""
+        metrics = {name: _tensor(values) for name, values in self.task.metrics().items()}
+        return metrics | dict.fromkeys(MASKS, mask)
 
     def _draw(self) -> Tensor:
         """Draw all environments, into a new tensor."""
@@ -232,14 +240,16 @@ def check_actions(actions: Any, shape: tuple[int, int], device: torch.device, le
         UserError: no int64 tensor of this shape (n, J) on the device; on the CPU also a value
             outside 0 to levels - 1.
     """
-    expected = (
-        f"actions must be an int64 tensor of shape {shape} (environments, joints) on {device}"
+    fits = isinstance(actions, Tensor) and (
+        (tuple(actions.shape), actions.dtype, actions.device) == (shape, torch.int64, device)
     )
-    if not isinstance(actions, Tensor):
-        raise UserError(f"{expected}, got {type(actions).__name__}.")
-    if (tuple(actions.shape), actions.dtype, actions.device) != (shape, torch.int64, device):
+    if not fits:
+        given = type(actions).__name__
+        if isinstance(actions, Tensor):
+            given = f"{actions.dtype} of shape {tuple(actions.shape)} on {actions.device}"
         raise UserError(
-            f"{expected}, got {actions.dtype} of shape {tuple(actions.shape)} on {actions.device}."
+            f"actions must be an int64 tensor of shape {shape} (environments, joints) on {device}, "
+            f"got {given}."
         )
     if device.type == "cpu":
         check_action_range(actions.numpy(), levels)
@@ -248,8 +258,3 @@ def check_actions(actions: Any, shape: tuple[int, int], device: torch.device, le
 def _tensor(array: Array) -> Tensor:
     """Return an array as a tensor of the same memory, and a tensor as it is."""
     return array if isinstance(array, Tensor) else torch.from_numpy(array)
-
-
-def _tensors(infos: dict[str, Array]) -> dict[str, Tensor]:
-    """Return the arrays of infos as tensors."""
-    return {name: _tensor(values) for name, values in infos.items()}

@@ -14,7 +14,7 @@ from knowarm.world.backends.mujoco import MujocoSimulator
 from knowarm.world.config import EnvConfig
 from knowarm.world.render.renderer import Renderer, make_renderer
 from knowarm.world.scene import Scene, load_scene
-from knowarm.world.tasks.reach import ACTION_LEVELS, ReachTask
+from knowarm.world.tasks.reach import ACTION_LEVELS, MASKS, ReachTask
 
 RENDER_SIZE = 480
 """Width and height of the images that ``render`` returns [px]."""
@@ -206,11 +206,10 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
 
     def _infos(self) -> dict[str, Any]:
         """Copy the metrics of the current state, each with its mask."""
-        everywhere = np.ones(self.num_envs, dtype=np.bool_)
-        infos = self.task.infos(everywhere)
+        infos = self.task.metrics()
         for name in ("target", "colour"):  # the task keeps these until the episode ends
             infos[name] = infos[name].copy()
-        return infos
+        return infos | dict.fromkeys(MASKS, np.ones(self.num_envs, dtype=np.bool_))
 
     def _final_infos(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
         """Return last images and metrics of the episodes that ended, as Gymnasium defines them."""
@@ -229,7 +228,7 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
         }
 
 
-def describe(env: VectorEnv[Any, Any, Any], config: EnvConfig, num_envs: int) -> Scene:
+def describe(env: Any, config: EnvConfig, num_envs: int) -> Scene:
     """Load the scene of a config and set the attributes that both vector environments have.
 
     Raises:

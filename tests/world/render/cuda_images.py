@@ -1,17 +1,18 @@
 """Program that compares images of the CPU and CUDA ray casters; it fails if they differ.
 
 It is a program of its own because an environment variable selects Numba's simulator before Numba
-is first imported: ``NUMBA_ENABLE_CUDASIM=1 python cuda_images.py SIDE STATES``.
+is first imported:
+``NUMBA_ENABLE_CUDASIM=1 python -m tests.world.render.cuda_images SIDE STATES``.
 """
 
 import sys
 
 import numpy as np
 from numba import cuda
-from raycast_scenes import CAMERA, every_primitive, mesh_scene, random_states
 
 from knowarm.world.render import Raycaster
 from knowarm.world.render.cuda import CudaRaycaster
+from tests.world.render.raycast_scenes import CAMERA, every_primitive, mesh_scene, random_states
 
 
 def main(side: int, count: int) -> None:

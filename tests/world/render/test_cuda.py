@@ -7,17 +7,19 @@ from pathlib import Path
 
 import numba.cuda
 import pytest
-from raycast_scenes import CAMERA, every_primitive
 
 from knowarm.errors import UserError
 from knowarm.world.render.cuda import CudaRaycaster
+from tests.world.render.raycast_scenes import CAMERA, every_primitive
 
-PROGRAM = Path(__file__).parent / "cuda_images.py"
+PROGRAM = "tests.world.render.cuda_images"
+ROOT = Path(__file__).parents[3]
 
 
 def compare(side: int, states: int, simulate: bool) -> None:
     done = subprocess.run(
-        [sys.executable, str(PROGRAM), str(side), str(states)],
+        [sys.executable, "-m", PROGRAM, str(side), str(states)],
+        cwd=ROOT,
         env=os.environ | {"NUMBA_ENABLE_CUDASIM": str(int(simulate))},
         capture_output=True,
         text=True,

@@ -3,7 +3,9 @@
 import mujoco
 import numpy as np
 import pytest
-from raycast_scenes import (
+
+from knowarm.world.render import Raycaster
+from tests.world.render.raycast_scenes import (
     CAMERA,
     States,
     camera_rays,
@@ -12,8 +14,6 @@ from raycast_scenes import (
     random_states,
     robot_scene,
 )
-
-from knowarm.world.render import Raycaster
 
 SIDE = 64
 

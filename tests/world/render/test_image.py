@@ -7,11 +7,17 @@ import mujoco
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from opengl_images import NoOpenGL, opengl_images
-from raycast_scenes import CAMERA, every_primitive, mesh_scene, random_states, robot_scene
 from scipy.ndimage import gaussian_filter
 
 from knowarm.world.render import Raycaster
+from tests.world.render.opengl_images import NoOpenGL, opengl_images
+from tests.world.render.raycast_scenes import (
+    CAMERA,
+    every_primitive,
+    mesh_scene,
+    random_states,
+    robot_scene,
+)
 
 SIDE = 64
 STATES = 40

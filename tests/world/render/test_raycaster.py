@@ -3,10 +3,10 @@
 import mujoco
 import numpy as np
 import pytest
-from raycast_scenes import CAMERA, every_primitive, random_states, robot_scene
 
 from knowarm.errors import UserError
 from knowarm.world.render import Raycaster
+from tests.world.render.raycast_scenes import CAMERA, every_primitive, random_states, robot_scene
 
 SMALL = 40
 

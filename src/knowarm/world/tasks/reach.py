@@ -23,6 +23,9 @@ from knowarm.world.tasks.reward import is_success, measure, reward_terms
 ACTION_LEVELS = (0.0, 1.0, -1.0, 0.1, -0.1, 0.01, -0.01)
 """Joint increments of the seven actions, in units of MPI (paper, table 1)."""
 
+MASKS = ("_distance", "_angle", "_target", "_colour", "_facet", "_is_success")
+"""Names of Gymnasium's masks of the infos."""
+
 _STATE = (
     "streams",
     "next_episode",
@@ -117,7 +120,6 @@ class ReachTask:
         self.grasp_position = place(np.zeros((n, 3), dtype=real))
         self.grasp_matrix = place(np.zeros((n, 9), dtype=real))
         self.shown = Shown(None, None, None, None)
-        self.everywhere = place(np.ones(n, dtype=np.bool_))
         self._all = arrays.select(np.arange(n), n)
         self.start_next(self._all)
 
@@ -182,9 +184,9 @@ class ReachTask:
         truncated = (self.steps >= self.config.max_episode_steps) & ~self.success
         return Outcome(reward, self.success, truncated)
 
-    def infos(self, mask: Array) -> dict[str, Array]:
-        """Return the metrics of the current state, (n,) each, with a mask ``_name`` per name."""
-        infos = {
+    def metrics(self) -> dict[str, Array]:
+        """Return the infos of the current state, without masks, (n,) each."""
+        return {
             "distance": self.distance,
             "angle": self.angle,
             "target": self.target,
@@ -192,7 +194,6 @@ class ReachTask:
             "facet": self.facet_ids,
             "is_success": self.success,
         }
-        return infos | {f"_{name}": mask for name in infos}
 
     def get_state(self) -> dict[str, NDArray[Any]]:
         """Copy all that determines the following steps to the host."""
