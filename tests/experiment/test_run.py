@@ -13,6 +13,7 @@ from knowarm.experiment.config import ExperimentConfig, InterimConfig
 from knowarm.experiment.registry import experiment_config, experiment_names
 from knowarm.experiment.run import train
 from knowarm.experiment.run_folder import RunFolder, read_csv
+from knowarm.learn.checkpoint import read_checkpoint
 from knowarm.learn.config import A3CConfig, PPOConfig
 
 
@@ -192,3 +193,36 @@ def test_a_run_that_ended_before_its_first_checkpoint_begins_anew(tmp_path):
     assert curve(again.folder) == curve(whole.folder)
     evaluations = [read_csv(run.folder.evaluations_path) for run in (again, whole)]
     assert evaluations[0] == evaluations[1]
+
+
+def test_training_seeds_share_neither_actions_nor_minibatches(tmp_path):
+    states = []
+    for seed in range(2):
+        folder = train(short(total_steps=20, seed=seed), tmp_path).folder
+        states.append(read_checkpoint(folder.checkpoints / "latest").state)
+    for name in ("collector/generator", "order", "collector/env/streams"):
+        assert not np.array_equal(states[0][name], states[1][name]), name
+
+
+def test_the_untrained_policy_of_an_earlier_version_is_drawn_as_it_was(tmp_path):
+    folder = train(short(total_steps=20), tmp_path).folder
+    provenance = folder.provenance()
+    del provenance["seed_derivation"]
+    folder.write_json("provenance.json", provenance)
+    policy = load_agent(folder.path, which="untrained").policy
+    expected = build(short()).new_policy(0)
+    assert not torch.equal(policy.critic.weight, expected.critic.weight)
+    expected.reset_parameters(torch.Generator().manual_seed(0))
+    assert torch.equal(policy.critic.weight, expected.critic.weight)
+
+
+def test_each_training_seed_draws_its_own_placebo_and_keeps_it(tmp_path):
+    config = short("irb120-random-ppo", total_steps=20)
+    tables = [build(dataclasses.replace(config, seed=seed)).table for seed in range(2)]
+    assert not np.array_equal(*tables)
+    folder = train(config, tmp_path).folder
+    np.testing.assert_array_equal(folder.knowledge(), tables[0])
+    # A run goes on with the table it was started with, however a later version draws it.
+    folder.write_knowledge(tables[1])
+    resumed = train(dataclasses.replace(config, total_steps=40), tmp_path, resume=True)
+    np.testing.assert_array_equal(load_agent(resumed.folder.path).policy.knowledge_table, tables[1])

@@ -1,13 +1,6 @@
 import pytest
 
-FACETS = [
-    ("mug", "red"),
-    ("mug", "blue"),
-    ("bottle", "yellow"),
-    ("bottle", "purple"),
-    ("cereal_box", "brown"),
-    ("cereal_box", "light_blue"),
-]
+from tests.knowledge.helpers import FACETS
 
 
 @pytest.fixture

@@ -4,3 +4,13 @@ from knowarm.experiment.agents import AGENTS
 
 KNOWLEDGE = {name: agent.knowledge for name, agent in AGENTS.items()}
 """Knowledge of every registered agent, by the agent's name."""
+
+FACETS = [
+    ("mug", "red"),
+    ("mug", "blue"),
+    ("bottle", "yellow"),
+    ("bottle", "purple"),
+    ("cereal_box", "brown"),
+    ("cereal_box", "light_blue"),
+]
+"""The task's six facets (colours randomized)."""

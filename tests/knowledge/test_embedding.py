@@ -7,8 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from knowarm.config import to_dict
 from knowarm.errors import UserError
-from knowarm.knowledge import KnowledgeConfig, scene_embedding, scene_sentences
+from knowarm.knowledge import (
+    FULL,
+    KnowledgeConfig,
+    migrate_source,
+    scene_embedding,
+    scene_sentences,
+)
 from knowarm.knowledge.scene import scene_subgraph
 from knowarm.knowledge.vectors.placebos import RandomVectors, ShuffledGraph, WrongObject
 from knowarm.knowledge.vectors.words import WordVectors
@@ -91,6 +98,36 @@ def test_the_seed_decides_a_placebo(facets):
         assert (vector(source, 1) != vector(source, 2)).any()
 
 
+@pytest.mark.parametrize("kind", [RandomVectors, ShuffledGraph, WrongObject])
+def test_placebos_are_drawn_anew_per_training_seed_and_draw(facets, kind):
+    def vector(draw, run_seed, seed=0):
+        config = KnowledgeConfig(detail="full", source=kind(draw=draw), seed=seed)
+        return scene_embedding(config, facets, run_seed=run_seed).vector.tobytes()
+
+    drawn = [vector(draw, run_seed) for draw in range(2) for run_seed in range(3)]
+    # Few objects have as many colours as those of the task: two draws of them can be equal.
+    assert len(set(drawn)) >= (4 if kind is WrongObject else len(drawn))
+    assert vector(1, 2) == drawn[5]
+    # Without a number all training seeds share one placebo, as in earlier versions.
+    assert vector(None, 1) == vector(None, 2) != vector(None, 1, seed=1)
+    with pytest.raises(UserError, match="draw must be 0 or more"):
+        kind(draw=-1)
+
+
+def test_real_vectors_do_not_depend_on_the_training_seed(facets):
+    vectors = [scene_embedding(FULL, facets, run_seed=seed).vector for seed in range(2)]
+    np.testing.assert_array_equal(*vectors)
+
+
+def test_the_placebos_of_earlier_versions_are_the_same_for_all_training_seeds():
+    for source in ("random", {"kind": "random"}):
+        stored = migrate_source({"detail": "full", "source": source})
+        assert stored["source"]["draw"] is None
+    drawn = {"detail": "full", "source": to_dict(RandomVectors(draw=3))}
+    assert migrate_source(drawn) == drawn
+    assert migrate_source({"source": {"kind": "onehot"}}) == {"source": {"kind": "onehot"}}
+
+
 def test_wrong_objects_are_not_in_the_task(facets):
     for sentence in scene_sentences(KNOWLEDGE["wrong-object"], facets).values():
         assert sentence.split()[0] not in ("mug", "bottle", "cereal")
@@ -124,7 +161,8 @@ def test_errors_name_what_is_known(facets):
 
 def test_the_same_bytes_in_any_process(facets):
     code = (
-        "import hashlib; from knowarm.knowledge import *; from tests.knowledge.helpers import *\n"
+        "import hashlib; from knowarm.knowledge import *; "
+        "from tests.knowledge.helpers import FACETS, KNOWLEDGE\n"
         "for n in ('full', 'full+', 'shuffled', 'wrong-object', 'random'):\n"
         "    e = scene_embedding(KNOWLEDGE[n], FACETS)\n"
         "    print(n, hashlib.sha256(e.vector.tobytes()).hexdigest(), e.sentences[0])\n"

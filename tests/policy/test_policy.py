@@ -287,3 +287,16 @@ def test_a_fusion_is_one_class_and_one_entry(monkeypatch):
     logits, _, _ = policy.unroll(image, facet, policy.initial_state(B), start)
     assert logits.shape == (T, B, 2, 3)
     assert policy.memory.weight_ih.shape[1] == 16 + 2 * K
+
+
+@pytest.mark.parametrize("activation", ["relu", "none"])
+def test_the_activation_after_the_fully_connected_layer(activation):
+    policy = make_policy("none", fc_activation=activation)
+    patches = policy.patches(inputs()[0][0])
+    features = policy._features(patches, torch.zeros(B, 0))
+    plain = policy.fc(policy.encoder(patches))
+    assert (plain < 0).any()
+    assert torch.equal(features, plain.clamp(min=0) if activation == "relu" else plain)
+    gain = 2.0 if activation == "relu" else 1.0
+    product = policy.fc.weight @ policy.fc.weight.T
+    torch.testing.assert_close(product, gain * torch.eye(16), rtol=0, atol=1e-5)

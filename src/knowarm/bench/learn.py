@@ -197,6 +197,7 @@ def a3c_row(config: LearnBenchConfig, name: str, *, workers: int, envs_per_worke
     a3c = A3CConfig(
         workers=workers,
         envs_per_worker=envs_per_worker,
+        rollout_ends_with_episode=envs_per_worker == 1,
         # One environment per worker is the paper's setting, trained in the paper's precision.
         matmul_precision="float32" if envs_per_worker == 1 else "auto",
         log_every_steps=50 * envs_per_worker,

@@ -50,7 +50,8 @@ class Algorithm:
     about: str
     """One line for ``knowarm list``."""
     config: AlgorithmConfig
-    """Default hyperparameters; the value of their literal ``name`` is the name in the registry."""
+    """Default hyperparameters; their literal ``name`` is the registry's name of the trainer.
+    Another entry may hold other values of the same config, under a name of its own."""
     make_trainer: Callable[[TrainerInputs], Trainer]
     """Builds a trainer."""
     total_steps: int
@@ -90,7 +91,29 @@ ALGORITHMS: dict[str, Algorithm] = {
         config=A3CConfig(),
         make_trainer=_make_a3c,
         total_steps=70_000_000,
-        policy={"pixel_shift": 0.0, "pixel_scale": 1.0},
+        policy={"pixel_shift": 0.0, "pixel_scale": 1.0, "fc_activation": "none"},
+    ),
+    "a3c-tuned": Algorithm(
+        about="A3C with few batched workers and PPO's discount, rewards and pixels; on CPU",
+        config=A3CConfig(
+            workers=2,
+            envs_per_worker=32,
+            rollout_steps=25,
+            rollout_ends_with_episode=False,
+            bootstrap_at_time_limit=True,
+            learning_rate=7e-4,
+            rmsprop_eps=1e-5,
+            gamma=0.95,
+            gae_lambda=0.95,
+            vf_coef=0.5,
+            ent_coef=0.003,
+            reward_scale=0.05,
+            max_grad_norm=0.5,
+            matmul_precision="auto",
+        ),
+        make_trainer=_make_a3c,
+        total_steps=10_000_000,
+        policy={"pixel_shift": 0.5, "pixel_scale": 4.0},
     ),
 }
 """Every algorithm by name; the first is the demo's."""

@@ -15,12 +15,17 @@ from knowarm.experiment.run_folder import RunFolder
 from knowarm.knowledge.embedding import SceneEmbedding, scene_embedding
 from knowarm.learn import TorchVectorEnv, read_checkpoint
 from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
+from knowarm.seeding import torch_generator
 from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import evaluation_episodes
 from knowarm.world.play import EpisodeResults, play
 from knowarm.world.tasks.reach import ACTION_LEVELS
 from knowarm.world.torch_env import TorchReachVectorEnv
 from knowarm.world.vector_env import ReachVectorEnv
+
+SEED_DERIVATION = "seed sequence"
+"""Value of ``seed_derivation`` in ``provenance.json``. Runs of earlier versions have none: their
+weights were drawn from the seed itself."""
 
 Which = Literal["best", "latest", "untrained"]
 """Policy of a run: of the best interim evaluation, the latest, or the initial weights."""
@@ -73,7 +78,7 @@ def build(config: ExperimentConfig) -> Parts:
         UserError: the graph lacks an object, or the sizes do not fit together.
     """
     env = ReachVectorEnv(config.env, 1)
-    embedding = scene_embedding(config.knowledge, env.facets)
+    embedding = scene_embedding(config.knowledge, env.facets, run_seed=config.seed)
     table = embedding.table(env.facets)
     shape = PolicyShape(
         joints=env.scene.num_joints,
@@ -102,10 +107,12 @@ class InterimFactory:
     Attributes:
         env: the task, with the success thresholds of training.
         interim: number and seed of the episodes.
+        seed: of the run; sampled actions depend on it, the episodes do not.
     """
 
     env: EnvConfig
     interim: InterimConfig
+    seed: int
 
     def __call__(self) -> Callable[[Policy], dict[str, float]]:
         """Make the environments, draw the episodes, and return the evaluating function."""
@@ -114,7 +121,7 @@ class InterimFactory:
         episodes = evaluation_episodes(env.scene, self.env, interim.episodes, interim.seed)
 
         def evaluate(policy: Policy) -> dict[str, float]:
-            generator = torch.Generator().manual_seed(interim.seed)
+            generator = torch_generator(self.seed, "interim_actions")
             agent = PolicyAgent(policy, greedy=interim.greedy, generator=generator)
             return interim_numbers(play(agent, env, episodes), self.env.success_distance_m)
 
@@ -184,7 +191,8 @@ def load_agent(
     """
     folder = RunFolder.open(path)
     config = folder.experiment()
-    stored = folder.provenance()["policy"]
+    provenance = folder.provenance()
+    stored = provenance["policy"]
     checkpoint = None if which == "untrained" else read_checkpoint(folder.checkpoints / which)
     choices = from_dict(PolicyConfig, stored["config"], where="policy.config")
     if choices.wide and checkpoint:
@@ -199,6 +207,8 @@ def load_agent(
     if checkpoint:
         step = int(checkpoint.facts["step"])
         _load_parameters(policy, checkpoint.policy, folder.checkpoints / which)
+    elif "seed_derivation" not in provenance:
+        policy.reset_parameters(torch.Generator().manual_seed(config.seed))
     policy.eval()
     agent = PolicyAgent(policy, greedy=greedy, generator=torch.Generator().manual_seed(seed))
     return TrainedAgent(agent, policy, config, folder, step, which)

@@ -1,4 +1,4 @@
-"""Migration of stored run files from run format 1 to 2.
+"""Migration of stored run files: from run format 1 to 2, and fields added to format 2 since.
 
 Files of format 1 are converted whenever they are read; nothing is rewritten unless a run resumes.
 
@@ -13,6 +13,9 @@ metrics.csv         columns renamed
 checkpoints         ``meta.json``: ``network.*`` -> ``policy.config.*`` and ``policy.shape.*`` in
                     the description; sums of A3C's log interval renamed as the columns
 ==================  ==================================================================
+
+Fields that were added to format 2 get the meaning that the earlier version had (``earlier_values``
+of the algorithms' and the vector sources' configs).
 """
 
 import json
@@ -21,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from knowarm.experiment.agents import AGENTS, Role
+from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.knowledge import migrate_source
 
 FORMAT = 2
@@ -42,6 +46,9 @@ ALGORITHM_FIELDS = {
 COLUMNS = {"gradient_norm": "grad_norm", "kl": "approx_kl", "clipped": "clip_fraction"}
 """Columns of ``metrics.csv`` and ``evaluations.csv``: name in format 1 to name in format 2."""
 
+ADDED_TO_DESCRIPTIONS = {"policy.config.fc_activation": "relu"}
+"""Fields that descriptions of checkpoints lack if an earlier version wrote them."""
+
 SHAPE_FIELDS = ("joints", "levels", "image_size", "knowledge_dim", "knowledge_slots")
 """Fields of a format 1 ``network`` that belong to the policy's shape; the others are choices."""
 
@@ -53,16 +60,20 @@ def migrate_config(values: Mapping[str, Any]) -> dict[str, Any]:
         values: the file's JSON object, format 1 or 2.
 
     Returns:
-        The values in format 2; values of format 2 are returned unchanged.
+        The values in format 2 with all current fields of knowledge and algorithm whose default
+        differs from what earlier versions did.
     """
     migrated = dict(values)
-    if migrated.get("format") != 1:
-        return migrated
-    migrated["format"] = FORMAT
     if isinstance(knowledge := values.get("knowledge"), Mapping):
         migrated["knowledge"] = migrate_source(knowledge)
     if isinstance(algorithm := values.get("algorithm"), Mapping):
-        migrated["algorithm"] = _renamed(algorithm, ALGORITHM_FIELDS)
+        if values.get("format") == 1:
+            algorithm = _renamed(algorithm, ALGORITHM_FIELDS)
+        entry = ALGORITHMS.get(algorithm.get("name", ""))
+        migrated["algorithm"] = {**(entry.config.earlier_values if entry else {}), **algorithm}
+    if migrated.get("format") != 1:
+        return migrated
+    migrated["format"] = FORMAT
     migrated["role"] = _role(values)
     if isinstance(policy := migrated.pop("network", None), Mapping):
         learned = values.get("knowledge", {}).get("source") == "learned"
@@ -94,7 +105,7 @@ def migrate_row(row: Mapping[str, str]) -> dict[str, str]:
 
 
 def migrate_checkpoints(folder: Path) -> None:
-    """Rewrite the ``meta.json`` of format 1 checkpoints, so that their run can resume.
+    """Rewrite the ``meta.json`` of checkpoints of earlier versions, so that their run can resume.
 
     Args:
         folder: the run's ``checkpoints`` folder.
@@ -123,6 +134,8 @@ def migrate_description(description: Mapping[str, Any]) -> dict[str, Any]:
         if group == "network":
             name = f"policy.{'shape' if field in SHAPE_FIELDS else 'config'}.{field}"
         migrated[name] = value
+    if any(name.startswith("policy.config.") for name in migrated):
+        migrated = {**ADDED_TO_DESCRIPTIONS, **migrated}
     return migrated
 
 

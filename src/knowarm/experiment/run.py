@@ -3,6 +3,7 @@
 import signal
 from collections.abc import Callable
 from dataclasses import dataclass
+from dataclasses import replace as replace_fields
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 from knowarm.config import replace, to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.algorithms import ALGORITHMS, TrainerInputs
-from knowarm.experiment.build import EnvFactory, InterimFactory, Parts, build
+from knowarm.experiment.build import SEED_DERIVATION, EnvFactory, InterimFactory, Parts, build
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.logs import RunLogs, TrainingProgress
 from knowarm.experiment.migration import FORMAT, migrate_checkpoints
@@ -18,10 +19,6 @@ from knowarm.experiment.registry import experiment_config
 from knowarm.experiment.run_folder import RunFolder, provenance
 from knowarm.learn import CheckpointStore, Hooks, Trainer, TrainingResult
 from knowarm.policy import Policy
-
-SEED_STRIDE = 2**32
-"""Distance between the streams of two training seeds. Environment i of a run takes stream
-seed + i, and neighbouring seeds must not share episodes."""
 
 BEFORE_FIRST_STEP = -1
 """Step before every row of the curves: resuming from it drops them all."""
@@ -83,6 +80,8 @@ def train(
         folder = RunFolder.open(path)
         folder.write_json("config.json", {"format": FORMAT, **to_dict(config)})
         migrate_checkpoints(folder.checkpoints)
+        if folder.has_checkpoint:
+            parts = replace_fields(parts, table=folder.knowledge())
     else:
         folder = RunFolder.create(path)
     policy = parts.new_policy(config.seed)
@@ -91,7 +90,7 @@ def train(
             progress.line(line)
         logs = RunLogs(folder, progress)
         trainer = _make_trainer(config, parts, policy, folder, logs, should_stop)
-        if not resume:
+        if not (resume and folder.has_checkpoint):
             # Written after the trainer is built: a config that this machine cannot train leaves
             # no run behind.
             _describe(folder, config, parts)
@@ -152,6 +151,7 @@ def _describe(folder: RunFolder, config: ExperimentConfig, parts: Parts) -> None
         "provenance.json",
         {
             **provenance(),
+            "seed_derivation": SEED_DERIVATION,
             "parameter_counts": policy.parameter_counts(),
             "policy": {
                 "config": to_dict(policy.resolved_config),
@@ -204,9 +204,9 @@ def _make_trainer(
         config=config.algorithm,
         policy=policy,
         make_env=EnvFactory(config.env),
-        make_evaluate=InterimFactory(config.env, config.interim),
+        make_evaluate=InterimFactory(config.env, config.interim, config.seed),
         options={
-            "seed": SEED_STRIDE * config.seed,
+            "seed": config.seed,
             "evaluate_every": config.interim.every_steps,
             "hooks": hooks,
             "checkpoints": CheckpointStore(folder.checkpoints, description(config, parts)),

@@ -69,7 +69,8 @@ class KnowledgeConfig:
     """What to do with a label of which no word is known: "error", "skip", or "hash" (a fixed
     random vector that depends on its letters)."""
     seed: int = 0
-    """Seed of graph embeddings and placebos."""
+    """Seed of graph embeddings and placebos; a placebo with a number of the draw (``source.draw``)
+    also depends on the training seed."""
 
     @property
     def sentence(self) -> SentenceConfig:

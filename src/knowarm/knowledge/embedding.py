@@ -113,12 +113,15 @@ class SceneEmbedding:
         }
 
 
-def scene_embedding(config: KnowledgeConfig, facets: Facets) -> SceneEmbedding:
+def scene_embedding(
+    config: KnowledgeConfig, facets: Facets, *, run_seed: int = 0
+) -> SceneEmbedding:
     """Embed the facts of the graph about the task's objects.
 
     Args:
         config: the graph, the source of vectors and the choices between.
         facets: the environment's (object, colour) pairs in its order.
+        run_seed: seed of the training run; only placebos that are drawn depend on it.
 
     Raises:
         UserError: the graph, an object, a colour or a vector cannot be found.
@@ -138,8 +141,8 @@ def scene_embedding(config: KnowledgeConfig, facets: Facets) -> SceneEmbedding:
     elif isinstance(source, CodeSource):
         matrix = source.code(len(slots), config.dim)
     elif isinstance(source, VectorSource):
-        matrix, real_sentences = _pooled_slots(config, source, slots, coverage)
-        changed = source.change_slots(matrix, config.seed)
+        matrix, real_sentences = _pooled_slots(config, source, slots, coverage, run_seed)
+        changed = source.change_slots(matrix, source.draw_seed(config.seed, run_seed))
         if changed is None:
             sentences = real_sentences
             if isinstance(source, Placebo):
@@ -162,7 +165,8 @@ def _with_real_lengths(
     matrix: np.ndarray, config: KnowledgeConfig, source: Placebo, slots: Sequence[Facet]
 ) -> np.ndarray:
     """Scale each slot of a placebo (S, D) to the length of the real one, so norms are equal."""
-    real, _ = _pooled_slots(replace(config, source=source.matches), source.matches, slots)
+    config = replace(config, source=source.matches)
+    real, _ = _pooled_slots(config, source.matches, slots, Coverage(), run_seed=0)
     wanted, found = (np.linalg.norm(each, axis=1, keepdims=True) for each in (real, matrix))
     factor = np.divide(wanted, found, out=np.zeros_like(wanted), where=found > 0)
     return (matrix * factor).astype(np.float32)
@@ -172,12 +176,12 @@ def _pooled_slots(
     config: KnowledgeConfig,
     source: VectorSource,
     slots: Sequence[Facet],
-    coverage: Coverage | None = None,
+    coverage: Coverage,
+    run_seed: int,
 ) -> tuple[np.ndarray, tuple[str, ...]]:
     """Return the slots' vectors, (S, D) float32, and sentences; record how labels were found."""
-    coverage = coverage or Coverage()
-    graph = load_graph(config)
-    subgraphs, colours = slot_subgraphs(graph, slots, config)
+    graph = load_graph(config, run_seed)
+    subgraphs, colours = slot_subgraphs(graph, slots, config, run_seed)
     sentences = [sentence_parts(sub, config.sentence) for sub in subgraphs]
     everything = graph_parts(graph, relation_words=config.relation_words) if config.centring else []
     lookup = source.open(

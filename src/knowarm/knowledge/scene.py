@@ -18,11 +18,18 @@ Facets = Sequence[tuple[str, str]]
 """The task's (object, colour) pairs, in the environment's order."""
 
 
-def load_graph(config: KnowledgeConfig) -> KnowledgeGraph:
-    """Read the config's graph, and change it where the source is a placebo that does so."""
+def load_graph(config: KnowledgeConfig, run_seed: int = 0) -> KnowledgeGraph:
+    """Read the config's graph, and change it where the source is a placebo that does so.
+
+    Args:
+        config: graph and source.
+        run_seed: seed of the training run, for placebos that are drawn.
+    """
     graph = household() if config.graph is None else read_graph(config.graph)
     source = config.source
-    return source.change_graph(graph, config.seed) if isinstance(source, VectorSource) else graph
+    if not isinstance(source, VectorSource):
+        return graph
+    return source.change_graph(graph, source.draw_seed(config.seed, run_seed))
 
 
 def scene_subgraphs(config: KnowledgeConfig, facets: Facets) -> dict[str, KnowledgeGraph]:
@@ -59,12 +66,20 @@ def scene_sentences(config: KnowledgeConfig, facets: Facets) -> dict[str, str]:
 
 
 def slot_subgraphs(
-    graph: KnowledgeGraph, slots: Sequence[Facet], config: KnowledgeConfig
+    graph: KnowledgeGraph, slots: Sequence[Facet], config: KnowledgeConfig, run_seed: int = 0
 ) -> tuple[list[KnowledgeGraph], list[str | None]]:
-    """Return each slot's subgraph and its colour's name in the graph."""
-    wrong_object = isinstance(config.source, WrongObject)
-    false = wrong_object or isinstance(config.source, ShuffledGraph)
-    described = _wrong_objects(graph, slots, config) if wrong_object else slots
+    """Return each slot's subgraph and its colour's name in the graph.
+
+    Args:
+        graph: the graph, see `load_graph`.
+        slots: what each slot describes.
+        config: how.
+        run_seed: seed of the training run, for placebos that are drawn.
+    """
+    source, described = config.source, slots
+    if isinstance(source, WrongObject):
+        described = _wrong_objects(graph, slots, config, source.draw_seed(config.seed, run_seed))
+    false = isinstance(source, WrongObject | ShuffledGraph)
     subgraphs: list[KnowledgeGraph] = []
     colours: list[str | None] = []
     for place, facet in enumerate(described):
@@ -88,7 +103,7 @@ def _colour_of(subgraph: KnowledgeGraph, facet: Facet, config: KnowledgeConfig) 
 
 
 def _wrong_objects(
-    graph: KnowledgeGraph, slots: Sequence[Facet], config: KnowledgeConfig
+    graph: KnowledgeGraph, slots: Sequence[Facet], config: KnowledgeConfig, seed: int
 ) -> list[Facet]:
     """Replace each object by another one of the graph with as many colours, drawn by the seed."""
     true = list(dict.fromkeys(slot.object for slot in slots))
@@ -103,6 +118,6 @@ def _wrong_objects(
             f"The placebo 'wrong-object' needs {len(true)} other objects with {needed} "
             f"colours in the graph, which has {len(others)}. Take another placebo, e.g. 'shuffled'."
         )
-    drawn = np.random.default_rng(config.seed).choice(len(others), len(true), replace=False)
+    drawn = np.random.default_rng(seed).choice(len(others), len(true), replace=False)
     false = {name: others[i] for name, i in zip(true, drawn, strict=True)}
     return [replace(slot, object=false[slot.object]) for slot in slots]

@@ -12,6 +12,7 @@ from knowarm.learn.episode_statistics import EpisodeStatistics
 from knowarm.learn.rollout import Rollout
 from knowarm.policy import Policy, State
 from knowarm.policy.actions import log_probability, sample
+from knowarm.seeding import derive_seed, torch_generator
 
 Infer = Callable[[Rollout, int, Tensor, State], tuple[Tensor, State]]
 """Inference of one step; arguments and results as `infer_step`."""
@@ -56,9 +57,10 @@ class Collector:
     """Steps the environments with the policy; episodes continue from one rollout to the next.
 
     Args:
-        env: the vector environment; it is reset with ``seed``.
+        env: the vector environment; it is reset with a seed derived from ``seed``.
         policy: on the environment's device.
-        seed: of the episodes and of the sampled actions.
+        seed: of the run; episodes and sampled actions have a stream each.
+        stream: tells several collectors of a run apart (A3C: worker, number of its restarts).
         final_values: computes the values of final observations; by default at once on the CPU
             and later on a GPU.
 
@@ -72,14 +74,15 @@ class Collector:
         policy: Policy,
         *,
         seed: int,
+        stream: tuple[int, ...] = (),
         final_values: "ImmediateFinalValues | DeferredFinalValues | None" = None,
     ) -> None:
         self.env = env
         self.policy = policy
         self.statistics = EpisodeStatistics(env.num_envs, env.device)
-        self.generator = torch.Generator(env.device).manual_seed(seed)
+        self.generator = torch_generator(seed, "actions", *stream, device=env.device)
         self._stopwatch = Stopwatch(env.device)
-        self._image, _ = env.reset(seed=seed)
+        self._image, _ = env.reset(seed=derive_seed(seed, "episodes", *stream))
         self._start = torch.ones(env.num_envs, dtype=torch.bool, device=env.device)
         self._state: State = policy.initial_state(env.num_envs)
         if final_values is None:
@@ -96,15 +99,21 @@ class Collector:
         return self._stopwatch.seconds()
 
     @torch.no_grad()
-    def collect(self, rollout: Rollout, infer: Infer | None = None) -> None:
+    def collect(
+        self, rollout: Rollout, infer: Infer | None = None, *, until_episode_end: bool = False
+    ) -> int:
         """Fill the rollout with the next T steps of all environments.
 
         Args:
             rollout: overwritten.
             infer: inference of one step; by default `infer_step` with the policy.
+            until_episode_end: stop after the first step in which an episode ends (CPU only).
+
+        Returns:
+            The number of steps t; only the rollout's first t rows are valid (`Rollout.first`).
         """
         steps, _ = rollout.shape
-        logits = []
+        logits: list[Tensor] = []
         rollout.start_h.copy_(self._state[0])
         rollout.start_c.copy_(self._state[1])
         rollout.final_value.zero_()
@@ -127,9 +136,15 @@ class Collector:
             self._start = terminated | truncated
             success = infos.get("final_info", {}).get("is_success", terminated)
             self.statistics.add(reward, self._start, success)
-        rollout.log_probability.copy_(log_probability(torch.stack(logits), rollout.action))
+            if until_episode_end and bool(self._start.any()):
+                break
+        count = len(logits)
+        rollout.log_probability[:count] = log_probability(
+            torch.stack(logits), rollout.action[:count]
+        )
         _, value, _ = self.policy.step(self._image, self.env.facet_ids, self._state, self._start)
         rollout.last_value.copy_(value)
+        return count
 
     def get_state(self) -> dict[str, np.ndarray]:
         """Return all that `set_state` needs to continue identically, environments included."""

@@ -1,7 +1,8 @@
 """Configurations of the learning algorithms."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 from knowarm.errors import UserError
 
@@ -10,6 +11,8 @@ class AlgorithmConfig:
     """Base class of the algorithms' configs, whose first field is a literal ``name``."""
 
     name: str
+    earlier_values: ClassVar[Mapping[str, Any]] = {}
+    """Meaning of fields that files of earlier versions lack, where it is not the default."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,17 +121,24 @@ class PPOConfig(AlgorithmConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class A3CConfig(AlgorithmConfig):
-    """Asynchronous advantage actor-critic (A3C); defaults as in the paper (section 4.2.3).
+    """Asynchronous advantage actor-critic (A3C); defaults as in the paper (section 4.2).
 
-    Values that the paper does not give (rollout_steps, max_grad_norm, vf_coef, rmsprop_eps) follow
-    public implementations of A3C for MuJoCo; see docs/decisions.md.
+    What the paper does not give (rollouts, time limit, max_grad_norm, rmsprop_eps) follows the
+    public A3C for MuJoCo that its lineage leads to (Feryal/a3c-mujoco); see the table in
+    docs/decisions.md.
 
     Raises:
-        UserError: a value out of range.
+        UserError: a value out of range, or rollouts that end with the episode of several
+            environments.
     """
 
     name: Literal["a3c"] = "a3c"
     """Identifies the algorithm in a config file."""
+
+    earlier_values: ClassVar[Mapping[str, Any]] = {
+        "bootstrap_at_time_limit": True,
+        "rollout_ends_with_episode": False,
+    }
 
     workers: int = 17
     """Worker processes that collect and learn; one more process evaluates."""
@@ -137,7 +147,15 @@ class A3CConfig(AlgorithmConfig):
     """Environments per worker; 1 in the paper, more are faster."""
 
     rollout_steps: int = 50
-    """Steps per environment between two updates; 50 is a whole episode."""
+    """Steps per environment between two updates, at most; 50 is a whole episode."""
+
+    rollout_ends_with_episode: bool = True
+    """End a rollout where the episode ends, as the lineage does; needs one environment per worker.
+    Otherwise all rollouts have ``rollout_steps`` steps and may span the end of an episode."""
+
+    bootstrap_at_time_limit: bool = False
+    """Continue the return of an episode that the time limit ends with the value of its last image.
+    The lineage lets it end with zero, as after a success."""
 
     learning_rate: float = 1e-4
     """Learning rate of RMSprop."""
@@ -145,7 +163,7 @@ class A3CConfig(AlgorithmConfig):
     rmsprop_alpha: float = 0.99
     """Decay of RMSprop's running mean of squared gradients."""
 
-    rmsprop_eps: float = 1e-5
+    rmsprop_eps: float = 1e-8
     """Epsilon of RMSprop, added to the root of the mean squared gradient."""
 
     gamma: float = 0.99
@@ -154,8 +172,9 @@ class A3CConfig(AlgorithmConfig):
     gae_lambda: float = 1.0
     """Lambda of the generalized advantage estimate (GAE)."""
 
-    vf_coef: float = 0.5
-    """Coefficient of the value loss."""
+    vf_coef: float = 1.0
+    """Coefficient of the value loss, which is half the mean squared error: 1 gives the paper's
+    1/2 (R - V)^2 (section 4.2.1)."""
 
     ent_coef: float = 0.01
     """Coefficient of the entropy bonus [1/nat]."""
@@ -177,6 +196,12 @@ class A3CConfig(AlgorithmConfig):
         _at_least(self, 1, "workers", "envs_per_worker", "rollout_steps", "log_every_steps")
         _positive(self, "learning_rate", "rmsprop_eps", "reward_scale", "max_grad_norm")
         _fraction(self, "gamma", "gae_lambda", "rmsprop_alpha")
+        if self.rollout_ends_with_episode and self.envs_per_worker > 1:
+            raise UserError(
+                f"envs_per_worker is {self.envs_per_worker}, and rollout_ends_with_episode needs "
+                "one environment per worker: set rollout_ends_with_episode to False, or "
+                "envs_per_worker to 1."
+            )
 
 
 def _given(config: object, *names: str) -> list[str]:

@@ -22,6 +22,7 @@ from knowarm.learn.processes import keep_freed_memory
 from knowarm.learn.returns import advantages
 from knowarm.learn.trainer import StopReason, Trainer, crossed
 from knowarm.policy import Policy
+from knowarm.seeding import torch_generator
 
 
 class PPOTrainer(Trainer):
@@ -35,7 +36,7 @@ class PPOTrainer(Trainer):
         policy: trained in place, on the environment's device.
         env: ``config.num_envs`` environments; see `knowarm.learn.NumpyToTorch` for those of
             Gymnasium.
-        seed: of episodes, actions and minibatches.
+        seed: of the run; episodes, actions and minibatches have a stream each.
         options: as `Trainer`.
 
     Attributes:
@@ -71,7 +72,7 @@ class PPOTrainer(Trainer):
         self.matmul_precision = resolve_precision(config.matmul_precision, self._device)
         self._learner = make_learner(policy, config, self.matmul_precision, self._device)
         self._collector = Collector(env, policy, seed=seed)
-        self._minibatch_generator = torch.Generator(self._device).manual_seed(seed)
+        self._minibatch_generator = torch_generator(seed, "minibatches", device=self._device)
         self._optimizer = torch.optim.Adam(
             policy.parameters(), lr=config.learning_rate, eps=config.adam_eps, fused=True
         )

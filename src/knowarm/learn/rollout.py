@@ -57,10 +57,24 @@ class Rollout:
         """(T, B) bool: the episode ended with this step."""
         return self.terminated | self.truncated
 
-    def following(self) -> Tensor:
-        """Return the value after each step within its episode, (T, B); see `next_values`."""
-        return next_values(
-            self.value, self.last_value, self.final_value, self.terminated, self.truncated
+    def following(self, *, bootstrap_at_time_limit: bool = True) -> Tensor:
+        """Return the value after each step within its episode, (T, B); see `next_values`.
+
+        Args:
+            bootstrap_at_time_limit: whether a truncated episode continues with the value of its
+                final observation, or with 0 as a terminated one.
+        """
+        ended = self.terminated if bootstrap_at_time_limit else self.done
+        return next_values(self.value, self.last_value, self.final_value, ended, self.truncated)
+
+    def first(self, steps: int) -> "Rollout":
+        """Return a view of the first steps."""
+        whole = {"last_value", "start_h", "start_c"}
+        return Rollout(
+            **{
+                name: tensor if name in whole else tensor[:steps]
+                for name, tensor in self.tensors().items()
+            }
         )
 
     def tensors(self) -> dict[str, Tensor]:

@@ -70,7 +70,8 @@ class Trainer(ABC):
 
     Args:
         policy: trained in place.
-        seed: of episodes, actions and minibatches.
+        seed: of the run, 0 or more; each purpose of randomness derives a stream of its own from
+            it (`knowarm.seeding`).
         evaluate: plays the interim evaluation while training waits; None for none.
         make_evaluate: instead of ``evaluate``, creates it in a child process that plays while
             training continues; picklable. Results may arrive after later steps.

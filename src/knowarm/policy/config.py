@@ -44,6 +44,9 @@ class PolicyConfig:
     pixel_scale: float = 1.0
     """Factor applied after the shift; .5 and 4 give images mean 0 and standard deviation ~1."""
 
+    fc_activation: Literal["relu", "none"] = "relu"
+    """Activation after the fully connected layer; the lineage of the paper's A3C has none."""
+
     actor_gain: float = 0.01
     """Gain of the orthogonal initialization of the actor heads; small gains start near uniform."""
 

@@ -18,6 +18,7 @@ from knowarm.policy.config import PolicyConfig, PolicyShape, layer_widths
 from knowarm.policy.encoder import RELU_GAIN, ImageEncoder, orthogonal
 from knowarm.policy.fusion import FUSIONS
 from knowarm.policy.lstm import MaskedLSTM, State
+from knowarm.seeding import torch_generator
 
 MatmulPrecision = Literal["float32", "tf32", "bfloat16"]
 """Precision of matrix products; "tf32" exists on GPUs only."""
@@ -90,7 +91,7 @@ class Policy(nn.Module):
             )
         self.register_buffer("knowledge_table", table, persistent=False)
         if not self.critic.weight.is_meta:
-            self.reset_parameters(torch.Generator().manual_seed(seed))
+            self.reset_parameters(torch_generator(seed, "weights"))
 
     @property
     def uses_knowledge(self) -> bool:
@@ -103,7 +104,8 @@ class Policy(nn.Module):
         orthogonal(self.encoder.conv2, RELU_GAIN, generator)
         orthogonal(self.knowledge_encoder, 1.0, generator)
         self.fusion.reset_parameters(generator)
-        orthogonal(self.fc, RELU_GAIN, generator)
+        rectified = self.config.fc_activation == "relu"
+        orthogonal(self.fc, RELU_GAIN if rectified else 1.0, generator)
         orthogonal(self.memory, 1.0, generator)
         for head in self.actor.weight.data.split(self.shape.levels):
             nn.init.orthogonal_(head, self.config.actor_gain, generator=generator)
@@ -224,7 +226,10 @@ class Policy(nn.Module):
     def _features(self, patches: Tensor, knowledge: Tensor) -> Tensor:
         """Compute the inputs of the LSTM from (N, S, L) and (N, K)."""
         x = self.fusion("fc", self.encoder(patches), knowledge)
-        return self.fusion("lstm", torch.relu(self.fc(x)), knowledge)
+        features = self.fc(x)
+        if self.config.fc_activation == "relu":
+            features = torch.relu(features)
+        return self.fusion("lstm", features, knowledge)
 
     def _heads(self, hidden: Tensor, knowledge: Tensor) -> tuple[Tensor, Tensor]:
         """Compute logits (N, J, A) and values (N,) from (N, H) and (N, K)."""

@@ -73,19 +73,22 @@ def source_named(name: str, matches: str = "wordnet-gloss-50") -> Source:
 
 
 def migrate_source(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert the stored values of a `KnowledgeConfig` from run format 1 to 2.
+    """Convert the stored values of a `KnowledgeConfig` to the current fields.
 
     Args:
         values: the stored fields; format 1 holds short names in `source` and `matches`.
 
     Returns:
-        The fields with `source` as a tagged config; those of format 2 unchanged.
+        The fields with `source` as a tagged config whose new fields mean what earlier versions
+        did; current ones unchanged.
     """
     migrated = dict(values)
-    if isinstance(values.get("source"), str):
-        matches = migrated.pop("matches", "wordnet-gloss-50")
-        source = source_named(values["source"], matches)
-        migrated["source"] = to_dict(source)
+    source = values.get("source")
+    if isinstance(source, str):
+        named = source_named(source, migrated.pop("matches", "wordnet-gloss-50"))
+        migrated["source"] = {**to_dict(named), **named.earlier_values}
+    elif isinstance(source, Mapping) and source.get("kind") in SOURCES:
+        migrated["source"] = {**SOURCES[source["kind"]].earlier_values, **source}
     return migrated
 
 

@@ -1,7 +1,8 @@
 """Placebos: slots of the real shape that carry no meaning, or a false one."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from knowarm.knowledge.builder import shuffle_tails
 from knowarm.knowledge.graph import KnowledgeGraph
 from knowarm.knowledge.vectors.source import CodeSource, Request, VectorLookup, VectorSource
 from knowarm.knowledge.vectors.words import WordVectors
+from knowarm.seeding import derive_seed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +61,27 @@ class Placebo(VectorSource):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RandomVectors(Placebo):
+class DrawnPlacebo(Placebo):
+    """Base of the placebos that draw random numbers: separately for each training seed by default."""
+
+    earlier_values: ClassVar[Mapping[str, Any]] = {"draw": None}
+    draw: int | None = 0
+    """Number of the draw. Each training seed and each number gives another placebo, so training
+    seeds sample the control. None gives all training seeds the same one, drawn from the
+    knowledge's seed, as in runs of earlier versions."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.draw is not None and self.draw < 0:
+            raise UserError(f"draw must be 0 or more, or None, got {self.draw}.")
+
+    def draw_seed(self, seed: int, run_seed: int) -> int:
+        """Derive the seed of a draw from the run's seed, the knowledge's and the draw's number."""
+        return seed if self.draw is None else derive_seed(run_seed, "placebos", seed, self.draw)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RandomVectors(DrawnPlacebo):
     """Normal noise, each slot as long as the real one."""
 
     kind: Literal["random"] = "random"
@@ -92,7 +114,7 @@ class OneHot(Placebo):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ShuffledGraph(Placebo):
+class ShuffledGraph(DrawnPlacebo):
     """Real vectors of a graph whose tails are permuted within each relation."""
 
     kind: Literal["shuffled"] = "shuffled"
@@ -104,7 +126,7 @@ class ShuffledGraph(Placebo):
 
 
 @dataclass(frozen=True, kw_only=True)
-class WrongObject(Placebo):
+class WrongObject(DrawnPlacebo):
     """Real vectors of other objects: `scene.slot_subgraphs` replaces each by one of the graph."""
 
     kind: Literal["wrong-object"] = "wrong-object"

@@ -109,6 +109,9 @@ class Source:
     encoder: ClassVar[Literal["identity", "learned"]] = "identity"
     """How the policy reads the numbers: as they are, or through weights that it learns."""
 
+    earlier_values: ClassVar[Mapping[str, Any]] = {}
+    """Meaning of fields that files of earlier versions lack, where it is not the default."""
+
     @property
     def short_name(self) -> str:
         """Name for tables: the kind, or what the source loads."""
@@ -129,6 +132,16 @@ class VectorSource(Source, ABC):
         Raises:
             UserError: the vectors cannot be loaded.
         """
+
+    def draw_seed(self, seed: int, run_seed: int) -> int:
+        """Return the seed of what a placebo draws.
+
+        Args:
+            seed: of the knowledge's config.
+            run_seed: of the training run.
+        """
+        del run_seed
+        return seed
 
     def change_graph(self, graph: KnowledgeGraph, seed: int) -> KnowledgeGraph:
         """Return the graph that slots are described by."""

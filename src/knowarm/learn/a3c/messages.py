@@ -24,6 +24,9 @@ class A3CWorkerArgs:
 
     index: int
     seed: int
+    """Of the run."""
+    restarts: int
+    """Number of former processes of this worker."""
     config: A3CConfig
     policy: PolicySpec
     make_env: MakeEnv

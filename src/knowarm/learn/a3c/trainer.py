@@ -30,9 +30,6 @@ from knowarm.learn.shared_tensors import SharedTensors
 from knowarm.learn.trainer import StopReason, Trainer, crossed
 from knowarm.policy import Policy
 
-WORKER_SEED_STRIDE = 1_000_003
-"""Difference between the seeds of two workers; exceeds any number of environments per worker."""
-
 
 class A3CTrainer(Trainer):
     """Asynchronous advantage actor-critic (paper section 4.2.1; Mnih et al. 2016).
@@ -44,7 +41,7 @@ class A3CTrainer(Trainer):
         config: the algorithm's configuration.
         policy: trained in place; holds the result after `train`.
         make_env: creates the environments of a worker, on the CPU; picklable.
-        seed: of episodes and actions; each worker derives its own.
+        seed: of the run; episodes and actions of each worker have a stream each.
         options: as `Trainer`.
 
     Attributes:
@@ -126,7 +123,8 @@ class A3CTrainer(Trainer):
     def _start_worker(self, index: int, restarts: int) -> ChildProcess:
         args = A3CWorkerArgs(
             index=index,
-            seed=self.seed + WORKER_SEED_STRIDE * (1 + index + self.config.workers * restarts),
+            seed=self.seed,
+            restarts=restarts,
             config=self.config,
             policy=self.policy.spec(),
             make_env=self._make_env,

@@ -18,6 +18,7 @@ from knowarm.learn.a3c.messages import (
 )
 from knowarm.learn.a3c.shared_state import rmsprop_update
 from knowarm.learn.collector import Collector
+from knowarm.learn.config import A3CConfig
 from knowarm.learn.device import resolve_precision
 from knowarm.learn.flat_parameters import FlatParameters
 from knowarm.learn.guards import FiniteGuard
@@ -26,6 +27,7 @@ from knowarm.learn.processes import ProcessFailure, prepare_child_process
 from knowarm.learn.returns import advantages, n_step_returns
 from knowarm.learn.rollout import Rollout, rollout_specs
 from knowarm.learn.shared_tensors import SharedTensors, zeros
+from knowarm.policy import Policy
 
 
 def run_a3c_worker(args: A3CWorkerArgs, shared: SharedTensors, connection: Connection) -> None:
@@ -60,7 +62,9 @@ class A3CWorker:
         )
         self._parameters = FlatParameters(self._policy)
         env = args.make_env(self.config.envs_per_worker, 1)
-        self._collector = Collector(env, self._policy, seed=args.seed)
+        self._collector = Collector(
+            env, self._policy, seed=args.seed, stream=(args.index, args.restarts)
+        )
         if args.state is not None:
             self._collector.set_state(args.state)
         self._rollout = Rollout(
@@ -95,14 +99,18 @@ class A3CWorker:
 
     def _update(self) -> None:
         """Collect one rollout and take one step of the shared optimizer."""
-        config, shared, rollout = self.config, self._shared, self._rollout
+        config, shared = self.config, self._shared
         seen = int(shared["updates"].sum())
         self._parameters.values.copy_(shared["values"])
-        self._collector.collect(rollout)
+        rollout = self._rollout.first(
+            self._collector.collect(
+                self._rollout, until_episode_end=config.rollout_ends_with_episode
+            )
+        )
         steps = rollout.reward.numel()
         step = int(shared["steps"].sum()) + steps
         self._guard.check_rollout(rollout, self._policy.knowledge_table, step)
-        loss = self._loss()
+        loss = rollout_loss(self._policy, config, rollout)
         self._parameters.gradient.zero_()
         loss.total.backward()
         norm = self._parameters.clip_gradient(config.max_grad_norm)
@@ -130,27 +138,6 @@ class A3CWorker:
             )
         )
         self._request_evaluation()
-
-    def _loss(self) -> LossTerms:
-        config, rollout = self.config, self._rollout
-        reward = rollout.reward * config.reward_scale
-        following = rollout.following()
-        advantage = advantages(
-            reward, rollout.value, following, rollout.done, config.gamma, config.gae_lambda
-        )
-        returns = n_step_returns(reward, following, rollout.done, config.gamma)
-        logits, values, _ = self._policy.unroll(
-            rollout.patches, rollout.facet, rollout.start_state, rollout.episode_start
-        )
-        return a3c_loss(
-            logits,
-            values,
-            rollout.action,
-            advantage,
-            returns,
-            vf_coef=config.vf_coef,
-            ent_coef=config.ent_coef,
-        )
 
     def _request_evaluation(self) -> None:
         """Send the shared parameters if the steps have reached the next interim evaluation.
@@ -180,3 +167,31 @@ class A3CWorker:
             values=copy(shared["values"]),
             mean_square=copy(shared["mean_square"]),
         )
+
+
+def rollout_loss(policy: Policy, config: A3CConfig, rollout: Rollout) -> LossTerms:
+    """Compute A3C's loss over a rollout, with gradient.
+
+    Args:
+        policy: at the parameters that collected the rollout.
+        config: discount, weights of the loss terms, and what ends a return.
+        rollout: T steps of B environments.
+    """
+    reward = rollout.reward * config.reward_scale
+    following = rollout.following(bootstrap_at_time_limit=config.bootstrap_at_time_limit)
+    advantage = advantages(
+        reward, rollout.value, following, rollout.done, config.gamma, config.gae_lambda
+    )
+    returns = n_step_returns(reward, following, rollout.done, config.gamma)
+    logits, values, _ = policy.unroll(
+        rollout.patches, rollout.facet, rollout.start_state, rollout.episode_start
+    )
+    return a3c_loss(
+        logits,
+        values,
+        rollout.action,
+        advantage,
+        returns,
+        vf_coef=config.vf_coef,
+        ent_coef=config.ent_coef,
+    )

@@ -1,0 +1,70 @@
+"""Registered algorithms: the numbers that the paper states, and what stored runs meant."""
+
+from knowarm.config import from_dict
+from knowarm.experiment.config import ExperimentConfig
+from knowarm.experiment.migration import migrate_config, migrate_description
+from knowarm.experiment.registry import experiment_config
+
+
+def test_a3c_has_the_papers_numbers():
+    config = experiment_config("irb120-full-a3c")
+    a3c = config.algorithm
+    assert (a3c.workers, a3c.envs_per_worker) == (17, 1)
+    assert (a3c.learning_rate, a3c.rmsprop_alpha) == (1e-4, 0.99)
+    assert (a3c.gamma, a3c.gae_lambda) == (0.99, 1.0)
+    assert (a3c.ent_coef, a3c.vf_coef) == (0.01, 1.0)
+    assert (a3c.reward_scale, a3c.matmul_precision) == (1.0, "float32")
+    assert config.total_steps == 70_000_000
+    assert (config.interim.every_steps, config.interim.episodes) == (50_000, 40)
+
+
+def test_a3c_follows_its_lineage_where_the_paper_is_silent():
+    config = experiment_config("irb120-full-a3c")
+    assert config.algorithm.rmsprop_eps == 1e-8
+    assert config.algorithm.max_grad_norm == 40
+    assert config.algorithm.rollout_steps == 50
+    assert config.algorithm.rollout_ends_with_episode
+    assert not config.algorithm.bootstrap_at_time_limit
+    assert config.policy.fc_activation == "none"
+    assert (config.policy.pixel_shift, config.policy.pixel_scale) == (0, 1)
+
+
+def test_the_tuned_a3c_has_the_measured_settings():
+    """The settings of the curve in docs/lab-notes.md."""
+    config = experiment_config("irb120-full-a3c-tuned")
+    a3c = config.algorithm
+    assert (a3c.workers, a3c.envs_per_worker, a3c.rollout_steps) == (2, 32, 25)
+    assert (a3c.gamma, a3c.gae_lambda, a3c.reward_scale) == (0.95, 0.95, 0.05)
+    assert (a3c.ent_coef, a3c.vf_coef, a3c.max_grad_norm) == (0.003, 0.5, 0.5)
+    assert (a3c.learning_rate, a3c.rmsprop_eps, a3c.rmsprop_alpha) == (7e-4, 1e-5, 0.99)
+    assert a3c.bootstrap_at_time_limit
+    assert not a3c.rollout_ends_with_episode
+    assert (config.policy.pixel_shift, config.policy.pixel_scale) == (0.5, 4)
+    assert config.policy.fc_activation == "relu"
+
+
+def test_stored_a3c_runs_keep_their_meaning():
+    before = {
+        "format": 1,
+        "name": "x",
+        "agent": "bm",
+        "knowledge": {"detail": "none"},
+        "network": {"fusion": "none"},
+        "algorithm": {"name": "a3c", "value_weight": 0.5, "rmsprop_epsilon": 1e-5},
+    }
+    for stored in (before, {**migrate_config(before)}):
+        if stored["format"] == 2:  # as an earlier version wrote it
+            kept = ("name", "vf_coef", "rmsprop_eps")
+            stored["algorithm"] = {name: stored["algorithm"][name] for name in kept}
+        values = {k: v for k, v in migrate_config(stored).items() if k != "format"}
+        config = from_dict(ExperimentConfig, values)
+        assert (config.algorithm.vf_coef, config.algorithm.rmsprop_eps) == (0.5, 1e-5)
+        assert config.algorithm.bootstrap_at_time_limit
+        assert not config.algorithm.rollout_ends_with_episode
+        assert config.policy.fc_activation == "relu"
+    description = migrate_description({"policy.config.fusion": "none", "seed": 0})
+    assert description["policy.config.fc_activation"] == "relu"
+    assert migrate_description({**description, "policy.config.fc_activation": "none"}) == {
+        **description,
+        "policy.config.fc_activation": "none",
+    }
