@@ -62,7 +62,7 @@ class Placebo(VectorSource):
 
 @dataclass(frozen=True, kw_only=True)
 class DrawnPlacebo(Placebo):
-    """Base of the placebos that draw random numbers: separately for each training seed by default."""
+    """Base of the placebos that draw random numbers, by default once per training seed."""
 
     earlier_values: ClassVar[Mapping[str, Any]] = {"draw": None}
     draw: int | None = 0
