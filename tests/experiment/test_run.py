@@ -142,7 +142,8 @@ def test_wide_matches_full():
     full, wide = (
         build(experiment_config(f"irb120-{name}-ppo")).new_policy(0) for name in ("full", "wide")
     )
-    assert wide.hidden_size == full.hidden_size
+    assert wide.fc.out_features == full.fc.out_features
+    assert wide.hidden_size > full.hidden_size
     counts = [policy.parameter_counts()["total"] for policy in (wide, full)]
     assert abs(counts[0] / counts[1] - 1) < 0.005
 
