@@ -6,6 +6,26 @@ from typing import Any, ClassVar, Literal
 
 from knowarm.errors import UserError
 
+PRIVILEGED_OPTIONS: Mapping[str, tuple[Any, str]] = {
+    "critic": ("image", "critic"),
+    "auxiliary_coef": (0, "auxiliary loss"),
+    "progress_coef": (0, "progress reward"),
+}
+"""Options that need the simulator's state in training: value that does not, and what it is for."""
+
+
+def privileged_uses(algorithm: Mapping[str, Any]) -> list[str]:
+    """List what a training uses the simulator's state for, besides the reward.
+
+    Args:
+        algorithm: fields of the algorithm's config by name.
+    """
+    return [
+        use
+        for name, (without, use) in PRIVILEGED_OPTIONS.items()
+        if algorithm.get(name, without) != without
+    ]
+
 
 class AlgorithmConfig:
     """Base class of the algorithms' configs, whose first field is a literal ``name``."""
@@ -147,12 +167,6 @@ class PPOConfig(AlgorithmConfig):
                 f"minibatches ({self.minibatches}) must divide num_envs ({self.num_envs}): a "
                 "minibatch is a group of whole environments."
             )
-
-    @property
-    def privileged(self) -> tuple[str, ...]:
-        """Options in use that need the simulator's state during training."""
-        defaults = {"critic": "image", "auxiliary_coef": 0, "progress_coef": 0}
-        return tuple(name for name, value in defaults.items() if getattr(self, name) != value)
 
 
 @dataclass(frozen=True, kw_only=True)

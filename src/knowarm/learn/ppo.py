@@ -10,7 +10,7 @@ from torch import Tensor
 from knowarm.errors import UserError
 from knowarm.learn.checkpoint import Checkpoint, policy_arrays
 from knowarm.learn.collector import Collector, NoFinalValues, select
-from knowarm.learn.config import PPOConfig
+from knowarm.learn.config import PPOConfig, privileged_uses
 from knowarm.learn.data_parallel import make_learner
 from knowarm.learn.device import resolve_precision
 from knowarm.learn.environment import PrivilegedVectorEnv, TorchVectorEnv
@@ -75,7 +75,7 @@ class PPOTrainer(Trainer):
         self.matmul_precision = resolve_precision(config.matmul_precision, self._device)
         self._privileged, self._curriculum = None, None
         targets = 0
-        if config.privileged:
+        if privileged_uses(vars(config)):
             self._privileged = PrivilegedLearning(config, cast(PrivilegedVectorEnv, env), seed)
             if config.auxiliary_coef:
                 targets = self._privileged.auxiliary_targets().shape[-1]
