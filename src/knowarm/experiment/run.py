@@ -17,6 +17,7 @@ from knowarm.experiment.logs import RunLogs, TrainingProgress
 from knowarm.experiment.migration import FORMAT, migrate_checkpoints
 from knowarm.experiment.registry import experiment_config
 from knowarm.experiment.run_folder import RunFolder, provenance
+from knowarm.experiment.run_lock import lock_folder
 from knowarm.learn import CheckpointStore, Hooks, Trainer, TrainingResult
 from knowarm.policy import Policy
 
@@ -67,7 +68,7 @@ def train(
 
     Raises:
         UserError: an unknown experiment or field, or a run folder that already exists, is missing,
-            cannot be written to, or belongs to another config.
+            cannot be written to, is in use by another process, or belongs to another config.
     """
     if isinstance(config, str):
         config = experiment_config(config)
@@ -76,10 +77,22 @@ def train(
     if resume:
         _check_same(config, RunFolder.open(path))
     parts = build(config)
+    with lock_folder(path, remedy="Wait until it ends, stop it, or pass another runs folder."):
+        return _train_locked(config, parts, path, resume, should_stop)
+
+
+def _train_locked(
+    config: ExperimentConfig,
+    parts: Parts,
+    path: Path,
+    resume: bool,
+    should_stop: Callable[[], bool],
+) -> Run:
+    """Train in a run folder that no other process writes to; see `train`."""
     if resume:
         folder = RunFolder.open(path)
         folder.write_json("config.json", {"format": FORMAT, **to_dict(config)})
-        migrate_checkpoints(folder.checkpoints)
+        migrate_checkpoints(folder.checkpoints, config.env.robot)
         if folder.has_checkpoint:
             parts = replace_fields(parts, table=folder.knowledge())
     else:

@@ -1,0 +1,75 @@
+"""Lock of a folder: one process at a time writes into it."""
+
+import json
+import os
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+
+from filelock import FileLock, Timeout
+
+from knowarm.errors import UserError
+
+LOCK = ".lock"
+"""File that the kernel locks; it stays, unlocked, when the process ends."""
+
+HOLDER = ".lock.json"
+"""Who holds the lock; only for messages, because it outlives a killed process."""
+
+
+@contextmanager
+def lock_folder(path: Path, *, remedy: str) -> Iterator[None]:
+    """Hold the lock of a folder inside a ``with`` block; the folder is created if missing.
+
+    The kernel releases the lock when the process ends, however it ends, so a killed process leaves
+    nothing to clean up. Child processes do not inherit it.
+
+    Args:
+        path: the folder.
+        remedy: what to do when another process holds the lock, for the error message.
+
+    Raises:
+        UserError: another process holds the lock, or the folder cannot be written to.
+    """
+    lock = FileLock(path / LOCK, timeout=0)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        lock.acquire()
+    except Timeout as error:
+        raise UserError(f"{path} is in use by {_holder(path)}. {remedy}") from error
+    except OSError as error:
+        raise UserError(
+            f"Cannot write to the output folder {path}: {error.strerror or error}. Pass "
+            "another folder, or change its permissions."
+        ) from error
+    try:
+        _name_holder(path)
+        yield
+    finally:
+        lock.release()
+
+
+def _name_holder(path: Path) -> None:
+    holder = {
+        "pid": os.getpid(),
+        "host": socket.gethostname(),
+        "since": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+    try:
+        (path / HOLDER).write_text(json.dumps(holder) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise UserError(
+            f"Cannot write to the output folder {path}: {error.strerror or error}. Free disk "
+            "space or pass another folder."
+        ) from error
+
+
+def _holder(path: Path) -> str:
+    """Describe the process that holds the lock, as far as it is known."""
+    try:
+        holder = json.loads((path / HOLDER).read_text(encoding="utf-8"))
+        return f"process {holder['pid']} on {holder['host']} since {holder['since']}"
+    except (OSError, ValueError, KeyError, TypeError):
+        return "another process"

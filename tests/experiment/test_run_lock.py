@@ -1,0 +1,89 @@
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from knowarm.errors import UserError
+from knowarm.experiment.run import train
+from knowarm.experiment.run_lock import lock_folder
+from tests.experiment.test_run import short
+
+HOLD = """
+import sys
+from pathlib import Path
+from knowarm.experiment.run_lock import lock_folder
+
+with lock_folder(Path(sys.argv[1]), remedy="Wait."):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+def start_holder(path):
+    """Start a process that holds the lock until its input closes."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", HOLD, path],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout.readline() == "held\n"
+    return process
+
+
+@pytest.fixture
+def holder(tmp_path):
+    process = start_holder(tmp_path / "run")
+    yield process
+    process.kill()
+    process.communicate()
+
+
+def test_one_process_at_a_time_holds_a_folder(tmp_path, holder):
+    with (
+        pytest.raises(UserError, match=rf"is in use by process {holder.pid} on .*Stop it\."),
+        lock_folder(tmp_path / "run", remedy="Stop it."),
+    ):
+        pytest.fail("the lock was given twice")
+    holder.communicate()
+    with lock_folder(tmp_path / "run", remedy=""):
+        pass
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="Windows has no SIGKILL")
+def test_the_lock_of_a_killed_process_is_free(tmp_path, holder):
+    os.kill(holder.pid, signal.SIGKILL)
+    holder.wait()
+    with lock_folder(tmp_path / "run", remedy=""):
+        pass
+
+
+def test_the_lock_is_released_after_an_error(tmp_path):
+    for _ in range(2):
+        with pytest.raises(KeyError), lock_folder(tmp_path / "run", remedy=""):
+            raise KeyError
+
+
+@pytest.mark.parametrize("resume", [False, True])
+def test_two_trainings_do_not_share_a_run_folder(tmp_path, resume):
+    if resume:
+        path = train(short(total_steps=20), tmp_path).folder.path
+    else:
+        path = tmp_path / short().name / "0"
+    process = start_holder(path)
+    before = {file: file.read_bytes() for file in path.rglob("*") if file.is_file()}
+    with pytest.raises(UserError, match=rf"is in use by process {process.pid}"):
+        train(short(total_steps=20), tmp_path, resume=resume)
+    assert {file: file.read_bytes() for file in path.rglob("*") if file.is_file()} == before
+    process.communicate()
+
+
+def test_a_folder_that_cannot_be_written_to_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    with (
+        pytest.raises(UserError, match="Cannot write to the output folder"),
+        lock_folder(tmp_path / "file" / "run", remedy=""),
+    ):
+        pytest.fail("locked a folder that cannot exist")
