@@ -112,7 +112,7 @@ class PPOTrainer(Trainer):
 
     def _train_until(self, total_steps: int) -> StopReason:
         begin = time.perf_counter()
-        if self.step == 0:
+        if self.step == 0 and self.best.value is None:
             self._submit_evaluation()
         while self.step < total_steps:
             if self.hooks.should_stop():

@@ -81,7 +81,7 @@ class A3CTrainer(Trainer):
         self._begin = self._row_begin = time.perf_counter()
         self._done.clear()
         reason: StopReason = "finished"
-        if self.step == 0:
+        if self.step == 0 and self.best.value is None:
             self._evaluate_once(EvaluationRequest(number=0, step=0, values=self._values()))
         self._pool = WorkerPool(self._start_worker, self._worker_restarts)
         try:
