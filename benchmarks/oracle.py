@@ -15,7 +15,7 @@ from knowarm.world.episodes import evaluation_episodes
 from knowarm.world.ik import InverseKinematics
 from knowarm.world.objects import TARGETS
 from knowarm.world.play import play
-from knowarm.world.robots import ROBOTS
+from knowarm.world.robots import MAIN_ROBOTS
 from knowarm.world.vector_env import ReachVectorEnv
 
 SEED = 7
@@ -73,7 +73,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     tasks, tracking = [], []
-    for robot in ROBOTS:
+    for robot in MAIN_ROBOTS:
         for dynamics in ("dynamic", "kinematic"):
             for target in TARGETS:
                 tasks.append(task_row(robot, target, dynamics, arguments.episodes))

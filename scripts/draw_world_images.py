@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image
 
 from knowarm.world.config import EnvConfig
-from knowarm.world.robots import ROBOTS
+from knowarm.world.robots import MAIN_ROBOTS
 from knowarm.world.vector_env import ReachVectorEnv
 
 SIDE = 240
@@ -23,7 +23,7 @@ def enlarged(image: np.ndarray, filter: Image.Resampling) -> np.ndarray:
 def main() -> None:
     """Draw a row of large and a row of small images a robot, a column a colour."""
     rows = []
-    for robot in ROBOTS:
+    for robot in MAIN_ROBOTS:
         env = ReachVectorEnv(EnvConfig(robot=robot, colours="randomized"), 60)
         small, infos = env.reset(seed=3)
         large = env.render()

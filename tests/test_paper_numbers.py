@@ -70,6 +70,14 @@ START_OFFSETS = {  # paper table 1: 15 % of the working range's limits, joints 1
 }
 
 
+TASKS = {  # ours, see docs/decisions.md: home pose [rad] and MPI [rad]
+    "irb120": ((0, 0, 0.2, -0.4, -0.28, 1.44), 0.05),
+    "tiago": ((0.206, -0.036, -1.35, 1.81, 0.52, 0, 0.95), 0.042),
+    "irb120-near": ((0, 0, 0.4, 0, 0.2, 0), 0.10),
+    "tiago-near": ((0.206, -0.036, -1.67, 1.79, 0.57, -0.56, -0.6), 0.10),
+}
+
+
 @pytest.fixture(params=["irb120", "tiago"])
 def robot(request) -> str:
     return request.param
@@ -159,6 +167,17 @@ def test_increments(robot):
     moved = (env.joint_targets - before)[:, 2]
     np.testing.assert_allclose(sorted(moved), [-0.1, -0.01, -0.001, 0, 0.001, 0.01, 0.1], atol=1e-9)
     assert moved[0] == 0.0
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_home_and_own_increment(name):
+    home, mpi = TASKS[name]
+    env = ReachVectorEnv(EnvConfig(robot=name, image_size=16, dynamics="kinematic"), 1)
+    np.testing.assert_allclose(env.scene.home, home, atol=1e-12)
+    env.reset(seed=3)
+    before = env.joint_targets.copy()
+    env.step(np.ones_like(before, dtype=np.int64))
+    np.testing.assert_allclose((env.joint_targets - before)[0, 2:], mpi, atol=1e-9)
 
 
 @pytest.mark.parametrize(

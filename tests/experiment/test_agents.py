@@ -75,7 +75,7 @@ def test_a_capacity_control_of_an_earlier_version_can_be_loaded(tmp_path):
         PolicyConfig(fusion="none", hidden=278, features=202), parts.policy_shape, seed=5
     )
     folder = RunFolder.create(tmp_path / "run")
-    folder.write_json("config.json", {"format": 2, **to_dict(config)})
+    folder.write_json("config.json", {"format": 3, **to_dict(config)})
     choices, shape = to_dict(config.policy), to_dict(parts.policy_shape)
     assert choices["wide"]
     folder.write_json("provenance.json", {"policy": {"config": choices, "shape": shape}})

@@ -14,6 +14,7 @@ from knowarm.experiment.migration import (
     migrate_checkpoints,
     migrate_config,
     migrate_description,
+    migrate_evaluation,
     migrate_provenance,
 )
 from knowarm.experiment.run_folder import RunFolder, read_csv
@@ -48,13 +49,15 @@ def test_every_field_of_a_format_1_config_is_kept():
     for name, value in values["network"].items():
         assert getattr(config.policy, name) == value
     # What did not change its name or shape is equal in both formats.
-    assert {**to_dict(config.env), **values["env"]} == to_dict(config.env)
+    task = {"robot": "irb120-near", "mpi_rad": None}  # what was called irb120 with MPI .1
+    assert {**to_dict(config.env), **values["env"], **task} == to_dict(config.env)
     assert to_dict(config.interim) == values["interim"]
 
 
 def test_the_current_format_is_left_alone():
     migrated = migrate_config(stored("config.json"))
     assert migrated["format"] == FORMAT
+    migrated["env"] = {**migrated["env"], "robot": "irb120", "mpi_rad": 0.1}
     assert migrate_config(migrated) == migrated
     provenance = migrate_provenance(stored("provenance.json"))
     assert migrate_provenance(provenance) == provenance
@@ -84,6 +87,25 @@ def test_provenance_separates_the_policy_s_choices_from_its_shape():
     assert {**policy["config"], **policy["shape"]} == values["network"]
 
 
+@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize(
+    ("env", "task"),
+    [
+        ({"robot": "tiago", "mpi_rad": 0.1}, {"robot": "tiago-near", "mpi_rad": None}),
+        ({"robot": "tiago", "mpi_rad": 0.2}, {"robot": "tiago-near", "mpi_rad": 0.2}),
+        ({"robot": "tiago"}, {"robot": "tiago-near"}),
+        ({"robot": "my.toml", "mpi_rad": 0.1}, {"robot": "my.toml", "mpi_rad": 0.1}),
+        ({}, {}),
+    ],
+)
+def test_runs_of_earlier_formats_keep_their_task(version, env, task):
+    assert migrate_config({"format": version, "env": env})["env"] == task
+    assert migrate_config({"format": FORMAT, "env": env})["env"] == env
+    evaluation = {"format": 1, "env": env, "success": 1.0}
+    assert migrate_evaluation(evaluation) == {"format": 2, "env": task, "success": 1.0}
+    assert migrate_evaluation({**evaluation, "format": 2})["env"] == env
+
+
 def test_columns_of_format_1_have_their_new_names(tmp_path):
     (tmp_path / "metrics.csv").write_text("step,gradient_norm,kl,clipped\n10,0.5,0.25,0\n")
     assert read_csv(tmp_path / "metrics.csv") == [
@@ -98,6 +120,7 @@ def test_committed_runs_are_read(path):
     config = folder.experiment()
     assert from_dict(ExperimentConfig, to_dict(config)) == config
     assert (config.name, config.seed) == (values["name"], values["seed"])
+    assert (config.env.robot, config.env.mpi_rad) == (f"{values['env']['robot']}-near", None)
     assert set(folder.provenance()["policy"]) == {"config", "shape"}
     assert float(read_csv(folder.evaluations_path)[-1]["return_mean"]) > -200
 
@@ -116,13 +139,15 @@ def test_checkpoints_of_format_1_belong_to_their_migrated_run(tmp_path):
     shutil.copytree(ROOT / "zoo" / "irb120-full-ppo" / "checkpoints", tmp_path / "checkpoints")
     best = tmp_path / "checkpoints" / "best"
     before = json.loads((best / "meta.json").read_text())["description"]
-    description = migrate_description(before)
+    description = migrate_description(before, "irb120-near")
+    assert (before["robot"], description["robot"]) == ("irb120", "irb120-near")
+    assert migrate_description(before, "irb120")["robot"] == "irb120"
     assert description["policy.shape.joints"] == before["network.joints"] == 6
     assert description["policy.config.fusion"] == "before_lstm"
-    migrate_checkpoints(tmp_path / "checkpoints")
+    migrate_checkpoints(tmp_path / "checkpoints", "irb120-near")
     assert read_checkpoint(best, description).facts["step"] == 4_851_200
     again = (best / "meta.json").read_bytes()
-    migrate_checkpoints(tmp_path / "checkpoints")
+    migrate_checkpoints(tmp_path / "checkpoints", "irb120-near")
     assert (best / "meta.json").read_bytes() == again
 
 
@@ -131,6 +156,6 @@ def test_the_sums_of_a_format_1_a3c_run_are_renamed(tmp_path):
     meta.parent.mkdir()
     window = {"updates": 3, "gradient_norm": 7.5}
     meta.write_text(json.dumps({"description": {}, "facts": {"step": 9, "window": window}}))
-    migrate_checkpoints(tmp_path)
+    migrate_checkpoints(tmp_path, "irb120")
     facts = json.loads(meta.read_text())["facts"]
     assert facts == {"step": 9, "window": {"updates": 3, "grad_norm": 7.5}}

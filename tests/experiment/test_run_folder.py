@@ -9,10 +9,10 @@ from knowarm.experiment.run_folder import CsvLog, RunFolder, read_csv, write_jso
 
 def test_a_run_folder_is_created_once(tmp_path):
     folder = RunFolder.create(tmp_path / "x" / "0")
-    folder.write_json("config.json", {"format": 2})
+    folder.write_json("config.json", {"format": 3})
     with pytest.raises(UserError, match="resume=True"):
         RunFolder.create(folder.path)
-    assert RunFolder.open(folder.path).config() == {"format": 2}
+    assert RunFolder.open(folder.path).config() == {"format": 3}
 
 
 def test_what_is_no_run_folder_is_refused(tmp_path):

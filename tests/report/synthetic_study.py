@@ -135,7 +135,7 @@ def write_run(
     folder.write_json(
         "config.json",
         {
-            "format": 2,
+            "format": 3,
             "name": path.parent.name,
             "agent": agent,
             "seed": seed,
@@ -238,7 +238,7 @@ def write_evaluation(
         "wide_angle_deg": 20.0,
         "actions": "greedy",
     } | size.evaluation
-    known = {"format": 1, "agent": agent, "label": folder.name, "config": config, "env": env}
+    known = {"format": 2, "agent": agent, "label": folder.name, "config": config, "env": env}
     if not size.tables:
         share = generator.binomial(size.episodes, success) / size.episodes
         flat = {"success": share, "accuracy": share, "return_mean": 140 * share - 40}

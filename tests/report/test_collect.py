@@ -23,7 +23,7 @@ from tests.report.synthetic_study import (
 )
 
 LIGHT = Size(points=8, tables=False)
-DAMAGED = '{"format": 2, "agent": "full", "seed": 0, "env": {}, "algorithm": "ppo"}'
+DAMAGED = '{"format": 3, "agent": "full", "seed": 0, "env": {}, "algorithm": "ppo"}'
 TRUTH = Truth(success={"bm": 0.5, "full": 0.6})
 
 

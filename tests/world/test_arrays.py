@@ -12,7 +12,7 @@ from knowarm.world.config import EnvConfig
 from knowarm.world.draws import uniforms
 from knowarm.world.episodes import EpisodeSource
 from knowarm.world.held_out import HeldOut
-from knowarm.world.robots import ROBOTS
+from knowarm.world.robots import MAIN_ROBOTS
 from knowarm.world.scene import Scene, load_scene, target_places
 from knowarm.world.visual_randomization import VisualRandomization
 
@@ -43,7 +43,7 @@ def test_torch_draws_the_same_uniforms() -> None:
     assert drawn.numpy().tobytes() == numbers.tobytes()
 
 
-@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("robot", MAIN_ROBOTS)
 @pytest.mark.parametrize(
     "options",
     [
@@ -69,7 +69,7 @@ def test_torch_draws_the_same_episodes(robot: str, options: dict) -> None:
     ).all()
 
 
-@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("robot", MAIN_ROBOTS)
 @pytest.mark.parametrize("randomization", [VisualRandomization(), EVERYTHING])
 def test_torch_shows_the_same_looks(robot: str, randomization: VisualRandomization) -> None:
     config = EnvConfig(robot=robot, colours="randomized", randomization=randomization)

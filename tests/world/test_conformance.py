@@ -9,7 +9,7 @@ import torch
 from knowarm.errors import UserError
 from knowarm.world.episodes import evaluation_episodes
 from knowarm.world.held_out import HeldOut
-from knowarm.world.robots import ROBOTS
+from knowarm.world.robots import MAIN_ROBOTS
 from knowarm.world.visual_randomization import VisualRandomization
 from tests.world.faces import (
     COUNT,
@@ -40,7 +40,7 @@ def face(request: pytest.FixtureRequest) -> Face:
     return request.param
 
 
-@pytest.fixture(params=ROBOTS)
+@pytest.fixture(params=MAIN_ROBOTS)
 def robot(request: pytest.FixtureRequest) -> str:
     return request.param
 

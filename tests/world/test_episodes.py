@@ -3,7 +3,7 @@ import pytest
 
 from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import Episodes, draw_episodes, evaluation_episodes
-from knowarm.world.robots import ROBOTS
+from knowarm.world.robots import MAIN_ROBOTS
 from knowarm.world.scene import Scene, load_scene
 
 TARGETS = ("mug", "bottle", "cereal_box")
@@ -15,7 +15,7 @@ def draw(scene: Scene, config: EnvConfig, count: int, stream: int = 5) -> Episod
     )
 
 
-@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("robot", MAIN_ROBOTS)
 def test_episodes_fill_the_paper_s_ranges(robot: str) -> None:
     scene = load_scene(robot, TARGETS)
     episodes = draw(scene, EnvConfig(robot=robot, colours="randomized"), 4000)

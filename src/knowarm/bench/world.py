@@ -13,7 +13,7 @@ from knowarm.bench.clock import cpu_seconds
 from knowarm.cores import processor
 from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig
-from knowarm.world.robots import ROBOTS
+from knowarm.world.robots import MAIN_ROBOTS
 from knowarm.world.tasks.reach import ACTION_LEVELS
 from knowarm.world.vector_env import ReachVectorEnv
 
@@ -50,7 +50,7 @@ class WorldBenchConfig:
     seconds: float = 5.0
     """Measuring time per row [s]."""
 
-    robots: tuple[str, ...] = tuple(ROBOTS)
+    robots: tuple[str, ...] = MAIN_ROBOTS
     """Robots to measure."""
 
     image_size: int = 64

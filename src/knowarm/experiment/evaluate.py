@@ -26,7 +26,7 @@ from knowarm.world.episodes import Episodes, evaluation_episodes
 from knowarm.world.play import EpisodeResults, play
 from knowarm.world.vector_env import ReachVectorEnv
 
-FORMAT = 1
+FORMAT = 2
 """Version of the evaluation folder's layout."""
 
 

@@ -1,6 +1,7 @@
-"""Migration of stored run files: from run format 1 to 2, and fields added to format 2 since.
+"""Migration of stored run files: from run formats 1 and 2 to 3, and fields added since.
 
-Files of format 1 are converted whenever they are read; nothing is rewritten unless a run resumes.
+Files of earlier formats are converted whenever they are read; nothing is rewritten unless a run
+resumes.
 
 ==================  ==================================================================
 file                change from format 1 to 2
@@ -14,8 +15,12 @@ checkpoints         ``meta.json``: ``network.*`` -> ``policy.config.*`` and ``po
                     the description; sums of A3C's log interval renamed as the columns
 ==================  ==================================================================
 
-Fields that were added to format 2 get the meaning that the earlier version had (``earlier_values``
-of the algorithms' and the vector sources' configs).
+From format 2 to 3 the robots got another task: another start pose and MPI. Runs of earlier formats
+keep theirs under the name of the robot's variant (``RobotEntry.variant_of``): in ``env`` of
+``config.json`` and of an evaluation's ``summary.json``, and in the description of a checkpoint.
+
+Fields that were added without a new format get the meaning that the earlier version had
+(``earlier_values`` of the algorithms' and the vector sources' configs).
 """
 
 import json
@@ -26,8 +31,9 @@ from typing import Any
 from knowarm.experiment.agents import AGENTS, Role
 from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.knowledge import migrate_source
+from knowarm.world.robots import ROBOTS
 
-FORMAT = 2
+FORMAT = 3
 """Version of the run folder's layout that this version writes."""
 
 ALGORITHM_FIELDS = {
@@ -49,6 +55,9 @@ COLUMNS = {"gradient_norm": "grad_norm", "kl": "approx_kl", "clipped": "clip_fra
 ADDED_TO_DESCRIPTIONS = {"policy.config.fc_activation": "relu"}
 """Fields that descriptions of checkpoints lack if an earlier version wrote them."""
 
+VARIANTS = {entry.variant_of: name for name, entry in ROBOTS.items() if entry.variant_of}
+"""Robot in run formats 1 and 2 to the robot that has its task now."""
+
 SHAPE_FIELDS = ("joints", "levels", "image_size", "knowledge_dim", "knowledge_slots")
 """Fields of a format 1 ``network`` that belong to the policy's shape; the others are choices."""
 
@@ -57,10 +66,10 @@ def migrate_config(values: Mapping[str, Any]) -> dict[str, Any]:
     """Convert the values of a ``config.json`` to the current format.
 
     Args:
-        values: the file's JSON object, format 1 or 2.
+        values: the file's JSON object, format 1 to 3.
 
     Returns:
-        The values in format 2 with all current fields of knowledge and algorithm whose default
+        The values in format 3 with all current fields of knowledge and algorithm whose default
         differs from what earlier versions did.
     """
     migrated = dict(values)
@@ -71,9 +80,13 @@ def migrate_config(values: Mapping[str, Any]) -> dict[str, Any]:
             algorithm = _renamed(algorithm, ALGORITHM_FIELDS)
         entry = ALGORITHMS.get(algorithm.get("name", ""))
         migrated["algorithm"] = {**(entry.config.earlier_values if entry else {}), **algorithm}
-    if migrated.get("format") != 1:
+    if values.get("format") not in (1, 2):
         return migrated
     migrated["format"] = FORMAT
+    if isinstance(env := values.get("env"), Mapping):
+        migrated["env"] = _migrate_env(env)
+    if values["format"] == 2:
+        return migrated
     migrated["role"] = _role(values)
     if isinstance(policy := migrated.pop("network", None), Mapping):
         learned = values.get("knowledge", {}).get("source") == "learned"
@@ -86,10 +99,10 @@ def migrate_provenance(values: Mapping[str, Any]) -> dict[str, Any]:
     """Convert the values of a ``provenance.json`` to the current format.
 
     Args:
-        values: the file's JSON object, format 1 or 2.
+        values: the file's JSON object, format 1 to 3.
 
     Returns:
-        The values in format 2; values of format 2 are returned unchanged.
+        The values in format 3; values of formats 2 and 3 are returned unchanged.
     """
     migrated = dict(values)
     if isinstance(network := migrated.pop("network", None), Mapping):
@@ -99,23 +112,31 @@ def migrate_provenance(values: Mapping[str, Any]) -> dict[str, Any]:
     return migrated
 
 
+def migrate_evaluation(summary: Mapping[str, Any]) -> dict[str, Any]:
+    """Convert the values of an evaluation's ``summary.json`` from format 1 to 2: the robot."""
+    if summary.get("format") != 1:
+        return dict(summary)
+    return {**summary, "format": 2, "env": _migrate_env(summary.get("env", {}))}
+
+
 def migrate_row(row: Mapping[str, str]) -> dict[str, str]:
     """Convert one row of ``metrics.csv`` or ``evaluations.csv`` to the current column names."""
     return _renamed(row, COLUMNS)
 
 
-def migrate_checkpoints(folder: Path) -> None:
+def migrate_checkpoints(folder: Path, robot: str) -> None:
     """Rewrite the ``meta.json`` of checkpoints of earlier versions, so that their run can resume.
 
     Args:
         folder: the run's ``checkpoints`` folder.
+        robot: the run's robot, in the current format.
     """
     for path in folder.glob("*/meta.json"):
         try:
             meta = json.loads(path.read_text())
             migrated = {
                 **meta,
-                "description": migrate_description(meta["description"]),
+                "description": migrate_description(meta["description"], robot),
                 "facts": _migrate_facts(meta["facts"]),
             }
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
@@ -126,8 +147,12 @@ def migrate_checkpoints(folder: Path) -> None:
             temporary.replace(path)
 
 
-def migrate_description(description: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert the description of a checkpoint (flat JSON values) to the current format."""
+def migrate_description(description: Mapping[str, Any], robot: str) -> dict[str, Any]:
+    """Convert the description of a checkpoint (flat JSON values) to the current format.
+
+    The description has no format of its own: its robot becomes that of the run if this is its
+    variant.
+    """
     migrated = {}
     for name, value in description.items():
         group, _, field = name.partition(".")
@@ -136,6 +161,19 @@ def migrate_description(description: Mapping[str, Any]) -> dict[str, Any]:
         migrated[name] = value
     if any(name.startswith("policy.config.") for name in migrated):
         migrated = {**ADDED_TO_DESCRIPTIONS, **migrated}
+    if VARIANTS.get(str(migrated.get("robot"))) == robot:
+        migrated["robot"] = robot
+    return migrated
+
+
+def _migrate_env(env: Mapping[str, Any]) -> dict[str, Any]:
+    """Name the variant that has the robot's task of run formats 1 and 2."""
+    robot = VARIANTS.get(str(env.get("robot")))
+    if robot is None:
+        return dict(env)
+    migrated = {**env, "robot": robot}
+    if env.get("mpi_rad") == ROBOTS[robot].robot.mpi_rad:
+        migrated["mpi_rad"] = None
     return migrated
 
 

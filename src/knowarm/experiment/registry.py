@@ -55,10 +55,10 @@ def experiment_config(name: str, **overrides: Any) -> ExperimentConfig:
         if name == experiment_name(*parts):
             config = _config(name, *parts)
             return replace(config, overrides) if overrides else config
-    robot, _, rest = name.partition("-")
-    if robot not in ROBOTS:
-        raise unknown_name("robot of the experiment", robot, ROBOTS)
-    middle, _, algorithm = rest.rpartition("-")
+    robot = max((each for each in ROBOTS if name.startswith(f"{each}-")), key=len, default=None)
+    if robot is None:
+        raise unknown_name("robot of the experiment", name.partition("-")[0], ROBOTS)
+    middle, _, algorithm = name.removeprefix(f"{robot}-").rpartition("-")
     if algorithm not in ALGORITHMS:
         raise unknown_name("experiment", name, experiment_names())
     raise unknown_name("agent of the experiment", middle.removesuffix("-dr"), AGENTS)

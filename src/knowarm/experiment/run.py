@@ -92,7 +92,7 @@ def _train_locked(
     if resume:
         folder = RunFolder.open(path)
         folder.write_json("config.json", {"format": FORMAT, **to_dict(config)})
-        migrate_checkpoints(folder.checkpoints)
+        migrate_checkpoints(folder.checkpoints, config.env.robot)
         if folder.has_checkpoint:
             parts = replace_fields(parts, table=folder.knowledge())
     else:

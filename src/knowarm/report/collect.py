@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from knowarm.errors import UserError
+from knowarm.experiment.migration import migrate_evaluation
 from knowarm.experiment.run_folder import RunFolder, read_csv, read_json
 from knowarm.report.format import differing, flatten, slugs
 from knowarm.report.study import (
@@ -168,7 +169,7 @@ def read_evaluation(folder: Path) -> Evaluation:
     Raises:
         UserError: there is no summary, or it lacks numbers that every report needs.
     """
-    summary = read_json(folder / "summary.json")
+    summary = migrate_evaluation(read_json(folder / "summary.json"))
     missing = [name for name in NEEDED_NUMBERS if not isinstance(summary.get(name), int | float)]
     if missing:
         raise UserError(

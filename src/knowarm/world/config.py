@@ -39,8 +39,9 @@ class EnvConfig:
     ignore_roll: bool = False
     """Ignore the rotation about the approach axis in the angle."""
 
-    mpi_rad: float = 0.10
-    """Maximum position increment, the largest joint step of an action [rad] (slides: [m])."""
+    mpi_rad: float | None = None
+    """Maximum position increment (MPI), the largest joint step of an action [rad] (slides: [m]);
+    None takes the robot's own."""
 
     image_size: int = 64
     """Width and height of the image [px]."""
@@ -63,7 +64,7 @@ class EnvConfig:
         _one_of("renderer", self.renderer, ("raycast", "opengl"))
         for name in ("success_distance_m", "success_angle_deg", "mpi_rad"):
             value = getattr(self, name)
-            if not value > 0:
+            if value is not None and not value > 0:
                 raise UserError(f"EnvConfig.{name} must be greater than 0, got {value}.")
         if self.max_episode_steps < 1:
             raise UserError(

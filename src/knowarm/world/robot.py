@@ -64,6 +64,9 @@ class Robot:
     home: tuple[float, ...]
     """Start angle of each joint [rad] (slides: [m])."""
 
+    mpi_rad: float = 0.10
+    """Maximum position increment (MPI): the largest joint step of an action [rad] (slides: [m])."""
+
     start_fraction: float = 0.15
     """Half-width of the start distribution relative to half the joint's range (paper, table 1).
 
@@ -94,6 +97,10 @@ class Robot:
 
     target_yaws_deg: Mapping[str, float] = field(default_factory=dict)
     """Yaw of single targets by name, if different from ``target_yaw_deg`` [deg]."""
+
+    turned_grasps: tuple[str, ...] = ()
+    """Targets whose grasp frame is turned half about the approach direction. A gripper with two
+    fingers grasps equally either way; the wrist's range may allow only one."""
 
     camera_position_m: tuple[float, float, float]
     """Position of the fixed camera [m]."""
@@ -134,6 +141,7 @@ class Robot:
                 0 < self.camera_fovy_deg < 180,
                 f"camera_fovy_deg must lie between 0 and 180, got {self.camera_fovy_deg}",
             ),
+            (self.mpi_rad > 0, f"mpi_rad must be positive, got {self.mpi_rad}"),
             (
                 self.servo_frequency_hz > 0,
                 f"servo_frequency_hz must be positive, got {self.servo_frequency_hz}",

@@ -148,6 +148,7 @@ def build_scene(robot: Robot, targets: Sequence[Target], distractors: int = 0) -
             range, or a target can be outside the image.
     """
     model = compose(robot, targets, distractors).compile()
+    _turn_grasps(model, robot, targets)
     joint_ids = [model.joint(ROBOT_PREFIX + name).id for name in robot.joints]
     endless = model.jnt_limited[joint_ids] == 0
     lower, upper = np.where(
@@ -227,6 +228,17 @@ def project(scene: Scene, points: NDArray[np.float64]) -> NDArray[np.float64]:
     depth = np.where(local[:, 2:] < 0, -local[:, 2:], np.nan)
     half_height = np.tan(np.radians(scene.model.cam_fovy[scene.camera]) / 2)
     return np.asarray(local[:, :2] / (depth * half_height))
+
+
+def _turn_grasps(model: mujoco.MjModel, robot: Robot, targets: Sequence[Target]) -> None:
+    """Turn the grasp frames of the robot's ``turned_grasps`` half about their z axis."""
+    for target in targets:
+        if target.name in robot.turned_grasps:
+            site = model.site(f"{target.name}/{target.grasp_site}").id
+            turned = np.zeros(4)
+            mujoco.mju_mulQuat(turned, model.site_quat[site], np.array([0.0, 0.0, 0.0, 1.0]))
+            model.site_quat[site] = turned
+            model.site_sameframe[site] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
 
 
 def _grasp_frames(

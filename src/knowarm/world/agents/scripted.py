@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.world.ik import InverseKinematics
-from knowarm.world.tasks.reach import ACTION_LEVELS
+from knowarm.world.tasks.reach import ACTION_LEVELS, joint_increments
 from knowarm.world.vector_env import ReachVectorEnv
 
 
@@ -76,7 +76,7 @@ class OracleAgent:
     def start(self, env: ReachVectorEnv) -> None:
         """Solve the inverse kinematics of every episode."""
         self._env = env
-        self._levels = env.config.mpi_rad * np.array(ACTION_LEVELS)
+        self._levels = joint_increments(env.scene.robot, env.config)
         solver = InverseKinematics(env.scene, seed=self._seed)
         self._reach = solver.solve(env.grasp_position, env.grasp_matrix, env.joint_positions)
 

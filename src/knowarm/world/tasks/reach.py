@@ -17,6 +17,7 @@ from knowarm.world.arrays import Array, Selection, array_namespace
 from knowarm.world.backends import Simulator
 from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import Episodes, EpisodeSource
+from knowarm.world.robot import Robot
 from knowarm.world.scene import Scene, target_places
 from knowarm.world.tasks.reward import is_success, measure, reward_terms
 
@@ -37,6 +38,12 @@ _STATE = (
     "look",
 )
 """Arrays that, with the simulator's state, determine everything else."""
+
+
+def joint_increments(robot: Robot, config: EnvConfig) -> NDArray[np.float64]:
+    """Return the joint increment of each action level [rad] (slides: [m]), (7,)."""
+    mpi_rad = robot.mpi_rad if config.mpi_rad is None else config.mpi_rad
+    return mpi_rad * np.array(ACTION_LEVELS)
 
 
 class Outcome(NamedTuple):
@@ -99,7 +106,7 @@ class ReachTask:
         self._appearance = AppearanceSource(scene, config.randomization, place)
         self.facets, first = list_facets(scene, config)
         self._first_facet = place(first)
-        self._increments = place((config.mpi_rad * np.array(ACTION_LEVELS)).astype(real))
+        self._increments = place(joint_increments(scene.robot, config).astype(real))
         self._home = place(scene.home)
         self._limits = place(scene.joint_lower), place(scene.joint_upper)
         self._rounded_limits = (
