@@ -4,8 +4,9 @@ import math
 import sys
 import time
 from collections import deque
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
+from typing import Protocol
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -113,16 +114,32 @@ class TrainingProgress:
                 print(f"{self._label}: {text}", file=sys.stderr, flush=True)
 
 
+class Mirror(Protocol):
+    """A further place that receives a run's curves, such as a tracking service."""
+
+    def scalars(self, step: int, values: Mapping[str, float]) -> None:
+        """Receive finite values of one step, by name (``train/entropy``)."""
+        ...
+
+    def close(self) -> None:
+        """Send what is pending."""
+        ...
+
+
 class RunLogs:
-    """Writers of metrics and evaluations: CSV, TensorBoard and the progress display.
+    """Writers of metrics and evaluations: CSV, TensorBoard, mirrors and the progress display.
 
     Args:
         folder: the run folder.
         progress: the display at the terminal.
+        mirrors: further receivers; closed with the logs.
     """
 
-    def __init__(self, folder: RunFolder, progress: TrainingProgress):
+    def __init__(
+        self, folder: RunFolder, progress: TrainingProgress, mirrors: Sequence[Mirror] = ()
+    ):
         self._folder = folder
+        self._mirrors = mirrors
         self._progress = progress
 
     def open(self, *, keep_to_step: int | None, pending: Collection[int] = ()) -> None:
@@ -154,11 +171,19 @@ class RunLogs:
         self._progress.evaluation(step, results, is_best)
 
     def close(self) -> None:
-        """Flush TensorBoard's event file."""
+        """Flush TensorBoard's event file and the mirrors."""
         self._tensorboard.close()
+        for mirror in self._mirrors:
+            mirror.close()
 
     def _scalars(self, group: str, row: Metrics) -> None:
         step = int(row["step"])
-        for name, value in row.items():
-            if name != "step" and math.isfinite(value):
-                self._tensorboard.add_scalar(f"{group}/{name}", value, step)
+        values = {
+            f"{group}/{name}": value
+            for name, value in row.items()
+            if name != "step" and math.isfinite(value)
+        }
+        for name, value in values.items():
+            self._tensorboard.add_scalar(name, value, step)
+        for mirror in self._mirrors:
+            mirror.scalars(step, values)

@@ -30,7 +30,7 @@ from safetensors.numpy import load_file, save_file
 from knowarm.config import from_dict
 from knowarm.cores import processor
 from knowarm.errors import UserError
-from knowarm.experiment.config import ExperimentConfig
+from knowarm.experiment.config import ExperimentConfig, StopWhen
 from knowarm.experiment.migration import FORMAT, migrate_config, migrate_provenance, migrate_row
 
 PACKAGES = ("knowarm", "torch", "mujoco", "numpy", "numba", "gymnasium", "safetensors")
@@ -135,6 +135,13 @@ class RunFolder:
         """Read the configuration that the run was started with."""
         values = {name: value for name, value in self.config().items() if name != "format"}
         return from_dict(ExperimentConfig, values)
+
+    def ended_early_at(self, rule: StopWhen | None) -> int | None:
+        """Return the step at which an early end was reached, or None."""
+        if rule is None or not self.evaluations_path.exists():
+            return None
+        rows = read_csv(self.evaluations_path)
+        return rule.met_at((int(float(row["step"])), float(row["success"])) for row in rows)
 
     def provenance(self) -> dict[str, Any]:
         """Read versions, machine, policy, parameter counts and knowledge of the run."""
