@@ -104,10 +104,10 @@ class StateCritic:
             nn.ReLU(),
             nn.Linear(CRITIC_WIDTH, 1),
         )
-        for layer in self.network:
-            if isinstance(layer, nn.Linear):
-                nn.init.orthogonal_(layer.weight, 2**0.5, generator=weights)
-                nn.init.zeros_(layer.bias)
+        # The small last layer makes the first values nearly zero.
+        for layer, gain in zip(self.network[::2], (2**0.5, 2**0.5, 0.01), strict=True):
+            nn.init.orthogonal_(layer.weight, gain, generator=weights)
+            nn.init.zeros_(layer.bias)
         self.network.to(device)
         self._optimizer = torch.optim.Adam(
             self.network.parameters(), lr=CRITIC_LEARNING_RATE, fused=True
