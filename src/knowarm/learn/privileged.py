@@ -105,7 +105,8 @@ class StateCritic:
             nn.Linear(CRITIC_WIDTH, 1),
         )
         # The small last layer makes the first values nearly zero.
-        for layer, gain in zip(self.network[::2], (2**0.5, 2**0.5, 0.01), strict=True):
+        layers = [layer for layer in self.network if isinstance(layer, nn.Linear)]
+        for layer, gain in zip(layers, (2**0.5, 2**0.5, 0.01), strict=True):
             nn.init.orthogonal_(layer.weight, gain, generator=weights)
             nn.init.zeros_(layer.bias)
         self.network.to(device)
