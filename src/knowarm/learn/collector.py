@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from knowarm.learn.curriculum import ThresholdCurriculum
 from knowarm.learn.device import Stopwatch
 from knowarm.learn.environment import Infos, PrivilegedVectorEnv, TorchVectorEnv
 from knowarm.learn.episode_statistics import EpisodeStatistics
@@ -65,6 +66,7 @@ class Collector:
         stream: tells several collectors of a run apart (A3C: worker, number of its restarts).
         final_values: computes the values of final observations; by default at once on the CPU
             and later on a GPU.
+        curriculum: of the environment's success thresholds.
 
     Raises:
         UserError: the policy's knowledge table has no row for a facet of the environment.
@@ -78,9 +80,11 @@ class Collector:
         seed: int,
         stream: tuple[int, ...] = (),
         final_values: "ImmediateFinalValues | DeferredFinalValues | NoFinalValues | None" = None,
+        curriculum: ThresholdCurriculum | None = None,
     ) -> None:
         self.env = env
         self.policy = policy
+        self.curriculum = curriculum
         self.statistics = EpisodeStatistics(env.num_envs, env.device)
         self.generator = torch_generator(seed, "actions", *stream, device=env.device)
         self._stopwatch = Stopwatch(env.device)
@@ -174,6 +178,8 @@ class Collector:
         }
         state = {name: tensor.cpu().numpy().copy() for name, tensor in tensors.items()}
         state.update({f"episode/{k}": v for k, v in self.statistics.get_state().items()})
+        if self.curriculum is not None and self.curriculum.is_used:
+            state["threshold_factor"] = np.array(self.curriculum.factor)
         state.update({f"env/{k}": np.asarray(v) for k, v in self.env.get_state().items()})
         return state
 
@@ -187,6 +193,8 @@ class Collector:
         self._state = (place("h"), place("c"))
         self.generator.set_state(torch.from_numpy(state["generator"].copy()))
         self.statistics.set_state(select(state, "episode/"))
+        if self.curriculum is not None and self.curriculum.is_used:
+            self.curriculum.factor = float(state["threshold_factor"])
         self.env.set_state(select(state, "env/"))
 
 

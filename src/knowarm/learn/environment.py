@@ -91,7 +91,6 @@ class PrivilegedVectorEnv(TorchVectorEnv, Protocol):
 
     privileged_columns: tuple[str, ...]
     report_privileged_state: bool
-    threshold_factor: float
 
     @property
     def privileged_state(self) -> Tensor:

@@ -11,6 +11,7 @@ from knowarm.errors import UserError
 from knowarm.learn.checkpoint import Checkpoint, policy_arrays
 from knowarm.learn.collector import Collector, NoFinalValues, select
 from knowarm.learn.config import PPOConfig, privileged_uses
+from knowarm.learn.curriculum import ThresholdCurriculum
 from knowarm.learn.data_parallel import make_learner
 from knowarm.learn.device import resolve_precision
 from knowarm.learn.environment import PrivilegedVectorEnv, TorchVectorEnv
@@ -20,7 +21,7 @@ from knowarm.learn.guards import FiniteGuard, HealthMonitor
 from knowarm.learn.losses import PPOLossTerms
 from knowarm.learn.minibatch import TrainingNetwork
 from knowarm.learn.optimizer import PolicyOptimizer
-from knowarm.learn.privileged import PrivilegedLearning, ThresholdCurriculum
+from knowarm.learn.privileged import PrivilegedLearning
 from knowarm.learn.processes import keep_freed_memory
 from knowarm.learn.returns import advantages
 from knowarm.learn.trainer import StopReason, Trainer, crossed
@@ -73,19 +74,20 @@ class PPOTrainer(Trainer):
                 "the environment with device='cuda', or pass device='cpu' in the config."
             )
         self.matmul_precision = resolve_precision(config.matmul_precision, self._device)
-        self._privileged, self._curriculum = None, None
+        self._privileged = None
         targets = 0
         if privileged_uses(vars(config)):
             self._privileged = PrivilegedLearning(config, cast(PrivilegedVectorEnv, env), seed)
             if config.auxiliary_coef:
                 targets = self._privileged.auxiliary_targets().shape[-1]
-        if config.threshold_factor > 1:
-            self._curriculum = ThresholdCurriculum(config, cast(PrivilegedVectorEnv, env))
+        self._curriculum = ThresholdCurriculum(config, env)
         network = TrainingNetwork(policy.to(self._device), targets, seed)
         self._head = network.head
         self._learner = make_learner(network, config, self.matmul_precision, self._device)
         others = NoFinalValues() if config.critic == "state" else None
-        self._collector = Collector(env, policy, seed=seed, final_values=others)
+        self._collector = Collector(
+            env, policy, seed=seed, final_values=others, curriculum=self._curriculum
+        )
         self._minibatch_generator = torch_generator(seed, "minibatches", device=self._device)
         self._optimizer = PolicyOptimizer(network.parameters_by_name(), config)
         self._guard = FiniteGuard(self.failure_folder)
@@ -145,7 +147,6 @@ class PPOTrainer(Trainer):
 
     def _checkpoint(self) -> Checkpoint:
         privileged = self._privileged.get_state() if self._privileged else {}
-        curriculum = {"threshold_factor": self._curriculum.factor} if self._curriculum else {}
         head = {} if self._head is None else policy_arrays(self._head)
         return Checkpoint(
             policy=policy_arrays(self.policy),
@@ -156,7 +157,7 @@ class PPOTrainer(Trainer):
                 **{f"privileged/{k}": v for k, v in privileged.items()},
                 **{f"auxiliary/{k}": v for k, v in head.items()},
             },
-            facts={"step": self.step, **curriculum},
+            facts={"step": self.step},
         )
 
     def _restore(self, checkpoint: Checkpoint) -> None:
@@ -166,8 +167,6 @@ class PPOTrainer(Trainer):
             self._head.load_state_dict({k: torch.from_numpy(v) for k, v in arrays.items()})
         if self._privileged is not None:
             self._privileged.set_state(select(checkpoint.state, "privileged/"))
-        if self._curriculum is not None:
-            self._curriculum.factor = checkpoint.facts["threshold_factor"]
         self._collector.set_state(select(checkpoint.state, "collector/"))
         self._minibatch_generator.set_state(torch.from_numpy(checkpoint.state["order"]))
 
@@ -199,7 +198,7 @@ class PPOTrainer(Trainer):
         options = {}
         if self._head is not None:
             options["auxiliary_loss"] = float(torch.stack([t.auxiliary for t in terms]).mean())
-        if self._curriculum is not None:
+        if self._curriculum.is_used:
             options["threshold_factor"] = self._curriculum.factor
             self._curriculum.update(episodes.get("success", 0.0))
         return {

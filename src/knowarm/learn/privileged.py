@@ -228,35 +228,6 @@ class PrivilegedLearning:
                 )
 
 
-class ThresholdCurriculum:
-    """Success thresholds that start larger and shrink to the task's as training succeeds.
-
-    Args:
-        config: initial factor of the thresholds, its decrease and what it depends on.
-        env: its ``threshold_factor`` is set.
-    """
-
-    def __init__(self, config: PPOConfig, env: PrivilegedVectorEnv) -> None:
-        privileged_columns_of(env)
-        self._config = config
-        self._env = env
-        self.factor = config.threshold_factor
-
-    @property
-    def factor(self) -> float:
-        """Factor of the thresholds of distance and angle."""
-        return self._env.threshold_factor
-
-    @factor.setter
-    def factor(self, factor: float) -> None:
-        self._env.threshold_factor = factor
-
-    def update(self, success: float) -> None:
-        """Decrease the factor if enough of an update's episodes succeeded (0..1)."""
-        if success > self._config.threshold_success:
-            self.factor = max(1.0, self.factor - self._config.threshold_decrease)
-
-
 def auxiliary_columns(columns: tuple[str, ...]) -> list[int]:
     """Return the indices of the columns that the auxiliary head predicts."""
     return [i for i, name in enumerate(columns) if name.split("/")[0] in AUXILIARY_QUANTITIES]
@@ -272,7 +243,7 @@ def privileged_columns_of(env: PrivilegedVectorEnv) -> tuple[str, ...]:
     if columns is None:
         raise UserError(
             f"{type(env).__name__} reports no privileged state, which critic='state', "
-            "auxiliary_coef, progress_coef and threshold_factor need: implement "
+            "auxiliary_coef and progress_coef need: implement "
             "knowarm.learn.PrivilegedVectorEnv, or leave them at their defaults."
         )
     return columns
