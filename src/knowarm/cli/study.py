@@ -17,6 +17,7 @@ from knowarm.report import write_report
 from knowarm.study.config import FILE, SHIPPED, StudyConfig, read_study
 from knowarm.study.driver import open_study, request_stop, retry, run_study
 from knowarm.study.executors import EXECUTORS
+from knowarm.study.pack import SUFFIX, Part, pack_study, unpack_study
 from knowarm.study.status import RunStatus, study_status, totals
 
 Source = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="STUDY")]
@@ -177,6 +178,39 @@ class Stop:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Pack:
+    """Write a study to one file to archive or share."""
+
+    folder: Folder
+    """Folder of the study."""
+    out: FilePath = None
+    """The file. Default: DIR.tar.gz."""
+    leave_out: tuple[Part, ...] = ()
+    """Parts to leave out, to make it smaller."""
+
+    def run(self) -> None:
+        """Write the file."""
+        file = self.out or self.folder.with_name(self.folder.name + SUFFIX)
+        count = pack_study(self.folder, file, leave_out=self.leave_out)
+        print(f"Wrote {file}: {count:,} files, {file.stat().st_size / 2**20:.1f} MiB")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unpack:
+    """Unpack a study, and compare every file with its digest."""
+
+    file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+    """What `knowarm study pack` wrote."""
+    out: FilePath = None
+    """New folder. Default: the file's name without .tar.gz."""
+
+    def run(self) -> None:
+        """Write the folder."""
+        out = self.out or self.file.with_name(self.file.name.removesuffix(SUFFIX))
+        print(f"Unpacked: {unpack_study(self.file, out)}. Report: knowarm study report {out}")
+
+
+@dataclass(frozen=True, kw_only=True)
 class Report:
     """Write the report of a study, also of one that is not complete, and list what is missing."""
 
@@ -206,5 +240,7 @@ COMMANDS: dict[str, type] = {
     "retry": Retry,
     "stop": Stop,
     "report": Report,
+    "pack": Pack,
+    "unpack": Unpack,
 }
 """Commands of the group, by name."""
