@@ -15,7 +15,8 @@ from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.run import StopRequest
 from knowarm.report import write_report
 from knowarm.study.config import FILE, SHIPPED, StudyConfig, read_study
-from knowarm.study.driver import open_study, request_stop, retry, run_study
+from knowarm.study.driver import check_folder, open_study, request_stop, retry, run_study
+from knowarm.study.estimate import estimate
 from knowarm.study.executors import EXECUTORS
 from knowarm.study.pack import SUFFIX, Part, pack_study, unpack_study
 from knowarm.study.status import RunStatus, study_status, totals
@@ -81,12 +82,19 @@ class Run:
     """Runs at once on this machine. Default: as many as its cores and memory hold."""
     cores: Number = None
     """Cores of each run."""
+    address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT", help_behavior_hint="")] = None
+    """Head node of a Ray cluster, for --where ray. Default: a cluster on this machine."""
+    dry_run: bool = False
+    """Only estimate the cost, from a short measurement of every experiment on this machine."""
 
     def run(self) -> None:
-        """Run the study."""
+        """Run the study, or estimate its cost."""
         study = self._study()
         is_folder = (Path(self.study) / FILE).is_file()
         out = self.out or (Path(self.study) if is_folder else Path("runs") / study.name)
+        if self.dry_run:
+            _print_estimate(study, out)
+            return
         with StopRequest() as should_stop, StudyProgress(study) as progress:
             statuses = run_study(study, out, should_stop=should_stop, on_status=progress)
         failed = [each for each in statuses if each.state == "failed"]
@@ -112,9 +120,29 @@ class Run:
             if self.where not in EXECUTORS:
                 raise unknown_name("executor", self.where, EXECUTORS)
             where = EXECUTORS[self.where].default
-        chosen: dict[str, Any] = {"at_once": self.at_once, "cores": self.cores}
+        chosen: dict[str, Any] = {
+            "at_once": self.at_once,
+            "cores": self.cores,
+            "address": self.address,
+        }
         chosen = {name: value for name, value in chosen.items() if value is not None}
         return replace(study, where=replace_fields(where, chosen, where="where"))
+
+
+def _print_estimate(study: StudyConfig, out: Path) -> None:
+    """Measure and print what a study will cost."""
+    check_folder(study, out)
+    print(f"Measuring {len(study.cells())} experiments ...", flush=True)
+    found = estimate(study, out)
+    print_table(
+        f"Study {study.name}, estimated on this machine",
+        ["experiment", "runs to go", "steps/s", "core hours"],
+        [[row.experiment, row.runs, row.steps_per_s, row.core_hours] for row in found.rows],
+    )
+    print(
+        f"{found.core_hours:.2f} core hours; {found.hours:.2f} hours with {found.slots} runs at "
+        f"once; up to {found.disk_gib:.1f} GiB. Nothing was started."
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,7 @@ import shutil
 import tarfile
 from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal
 
 from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.run import run_path
@@ -60,9 +60,9 @@ def pack_study(out: Path, file: Path, *, leave_out: Collection[Part] = ()) -> in
     Raises:
         UserError: the study is running, or the file cannot be written.
     """
-    for name in leave_out:
-        if name not in get_args(Part):
-            raise unknown_name("part of a pack", name, get_args(Part))
+    for part in leave_out:
+        if part not in PART_FILES:
+            raise unknown_name("part of a pack", part, PART_FILES)
     if not file.name.endswith(SUFFIX):
         raise UserError(f"A pack is a {SUFFIX} file, got {file}.")
     study = open_study(out)
