@@ -39,6 +39,9 @@ _STATE = (
 )
 """Arrays that, with the simulator's state, determine everything else."""
 
+VARYING = (*_STATE, "grasp_position", "grasp_matrix", "distance", "angle", "success")
+"""Attributes that a step replaces, besides ``shown``."""
+
 
 def joint_increments(robot: Robot, config: EnvConfig) -> NDArray[np.float64]:
     """Return the joint increment of each action level [rad] (slides: [m]), (7,)."""
