@@ -86,8 +86,10 @@ def assert_equal(one: Any, other: Any) -> None:
 def play_both(plain: Any, recorded: Any, steps: int) -> None:
     generator = torch.Generator().manual_seed(1)
     assert_equal(plain.reset(seed=3), recorded.reset(seed=3))
-    truncated = 0
+    truncated, terminated = 0, 0
     for t in range(steps):
+        for env in (plain, recorded):
+            env.threshold_factor = 20.0 if t > steps // 2 + 2 else 1.0
         actions = torch.randint(7, (6, 6), generator=generator).to(plain.device)
         if t == steps // 2:
             options = {"reset_mask": np.arange(6) % 2 == 0}
@@ -96,8 +98,9 @@ def play_both(plain: Any, recorded: Any, steps: int) -> None:
         final, other_final = (step[4].pop("final_obs") for step in (one, other))
         assert_equal(one, other)
         assert_equal(final[one[3]], other_final[one[3]])
-        truncated += int(one[3].sum())
-    assert truncated > 6
+        truncated, terminated = truncated + int(one[3].sum()), terminated + int(one[2].sum())
+    assert truncated >= 6
+    assert terminated
     assert_equal(plain.facet_ids, recorded.facet_ids)
     for name, values in plain.get_state().items():
         assert (values == recorded.get_state()[name]).all(), name
@@ -105,8 +108,13 @@ def play_both(plain: Any, recorded: Any, steps: int) -> None:
 
 @pytest.mark.parametrize("options", OPTIONS, ids=["plain", "varied"])
 def test_a_replayed_step_is_the_executed_step(options: dict[str, Any]) -> None:
-    recorded = recorded_env(WARP, Tape(), **options)
-    play_both(recorded_env(WARP, **options), recorded, WARM_UP_STEPS + 12)
+    plain, recorded = recorded_env(WARP, **options), recorded_env(WARP, Tape(), **options)
+    play_both(plain, recorded, WARM_UP_STEPS + 12)
+    first = recorded._graph._recorded
+    assert first is not None
+    plain.report_privileged_state = recorded.report_privileged_state = True
+    play_both(plain, recorded, WARM_UP_STEPS + 12)
+    assert recorded._graph._recorded is not first
     assert recorded._graph._recorded is not None
 
 

@@ -81,6 +81,12 @@ def print_learn(result: dict[str, Any]) -> None:
         list(LEARN_COLUMNS.values()),
         [[row.get(name) for name in LEARN_COLUMNS] for row in result["rows"]],
     )
+    if result["success"]:
+        print_table(
+            "Until 80 % of 100 interim episodes succeed",
+            ["name", "what", "steps", "seconds", "best success", "at most"],
+            [list(row.values()) for row in result["success"]],
+        )
     print("physics, images, inference, update: shares of the time.")
     print("staleness: mean number of other workers' updates since a worker read the parameters.")
     print("raycaster: frames/s of one core, without training.")

@@ -4,7 +4,8 @@ import math
 import sys
 import time
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from typing import Protocol
 
 from rich.console import Console
@@ -60,7 +61,8 @@ class TrainingProgress:
     def __exit__(self, *exception: object) -> None:
         """Stop the display and restore the terminal."""
         if self._bar is not None:
-            self._bar.stop()
+            with suppress(OSError):  # the terminal has closed
+                self._bar.stop()
 
     def metrics(self, row: Mapping[str, float]) -> None:
         """Display one row of training metrics; its ``step`` sets the bar."""
@@ -105,10 +107,11 @@ class TrainingProgress:
 
     def line(self, text: str) -> None:
         """Print a line above the bar, or to stderr without one."""
-        if self._bar is not None:
-            self._bar.console.print(f"{self._label}: {text}", highlight=False, markup=False)
-        else:
-            print(f"{self._label}: {text}", file=sys.stderr, flush=True)
+        with suppress(OSError):  # the terminal has closed; training goes on, or saves and stops
+            if self._bar is not None:
+                self._bar.console.print(f"{self._label}: {text}", highlight=False, markup=False)
+            else:
+                print(f"{self._label}: {text}", file=sys.stderr, flush=True)
 
 
 class Mirror(Protocol):
@@ -139,10 +142,17 @@ class RunLogs:
         self._mirrors = mirrors
         self._progress = progress
 
-    def open(self, *, keep_to_step: int | None) -> None:
-        """Open the files; rows after ``keep_to_step`` of an earlier session are dropped."""
+    def open(self, *, keep_to_step: int | None, pending: Collection[int] = ()) -> None:
+        """Open the files.
+
+        Args:
+            keep_to_step: rows of later steps, from an earlier session, are dropped.
+            pending: steps of evaluations that will be played again; their rows are dropped.
+        """
         self._metrics = CsvLog(self._folder.metrics_path, keep_to_step=keep_to_step)
-        self._evaluations = CsvLog(self._folder.evaluations_path, keep_to_step=keep_to_step)
+        self._evaluations = CsvLog(
+            self._folder.evaluations_path, keep_to_step=keep_to_step, drop_steps=pending
+        )
         self._tensorboard = SummaryWriter(
             str(self._folder.tensorboard),
             purge_step=None if keep_to_step is None else keep_to_step + 1,

@@ -118,7 +118,7 @@ def _train_locked(
         elif resume:
             progress.line("no checkpoint yet: starting from the beginning")
             keep_to_step = BEFORE_FIRST_STEP
-        logs.open(keep_to_step=keep_to_step)
+        logs.open(keep_to_step=keep_to_step, pending=trainer.pending_evaluations.keys())
         try:
             result = trainer.train(config.total_steps)
         finally:
@@ -252,8 +252,9 @@ def _make_trainer(
 class StopRequest:
     """Signal handler that turns the first Ctrl-C (or SIGTERM) into a request to save and stop.
 
-    A second signal raises KeyboardInterrupt. Use it as a context manager in the main thread and
-    pass it as ``should_stop``: calling it returns whether a signal arrived.
+    A second one raises KeyboardInterrupt. A terminal that closes (SIGHUP, sent once or several
+    times) requests to save and stop, too. Use it as a context manager in the main thread and pass
+    it as ``should_stop``: calling it returns whether a signal arrived.
     """
 
     def __init__(self) -> None:
@@ -266,7 +267,12 @@ class StopRequest:
 
     def __enter__(self) -> "StopRequest":
         """Install the handlers."""
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+            number = getattr(signal, name, None)
+            if number is None:
+                continue  # Windows has no SIGHUP
+            if name == "SIGHUP" and signal.getsignal(number) is signal.SIG_IGN:
+                continue  # nohup
             self._previous[number] = signal.signal(number, self._on_signal)
         return self
 
@@ -276,6 +282,6 @@ class StopRequest:
             signal.signal(number, handler)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        if self._stop:
+        if self._stop and number in (signal.SIGINT, signal.SIGTERM):
             raise KeyboardInterrupt
         self._stop = True

@@ -17,7 +17,7 @@ import json
 import os
 import platform
 import subprocess
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -177,14 +177,18 @@ class CsvLog:
         path: the CSV file; created with the first row.
         keep_to_step: when a run resumes, rows of later steps are dropped, because training will
             produce them again; None drops all rows.
+        drop_steps: steps whose rows are dropped as well.
     """
 
-    def __init__(self, path: Path, *, keep_to_step: int | None = None):
+    def __init__(
+        self, path: Path, *, keep_to_step: int | None = None, drop_steps: Collection[int] = ()
+    ):
         self._path = path
         self._columns: list[str] = []
         if path.exists():
             rows = [row for row in read_csv(path) if keep_to_step is not None]
             rows = [row for row in rows if float(row["step"] or 0) <= (keep_to_step or 0)]
+            rows = [row for row in rows if float(row["step"] or 0) not in drop_steps]
             self._columns = list(rows[0]) if rows else []
             self._rewrite(rows)
 

@@ -54,7 +54,7 @@ class CudaRecorder:
 
     def record(self, run: Launch) -> list[Launch]:
         """See ``Recorder.record``."""
-        self._pool = torch.cuda.graph_pool_handle()
+        self._launches, self._pool = [], torch.cuda.graph_pool_handle()
         stream = torch.cuda.current_stream(self._device)
         try:
             self._begin()
@@ -91,7 +91,7 @@ class Recorded(NamedTuple):
     state: dict[str, Tensor | None]
     """Tensors of the task, by name; every replay reads and overwrites them."""
     packed: list[tuple[list[str], Tensor]]
-    """Names of the outputs of a dtype and their values, (k, n)."""
+    """Names of the outputs of a dtype and shape, and their values, (k, n, ...)."""
     images: Tensor
 
 
@@ -101,8 +101,8 @@ class StepGraph:
     Args:
         task: its tensors are overwritten in place by a replay. Where they were replaced since, by
             a reset for example, their values are copied first.
-        play: plays one step with actions (n, J). It returns the outputs, (n,) each, and the images
-            (n, H, W, 3); it may depend only on the task, and change nothing else.
+        play: plays one step with actions (n, J). It returns the outputs, (n, ...) each, and the
+            images (n, H, W, 3); it may depend only on the task, and change nothing else.
         recorder: records the launches.
     """
 
@@ -116,11 +116,19 @@ class StepGraph:
         self._play = play
         self._recorder: Recorder | None = recorder
         self._steps = 0
+        self._key: object = None
         self._recorded: Recorded | None = None
 
-    def __call__(self, actions: Tensor) -> tuple[Outputs, Tensor]:
-        """Play one step; outputs and images are new tensors."""
+    def __call__(self, actions: Tensor, key: object = None) -> tuple[Outputs, Tensor]:
+        """Play one step; outputs and images are new tensors.
+
+        Args:
+            actions: (n, J).
+            key: what a step depends on besides tensors; a new value is recorded again.
+        """
         self._steps += 1
+        if key != self._key:
+            self._key, self._recorded, self._steps = key, None, 1
         if self._recorder is None or self._steps <= WARM_UP_STEPS:
             return self._play(actions)
         if self._recorded is None:
@@ -146,12 +154,11 @@ class StepGraph:
 
         def run() -> None:
             outputs, images = self._play(static_actions)
-            by_dtype: defaultdict[torch.dtype, list[str]] = defaultdict(list)
+            alike: defaultdict[Any, list[str]] = defaultdict(list)
             for name, values in outputs.items():
-                by_dtype[values.dtype].append(name)
+                alike[values.dtype, values.shape].append(name)
             packed = [
-                (names, torch.stack([outputs[name] for name in names]))
-                for names in by_dtype.values()
+                (names, torch.stack([outputs[name] for name in names])) for names in alike.values()
             ]
             # Only now: outputs may be the task's own tensors.
             for name, new in _tensors(task).items():

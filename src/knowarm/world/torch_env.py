@@ -22,6 +22,7 @@ from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import EpisodeSource
 from knowarm.world.render.renderer import TorchRenderer, make_renderer
 from knowarm.world.step_graph import CudaRecorder, StepGraph
+from knowarm.world.tasks.privileged import privileged_columns, privileged_state
 from knowarm.world.tasks.reach import ACTION_LEVELS, MASKS, ReachTask
 from knowarm.world.vector_env import describe, draw_images
 
@@ -45,6 +46,8 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
     - "_final_obs": (n,) bool, where an episode was truncated.
     - "final_info": the infos before the reset, valid where an episode ended.
     - "_final_info": (n,) bool, where an episode ended.
+    - "final_privileged_state": (n, D) float32, the privileged state before the reset, if
+      ``report_privileged_state`` is set.
 
     Args:
         config: the task.
@@ -62,6 +65,10 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         simulation: the physics.
         renderer: draws the observations.
         facets: (target, colour) names; targets in config order, colours in theirs.
+        privileged_columns: names of the D columns of the privileged state, with their meaning in
+            `knowarm.world.tasks.privileged.privileged_columns`.
+        report_privileged_state: whether infos contain the privileged state before resets; False
+            until a trainer that learns from it sets it.
 
     Raises:
         UserError: the device or a package is missing, the GPU's memory is too small, or Warp is
@@ -99,6 +106,8 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         self._final_images = torch.zeros(shape, dtype=torch.uint8, device=self.device)
         self.task = ReachTask(scene, config, self.simulation)
         self.facets = self.task.facets
+        self.privileged_columns = privileged_columns(scene.num_joints)
+        self.report_privileged_state = False
         self._everywhere = torch.ones(num_envs, dtype=torch.bool, device=self.device)
         self._graph: StepGraph | None = None
         if self.device.type == "cuda" and record_steps:
@@ -130,6 +139,20 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
     def joint_targets(self) -> Tensor:
         """Joint angles that the servos track, (n, J) [rad]; actions add to them."""
         return _tensor(self.task.joint_targets)
+
+    @property
+    def privileged_state(self) -> Tensor:
+        """What the simulator knows about each current episode, (n, D) float32."""
+        return _tensor(privileged_state(self.task)).float()
+
+    @property
+    def threshold_factor(self) -> float:
+        """Factor of the success thresholds, at least 1; can be set between steps."""
+        return self.task.threshold_factor
+
+    @threshold_factor.setter
+    def threshold_factor(self, factor: float) -> None:
+        self.task.threshold_factor = factor
 
     def reset(
         self,
@@ -173,7 +196,7 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         if self._graph is None:
             outputs, images = self._play(actions.numpy() if self._on_host else actions)
         else:
-            outputs, images = self._graph(actions)
+            outputs, images = self._graph(actions, self.report_privileged_state)
             assert isinstance(self.simulation, WarpSimulator)
             self.simulation.check_overflow()
         outputs = {name: _tensor(values) for name, values in outputs.items()}
@@ -186,6 +209,8 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
             "final_info": final | dict.fromkeys(MASKS, ended),
             "_final_info": ended,
         }
+        if self.report_privileged_state:
+            extra["final_privileged_state"] = outputs.pop("final_privileged_state")
         reward, terminated = outputs.pop("reward"), outputs.pop("terminated")
         infos = outputs | dict.fromkeys(MASKS, self._everywhere) | extra
         return images, reward, terminated, truncated, infos
@@ -203,6 +228,8 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         outputs = outcome._asdict() | {"ended": outcome.ended}
         self._draw_final(outcome.truncated)
         final = infos = task.metrics()
+        if self.report_privileged_state:
+            outputs["final_privileged_state"] = self.privileged_state
         selection = task.select_where(outcome.ended)
         if not selection.is_empty:
             task.start_next(selection)
