@@ -12,6 +12,8 @@ import torch
 
 import knowarm
 from knowarm.experiment.evaluation_files import read_film
+from knowarm.study.executors import EXECUTORS, ExecutorEntry
+from tests.study.tiny import Inline, InlineExecutor
 
 SOURCE = Path(knowarm.__file__).parent
 ZOO = SOURCE.parents[1] / "zoo" / "irb120-full-ppo"
@@ -208,3 +210,20 @@ def test_agents(monkeypatch):
 def test_user_error():
     with pytest.raises(knowarm.UserError, match="Did you mean 'irb120'"):
         knowarm.train("irb12-full-ppo")
+
+
+@example("StudyConfig", "read_study", "run_study")
+def test_run_a_study(tmp_path, monkeypatch):
+    entry = ExecutorEntry(about="in this process", default=Inline(), make=InlineExecutor)
+    monkeypatch.setitem(EXECUTORS, "inline", entry)
+    study = knowarm.StudyConfig(
+        name="mine",
+        experiments=("irb120-bm-ppo",),
+        seeds=(0,),
+        overrides=TINY,
+        evaluations=(),
+        where=Inline(),
+    )
+    (status,) = knowarm.run_study(study, tmp_path)
+    assert status.state == "done"
+    assert knowarm.read_study(tmp_path) == study

@@ -1,6 +1,8 @@
 """Private APIs of other libraries still do what ``knowarm.private_apis`` relies on."""
 
 import importlib.util
+import inspect
+import multiprocessing
 import os
 import subprocess
 import sys
@@ -100,3 +102,15 @@ def test_either_extension_is_enough(monkeypatch):
         monkeypatch.setattr(torch.cpu, "_is_avx512_bf16_supported", lambda answer=vectors: answer)
         monkeypatch.setattr(torch.cpu, "_is_amx_tile_supported", lambda answer=tiles: answer)
         assert private_apis.cpu_has_bfloat16() == (vectors or tiles)
+
+
+def test_a_child_of_the_fork_server_can_release_it():
+    """`release_fork_server` closes the child's copy of this pipe and of nothing else."""
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        pytest.skip("this system has no fork server")
+    from multiprocessing import forkserver
+
+    before = set(vars(forkserver._forkserver))
+    assert {"_forkserver_pid", "_forkserver_alive_fd"} <= before
+    source = inspect.getsource(forkserver)
+    assert "_forkserver._forkserver_alive_fd" in source.split("def _serve_one")[1]

@@ -17,9 +17,12 @@ MAY_IMPORT = {
     "learn": {"policy"},
     "statistics": set(),
     "experiment": {"knowledge", "world", "policy", "learn", "statistics"},
+    "study": {"learn", "experiment"},
     "report": {"knowledge", "world", "policy", "learn", "experiment", "statistics"},
-    "bench": {"knowledge", "world", "policy", "learn", "experiment", "statistics", "report"},
-    "cli": {"knowledge", "world", "policy", "learn", "experiment", "statistics", "report", "bench"},
+    "bench": {"knowledge", "world", "policy", "learn", "experiment", "statistics", "report"}
+    | {"study"},
+    "cli": {"knowledge", "world", "policy", "learn", "experiment", "statistics", "report", "bench"}
+    | {"study"},
 }
 """Packages that each package may import, beside itself and the modules of `EVERYBODY`."""
 

@@ -34,6 +34,10 @@ Experiments
     ExperimentConfig    everything that defines a training run
     EvaluationConfig    episodes and thresholds of an evaluation
     Run, TrainedAgent, EvaluationResult    what train, load_agent and evaluate return
+Studies
+    read_study          read a table of experiments and seeds: a shipped one, or a TOML file
+    run_study           train and evaluate all of its runs, restartable
+    StudyConfig         experiments, seeds, overrides, evaluations
 World
     make                make an environment: single or vector, NumPy or torch
     EnvConfig           robot, targets, colours, dynamics and thresholds of the task

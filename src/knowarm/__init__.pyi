@@ -26,6 +26,9 @@ from .policy import PolicyAgent as PolicyAgent
 from .policy import PolicyConfig as PolicyConfig
 from .policy import PolicyShape as PolicyShape
 from .report import write_report as write_report
+from .study.config import StudyConfig as StudyConfig
+from .study.config import read_study as read_study
+from .study.driver import run_study as run_study
 from .world import make as make
 from .world.config import EnvConfig as EnvConfig
 from .world.objects import TARGETS as TARGETS

@@ -104,6 +104,8 @@ def from_dict(cls: type[T], values: Mapping[str, Any], *, where: str = "") -> T:
 def _typed(hint: Any, value: Any, path: str) -> Any:
     """Convert one JSON value to the annotated type."""
     origin, args = get_origin(hint), get_args(hint)
+    if hint is Any:
+        return value
     if origin is typing.Annotated:
         return _typed(args[0], value, path)
     if origin in (Union, types.UnionType):

@@ -3,6 +3,7 @@
 tests/test_private_apis.py fails where a new version of a library lacks one of them.
 """
 
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial, update_wrapper
@@ -38,6 +39,22 @@ def key_numba_cache(function: Callable[..., Any], key: str) -> Callable[..., Any
     code = function.__code__.replace(co_freevars=("key",))
     keyed = FunctionType(code, function.__globals__, closure=(CellType(key),))
     return update_wrapper(keyed, function)
+
+
+def release_fork_server() -> None:
+    """Let the fork server exit before this child process of it.
+
+    Reason: every child inherits the pipe whose other end tells the fork server that it is still
+    needed, for processes that the child might start itself. A child that is stopped for ever would
+    keep the fork server alive, and the server's exit is what kills such children (`processes`).
+    Does nothing in a process that no fork server started.
+    """
+    from multiprocessing import forkserver
+
+    server: Any = forkserver._forkserver
+    if server._forkserver_pid is None and server._forkserver_alive_fd is not None:
+        os.close(server._forkserver_alive_fd)
+        server._forkserver_alive_fd = None
 
 
 @contextmanager

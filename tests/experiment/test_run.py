@@ -9,7 +9,7 @@ from knowarm.config import from_dict, to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.build import build, load_agent
-from knowarm.experiment.config import ExperimentConfig, InterimConfig
+from knowarm.experiment.config import ExperimentConfig, InterimConfig, StopWhen
 from knowarm.experiment.registry import experiment_config, experiment_names
 from knowarm.experiment.run import train
 from knowarm.experiment.run_folder import RunFolder, read_csv
@@ -81,6 +81,37 @@ def test_stop_and_resume_give_the_same_bytes(tmp_path):
     assert (
         whole.folder.evaluations_path.read_bytes() == resumed.folder.evaluations_path.read_bytes()
     )
+
+
+def test_a_stop_before_the_first_update_evaluates_once(tmp_path):
+    whole = train(short(), tmp_path / "whole")
+    assert train(short(), tmp_path / "part", should_stop=lambda: True).result.step == 0
+    resumed = train(short(), tmp_path / "part", resume=True)
+    assert (
+        whole.folder.evaluations_path.read_bytes() == resumed.folder.evaluations_path.read_bytes()
+    )
+
+
+@pytest.mark.parametrize("stop_after", [None, 2])
+def test_a_training_ends_early_once_its_rule_is_met(tmp_path, stop_after):
+    easy = dataclasses.replace(short().env, success_distance_m=10.0, success_angle_deg=180.0)
+    config = short(env=easy, stop_when=StopWhen(success=1.0, evaluations=2))
+    if stop_after is not None:
+        asked = []
+        train(config, tmp_path, should_stop=lambda: asked.append(0) or len(asked) > stop_after)
+    run = train(config, tmp_path, resume=stop_after is not None)
+    assert (run.result.reason, run.result.step) == ("finished", 80)
+    assert [row["step"] for row in read_csv(run.folder.evaluations_path)] == ["0", "80"]
+    assert read_checkpoint(run.folder.checkpoints / "latest").facts["step"] == 80
+
+
+def test_the_rule_of_an_early_end_counts_consecutive_evaluations():
+    rule = StopWhen(success=0.5, evaluations=2)
+    assert rule.met_at([(0, 0.5), (1, 0.4), (2, 0.6), (3, 1)]) == 3
+    assert rule.met_at([(0, 0.5), (1, 0.4), (2, 0.6)]) is None
+    for wrong in ({"success": 0.0}, {"success": 1.5}, {"success": 0.5, "evaluations": 0}):
+        with pytest.raises(UserError, match="stop_when"):
+            StopWhen(**wrong)
 
 
 def test_another_config_is_not_resumed(tmp_path):

@@ -83,6 +83,16 @@ def test_a_killed_worker_is_restarted_and_nothing_is_lost(caplog):
     assert "learner worker 1 was killed by signal 9; restarting" in caplog.text
 
 
+@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="Windows has no SIGSTOP")
+def test_a_stopped_worker_is_continued(caplog):
+    learner, env_ids = noisy_learner(2), torch.arange(16)
+    with learner.running():
+        expected = learner.compute_gradient(env_ids).vector()
+        os.kill(learner._workers[0].process.pid, signal.SIGSTOP)
+        assert torch.equal(learner.compute_gradient(env_ids).vector(), expected)
+    assert "learner worker 1 was stopped; continuing it" in caplog.text
+
+
 def test_a_failing_worker_stops_training_with_its_traceback():
     learner, beyond = noisy_learner(2), GradientCommand(np.array([99]), 0.5)
     with learner.running():

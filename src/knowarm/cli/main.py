@@ -20,6 +20,7 @@ COMMANDS = {
     "list": ("list:List", "list robots, targets, agents, algorithms and experiments"),
     "train": ("train:parse_train", "train one agent, or resume a stopped run"),
     "evaluate": ("evaluate:Evaluate", "evaluate a trained or scripted agent on fixed episodes"),
+    "study": ("study:COMMANDS", "run a table of experiments and seeds, restartable"),
     "report": ("report:Report", "write one HTML report from run folders"),
     "knowledge": ("knowledge:parse", "inspect a graph, its sentences, vectors and embeddings"),
     "view": ("view:View", "show an agent in the browser, or record it"),

@@ -1,5 +1,6 @@
 """Configuration of a training run (``config.json`` of its folder) and of an evaluation."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -33,6 +34,36 @@ class InterimConfig:
         for name in ("every_steps", "episodes"):
             if getattr(self, name) < 1:
                 raise UserError(f"interim.{name} must be at least 1, got {getattr(self, name)}.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class StopWhen:
+    """A rule that ends training before its last step."""
+
+    success: float
+    """Success of interim evaluations that counts as learned, 0 to 1."""
+
+    evaluations: int = 3
+    """Consecutive interim evaluations with at least that success that end the training."""
+
+    def __post_init__(self) -> None:
+        if not 0 < self.success <= 1:
+            raise UserError(f"stop_when.success must lie above 0 and up to 1, got {self.success}.")
+        if self.evaluations < 1:
+            raise UserError(f"stop_when.evaluations must be at least 1, got {self.evaluations}.")
+
+    def met_at(self, curve: Iterable[tuple[int, float]]) -> int | None:
+        """Return the step at which the rule ended training, or None.
+
+        Args:
+            curve: step and success of every interim evaluation, in order.
+        """
+        count = 0
+        for step, success in curve:
+            count = count + 1 if success >= self.success else 0
+            if count == self.evaluations:
+                return step
+        return None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,6 +109,9 @@ class ExperimentConfig:
 
     interim: InterimConfig = field(default_factory=InterimConfig)
     """The evaluation at regular intervals during training."""
+
+    stop_when: StopWhen | None = None
+    """End training before ``total_steps`` once this rule is met; None trains all steps."""
 
     def __post_init__(self) -> None:
         for name in ("total_steps", "checkpoint_every_steps"):

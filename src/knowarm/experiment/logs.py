@@ -4,7 +4,9 @@ import math
 import sys
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
+from typing import Protocol
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -59,7 +61,8 @@ class TrainingProgress:
     def __exit__(self, *exception: object) -> None:
         """Stop the display and restore the terminal."""
         if self._bar is not None:
-            self._bar.stop()
+            with suppress(OSError):  # the terminal has closed
+                self._bar.stop()
 
     def metrics(self, row: Mapping[str, float]) -> None:
         """Display one row of training metrics; its ``step`` sets the bar."""
@@ -104,28 +107,52 @@ class TrainingProgress:
 
     def line(self, text: str) -> None:
         """Print a line above the bar, or to stderr without one."""
-        if self._bar is not None:
-            self._bar.console.print(f"{self._label}: {text}", highlight=False, markup=False)
-        else:
-            print(f"{self._label}: {text}", file=sys.stderr, flush=True)
+        with suppress(OSError):  # the terminal has closed; training goes on, or saves and stops
+            if self._bar is not None:
+                self._bar.console.print(f"{self._label}: {text}", highlight=False, markup=False)
+            else:
+                print(f"{self._label}: {text}", file=sys.stderr, flush=True)
+
+
+class Mirror(Protocol):
+    """A further place that receives a run's curves, such as a tracking service."""
+
+    def scalars(self, step: int, values: Mapping[str, float]) -> None:
+        """Receive finite values of one step, by name (``train/entropy``)."""
+        ...
+
+    def close(self) -> None:
+        """Send what is pending."""
+        ...
 
 
 class RunLogs:
-    """Writers of metrics and evaluations: CSV, TensorBoard and the progress display.
+    """Writers of metrics and evaluations: CSV, TensorBoard, mirrors and the progress display.
 
     Args:
         folder: the run folder.
         progress: the display at the terminal.
+        mirrors: further receivers; closed with the logs.
     """
 
-    def __init__(self, folder: RunFolder, progress: TrainingProgress):
+    def __init__(
+        self, folder: RunFolder, progress: TrainingProgress, mirrors: Sequence[Mirror] = ()
+    ):
         self._folder = folder
+        self._mirrors = mirrors
         self._progress = progress
 
-    def open(self, *, keep_to_step: int | None) -> None:
-        """Open the files; rows after ``keep_to_step`` of an earlier session are dropped."""
+    def open(self, *, keep_to_step: int | None, pending: Collection[int] = ()) -> None:
+        """Open the files.
+
+        Args:
+            keep_to_step: rows of later steps, from an earlier session, are dropped.
+            pending: steps of evaluations that will be played again; their rows are dropped.
+        """
         self._metrics = CsvLog(self._folder.metrics_path, keep_to_step=keep_to_step)
-        self._evaluations = CsvLog(self._folder.evaluations_path, keep_to_step=keep_to_step)
+        self._evaluations = CsvLog(
+            self._folder.evaluations_path, keep_to_step=keep_to_step, drop_steps=pending
+        )
         self._tensorboard = SummaryWriter(
             str(self._folder.tensorboard),
             purge_step=None if keep_to_step is None else keep_to_step + 1,
@@ -144,11 +171,19 @@ class RunLogs:
         self._progress.evaluation(step, results, is_best)
 
     def close(self) -> None:
-        """Flush TensorBoard's event file."""
+        """Flush TensorBoard's event file and the mirrors."""
         self._tensorboard.close()
+        for mirror in self._mirrors:
+            mirror.close()
 
     def _scalars(self, group: str, row: Metrics) -> None:
         step = int(row["step"])
-        for name, value in row.items():
-            if name != "step" and math.isfinite(value):
-                self._tensorboard.add_scalar(f"{group}/{name}", value, step)
+        values = {
+            f"{group}/{name}": value
+            for name, value in row.items()
+            if name != "step" and math.isfinite(value)
+        }
+        for name, value in values.items():
+            self._tensorboard.add_scalar(name, value, step)
+        for mirror in self._mirrors:
+            mirror.scalars(step, values)

@@ -1,7 +1,7 @@
 """Training of one experiment in its run folder, from the start or resumed."""
 
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from dataclasses import replace as replace_fields
 from pathlib import Path
@@ -13,7 +13,7 @@ from knowarm.errors import UserError
 from knowarm.experiment.algorithms import ALGORITHMS, TrainerInputs
 from knowarm.experiment.build import SEED_DERIVATION, EnvFactory, InterimFactory, Parts, build
 from knowarm.experiment.config import ExperimentConfig
-from knowarm.experiment.logs import RunLogs, TrainingProgress
+from knowarm.experiment.logs import Mirror, RunLogs, TrainingProgress
 from knowarm.experiment.migration import FORMAT, migrate_checkpoints
 from knowarm.experiment.registry import experiment_config
 from knowarm.experiment.run_folder import RunFolder, provenance
@@ -49,6 +49,7 @@ def train(
     *,
     resume: bool = False,
     should_stop: Callable[[], bool] = lambda: False,
+    mirrors: Sequence[Mirror] = (),
     **overrides: Any,
 ) -> Run:
     """Train one experiment, or resume a training that was stopped.
@@ -60,6 +61,7 @@ def train(
         resume: continue from the run's latest intact checkpoint instead of refusing a folder that
             holds a run; a run that ended before its first checkpoint starts from the beginning.
         should_stop: called between updates; true saves a checkpoint and ends the training.
+        mirrors: further places that receive the curves, beside CSV files and TensorBoard.
         **overrides: fields of the config to change; a nested config takes a mapping of its fields,
             such as ``algorithm={"num_envs": 64}``.
 
@@ -78,7 +80,7 @@ def train(
         _check_same(config, RunFolder.open(path))
     parts = build(config)
     with lock_folder(path, remedy="Wait until it ends, stop it, or pass another runs folder."):
-        return _train_locked(config, parts, path, resume, should_stop)
+        return _train_locked(config, parts, path, resume, should_stop, mirrors)
 
 
 def _train_locked(
@@ -87,6 +89,7 @@ def _train_locked(
     path: Path,
     resume: bool,
     should_stop: Callable[[], bool],
+    mirrors: Sequence[Mirror],
 ) -> Run:
     """Train in a run folder that no other process writes to; see `train`."""
     if resume:
@@ -101,7 +104,7 @@ def _train_locked(
     with TrainingProgress(f"{config.name}/{config.seed}", config.total_steps) as progress:
         for line in announcements(parts):
             progress.line(line)
-        logs = RunLogs(folder, progress)
+        logs = RunLogs(folder, progress, mirrors)
         trainer = _make_trainer(config, parts, policy, folder, logs, should_stop)
         if not (resume and folder.has_checkpoint):
             # Written after the trainer is built: a config that this machine cannot train leaves
@@ -115,11 +118,14 @@ def _train_locked(
         elif resume:
             progress.line("no checkpoint yet: starting from the beginning")
             keep_to_step = BEFORE_FIRST_STEP
-        logs.open(keep_to_step=keep_to_step)
+        logs.open(keep_to_step=keep_to_step, pending=trainer.pending_evaluations.keys())
         try:
             result = trainer.train(config.total_steps)
         finally:
             logs.close()
+        if (step := folder.ended_early_at(config.stop_when)) is not None:
+            progress.line(f"learned, as stop_when defines it, at step {step:,}")
+            result = replace_fields(result, reason="finished")
     return Run(folder, result)
 
 
@@ -183,15 +189,24 @@ def _check_same(config: ExperimentConfig, folder: RunFolder) -> None:
 
     Only ``total_steps`` may change, to make a run longer.
     """
-    before, now = _flat(to_dict(folder.experiment())), _flat(to_dict(config))
-    different = [name for name in {**before, **now} if before.get(name) != now.get(name)]
-    different = [name for name in different if name != "total_steps"]
+    different = differences(folder.experiment(), config)
+    different.pop("total_steps", None)
     if different:
-        pairs = "; ".join(f"{name}: {before.get(name)!r} | {now.get(name)!r}" for name in different)
         raise UserError(
-            f"{folder.path} was started with another config (run | given): {pairs}. Resume without "
+            f"{folder.path} was started with another config (run | given): "
+            f"{'; '.join(different.values())}. Resume without "
             "these overrides, or pass another runs folder or seed to start a new run."
         )
+
+
+def differences(run: ExperimentConfig, given: ExperimentConfig) -> dict[str, str]:
+    """Return the fields in which two configs differ, each with "field: value | value"."""
+    before, now = _flat(to_dict(run)), _flat(to_dict(given))
+    return {
+        name: f"{name}: {before.get(name)!r} | {now.get(name)!r}"
+        for name in {**before, **now}
+        if before.get(name) != now.get(name)
+    }
 
 
 def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -212,7 +227,11 @@ def _make_trainer(
     logs: RunLogs,
     should_stop: Callable[[], bool],
 ) -> Trainer:
-    hooks = Hooks(on_metrics=logs.metrics, on_evaluation=logs.evaluation, should_stop=should_stop)
+
+    def should_end() -> bool:
+        return should_stop() or folder.ended_early_at(config.stop_when) is not None
+
+    hooks = Hooks(on_metrics=logs.metrics, on_evaluation=logs.evaluation, should_stop=should_end)
     inputs = TrainerInputs(
         config=config.algorithm,
         policy=policy,
@@ -233,8 +252,9 @@ def _make_trainer(
 class StopRequest:
     """Signal handler that turns the first Ctrl-C (or SIGTERM) into a request to save and stop.
 
-    A second signal raises KeyboardInterrupt. Use it as a context manager in the main thread and
-    pass it as ``should_stop``: calling it returns whether a signal arrived.
+    A second one raises KeyboardInterrupt. A terminal that closes (SIGHUP, sent once or several
+    times) requests to save and stop, too. Use it as a context manager in the main thread and pass
+    it as ``should_stop``: calling it returns whether a signal arrived.
     """
 
     def __init__(self) -> None:
@@ -247,7 +267,12 @@ class StopRequest:
 
     def __enter__(self) -> "StopRequest":
         """Install the handlers."""
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+            number = getattr(signal, name, None)
+            if number is None:
+                continue  # Windows has no SIGHUP
+            if name == "SIGHUP" and signal.getsignal(number) is signal.SIG_IGN:
+                continue  # nohup
             self._previous[number] = signal.signal(number, self._on_signal)
         return self
 
@@ -257,6 +282,6 @@ class StopRequest:
             signal.signal(number, handler)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        if self._stop:
+        if self._stop and number in (signal.SIGINT, signal.SIGTERM):
             raise KeyboardInterrupt
         self._stop = True

@@ -17,7 +17,7 @@ import json
 import os
 import platform
 import subprocess
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -30,7 +30,7 @@ from safetensors.numpy import load_file, save_file
 from knowarm.config import from_dict
 from knowarm.cores import processor
 from knowarm.errors import UserError
-from knowarm.experiment.config import ExperimentConfig
+from knowarm.experiment.config import ExperimentConfig, StopWhen
 from knowarm.experiment.migration import FORMAT, migrate_config, migrate_provenance, migrate_row
 
 PACKAGES = ("knowarm", "torch", "mujoco", "numpy", "numba", "gymnasium", "safetensors")
@@ -136,6 +136,13 @@ class RunFolder:
         values = {name: value for name, value in self.config().items() if name != "format"}
         return from_dict(ExperimentConfig, values)
 
+    def ended_early_at(self, rule: StopWhen | None) -> int | None:
+        """Return the step at which an early end was reached, or None."""
+        if rule is None or not self.evaluations_path.exists():
+            return None
+        rows = read_csv(self.evaluations_path)
+        return rule.met_at((int(float(row["step"])), float(row["success"])) for row in rows)
+
     def provenance(self) -> dict[str, Any]:
         """Read versions, machine, policy, parameter counts and knowledge of the run."""
         return migrate_provenance(read_json(self.path / "provenance.json"))
@@ -170,14 +177,18 @@ class CsvLog:
         path: the CSV file; created with the first row.
         keep_to_step: when a run resumes, rows of later steps are dropped, because training will
             produce them again; None drops all rows.
+        drop_steps: steps whose rows are dropped as well.
     """
 
-    def __init__(self, path: Path, *, keep_to_step: int | None = None):
+    def __init__(
+        self, path: Path, *, keep_to_step: int | None = None, drop_steps: Collection[int] = ()
+    ):
         self._path = path
         self._columns: list[str] = []
         if path.exists():
             rows = [row for row in read_csv(path) if keep_to_step is not None]
             rows = [row for row in rows if float(row["step"] or 0) <= (keep_to_step or 0)]
+            rows = [row for row in rows if float(row["step"] or 0) not in drop_steps]
             self._columns = list(rows[0]) if rows else []
             self._rewrite(rows)
 

@@ -19,6 +19,28 @@ HOLDER = ".lock.json"
 """Who holds the lock; only for messages, because it outlives a killed process."""
 
 
+SECONDS = 1.0
+"""How long to wait for the lock: `is_locked` holds it for a moment."""
+
+
+class FolderInUseError(UserError):
+    """Another process holds the lock of a folder."""
+
+
+def is_locked(path: Path) -> bool:
+    """Return whether a live process holds the lock of a folder."""
+    if not (path / LOCK).exists():
+        return False
+    lock = FileLock(path / LOCK, timeout=0)
+    try:
+        with lock:
+            return False
+    except Timeout:
+        return True
+    except OSError:  # a folder that nobody can write to
+        return False
+
+
 @contextmanager
 def lock_folder(path: Path, *, remedy: str) -> Iterator[None]:
     """Hold the lock of a folder inside a ``with`` block; the folder is created if missing.
@@ -31,14 +53,15 @@ def lock_folder(path: Path, *, remedy: str) -> Iterator[None]:
         remedy: what to do when another process holds the lock, for the error message.
 
     Raises:
-        UserError: another process holds the lock, or the folder cannot be written to.
+        FolderInUseError: another process holds the lock.
+        UserError: the folder cannot be written to.
     """
-    lock = FileLock(path / LOCK, timeout=0)
+    lock = FileLock(path / LOCK, timeout=SECONDS)
     try:
         path.mkdir(parents=True, exist_ok=True)
         lock.acquire()
     except Timeout as error:
-        raise UserError(f"{path} is in use by {_holder(path)}. {remedy}") from error
+        raise FolderInUseError(f"{path} is in use by {_holder(path)}. {remedy}") from error
     except OSError as error:
         raise UserError(
             f"Cannot write to the output folder {path}: {error.strerror or error}. Pass "

@@ -27,7 +27,7 @@ from knowarm.learn.learner_worker import (
 )
 from knowarm.learn.losses import PPOLossTerms
 from knowarm.learn.minibatch import Targets, add_gradient, target_specs
-from knowarm.learn.processes import ChildProcess, ProcessFailure, process_context
+from knowarm.learn.processes import ChildProcess, ProcessFailure, process_context, stop_all
 from knowarm.learn.rollout import Rollout, rollout_specs
 from knowarm.learn.shared_tensors import SharedTensors
 from knowarm.policy import MatmulPrecision, Policy, State
@@ -83,8 +83,7 @@ class DataParallelLearner(Learner):
                 self._workers = [self._start(index) for index in range(1, self.processes)]
                 yield
             finally:
-                for worker in self._workers:
-                    worker.stop()
+                stop_all(self._workers)
                 self._workers = []
 
     def infer(self, rollout: Rollout, t: int, image: Tensor, state: State) -> tuple[Tensor, State]:

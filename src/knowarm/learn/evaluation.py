@@ -13,11 +13,13 @@ import torch
 
 from knowarm.learn.flat_parameters import FlatParameters
 from knowarm.learn.processes import (
+    STOP_S,
     ChildProcess,
     ProcessFailure,
     prepare_child_process,
     process_context,
 )
+from knowarm.learn.shared_tensors import SharedTensors
 from knowarm.policy import Policy, PolicySpec
 
 log = logging.getLogger("knowarm.learn")
@@ -30,7 +32,7 @@ MakeEvaluate = Callable[[], Evaluate]
 """Creates the function that plays the fixed episodes; picklable."""
 
 MAX_PENDING = 8
-"""Evaluations that may be pending before training waits for the evaluator."""
+"""Evaluations that may be pending before training pauses for the evaluator."""
 
 MAX_EXITS = 3
 """Consecutive exits of the evaluator without a result after which training stops."""
@@ -44,6 +46,11 @@ class CompletedEvaluation:
     values: np.ndarray
     """(P,) float32, the parameters of the evaluated policy; see `FlatParameters`."""
     results: Metrics
+
+
+@dataclass(frozen=True)
+class EvaluateShared:
+    """To the evaluator: evaluate the policy with the parameters in shared memory."""
 
 
 class InlineEvaluations:
@@ -65,17 +72,17 @@ class InlineEvaluations:
         self._parameters.values.copy_(torch.from_numpy(values))
         self._completed.append(CompletedEvaluation(step, values, self._evaluate(self._policy)))
 
-    def completed(self, *, wait: bool) -> list[CompletedEvaluation]:
+    def completed(self, *, timeout_s: float) -> list[CompletedEvaluation]:
         """Return the evaluations that completed since the last call, in order of submission.
 
         Args:
-            wait: first wait until all submitted evaluations are complete.
+            timeout_s: longest time to wait for the next result, if one is pending [s].
         """
         completed, self._completed = self._completed, []
         return completed
 
-    def pending_steps(self) -> list[int]:
-        """Return the steps of the submitted evaluations without a result."""
+    def pending(self) -> list[tuple[int, np.ndarray]]:
+        """Return step and parameters of the submitted evaluations without a result."""
         return []
 
     def close(self) -> None:
@@ -96,40 +103,43 @@ class BackgroundEvaluations:
     ) -> None:
         self.restarts = 0
         self._context = context or process_context(["knowarm.learn.evaluation"])
-        self._arguments = policy, make_evaluate
+        # Parameters do not fit into a pipe: sending them would block while the child starts.
+        parameters = sum(p.numel() for p in policy.build().parameters())
+        specs = {"values": ((parameters,), torch.float32)}
+        self._shared = SharedTensors(self._context, specs)
+        self._arguments = policy, make_evaluate, self._shared
         self._child = self._start()
         self._pending: deque[tuple[int, np.ndarray]] = deque()
         self._completed: list[CompletedEvaluation] = []
         self._exits = 0
 
     def submit(self, step: int, values: np.ndarray) -> None:
-        """As `InlineEvaluations.submit`; waits if more than `MAX_PENDING` are pending."""
+        """As `InlineEvaluations.submit`, without waiting."""
         self._pending.append((step, values))
-        # One request at a time: pipes are small, and sending to a busy process would block.
         if len(self._pending) == 1:
-            self._child.send(values)
-        self._read(leave=MAX_PENDING)
+            self._send()
 
-    def completed(self, *, wait: bool) -> list[CompletedEvaluation]:
+    def completed(self, *, timeout_s: float) -> list[CompletedEvaluation]:
         """As `InlineEvaluations.completed`."""
-        self._read(leave=0 if wait else len(self._pending))
+        self._read(timeout_s)
         completed, self._completed = self._completed, []
         return completed
 
-    def pending_steps(self) -> list[int]:
-        """As `InlineEvaluations.pending_steps`."""
-        return [step for step, _ in self._pending]
+    def pending(self) -> list[tuple[int, np.ndarray]]:
+        """As `InlineEvaluations.pending`."""
+        return list(self._pending)
 
     def close(self) -> None:
-        """Stop the child process."""
-        self._child.stop()
+        """Stop the child process; what it evaluates now is lost."""
+        self._child.stop(0.0 if self._pending else STOP_S)
 
     def _start(self) -> ChildProcess:
         return ChildProcess.start(self._context, "evaluator", run_evaluator, *self._arguments)
 
-    def _read(self, leave: int) -> None:
-        """Take results until at most ``leave`` evaluations are pending, and all that are ready."""
-        while self._pending and (len(self._pending) > leave or self._child.connection.poll(0)):
+    def _read(self, timeout_s: float) -> None:
+        """Take the results that are ready; wait for the first one for at most ``timeout_s``."""
+        while self._pending and self._child.connection.poll(timeout_s):
+            timeout_s = 0.0
             try:
                 answer = self._child.connection.recv()
             except (EOFError, ConnectionResetError):
@@ -144,7 +154,12 @@ class BackgroundEvaluations:
             step, values = self._pending.popleft()
             self._completed.append(CompletedEvaluation(step, values, answer))
             if self._pending:
-                self._child.send(self._pending[0][1])
+                self._send()
+
+    def _send(self) -> None:
+        """Ask for the first pending evaluation."""
+        self._shared["values"].copy_(torch.from_numpy(self._pending[0][1]))
+        self._child.send(EvaluateShared())
 
     def _restart(self, reason: str) -> None:
         self._child.stop()
@@ -157,13 +172,15 @@ class BackgroundEvaluations:
         log.warning("The evaluator %s; restarting it.", reason)
         self.restarts += 1
         self._child = self._start()
-        self._child.send(self._pending[0][1])
+        self._send()
 
 
 Evaluations = InlineEvaluations | BackgroundEvaluations
 
 
-def run_evaluator(policy: PolicySpec, make_evaluate: MakeEvaluate, connection: Connection) -> None:
+def run_evaluator(
+    policy: PolicySpec, make_evaluate: MakeEvaluate, shared: SharedTensors, connection: Connection
+) -> None:
     """Entry point of the evaluator process: evaluate until the parent process exits."""
     prepare_child_process()
     try:
@@ -171,7 +188,8 @@ def run_evaluator(policy: PolicySpec, make_evaluate: MakeEvaluate, connection: C
         parameters = FlatParameters(judge)
         evaluate = make_evaluate()
         while True:
-            parameters.values.copy_(torch.from_numpy(connection.recv()))
+            connection.recv()
+            parameters.values.copy_(shared["values"])
             connection.send(evaluate(judge))
     except (EOFError, BrokenPipeError, ConnectionResetError):
         os._exit(0)

@@ -14,7 +14,7 @@ from knowarm.learn.config import PPOConfig
 from knowarm.learn.data_parallel import make_learner
 from knowarm.learn.device import resolve_precision
 from knowarm.learn.environment import TorchVectorEnv
-from knowarm.learn.evaluation import Metrics
+from knowarm.learn.evaluation import MAX_PENDING, Metrics
 from knowarm.learn.flat_parameters import flatten_parameters
 from knowarm.learn.guards import FiniteGuard, HealthMonitor
 from knowarm.learn.losses import PPOLossTerms
@@ -80,8 +80,7 @@ class PPOTrainer(Trainer):
         self._health = HealthMonitor(policy.shape.joints, policy.shape.levels, config.gamma)
 
     def save(self) -> None:
-        """Save a checkpoint now, if there is a store; waits for interim evaluations."""
-        self._take_evaluations(wait=True)
+        """Save a checkpoint now, if there is a store."""
         if self.checkpoints is not None:
             self._save(self._checkpoint())
 
@@ -100,10 +99,11 @@ class PPOTrainer(Trainer):
 
     def _train_until(self, total_steps: int) -> StopReason:
         begin = time.perf_counter()
-        if self.step == 0:
+        if self._evaluates_start:
             self._submit_evaluation()
         while self.step < total_steps:
-            if self.hooks.should_stop():
+            if self._should_stop():
+                self._take_evaluations()
                 self.save()
                 return "stopped"
             before, start = self.step, time.perf_counter()
@@ -121,16 +121,15 @@ class PPOTrainer(Trainer):
             )
             if crossed(before, self.step, self.evaluate_every):
                 self._submit_evaluation()
-            self._take_evaluations(wait=False)
+            self._take_evaluations()
             if crossed(before, self.step, self.checkpoint_every):
                 self.save()
-        self.save()
-        return "finished"
+        return self._finish(self.save)
 
     def _submit_evaluation(self) -> None:
         if self._evaluations is not None:
             self._evaluations.submit(self.step, flatten_parameters(self.policy))
-            self._take_evaluations(wait=False)
+            self._wait_for_evaluations(leave=MAX_PENDING)
 
     def _checkpoint(self) -> Checkpoint:
         return Checkpoint(

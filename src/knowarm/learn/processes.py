@@ -1,9 +1,13 @@
 """Child processes: start method, process-wide settings, pipes and failure reports."""
 
 import ctypes
+import logging
 import multiprocessing
+import os
 import signal
 import sys
+import threading
+import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -11,10 +15,21 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.context import BaseContext
 from typing import Any
 
+import psutil
 import torch
 
 from knowarm.errors import UserError
+from knowarm.private_apis import release_fork_server
 
+log = logging.getLogger("knowarm.learn")
+
+STOP_S = 3.0
+"""Time that child processes have to exit after their pipes were closed; then they are killed."""
+
+CHECK_S = 1.0
+"""Time between two looks at whether a child process was stopped from outside."""
+
+_PR_SET_PDEATHSIG = 1
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 _KEEP_BYTES = 1 << 30
 
@@ -52,13 +67,23 @@ def process_context(preload: Sequence[str] = ()) -> BaseContext:
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(list(preload))
+    context.set_forkserver_preload(["knowarm.learn.fork_server", *preload])
     return context
 
 
 def prepare_child_process() -> None:
-    """Set up a child process: one thread, freed memory kept, Ctrl-C left to the parent."""
+    """Set up a child process: one thread, freed memory kept, Ctrl-C left to the parent.
+
+    A child ends when reading its pipe fails. One that was stopped (SIGSTOP) cannot notice it, so
+    on Linux the kernel kills the children when the fork server exits, which it does as soon as the
+    training process has ended.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(signal, "SIGHUP"):
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    if sys.platform.startswith("linux"):
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGKILL))
+        release_fork_server()
     torch.set_num_threads(1)
     keep_freed_memory()
 
@@ -83,9 +108,12 @@ class ProcessFailure:
         return self.traceback.strip().splitlines()[-1]
 
 
-@dataclass
+@dataclass(eq=False)
 class ChildProcess:
-    """A child process and the parent's end of its pipe."""
+    """A child process and the parent's end of its pipe.
+
+    A child that is stopped from outside (SIGSTOP) would block its parent; it is continued.
+    """
 
     name: str
     process: Any
@@ -103,7 +131,9 @@ class ChildProcess:
         process.start()
         # The child now has the only other end, so reading fails once it has exited.
         there.close()
-        return cls(name, process, here)
+        child = cls(name, process, here)
+        _watch.add(child)
+        return child
 
     def send(self, message: Any) -> None:
         """Send a message; the exit of the child is noticed when reading."""
@@ -127,13 +157,64 @@ class ChildProcess:
         killed = code is not None and code < 0
         return f"was killed by signal {-code}" if killed else f"ended with exit code {code}"
 
-    def stop(self, timeout_s: float = 5.0) -> None:
+    def stop(self, timeout_s: float = STOP_S) -> None:
         """Close the pipe, upon which the child exits; kill it after the timeout."""
         self.connection.close()
         self.process.join(timeout_s)
         if self.process.is_alive():
             self.process.kill()
             self.process.join()
+
+
+def stop_all(children: Sequence[ChildProcess], timeout_s: float = STOP_S) -> None:
+    """Stop child processes that all have the same ``timeout_s`` to exit."""
+    for child in children:
+        child.connection.close()
+    deadline = time.monotonic() + timeout_s
+    for child in children:
+        child.stop(max(0.0, deadline - time.monotonic()))
+
+
+class _Watch:
+    """Thread that continues child processes, and their fork server, when they were stopped."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._names: dict[psutil.Process, str] = {}
+        self._thread: threading.Thread | None = None
+
+    def add(self, child: ChildProcess) -> None:
+        """Watch a child process until it ends."""
+        try:
+            process = psutil.Process(child.process.pid)
+            server = process.parent()
+        except psutil.Error:
+            return  # it has ended already
+        with self._lock:
+            self._names[process] = child.name
+            if server is not None and server.ppid() == os.getpid():
+                self._names[server] = "fork server"
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name="watch", daemon=True)
+                self._thread.start()
+
+    def _run(self) -> None:
+        while True:
+            time.sleep(CHECK_S)
+            with self._lock:
+                for process in list(self._names):
+                    try:
+                        if process.status() == psutil.STATUS_STOPPED:
+                            log.warning("The %s was stopped; continuing it.", self._names[process])
+                            process.resume()
+                    except psutil.Error:
+                        del self._names[process]
+                if not self._names:
+                    self._thread = None
+                    return
+
+
+_watch = _Watch()
 
 
 def wait_for_messages(children: Sequence[ChildProcess], timeout_s: float) -> list[ChildProcess]:

@@ -7,10 +7,13 @@ from multiprocessing.context import BaseContext
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 import torch
 
 from knowarm.learn.checkpoint import Checkpoint, CheckpointStore
+from knowarm.learn.collector import select
 from knowarm.learn.evaluation import (
+    MAX_PENDING,
     BackgroundEvaluations,
     Evaluate,
     Evaluations,
@@ -22,6 +25,12 @@ from knowarm.learn.flat_parameters import unflatten_parameters
 from knowarm.policy import Policy
 
 StopReason = Literal["finished", "stopped"]
+
+_PENDING = "pending-evaluation/"
+"""Prefix of the arrays in a checkpoint that hold the parameters of pending evaluations, by step."""
+
+_WAIT_S = 0.2
+"""Time between two looks at whether training should stop, while waiting for evaluations [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +83,9 @@ class Trainer(ABC):
             it (`knowarm.seeding`).
         evaluate: plays the interim evaluation while training waits; None for none.
         make_evaluate: instead of ``evaluate``, creates it in a child process that plays while
-            training continues; picklable. Results may arrive after later steps.
+            training continues; picklable. Results may arrive after later steps. Checkpoints do
+            not wait for them: they hold the parameters of pending evaluations, which are played
+            after resuming.
         evaluate_every: steps between two interim evaluations; the first precedes training.
         hooks: functions to call.
         checkpoints: where checkpoints are saved; None saves none.
@@ -84,6 +95,8 @@ class Trainer(ABC):
     Attributes:
         step: environment steps so far.
         best: the best interim evaluation so far.
+        pending_evaluations: parameters by step of the interim evaluations that were pending in
+            the checkpoint that `resume` restored; `train` plays them.
     """
 
     def __init__(
@@ -103,6 +116,7 @@ class Trainer(ABC):
         self.seed = seed
         self.step = 0
         self.best = BestEvaluation()
+        self.pending_evaluations: dict[int, np.ndarray] = {}
         self.hooks = hooks or Hooks()
         self.checkpoints = checkpoints
         self.checkpoint_every = checkpoint_every
@@ -112,6 +126,7 @@ class Trainer(ABC):
         self._make_evaluate = make_evaluate
         self._evaluations: Evaluations | None = None
         self._context: BaseContext | None = None
+        self._stopping = False
 
     @property
     def evaluates(self) -> bool:
@@ -135,7 +150,13 @@ class Trainer(ABC):
             self._evaluations = BackgroundEvaluations(
                 self.policy.spec(), self._make_evaluate, self._context
             )
+        self._stopping = False
         try:
+            for step, values in sorted(self.pending_evaluations.items()):
+                assert self._evaluations is not None
+                self._evaluations.submit(step, values)
+            self.pending_evaluations = {}
+            self._take_evaluations()
             reason = self._train(total_steps)
         finally:
             if self._evaluations is not None:
@@ -155,6 +176,9 @@ class Trainer(ABC):
         self.policy.load_state_dict({k: torch.from_numpy(v) for k, v in checkpoint.policy.items()})
         self.step = checkpoint.facts["step"]
         self.best = BestEvaluation(checkpoint.facts["best_return"], checkpoint.facts["best_step"])
+        if self.evaluates:
+            pending = select(checkpoint.state, _PENDING)
+            self.pending_evaluations = {int(step): values for step, values in pending.items()}
         self._restore(checkpoint)
 
     @abstractmethod
@@ -166,16 +190,61 @@ class Trainer(ABC):
         """Restore what `resume` does not: optimizer, environments, generators, counters."""
 
     def _save(self, checkpoint: Checkpoint) -> None:
-        """Save a checkpoint, if there is a store, with the best evaluation so far."""
+        """Save a checkpoint, if there is a store, with the best and the pending evaluations."""
         if self.checkpoints is not None:
             best = {"best_return": self.best.value, "best_step": self.best.step}
-            self.checkpoints.save(replace(checkpoint, facts={**checkpoint.facts, **best}))
+            pending = {
+                f"{_PENDING}{step}": values
+                for step, values in (self._evaluations.pending() if self._evaluations else [])
+                if step <= checkpoint.facts["step"]
+            }
+            self.checkpoints.save(
+                replace(
+                    checkpoint,
+                    state={**checkpoint.state, **pending},
+                    facts={**checkpoint.facts, **best},
+                )
+            )
 
-    def _take_evaluations(self, *, wait: bool) -> None:
+    def _should_stop(self) -> bool:
+        """Tell whether the hook has asked to stop, now or before."""
+        self._stopping = self._stopping or self.hooks.should_stop()
+        return self._stopping
+
+    @property
+    def _evaluates_start(self) -> bool:
+        """Whether the untrained policy is still to be evaluated."""
+        pending = self._evaluations.pending() if self._evaluations is not None else []
+        return self.step == 0 and self.best.step is None and not pending
+
+    @property
+    def _evaluator_is_behind(self) -> bool:
+        return self._evaluations is not None and len(self._evaluations.pending()) > MAX_PENDING
+
+    def _wait_for_evaluations(self, *, leave: int = 0) -> bool:
+        """Wait until at most ``leave`` are pending; return whether training was not stopped."""
+        self._take_evaluations()
+        while self._evaluations is not None and len(self._evaluations.pending()) > leave:
+            if self._should_stop():
+                return False
+            self._take_evaluations(timeout_s=_WAIT_S)
+        return True
+
+    def _finish(self, save: Callable[[], None]) -> StopReason:
+        """Save the last checkpoint, wait for pending evaluations, and save their results."""
+        self._take_evaluations()
+        save()
+        if self._evaluations is None or not self._evaluations.pending():
+            return "finished"
+        is_complete = self._wait_for_evaluations()
+        save()
+        return "finished" if is_complete else "stopped"
+
+    def _take_evaluations(self, *, timeout_s: float = 0.0) -> None:
         """Report completed evaluations to the hooks and save the best policy."""
         if self._evaluations is None:
             return
-        for done in self._evaluations.completed(wait=wait):
+        for done in self._evaluations.completed(timeout_s=timeout_s):
             is_best = self.best.update(done.step, done.results["return_mean"])
             if is_best and self.checkpoints is not None:
                 parameters = unflatten_parameters(self.policy, done.values)

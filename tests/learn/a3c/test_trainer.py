@@ -6,7 +6,6 @@ import subprocess
 import sys
 import time
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import psutil
@@ -211,21 +210,37 @@ if __name__ == "__main__":
 
 
 @pytest.mark.slow
-def test_killing_the_trainer_leaves_a_checkpoint_and_no_orphans(tmp_path):
+@pytest.mark.parametrize(
+    "is_stopped",
+    [
+        False,
+        pytest.param(
+            True,
+            marks=pytest.mark.skipif(
+                not sys.platform.startswith("linux"), reason="needs Linux's PR_SET_PDEATHSIG"
+            ),
+        ),
+    ],
+)
+def test_killing_the_trainer_leaves_a_checkpoint_and_no_orphans(tmp_path, is_stopped):
     script = tmp_path / "train.py"
     script.write_text(SCRIPT)
-    root = Path(__file__).parents[3]
     process = subprocess.Popen(
-        [sys.executable, script, tmp_path / "run"], env={**os.environ, "PYTHONPATH": str(root)}
+        [sys.executable, script, tmp_path / "run"],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
     )
-    deadline = time.monotonic() + 60
-    while not (tmp_path / "run/previous").exists() and time.monotonic() < deadline:
+    while not all((tmp_path / "run" / name).exists() for name in ("previous", "best")):
+        assert process.poll() is None
         time.sleep(0.1)
     family = psutil.Process(process.pid).children(recursive=True)
     assert len(family) >= 3  # fork server, worker, evaluator
+    if is_stopped:  # a stopped process cannot notice that its parent has exited
+        for child in family:
+            if child.ppid() != process.pid:  # neither the fork server nor the resource tracker
+                child.suspend()
     process.kill()
     process.wait()
-    _, alive = psutil.wait_procs(family, timeout=20)
+    _, alive = psutil.wait_procs(family, timeout=60)
     assert not alive
     trainer, _, _ = build(tmp_path / "run")
     trainer.resume()

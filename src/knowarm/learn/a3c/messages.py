@@ -38,7 +38,7 @@ class A3CWorkerArgs:
 
 @dataclass(frozen=True, kw_only=True)
 class TrainUntil:
-    """To a worker: continue until the steps of all workers reach ``total_steps``."""
+    """To a worker: continue until the steps of all workers reach ``total_steps``; 0 pauses it."""
 
     total_steps: int
 
@@ -47,6 +47,8 @@ class TrainUntil:
 class SendState:
     """To a worker: send a `WorkerState`."""
 
+    number: int
+    """Of the request; the answer repeats it."""
     with_shared: bool
     """Include copies of the shared parameters and statistics."""
     then_exit: bool
@@ -81,6 +83,8 @@ class EvaluationRequest:
 class WorkerState:
     """From a worker: its state between two updates."""
 
+    number: int
+    """Of the request."""
     collector: Arrays
     steps: int
     updates: int

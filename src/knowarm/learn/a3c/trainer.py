@@ -1,6 +1,9 @@
 """A3C trainer: starts and supervises the workers, logs, evaluates and saves checkpoints."""
 
+import logging
+import math
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -29,6 +32,11 @@ from knowarm.learn.processes import ChildProcess, process_context
 from knowarm.learn.shared_tensors import SharedTensors
 from knowarm.learn.trainer import StopReason, Trainer, crossed
 from knowarm.policy import Policy
+
+log = logging.getLogger("knowarm.learn")
+
+STATE_S = 5.0
+"""Time that the workers have to send their last state once training was asked to stop [s]."""
 
 
 class A3CTrainer(Trainer):
@@ -70,36 +78,41 @@ class A3CTrainer(Trainer):
         self._worker_steps = [0] * config.workers
         self._worker_restarts = [0] * config.workers
         self._worker_states: dict[int, Arrays] = {}
-        self._requested_evaluations: set[int] = set()
-        self._state_request: SendState | None = None
+        self._requested_evaluations: dict[int, int] = {}
+        self._evaluated = 0
+        self._request: SendState | None = None
+        self._requests = 0
         self._states: dict[int, WorkerState] = {}
-        self._unsaved: Checkpoint | None = None
+        self._checkpoint_due = False
+        self._paused = False
         self._done: set[int] = set()
 
     def _train(self, total_steps: int) -> StopReason:
         self._total_steps = total_steps
         self._begin = self._row_begin = time.perf_counter()
         self._done.clear()
+        self._paused = False
         reason: StopReason = "finished"
-        if self.step == 0:
+        if self._evaluates_start:
             self._evaluate_once(EvaluationRequest(number=0, step=0, values=self._values()))
         self._pool = WorkerPool(self._start_worker, self._worker_restarts)
         try:
             while len(self._done) < self.config.workers:
                 self._read()
-                if self.hooks.should_stop():
+                if self._should_stop():
                     reason = "stopped"
                     break
-            self._read_until_states_arrived()
-            self._request_states(then_exit=True)
-            self._read_until_states_arrived()
+            self._collect_last_states()
         finally:
             self._pool.stop()
-            self._state_request = None
-        self._take_evaluations(wait=True)
-        self._save_when_evaluated()
-        self._worker_states = {index: state.collector for index, state in self._states.items()}
+            self._request = None
         self._parameters.values.copy_(self._shared["values"])
+        self._worker_states = {index: state.collector for index, state in self._states.items()}
+        checkpoint = self._checkpoint()
+        if reason == "finished":
+            return self._finish(lambda: self._save(checkpoint))
+        self._take_evaluations()
+        self._save(checkpoint)
         return reason
 
     def _restore(self, checkpoint: Checkpoint) -> None:
@@ -116,6 +129,7 @@ class A3CTrainer(Trainer):
         self._statistics = UpdateStatistics(**facts["window"])
         self._worker_restarts = facts["lives"]
         self._worker_steps = checkpoint.optimizer["steps"].tolist()
+        self._evaluated = int(checkpoint.optimizer["evaluated"][0])
 
     def _values(self) -> np.ndarray:
         return self._shared["values"].numpy().copy()
@@ -130,12 +144,12 @@ class A3CTrainer(Trainer):
             make_env=self._make_env,
             evaluate_every=self.evaluate_every if self.evaluates else None,
             failure_folder=self.failure_folder,
-            state=self._worker_states.pop(index, None),
+            state=self._worker_states.get(index),
         )
         assert self._context is not None
         name = f"worker {index}"
         child = ChildProcess.start(self._context, name, run_a3c_worker, args, self._shared)
-        child.send(TrainUntil(total_steps=self._total_steps))
+        child.send(TrainUntil(total_steps=0 if self._paused else self._total_steps))
         return child
 
     def _read(self) -> None:
@@ -148,23 +162,46 @@ class A3CTrainer(Trainer):
             elif isinstance(message, WorkerState):
                 self._add_state(index, message)
             elif isinstance(message, TotalReached):
-                self._done.add(index)
+                if self._shared["steps"].sum() >= self._total_steps:
+                    self._done.add(index)
             elif isinstance(message, WorkerRestarted):
                 self.restarts += 1
                 self._done.discard(index)
-                if self._state_request is not None and index not in self._states:
-                    self._request_state(index)
-        self._take_evaluations(wait=False)
-        self._save_when_evaluated()
+                if self._request is not None and index not in self._states:
+                    self._add_state(index, self._last_state(index))
+        self._take_evaluations()
+        if self._evaluator_is_behind != self._paused:
+            self._pause(self._evaluator_is_behind)
 
-    def _read_until_states_arrived(self) -> None:
-        while self._state_request is not None:
+    def _pause(self, is_paused: bool) -> None:
+        """Pause or continue all workers; they answer requests for their state meanwhile."""
+        self._paused = is_paused
+        for worker in self._pool.workers:
+            worker.send(TrainUntil(total_steps=0 if is_paused else self._total_steps))
+
+    def _collect_last_states(self) -> None:
+        """Let every worker send its state and exit.
+
+        When training was asked to stop, a worker without an answer after `STATE_S` is left out: it
+        starts new episodes when training resumes.
+        """
+        self._request_states(then_exit=True)
+        deadline = math.inf
+        while self._request is not None:
             self._read()
+            if self._should_stop():
+                deadline = min(deadline, time.monotonic() + STATE_S)
+            if time.monotonic() > deadline:
+                silent = [i for i in range(self.config.workers) if i not in self._states]
+                log.warning("No state arrived from the workers %s; stopping them.", silent)
+                for index in silent:
+                    self._add_state(index, self._last_state(index))
 
     def _add_report(self, index: int, report: UpdateReport) -> None:
         """Count an update; log a row of metrics and request states when due."""
         before = self.step
         self.step += report.steps
+        self._worker_states.pop(index, None)
         self._worker_steps[index] += report.steps
         self._statistics.add(report)
         if crossed(before, self.step, self.config.log_every_steps):
@@ -192,36 +229,43 @@ class A3CTrainer(Trainer):
         With one worker, vectors and state belong to the same moment. With several, the others
         continue meanwhile, as they would after a restart.
         """
-        if self._state_request is not None or (self._unsaved is not None and not then_exit):
+        if self._request is not None and not then_exit:
+            self._checkpoint_due = True
             return
+        self._checkpoint_due = False
+        self._requests += 1
         self._states = {}
-        self._state_request = SendState(with_shared=False, then_exit=then_exit)
-        for index in range(self.config.workers):
-            self._request_state(index)
-
-    def _request_state(self, index: int) -> None:
-        assert self._state_request is not None
-        then_exit = self._state_request.then_exit
-        self._pool.workers[index].send(SendState(with_shared=index == 0, then_exit=then_exit))
+        self._request = SendState(number=self._requests, with_shared=False, then_exit=then_exit)
+        for index, worker in enumerate(self._pool.workers):
+            worker.send(replace(self._request, with_shared=index == 0))
 
     def _add_state(self, index: int, state: WorkerState) -> None:
-        assert self._state_request is not None
+        """Take the state of a worker; save a checkpoint with the last one."""
+        request = self._request
+        if request is None or state.number != request.number:
+            return  # the answer to a request that the last one replaced
         self._states[index] = state
-        if self._state_request.then_exit:
+        if request.then_exit:
             self._pool.expect_exit(index)
         if len(self._states) == self.config.workers:
-            self._state_request = None
-            self._unsaved = self._checkpoint()
+            self._request = None
+            if not request.then_exit:
+                self._save(self._checkpoint())
+                if self._checkpoint_due:
+                    self._request_states(then_exit=False)
 
-    def _save_when_evaluated(self) -> None:
-        """Save the checkpoint once all earlier interim evaluations are complete."""
-        checkpoint = self._unsaved
-        if checkpoint is None:
-            return
-        pending = self._evaluations.pending_steps() if self._evaluations is not None else []
-        if all(step > checkpoint.facts["step"] for step in pending):
-            self._unsaved = None
-            self._save(checkpoint)
+    def _last_state(self, index: int) -> WorkerState:
+        """State of a worker that cannot send it: new episodes, unless it has not updated yet."""
+        assert self._request is not None
+        shared = self._shared
+        return WorkerState(
+            number=self._request.number,
+            collector=self._worker_states.get(index, {}),
+            steps=int(shared["steps"][index]),
+            updates=int(shared["updates"][index]),
+            values=self._values(),
+            mean_square=shared["mean_square"].numpy().copy(),
+        )
 
     def _checkpoint(self) -> Checkpoint:
         first = self._states[0]
@@ -229,13 +273,16 @@ class A3CTrainer(Trainer):
         assert first.mean_square is not None
         states = [self._states[index] for index in range(self.config.workers)]
         steps = np.array([state.steps for state in states])
+        step = int(steps.sum())
+        # A worker may have requested an evaluation after another one sent its state.
+        requested = [n for n, at in self._requested_evaluations.items() if at <= step]
         return Checkpoint(
             policy=unflatten_parameters(self.policy, first.values),
             optimizer={
                 "mean_square": first.mean_square,
                 "steps": steps,
                 "updates": np.array([state.updates for state in states]),
-                "evaluated": np.array([int(steps.sum()) // self.evaluate_every]),
+                "evaluated": np.array([max([self._evaluated, *requested])]),
             },
             state={
                 f"worker-{index}/{name}": value
@@ -243,7 +290,7 @@ class A3CTrainer(Trainer):
                 for name, value in state.collector.items()
             },
             facts={
-                "step": int(steps.sum()),
+                "step": step,
                 "restarts": self.restarts,
                 "window": self._statistics.to_dict(),
                 "lives": list(self._worker_restarts),
@@ -253,5 +300,5 @@ class A3CTrainer(Trainer):
     def _evaluate_once(self, request: EvaluationRequest) -> None:
         """Submit an interim evaluation unless another worker has requested it before."""
         if self._evaluations is not None and request.number not in self._requested_evaluations:
-            self._requested_evaluations.add(request.number)
+            self._requested_evaluations[request.number] = request.step
             self._evaluations.submit(request.step, request.values)

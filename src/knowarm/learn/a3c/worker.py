@@ -87,7 +87,7 @@ class A3CWorker:
                     if idle:
                         self._connection.send(TotalReached())
                 elif isinstance(message, SendState):
-                    self._connection.send(self._state(message.with_shared))
+                    self._connection.send(self._state(message))
                     if message.then_exit:
                         return
             self._update()
@@ -154,13 +154,14 @@ class A3CWorker:
             values = self._shared["values"].numpy().copy()
             self._connection.send(EvaluationRequest(number=number, step=step, values=values))
 
-    def _state(self, with_shared: bool) -> WorkerState:
+    def _state(self, request: SendState) -> WorkerState:
         shared, index = self._shared, self.args.index
 
         def copy(vector: torch.Tensor) -> np.ndarray | None:
-            return vector.numpy().copy() if with_shared else None
+            return vector.numpy().copy() if request.with_shared else None
 
         return WorkerState(
+            number=request.number,
             collector=self._collector.get_state(),
             steps=int(shared["steps"][index]),
             updates=int(shared["updates"][index]),

@@ -9,7 +9,12 @@ import psutil
 from knowarm.errors import UserError
 from knowarm.learn.a3c.messages import UpdateReport, WorkerRestarted
 from knowarm.learn.config import A3CConfig
-from knowarm.learn.processes import ChildProcess, ProcessFailure, wait_for_messages
+from knowarm.learn.processes import (
+    ChildProcess,
+    ProcessFailure,
+    stop_all,
+    wait_for_messages,
+)
 
 log = logging.getLogger("knowarm.learn")
 
@@ -70,8 +75,7 @@ class WorkerPool:
 
     def stop(self) -> None:
         """Stop all workers."""
-        for child in self.workers:
-            child.stop()
+        stop_all(self.workers)
 
     def _handle_failure(self, index: int, failure: ProcessFailure) -> None:
         if failure.user_error is not None:

@@ -7,6 +7,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
+from knowarm.cores import available_cores
 from knowarm.world.arrays import IndexSelection, NumpyArrays
 from knowarm.world.backends import Dynamics
 from knowarm.world.compose import SUBSTEPS
@@ -45,7 +46,7 @@ class MujocoSimulator:
             model = copy.copy(model)
             model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
             model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-        self.batch = Batch(model, num_envs, num_threads)
+        self.batch = Batch(model, num_envs, num_threads or available_cores())
         self._qpos = self.batch.bind("qpos")
         self._qvel = self.batch.bind("qvel")
         self._ctrl = self.batch.bind("ctrl")

@@ -1,0 +1,10 @@
+"""Settings of the fork server, the parent of all child processes; it imports this module.
+
+Only the fork server does: importing it changes how the process handles a signal.
+"""
+
+import signal
+
+# When a terminal closes, the kernel sends SIGHUP to every process in it. The training process saves
+# and stops its children; they must not end before it has asked for their states.
+signal.signal(signal.SIGHUP, signal.SIG_IGN)

@@ -1,0 +1,226 @@
+"""Driver of a study: starts workers until every run is done or failed; keeps no state of its own.
+
+Everything it knows comes from the run folders, so it can be killed and started again at any time.
+"""
+
+import shutil
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from knowarm.errors import UserError, unknown_name
+from knowarm.experiment.run import differences, run_path
+from knowarm.experiment.run_folder import RunFolder
+from knowarm.experiment.run_lock import is_locked, lock_folder
+from knowarm.study.config import FILE, PACKED, StudyConfig, read_study, write_study
+from knowarm.study.executors import EXECUTORS, Ended, Executor, RunKey
+from knowarm.study.status import (
+    FAILURE,
+    RunStatus,
+    checkpoint_step,
+    seconds_left,
+    study_status,
+)
+from knowarm.study.worker import STOP, record_failure
+
+RUN_GIB = 0.15
+"""Disk space that a run of default length may take [GiB]."""
+
+POLL_S = 0.5
+"""Time between two looks at the workers [s]."""
+
+STATUS_S = 2.0
+"""Time between two readings of all run folders [s]."""
+
+UNFINISHED = ("waiting", "stalled", "trained")
+"""States in which a run that nobody holds is worked on."""
+
+
+def run_study(
+    study: StudyConfig,
+    out: Path | str,
+    *,
+    should_stop: Callable[[], bool] = lambda: False,
+    on_status: Callable[[Sequence[RunStatus]], None] = lambda statuses: None,
+) -> list[RunStatus]:
+    """Train and evaluate every run of a study that is not done or failed.
+
+    Args:
+        study: what to run; the same call continues where an earlier one ended, however it ended.
+        out: the study's folder.
+        should_stop: called twice a second; true saves every running training and returns.
+        on_status: receives the status of all runs at the start, every few seconds and at the end.
+
+    Returns:
+        The status of every run at the end.
+
+    Raises:
+        UserError: ``out`` holds another study, or a run with another config; it is in use; the
+            executor cannot run anything; or there is too little disk space.
+    """
+    out = Path(out)
+    check_folder(study, out)
+    executor = EXECUTORS[study.where.kind].make(study.where, out)
+    try:
+        with lock_folder(out, remedy="Wait until it ends, or stop it: knowarm study stop."):
+            write_study(study, out)
+            (out / STOP).unlink(missing_ok=True)
+            _Driver(study, out, executor, on_status).run(should_stop)
+    finally:
+        executor.close()
+    statuses = study_status(study, out)
+    on_status(statuses)
+    return statuses
+
+
+def check_folder(study: StudyConfig, out: Path) -> None:
+    """Check that a study can go on in a folder, before anything is written.
+
+    Raises:
+        UserError: the folder holds another study, or a run with another config, or too little disk
+            space is free.
+    """
+    if (out / PACKED).exists():
+        raise UserError(
+            f"{out} is an unpacked study, which lacks what resuming needs: choose another folder."
+        )
+    if (out / FILE).exists() and (other := read_study(out).name) != study.name:
+        raise UserError(
+            f"{out} holds the study {other!r}, not {study.name!r}: choose another folder."
+        )
+    missing = 0
+    for config in study.runs():
+        folder = RunFolder(run_path(out, config))
+        if not folder.config_path.exists():
+            missing += 1
+        elif different := differences(RunFolder.open(folder.path).experiment(), config):
+            raise UserError(
+                f"The run {folder.path} has another config than the study (run | study): "
+                f"{'; '.join(different.values())}. Change the study back, or choose another "
+                "folder."
+            )
+    there = next(each for each in (out.absolute(), *out.absolute().parents) if each.exists())
+    free, needed = shutil.disk_usage(there).free / 2**30, RUN_GIB * missing
+    if free < needed:
+        raise UserError(
+            f"{missing} runs may take {needed:.1f} GiB, and {there} has {free:.1f} GiB free: free "
+            "space, or choose a folder on another disk."
+        )
+
+
+def retry(out: Path, names: Sequence[str] = ()) -> list[str]:
+    """Let failed runs resume with the next `run_study`, or the one that is under way.
+
+    Args:
+        out: the study's folder.
+        names: ``<experiment>/<seed>``, or an experiment for all of its seeds; none for all.
+
+    Returns:
+        The runs that had failed.
+
+    Raises:
+        UserError: the study has no such run.
+    """
+    statuses = study_status(open_study(out), out)
+    known = {f"{each.experiment}/{each.seed}" for each in statuses}
+    for name in names:
+        if name not in known and name not in {each.experiment for each in statuses}:
+            raise unknown_name("run of the study", name, known)
+    cleared = []
+    for status in statuses:
+        run = f"{status.experiment}/{status.seed}"
+        if status.state == "failed" and (not names or {run, status.experiment} & {*names}):
+            (out / run / FAILURE).unlink()
+            cleared.append(run)
+    return cleared
+
+
+def request_stop(out: Path) -> bool:
+    """Ask driver and workers of a study to save and end; return whether there is a driver."""
+    open_study(out)
+    if not is_locked(out):
+        return False
+    (out / STOP).touch()
+    return True
+
+
+def open_study(out: Path) -> StudyConfig:
+    """Read the study that a folder holds.
+
+    Raises:
+        UserError: it holds none.
+    """
+    if not (out / FILE).is_file():
+        raise UserError(f"{out} holds no study: it has no {FILE}. Start one: knowarm study run.")
+    return read_study(out)
+
+
+class _Driver:
+    """One pass over a study: starts runs, longest first, until nothing is left to do."""
+
+    def __init__(
+        self,
+        study: StudyConfig,
+        out: Path,
+        executor: Executor,
+        on_status: Callable[[Sequence[RunStatus]], None],
+    ) -> None:
+        self._study, self._out, self._executor = study, out, executor
+        self._on_status = on_status
+        self._mine: set[RunKey] = set()
+        self._deaths: dict[RunKey, tuple[int, int]] = {}
+
+    def run(self, should_stop: Callable[[], bool]) -> None:
+        """Work until every run is done or failed, or until asked to stop."""
+        stopping, read = False, 0.0
+        while True:
+            ended = self._executor.ended()
+            for each in ended:
+                self._take_end(each, stopping)
+            if not stopping and (should_stop() or (self._out / STOP).exists()):
+                stopping = True
+                self._executor.stop()
+            if ended or time.monotonic() - read > STATUS_S:
+                statuses = study_status(self._study, self._out)
+                read = time.monotonic()
+                self._on_status(statuses)
+                if not stopping:
+                    self._start(statuses)
+                others = any(each.state == "running" for each in statuses)
+                left = any(each.state in UNFINISHED for each in statuses)
+                if not self._mine and (stopping or not (left or others)):
+                    return
+            time.sleep(POLL_S)
+
+    def _start(self, statuses: Sequence[RunStatus]) -> None:
+        """Fill the free slots with the longest runs; one that someone else holds is left alone."""
+        left = seconds_left(statuses)
+        todo = [
+            each
+            for each in statuses
+            if each.state in UNFINISHED
+            and each.run not in self._mine
+            and not is_locked(self._out / each.experiment / str(each.seed))
+        ]
+        # Without a known rate, the number of steps orders them.
+        todo.sort(key=lambda each: -left.get(each.run, float(each.steps_left)))
+        for status in todo[: max(0, self._executor.slots - len(self._mine))]:
+            self._executor.start(status.run)
+            self._mine.add(status.run)
+
+    def _take_end(self, end: Ended, stopping: bool) -> None:
+        """Take note of a worker's end; a killed one is started again, an error is a failure."""
+        self._mine.discard(end.run)
+        if end.problem is None or stopping:
+            return
+        path = self._out / end.run[0] / str(end.run[1])
+        if not end.killed:
+            record_failure(path, f"{end.problem}; see {path / 'log.txt'}")
+            return
+        step = checkpoint_step(RunFolder(path))
+        count, before = self._deaths.get(end.run, (0, step))
+        count = count + 1 if step == before else 1
+        self._deaths[end.run] = count, step
+        if count > self._study.where.retries:
+            reason = f"{end.problem}, {count} times since step {max(step, 0):,}; out of memory?"
+            record_failure(path, reason)

@@ -1,0 +1,96 @@
+"""Worker of a study: trains and evaluates one run, in a process of its own.
+
+``python -m knowarm.study.worker OUT EXPERIMENT SEED`` is what the local executor starts.
+"""
+
+import os
+import signal
+import sys
+import threading
+import traceback
+from datetime import UTC, datetime
+from pathlib import Path
+
+from knowarm.errors import UserError
+from knowarm.experiment.evaluate import evaluate
+from knowarm.experiment.run import StopRequest, run_path, train
+from knowarm.experiment.run_folder import RunFolder, write_json
+from knowarm.experiment.run_lock import FolderInUseError, lock_folder
+from knowarm.study.config import read_study
+from knowarm.study.executors import RunKey
+from knowarm.study.status import FAILURE, is_trained, missing_evaluations
+
+STOP = "stop"
+"""File in a study's folder that asks all workers to save a checkpoint and end."""
+
+GRACE_S = 60.0
+"""How long a worker may take to save after the process that started it has exited [s]."""
+
+
+def work(out: Path, key: RunKey) -> None:
+    """Train and evaluate one run as far as it is not, and record an error in its folder.
+
+    A signal to end, or the file `STOP`, ends the training with a checkpoint.
+
+    Args:
+        out: the study's folder.
+        key: experiment and seed of the run.
+    """
+    path = out / key[0] / str(key[1])
+    try:
+        study = read_study(out)
+        config = study.run(*key)
+        folder = RunFolder(run_path(out, config))
+        stop = out / STOP
+        is_started = folder.config_path.exists()
+        if not (is_started and is_trained(folder, config)):
+            with StopRequest() as is_asked:
+                run = train(
+                    config,
+                    out,
+                    resume=is_started,
+                    should_stop=lambda: is_asked() or stop.exists(),
+                )
+            if run.result.reason == "stopped":
+                return
+        with lock_folder(path, remedy="Wait until it ends."):
+            for evaluation in missing_evaluations(folder, study.evaluations):
+                if stop.exists():
+                    return
+                evaluate(folder.path, config=evaluation).write()
+    except FolderInUseError:
+        print("another process works on this run", file=sys.stderr)
+    except Exception as error:
+        reason = str(error) if isinstance(error, UserError) else _summary(error)
+        record_failure(path, reason, traceback.format_exc())
+        print(f"failed: {reason}", file=sys.stderr)
+
+
+def record_failure(path: Path, reason: str, details: str = "") -> None:
+    """Write why a run failed into its folder, from which it counts as failed."""
+    path.mkdir(parents=True, exist_ok=True)
+    when = datetime.now(UTC).isoformat(timespec="seconds")
+    write_json(path / FAILURE, {"reason": reason, "time": when, "traceback": details})
+
+
+def _summary(error: Exception) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())
+
+
+def main() -> None:
+    """Work on the run that the arguments name, until the parent process exits."""
+    out, experiment, seed = sys.argv[1:]
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    work(Path(out), (experiment, int(seed)))
+
+
+def _end_with_parent() -> None:
+    """Ask this process to save and end once the other end of its input is closed."""
+    os.read(0, 1)
+    os.kill(os.getpid(), signal.SIGTERM)
+    threading.Event().wait(GRACE_S)
+    os._exit(1)
+
+
+if __name__ == "__main__":
+    main()

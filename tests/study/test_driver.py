@@ -1,0 +1,156 @@
+import json
+
+import pytest
+
+from knowarm.errors import UserError
+from knowarm.experiment.run import train
+from knowarm.experiment.run_lock import lock_folder
+from knowarm.study import driver
+from knowarm.study.config import OverridesFor
+from knowarm.study.driver import request_stop, retry, run_study
+from knowarm.study.executors import EXECUTORS, ExecutorEntry, Local
+from knowarm.study.executors.local import LocalExecutor
+from knowarm.study.status import FAILURE, study_status, totals
+from knowarm.study.worker import STOP
+from tests.study.tiny import OVERRIDES, Inline, InlineExecutor, tiny
+
+
+@pytest.fixture
+def executors(monkeypatch):
+    """Executors that were made, in order; the first one lets three workers die."""
+    made = []
+
+    def make(where, out):
+        made.append(InlineExecutor(where, out, deaths=3 if make.dies else 0))
+        return made[-1]
+
+    make.dies = False
+    entry = ExecutorEntry(about="in this process", default=Inline(), make=make)
+    monkeypatch.setitem(EXECUTORS, "inline", entry)
+    monkeypatch.setattr(driver, "POLL_S", 0.0)
+    monkeypatch.setattr(driver, "STATUS_S", 0.0)
+    made.append(make)
+    yield made
+    made.clear()
+
+
+def states(study, out):
+    return [each.state for each in study_status(study, out)]
+
+
+def test_a_study_trains_and_evaluates_every_run_once(tmp_path, executors):
+    study = tiny()
+    seen = []
+    done = run_study(study, tmp_path, on_status=lambda all: seen.append([a.state for a in all]))
+    assert seen[0] == ["waiting", "waiting"]
+    assert [each.state for each in done] == ["done", "done"]
+    assert [each.step for each in done] == [80, 80]
+    assert totals(done, 1)["core_hours_left"] == 0
+    assert totals(done, 1)["core_hours"] > 0
+    before = (tmp_path / "irb120-bm-ppo" / "0" / "config.json").stat().st_mtime_ns
+    run_study(study, tmp_path)
+    assert executors[-1].started == []
+    assert (tmp_path / "irb120-bm-ppo" / "0" / "config.json").stat().st_mtime_ns == before
+
+
+def test_a_stopped_run_goes_on_and_missing_evaluations_are_made(tmp_path, executors):
+    study = tiny(seeds=(0,))
+    train(study.runs()[0], tmp_path, should_stop=lambda: True)
+    assert states(study, tmp_path) == ["stalled"]
+    train(study.runs()[0], tmp_path, resume=True)
+    assert states(study, tmp_path) == ["trained"]
+    run_study(study, tmp_path)
+    assert states(study, tmp_path) == ["done"]
+    rows = (tmp_path / "irb120-bm-ppo" / "0" / "evaluations.csv").read_text().splitlines()
+    assert len(rows) == 4
+
+
+def test_an_error_fails_its_run_only_and_retry_resumes_it(tmp_path, executors, monkeypatch):
+    study = tiny()
+    broken = {0}
+
+    def train_or_fail(config, *arguments, **options):
+        if config.seed in broken:
+            raise RuntimeError("no such luck")
+        return train(config, *arguments, **options)
+
+    monkeypatch.setattr("knowarm.study.worker.train", train_or_fail)
+    first, second = run_study(study, tmp_path)
+    assert (first.state, second.state) == ("failed", "done")
+    assert first.detail == "RuntimeError: no such luck"
+    broken.clear()
+    assert run_study(study, tmp_path)[0].state == "failed"
+    with pytest.raises(UserError, match=r"'irb120-bm-ppo/0'"):
+        retry(tmp_path, ["irb120-bm-ppo/7"])
+    assert retry(tmp_path, ["irb120-bm-ppo/1"]) == []
+    assert retry(tmp_path) == ["irb120-bm-ppo/0"]
+    assert [each.state for each in run_study(study, tmp_path)] == ["done", "done"]
+
+
+def test_a_killed_worker_is_started_again_a_few_times(tmp_path, executors):
+    executors[0].dies = True
+    study = tiny(seeds=(0,), where=Inline(retries=3))
+    assert run_study(study, tmp_path / "enough")[0].state == "done"
+    study = tiny(seeds=(0,), where=Inline(retries=2))
+    (status,) = run_study(study, tmp_path / "few")
+    assert status.state == "failed"
+    assert status.detail.startswith("its process was killed by signal 9, 3 times since step 0")
+
+
+def test_longest_runs_start_first(tmp_path, executors):
+    longer = OverridesFor(experiments="tiago-*", fields={"total_steps": 100})
+    study = tiny(seeds=(0,), experiments=("irb120-bm-ppo", "tiago-bm-ppo"), overrides_for=(longer,))
+    run_study(study, tmp_path)
+    assert [name for name, _ in executors[-1].started] == ["tiago-bm-ppo", "irb120-bm-ppo"]
+
+
+def test_other_studies_and_changed_runs_are_refused(tmp_path, executors):
+    run_study(tiny(seeds=(0,)), tmp_path)
+    with pytest.raises(UserError, match="holds the study 'tiny', not 'other'"):
+        run_study(tiny(name="other"), tmp_path)
+    changed = tiny(overrides={**OVERRIDES, "total_steps": 100})
+    with pytest.raises(UserError, match=r"bm-ppo/0 has another config.*total_steps: 80 \| 100"):
+        run_study(changed, tmp_path)
+    assert len(run_study(tiny(seeds=(0, 1)), tmp_path)) == 2  # more seeds are no other study
+
+
+def test_a_folder_in_use_is_refused(tmp_path, executors):
+    run_study(tiny(seeds=(0,)), tmp_path)
+    assert not request_stop(tmp_path)
+    with lock_folder(tmp_path, remedy=""):
+        assert request_stop(tmp_path)
+        assert (tmp_path / STOP).exists()
+        with pytest.raises(UserError, match="is in use"):
+            run_study(tiny(seeds=(0,)), tmp_path)
+
+
+def test_a_stop_request_ends_the_study(tmp_path, executors):
+    def stop(statuses):
+        (tmp_path / STOP).touch()
+
+    assert [each.state for each in run_study(tiny(), tmp_path, on_status=stop)] == [
+        "stalled",
+        "waiting",
+    ]
+    assert [each.state for each in run_study(tiny(), tmp_path)] == ["done", "done"]
+
+
+def test_too_little_disk_space_is_refused(tmp_path, executors, monkeypatch):
+    monkeypatch.setattr(driver, "RUN_GIB", 1e9)
+    with pytest.raises(UserError, match="2 runs may take"):
+        run_study(tiny(), tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize("needs", [{"cores": 10_000}, {"memory_gib": 1e6}, {"gpus": 100}])
+def test_a_machine_that_is_too_small_is_refused(tmp_path, needs):
+    with pytest.raises(UserError, match=rf"where\.{next(iter(needs))}"):
+        LocalExecutor(Local(**needs), tmp_path)
+
+
+def test_the_reason_of_a_failure_is_in_the_run_folder(tmp_path, executors, monkeypatch):
+    monkeypatch.setattr("knowarm.study.worker.train", lambda *a, **o: 1 / 0)
+    run_study(tiny(seeds=(0,)), tmp_path)
+    record = json.loads((tmp_path / "irb120-bm-ppo" / "0" / FAILURE).read_text())
+    assert record["reason"] == "ZeroDivisionError: division by zero"
+    assert "Traceback" in record["traceback"]

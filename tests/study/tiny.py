@@ -1,0 +1,79 @@
+"""A study of tiny runs, and an executor that works in the calling process."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from knowarm.experiment.config import EvaluationConfig
+from knowarm.study.config import StudyConfig
+from knowarm.study.executors import Ended, Where
+from knowarm.study.worker import work
+
+OVERRIDES = {
+    "total_steps": 80,
+    "checkpoint_every_steps": 20,
+    "interim": {"every_steps": 40, "episodes": 2},
+    "algorithm": {"num_envs": 4, "rollout_steps": 5, "minibatches": 2, "processes": 1},
+}
+
+TOML = """
+name = "tiny"
+experiments = ["irb120-bm-ppo"]
+seeds = [0, 1]
+[overrides]
+total_steps = 80
+checkpoint_every_steps = 20
+interim = {every_steps = 40, episodes = 2}
+algorithm = {num_envs = 4, rollout_steps = 5, minibatches = 2, processes = 1}
+[[evaluations]]
+episodes = 2
+record_films = 1
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inline(Where):
+    kind: Literal["inline"] = "inline"
+
+
+@dataclass
+class InlineExecutor:
+    """Works on one run at a time in this process; ``deaths`` are ends before any work."""
+
+    where: Inline
+    out: Path
+    slots: int = 1
+    started: list = field(default_factory=list)
+    deaths: int = 0
+    _ended: list = field(default_factory=list)
+
+    def start(self, run):
+        self.started.append(run)
+        if self.deaths:
+            self.deaths -= 1
+            self._ended.append(Ended(run, "its process was killed by signal 9", killed=True))
+            return
+        work(self.out, run)
+        self._ended.append(Ended(run))
+
+    def ended(self):
+        ended, self._ended = self._ended, []
+        return ended
+
+    def stop(self):
+        pass
+
+    def close(self):
+        pass
+
+
+def tiny(**changes) -> StudyConfig:
+    values = {
+        "name": "tiny",
+        "experiments": ("irb120-bm-ppo",),
+        "seeds": (0, 1),
+        "overrides": OVERRIDES,
+        "evaluations": (EvaluationConfig(episodes=2, record_films=1),),
+        "where": Inline(),
+    }
+    return StudyConfig(**{**values, **changes})
