@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from knowarm.errors import UserError
+from knowarm.experiment.config import StopWhen
 from knowarm.experiment.migration import migrate_evaluation
 from knowarm.experiment.run_folder import RunFolder, read_csv, read_json
 from knowarm.report.format import differing, flatten, slugs
@@ -122,9 +123,19 @@ def read_run(path: Path, problems: list[Problem]) -> Run | None:
     total = config.get("total_steps")
     if total and 0 < run.steps_done < 0.98 * total:
         what = f"stopped after {run.steps_done / total:.0%} of its steps"
+        if (rule := config.get("stop_when")) and _has_ended_early(rule, interim):
+            what += (
+                f", as its stop_when says (success {rule['success']:.0%} {rule['evaluations']}x)"
+            )
         done = "kept; censored at its end, its last success extended"
         problems.append(Problem(path, what, done))
     return run
+
+
+def _has_ended_early(rule: Mapping[str, Any], interim: Curve) -> bool:
+    """Return whether the rule of an early end was met."""
+    curve = zip(interim.get("step", ()), interim.get("success", ()), strict=True)
+    return StopWhen(**rule).met_at((int(step), float(value)) for step, value in curve) is not None
 
 
 def read_curve(path: Path, problems: list[Problem]) -> Curve:
