@@ -123,19 +123,12 @@ def read_run(path: Path, problems: list[Problem]) -> Run | None:
     total = config.get("total_steps")
     if total and 0 < run.steps_done < 0.98 * total:
         what = f"stopped after {run.steps_done / total:.0%} of its steps"
-        if (rule := config.get("stop_when")) and _has_ended_early(rule, interim):
-            what += (
-                f", as its stop_when says (success {rule['success']:.0%} {rule['evaluations']}x)"
-            )
+        if (rule := config.get("stop_when")) and folder.ended_early_at(StopWhen(**rule)):
+            success, count = rule["success"], rule["evaluations"]
+            what += f", as its stop_when says (success {success:.0%} {count}x)"
         done = "kept; censored at its end, its last success extended"
         problems.append(Problem(path, what, done))
     return run
-
-
-def _has_ended_early(rule: Mapping[str, Any], interim: Curve) -> bool:
-    """Return whether the rule of an early end was met."""
-    curve = zip(interim.get("step", ()), interim.get("success", ()), strict=True)
-    return StopWhen(**rule).met_at((int(step), float(value)) for step, value in curve) is not None
 
 
 def read_curve(path: Path, problems: list[Problem]) -> Curve:
