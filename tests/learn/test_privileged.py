@@ -91,6 +91,29 @@ def test_values_are_those_of_the_state_before_and_after_each_step():
     assert (state[1:][ended][:, time] == 0).all()
 
 
+def test_the_critics_values_enter_the_targets_as_those_of_a_plain_loop():
+    """The factor lets episodes terminate; the time limit ends the others."""
+    trainer = build(critic="state", progress_coef=0.5, threshold_factor=8.0, gamma=0.9)
+    privileged, rollout, used = trainer._privileged, trainer._learner.rollout, []
+    values_of = privileged.values
+    privileged.values = lambda: used.append(values_of()) or used[-1]
+    trainer.train(160)
+    assert rollout.terminated.any()
+    assert rollout.truncated.any()
+    reward = 0.05 * (rollout.reward + privileged.progress_reward()).double().numpy()
+    values, following = (each.double().numpy() for each in used[-1])
+    expected = np.zeros(rollout.shape)
+    for b in range(rollout.shape[1]):
+        carried = 0.0
+        for t in reversed(range(rollout.shape[0])):
+            ended = bool(rollout.terminated[t, b])
+            delta = reward[t, b] + 0.9 * (0.0 if ended else following[t, b]) - values[t, b]
+            carried = delta + 0.9 * 0.95 * (0.0 if bool(rollout.done[t, b]) else carried)
+            expected[t, b] = carried
+    returns = trainer._learner.targets.returns.numpy()
+    np.testing.assert_allclose(returns, expected + values, rtol=1e-4, atol=1e-5)
+
+
 def test_progress_is_the_decrease_of_distance_and_angle():
     trainer = build(progress_coef=2.0)
     trainer.train(80)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from knowarm.errors import UserError
+from knowarm.experiment.config import StopWhen
 from knowarm.experiment.migration import migrate_evaluation
 from knowarm.experiment.run_folder import RunFolder, read_csv, read_json
 from knowarm.report.format import differing, flatten, slugs
@@ -40,6 +41,9 @@ NOT_THE_TASK = {"renderer", "image_size", "name"}
 
 NOT_A_SETTING = {"agent", "role", "name", "seed", "env", "format", "checkpoint_every_steps"}
 """Top-level fields of the config that are no setting of the agent."""
+
+NOT_A_RULE = ("record", "blind")
+"""Beginnings of the names of evaluation settings that do not change the agent's numbers."""
 
 DRAWS = {"knowledge.seed"}
 """Settings that only seed random draws: runs that differ in them are seeds of one agent."""
@@ -122,6 +126,9 @@ def read_run(path: Path, problems: list[Problem]) -> Run | None:
     total = config.get("total_steps")
     if total and 0 < run.steps_done < 0.98 * total:
         what = f"stopped after {run.steps_done / total:.0%} of its steps"
+        if (rule := config.get("stop_when")) and folder.ended_early_at(StopWhen(**rule)):
+            success, count = rule["success"], rule["evaluations"]
+            what += f", as its stop_when says (success {success:.0%} {count}x)"
         done = "kept; censored at its end, its last success extended"
         problems.append(Problem(path, what, done))
     return run
@@ -269,7 +276,7 @@ def _comparable(runs: list[Run], label: str, problems: list[Problem]) -> list[Ru
     """Drop evaluations on other episodes or with other thresholds than most."""
 
     def settings(evaluation: Evaluation) -> str:
-        kept = {k: v for k, v in evaluation.config.items() if not k.startswith("record")}
+        kept = {k: v for k, v in evaluation.config.items() if not k.startswith(NOT_A_RULE)}
         return json.dumps([evaluation.summary["episodes"], kept], sort_keys=True)
 
     found = {run.path: settings(run.evaluations[label]) for run in runs if label in run.evaluations}
