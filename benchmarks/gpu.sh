@@ -132,7 +132,7 @@ train() {
           --interim.every-steps 40 --interim.episodes 2 --checkpoint-every-steps 40)
       else
         # Checkpoints hold the environments' last images: fewer than on the CPU.
-        # An interim evaluation takes two CPU cores for seconds: 140 of them, not 700.
+        # An interim evaluation takes two CPU cores for seconds: 140 of them, not 1,400.
         options+=(--total-steps 70000000 --algorithm.num-envs 4096 --algorithm.minibatches 16
           --checkpoint-every-steps 10000000 --interim.every-steps 500000)
       fi
