@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
+from knowarm.config import check_numbers
 from knowarm.errors import UserError
 
 
@@ -96,6 +97,7 @@ class PPOConfig(AlgorithmConfig):
     """Capture the gradient step as a CUDA graph (device "cuda")."""
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         _at_least(
             self,
             1,
@@ -193,6 +195,7 @@ class A3CConfig(AlgorithmConfig):
     """Environment steps, summed over all workers, between two rows of metrics."""
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         _at_least(self, 1, "workers", "envs_per_worker", "rollout_steps", "log_every_steps")
         _positive(self, "learning_rate", "rmsprop_eps", "reward_scale", "max_grad_norm")
         _fraction(self, "gamma", "gae_lambda", "rmsprop_alpha")
