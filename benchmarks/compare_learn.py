@@ -28,8 +28,10 @@ from knowarm.bench.learn import (
     a3c_row,
     ppo_row,
     raycaster_row,
+    success_rows,
     summarize_rows,
 )
+from knowarm.bench.time_to_success import INTERIM, SuccessClock
 from knowarm.cli.bench import print_learn
 from knowarm.cli.tables import check_json_path, write_json_table
 from knowarm.experiment.build import build
@@ -38,7 +40,9 @@ from knowarm.learn import PPOConfig
 from knowarm.learn.sb3_vec_env import SB3VecEnv
 from knowarm.policy import Policy
 from knowarm.world.config import EnvConfig
+from knowarm.world.episodes import evaluation_episodes
 from knowarm.world.knowledge_observation import KnowledgeObservation, VectorKnowledgeObservation
+from knowarm.world.play import play
 from knowarm.world.single_env import ReachEnv
 from knowarm.world.vector_env import ReachVectorEnv
 
@@ -84,7 +88,11 @@ def compare_learn(config: CompareLearnConfig) -> dict[str, Any]:
     if config.opengl:
         rows.append(sb3_row(config, opengl=True))
     speed = {row["name"]: row["steps_per_s"] for row in rows}
+    success = success_rows(config)
+    if success:
+        success.append(sb3_success_row(config))
     return summarize_rows(config, rows) | {
+        "success": success,
         "ratio_vs_sb3": speed["ppo"] / speed["sb3"],
         "ratio_vs_sb3_opengl": speed["ppo"] / speed["sb3-opengl"] if config.opengl else None,
     }
@@ -123,6 +131,68 @@ def sb3_row(config: CompareLearnConfig, *, opengl: bool) -> Row:
         "parameters": parameter_count(model),
         "parameters_knowarm": sum(p.numel() for p in parts.new_policy(0).parameters()),
     }
+
+
+def sb3_success_row(config: CompareLearnConfig) -> Row:
+    """Train RecurrentPPO on KnowArm's vector environment until 80 % success."""
+    chosen, ppo = experiment_config(config.experiment), config.ppo()
+    parts = build(chosen)
+    vector = ReachVectorEnv(chosen.env, ppo.num_envs, num_threads=config.cores)
+    env = SB3VecEnv(VectorKnowledgeObservation(vector, parts.table), seed=config.seed)
+    model = recurrent_ppo(parts.new_policy(0), ppo, env, seed=config.seed)
+    callback = SuccessCallback(chosen.env, parts.table, config.success_steps)
+    model.learn(10**9, callback=callback)
+    return callback.clock.row("sb3", "sb3-contrib, RecurrentPPO, KnowArm's vector environment")
+
+
+class SB3Agent:
+    """Plays episodes with a model of sb3-contrib and keeps its recurrent state."""
+
+    def __init__(self, model: RecurrentPPO, table: np.ndarray) -> None:
+        self._model, self._table = model, table
+
+    def start(self, env: ReachVectorEnv) -> None:
+        self._env, self._state = env, None
+        self._episode_start = np.ones(env.num_envs, dtype=bool)
+
+    def act(self, observations: np.ndarray) -> np.ndarray:
+        """Choose the most probable actions, (n, H, W, 3) uint8 -> (n, J)."""
+        actions, self._state = self._model.predict(
+            {"image": observations, "knowledge": self._table[self._env.facet_ids]},
+            self._state,
+            self._episode_start,
+            deterministic=True,
+        )
+        self._episode_start = np.zeros_like(self._episode_start)
+        return actions
+
+
+class SuccessCallback(BaseCallback):
+    """Play the interim evaluation at regular steps and end the training at 80 % success.
+
+    Args:
+        config: the task.
+        table: (F, K), knowledge of each facet.
+        most_steps: environment steps after which to give up.
+    """
+
+    def __init__(self, config: EnvConfig, table: np.ndarray, most_steps: int) -> None:
+        super().__init__()
+        self._env = ReachVectorEnv(config, INTERIM.episodes)
+        self._episodes = evaluation_episodes(
+            self._env.scene, config, INTERIM.episodes, INTERIM.seed
+        )
+        self._table, self._next = table, 0
+        self.clock = SuccessClock(most_steps)
+
+    def _on_rollout_start(self) -> None:
+        if self.num_timesteps >= self._next:
+            self._next += INTERIM.every_steps
+            result = play(SB3Agent(self.model, self._table), self._env, self._episodes)
+            self.clock.add(self.num_timesteps, float(result.success.mean()))
+
+    def _on_step(self) -> bool:
+        return not self.clock.is_over()
 
 
 class PaperFeatures(BaseFeaturesExtractor):

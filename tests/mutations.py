@@ -27,6 +27,7 @@ REFERENCE = "tests/policy/test_reference.py"
 COLLECTOR = "tests/learn/test_collector.py"
 UPDATE = "tests/learn/test_ppo_update.py"
 LOSSES = "tests/learn/test_losses.py"
+PRIVILEGED = "tests/learn/test_privileged.py"
 RETURNS = "tests/learn/test_returns.py"
 VERDICTS = "tests/report/test_verdicts.py"
 
@@ -163,8 +164,8 @@ POLICY = [
     (
         "no ReLU after the fully connected layer",
         "policy/policy.py",
-        'return self.fusion("lstm", ',
-        'return (lambda layer, _, known: self.fusion(layer, self.fc(x), known))("lstm", ',
+        'return torch.relu(features) if self.config.fc_activation == "relu" else features',
+        "return features",
         REFERENCE,
     ),
     (
@@ -258,18 +259,45 @@ LEARN = [
     (
         "entropy punished",
         "learn/losses.py",
-        "total=policy + vf_coef * value - ent_coef * spread",
-        "total=policy + vf_coef * value + ent_coef * spread",
+        "ent_coef * spread\n    if auxiliary is None",
+        "-ent_coef * spread\n    if auxiliary is None",
         LOSSES,
     ),
     (
         "reward not scaled",
         "learn/ppo.py",
-        "rollout.reward * config.reward_scale",
-        "rollout.reward",
+        "reward = reward * config.reward_scale",
+        "pass",
         UPDATE,
     ),
-    ("learning-rate schedule not applied", "learn/ppo.py", 'group["lr"] = rate', "pass", UPDATE),
+    (
+        "learning-rate schedule not applied",
+        "learn/ppo.py",
+        "self._optimizer.set_learning_rate(rate)",
+        "pass",
+        UPDATE,
+    ),
+    (
+        "terminal states valued by the state critic",
+        "learn/ppo.py",
+        "torch.where(rollout.terminated, 0, following)",
+        "following",
+        PRIVILEGED,
+    ),
+    (
+        "auxiliary loss ignored",
+        "learn/losses.py",
+        "total = total + auxiliary_coef * auxiliary",
+        "pass",
+        PRIVILEGED,
+    ),
+    (
+        "progress rewarded with the opposite sign",
+        "learn/privileged.py",
+        "gained = self.rollout.state - self.rollout.next_state",
+        "gained = self.rollout.next_state - self.rollout.state",
+        PRIVILEGED,
+    ),
     (
         "advantages not normalized",
         "learn/ppo.py",

@@ -11,8 +11,8 @@ from tests.mutations import MUTATIONS
 EXECUTED = ("20 degrees for 17", "no lower clip bound", "a success has a future")
 
 
-def test_there_are_forty():
-    assert len(MUTATIONS) == len({mutation.name for mutation in MUTATIONS}) == 40
+def test_there_are_at_least_forty_different_ones():
+    assert len(MUTATIONS) == len({mutation.name for mutation in MUTATIONS}) >= 40
 
 
 @pytest.mark.parametrize("mutation", MUTATIONS, ids=lambda mutation: mutation.name)

@@ -34,9 +34,7 @@ def test_learners_are_compared_in_one_table() -> None:
     pytest.importorskip("sb3_contrib")
     from benchmarks.compare_learn import CompareLearnConfig, compare_learn
 
-    result = compare_learn(
-        CompareLearnConfig(cores=1, seconds=0.1, turns=1, epochs=1, opengl=False)
-    )
+    result = compare_learn(CompareLearnConfig(cores=1, seconds=0.1, turns=1, opengl=False))
     rows = {row["name"]: row for row in result["rows"]}
     assert set(rows) == {"raycaster", "ppo", "a3c", "a3c-batched", "sb3"}
     assert result["ratio_vs_sb3"] == rows["ppo"]["steps_per_s"] / rows["sb3"]["steps_per_s"]

@@ -4,6 +4,7 @@ from knowarm.config import from_dict
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.migration import migrate_config, migrate_description
 from knowarm.experiment.registry import experiment_config
+from knowarm.learn.config import privileged_uses
 
 
 def test_a3c_has_the_papers_numbers():
@@ -27,6 +28,24 @@ def test_a3c_follows_its_lineage_where_the_paper_is_silent():
     assert not config.algorithm.bootstrap_at_time_limit
     assert config.policy.fc_activation == "none"
     assert (config.policy.pixel_shift, config.policy.pixel_scale) == (0, 1)
+
+
+def test_fast_has_the_measured_settings():
+    """The settings of the curves in docs/learning.md."""
+    config = experiment_config("irb120-full-fast")
+    fast = config.algorithm
+    assert config.total_steps == 1_500_000
+    assert (fast.num_envs, fast.rollout_steps, fast.epochs, fast.minibatches) == (128, 25, 1, 8)
+    assert (fast.optimizer, fast.learning_rate, fast.gamma) == ("muon", 3e-3, 0.95)
+    assert (fast.critic, fast.auxiliary_coef, fast.progress_coef) == ("state", 1.0, 0.0)
+    assert (fast.threshold_factor, fast.threshold_decrease) == (3.0, 0.05)
+    assert fast.threshold_success == 0.5
+
+
+def test_plain_ppo_uses_no_privileged_state():
+    config = experiment_config("irb120-full-ppo").algorithm
+    assert privileged_uses(vars(config)) == []
+    assert (config.optimizer, config.threshold_factor) == ("adam", 1.0)
 
 
 def test_the_tuned_a3c_has_the_measured_settings():

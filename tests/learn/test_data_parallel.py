@@ -12,7 +12,7 @@ from knowarm.cores import available_cores
 from knowarm.learn import Hooks, PPOConfig, PPOTrainer
 from knowarm.learn.data_parallel import count_processes, make_learner
 from knowarm.learn.learner_worker import GradientCommand
-from knowarm.learn.minibatch import add_gradient
+from knowarm.learn.minibatch import TrainingNetwork, add_gradient
 from tests.learn.toys import SIDE, fill_with_noise, informed_toy_policy, toy_env
 
 TABLE = np.random.default_rng(0).standard_normal((3, 4)).astype(np.float32)
@@ -28,7 +28,7 @@ def policy():
 def noisy_learner(processes):
     """Create a learner whose rollout and targets hold learner-up numbers."""
     config = dataclasses.replace(CONFIG, processes=processes)
-    learner = make_learner(policy(), config, "float32", torch.device("cpu"))
+    learner = make_learner(TrainingNetwork(policy(), 0), config, "float32", torch.device("cpu"))
     fill_with_noise(learner, facets=3)
     return learner
 
@@ -52,7 +52,7 @@ def test_the_workers_part_counts():
         learner.compute_gradient(env_ids)
     whole = learner.gradient.clone()
     learner.gradient.zero_()
-    add_gradient(learner.policy, CONFIG, learner.rollout, learner.targets, env_ids[:8], 0.5)
+    add_gradient(learner.network, CONFIG, learner.rollout, learner.targets, env_ids[:8], 0.5)
     assert not torch.allclose(whole, learner.gradient, rtol=1e-2, atol=1e-4)
 
 

@@ -8,6 +8,7 @@ import torch
 
 from knowarm.learn import PPOConfig
 from knowarm.learn.data_parallel import make_learner
+from knowarm.learn.minibatch import TrainingNetwork
 from tests.devices import DEVICES
 from tests.learn.toys import fill_with_noise, informed_toy_policy
 
@@ -20,7 +21,8 @@ CONFIG = PPOConfig(
 def gradients(device, *, cuda_graphs):
     """Compute loss terms and gradients of two minibatches, of the second one twice."""
     config = dataclasses.replace(CONFIG, cuda_graphs=cuda_graphs)
-    learner = make_learner(informed_toy_policy(TABLE), config, "float32", torch.device(device))
+    network = TrainingNetwork(informed_toy_policy(TABLE), 0)
+    learner = make_learner(network, config, "float32", torch.device(device))
     fill_with_noise(learner, facets=2)
     results = []
     with learner.running():

@@ -9,6 +9,7 @@ import torch
 from knowarm.learn import PPOConfig
 from knowarm.learn import collector as module
 from knowarm.learn.learner import Learner
+from knowarm.learn.minibatch import TrainingNetwork
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.policy.encoder import ImageEncoder
 
@@ -58,7 +59,7 @@ def test_a_rollout_and_a_gradient_do_not_synchronize(meta_device, fusion):
     shape = PolicyShape(joints=2, image_size=SIDE, knowledge_dim=12, knowledge_slots=3)
     config = PolicyConfig(features=16, fusion=fusion)
     policy = Policy(config, shape, np.zeros((3, 12), np.float32)).to(META)
-    learner = Learner(policy, CONFIG, "float32", META)
+    learner = Learner(TrainingNetwork(policy, 0), CONFIG, "float32", META)
     collector = module.Collector(MetaEnv(), policy, seed=0)
     collector.collect(learner.rollout, learner.infer)
     terms = learner.compute_gradient(torch.arange(4, device=META))

@@ -1,5 +1,7 @@
 """Stop and resume on the real environment, whose state is the large part of a checkpoint."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,25 +11,37 @@ from knowarm.world.config import EnvConfig
 from knowarm.world.torch_env import TorchReachVectorEnv
 
 CONFIG = PPOConfig(num_envs=4, rollout_steps=6, minibatches=2, processes=1)
+FAST = replace(
+    CONFIG,
+    critic="state",
+    auxiliary_coef=0.5,
+    progress_coef=1.0,
+    threshold_factor=3.0,
+    threshold_success=0.0,
+    optimizer="muon",
+)
 
 
-def trainer(folder, colours, stop_after=None):
+def trainer(folder, config, colours, stop_after=None):
     env = TorchReachVectorEnv(EnvConfig(max_episode_steps=8, colours=colours), 4, num_threads=1)
     table = np.eye(len(env.facets), dtype=np.float32)
     policy = Policy(PolicyConfig(), PolicyShape(joints=6, knowledge_dim=len(table)), table)
     rows = []
     hooks = Hooks(on_metrics=rows.append, should_stop=lambda: len(rows) == stop_after)
     store = CheckpointStore(folder, {"robot": "irb120"})
-    return PPOTrainer(CONFIG, policy, env, seed=5, hooks=hooks, checkpoints=store), rows
+    return PPOTrainer(config, policy, env, seed=5, hooks=hooks, checkpoints=store), rows
 
 
+@pytest.mark.parametrize("config", [CONFIG, FAST], ids=["plain", "fast"])
 @pytest.mark.parametrize("colours", ["fixed", "randomized"])
-def test_a_stopped_and_resumed_training_equals_an_uninterrupted_one_to_the_byte(tmp_path, colours):
-    whole, rows = trainer(tmp_path / "whole", colours)
+def test_a_stopped_and_resumed_training_equals_an_uninterrupted_one_to_the_byte(
+    tmp_path, colours, config
+):
+    whole, rows = trainer(tmp_path / "whole", config, colours)
     whole.train(6 * 24)
-    stopped, first = trainer(tmp_path / "cut", colours, stop_after=2)
+    stopped, first = trainer(tmp_path / "cut", config, colours, stop_after=2)
     stopped.train(6 * 24)
-    resumed, second = trainer(tmp_path / "cut", colours)
+    resumed, second = trainer(tmp_path / "cut", config, colours)
     resumed.resume()
     resumed.train(6 * 24)
     assert [row["policy_loss"] for row in first + second] == [row["policy_loss"] for row in rows]

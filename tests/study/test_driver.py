@@ -10,6 +10,7 @@ from knowarm.study.config import OverridesFor
 from knowarm.study.driver import request_stop, retry, run_study
 from knowarm.study.executors import EXECUTORS, ExecutorEntry, Local
 from knowarm.study.executors.local import LocalExecutor
+from knowarm.study.executors.ray import Ray, RayExecutor
 from knowarm.study.status import FAILURE, study_status, totals
 from knowarm.study.worker import STOP
 from tests.study.tiny import OVERRIDES, Inline, InlineExecutor, tiny
@@ -146,6 +147,12 @@ def test_too_little_disk_space_is_refused(tmp_path, executors, monkeypatch):
 def test_a_machine_that_is_too_small_is_refused(tmp_path, needs):
     with pytest.raises(UserError, match=rf"where\.{next(iter(needs))}"):
         LocalExecutor(Local(**needs), tmp_path)
+
+
+def test_an_address_that_does_not_answer_is_refused(tmp_path):
+    pytest.importorskip("ray")
+    with pytest.raises(UserError, match="No Ray cluster answers at localhost:1 "):
+        RayExecutor(Ray(address="localhost:1"), tmp_path)
 
 
 def test_the_reason_of_a_failure_is_in_the_run_folder(tmp_path, executors, monkeypatch):

@@ -17,6 +17,7 @@ from knowarm.world.backends.mujoco import MujocoSimulator
 from knowarm.world.backends.warp import WarpSimulator
 from knowarm.world.config import EnvConfig
 from knowarm.world.held_out import HeldOut
+from knowarm.world.step_graph import WARM_UP_STEPS
 from knowarm.world.torch_env import TorchReachVectorEnv
 from knowarm.world.vector_env import ReachVectorEnv
 from knowarm.world.visual_randomization import VisualRandomization
@@ -79,7 +80,8 @@ def test_a_step_on_a_gpu_never_waits(options: dict, face: Any) -> None:
     env = face.make(**options)
     env.reset(seed=0)
     stay = torch.zeros((6, 6), dtype=torch.int64, device=CUDA.device)
-    env.step(stay)
+    for _ in range(WARM_UP_STEPS + 1):  # recording synchronizes once
+        env.step(stay)
     torch.cuda.set_sync_debug_mode("error")
     try:
         for _ in range(15):

@@ -2,15 +2,17 @@
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, cast
 
 import torch
 
 from knowarm.bench.clock import PartClock
+from knowarm.bench.time_to_success import time_to_success
 from knowarm.bench.world import measure_raycaster
 from knowarm.cores import processor
 from knowarm.errors import UserError
+from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.build import EnvFactory, Parts, build
 from knowarm.experiment.registry import DEFAULT_EXPERIMENT, experiment_config
 from knowarm.learn import A3CConfig, Hooks, Metrics, PPOConfig, PPOTrainer, TorchVectorEnv
@@ -19,6 +21,9 @@ from knowarm.world.torch_env import TorchReachVectorEnv
 
 WARM_UP_UPDATES = 3
 """Updates that are not measured: the first ones compile and fill caches."""
+
+PPOS = [name for name, entry in ALGORITHMS.items() if isinstance(entry.config, PPOConfig)]
+"""Algorithms that are a configuration of PPO."""
 
 PPO, A3C = PPOConfig().name, A3CConfig().name
 """Names of the rows; the paper's A3C has 17 workers with one environment each."""
@@ -46,22 +51,21 @@ class LearnBenchConfig:
     seconds: float = 15.0
     """Minimum measuring time per row [s]."""
 
-    epochs: int = 3
-    """Passes over each rollout."""
+    success_steps: int = 0
+    """Also train until 80 % success, for at most so many environment steps; 0: do not."""
 
     seed: int = 0
     """Seed of weights, episodes and actions."""
 
     def __post_init__(self) -> None:
-        for name in ("cores", "epochs"):
-            if getattr(self, name) < 1:
-                raise UserError(f"{name} must be at least 1, got {getattr(self, name)}.")
+        if self.cores < 1:
+            raise UserError(f"cores must be at least 1, got {self.cores}.")
+        if self.success_steps < 0:
+            raise UserError(f"success_steps must be 0 or more, got {self.success_steps}.")
 
-    def ppo(self) -> PPOConfig:
-        """Return PPO's settings: 128 environments, 25 steps, 4 minibatches."""
-        return PPOConfig(
-            num_envs=128, rollout_steps=25, minibatches=4, epochs=self.epochs, processes=self.cores
-        )
+    def ppo(self, name: str = PPO) -> PPOConfig:
+        """Return the settings of a registered PPO."""
+        return replace(cast(PPOConfig, ALGORITHMS[name].config), processes=self.cores)
 
 
 def bench_learn(config: LearnBenchConfig | None = None) -> dict[str, Any]:
@@ -69,18 +73,35 @@ def bench_learn(config: LearnBenchConfig | None = None) -> dict[str, Any]:
 
     Returns:
         ``rows`` with name, envs, steps_per_s and shares of the time (the row of the ray caster
-        counts frames of one core), ``steps_per_s`` of PPO, ``ratio_a3c_batched`` (A3C with many
-        environments per worker over the paper's 17 workers of one), and the machine.
+        counts frames of one core), ``steps_per_s`` of PPO, ``ratio_<name>`` of each other
+        configuration of PPO over PPO, ``ratio_a3c_batched`` (A3C with many environments per worker
+        over the paper's 17 workers of one), the machine, and ``success`` with the rows of
+        `time_to_success`.
     """
     config = config or LearnBenchConfig()
     torch.set_num_threads(config.cores)
     rows = [
         raycaster_row(config),
-        ppo_row(config),
+        *(ppo_row(config, name) for name in PPOS),
         a3c_row(config, A3C, workers=17, envs_per_worker=1),
         a3c_row(config, A3C_BATCHED, workers=config.cores, envs_per_worker=128),
     ]
-    return summarize_rows(config, rows)
+    return summarize_rows(config, rows) | {"success": success_rows(config)}
+
+
+def success_rows(config: LearnBenchConfig) -> list[Row]:
+    """Train with every configuration of PPO until 80 % success; nothing without a budget."""
+    return [
+        time_to_success(
+            experiment_config(config.experiment),
+            name,
+            most_steps=config.success_steps,
+            processes=config.cores,
+            seed=config.seed,
+        )
+        for name in PPOS
+        if config.success_steps
+    ]
 
 
 def summarize_rows(config: LearnBenchConfig, rows: list[Row]) -> dict[str, Any]:
@@ -89,11 +110,11 @@ def summarize_rows(config: LearnBenchConfig, rows: list[Row]) -> dict[str, Any]:
     return {
         "experiment": config.experiment,
         "cores": config.cores,
-        "epochs": config.epochs,
         "machine": f"{processor()}, {os.cpu_count()} cores",
         "torch": torch.__version__,
         "rows": rows,
         "steps_per_s": speed[PPO],
+        **{f"ratio_{name}": speed[name] / speed[PPO] for name in PPOS if name in speed},
         "ratio_a3c_batched": speed[A3C_BATCHED] / speed[A3C],
     }
 
@@ -109,9 +130,9 @@ def raycaster_row(config: LearnBenchConfig) -> Row:
     }
 
 
-def ppo_row(config: LearnBenchConfig) -> Row:
-    """Measure recurrent PPO."""
-    chosen, ppo = experiment_config(config.experiment), config.ppo()
+def ppo_row(config: LearnBenchConfig, name: str = PPO) -> Row:
+    """Measure a registered configuration of PPO."""
+    chosen, ppo = experiment_config(config.experiment), config.ppo(name)
     env = TorchReachVectorEnv(chosen.env, ppo.num_envs, num_threads=config.cores)
     clock = PartClock(torch.device("cpu"))
     clock.time_methods("images", env.renderer, "draw")
@@ -124,8 +145,8 @@ def ppo_row(config: LearnBenchConfig) -> Row:
         image_seconds=lambda: clock.seconds().get("images", 0.0),
     )
     return {
-        "name": PPO,
-        "what": "KnowArm, recurrent PPO",
+        "name": name,
+        "what": f"KnowArm, {ALGORITHMS[name].about}",
         "envs": ppo.num_envs,
         "steps_per_s": row["steps_per_s"],
         "share_simulation": row["share_environment"] - row["share_images"],

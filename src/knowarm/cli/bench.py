@@ -8,6 +8,7 @@ import tyro
 from knowarm.bench.gpu import bench_gpu
 from knowarm.bench.gpu_measure import GpuBenchConfig
 from knowarm.bench.learn import LearnBenchConfig, bench_learn
+from knowarm.bench.study import StudyBenchConfig, bench_study
 from knowarm.bench.world import WorldBenchConfig, bench_world
 from knowarm.cli.tables import FilePath, check_json_path, print_table, write_json_table
 from knowarm.errors import UserError
@@ -82,6 +83,12 @@ def print_learn(result: dict[str, Any]) -> None:
         list(LEARN_COLUMNS.values()),
         [[row.get(name) for name in LEARN_COLUMNS] for row in result["rows"]],
     )
+    if result["success"]:
+        print_table(
+            "Until 80 % of 100 interim episodes succeed",
+            ["name", "what", "steps", "seconds", "best success", "at most"],
+            [list(row.values()) for row in result["success"]],
+        )
     print("physics, images, inference, update: shares of the time.")
     print("staleness: mean number of other workers' updates since a worker read the parameters.")
     print("raycaster: frames/s of one core, without training.")
@@ -163,5 +170,24 @@ def print_gpu(result: dict[str, Any]) -> None:
         )
 
 
-COMMANDS: dict[str, type] = {"world": World, "learn": Learn, "gpu": Gpu}
+@dataclass(frozen=True, kw_only=True)
+class Study:
+    """Measure what running a study costs beyond its runs."""
+
+    config: Annotated[StudyBenchConfig, tyro.conf.OmitArgPrefixes] = field(
+        default_factory=StudyBenchConfig
+    )
+    """Settings of the benchmark."""
+    json: FilePath = None
+    """Also write the table to this JSON file."""
+
+    def run(self) -> None:
+        """Measure and print."""
+        check_json_path(self.json)
+        result = bench_study(self.config)
+        print_table("Study", list(result), [list(result.values())])
+        write_json_table(self.json, result)
+
+
+COMMANDS: dict[str, type] = {"world": World, "learn": Learn, "gpu": Gpu, "study": Study}
 """Commands of the group, by name."""

@@ -6,6 +6,7 @@ from knowarm.cli.tables import FilePath, check_json_path, print_table, write_jso
 from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.registry import experiment_names
+from knowarm.learn.config import privileged_uses
 from knowarm.world.agents import SCRIPTED_AGENTS
 from knowarm.world.objects import TARGETS
 from knowarm.world.robots import ROBOTS
@@ -33,8 +34,16 @@ class List:
         )
         print_table(
             "Algorithms",
-            ["algorithm", "steps", "description"],
-            [[name, entry.total_steps, entry.about] for name, entry in ALGORITHMS.items()],
+            ["algorithm", "steps", "simulator's state in training", "description"],
+            [
+                [
+                    name,
+                    entry.total_steps,
+                    ", ".join(privileged_uses(vars(entry.config))),
+                    entry.about,
+                ]
+                for name, entry in ALGORITHMS.items()
+            ],
         )
         print_table(
             "Scripted agents, for `knowarm evaluate` and `knowarm view`",

@@ -15,8 +15,10 @@ from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.run import StopRequest
 from knowarm.report import write_report
 from knowarm.study.config import FILE, SHIPPED, StudyConfig, read_study
-from knowarm.study.driver import open_study, request_stop, retry, run_study
+from knowarm.study.driver import check_folder, open_study, request_stop, retry, run_study
+from knowarm.study.estimate import estimate
 from knowarm.study.executors import EXECUTORS
+from knowarm.study.pack import SUFFIX, Part, pack_study, unpack_study
 from knowarm.study.status import RunStatus, study_status, totals
 
 Source = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="STUDY")]
@@ -80,12 +82,19 @@ class Run:
     """Runs at once on this machine. Default: as many as its cores and memory hold."""
     cores: Number = None
     """Cores of each run."""
+    address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT", help_behavior_hint="")] = None
+    """Head node of a Ray cluster, for --where ray. Default: a cluster on this machine."""
+    dry_run: bool = False
+    """Only estimate the cost, from a short measurement of every experiment on this machine."""
 
     def run(self) -> None:
-        """Run the study."""
+        """Run the study, or estimate its cost."""
         study = self._study()
         is_folder = (Path(self.study) / FILE).is_file()
         out = self.out or (Path(self.study) if is_folder else Path("runs") / study.name)
+        if self.dry_run:
+            _print_estimate(study, out)
+            return
         with StopRequest() as should_stop, StudyProgress(study) as progress:
             statuses = run_study(study, out, should_stop=should_stop, on_status=progress)
         failed = [each for each in statuses if each.state == "failed"]
@@ -111,9 +120,29 @@ class Run:
             if self.where not in EXECUTORS:
                 raise unknown_name("executor", self.where, EXECUTORS)
             where = EXECUTORS[self.where].default
-        chosen: dict[str, Any] = {"at_once": self.at_once, "cores": self.cores}
+        chosen: dict[str, Any] = {
+            "at_once": self.at_once,
+            "cores": self.cores,
+            "address": self.address,
+        }
         chosen = {name: value for name, value in chosen.items() if value is not None}
         return replace(study, where=replace_fields(where, chosen, where="where"))
+
+
+def _print_estimate(study: StudyConfig, out: Path) -> None:
+    """Measure and print what a study will cost."""
+    check_folder(study, out)
+    print(f"Measuring {len(study.cells())} experiments ...", flush=True)
+    found = estimate(study, out)
+    print_table(
+        f"Study {study.name}, estimated on this machine",
+        ["experiment", "runs to go", "steps/s", "core hours"],
+        [[row.experiment, row.runs, row.steps_per_s, row.core_hours] for row in found.rows],
+    )
+    print(
+        f"{found.core_hours:.2f} core hours; {found.hours:.2f} hours with {found.slots} runs at "
+        f"once; up to {found.disk_gib:.1f} GiB. Nothing was started."
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -177,6 +206,39 @@ class Stop:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Pack:
+    """Write a study to one file to archive or share."""
+
+    folder: Folder
+    """Folder of the study."""
+    out: FilePath = None
+    """The file. Default: DIR.tar.gz."""
+    leave_out: tuple[Part, ...] = ()
+    """Parts to leave out, to make it smaller."""
+
+    def run(self) -> None:
+        """Write the file."""
+        file = self.out or self.folder.with_name(self.folder.name + SUFFIX)
+        count = pack_study(self.folder, file, leave_out=self.leave_out)
+        print(f"Wrote {file}: {count:,} files, {file.stat().st_size / 2**20:.1f} MiB")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unpack:
+    """Unpack a study, and compare every file with its digest."""
+
+    file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+    """What `knowarm study pack` wrote."""
+    out: FilePath = None
+    """New folder. Default: the file's name without .tar.gz."""
+
+    def run(self) -> None:
+        """Write the folder."""
+        out = self.out or self.file.with_name(self.file.name.removesuffix(SUFFIX))
+        print(f"Unpacked: {unpack_study(self.file, out)}. Report: knowarm study report {out}")
+
+
+@dataclass(frozen=True, kw_only=True)
 class Report:
     """Write the report of a study, also of one that is not complete, and list what is missing."""
 
@@ -206,5 +268,7 @@ COMMANDS: dict[str, type] = {
     "retry": Retry,
     "stop": Stop,
     "report": Report,
+    "pack": Pack,
+    "unpack": Unpack,
 }
 """Commands of the group, by name."""

@@ -79,6 +79,22 @@ def _make_a3c(inputs: TrainerInputs) -> Trainer:
 
 
 ALGORITHMS: dict[str, Algorithm] = {
+    "fast": Algorithm(
+        about="PPO with Muon, larger thresholds at first, and a critic on the simulator's state",
+        config=PPOConfig(
+            optimizer="muon",
+            learning_rate=3e-3,
+            epochs=1,
+            minibatches=8,
+            critic="state",
+            auxiliary_coef=1.0,
+            threshold_factor=3.0,
+            threshold_decrease=0.05,
+        ),
+        make_trainer=_make_ppo,
+        total_steps=1_500_000,
+        policy={"pixel_shift": 0.5, "pixel_scale": 4.0},
+    ),
     "ppo": Algorithm(
         about="recurrent proximal policy optimization; on CPU or GPU",
         config=PPOConfig(),

@@ -9,7 +9,7 @@ evaluations, `guards` stop at non-finite values, `checkpoint` saves and resumes.
 from knowarm.learn.a3c import A3CTrainer
 from knowarm.learn.checkpoint import Checkpoint, CheckpointStore, read_checkpoint
 from knowarm.learn.config import A3CConfig, PPOConfig
-from knowarm.learn.environment import NumpyToTorch, TorchVectorEnv
+from knowarm.learn.environment import NumpyToTorch, PrivilegedVectorEnv, TorchVectorEnv
 from knowarm.learn.evaluation import Evaluate, MakeEvaluate, Metrics
 from knowarm.learn.ppo import PPOTrainer
 from knowarm.learn.trainer import Hooks, Trainer, TrainingResult
@@ -26,6 +26,7 @@ __all__ = [
     "NumpyToTorch",
     "PPOConfig",
     "PPOTrainer",
+    "PrivilegedVectorEnv",
     "TorchVectorEnv",
     "Trainer",
     "TrainingResult",

@@ -1,14 +1,17 @@
 """Rollout collector: steps vector environments with a policy and fills rollouts."""
 
 from collections.abc import Callable
+from typing import cast
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from knowarm.learn.curriculum import ThresholdCurriculum
 from knowarm.learn.device import Stopwatch
-from knowarm.learn.environment import Infos, TorchVectorEnv
+from knowarm.learn.environment import Infos, PrivilegedVectorEnv, TorchVectorEnv
 from knowarm.learn.episode_statistics import EpisodeStatistics
+from knowarm.learn.privileged import PrivilegedRollout
 from knowarm.learn.rollout import Rollout
 from knowarm.policy import Policy, State
 from knowarm.policy.actions import log_probability, sample
@@ -63,6 +66,7 @@ class Collector:
         stream: tells several collectors of a run apart (A3C: worker, number of its restarts).
         final_values: computes the values of final observations; by default at once on the CPU
             and later on a GPU.
+        curriculum: of the environment's success thresholds.
 
     Raises:
         UserError: the policy's knowledge table has no row for a facet of the environment.
@@ -75,10 +79,12 @@ class Collector:
         *,
         seed: int,
         stream: tuple[int, ...] = (),
-        final_values: "ImmediateFinalValues | DeferredFinalValues | None" = None,
+        final_values: "ImmediateFinalValues | DeferredFinalValues | NoFinalValues | None" = None,
+        curriculum: ThresholdCurriculum | None = None,
     ) -> None:
         self.env = env
         self.policy = policy
+        self.curriculum = curriculum
         self.statistics = EpisodeStatistics(env.num_envs, env.device)
         self.generator = torch_generator(seed, "actions", *stream, device=env.device)
         self._stopwatch = Stopwatch(env.device)
@@ -100,7 +106,12 @@ class Collector:
 
     @torch.no_grad()
     def collect(
-        self, rollout: Rollout, infer: Infer | None = None, *, until_episode_end: bool = False
+        self,
+        rollout: Rollout,
+        infer: Infer | None = None,
+        *,
+        until_episode_end: bool = False,
+        privileged: PrivilegedRollout | None = None,
     ) -> int:
         """Fill the rollout with the next T steps of all environments.
 
@@ -108,6 +119,8 @@ class Collector:
             rollout: overwritten.
             infer: inference of one step; by default `infer_step` with the policy.
             until_episode_end: stop after the first step in which an episode ends (CPU only).
+            privileged: overwritten with the privileged states; the environment must be a
+                `PrivilegedVectorEnv`.
 
         Returns:
             The number of steps t; only the rollout's first t rows are valid (`Rollout.first`).
@@ -117,6 +130,9 @@ class Collector:
         rollout.start_h.copy_(self._state[0])
         rollout.start_c.copy_(self._state[1])
         rollout.final_value.zero_()
+        env = cast(PrivilegedVectorEnv, self.env)
+        if privileged is not None:
+            privileged.state[0] = env.privileged_state
         for t in range(steps):
             rollout.facet[t] = self.env.facet_ids
             rollout.episode_start[t] = self._start
@@ -134,6 +150,11 @@ class Collector:
             rollout.truncated[t] = truncated
             self._final_values.add(rollout, t, truncated & ~terminated, self._state, infos)
             self._start = terminated | truncated
+            if privileged is not None:
+                following = env.privileged_state
+                final = infos["final_privileged_state"]
+                privileged.next_state[t] = torch.where(self._start[:, None], final, following)
+                privileged.state[t + 1 : t + 2] = following
             success = infos.get("final_info", {}).get("is_success", terminated)
             self.statistics.add(reward, self._start, success)
             if until_episode_end and bool(self._start.any()):
@@ -157,6 +178,8 @@ class Collector:
         }
         state = {name: tensor.cpu().numpy().copy() for name, tensor in tensors.items()}
         state.update({f"episode/{k}": v for k, v in self.statistics.get_state().items()})
+        if self.curriculum is not None and self.curriculum.is_used:
+            state["threshold_factor"] = np.array(self.curriculum.factor)
         state.update({f"env/{k}": np.asarray(v) for k, v in self.env.get_state().items()})
         return state
 
@@ -170,6 +193,8 @@ class Collector:
         self._state = (place("h"), place("c"))
         self.generator.set_state(torch.from_numpy(state["generator"].copy()))
         self.statistics.set_state(select(state, "episode/"))
+        if self.curriculum is not None and self.curriculum.is_used:
+            self.curriculum.factor = float(state["threshold_factor"])
         self.env.set_state(select(state, "env/"))
 
 
@@ -199,6 +224,13 @@ class ImmediateFinalValues:
             state = (state[0][ids], state[1][ids])
             _, value, _ = self._policy.step(image, rollout.facet[t, ids], state, start)
             rollout.final_value[t, ids] = value
+
+
+class NoFinalValues:
+    """Values no final observations: another critic values the states."""
+
+    def add(self, rollout: Rollout, t: int, cut: Tensor, state: State, infos: Infos) -> None:
+        """Do nothing; see `ImmediateFinalValues.add`."""
 
 
 class DeferredFinalValues:

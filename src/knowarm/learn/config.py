@@ -7,9 +7,29 @@ from typing import Any, ClassVar, Literal
 from knowarm.config import check_numbers
 from knowarm.errors import UserError
 
+PRIVILEGED_OPTIONS: Mapping[str, tuple[Any, str]] = {
+    "critic": ("image", "critic"),
+    "auxiliary_coef": (0, "auxiliary loss"),
+    "progress_coef": (0, "progress reward"),
+}
+"""Options that need the simulator's state in training: value that does not, and what it is for."""
+
+
+def privileged_uses(algorithm: Mapping[str, Any]) -> list[str]:
+    """List what a training uses the simulator's state for, besides the reward.
+
+    Args:
+        algorithm: fields of the algorithm's config by name.
+    """
+    return [
+        use
+        for name, (without, use) in PRIVILEGED_OPTIONS.items()
+        if algorithm.get(name, without) != without
+    ]
+
 
 class AlgorithmConfig:
-    """Base class of the algorithms' configs, whose first field is a literal ``name``."""
+    """Base class of the algorithms' configs, which have a literal field ``name``."""
 
     name: str
     earlier_values: ClassVar[Mapping[str, Any]] = {}
@@ -17,7 +37,33 @@ class AlgorithmConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PPOConfig(AlgorithmConfig):
+class CurriculumConfig(AlgorithmConfig):
+    """Success thresholds that start larger and decrease to the task's as training succeeds.
+
+    Raises:
+        UserError: a value out of range.
+    """
+
+    threshold_factor: float = 1.0
+    """Factor of both success thresholds at the start of training; 1: the task's own."""
+
+    threshold_decrease: float = 0.02
+    """Decrease of the factor per update, down to 1."""
+
+    threshold_success: float = 0.5
+    """Success of an update's episodes above which the factor decreases."""
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        _fraction(self, "threshold_success")
+        if not self.threshold_decrease >= 0:
+            raise UserError(f"threshold_decrease must be 0 or more, got {self.threshold_decrease}.")
+        if not self.threshold_factor >= 1:
+            raise UserError(f"threshold_factor must be at least 1, got {self.threshold_factor}.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PPOConfig(CurriculumConfig):
     """Recurrent PPO; the defaults learned fastest in our tests (docs/lab-notes.md).
 
     Raises:
@@ -39,8 +85,12 @@ class PPOConfig(AlgorithmConfig):
     minibatches: int = 4
     """Groups of environments that a pass is divided into; one gradient step per group."""
 
+    optimizer: Literal["adam", "muon"] = "adam"
+    """Adam, or Muon for the matrices of the fully connected layer and the LSTM and Adam for all
+    else, at the same learning rate."""
+
     learning_rate: float = 1e-3
-    """Learning rate of Adam at the start of training."""
+    """Learning rate at the start of training."""
 
     learning_rate_schedule: Literal["constant", "linear", "cosine"] = "linear"
     """How the learning rate decreases over the whole training."""
@@ -76,6 +126,18 @@ class PPOConfig(AlgorithmConfig):
     max_grad_norm: float = 0.5
     """Gradients are clipped to this norm."""
 
+    critic: Literal["image", "state"] = "image"
+    """What values an observation: the policy's own head, or a network on the simulator's state
+    (asymmetric actor-critic, Pinto et al. 2017). The head is then trained, but not used."""
+
+    auxiliary_coef: float = 0.0
+    """Coefficient of the auxiliary loss: predict joint angles, gripper and grasp frame from the
+    features of the image; 0: none."""
+
+    progress_coef: float = 0.0
+    """Factor of a reward for every step's decrease of distance (100 per metre) and angle (20 per
+    90 degrees), added to the task's reward; 0: none."""
+
     target_kl: float | None = None
     """End the passes over a rollout when the approximate KL divergence exceeds it [nat]; None:
     no limit."""
@@ -97,7 +159,7 @@ class PPOConfig(AlgorithmConfig):
     """Capture the gradient step as a CUDA graph (device "cuda")."""
 
     def __post_init__(self) -> None:
-        check_numbers(self)
+        super().__post_init__()
         _at_least(
             self,
             1,
@@ -109,6 +171,9 @@ class PPOConfig(AlgorithmConfig):
         )
         _positive(self, "learning_rate", "adam_eps", "clip_range", "reward_scale", "max_grad_norm")
         _fraction(self, "gamma", "gae_lambda", "learning_rate_final")
+        for name in ("auxiliary_coef", "progress_coef"):
+            if not getattr(self, name) >= 0:
+                raise UserError(f"{name} must be 0 or more, got {getattr(self, name)}.")
         if self.device == "cuda" and self.processes is not None:
             raise UserError(
                 f"processes ({self.processes}) applies to device 'cpu' only; leave it None "
@@ -122,7 +187,7 @@ class PPOConfig(AlgorithmConfig):
 
 
 @dataclass(frozen=True, kw_only=True)
-class A3CConfig(AlgorithmConfig):
+class A3CConfig(CurriculumConfig):
     """Asynchronous advantage actor-critic (A3C); defaults as in the paper (section 4.2).
 
     What the paper does not give (rollouts, time limit, max_grad_norm, rmsprop_eps) follows the
@@ -195,7 +260,7 @@ class A3CConfig(AlgorithmConfig):
     """Environment steps, summed over all workers, between two rows of metrics."""
 
     def __post_init__(self) -> None:
-        check_numbers(self)
+        super().__post_init__()
         _at_least(self, 1, "workers", "envs_per_worker", "rollout_steps", "log_every_steps")
         _positive(self, "learning_rate", "rmsprop_eps", "reward_scale", "max_grad_norm")
         _fraction(self, "gamma", "gae_lambda", "rmsprop_alpha")

@@ -26,11 +26,11 @@ from knowarm.learn.learner_worker import (
     shared_specs,
 )
 from knowarm.learn.losses import PPOLossTerms
-from knowarm.learn.minibatch import Targets, add_gradient, target_specs
+from knowarm.learn.minibatch import Targets, TrainingNetwork, add_gradient, target_specs
 from knowarm.learn.processes import ChildProcess, ProcessFailure, process_context, stop_all
 from knowarm.learn.rollout import Rollout, rollout_specs
 from knowarm.learn.shared_tensors import SharedTensors
-from knowarm.policy import MatmulPrecision, Policy, State
+from knowarm.policy import MatmulPrecision, State
 
 log = logging.getLogger("knowarm.learn")
 
@@ -48,32 +48,39 @@ class DataParallelLearner(Learner):
     are taken in another order than in one process, always the same for a number of processes.
 
     Args:
-        policy: on the CPU; its parameters move to shared memory.
+        network: on the CPU; its parameters move to shared memory.
         config: rollout size and loss weights.
         precision: of the matrix products in encoder and LSTM.
         processes: number of processes, the calling one included; at least 2.
     """
 
     def __init__(
-        self, policy: Policy, config: PPOConfig, precision: MatmulPrecision, processes: int
+        self,
+        network: TrainingNetwork,
+        config: PPOConfig,
+        precision: MatmulPrecision,
+        processes: int,
     ) -> None:
         assert processes > 1, processes
         self.processes = processes
         self._context = process_context(["knowarm.learn.learner_worker"])
-        self._args = LearnerWorkerArgs(policy.spec(), config, precision)
+        self._args = LearnerWorkerArgs(
+            network.policy.spec(), network.auxiliary_targets, config, precision
+        )
         self._workers: list[ChildProcess] = []
         self._exits = 0
-        super().__init__(policy, config, precision, torch.device("cpu"))
+        super().__init__(network, config, precision, torch.device("cpu"))
 
     def _allocate(self) -> None:
-        policy, config = self.policy, self._config
-        self._shared = SharedTensors(self._context, shared_specs(policy, config, self.processes))
-        self._shared["parameters"].copy_(FlatParameters(policy).values)
+        network, config = self.network, self._config
+        self._shared = SharedTensors(self._context, shared_specs(network, config, self.processes))
+        self._shared["parameters"].copy_(FlatParameters(network).values)
         self.gradient = self._shared["gradients"][0]
-        FlatParameters.bind(policy, self._shared["parameters"], self.gradient)
+        FlatParameters.bind(network, self._shared["parameters"], self.gradient)
         steps, count = config.rollout_steps, config.num_envs
-        self.rollout = Rollout(**self._shared.select(rollout_specs(steps, count, policy)))
-        self.targets = Targets(**self._shared.select(target_specs(steps, count)))
+        self.rollout = Rollout(**self._shared.select(rollout_specs(steps, count, self.policy)))
+        specs = target_specs(steps, count, network.auxiliary_targets)
+        self.targets = Targets(**self._shared.select(specs))
 
     @contextmanager
     def running(self) -> Iterator[None]:
@@ -109,7 +116,7 @@ class DataParallelLearner(Learner):
         self._send(commands)
         self.gradient.zero_()
         terms = add_gradient(
-            self.policy, self._config, self.rollout, self.targets, own, len(own) / count
+            self.network, self._config, self.rollout, self.targets, own, len(own) / count
         )
         self._wait(commands)
         for index in range(1, 1 + len(commands)):
@@ -169,17 +176,17 @@ class DataParallelLearner(Learner):
 
 
 def make_learner(
-    policy: Policy, config: PPOConfig, precision: MatmulPrecision, device: torch.device
+    network: TrainingNetwork, config: PPOConfig, precision: MatmulPrecision, device: torch.device
 ) -> Learner:
     """Create a learner with the number of processes of `count_processes`; one on a GPU.
 
     Args:
-        policy: moved to the device.
+        network: moved to the device.
         config: sizes and number of processes.
         precision: of the matrix products in encoder and LSTM.
         device: where to learn.
     """
-    policy.to(device)
+    network.to(device)
     processes = count_processes(config) if device.type == "cpu" else 1
     if device.type == "cpu" and config.processes is not None and processes < config.processes:
         log.warning(
@@ -191,8 +198,8 @@ def make_learner(
             MIN_ENVS_PER_PROCESS,
         )
     if processes > 1:
-        return DataParallelLearner(policy, config, precision, processes)
-    return Learner(policy, config, precision, device)
+        return DataParallelLearner(network, config, precision, processes)
+    return Learner(network, config, precision, device)
 
 
 def count_processes(config: PPOConfig) -> int:

@@ -77,6 +77,27 @@ class TorchVectorEnv(Protocol):
         ...
 
 
+class PrivilegedVectorEnv(TorchVectorEnv, Protocol):
+    """A vector environment whose simulator's state can be used in training.
+
+    With ``report_privileged_state``, infos contain ``final_privileged_state``, (n, D) float32: the
+    state before the resets of the step.
+
+    Attributes:
+        privileged_columns: names of the D columns; see
+            `knowarm.world.tasks.privileged.privileged_columns`.
+        report_privileged_state: set by the trainer.
+    """
+
+    privileged_columns: tuple[str, ...]
+    report_privileged_state: bool
+
+    @property
+    def privileged_state(self) -> Tensor:
+        """State of each running episode, (n, D) float32."""
+        ...
+
+
 class NumpyToTorch:
     """Adapter that gives a NumPy vector environment the interface `TorchVectorEnv` on the CPU.
 

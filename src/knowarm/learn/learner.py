@@ -11,23 +11,23 @@ from knowarm.learn.config import PPOConfig
 from knowarm.learn.device import CudaGraph, tf32_products
 from knowarm.learn.flat_parameters import FlatParameters
 from knowarm.learn.losses import PPOLossTerms
-from knowarm.learn.minibatch import Targets, add_gradient, target_specs
+from knowarm.learn.minibatch import Targets, TrainingNetwork, add_gradient, target_specs
 from knowarm.learn.rollout import Rollout, rollout_specs
 from knowarm.learn.shared_tensors import zeros
-from knowarm.policy import MatmulPrecision, Policy, State
+from knowarm.policy import MatmulPrecision, State
 
 
 class Learner:
     """Computes inference and minibatch gradients on the CPU or a GPU.
 
     Args:
-        policy: on the device; its parameters and gradients become views of two vectors.
+        network: on the device; its parameters and gradients become views of two vectors.
         config: rollout size and loss weights.
         precision: of the matrix products in encoder and LSTM.
         device: of policy, rollout and targets.
 
     Attributes:
-        policy: as given.
+        network: as given.
         rollout: written by `infer` and the collector, read by `compute_gradient`.
         targets: read by `compute_gradient`.
         gradient: (P,) float32, written by `compute_gradient`.
@@ -38,9 +38,14 @@ class Learner:
     gradient: Tensor
 
     def __init__(
-        self, policy: Policy, config: PPOConfig, precision: MatmulPrecision, device: torch.device
+        self,
+        network: TrainingNetwork,
+        config: PPOConfig,
+        precision: MatmulPrecision,
+        device: torch.device,
     ) -> None:
-        self.policy = policy
+        self.network = network
+        self.policy = network.policy
         self._config = config
         self._precision = precision
         self._device = device
@@ -52,8 +57,9 @@ class Learner:
     def _allocate(self) -> None:
         steps, count = self._config.rollout_steps, self._config.num_envs
         self.rollout = Rollout(**zeros(rollout_specs(steps, count, self.policy), self._device))
-        self.targets = Targets(**zeros(target_specs(steps, count), self._device))
-        self.gradient = FlatParameters(self.policy).gradient
+        specs = target_specs(steps, count, self.network.auxiliary_targets)
+        self.targets = Targets(**zeros(specs, self._device))
+        self.gradient = FlatParameters(self.network).gradient
 
     @contextmanager
     def running(self) -> Iterator[None]:
@@ -76,5 +82,5 @@ class Learner:
 
     def _loss_vector(self, env_ids: Tensor) -> Tensor:
         self.gradient.zero_()
-        terms = add_gradient(self.policy, self._config, self.rollout, self.targets, env_ids)
+        terms = add_gradient(self.network, self._config, self.rollout, self.targets, env_ids)
         return terms.vector()

@@ -12,7 +12,7 @@ from knowarm.learn.collector import infer_step
 from knowarm.learn.config import PPOConfig
 from knowarm.learn.flat_parameters import FlatParameters
 from knowarm.learn.losses import PPOLossTerms
-from knowarm.learn.minibatch import Targets, add_gradient, target_specs
+from knowarm.learn.minibatch import Targets, TrainingNetwork, add_gradient, target_specs
 from knowarm.learn.processes import ProcessFailure, prepare_child_process
 from knowarm.learn.rollout import Rollout, rollout_specs
 from knowarm.learn.shared_tensors import SharedTensors, TensorSpecs
@@ -24,6 +24,7 @@ class LearnerWorkerArgs:
     """Arguments of a learner worker besides the shared memory."""
 
     policy: PolicySpec
+    auxiliary_targets: int
     config: PPOConfig
     precision: MatmulPrecision
 
@@ -49,13 +50,14 @@ class CommandDone:
     """From a worker: the results of the command are in shared memory."""
 
 
-def shared_specs(policy: Policy, config: PPOConfig, processes: int) -> TensorSpecs:
+def shared_specs(network: TrainingNetwork, config: PPOConfig, processes: int) -> TensorSpecs:
     """Return shapes and dtypes of the tensors that trainer and workers share."""
-    count, shape = config.num_envs, policy.shape
-    parameters = sum(p.numel() for p in policy.parameters())
+    policy, count = network.policy, config.num_envs
+    shape = policy.shape
+    parameters = sum(p.numel() for p in network.parameters())
     return {
         **rollout_specs(config.rollout_steps, count, policy),
-        **target_specs(config.rollout_steps, count),
+        **target_specs(config.rollout_steps, count, network.auxiliary_targets),
         "parameters": ((parameters,), torch.float32),
         "gradients": ((processes, parameters), torch.float32),
         "terms": ((processes, len(PPOLossTerms.names())), torch.float32),
@@ -95,11 +97,12 @@ def _run(
 ) -> None:
     config, policy = args.config, args.policy.build()
     policy.matmul_precision = args.precision
+    network = TrainingNetwork(policy, args.auxiliary_targets)
     gradient = shared["gradients"][index]
-    FlatParameters.bind(policy, shared["parameters"], gradient)
+    FlatParameters.bind(network, shared["parameters"], gradient)
     steps, count = config.rollout_steps, config.num_envs
     rollout = Rollout(**shared.select(rollout_specs(steps, count, policy)))
-    targets = Targets(**shared.select(target_specs(steps, count)))
+    targets = Targets(**shared.select(target_specs(steps, count, args.auxiliary_targets)))
     while True:
         command = connection.recv()
         if isinstance(command, InferCommand):
@@ -107,6 +110,6 @@ def _run(
         else:
             gradient.zero_()
             env_ids = torch.from_numpy(command.env_ids)
-            terms = add_gradient(policy, config, rollout, targets, env_ids, command.weight)
+            terms = add_gradient(network, config, rollout, targets, env_ids, command.weight)
             shared["terms"][index] = terms.vector()
         connection.send(CommandDone())

@@ -28,6 +28,8 @@ class PPOLossTerms(LossTerms):
 
     approx_kl: Tensor
     """Estimate of KL(old, new) [nat]: mean of ratio - 1 - log ratio."""
+    auxiliary: Tensor
+    """Mean squared error of the auxiliary head; 0 without one."""
     clip_fraction: Tensor
     """Fraction of steps whose ratio was clipped."""
 
@@ -90,11 +92,14 @@ def ppo_loss(
     clip_range: float,
     vf_coef: float,
     ent_coef: float,
+    auxiliary: Tensor | None = None,
+    auxiliary_coef: float = 0.0,
 ) -> PPOLossTerms:
     """Compute PPO's clipped surrogate loss (Schulman et al. 2017, equations 7 and 9).
 
     ``policy = -mean(min(r A, clip(r, 1 - clip_range, 1 + clip_range) A))`` with ``r`` the ratio of
-    new to old probability; ``value`` and ``total`` as in `a3c_loss`.
+    new to old probability; ``value`` and ``total`` as in `a3c_loss`, plus ``auxiliary_coef`` times
+    the ``auxiliary`` loss.
     """
     log_p = log_probabilities(logits)
     log_ratio = log_p.gather(-1, actions[..., None]).squeeze(-1).sum(-1) - old_log_probability
@@ -108,8 +113,14 @@ def ppo_loss(
     with torch.no_grad():
         approx_kl = (ratio - 1 - log_ratio).mean()
         clip_fraction = ((ratio - 1).abs() > clip_range).to(ratio.dtype).mean()
+    total = policy + vf_coef * value - ent_coef * spread
+    if auxiliary is None:
+        auxiliary = torch.zeros_like(total)
+    else:
+        total = total + auxiliary_coef * auxiliary
     return PPOLossTerms(
-        total=policy + vf_coef * value - ent_coef * spread,
+        total=total,
+        auxiliary=auxiliary,
         policy=policy,
         value=value,
         entropy=spread,

@@ -3,13 +3,14 @@
 from dataclasses import dataclass
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from knowarm.learn.config import PPOConfig
 from knowarm.learn.losses import PPOLossTerms, ppo_loss
 from knowarm.learn.rollout import Rollout
 from knowarm.learn.shared_tensors import TensorSpecs
 from knowarm.policy import Policy
+from knowarm.seeding import torch_generator
 
 
 @dataclass(frozen=True)
@@ -20,25 +21,59 @@ class Targets:
     """(T, B) float32."""
     returns: Tensor
     """(T, B) float32."""
+    auxiliary: Tensor | None = None
+    """(T, B, K) float32: what the auxiliary head predicts."""
 
 
-def target_specs(steps: int, batch: int) -> TensorSpecs:
+class TrainingNetwork(nn.Module):
+    """The policy and the head of the auxiliary loss, which exists in training only.
+
+    Args:
+        policy: trained in place.
+        auxiliary_targets: K, 0 without a head.
+        seed: of the head's initial weights.
+    """
+
+    def __init__(self, policy: Policy, auxiliary_targets: int, seed: int = 0) -> None:
+        super().__init__()
+        self.policy = policy
+        self.auxiliary_targets = auxiliary_targets
+        self.head: nn.Linear | None = None
+        if auxiliary_targets:
+            self.head = nn.Linear(policy.fc.out_features, auxiliary_targets)
+            nn.init.orthogonal_(self.head.weight, generator=torch_generator(seed, "weights", 2))
+            nn.init.zeros_(self.head.bias)
+            self.head.to(policy.fc.weight.device)
+
+    def parameters_by_name(self) -> dict[str, nn.Parameter]:
+        """Return the parameters by name, those of the head after ``auxiliary``."""
+        head = self.head.named_parameters() if self.head else ()
+        return {
+            **dict(self.policy.named_parameters()),
+            **{f"auxiliary.{name}": parameter for name, parameter in head},
+        }
+
+
+def target_specs(steps: int, batch: int, auxiliary_targets: int) -> TensorSpecs:
     """Return shapes and dtypes of the targets of T steps of B environments."""
-    return dict.fromkeys(("advantage", "returns"), ((steps, batch), torch.float32))
+    shapes: dict[str, tuple[int, ...]] = {"advantage": (steps, batch), "returns": (steps, batch)}
+    if auxiliary_targets:
+        shapes["auxiliary"] = (steps, batch, auxiliary_targets)
+    return {name: (shape, torch.float32) for name, shape in shapes.items()}
 
 
 def add_gradient(
-    policy: Policy,
+    network: TrainingNetwork,
     config: PPOConfig,
     rollout: Rollout,
     targets: Targets,
     env_ids: Tensor,
     weight: float = 1.0,
 ) -> PPOLossTerms:
-    """Add the gradient of the loss over some environments to the policy's gradients.
+    """Add the gradient of the loss over some environments to the network's gradients.
 
     Args:
-        policy: its gradients are added to.
+        network: its gradients are added to.
         config: weights of the loss terms.
         rollout: T steps of B environments.
         targets: of the rollout.
@@ -49,12 +84,17 @@ def add_gradient(
         The terms times ``weight``, so that the terms of a minibatch's parts add up to its own.
     """
     h, c = rollout.start_state
-    logits, values, _ = policy.unroll(
+    logits, values, _, features = network.policy.unroll_with_features(
         rollout.patches.index_select(1, env_ids),
         rollout.facet[:, env_ids],
         (h[env_ids], c[env_ids]),
         rollout.episode_start[:, env_ids],
     )
+    auxiliary = None
+    if network.head is not None and targets.auxiliary is not None:
+        predicted = network.head(features.float())
+        error = predicted - targets.auxiliary[:, env_ids].flatten(0, 1)
+        auxiliary = error.square().mean()
     terms = ppo_loss(
         logits,
         values,
@@ -65,6 +105,8 @@ def add_gradient(
         clip_range=config.clip_range,
         vf_coef=config.vf_coef,
         ent_coef=config.ent_coef,
+        auxiliary=auxiliary,
+        auxiliary_coef=config.auxiliary_coef,
     )
     (terms.total * weight).backward()
     return terms.scaled(weight)

@@ -2,22 +2,26 @@
 
 import math
 import time
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor
 
 from knowarm.errors import UserError
 from knowarm.learn.checkpoint import Checkpoint, policy_arrays
-from knowarm.learn.collector import Collector, select
-from knowarm.learn.config import PPOConfig
+from knowarm.learn.collector import Collector, NoFinalValues, select
+from knowarm.learn.config import PPOConfig, privileged_uses
+from knowarm.learn.curriculum import ThresholdCurriculum
 from knowarm.learn.data_parallel import make_learner
 from knowarm.learn.device import resolve_precision
-from knowarm.learn.environment import TorchVectorEnv
+from knowarm.learn.environment import PrivilegedVectorEnv, TorchVectorEnv
 from knowarm.learn.evaluation import MAX_PENDING, Metrics
 from knowarm.learn.flat_parameters import flatten_parameters
 from knowarm.learn.guards import FiniteGuard, HealthMonitor
 from knowarm.learn.losses import PPOLossTerms
+from knowarm.learn.minibatch import TrainingNetwork
+from knowarm.learn.optimizer import PolicyOptimizer
+from knowarm.learn.privileged import PrivilegedLearning
 from knowarm.learn.processes import keep_freed_memory
 from knowarm.learn.returns import advantages
 from knowarm.learn.trainer import StopReason, Trainer, crossed
@@ -70,12 +74,22 @@ class PPOTrainer(Trainer):
                 "the environment with device='cuda', or pass device='cpu' in the config."
             )
         self.matmul_precision = resolve_precision(config.matmul_precision, self._device)
-        self._learner = make_learner(policy, config, self.matmul_precision, self._device)
-        self._collector = Collector(env, policy, seed=seed)
-        self._minibatch_generator = torch_generator(seed, "minibatches", device=self._device)
-        self._optimizer = torch.optim.Adam(
-            policy.parameters(), lr=config.learning_rate, eps=config.adam_eps, fused=True
+        self._privileged = None
+        targets = 0
+        if privileged_uses(vars(config)):
+            self._privileged = PrivilegedLearning(config, cast(PrivilegedVectorEnv, env), seed)
+            if config.auxiliary_coef:
+                targets = self._privileged.auxiliary_targets().shape[-1]
+        self._curriculum = ThresholdCurriculum(config, env)
+        network = TrainingNetwork(policy.to(self._device), targets, seed)
+        self._head = network.head
+        self._learner = make_learner(network, config, self.matmul_precision, self._device)
+        others = NoFinalValues() if config.critic == "state" else None
+        self._collector = Collector(
+            env, policy, seed=seed, final_values=others, curriculum=self._curriculum
         )
+        self._minibatch_generator = torch_generator(seed, "minibatches", device=self._device)
+        self._optimizer = PolicyOptimizer(network.parameters_by_name(), config)
         self._guard = FiniteGuard(self.failure_folder)
         self._health = HealthMonitor(policy.shape.joints, policy.shape.levels, config.gamma)
 
@@ -132,26 +146,27 @@ class PPOTrainer(Trainer):
             self._wait_for_evaluations(leave=MAX_PENDING)
 
     def _checkpoint(self) -> Checkpoint:
+        privileged = self._privileged.get_state() if self._privileged else {}
+        head = {} if self._head is None else policy_arrays(self._head)
         return Checkpoint(
             policy=policy_arrays(self.policy),
-            optimizer={
-                f"{name}/{key}": value.cpu().numpy().copy()
-                for name, parameter in self.policy.named_parameters()
-                for key, value in self._optimizer.state[parameter].items()
-            },
+            optimizer=self._optimizer.get_state(),
             state={
                 "order": self._minibatch_generator.get_state().numpy(),
                 **{f"collector/{k}": v for k, v in self._collector.get_state().items()},
+                **{f"privileged/{k}": v for k, v in privileged.items()},
+                **{f"auxiliary/{k}": v for k, v in head.items()},
             },
             facts={"step": self.step},
         )
 
     def _restore(self, checkpoint: Checkpoint) -> None:
-        for name, parameter in self.policy.named_parameters():
-            self._optimizer.state[parameter] = {
-                key: torch.from_numpy(value).to(self._device)
-                for key, value in select(checkpoint.optimizer, f"{name}/").items()
-            }
+        self._optimizer.set_state(checkpoint.optimizer)
+        if self._head is not None:
+            arrays = select(checkpoint.state, "auxiliary/")
+            self._head.load_state_dict({k: torch.from_numpy(v) for k, v in arrays.items()})
+        if self._privileged is not None:
+            self._privileged.set_state(select(checkpoint.state, "privileged/"))
         self._collector.set_state(select(checkpoint.state, "collector/"))
         self._minibatch_generator.set_state(torch.from_numpy(checkpoint.state["order"]))
 
@@ -159,17 +174,16 @@ class PPOTrainer(Trainer):
         """Collect one rollout, learn from it, and return the metrics of both."""
         config, rollout = self.config, self._learner.rollout
         rate = learning_rate(config, self.step / total_steps)
-        for group in self._optimizer.param_groups:
-            group["lr"] = rate
+        self._optimizer.set_learning_rate(rate)
         environment_s, start = self._collector.environment_s, time.perf_counter()
-        self._collector.collect(rollout, self._learner.infer)
+        record = self._privileged.rollout if self._privileged else None
+        self._collector.collect(rollout, self._learner.infer, privileged=record)
         # Reading the time synchronizes with a GPU, which may still execute launched kernels.
         environment_s = self._collector.environment_s - environment_s
         collected = time.perf_counter()
         self.step += rollout.reward.numel()
         self._guard.check_rollout(rollout, self.policy.knowledge_table, self.step)
-        reward = rollout.reward * config.reward_scale
-        self._set_targets(reward)
+        reward = self._set_targets()
         terms, norms = self._learn()
         self._guard.check_updates(terms, norms, self.step, rollout)
         learned = time.perf_counter()
@@ -180,8 +194,16 @@ class PPOTrainer(Trainer):
         self._health.watch(
             step=self.step, entropy=means["entropy"], values=rollout.value, rewards=reward
         )
+        episodes = self._collector.statistics.take().summary()
+        options = {}
+        if self._head is not None:
+            options["auxiliary_loss"] = float(torch.stack([t.auxiliary for t in terms]).mean())
+        if self._curriculum.is_used:
+            options["threshold_factor"] = self._curriculum.factor
+            self._curriculum.update(episodes.get("success", 0.0))
         return {
-            **self._collector.statistics.take().summary(),
+            **episodes,
+            **options,
             "policy_loss": means["policy"],
             "value_loss": means["value"],
             "entropy": means["entropy"],
@@ -196,21 +218,38 @@ class PPOTrainer(Trainer):
             "learn_s": learned - collected,
         }
 
-    def _set_targets(self, reward: Tensor) -> None:
-        """Compute advantages and returns from (scaled) rewards (T, B)."""
+    def _set_targets(self) -> Tensor:
+        """Compute the targets of the losses, train the critic, and return the rewards (T, B).
+
+        The rewards are those of learning: scaled, and with the reward for progress.
+        """
         config, rollout, targets = self.config, self._learner.rollout, self._learner.targets
+        privileged, reward, following = self._privileged, rollout.reward, None
+        if privileged is not None:
+            privileged.update()
+            reward = reward + privileged.progress_reward()
+            if privileged.critic is not None:
+                value, following = privileged.values()
+                rollout.value.copy_(value)
+                following = torch.where(rollout.terminated, 0, following)
+            if targets.auxiliary is not None:
+                targets.auxiliary.copy_(privileged.auxiliary_targets())
+        reward = reward * config.reward_scale
         advantage = advantages(
             reward,
             rollout.value,
-            rollout.following(),
+            rollout.following() if following is None else following,
             rollout.done,
             config.gamma,
             config.gae_lambda,
         )
         targets.returns.copy_(advantage + rollout.value)
+        if privileged is not None:
+            privileged.fit(targets.returns)
         if config.normalize_advantages:
             advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
         targets.advantage.copy_(advantage)
+        return reward
 
     def _learn(self) -> tuple[list[PPOLossTerms], list[Tensor]]:
         """Run all epochs over the rollout.

@@ -164,14 +164,21 @@ class Policy(nn.Module):
         patches = self.patches(image) if image.ndim == 4 else image
         knowledge = self.knowledge_encoder(knowledge)
         with self._autocast():
-            features = self._features(patches, knowledge)
-            hidden, state = self.memory.step(features, state, episode_start)
+            inputs = self.fusion("lstm", self._features(patches, knowledge), knowledge)
+            hidden, state = self.memory.step(inputs, state, episode_start)
         logits, value = self._heads(hidden, knowledge)
         return logits, value, state
 
     def unroll(
         self, image: Tensor, facet: Tensor, state: State, episode_start: Tensor
     ) -> tuple[Tensor, Tensor, State]:
+        """Advance every environment by T steps; see `unroll_with_features`."""
+        logits, values, state, _ = self.unroll_with_features(image, facet, state, episode_start)
+        return logits, values, state
+
+    def unroll_with_features(
+        self, image: Tensor, facet: Tensor, state: State, episode_start: Tensor
+    ) -> tuple[Tensor, Tensor, State, Tensor]:
         """Advance every environment by T steps, for training.
 
         Args:
@@ -181,16 +188,19 @@ class Policy(nn.Module):
             episode_start: (T, B) bool.
 
         Returns:
-            Logits (T, B, J, A), values (T, B), state after the last step.
+            Logits (T, B, J, A), values (T, B), state after the last step, and the features of the
+            images (T * B, features) that the LSTM receives with the knowledge.
         """
         patches = self.patches(image) if image.ndim == 5 else image
         steps, batch = episode_start.shape
         knowledge = self.knowledge_encoder(self._knowledge(facet).flatten(0, 1))
         with self._autocast():
-            features = self._features(patches.flatten(0, 1), knowledge).view(steps, batch, -1)
-            hidden, state = self.memory.unroll(features, state, episode_start)
+            features = self._features(patches.flatten(0, 1), knowledge)
+            inputs = self.fusion("lstm", features, knowledge).view(steps, batch, -1)
+            hidden, state = self.memory.unroll(inputs, state, episode_start)
         logits, value = self._heads(hidden.flatten(0, 1), knowledge)
-        return logits.view(steps, batch, *logits.shape[1:]), value.view(steps, batch), state
+        logits = logits.view(steps, batch, *logits.shape[1:])
+        return logits, value.view(steps, batch), state, features
 
     def parameter_counts(self) -> dict[str, int]:
         """Count the parameters per group and in total."""
@@ -224,12 +234,10 @@ class Policy(nn.Module):
         return torch.autocast(device, torch.bfloat16, enabled=low, cache_enabled=False)
 
     def _features(self, patches: Tensor, knowledge: Tensor) -> Tensor:
-        """Compute the inputs of the LSTM from (N, S, L) and (N, K)."""
+        """Compute the features of images (N, features) from (N, S, L) and (N, K)."""
         x = self.fusion("fc", self.encoder(patches), knowledge)
-        features = self.fc(x)
-        if self.config.fc_activation == "relu":
-            features = torch.relu(features)
-        return self.fusion("lstm", features, knowledge)
+        features: Tensor = self.fc(x)
+        return torch.relu(features) if self.config.fc_activation == "relu" else features
 
     def _heads(self, hidden: Tensor, knowledge: Tensor) -> tuple[Tensor, Tensor]:
         """Compute logits (N, J, A) and values (N,) from (N, H) and (N, K)."""

@@ -7,9 +7,12 @@ import os
 import signal
 import sys
 import threading
+import time
 import traceback
 from datetime import UTC, datetime
 from pathlib import Path
+
+import psutil
 
 from knowarm.errors import UserError
 from knowarm.experiment.evaluate import evaluate
@@ -23,11 +26,14 @@ from knowarm.study.status import FAILURE, is_trained, missing_evaluations
 STOP = "stop"
 """File in a study's folder that asks all workers to save a checkpoint and end."""
 
+WORKED = "worked for"
+"""Start of the last line that a worker prints, followed by its time."""
+
 GRACE_S = 60.0
 """How long a worker may take to save after the process that started it has exited [s]."""
 
 
-def work(out: Path, key: RunKey) -> None:
+def work(out: Path, key: RunKey, started: float | None = None) -> None:
     """Train and evaluate one run as far as it is not, and record an error in its folder.
 
     A signal to end, or the file `STOP`, ends the training with a checkpoint.
@@ -35,7 +41,9 @@ def work(out: Path, key: RunKey) -> None:
     Args:
         out: the study's folder.
         key: experiment and seed of the run.
+        started: time at which the process or task began; None: now.
     """
+    started = started or time.time()
     path = out / key[0] / str(key[1])
     try:
         study = read_study(out)
@@ -64,6 +72,8 @@ def work(out: Path, key: RunKey) -> None:
         reason = str(error) if isinstance(error, UserError) else _summary(error)
         record_failure(path, reason, traceback.format_exc())
         print(f"failed: {reason}", file=sys.stderr)
+    finally:
+        print(f"{WORKED} {time.time() - started:.1f} s", file=sys.stderr)
 
 
 def record_failure(path: Path, reason: str, details: str = "") -> None:
@@ -81,7 +91,7 @@ def main() -> None:
     """Work on the run that the arguments name, until the parent process exits."""
     out, experiment, seed = sys.argv[1:]
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    work(Path(out), (experiment, int(seed)))
+    work(Path(out), (experiment, int(seed)), psutil.Process().create_time())
 
 
 def _end_with_parent() -> None:

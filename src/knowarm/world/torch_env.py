@@ -21,8 +21,13 @@ from knowarm.world.backends.warp import WarpSimulator
 from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import EpisodeSource
 from knowarm.world.render.renderer import TorchRenderer, make_renderer
+from knowarm.world.step_graph import CudaRecorder, StepGraph
+from knowarm.world.tasks.privileged import privileged_columns, privileged_state
 from knowarm.world.tasks.reach import ACTION_LEVELS, MASKS, ReachTask
 from knowarm.world.vector_env import describe, draw_images
+
+FINAL = "final."
+"""Prefix of the infos before the resets of a step."""
 
 
 class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
@@ -41,6 +46,8 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
     - "_final_obs": (n,) bool, where an episode was truncated.
     - "final_info": the infos before the reset, valid where an episode ended.
     - "_final_info": (n,) bool, where an episode ended.
+    - "final_privileged_state": (n, D) float32, the privileged state before the reset, if
+      ``report_privileged_state`` is set.
 
     Args:
         config: the task.
@@ -49,6 +56,8 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         simulator: "mujoco" (float64, CPU only), "warp" (float32, GPU or, for checking, CPU), or
             None for MuJoCo on the CPU and Warp on a GPU.
         num_threads: threads of physics and rendering with "mujoco"; 0 for one per core.
+        record_steps: on a GPU, record the fourth step as CUDA graphs and replay them from then on;
+            see ``StepGraph``.
 
     Attributes:
         device: where the tensors are.
@@ -56,6 +65,10 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         simulation: the physics.
         renderer: draws the observations.
         facets: (target, colour) names; targets in config order, colours in theirs.
+        privileged_columns: names of the D columns of the privileged state, with their meaning in
+            `knowarm.world.tasks.privileged.privileged_columns`.
+        report_privileged_state: whether infos contain the privileged state before resets; False
+            until a trainer that learns from it sets it.
 
     Raises:
         UserError: the device or a package is missing, the GPU's memory is too small, or Warp is
@@ -70,6 +83,7 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         device: str = "cpu",
         simulator: SimulatorName | None = None,
         num_threads: int = 0,
+        record_steps: bool = True,
     ) -> None:
         self.config = config
         self.scene = scene = describe(self, config, num_envs)
@@ -92,7 +106,12 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         self._final_images = torch.zeros(shape, dtype=torch.uint8, device=self.device)
         self.task = ReachTask(scene, config, self.simulation)
         self.facets = self.task.facets
+        self.privileged_columns = privileged_columns(scene.num_joints)
+        self.report_privileged_state = False
         self._everywhere = torch.ones(num_envs, dtype=torch.bool, device=self.device)
+        self._graph: StepGraph | None = None
+        if self.device.type == "cuda" and record_steps:
+            self._graph = StepGraph(self.task, self._play, CudaRecorder(self.device))
 
     @cached_property
     def observation_space(self) -> spaces.Box:  # type: ignore[override]
@@ -120,6 +139,20 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
     def joint_targets(self) -> Tensor:
         """Joint angles that the servos track, (n, J) [rad]; actions add to them."""
         return _tensor(self.task.joint_targets)
+
+    @property
+    def privileged_state(self) -> Tensor:
+        """What the simulator knows about each current episode, (n, D) float32."""
+        return _tensor(privileged_state(self.task)).float()
+
+    @property
+    def threshold_factor(self) -> float:
+        """Factor of the success thresholds, at least 1; can be set between steps."""
+        return self.task.threshold_factor
+
+    @threshold_factor.setter
+    def threshold_factor(self, factor: float) -> None:
+        self.task.threshold_factor = factor
 
     def reset(
         self,
@@ -160,29 +193,48 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         """
         shape = (self.num_envs, self.scene.num_joints)
         check_actions(actions, shape, self.device, len(ACTION_LEVELS))
-        task = self.task
-        task.move(actions.numpy() if self._on_host else actions.clamp(0, len(ACTION_LEVELS) - 1))
-        outcome = task.outcome()
-        ended = outcome.ended
-        self._draw_final(outcome.truncated)
-        final = infos = self._infos(_tensor(ended))
-        selection = task.select_where(ended)
-        if not selection.is_empty:
-            task.start_next(selection)
-            infos = self._infos(self._everywhere)
+        if self._graph is None:
+            outputs, images = self._play(actions.numpy() if self._on_host else actions)
+        else:
+            outputs, images = self._graph(actions, self.report_privileged_state)
+            assert isinstance(self.simulation, WarpSimulator)
+            self.simulation.check_overflow()
+        outputs = {name: _tensor(values) for name, values in outputs.items()}
+        ended, truncated = outputs.pop("ended"), outputs.pop("truncated")
+        metrics = [name.removeprefix(FINAL) for name in outputs if name.startswith(FINAL)]
+        final = {name: outputs.pop(FINAL + name) for name in metrics}
         extra = {
             "final_obs": self._final_images,
-            "_final_obs": _tensor(outcome.truncated),
-            "final_info": final,
-            "_final_info": _tensor(ended),
+            "_final_obs": truncated,
+            "final_info": final | dict.fromkeys(MASKS, ended),
+            "_final_info": ended,
         }
-        return (
-            self._draw(),
-            _tensor(outcome.reward),
-            _tensor(outcome.terminated),
-            _tensor(outcome.truncated),
-            infos | dict.fromkeys(MASKS, self._everywhere) | extra,
-        )
+        if self.report_privileged_state:
+            extra["final_privileged_state"] = outputs.pop("final_privileged_state")
+        reward, terminated = outputs.pop("reward"), outputs.pop("terminated")
+        infos = outputs | dict.fromkeys(MASKS, self._everywhere) | extra
+        return images, reward, terminated, truncated, infos
+
+    def _play(self, actions: Array) -> tuple[dict[str, Array], Tensor]:
+        """Play one step.
+
+        Returns:
+            Reward, flags and infos of the step, (n,) each, those before resets with the prefix
+            ``FINAL``; and the images.
+        """
+        task = self.task
+        task.move(actions if self._on_host else actions.clamp(0, len(ACTION_LEVELS) - 1))
+        outcome = task.outcome()
+        outputs = outcome._asdict() | {"ended": outcome.ended}
+        self._draw_final(outcome.truncated)
+        final = infos = task.metrics()
+        if self.report_privileged_state:
+            outputs["final_privileged_state"] = self.privileged_state
+        selection = task.select_where(outcome.ended)
+        if not selection.is_empty:
+            task.start_next(selection)
+            infos = task.metrics()
+        return outputs | {FINAL + name: final[name] for name in final} | infos, self._draw()
 
     def get_state(self) -> dict[str, NDArray[Any]]:
         """Copy all that determines the following steps to the host; on the CPU to the byte."""

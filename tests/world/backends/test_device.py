@@ -118,7 +118,8 @@ def test_memory_grows_with_environments_and_images(robot: str) -> None:
     each = (many - one) / 1000
     assert 3 * 3 * 64**2 < each < 500_000
     large = memory_needed(scene, EnvConfig(robot=robot, image_size=128), 1001)
-    assert large - many == 1001 * 3 * 3 * (128**2 - 64**2)
+    masks = 8 * 2 * 64 * (1 + scene.model.ngeom // 64)
+    assert large - many == 1001 * (3 * 3 * (128**2 - 64**2) + masks)
 
 
 def test_too_many_environments_for_the_memory_are_refused() -> None:

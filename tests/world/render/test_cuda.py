@@ -1,5 +1,6 @@
 """Images of CPU and GPU are equal to the byte: under Numba's simulator, and on a GPU."""
 
+import json
 import os
 import subprocess
 import sys
@@ -15,6 +16,9 @@ from tests.world.render.raycast_scenes import CAMERA, every_primitive
 PROGRAM = "tests.world.render.cuda_images"
 ROOT = Path(__file__).parents[3]
 
+MOST_REGISTERS = 80
+"""Registers per thread with which a multiprocessor of an H200 holds 24 warps of its 64."""
+
 
 def compare(side: int, states: int, simulate: bool) -> None:
     done = subprocess.run(
@@ -29,7 +33,32 @@ def compare(side: int, states: int, simulate: bool) -> None:
 
 @pytest.mark.slow
 def test_simulated_images_equal_the_cpus() -> None:
-    compare(side=8, states=2, simulate=True)
+    # 3 images of 7 x 7 pixels: neither warps nor blocks are full. The first scene has no mesh.
+    compare(side=7, states=3, simulate=True)
+
+
+def test_compiled_kernels_fit_the_gpu() -> None:
+    """For compute capability 9.0: nothing fused, no float64, no memory in place of registers."""
+    pathfinder = pytest.importorskip("cuda.pathfinder", reason="numba-cuda is not installed")
+    for library in ("nvvm", "nvrtc"):
+        try:
+            pathfinder.load_nvidia_dynamic_lib(library)
+        except pathfinder.DynamicLibNotFoundError:
+            pytest.skip(f"numba-cuda's compiler needs {library}")
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.world.render.cuda_ptx"],
+        cwd=ROOT,
+        env=os.environ | {"NUMBA_ENABLE_CUDASIM": "0"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    kernels = json.loads(done.stdout)
+    assert set(kernels) == {"fill_kernel", "project_kernel", "mask_kernel", "draw_kernel"}
+    for name, found in kernels.items():
+        assert not found["wrong"], name
+        assert found.get("spilled", 0) == 0, name
+        assert found.get("registers", 0) <= MOST_REGISTERS, name
 
 
 @pytest.mark.cuda

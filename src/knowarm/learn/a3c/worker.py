@@ -19,6 +19,7 @@ from knowarm.learn.a3c.messages import (
 from knowarm.learn.a3c.shared_state import rmsprop_update
 from knowarm.learn.collector import Collector
 from knowarm.learn.config import A3CConfig
+from knowarm.learn.curriculum import ThresholdCurriculum
 from knowarm.learn.device import resolve_precision
 from knowarm.learn.flat_parameters import FlatParameters
 from knowarm.learn.guards import FiniteGuard
@@ -62,8 +63,13 @@ class A3CWorker:
         )
         self._parameters = FlatParameters(self._policy)
         env = args.make_env(self.config.envs_per_worker, 1)
+        self._curriculum = ThresholdCurriculum(self.config, env)
         self._collector = Collector(
-            env, self._policy, seed=args.seed, stream=(args.index, args.restarts)
+            env,
+            self._policy,
+            seed=args.seed,
+            stream=(args.index, args.restarts),
+            curriculum=self._curriculum,
         )
         if args.state is not None:
             self._collector.set_state(args.state)
@@ -126,6 +132,8 @@ class A3CWorker:
         )
         shared["updates"][self.args.index] += 1
         shared["steps"][self.args.index] += steps
+        episodes = self._collector.statistics.take()
+        self._curriculum.update(episodes.summary().get("success", 0.0))
         self._connection.send(
             UpdateReport(
                 steps=steps,
@@ -134,7 +142,7 @@ class A3CWorker:
                 value_loss=float(loss.value.detach()),
                 entropy=float(loss.entropy.detach()),
                 grad_norm=float(norm),
-                episodes=self._collector.statistics.take(),
+                episodes=episodes,
             )
         )
         self._request_evaluation()

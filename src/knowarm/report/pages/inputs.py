@@ -10,7 +10,19 @@ from knowarm.config import from_dict
 from knowarm.errors import UserError
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.knowledge import KnowledgeConfig, scene_subgraph
-from knowarm.report.blocks import Block, Column, Figure, Pair, Panel, Row, Table, Verdict, shared
+from knowarm.learn.config import privileged_uses
+from knowarm.report.blocks import (
+    Block,
+    Column,
+    Figure,
+    Pair,
+    Panel,
+    Row,
+    Table,
+    Tone,
+    Verdict,
+    shared,
+)
 from knowarm.report.diagrams import SHADES, graph_diagram, heat_map, stacked_bars
 from knowarm.report.format import listed, slugs
 from knowarm.report.study import CONTROLS, Group, Run, Task
@@ -25,6 +37,11 @@ CONSTANT = (
 PRIVILEGED = (
     "{agents}: the vector identifies the target of the episode, which no camera observed. "
     "{controls}"
+)
+
+PRIVILEGED_TRAINING = (
+    "{agents}: training used the simulator's state. The policy receives the image alone, in "
+    "training and in every evaluation."
 )
 
 
@@ -73,15 +90,21 @@ def _kind_of_input(task: Task) -> Verdict:
             ran = [g.name for g in task.groups if g.role == role and g.scope == scope]
             controls = f"Compare with {listed(ran)}." if ran else "No control for this ran."
             reasons.append(words.format(agents=", ".join(agents), controls=controls))
-    if not reasons:
-        return Verdict(sentence=f"{task.title}: no agent received a knowledge vector.")
-    privileged = any(each.get("privileged") for each in known.values())
-    sentence = (
-        "some knowledge vectors are privileged"
-        if privileged
-        else ("the knowledge vector is a constant input, which is a bias")
-    )
-    return Verdict(sentence=f"{task.title}: {sentence}.", reasons=reasons, tone="open")
+    if any(each.get("privileged") for each in known.values()):
+        sentence = "some knowledge vectors are privileged"
+    elif reasons:
+        sentence = "the knowledge vector is a constant input, which is a bias"
+    else:
+        sentence = "no agent received a knowledge vector"
+    tone: Tone = "open" if reasons else "note"
+    if learned := [group.name for group in task.groups if _privileged_uses(group)]:
+        reasons.append(PRIVILEGED_TRAINING.format(agents=", ".join(learned)))
+    return Verdict(sentence=f"{task.title}: {sentence}.", reasons=reasons, tone=tone)
+
+
+def _privileged_uses(group: Group) -> list[str]:
+    """List what the training used the simulator's state for, besides the reward."""
+    return privileged_uses(group.runs[0].config["algorithm"])
 
 
 def _overview(task: Task) -> Table:
@@ -102,6 +125,7 @@ def _overview(task: Task) -> Table:
                 "coverage": share if slots else None,
                 "constant": bool(known.get("constant")),
                 "privileged": bool(known.get("privileged")),
+                "training": ", ".join(_privileged_uses(group)),
                 "note": known.get("note") or "",
             }
         )
@@ -117,6 +141,7 @@ def _overview(task: Task) -> Table:
             Column("coverage", "words with a vector", "percent"),
             Column("constant", "constant"),
             Column("privileged", "privileged"),
+            Column("training", "simulator's state in training"),
             Column("note", "note"),
         ],
         rows=rows,

@@ -11,8 +11,9 @@ from typing import Any
 
 from knowarm.study.executors.base import Ended, Executor, RunKey, Where
 from knowarm.study.executors.local import Local, LocalExecutor
+from knowarm.study.executors.ray import Ray, RayExecutor
 
-__all__ = ["EXECUTORS", "Ended", "Executor", "ExecutorEntry", "Local", "RunKey", "Where"]
+__all__ = ["EXECUTORS", "Ended", "Executor", "ExecutorEntry", "Local", "Ray", "RunKey", "Where"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,5 +32,6 @@ EXECUTORS: dict[str, ExecutorEntry] = {
     "local": ExecutorEntry(
         about="a pool of processes on this machine", default=Local(), make=LocalExecutor
     ),
+    "ray": ExecutorEntry(about="a Ray cluster (extra ray)", default=Ray(), make=RayExecutor),
 }
 """Every executor by its ``kind``."""

@@ -124,6 +124,8 @@ def memory_needed(scene: Scene, config: EnvConfig, num_envs: int) -> int:
     one, two = (_data_bytes(scene, count) for count in (1, 2))
     image = 3 * config.image_size**2
     prepared = 4 * (RECORD + EXTENT) * scene.model.ngeom
+    # Masks of 64 geoms per column and row of tiles, of which there are less than two per pixel.
+    prepared += 8 * 2 * config.image_size * (1 + scene.model.ngeom // 64)
     each = 2 * (two - one) + IMAGES * image + prepared + TENSOR_BYTES
     return num_envs * each + 2 * (2 * one - two)
 

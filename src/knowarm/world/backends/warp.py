@@ -80,15 +80,18 @@ class TorchArrays(NumpyArrays):
 class WarpSimulator:
     """``Simulator`` on MuJoCo Warp: the physics of ``MujocoSimulator`` in float32.
 
-    On a GPU the substeps of an action are one CUDA graph, launched on torch's current stream, and
-    no method but ``get_state`` and ``close`` waits for the GPU. Array attributes are live views
-    of Warp's arrays.
+    The substeps of an action are one graph of Warp's, launched on torch's current stream, and no
+    method but ``get_state`` and ``close`` waits for a GPU. Array attributes are live views of
+    Warp's arrays.
 
     Args:
         scene: the scene to simulate.
         num_envs: n.
         device: a GPU, or the CPU.
         dynamics: how joints follow their targets.
+
+    Attributes:
+        launch: called with each launch of a graph; replaced while a step is recorded.
     """
 
     def __init__(
@@ -131,6 +134,7 @@ class WarpSimulator:
         dynamic = dynamics == "dynamic"
         self._advance = self._prepared(self._run_substeps) if dynamic else self._pose
         self._overflow.zero_()
+        self.launch: Callable[[Callable[[], None]], None] = lambda graph: graph()
 
     @property
     def joint_positions(self) -> Tensor:
@@ -151,7 +155,7 @@ class WarpSimulator:
         self._qvel.masked_fill_(rows, 0.0)
         self._warmstart.masked_fill_(rows, 0.0)
         self._place(joint_targets, target_position, distractor_position)
-        self._pose()
+        self.launch(self._pose)
 
     def step(self, joint_targets: Tensor) -> None:
         """Advance every environment by one control period towards joint targets (n, J) [rad]."""
@@ -159,7 +163,7 @@ class WarpSimulator:
             self._qpos.index_copy_(1, self._joints, joint_targets)
         else:
             self._ctrl.copy_(joint_targets)
-        self._advance()
+        self.launch(self._advance)
         self._overflowed.copy_(self._overflow.amax(), non_blocking=True)
         self.check_overflow()
 
@@ -199,7 +203,7 @@ class WarpSimulator:
         for to, of in zip((self._qpos, self._qvel, self._warmstart), parts, strict=True):
             to.copy_(of)
         self._place(joint_targets, target_position, distractor_position)
-        self._pose()
+        self.launch(self._pose)
 
     def close(self) -> None:
         """Wait for the device and report overflows of the last steps."""
@@ -227,24 +231,18 @@ class WarpSimulator:
         self._mjw.kinematics(self._model, self._data)
 
     def _prepared(self, run: Callable[[], None]) -> Callable[[], None]:
-        """Return a function that repeats Warp's launches: on a GPU a CUDA graph."""
+        """Return a function that repeats Warp's launches as one graph, on torch's stream."""
         warp, device = self._warp, self._warp_device
-        if not device.is_cuda:
-
-            def call() -> None:
-                with warp.ScopedDevice(device):
-                    run()
-
-            return call
         with warp.ScopedDevice(device):
             run()  # compiles and loads kernels, which is not possible while capturing
-            torch.cuda.synchronize()
+            warp.synchronize_device(device)
             with warp.ScopedCapture(device) as capture:
                 run()
             warp.synchronize_device(device)
 
         def launch() -> None:
-            warp.capture_launch(capture.graph, stream=warp.stream_from_torch(self.device))
+            stream = warp.stream_from_torch(self.device) if device.is_cuda else None
+            warp.capture_launch(capture.graph, stream=stream)
 
         return launch
 

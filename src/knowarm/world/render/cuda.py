@@ -9,8 +9,18 @@ from numpy.typing import NDArray
 from knowarm.errors import UserError
 from knowarm.private_apis import no_fused_multiply_add
 from knowarm.world.render.cpu import Raycaster
-from knowarm.world.render.cuda_kernels import Array, cuda, draw_kernel, fill_kernel, project_kernel
-from knowarm.world.render.tiles import EXTENT, RECORD
+from knowarm.world.render.cuda_kernels import (
+    ACROSS,
+    DOWN,
+    WORD,
+    Array,
+    cuda,
+    draw_kernel,
+    fill_kernel,
+    mask_kernel,
+    project_kernel,
+)
+from knowarm.world.render.tiles import BITS, EXTENT, RECORD, Grid
 
 THREADS = 128
 """Threads per block."""
@@ -44,6 +54,7 @@ class CudaRaycaster:
         host = Raycaster(model, camera, width, height, **options)
         scenery, meshes = host.scenery, host.scenery.meshes
         self._height, self._width, self._grid = height, width, host.grid
+        self._threads = -(-height // DOWN) * -(-width // ACROSS) * DOWN * ACROSS
         self._fixed = len(scenery.fixed)
         self._background = int(host.stored.empty[1][0])
         self._order = cuda.to_device(np.concatenate([scenery.fixed, scenery.moving]))
@@ -56,7 +67,9 @@ class CudaRaycaster:
             scenery.rgba, scenery.rgba[None], host.view[None], host.lamps.reshape(1, 12)
         )
         self._all = cuda.to_device(np.ones(1, dtype=np.bool_))
-        self._record = self._extent = self._redraw = cuda.device_array((0,), dtype=np.int32)
+        self._lines, self._words = mask_shape(host.grid, len(self._order))
+        none = cuda.device_array((0,), dtype=np.int32)
+        self._record = self._extent = self._redraw = self._masks = none
 
     def draw(
         self,
@@ -91,11 +104,13 @@ class CudaRaycaster:
             self._record = cuda.device_array((count, slots, RECORD), dtype=np.float32)
             self._extent = cuda.device_array((count, slots, EXTENT), dtype=np.int32)
             self._redraw = cuda.device_array((count,), dtype=np.int32)
+            self._masks = cuda.device_array((count, self._lines, self._words), dtype=np.uint64)
         if out is None:
             shape = (count, self._height, self._width, 3)
             out = cuda.device_array(shape, dtype=np.uint8)
         shared = views is None and lamps is None
         record, extent, redraw = self._record[:count], self._extent[:count], self._redraw[:count]
+        masks, strips = self._masks[:count], self._grid.strips
         drawn = self._all if wanted is None else _adopt(wanted)
         with no_fused_multiply_add():
             fill_kernel[_blocks(count), THREADS, stream](redraw, 0 if shared else 1)
@@ -106,11 +121,19 @@ class CudaRaycaster:
                 self._lamps if lamps is None else _adopt(lamps).reshape(count, 12),
                 self._grid, record, extent, redraw, drawn,
             )  # fmt: skip
-            draw_kernel[_blocks(count * self._height * self._width), THREADS, stream](
-                record, extent, self._fixed, redraw, self._grid, self._backdrop,
+            mask_kernel[_blocks(count * self._lines * self._words), THREADS, stream](
+                extent, self._fixed, redraw, strips, drawn, masks
+            )
+            draw_kernel[_blocks(count * self._threads), THREADS, stream](
+                record, extent, masks, redraw, self._grid, self._backdrop,
                 self._background, self._triangles, drawn, _adopt(out),
             )  # fmt: skip
         return out
+
+
+def mask_shape(grid: Grid, geoms: int) -> tuple[int, int]:
+    """Return the columns and rows of tiles together, and the words that hold a bit per geom."""
+    return int(grid.strips) + (int(grid.rows) >> BITS), max(1, -(-geoms // WORD))
 
 
 def _blocks(threads: int) -> int:

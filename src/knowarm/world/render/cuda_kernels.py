@@ -1,5 +1,8 @@
 """CUDA kernels of the ray caster: one thread per geom projects it, one thread per pixel draws it.
 
+Between the two, one thread per column and per row of tiles collects the geoms whose projection
+reaches it in 64-bit masks. A pixel then tests the geoms in both of its masks, and no others.
+
 The kernels call the functions that the CPU's loops consist of, in the same order, and no
 multiplication and addition are fused, so CPU and GPU draw the same image.
 
@@ -41,6 +44,15 @@ Array = Any
 
 HIDDEN = -1
 """Kind in the extent of a geom that is not drawn."""
+
+WORD = 64
+"""Geoms per word of a mask."""
+
+ACROSS, DOWN = 8, 4
+"""Columns and rows of the pixels that the 32 threads of a warp draw: neighbours in both directions
+test nearly the same geoms, which keeps the threads of a warp together."""
+
+_NONE, _LOWEST = np.uint64(0), np.uint64(1)
 
 # Link-time optimization, numba-cuda's default, would fuse operations again.
 _OPTIONS = {"lto": False} if "lto" in signature(cuda.jit).parameters else {}
@@ -184,10 +196,41 @@ def project_kernel(
 
 
 @kernel
+def mask_kernel(
+    extent: Array, fixed: int, redraw: Array, strips: int, wanted: Array, masks: Array
+) -> None:
+    """Collect the geoms in one column or row of tiles of one environment.
+
+    Args:
+        extent: (n, D, EXTENT) from ``project_kernel``.
+        fixed: number of geoms in the stored image.
+        redraw: (n,) 1 where these geoms are drawn again.
+        strips: number of columns of tiles.
+        wanted: (n or 1,) bool; the other environments are skipped.
+        masks: (n, columns + rows of tiles, words) uint64 to write: bit b of word w is set if geom
+            64 w + b has to be tested there.
+    """
+    index = cuda.grid(1)
+    word, place = index % masks.shape[2], index // masks.shape[2]
+    e, line = place // masks.shape[1], place % masks.shape[1]
+    if e >= masks.shape[0] or not wanted[min(e, wanted.shape[0] - 1)]:
+        return
+    low, tile = (2, line) if line < strips else (4, line - strips)
+    start = word * WORD
+    bits = _NONE
+    for slot in range(start, min(start + WORD, extent.shape[1])):
+        tiles = extent[e, slot]
+        drawn = (slot >= fixed or redraw[e]) and tiles[0] != HIDDEN
+        if drawn and tiles[low] <= tile and tile <= tiles[low + 1]:
+            bits = bits | (_LOWEST << np.uint64(slot - start))
+    masks[e, line, word] = bits
+
+
+@kernel
 def draw_kernel(
     record: Array,
     extent: Array,
-    fixed: int,
+    masks: Array,
     redraw: Array,
     grid: Grid,
     backdrop: tuple[Array, Array],
@@ -201,8 +244,8 @@ def draw_kernel(
     Args:
         record: (n, D, RECORD) from ``project_kernel``.
         extent: (n, D, EXTENT) from ``project_kernel``.
-        fixed: number of geoms in the stored image.
-        redraw: (n,) 1 where these geoms are drawn again.
+        masks: (n, columns + rows of tiles, words) from ``mask_kernel``.
+        redraw: (n,) 1 where the geoms of the stored image are drawn again.
         grid: the samples.
         backdrop: depth and packed colour of the fixed geoms' samples.
         background: packed colour where no geom is.
@@ -212,49 +255,55 @@ def draw_kernel(
     """
     index = cuda.grid(1)
     height, width = out.shape[1], out.shape[2]
-    e, pixel = index // (height * width), index % (height * width)
+    warps = (width + ACROSS - 1) // ACROSS
+    lane, warp = index % (ACROSS * DOWN), index // (ACROSS * DOWN)
+    blocks = warps * ((height + DOWN - 1) // DOWN)
+    e, block = warp // blocks, warp % blocks
     if e >= out.shape[0] or not wanted[min(e, wanted.shape[0] - 1)]:
         return
-    j, i = pixel // width, pixel % width
+    j = block // warps * DOWN + lane // ACROSS
+    i = block % warps * ACROSS + lane % ACROSS
+    if j >= height or i >= width:
+        return
     vertex, face, corner_normal, span = triangles
     samples = grid.mask + 1
+    # A pixel's samples lie in one tile: their number divides the tile's side.
+    column, line = masks[e, i >> BITS], masks[e, grid.strips + ((j * samples) >> BITS)]
     half = samples >> 1
     red, green, blue = half, half, half
     for s in range(samples):
         row = j * samples + s
         sample = sample_point(np.int32(i), np.int32(row), grid)
         x, y = np.float32(sample[0]), np.float32(sample[1])
-        depth, value, first = FAR, np.int32(background), 0
+        depth, value = FAR, np.int32(background)
         if not redraw[e]:
             place = ((i >> BITS) * grid.rows + row) * TILE + (i & (TILE - 1))
-            depth, value, first = backdrop[0][place], backdrop[1][place], fixed
+            depth, value = backdrop[0][place], backdrop[1][place]
         nearest, nearest_face = -1, -1
         nx, ny, nz = ZERO, ZERO, ZERO
-        for slot in range(first, extent.shape[1]):
-            tiles, numbers = extent[e, slot], record[e, slot]
-            if (
-                tiles[0] == HIDDEN
-                or (i >> BITS) < tiles[2]
-                or (i >> BITS) > tiles[3]
-                or (row >> BITS) < tiles[4]
-                or (row >> BITS) > tiles[5]
-            ):
-                continue
-            origin, frame = _three(numbers, 0), _nine(numbers, 3)
-            if tiles[0] == MESH:
-                for f in range(span[tiles[1], 2], span[tiles[1], 3]):
-                    hit = _hit_triangle(
-                        origin, frame, _three(vertex[face[f, 0]], 0),
-                        _three(vertex[face[f, 1]], 0), _three(vertex[face[f, 2]], 0), x, y,
-                    )  # fmt: skip
+        for word in range(masks.shape[2]):
+            bits = column[word] & line[word]
+            while bits != _NONE:
+                rest = bits - _LOWEST
+                slot = word * WORD + cuda.popc(rest & ~bits)
+                bits = bits & rest
+                kind, numbers = extent[e, slot, 0], record[e, slot]
+                origin, frame = _three(numbers, 0), _nine(numbers, 3)
+                if kind == MESH:
+                    g = extent[e, slot, 1]
+                    for f in range(span[g, 2], span[g, 3]):
+                        hit = _hit_triangle(
+                            origin, frame, _three(vertex[face[f, 0]], 0),
+                            _three(vertex[face[f, 1]], 0), _three(vertex[face[f, 2]], 0), x, y,
+                        )  # fmt: skip
+                        if np.float32(hit[0]) < depth:
+                            depth, nearest, nearest_face = np.float32(hit[0]), slot, f
+                            nx, ny, nz = _floats(hit[1])
+                else:
+                    hit = _hit_geom(kind, origin, frame, _three(numbers, 12), x, y)
                     if np.float32(hit[0]) < depth:
-                        depth, nearest, nearest_face = np.float32(hit[0]), slot, f
+                        depth, nearest = np.float32(hit[0]), slot
                         nx, ny, nz = _floats(hit[1])
-            else:
-                hit = _hit_geom(tiles[0], origin, frame, _three(numbers, 12), x, y)
-                if np.float32(hit[0]) < depth:
-                    depth, nearest = np.float32(hit[0]), slot
-                    nx, ny, nz = _floats(hit[1])
         if nearest >= 0:
             numbers = record[e, nearest]
             frame, sun = _nine(numbers, 3), _three(numbers, 15)

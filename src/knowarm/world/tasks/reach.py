@@ -39,6 +39,9 @@ _STATE = (
 )
 """Arrays that, with the simulator's state, determine everything else."""
 
+VARYING = (*_STATE, "grasp_position", "grasp_matrix", "distance", "angle", "success", "thresholds")
+"""Attributes that a step replaces, besides ``shown``."""
+
 
 def joint_increments(robot: Robot, config: EnvConfig) -> NDArray[np.float64]:
     """Return the joint increment of each action level [rad] (slides: [m]), (7,)."""
@@ -89,6 +92,7 @@ class ReachTask:
         distance: gripper to grasp point, (n,) [m].
         angle: between gripper and grasp frame, (n,) [deg].
         success: whether both are below their thresholds, (n,) bool.
+        thresholds: of distance and angle, (2,) [m, deg].
     """
 
     distance: Array
@@ -127,8 +131,24 @@ class ReachTask:
         self.grasp_position = place(np.zeros((n, 3), dtype=real))
         self.grasp_matrix = place(np.zeros((n, 9), dtype=real))
         self.shown = Shown(None, None, None, None)
+        self.threshold_factor = 1.0
         self._all = arrays.select(np.arange(n), n)
         self.start_next(self._all)
+
+    @property
+    def threshold_factor(self) -> float:
+        """Factor of both thresholds, 1 unless training starts with larger ones.
+
+        It can be set, for the following steps.
+        """
+        return self._threshold_factor
+
+    @threshold_factor.setter
+    def threshold_factor(self, factor: float) -> None:
+        config, arrays = self.config, self._arrays
+        self._threshold_factor = factor
+        limits = np.array([config.success_distance_m * factor, config.success_angle_deg * factor])
+        self.thresholds = arrays.place(limits.astype(arrays.float_dtype))
 
     @property
     def facet_ids(self) -> Array:
@@ -277,9 +297,7 @@ class ReachTask:
             self.grasp_matrix,
             config.ignore_roll,
         )
-        self.success = is_success(
-            self.distance, self.angle, config.success_distance_m, config.success_angle_deg
-        )
+        self.success = is_success(self.distance, self.angle, self.thresholds[0], self.thresholds[1])
 
 
 def list_facets(

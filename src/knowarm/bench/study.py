@@ -1,0 +1,87 @@
+"""Benchmark of studies: time of a study beyond that of its runs (`knowarm bench study`)."""
+
+import re
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from knowarm.config import replace
+from knowarm.errors import UserError, unknown_name
+from knowarm.experiment.config import EvaluationConfig
+from knowarm.experiment.registry import DEFAULT_EXPERIMENT
+from knowarm.study.config import StudyConfig
+from knowarm.study.driver import run_study
+from knowarm.study.estimate import measure
+from knowarm.study.executors import EXECUTORS
+from knowarm.study.executors.base import LOG
+from knowarm.study.worker import WORKED
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudyBenchConfig:
+    """Settings of the benchmark of studies."""
+
+    seconds: float = 60.0
+    """Approximate training time of each run [s]."""
+
+    rounds: int = 2
+    """Runs per slot."""
+
+    where: str = next(iter(EXECUTORS))
+    """Executor, with its default settings."""
+
+    address: str = "auto"
+    """Head node of a Ray cluster, for the executor that needs one."""
+
+    def __post_init__(self) -> None:
+        if self.rounds < 1 or not self.seconds > 0:
+            raise UserError("rounds must be at least 1 and seconds above 0.")
+
+
+def bench_study(config: StudyBenchConfig | None = None) -> dict[str, Any]:
+    """Run a study of equal runs and compare its time with that of its runs.
+
+    Returns:
+        ``slots``, ``runs``, ``total_s`` of the study, ``runs_s`` (sum over all runs, each from the
+        start of its process to its end) and ``overhead``: total over sum by slots.
+    """
+    config = config or StudyBenchConfig()
+    if config.where not in EXECUTORS:
+        raise unknown_name("executor", config.where, EXECUTORS)
+    where = EXECUTORS[config.where].default
+    if config.address != "auto":
+        where = replace(where, {"address": config.address}, where="where")
+    with tempfile.TemporaryDirectory() as folder:
+        executor = EXECUTORS[where.kind].make(where, Path(folder))
+        slots = executor.slots
+        executor.close()
+
+        def study(steps: int) -> StudyConfig:
+            return StudyConfig(
+                name="bench",
+                experiments=(DEFAULT_EXPERIMENT,),
+                seeds=tuple(range(slots * config.rounds)),
+                overrides={"total_steps": steps, "algorithm": {"processes": where.cores}},
+                evaluations=(EvaluationConfig(episodes=100, record_films=0),),
+                where=where,
+            )
+
+        rate = measure(study(10**9).runs()[0], where.cores)["steps_per_s"]
+        chosen = study(int(rate * config.seconds))
+        out, start = Path(folder) / "study", time.perf_counter()
+        statuses = run_study(chosen, out)
+        total = time.perf_counter() - start
+        if failed := [each for each in statuses if each.state != "done"]:
+            raise UserError(f"A run of the benchmark is {failed[0].state}: {failed[0].detail}")
+        logs = [(out / each.experiment / str(each.seed) / LOG).read_text() for each in statuses]
+    times = [float(re.findall(rf"{WORKED} ([\d.]+) s", log)[-1]) for log in logs]
+    return {
+        "where": where.kind,
+        "slots": slots,
+        "runs": len(times),
+        "total_s": total,
+        "runs_s": sum(times),
+        "overhead": total / (sum(times) / slots),
+    }

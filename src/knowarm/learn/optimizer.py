@@ -1,0 +1,74 @@
+"""Optimizer of PPO: Adam, or Muon for the hidden layers' matrices and Adam for the rest."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import torch
+from torch import nn
+from torch.optim import Adam, Muon
+
+from knowarm.learn.config import PPOConfig
+
+MUON_PARAMETERS = ("fc.weight", "memory.weight_ih", "memory.weight_hh")
+"""Matrices that Muon updates: those of the hidden layers."""
+
+
+class PolicyOptimizer:
+    """One step of all parameters, with a common learning rate.
+
+    Args:
+        parameters: by name.
+        config: optimizer and its hyperparameters.
+    """
+
+    def __init__(self, parameters: Mapping[str, nn.Parameter], config: PPOConfig) -> None:
+        self._parameters = parameters
+        matrices = [parameters[name] for name in MUON_PARAMETERS if config.optimizer == "muon"]
+        others = [p for p in parameters.values() if not any(p is matrix for matrix in matrices)]
+        self._optimizers: list[torch.optim.Optimizer] = [
+            Adam(others, lr=config.learning_rate, eps=config.adam_eps, fused=True)
+        ]
+        if matrices:
+            # This scale gives updates of the size of Adam's, so that both share a learning rate.
+            self._optimizers.append(
+                Muon(
+                    matrices,
+                    lr=config.learning_rate,
+                    weight_decay=0.0,
+                    adjust_lr_fn="match_rms_adamw",
+                )
+            )
+
+    def set_learning_rate(self, rate: float) -> None:
+        """Set the learning rate of the following steps."""
+        for optimizer in self._optimizers:
+            for group in optimizer.param_groups:
+                group["lr"] = rate
+
+    def step(self) -> None:
+        """Update the parameters from their gradients."""
+        for optimizer in self._optimizers:
+            optimizer.step()
+
+    def get_state(self) -> dict[str, np.ndarray]:
+        """Return the state as arrays named ``<parameter>/<quantity>``."""
+        return {
+            f"{name}/{key}": value.cpu().numpy().copy()
+            for name, parameter in self._parameters.items()
+            for optimizer in self._optimizers
+            if parameter in optimizer.state
+            for key, value in optimizer.state[parameter].items()
+        }
+
+    def set_state(self, state: Mapping[str, np.ndarray]) -> None:
+        """Continue from the result of `get_state`."""
+        for name, parameter in self._parameters.items():
+            prefix = f"{name}/"
+            values = {
+                key.removeprefix(prefix): torch.from_numpy(value).to(parameter.device)
+                for key, value in state.items()
+                if key.startswith(prefix)
+            }
+            for optimizer in self._optimizers:
+                if any(parameter is p for p in optimizer.param_groups[0]["params"]):
+                    optimizer.state[parameter] = values

@@ -1,0 +1,249 @@
+"""Learning from privileged state: asymmetric critic, auxiliary targets, progress reward.
+
+The simulator's state trains the critic and shapes the features of the image; the policy itself
+never receives it, so it plays from images alone.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from knowarm.errors import UserError
+from knowarm.learn.config import PPOConfig
+from knowarm.learn.environment import PrivilegedVectorEnv
+from knowarm.seeding import torch_generator
+
+AUXILIARY_QUANTITIES = (
+    "joint_position",
+    "gripper_position",
+    "grasp_position",
+    "gripper_to_grasp",
+    "grasp_matrix",
+)
+"""Quantities of the privileged state that the auxiliary head predicts: arm and target."""
+
+CRITIC_WIDTH = 128
+CRITIC_LEARNING_RATE = 1e-3
+CRITIC_EPOCHS = 2
+CRITIC_MINIBATCHES = 4
+
+PROGRESS_PER_METRE = 100.0
+PROGRESS_PER_DEGREE = 20.0 / 90.0
+
+
+@dataclass(frozen=True)
+class PrivilegedRollout:
+    """Privileged states of a rollout, written in place by the collector."""
+
+    state: Tensor
+    """(T, B, D) float32: before each step."""
+    next_state: Tensor
+    """(T, B, D) float32: after each step, within the same episode."""
+
+
+class RunningNormalizer:
+    """Standardizes columns by their mean and deviation so far, clipped to +-5.
+
+    Args:
+        columns: D.
+        device: of the values.
+    """
+
+    def __init__(self, columns: int, device: torch.device) -> None:
+        self.count = torch.zeros((), dtype=torch.float64, device=device)
+        self.mean = torch.zeros(columns, dtype=torch.float64, device=device)
+        self.square = torch.zeros(columns, dtype=torch.float64, device=device)
+        """Sum of squared deviations from the mean."""
+
+    def update(self, values: Tensor) -> None:
+        """Take values (N, D) into account (Chan, Golub and LeVeque 1979)."""
+        values = values.double()
+        count, mean = len(values), values.mean(0)
+        total = self.count + count
+        difference = mean - self.mean
+        self.square = (
+            self.square
+            + (values - mean).square().sum(0)
+            + difference.square() * self.count * count / total
+        )
+        self.mean = self.mean + difference * count / total
+        self.count = total
+
+    def __call__(self, values: Tensor) -> Tensor:
+        """Standardize values (..., D)."""
+        deviation = (self.square / self.count.clamp(min=1)).sqrt().clamp(min=1e-6)
+        return ((values - self.mean.float()) / deviation.float()).clamp(-5, 5)
+
+    def get_state(self) -> dict[str, np.ndarray]:
+        """Return all that `set_state` needs."""
+        return {name: tensor.cpu().numpy().copy() for name, tensor in vars(self).items()}
+
+    def set_state(self, state: dict[str, np.ndarray]) -> None:
+        """Continue from the result of `get_state`."""
+        for name, tensor in vars(self).items():
+            setattr(self, name, torch.from_numpy(state[name].copy()).to(tensor.device))
+
+
+class StateCritic:
+    """Critic on the privileged state (Pinto et al. 2017): three layers with an Adam of their own.
+
+    Args:
+        columns: D.
+        device: of the states.
+        seed: of the run.
+    """
+
+    def __init__(self, columns: int, device: torch.device, seed: int) -> None:
+        weights = torch_generator(seed, "weights", 1)
+        self.network = nn.Sequential(
+            nn.Linear(columns, CRITIC_WIDTH),
+            nn.ReLU(),
+            nn.Linear(CRITIC_WIDTH, CRITIC_WIDTH),
+            nn.ReLU(),
+            nn.Linear(CRITIC_WIDTH, 1),
+        )
+        # The small last layer makes the first values nearly zero.
+        layers = [layer for layer in self.network if isinstance(layer, nn.Linear)]
+        for layer, gain in zip(layers, (2**0.5, 2**0.5, 0.01), strict=True):
+            nn.init.orthogonal_(layer.weight, gain, generator=weights)
+            nn.init.zeros_(layer.bias)
+        self.network.to(device)
+        self._optimizer = torch.optim.Adam(
+            self.network.parameters(), lr=CRITIC_LEARNING_RATE, fused=True
+        )
+        self._generator = torch_generator(seed, "minibatches", 1, device=device)
+
+    @torch.no_grad()
+    def __call__(self, state: Tensor) -> Tensor:
+        """Return the values (...) of standardized states (..., D)."""
+        values: Tensor = self.network(state).squeeze(-1)
+        return values
+
+    def fit(self, state: Tensor, returns: Tensor) -> None:
+        """Regress the returns (N,) on standardized states (N, D)."""
+        for _ in range(CRITIC_EPOCHS):
+            order = torch.randperm(len(state), generator=self._generator, device=state.device)
+            for rows in order.chunk(CRITIC_MINIBATCHES):
+                self._optimizer.zero_grad()
+                error = self.network(state[rows]).squeeze(-1) - returns[rows]
+                error.square().mean().backward()
+                self._optimizer.step()
+
+    def get_state(self) -> dict[str, np.ndarray]:
+        """Return all that `set_state` needs."""
+        state = {"generator": self._generator.get_state()}
+        for name, parameter in self.network.named_parameters():
+            state[f"{name}/value"] = parameter.detach()
+            state |= {f"{name}/{k}": v for k, v in self._optimizer.state[parameter].items()}
+        return {name: tensor.cpu().numpy().copy() for name, tensor in state.items()}
+
+    def set_state(self, state: dict[str, np.ndarray]) -> None:
+        """Continue from the result of `get_state`."""
+        self._generator.set_state(torch.from_numpy(state["generator"].copy()))
+        for name, parameter in self.network.named_parameters():
+            prefix = f"{name}/"
+            values = {
+                key.removeprefix(prefix): torch.from_numpy(value.copy()).to(parameter.device)
+                for key, value in state.items()
+                if key.startswith(prefix)
+            }
+            parameter.data.copy_(values.pop("value"))
+            self._optimizer.state[parameter] = values
+
+
+class PrivilegedLearning:
+    """What PPO computes from the privileged states of its rollouts.
+
+    Args:
+        config: which of it is used.
+        env: reports the states.
+        seed: of the run.
+
+    Attributes:
+        rollout: written by the collector.
+        critic: values the states; None with the critic on images.
+    """
+
+    def __init__(self, config: PPOConfig, env: PrivilegedVectorEnv, seed: int) -> None:
+        columns = privileged_columns_of(env)
+        env.report_privileged_state = True
+        shape = (config.rollout_steps, config.num_envs, len(columns))
+        self.rollout = PrivilegedRollout(
+            *(torch.zeros(shape, device=env.device) for _ in ("state", "next_state"))
+        )
+        self.critic = (
+            StateCritic(len(columns), env.device, seed) if config.critic == "state" else None
+        )
+        self._progress_coef = config.progress_coef
+        self._auxiliary = torch.tensor(auxiliary_columns(columns), device=env.device)
+        self._distance, self._angle = columns.index("distance/0"), columns.index("angle/0")
+        self._normalizer = RunningNormalizer(len(columns), env.device)
+        self._standardized = self.rollout
+
+    def update(self) -> None:
+        """Standardize the states of a new rollout; call it first."""
+        rollout = self.rollout
+        self._normalizer.update(rollout.state.flatten(0, 1))
+        self._standardized = PrivilegedRollout(
+            self._normalizer(rollout.state), self._normalizer(rollout.next_state)
+        )
+
+    def progress_reward(self) -> Tensor:
+        """Return what the steps gained in distance and angle as a reward, (T, B)."""
+        gained = self.rollout.state - self.rollout.next_state
+        return self._progress_coef * (
+            PROGRESS_PER_METRE * gained[..., self._distance]
+            + PROGRESS_PER_DEGREE * gained[..., self._angle]
+        )
+
+    def auxiliary_targets(self) -> Tensor:
+        """Return the standardized targets of the auxiliary head, (T, B, K)."""
+        return self._standardized.state.index_select(-1, self._auxiliary)
+
+    def values(self) -> tuple[Tensor, Tensor]:
+        """Return the critic's values before and after each step, (T, B) each."""
+        assert self.critic is not None
+        return self.critic(self._standardized.state), self.critic(self._standardized.next_state)
+
+    def fit(self, returns: Tensor) -> None:
+        """Train the critic, if there is one, on the returns (T, B)."""
+        if self.critic is not None:
+            self.critic.fit(self._standardized.state.flatten(0, 1), returns.flatten())
+
+    def get_state(self) -> dict[str, np.ndarray]:
+        """Return all that `set_state` needs."""
+        state = {f"normalizer/{k}": v for k, v in self._normalizer.get_state().items()}
+        critic = self.critic.get_state() if self.critic else {}
+        return state | {f"critic/{k}": v for k, v in critic.items()}
+
+    def set_state(self, state: dict[str, np.ndarray]) -> None:
+        """Continue from the result of `get_state`."""
+        for name, part in (("normalizer", self._normalizer), ("critic", self.critic)):
+            if part is not None:
+                prefix = f"{name}/"
+                part.set_state(
+                    {k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)}
+                )
+
+
+def auxiliary_columns(columns: tuple[str, ...]) -> list[int]:
+    """Return the indices of the columns that the auxiliary head predicts."""
+    return [i for i, name in enumerate(columns) if name.split("/")[0] in AUXILIARY_QUANTITIES]
+
+
+def privileged_columns_of(env: PrivilegedVectorEnv) -> tuple[str, ...]:
+    """Return the names of the columns of an environment's privileged state.
+
+    Raises:
+        UserError: the environment has none.
+    """
+    columns: tuple[str, ...] | None = getattr(env, "privileged_columns", None)
+    if columns is None:
+        raise UserError(
+            f"{type(env).__name__} reports no privileged state, which critic='state', "
+            "auxiliary_coef and progress_coef need: implement "
+            "knowarm.learn.PrivilegedVectorEnv, or leave them at their defaults."
+        )
+    return columns

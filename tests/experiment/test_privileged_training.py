@@ -1,0 +1,63 @@
+"""Agents trained with privileged state play from images alone."""
+
+import dataclasses
+import shutil
+
+import numpy as np
+import pytest
+
+from knowarm.experiment.build import load_agent
+from knowarm.experiment.config import EvaluationConfig, InterimConfig
+from knowarm.experiment.evaluate import evaluate
+from knowarm.experiment.registry import experiment_config
+from knowarm.experiment.run import train
+from knowarm.learn.checkpoint import CheckpointStore, read_checkpoint
+from knowarm.learn.config import privileged_uses
+from knowarm.world import torch_env
+from knowarm.world.tasks import privileged
+
+EVALUATION = EvaluationConfig(episodes=6, num_envs=6, record_films=0)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """Train an agent that is told the target, with randomized colours, for a few updates."""
+    config = experiment_config("irb120-target+-dr-fast")
+    algorithm = dataclasses.replace(
+        config.algorithm, num_envs=4, rollout_steps=5, minibatches=2, processes=1
+    )
+    assert privileged_uses(vars(algorithm)) == ["critic", "auxiliary loss"]
+    config = dataclasses.replace(
+        config,
+        algorithm=algorithm,
+        total_steps=80,
+        interim=InterimConfig(every_steps=80, episodes=2),
+    )
+    return train(config, tmp_path_factory.mktemp("runs")).folder
+
+
+def results(folder):
+    return evaluate(load_agent(folder.path, which="latest"), config=EVALUATION).episodes
+
+
+def test_nothing_of_the_privileged_state_reaches_the_policy(run, tmp_path, monkeypatch):
+    expected = results(run)
+    # A copy without everything that the critic and the auxiliary head have left in it.
+    shutil.copytree(run.path, tmp_path / "copy")
+    copy = dataclasses.replace(run, path=tmp_path / "copy")
+    latest = copy.checkpoints / "latest"
+    names = set(read_checkpoint(latest).policy)
+    assert names == set(load_agent(run.path, which="untrained").policy.state_dict())
+    before = read_checkpoint(latest)
+    assert any(name.startswith("privileged/critic") for name in before.state)
+    assert "auxiliary/weight" in before.state
+
+    def refuse(*args):
+        raise AssertionError("the privileged state was read in an evaluation")
+
+    monkeypatch.setattr(privileged, "privileged_state", refuse)
+    monkeypatch.setattr(torch_env, "privileged_state", refuse)
+    stripped = dataclasses.replace(before, optimizer={}, state={})
+    CheckpointStore(copy.checkpoints, {}).save(stripped)
+    for name, values in results(copy).items():
+        np.testing.assert_array_equal(values, expected[name], err_msg=name)

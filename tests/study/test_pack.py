@@ -1,0 +1,84 @@
+import gzip
+import shutil
+
+import pytest
+
+from knowarm.errors import UserError
+from knowarm.experiment.evaluate import evaluate
+from knowarm.experiment.run_lock import lock_folder
+from knowarm.report import write_report
+from knowarm.study.config import FILE
+from knowarm.study.driver import open_study, run_study
+from knowarm.study.pack import pack_study, unpack_study
+from knowarm.study.status import study_status
+
+pytestmark = pytest.mark.usefixtures("inline")
+
+
+@pytest.fixture
+def pack(finished, tmp_path):
+    file = tmp_path / "study.tar.gz"
+    pack_study(finished, file)
+    return file
+
+
+def test_the_report_of_a_pack_equals_that_of_the_study(finished, tmp_path, pack):
+    copy = shutil.copytree(finished, tmp_path / "copy")
+    out = unpack_study(pack, tmp_path / "unpacked")
+    pages = [write_report([folder], folder / "report.html") for folder in (copy, out)]
+    assert pages[0].read_bytes() == pages[1].read_bytes()
+    assert [each.state for each in study_status(open_study(out), out)] == ["done", "done"]
+    run = out / "irb120-bm-ppo" / "0"
+    assert evaluate(run, episodes=2).summary["episodes"] == 2
+    assert not (run / "checkpoints" / "latest" / "optimizer.safetensors").exists()
+    assert not (run / "tensorboard").exists()
+
+
+def test_equal_studies_give_equal_packs(finished, tmp_path, pack):
+    pack_study(shutil.copytree(finished, tmp_path / "copy"), tmp_path / "copy.tar.gz")
+    assert (tmp_path / "copy.tar.gz").read_bytes() == pack.read_bytes()
+
+
+def test_parts_can_be_left_out(finished, tmp_path, pack):
+    small = tmp_path / "small.tar.gz"
+    pack_study(finished, small, leave_out=("policies", "steps", "films"))
+    assert small.stat().st_size < pack.stat().st_size / 2
+    out = unpack_study(small, tmp_path / "small")
+    assert [each.state for each in study_status(open_study(out), out)] == ["done", "done"]
+    assert write_report([out], out / "report.html").exists()
+    with pytest.raises(UserError, match=r"'film'.*'films'"):
+        pack_study(finished, small, leave_out=("film",))
+
+
+def test_an_unpacked_study_is_not_run(finished, tmp_path, pack):
+    out = unpack_study(pack, tmp_path / "unpacked")
+    with pytest.raises(UserError, match="unpacked study"):
+        run_study(open_study(out), out)
+
+
+def test_a_damaged_pack_is_refused(finished, tmp_path, pack):
+    content = gzip.decompress(pack.read_bytes())
+    (tmp_path / "cut.tar.gz").write_bytes(pack.read_bytes()[:5000])
+    (tmp_path / "changed.tar.gz").write_bytes(
+        gzip.compress(content.replace(b'"name": "tiny"', b'"name": "tinx"'))
+    )
+    (tmp_path / "text.tar.gz").write_text("no archive")
+    for name, words in (
+        ("cut", ""),
+        ("changed", f"{FILE} is missing or was changed"),
+        ("text", ""),
+    ):
+        with pytest.raises(UserError, match=f"no intact pack.*{words}"):
+            unpack_study(tmp_path / f"{name}.tar.gz", tmp_path / name)
+        assert not (tmp_path / name).exists()
+    with pytest.raises(UserError, match="exists"):
+        unpack_study(pack, finished)
+
+
+def test_what_cannot_be_packed_is_refused(finished, tmp_path):
+    with pytest.raises(UserError, match="holds no study"):
+        pack_study(tmp_path, tmp_path / "x.tar.gz")
+    with pytest.raises(UserError, match=r"\.tar\.gz"):
+        pack_study(finished, tmp_path / "x.zip")
+    with lock_folder(finished, remedy=""), pytest.raises(UserError, match="Stop it"):
+        pack_study(finished, tmp_path / "x.tar.gz")
