@@ -77,7 +77,7 @@ def train_until_killed(kind: str, runs: Path, total_steps: int) -> None:
 def kill_storm(kind: str, kills: int, seed: int) -> tuple[int, list[str]]:
     """Kill a training again and again; check its folder each time and its result at the end."""
     random, failures = np.random.default_rng(seed), []
-    total = STEPS * 4 * (kills + 2) * (8 if kind != "ppo" else 1)
+    total, killed = STEPS * 8 * (kills + 2) * (8 if kind != "ppo" else 1), 0
     with tempfile.TemporaryDirectory() as temporary:
         runs, step = Path(temporary) / "störm runs", 0
         folder = runs / storm_config(kind, total).name / "0"
@@ -86,7 +86,11 @@ def kill_storm(kind: str, kills: int, seed: int) -> tuple[int, list[str]]:
             _wait_for_rows(folder, int(random.integers(1, 5)), process)
             time.sleep(random.random() * 0.05)
             family = _family(process.pid)
+            if process.exitcode is not None:  # all steps were taken; later kills would be none
+                failures += [f"{kind} {number}: it failed"] if process.exitcode else []
+                break
             process.kill()
+            killed += 1
             process.join()
             _, alive = psutil.wait_procs(family, timeout=GONE_S)
             failures += [f"{kind} {number}: {child} lives on" for child in alive]
@@ -100,7 +104,7 @@ def kill_storm(kind: str, kills: int, seed: int) -> tuple[int, list[str]]:
             step = now
         if kind == "ppo":
             failures += _compare_with_uninterrupted(kind, runs, total, Path(temporary) / "whole")
-    return kills, failures
+    return killed, failures
 
 
 def _train_silently(kind: str, runs: Path, total: int) -> None:
