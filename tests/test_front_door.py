@@ -96,7 +96,7 @@ def test_train(run):
 
 @example("evaluate", "EvaluationResult", "EvaluationConfig")
 def test_evaluate(run):
-    config = knowarm.EvaluationConfig(episodes=4, num_envs=4, record_films=1)
+    config = knowarm.EvaluationConfig(episodes=4, num_envs=4, record_films=1, blind_episodes=0)
     result = knowarm.evaluate(run.folder.path, config=config)
     assert isinstance(result, knowarm.EvaluationResult)
     assert len(result.episodes["return"]) == 4
@@ -114,7 +114,7 @@ def test_load_agent():
     trained = knowarm.load_agent(ZOO)
     assert isinstance(trained, knowarm.TrainedAgent)
     assert isinstance(trained.agent, knowarm.PolicyAgent)
-    result = knowarm.evaluate(trained, episodes=4, num_envs=4, record_films=0)
+    result = knowarm.evaluate(trained, episodes=4, num_envs=4, record_films=0, blind_episodes=0)
     assert result.summary["agent"] == "irb120-full-ppo/0"
     assert result.summary["success"] > 0
 

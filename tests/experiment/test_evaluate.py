@@ -1,17 +1,27 @@
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from knowarm.errors import UserError
+from knowarm.experiment.build import load_agent
 from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.evaluate import evaluate, summarize
 from knowarm.experiment.evaluation_files import read_film, read_table
 from knowarm.statistics import wilson
-from knowarm.world.agents import RandomAgent, ZeroAgent
+from knowarm.world.agents import (
+    BLIND_AGENTS,
+    BlindAgent,
+    BlindEntry,
+    OpenLoopAgent,
+    RandomAgent,
+    ZeroAgent,
+)
 from knowarm.world.config import EnvConfig
 from knowarm.world.held_out import HeldOut
 
+ZOO = Path(__file__).parents[2] / "zoo" / "tiago-full-ppo"
 ENV = EnvConfig(image_size=32, max_episode_steps=12, dynamics="kinematic")
 SMALL = EvaluationConfig(
     episodes=24, num_envs=10, record_films=2, distance_m=0.4, angle_deg=80.0, wide_angle_deg=80.0
@@ -32,6 +42,7 @@ def result():
         ("episodes", 0),
         ("seeds", 0),
         ("num_envs", 0),
+        ("blind_episodes", -1),
         ("distance_m", 0.0),
         ("angle_deg", -1.0),
         ("wide_angle_deg", 10.0),
@@ -180,3 +191,39 @@ def test_without_failures_there_is_no_failure_distance():
     assert found["failure_distance_mean"] is None
     assert found["failure_distance_max"] is None
     assert found["return_std"] == 0
+
+
+def test_blind_agents_stand_beside_a_trained_one(monkeypatch):
+    quick = BlindEntry(make=lambda agent, seed: OpenLoopAgent(seed, budget=200), about="")
+    monkeypatch.setitem(BLIND_AGENTS, "open-loop", quick)
+    trained = load_agent(ZOO)
+    config = EvaluationConfig(episodes=40, blind_episodes=20, num_envs=20, record_films=0)
+    summary = evaluate(trained, config=config).summary
+    blind = summary["blind_agents"]
+    assert list(blind) == list(BLIND_AGENTS)
+    for numbers in blind.values():
+        assert numbers["episodes"] == 20
+        assert numbers["difference"] == pytest.approx(summary["success"] - numbers["success"])
+        assert numbers["difference_low"] < numbers["difference"] <= numbers["difference_high"]
+    best = max(blind[name]["success"] for name in ("open-loop", "blind"))
+    assert summary["needs_eyes"] == pytest.approx(summary["success"] - best)
+    alone = evaluate(
+        BlindAgent(trained.agent),
+        trained.config.env,
+        replace(config, episodes=20),
+        seed=config.seed,
+    )
+    assert alone.summary["success"] == blind["blind"]["success"]
+    without = evaluate(trained, config=replace(config, blind_episodes=0)).summary
+    assert without == {
+        **{key: value for key, value in summary.items() if key in without},
+        "config": {**summary["config"], "blind_episodes": 0},
+    }
+
+
+def test_untrained_and_scripted_agents_are_evaluated_alone():
+    config = EvaluationConfig(episodes=4, num_envs=4, record_films=0)
+    untrained = evaluate(load_agent(ZOO, which="untrained"), config=config)
+    scripted = evaluate(ZeroAgent(), ENV, config)
+    assert "blind_agents" not in untrained.summary
+    assert "blind_agents" not in scripted.summary

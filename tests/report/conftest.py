@@ -21,7 +21,7 @@ class Made:
 @pytest.fixture(scope="session")
 def made(tmp_path_factory) -> Made:
     folder = tmp_path_factory.mktemp("a folder with spaces")
-    size = Size(points=20, episodes=60, films=3, steps=True)
+    size = Size(points=20, episodes=60, films=3, steps=True, blind=True)
     truth = Truth(
         success={"bm": 0.5, "partial": 0.55, "full": 0.8, "wide": 0.5, "zeros": 0.5, "random": 0.5}
     )

@@ -21,6 +21,7 @@ from knowarm.experiment.evaluation_files import (
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.knowledge import KnowledgeConfig, SceneEmbedding, scene_embedding
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
+from knowarm.world.agents import BLIND_AGENTS
 from knowarm.world.robots import ROBOTS
 
 FACETS = {
@@ -61,6 +62,7 @@ class Size:
     episodes: int = 200
     films: int = 0
     steps: bool = False
+    blind: bool = False
     tables: bool = True
     """Whether the Parquet files and the vectors are written, or only what verdicts need."""
     total_steps: int = 4_000_000
@@ -251,7 +253,22 @@ def write_evaluation(
         _write_steps(folder, columns, JOINTS[env["robot"]], generator, shift)
     for number in range(size.films):
         write_film(folder / "films" / f"{number}.webp", _images(int(columns["length"][number])))
-    (folder / "summary.json").write_text(json.dumps(known | summarize(columns), indent=2))
+    numbers = summarize(columns)
+    if size.blind:
+        numbers |= _blind(numbers["success"])
+    (folder / "summary.json").write_text(json.dumps(known | numbers, indent=2))
+
+
+def _blind(success: float) -> dict[str, Any]:
+    """Blind agents that solve .2, .1 and .3 of the episodes, as an evaluation stores them."""
+    numbers: dict[str, Any] = {}
+    for name, share in zip(BLIND_AGENTS, (0.2, 0.1, 0.3), strict=True):
+        numbers[name] = {"episodes": 200}
+        for key, value in (("success", share), ("difference", success - share)):
+            numbers[name] |= {key: value, f"{key}_low": value - 0.05, f"{key}_high": value + 0.05}
+    need = numbers["open-loop"]
+    ends = {f"needs_eyes{end}": need[f"difference{end}"] for end in ("", "_low", "_high")}
+    return {"blind_agents": numbers, **ends}
 
 
 def _episodes(

@@ -203,6 +203,10 @@ def test_a_stopped_run_is_kept_and_named(tmp_path):
         path.write_text("".join(line + "\n" for line in path.read_text().splitlines()[:5]))
     found = collect(paths)
     assert "stopped after 50% of its steps: kept; censored" in named(found, paths[0])
+    edit(paths[0] / "config.json", stop_when={"success": 0.001, "evaluations": 1})
+    edit(paths[1] / "config.json", stop_when=None)
+    said = named(collect(paths), paths[0])
+    assert "50% of its steps, as its stop_when says (success 0% 1x): kept" in said
 
 
 def test_evaluations_by_other_rules_are_left_out(tmp_path):

@@ -210,6 +210,17 @@ def test_the_paper_stands_beside_ours(made):
     assert float(found[tiago, "full"]["paper_saved"]) == pytest.approx(1 - 24 / 57)
 
 
+def test_how_much_needs_eyes_is_said_beside_every_agent(made):
+    folder = made.page.parent / "report-data"
+    rows = {row["agent"]: row for row in rows_of(folder / "eyes-irb120-fixed-colours-ppo.csv")}
+    assert set(rows) == {"bm", "partial", "full", "wide", "zeros", "random"}
+    full = rows["full"]
+    assert [float(full[name]) for name in ("open-loop", "blind", "frozen")] == [0.2, 0.1, 0.3]
+    assert float(full["needs_eyes"]) == pytest.approx(float(full["success"]) - 0.2)
+    assert float(full["minus frozen"]) == pytest.approx(float(full["success"]) - 0.3)
+    assert "a part of the success of " in made.page.read_text()
+
+
 def test_anova_says_what_it_does_not_show(made):
     values = json.loads(made.page.with_suffix(".json").read_text())
     table = values["tables"]["anova-irb120-fixed-colours-ppo"]

@@ -15,6 +15,7 @@ from knowarm.statistics import (
     probability_of_improvement,
     restricted_mean_steps,
     seeds_needed,
+    share_difference,
     welch,
     wilson,
 )
@@ -32,6 +33,15 @@ def test_wilson(successes, trials, confidence):
     assert ours.high == pytest.approx(min(high, 1), abs=1e-12)
     scipy = stats.binomtest(successes, trials).proportion_ci(confidence, method="wilson")
     assert (ours.low, ours.high) == pytest.approx((scipy.low, scipy.high), abs=1e-12)
+
+
+@pytest.mark.parametrize("counts", [(56, 70, 48, 80), (200, 200, 0, 50), (9, 10, 10, 10)])
+def test_difference_of_shares(counts):
+    hits, trials, other_hits, other_trials = counts
+    ours = share_difference(wilson(hits, trials), wilson(other_hits, other_trials))
+    ends = proportion.confint_proportions_2indep(*counts, method="newcomb", compare="diff")
+    assert ours.estimate == pytest.approx(hits / trials - other_hits / other_trials)
+    assert (ours.low, ours.high) == pytest.approx(ends, abs=1e-9)
 
 
 def test_welch():

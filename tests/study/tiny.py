@@ -28,6 +28,7 @@ algorithm = {num_envs = 4, rollout_steps = 5, minibatches = 2, processes = 1}
 [[evaluations]]
 episodes = 2
 record_films = 1
+blind_episodes = 0
 """
 
 
@@ -73,7 +74,7 @@ def tiny(**changes) -> StudyConfig:
         "experiments": ("irb120-bm-ppo",),
         "seeds": (0, 1),
         "overrides": OVERRIDES,
-        "evaluations": (EvaluationConfig(episodes=2, record_films=1),),
+        "evaluations": (EvaluationConfig(episodes=2, record_films=1, blind_episodes=0),),
         "where": Inline(),
     }
     return StudyConfig(**{**values, **changes})

@@ -11,7 +11,7 @@ from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.build import Which, load_agent
 from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.evaluate import evaluate
-from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
+from knowarm.world.agents import BLIND_AGENTS, SCRIPTED_AGENTS
 from knowarm.world.config import EnvConfig
 
 
@@ -37,37 +37,22 @@ class Evaluate:
     def run(self) -> None:
         """Evaluate, print and save."""
         check_json_path(self.json)
-        name, agent, env, out = self._agent()
-        result = evaluate(agent, env, self.evaluation, agent_name=name)
-        _print(result.summary)
-        if out is not None and self.save:
-            result.write(out)
-            print(f"Saved in {out}")
-        write_json_table(self.json, result.summary)
-
-    def _agent(self) -> tuple[str, AgentProtocol, EnvConfig, Path | None]:
-        """Return the agent's name, the agent, its environment and the evaluation's folder."""
         if is_scripted(self.agent):
-            return (
-                self.agent,
-                SCRIPTED_AGENTS[self.agent].make(self.evaluation.seed),
-                self.env,
-                None,
-            )
-        if self.env != EnvConfig():
+            agent = SCRIPTED_AGENTS[self.agent].make(self.evaluation.seed)
+            result = evaluate(agent, self.env, self.evaluation, agent_name=self.agent)
+        elif self.env != EnvConfig():
             raise UserError(
                 "A run is evaluated in the environment it was trained in: leave out the --env "
                 "options."
             )
-        trained = load_agent(
-            self.agent,
-            which=self.which,
-            greedy=self.evaluation.actions == "greedy",
-            seed=self.evaluation.seed,
-        )
-        label = self.evaluation.folder + ("" if self.which == "best" else f"-{self.which}")
-        name = f"{trained.config.name}/{trained.config.seed}"
-        return name, trained.agent, trained.config.env, trained.folder.evaluation(label)
+        else:
+            greedy, seed = self.evaluation.actions == "greedy", self.evaluation.seed
+            trained = load_agent(self.agent, which=self.which, greedy=greedy, seed=seed)
+            result = evaluate(trained, config=self.evaluation)
+        _print(result.summary)
+        if result.folder is not None and self.save:
+            print(f"Saved in {result.write()}")
+        write_json_table(self.json, result.summary)
 
 
 def is_scripted(agent: str) -> bool:
@@ -87,6 +72,8 @@ def _print(summary: dict[str, Any]) -> None:
     _print_groups(title, {"all": summary, **summary["per_target"]})
     if len(summary["per_facet"]) > len(summary["per_target"]):
         _print_groups("By target and colour", summary["per_facet"])
+    if "blind_agents" in summary:
+        _print_blind(summary)
     criteria = summary["config"]
     print(
         f"accuracy: distance <= {criteria['distance_m']} m. success: also angle <= "
@@ -106,6 +93,19 @@ def _print_groups(title: str, groups: dict[str, dict[str, Any]]) -> None:
         rows.append([name, group["episodes"], *shares, *spreads])
     shares = ["accuracy %", "success %", "success wide %"]
     print_table(title, ["target", "episodes", *shares, "return", "steps", "failure m"], rows)
+
+
+def _print_blind(summary: dict[str, Any]) -> None:
+    """Print the blind agents and how much of the success needs eyes."""
+    rows = [
+        [name, numbers["episodes"], _share(numbers, "success"), _share(numbers, "difference")]
+        for name, numbers in summary["blind_agents"].items()
+    ]
+    titles = ["blind agent", "episodes", "success %", "agent minus this %"]
+    print_table("Without eyes, on the first of these episodes", titles, rows)
+    for name, entry in BLIND_AGENTS.items():
+        print(f"{name}: {entry.about}.")
+    print(f"Success that needs eyes: {_share(summary, 'needs_eyes')} points.\n")
 
 
 def _share(group: dict[str, Any], name: str) -> str:

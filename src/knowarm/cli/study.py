@@ -84,6 +84,10 @@ class Run:
     """Cores of each run."""
     address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT", help_behavior_hint="")] = None
     """Head node of a Ray cluster, for --where ray. Default: a cluster on this machine."""
+    mirrors: Annotated[
+        tuple[str, ...], tyro.conf.arg(metavar="NAME...", help_behavior_hint="")
+    ] = ()
+    """Tracking services that receive the curves as well: wandb, mlflow."""
     dry_run: bool = False
     """Only estimate the cost, from a short measurement of every experiment on this machine."""
 
@@ -115,6 +119,8 @@ class Run:
         study = read_study(self.study, of=self.of)
         if self.seeds:
             study = replace(study, seeds=self.seeds)
+        if self.mirrors:
+            study = replace(study, mirrors=self.mirrors)
         where = study.where
         if self.where is not None and self.where != where.kind:
             if self.where not in EXECUTORS:

@@ -159,6 +159,10 @@ class EvaluationConfig:
     """Name of the folder of the evaluation's files; None takes ``post-training-<actions>``, plus
     ``-held-out`` for held-out episodes."""
 
+    blind_episodes: int = 200
+    """Number of episodes, from the first, that the blind agents play beside a trained one; 0 plays
+    none."""
+
     record_steps: bool = True
     """Keep joint angles, action, distance and angle of every step."""
 
@@ -174,6 +178,8 @@ class EvaluationConfig:
         for name in ("episodes", "seeds", "num_envs"):
             if getattr(self, name) < 1:
                 raise UserError(f"{name} must be at least 1, got {getattr(self, name)}.")
+        if self.blind_episodes < 0:
+            raise UserError(f"blind_episodes must be at least 0, got {self.blind_episodes}.")
         for name in ("distance_m", "angle_deg", "wide_angle_deg"):
             if not getattr(self, name) > 0:
                 raise UserError(f"{name} must be above 0, got {getattr(self, name)}.")

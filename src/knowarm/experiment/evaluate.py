@@ -10,6 +10,7 @@ import numpy as np
 
 from knowarm.config import replace, to_dict
 from knowarm.errors import UserError
+from knowarm.experiment.blind import blind_numbers
 from knowarm.experiment.build import TrainedAgent, load_agent
 from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.evaluation_files import (
@@ -91,6 +92,9 @@ def evaluate(
 ) -> EvaluationResult:
     """Play the fixed episodes and measure returns, accuracy and success.
 
+    Beside a trained agent, the blind agents play the first ``config.blind_episodes`` of them: see
+    `knowarm.experiment.blind.blind_numbers`.
+
     Agents evaluated with equal configs play the same episodes, so that their rows are paired.
 
     Args:
@@ -112,8 +116,9 @@ def evaluate(
     config = replace(config or EvaluationConfig(), overrides)
     if isinstance(agent, str | Path):
         agent = load_agent(agent, greedy=config.actions == "greedy", seed=config.seed)
-    folder = None
+    folder, blind_episodes = None, 0
     if isinstance(agent, TrainedAgent):
+        blind_episodes = config.blind_episodes if agent.which != "untrained" else 0
         if agent.which != "best":
             config = dataclasses.replace(config, label=f"{config.folder}-{agent.which}")
         env_config = env_config or agent.config.env
@@ -125,12 +130,9 @@ def evaluate(
     judged = _with_thresholds(env_config, config)
     env = ReachVectorEnv(judged, min(config.num_envs, config.episodes))
     try:
-        result = play(
-            agent,
-            env,
-            _episodes(env, config),
-            record_images=config.record_films,
-        )
+        fixed = _episodes(env, config)
+        result = play(agent, env, fixed, record_images=config.record_films)
+        blind = blind_numbers(agent, result.success, env, fixed, blind_episodes, config.seed)
         episodes = _episode_columns(result, env, config)
         steps = _step_columns(result) if config.record_steps else None
     finally:
@@ -142,6 +144,7 @@ def evaluate(
         "config": to_dict(config),
         "env": to_dict(judged),
         **summarize(episodes),
+        **blind,
     }
     return EvaluationResult(summary, episodes, steps, result.images, folder)
 

@@ -33,6 +33,9 @@ NOT_THE_TASK = {"renderer", "image_size", "name"}
 NOT_A_SETTING = {"agent", "role", "name", "seed", "env", "format", "checkpoint_every_steps"}
 """Top-level fields of the config that are no setting of the agent."""
 
+NOT_A_RULE = ("record", "blind")
+"""Beginnings of the names of evaluation settings that do not change the agent's numbers."""
+
 DRAWS = {"knowledge.seed"}
 """Settings that only seed random draws: runs that differ in them are seeds of one agent."""
 
@@ -132,7 +135,7 @@ def _comparable(runs: list[Run], label: str, problems: list[Problem]) -> list[Ru
     """Drop evaluations on other episodes or with other thresholds than most."""
 
     def settings(evaluation: Evaluation) -> str:
-        kept = {k: v for k, v in evaluation.config.items() if not k.startswith("record")}
+        kept = {k: v for k, v in evaluation.config.items() if not k.startswith(NOT_A_RULE)}
         return json.dumps([evaluation.summary["episodes"], kept], sort_keys=True)
 
     found = {run.path: settings(run.evaluations[label]) for run in runs if label in run.evaluations}

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from knowarm.errors import UserError
+from knowarm.experiment.config import StopWhen
 from knowarm.experiment.migration import migrate_evaluation
 from knowarm.experiment.run_folder import RunFolder, read_csv
 from knowarm.reading import one_line, read_json
@@ -88,6 +89,9 @@ def read_run(path: Path, problems: list[Problem]) -> Run | None:
     total = config.get("total_steps")
     if total and 0 < run.steps_done < 0.98 * total:
         what = f"stopped after {run.steps_done / total:.0%} of its steps"
+        if (rule := config.get("stop_when")) and folder.ended_early_at(StopWhen(**rule)):
+            success, count = rule["success"], rule["evaluations"]
+            what += f", as its stop_when says (success {success:.0%} {count}x)"
         done = "kept; censored at its end, its last success extended"
         problems.append(Problem(path, what, done))
     return run

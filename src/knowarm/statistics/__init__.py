@@ -16,7 +16,7 @@ from knowarm.statistics.compare import (
     welch,
 )
 from knowarm.statistics.curve import area_under_curve, first_crossing, on_grid, trend
-from knowarm.statistics.interval import Interval, wilson
+from knowarm.statistics.interval import Interval, share_difference, wilson
 from knowarm.statistics.survival import median_steps, restricted_mean_steps
 
 __all__ = [
@@ -36,6 +36,7 @@ __all__ = [
     "probability_of_improvement",
     "restricted_mean_steps",
     "seeds_needed",
+    "share_difference",
     "trend",
     "welch",
     "wilson",

@@ -16,6 +16,7 @@ from knowarm.experiment.registry import Colours, experiment_config, experiment_n
 from knowarm.experiment.run_folder import write_json
 from knowarm.reading import read_json
 from knowarm.study.executors import EXECUTORS, Local, Where
+from knowarm.study.mirrors import MIRRORS
 
 FORMAT = 1
 """Version of ``study.json``."""
@@ -101,6 +102,9 @@ class StudyConfig:
     evaluations: tuple[EvaluationConfig, ...] = (EvaluationConfig(),)
     """Post-training evaluations of every run."""
 
+    mirrors: tuple[str, ...] = ()
+    """Tracking services that receive the curves as well: "wandb", "mlflow"."""
+
     where: Where = field(
         default_factory=Local,
         metadata=registered(lambda: [type(entry.default) for entry in EXECUTORS.values()]),
@@ -124,6 +128,9 @@ class StudyConfig:
             if not any(fnmatchcase(cell, each.experiments) for cell in self.cells()):
                 raise unknown_name("pattern of experiments", each.experiments, self.cells())
         self.runs()
+        for name in self.mirrors:
+            if name not in MIRRORS:
+                raise unknown_name("mirror", name, MIRRORS)
 
     def cells(self) -> list[str]:
         """Return the names of the experiments."""

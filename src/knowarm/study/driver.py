@@ -14,6 +14,7 @@ from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.run_lock import is_locked, lock_folder
 from knowarm.study.config import FILE, PACKED, StudyConfig, read_study, write_study
 from knowarm.study.executors import EXECUTORS, Ended, Executor, RunKey
+from knowarm.study.mirrors import check_mirror
 from knowarm.study.status import (
     FAILURE,
     RunStatus,
@@ -77,9 +78,11 @@ def check_folder(study: StudyConfig, out: Path) -> None:
     """Check that a study can go on in a folder, before anything is written.
 
     Raises:
-        UserError: the folder holds another study, or a run with another config, or too little disk
-            space is free.
+        UserError: the folder holds another study, or a run with another config, too little disk
+            space is free, or a mirror is not installed.
     """
+    for name in study.mirrors:
+        check_mirror(name)
     if (out / PACKED).exists():
         raise UserError(
             f"{out} is an unpacked study, which lacks what resuming needs: choose another folder."

@@ -21,6 +21,7 @@ from knowarm.experiment.run_folder import RunFolder, write_json
 from knowarm.experiment.run_lock import FolderInUseError, lock_folder
 from knowarm.study.config import read_study
 from knowarm.study.executors import RunKey
+from knowarm.study.mirrors import open_mirror
 from knowarm.study.status import FAILURE, is_trained, missing_evaluations
 
 STOP = "stop"
@@ -58,6 +59,7 @@ def work(out: Path, key: RunKey, started: float | None = None) -> None:
                     out,
                     resume=is_started,
                     should_stop=lambda: is_asked() or stop.exists(),
+                    mirrors=[open_mirror(n, config, path, study.name) for n in study.mirrors],
                 )
             if run.result.reason == "stopped":
                 return

@@ -8,6 +8,7 @@ from knowarm.report.charts import SUCCESS_AXIS, Axis
 from knowarm.report.diagrams import Dot, dot_chart
 from knowarm.report.study import Evaluation, Group, Task
 from knowarm.statistics import Interval
+from knowarm.world.agents import BLIND_AGENTS
 
 INTERVALS = ("return_mean", "success", "accuracy", "success_wide", "length_mean")
 PLAIN = (
@@ -25,7 +26,8 @@ def result_blocks(task: Task) -> list[Block]:
         return []
     parts = (("per_target", "target"), ("per_facet", "target and colour"))
     figures = [_parts(task, part, what) for part, what in parts]
-    return [_table(task), *(figure for figure in figures if figure)]
+    found = (_table(task), _eyes(task), *figures)
+    return [block for block in found if block]
 
 
 def _table(task: Task) -> Table:
@@ -61,6 +63,48 @@ def _table(task: Task) -> Table:
         "over episodes where there is one (Wilson for success and accuracy), which then describe "
         "that one network. Failure distance: final distance of unsuccessful episodes. Standard "
         "deviations are within an evaluation, averaged over seeds.",
+    )
+
+
+def _eyes(task: Task) -> Table | None:
+    """Show the blind agents beside every agent, and how much of its success needs eyes."""
+    rows: list[Row] = []
+    shown = [group for group in task.groups if group.level("needs_eyes")]
+    for group in shown:
+        row: Row = {"agent": group.name, "seeds": len(group.evaluations)}
+        row |= cells("success", group.level("success")) | {"_colour": task.colours[group.name]}
+        for name, entry in BLIND_AGENTS.items():
+            row |= cells(name, group.level("success", "blind_agents", name))
+            if not entry.sees_nothing:
+                difference = group.level("difference", "blind_agents", name)
+                row |= cells(f"minus {name}", difference)
+        rows.append(row | cells("needs_eyes", group.level("needs_eyes")))
+    if not rows:
+        return None
+    blind = [
+        Column(name, name, "percent", interval=True, hint=entry.about)
+        for name, entry in BLIND_AGENTS.items()
+    ]
+    once = [
+        Column(f"minus {name}", f"success minus {name} [points]", "points", interval=True)
+        for name, entry in BLIND_AGENTS.items()
+        if not entry.sees_nothing
+    ]
+    evaluations = [evaluation for group in shown for evaluation in group.evaluations]
+    abouts = "; ".join(f"{name}: {entry.about}" for name, entry in BLIND_AGENTS.items())
+    played = max(n["episodes"] for e in evaluations for n in e.summary["blind_agents"].values())
+    needs = Column("needs_eyes", "needs eyes [points]", "points", interval=True)
+    return Table(
+        name=f"eyes-{task.name}",
+        title=f"How much of the success needs eyes: {task.title}",
+        columns=[*shared("agent", "seeds", "success"), *blind, needs, *once],
+        rows=rows,
+        sources=[evaluation.folder / "summary.json" for evaluation in evaluations],
+        note=f"Success of blind agents on the first {format.integer(played)} of the same episodes; "
+        f"{abouts}. Needs eyes: the agent's success minus that of the better agent that sees "
+        "nothing. 95 % intervals: over training seeds where there are "
+        "several, otherwise over episodes (Newcombe). A better fixed list may exist than the one "
+        "that the search found.",
     )
 
 

@@ -39,6 +39,8 @@ def summary_blocks(study: Study, decided: list[Claim]) -> list[Block]:
         learned = learning_verdict(task)
         if learned:
             blocks.append(learned)
+        if eyes := eyes_verdict(task):
+            blocks.append(eyes)
     if len(study.tasks) == 1:
         blocks.append(_tiles(study.tasks[0]))
     if any(task.label for task in study.tasks):
@@ -78,6 +80,33 @@ def learning_verdict(task: Task) -> Verdict | None:
         f"Mean return on the same episodes, 95 % intervals: {shown}; untrained {_shown(floor)}."
     )
     return Verdict(sentence=f"{task.title}: {sentence}", reasons=[reason], tone=tone)
+
+
+def eyes_verdict(task: Task) -> Verdict | None:
+    """State how much of each agent's success needs eyes."""
+    found = [
+        (group.name, group.level("needs_eyes"), group.level("success")) for group in task.groups
+    ]
+    known = [(name, eyes, success) for name, eyes, success in found if eyes and success]
+    if not known:
+        return None
+    see = [name for name, eyes, _ in known if eyes.low > 0]
+    blind = [name for name, eyes, _ in known if eyes.low <= 0]
+    if not blind:
+        sentence = f"a part of the success of {listed(see)} needs eyes."
+    elif not see:
+        sentence = f"the success of {listed(blind)} is not shown to need eyes."
+    else:
+        sentence = f"a part of the success of {listed(see)} needs eyes"
+        sentence += f"; of that of {listed(blind)} this is not shown."
+    reasons = [
+        f"{name}: {_points(eyes.estimate)} points (95 % interval {_points(eyes.low)} to "
+        f"{_points(eyes.high)}) of its success of {format.percent(success.estimate)} need eyes; "
+        "a fixed list of actions or black images suffice for the rest."
+        for name, eyes, success in known
+    ]
+    tone: Tone = "open" if blind else "good"
+    return Verdict(sentence=f"{task.title}: {sentence}", reasons=reasons, tone=tone)
 
 
 def _tiles(task: Task) -> Tiles:
@@ -138,3 +167,7 @@ def _results(study: Study) -> Figure:
 def _shown(value: Interval) -> str:
     ends = f"{format.number(value.low, 1)} to {format.number(value.high, 1)}"
     return f"{format.number(value.estimate, 1)} ({ends})"
+
+
+def _points(value: float) -> str:
+    return format.number(100 * value, 1)

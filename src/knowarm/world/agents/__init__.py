@@ -1,16 +1,28 @@
-"""Scripted agents: baselines that need no training, and the protocol of all agents."""
+"""Scripted agents, blind agents, and the protocol of all agents."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from knowarm.world.agents.open_loop import OpenLoopAgent
 from knowarm.world.agents.scripted import (
     AgentProtocol,
     OracleAgent,
     RandomAgent,
     ZeroAgent,
 )
+from knowarm.world.agents.sight import BlindAgent, FrozenAgent
 
-__all__ = ["SCRIPTED_AGENTS", "AgentProtocol", "OracleAgent", "RandomAgent", "ZeroAgent"]
+__all__ = [
+    "BLIND_AGENTS",
+    "SCRIPTED_AGENTS",
+    "AgentProtocol",
+    "BlindAgent",
+    "FrozenAgent",
+    "OpenLoopAgent",
+    "OracleAgent",
+    "RandomAgent",
+    "ZeroAgent",
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,8 +39,43 @@ class ScriptedAgent:
 SCRIPTED_AGENTS: dict[str, ScriptedAgent] = {
     "zero": ScriptedAgent(make=ZeroAgent, about="Never moves."),
     "random": ScriptedAgent(make=RandomAgent, about="Draws every action uniformly."),
+    "open-loop": ScriptedAgent(
+        make=OpenLoopAgent,
+        about="Plays the fixed list of actions that solves most episodes; found by a search.",
+    ),
     "oracle": ScriptedAgent(
         make=OracleAgent, about="Moves to the true grasp frame by inverse kinematics."
     ),
 }
 """Scripted agents by name."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlindEntry:
+    """A blind agent of the registry."""
+
+    make: Callable[[AgentProtocol, int], AgentProtocol]
+    """Creates the agent from the agent that it stands beside, and a seed."""
+
+    about: str
+    """What it is, for a sentence."""
+
+    sees_nothing: bool = True
+    """Whether it receives no image at all."""
+
+
+BLIND_AGENTS: dict[str, BlindEntry] = {
+    "open-loop": BlindEntry(
+        make=lambda agent, seed: OpenLoopAgent(seed),
+        about="the best fixed list of actions that a search found",
+    ),
+    "blind": BlindEntry(
+        make=lambda agent, seed: BlindAgent(agent), about="the same network on black images"
+    ),
+    "frozen": BlindEntry(
+        make=lambda agent, seed: FrozenAgent(agent),
+        about="the same network, which sees only the first image of an episode",
+        sees_nothing=False,
+    ),
+}
+"""Agents by name that tell how much of an agent's score needs eyes."""

@@ -1,0 +1,102 @@
+"""Table of docs/world.md: how far agents get with and without eyes, on both thresholds.
+
+python benchmarks/blind.py [RUN ...] [--episodes 1000] [--json FILE]
+
+Without runs: the agents that need no training, on the main robots. With runs: the trained agent of
+each run folder, on black images and with the first image only, on the robot it was trained on.
+`knowarm evaluate RUN` prints the same numbers for one threshold.
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+from knowarm.experiment.build import load_agent
+from knowarm.experiment.config import EvaluationConfig
+from knowarm.experiment.evaluate import evaluate
+from knowarm.world.agents import BLIND_AGENTS, SCRIPTED_AGENTS
+from knowarm.world.config import EnvConfig
+from knowarm.world.robots import MAIN_ROBOTS
+
+THRESHOLDS = ((0.10, 17.0), (0.05, 15.0))
+"""Post-training evaluation and training: distance [m] and angle [deg]."""
+
+UNTRAINED = ("zero", "random", "open-loop", "oracle")
+
+
+def evaluation(episodes: int, thresholds: tuple[float, float]) -> EvaluationConfig:
+    distance_m, angle_deg = thresholds
+    return EvaluationConfig(
+        episodes=episodes,
+        blind_episodes=episodes,
+        distance_m=distance_m,
+        angle_deg=angle_deg,
+        record_steps=False,
+        record_films=0,
+    )
+
+
+def rows_of_robot(robot: str, episodes: int) -> list[dict]:
+    """Evaluate the agents that need no training."""
+    rows = []
+    env = EnvConfig(robot=robot, image_size=8)  # they look at no image
+    for name in UNTRAINED:
+        row = {"robot": robot, "agent": name}
+        for thresholds in THRESHOLDS:
+            agent = SCRIPTED_AGENTS[name].make(EvaluationConfig().seed)
+            found = evaluate(agent, env, evaluation(episodes, thresholds)).summary
+            row |= cells(found, thresholds)
+        rows.append(row)
+        print(line(row), flush=True)
+    return rows
+
+
+def rows_of_run(path: Path, episodes: int) -> list[dict]:
+    """Evaluate a trained agent and the blind agents that are made from it."""
+    trained = load_agent(path, seed=EvaluationConfig().seed)
+    names = ["trained", *(name for name in BLIND_AGENTS if name not in SCRIPTED_AGENTS)]
+    label = f"{trained.config.agent}, seed {trained.config.seed}"
+    rows = [{"robot": trained.config.env.robot, "agent": f"{label}: {name}"} for name in names]
+    for thresholds in THRESHOLDS:
+        found = evaluate(trained, config=evaluation(episodes, thresholds)).summary
+        for row, name in zip(rows, names, strict=True):
+            row |= cells(found if name == "trained" else found["blind_agents"][name], thresholds)
+    for row in rows:
+        print(line(row), flush=True)
+    return rows
+
+
+def cells(numbers: dict, thresholds: tuple[float, float]) -> dict:
+    """Return the success with its interval, named by the thresholds."""
+    name = f"success_{thresholds[0] * 100:g}cm_{thresholds[1]:g}deg"
+    ends = ("", "_low", "_high")
+    return {f"{name}{end}": numbers[f"success{end}"] for end in ends}
+
+
+def line(row: dict) -> str:
+    """Format a row in Markdown, in percent with the 95 % interval."""
+    values = list(row.values())
+    shares = [values[i : i + 3] for i in range(2, len(values), 3)]
+    texts = [f"{100 * s:.1f} [{100 * low:.1f}, {100 * high:.1f}]" for s, low, high in shares]
+    return f"| {' | '.join([row['robot'], row['agent'], *texts])} |"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("runs", nargs="*", type=Path)
+    parser.add_argument("--episodes", type=int, default=1000)
+    parser.add_argument("--json", type=Path)
+    arguments = parser.parse_args()
+    rows = []
+    print("| robot | agent | success %, 10 cm and 17 deg | success %, 5 cm and 15 deg |")
+    print("|---" * 4 + "|")
+    for path in arguments.runs:
+        rows += rows_of_run(path, arguments.episodes)
+    for robot in () if arguments.runs else MAIN_ROBOTS:
+        rows += rows_of_robot(robot, arguments.episodes)
+    if arguments.json:
+        arguments.json.write_text(json.dumps(rows, indent=2))
+
+
+if __name__ == "__main__":
+    main()

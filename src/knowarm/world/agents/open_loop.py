@@ -1,0 +1,290 @@
+"""Open-loop agent: plays the best fixed list of actions that a search finds, without looking.
+
+Its success is the part of a task that needs no observation: a trained agent has to exceed it
+before its score says anything about vision.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knowarm.world.agents.open_loop_score import OpenLoopScore, grasp_transforms
+from knowarm.world.config import EnvConfig
+from knowarm.world.draws import derive
+from knowarm.world.episodes import draw_episodes
+from knowarm.world.ik import InverseKinematics
+from knowarm.world.scene import load_scene
+from knowarm.world.tasks.reach import ACTION_LEVELS
+from knowarm.world.vector_env import ReachVectorEnv
+
+BUDGET = 20_000
+"""Candidates that a search scores: 13 s on one core."""
+
+SEARCH_EPISODES = 1_000
+"""Episodes on which candidates are scored."""
+
+ANCHORS = (-0.6, 0.0, 0.6)
+"""Places of the anchor targets along each side of the rectangle, in units of its half size."""
+
+BEAM_WIDTH = 2
+"""Beginnings of tours kept for each number of steps and set of targets solved."""
+
+VISITED_SHARE = 0.08
+"""Share of a target's episodes that must be solved for the target to count as visited."""
+
+MEMORY = 40
+"""Late acceptance: a mutation is kept if it is no worse than the list this many mutations ago."""
+
+LEVEL_ODDS = np.array([0.25, 0.3, 0.3, 0.05, 0.05, 0.025, 0.025])
+"""How often a mutation draws each action: rarely the small ones, which hardly move the arm."""
+
+Actions = NDArray[np.int64]
+"""A list of actions: indices into ``ACTION_LEVELS``, (T, J)."""
+
+
+class OpenLoopAgent:
+    """Searches for the best fixed list of actions of a task, then plays it in every episode.
+
+    Args:
+        seed: of the search; its episodes are others than those of evaluations of any seed.
+        budget: number of candidates that the search scores.
+    """
+
+    def __init__(self, seed: int = 0, budget: int = BUDGET) -> None:
+        self._seed = seed
+        self._budget = budget
+
+    def start(self, env: ReachVectorEnv) -> None:
+        """Search, once per task and process, and return to the list's first action."""
+        self._actions = search_open_loop(env.config, self._budget, self._seed)
+        self._num_envs = env.num_envs
+        self._step = 0
+
+    def act(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:
+        """Return the next action for every environment, (n, J)."""
+        self._step += 1
+        return np.tile(self._actions[self._step - 1], (self._num_envs, 1))
+
+
+@lru_cache(maxsize=16)
+def search_open_loop(config: EnvConfig, budget: int = BUDGET, seed: int = 0) -> Actions:
+    """Search for the fixed list of actions that solves most episodes of a task.
+
+    A third of the budget builds tours through joint angles that grasp the targets at anchor places:
+    a beam search over the number of steps, which keeps the best tours for each set of targets that
+    they solve. The rest improves the best tour of each set by hill climbing; after each round the
+    better half goes on. Candidates are scored with exact joint angles (``dynamics="kinematic"``).
+
+    Args:
+        config: the task, with its thresholds.
+        budget: number of candidates scored: a whole list or one segment of a tour.
+        seed: of the search episodes, the inverse kinematics and the mutations.
+
+    Returns:
+        The best list, one action per step of an episode.
+    """
+    scene = load_scene(config.robot, tuple(config.targets), config.randomization.distractors)
+    streams = np.full(SEARCH_EPISODES, derive(seed, "open-loop episodes"), dtype=np.uint64)
+    indices = np.arange(SEARCH_EPISODES, dtype=np.uint64)
+    score = OpenLoopScore(scene, config, draw_episodes(scene, config, streams, indices))
+    generator = np.random.default_rng(derive(seed, "open-loop mutations"))
+    tours, spent = _search_tours(score, _waypoints(score, seed), budget // 3)
+    climbs = [_Climb(score, tour) for tour in tours]
+    rounds = max(1, math.ceil(math.log2(len(climbs))))
+    for left in range(rounds, 0, -1):
+        share = (budget - spent) // left
+        for climb in climbs:
+            climb.run(share // len(climbs), generator)
+        spent += share
+        climbs.sort(key=lambda climb: -climb.best_solved)
+        climbs = climbs[: (len(climbs) + 1) // 2]
+    return climbs[0].best
+
+
+def _waypoints(score: OpenLoopScore, seed: int) -> NDArray[np.float64]:
+    """Joint angles (W, J) that grasp each target at each anchor.
+
+    The inverse kinematics takes the solution nearest to the mean start, and also the one nearest
+    to a grasp of each target, which makes the way between two targets short.
+    """
+    scene, robot = score.scene, score.scene.robot
+    grid = np.stack(np.meshgrid(ANCHORS, ANCHORS), axis=-1).reshape(-1, 2)
+    places = np.array(robot.rectangle_centre_m) + grid * np.array(robot.rectangle_half_size_m)
+    kinds = len(scene.targets)
+    target = np.repeat(np.arange(kinds), len(places))
+    goal = grasp_transforms(scene, target, np.tile(places, (kinds, 1)))
+    position, matrix = goal[..., 3].copy(), goal[..., :3].reshape(-1, 9).copy()
+    solver = InverseKinematics(scene, seed=seed)
+    middle = score.start.mean(axis=0)
+    near_start = solver.solve(position, matrix, np.tile(middle, (len(target), 1)))
+    grasps = near_start.joints[len(places) // 2 :: len(places)]
+    near_grasps = [solver.solve(position, matrix, np.tile(g, (len(target), 1))) for g in grasps]
+    found = (near_start, *near_grasps)
+    rows = np.concatenate([each.joints[each.within(0.03, 10.0)] for each in found])
+    _, first = np.unique(np.round(rows, 1), axis=0, return_index=True)
+    return rows[np.sort(first)]
+
+
+@dataclass(frozen=True)
+class _Tour:
+    """The beginning of a list of actions.
+
+    Attributes:
+        actions: (t, J).
+        joints: joint angles of every search episode after them [rad], (E, J).
+        solved: which episodes are solved, (E,) bool.
+        last: index of the waypoint it ends at; -1 for none.
+    """
+
+    actions: Actions
+    joints: NDArray[np.float64]
+    solved: NDArray[np.bool_]
+    last: int
+
+
+def _search_tours(
+    score: OpenLoopScore, waypoints: NDArray[np.float64], budget: int
+) -> tuple[list[Actions], int]:
+    """Search tours by a beam over the number of steps, extended by straight moves to waypoints.
+
+    Returns:
+        Lists of full length, the best for each set of targets, and the budget spent.
+    """
+    limit = score.config.max_episode_steps
+    beams: list[list[_Tour]] = [[] for _ in range(limit + 1)]
+    for tour in _first_moves(score):
+        beams[len(tour.actions)].append(tour)
+    spent = 0
+    for used in range(limit):
+        for tour in _best(score, beams[used], BEAM_WIDTH):
+            middle = tour.joints.mean(axis=0)
+            for w, goal in enumerate(waypoints):
+                if w == tour.last or spent >= budget:
+                    continue
+                actions = _segment(score, middle, goal, limit - used)
+                end, solved = score.play_on(tour.joints, actions, tour.solved)
+                beams[used + len(actions)].append(
+                    _Tour(np.concatenate([tour.actions, actions]), end, solved, w)
+                )
+                spent += 1
+        beams[used] = _best(score, beams[used], 1)
+    lists = []
+    for tour in _best(score, [tour for beam in beams for tour in beam], 1):
+        rest = np.zeros((limit - len(tour.actions), score.scene.num_joints), dtype=np.int64)
+        lists.append(np.concatenate([tour.actions, rest]))
+    return lists, spent
+
+
+def _segment(
+    score: OpenLoopScore, start: NDArray[np.float64], goal: NDArray[np.float64], steps: int
+) -> Actions:
+    """Move from joint angles to joint angles (J,) in a straight line, in at most so many steps.
+
+    The slowest joint moves by MPI at every step; each joint takes the action that brings it
+    nearest to the line.
+    """
+    way = goal - start
+    needed = max(1, math.ceil(np.abs(way).max() / score.increments.max() - 0.05))
+    actions = np.zeros((min(needed, steps), len(way)), dtype=np.int64)
+    now = start.copy()
+    for t in range(len(actions)):
+        line = start + way * (t + 1) / needed
+        actions[t] = np.abs((line - now)[:, None] - score.increments).argmin(axis=1)
+        now = now + score.increments[actions[t]]
+    return actions
+
+
+def _first_moves(score: OpenLoopScore) -> list[_Tour]:
+    """Begin tours: with nothing, or by moving start joints against a limit.
+
+    Once a joint is at its limit in every episode, its random start offset is gone.
+    """
+    scene, start = score.scene, score.start
+    limit = score.config.max_episode_steps
+    unsolved = np.zeros(len(start), dtype=np.bool_)
+    tours = [_Tour(np.zeros((0, scene.num_joints), dtype=np.int64), start, unsolved, -1)]
+    varied = np.flatnonzero(np.ptp(start, axis=0) > 0)
+    for mask in range(1, 3 ** len(varied)):
+        actions = np.zeros((limit, scene.num_joints), dtype=np.int64)
+        steps = 0
+        for i, j in enumerate(varied):
+            side = mask // 3**i % 3  # 0: stay, 1: to the upper limit, 2: to the lower
+            ways = (0, scene.joint_upper[j] - start[:, j].min(), start[:, j].max())
+            far = ways[side] - (scene.joint_lower[j] if side == 2 else 0)
+            needed = math.ceil(far / score.increments.max())
+            actions[:needed, j] = side
+            steps = max(steps, needed)
+        if 0 < steps <= limit // 2:
+            end, solved = score.play_on(start, actions[:steps], unsolved)
+            tours.append(_Tour(actions[:steps], end, solved, -1))
+    return tours
+
+
+def _best(score: OpenLoopScore, tours: list[_Tour], count: int) -> list[_Tour]:
+    """Keep, for each set of targets visited, the tours that solve most; best first."""
+    kept: list[_Tour] = []
+    sizes: dict[bytes, int] = {}
+    seen: set[bytes] = set()
+    episodes = np.bincount(score.target)
+    for tour in sorted(tours, key=lambda tour: -int(tour.solved.sum())):
+        shares = np.bincount(score.target, tour.solved, len(episodes)) / np.maximum(episodes, 1)
+        key = (shares > VISITED_SHARE).tobytes()
+        same = tour.solved.tobytes() + tour.joints[0].round(1).tobytes()
+        if sizes.get(key, 0) < count and same not in seen:
+            sizes[key] = sizes.get(key, 0) + 1
+            seen.add(same)
+            kept.append(tour)
+    return kept
+
+
+class _Climb:
+    """Late-acceptance hill climbing on a list of actions (Burke and Bykov 2017).
+
+    Attributes:
+        best: the best list so far, (T, J).
+        best_solved: number of search episodes that it solves.
+    """
+
+    def __init__(self, score: OpenLoopScore, actions: Actions) -> None:
+        self._score = score
+        self._actions = self.best = actions
+        self._first = score.first_success(actions)
+        self._solved = self.best_solved = score.count(self._first)
+        self._memory = [self._solved] * MEMORY
+        self._trials = 0
+
+    def run(self, budget: int, generator: np.random.Generator) -> None:
+        """Try so many mutations."""
+        for _ in range(budget):
+            candidate = _mutate(self._actions, generator)
+            differs = np.flatnonzero((candidate != self._actions).any(axis=1))
+            if not len(differs):
+                continue
+            first = self._score.first_success(candidate, self._first, int(differs[0]))
+            solved = self._score.count(first)
+            place = self._trials % MEMORY
+            if solved >= min(self._solved, self._memory[place]):
+                self._actions, self._first, self._solved = candidate, first, solved
+            self._memory[place] = self._solved
+            self._trials += 1
+            if solved > self.best_solved:
+                self.best, self.best_solved = candidate, solved
+
+
+def _mutate(actions: Actions, generator: np.random.Generator) -> Actions:
+    """Change one thing: one joint's actions in a window, or the time of an action."""
+    actions = actions.copy()
+    steps, joints = actions.shape
+    joint = slice(None) if generator.random() < 0.3 else [generator.integers(joints)]
+    first, second = generator.integers(steps, size=2)
+    if generator.random() < 0.5:  # move an action in time; what lies between shifts by one
+        moved = np.delete(actions[:, joint], first, axis=0)
+        actions[:, joint] = np.insert(moved, second, actions[first, joint], axis=0)
+    else:
+        width = 1 + generator.geometric(0.4)
+        level = generator.choice(len(ACTION_LEVELS), p=LEVEL_ODDS)
+        actions[first : first + width, generator.integers(joints)] = level
+    return actions

@@ -1,0 +1,248 @@
+"""Exact kinematics of many episodes that play the same list of actions; fast enough to search."""
+
+import math
+from itertools import pairwise
+
+import mujoco
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from knowarm.world.attach import ROBOT_PREFIX
+from knowarm.world.config import EnvConfig
+from knowarm.world.episodes import Episodes
+from knowarm.world.scene import Scene, target_places
+from knowarm.world.tasks.reach import joint_increments
+
+
+class OpenLoopScore:
+    """Exact kinematics of many episodes that all play the same list of actions.
+
+    E episodes, T steps, J joints.
+
+    Attributes:
+        start: joint angles at the start of each episode [rad], (E, J).
+        target: index of each episode's target, (E,).
+        increments: joint increment of each action [rad], (7,).
+    """
+
+    def __init__(self, scene: Scene, config: EnvConfig, episodes: Episodes) -> None:
+        self.scene = scene
+        self.config = config
+        self.increments = joint_increments(scene.robot, config)
+        lower, upper = scene.joint_lower, scene.joint_upper
+        self.target = episodes.target
+        self.start = np.clip(scene.home + episodes.joint_offsets, lower, upper)
+        varied = np.flatnonzero(np.ptp(self.start, axis=0) > 0)
+        self._varied = int(varied[-1]) + 1 if len(varied) else 0
+        self._links, self._slides = _joint_chain(scene)
+        goal = grasp_transforms(scene, episodes.target, episodes.position)
+        self._goal = np.ascontiguousarray(goal)
+        self._cosine = float(np.cos(np.radians(config.success_angle_deg)))
+
+    def first_success(
+        self,
+        actions: NDArray[np.int64],
+        known: NDArray[np.int64] | None = None,
+        since: int = 0,
+    ) -> NDArray[np.int64]:
+        """Find the step (from 0) at which a list of actions solves each episode, (E,).
+
+        Episodes that are never solved get ``max_episode_steps``.
+
+        Args:
+            actions: indices into ``ACTION_LEVELS``, (T, J).
+            known: the result for a list that is equal before step ``since``; saves time.
+            since: first step that differs from that list.
+        """
+        if known is None:
+            known = np.full(len(self.start), self.config.max_episode_steps)
+        return self._play(self.start, actions, known, since)[0]
+
+    def count(self, first: NDArray[np.int64]) -> int:
+        """Count the episodes that a result of ``first_success`` solves."""
+        return int((first < self.config.max_episode_steps).sum())
+
+    def play_on(
+        self,
+        joints: NDArray[np.float64],
+        actions: NDArray[np.int64],
+        solved: NDArray[np.bool_],
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Play more actions (T, J) from joint angles (E, J) [rad].
+
+        Args:
+            joints: joint angles before the actions.
+            actions: indices into ``ACTION_LEVELS``.
+            solved: episodes that were solved before, (E,).
+
+        Returns:
+            The joint angles after the actions (E, J), and which episodes are solved then, (E,).
+        """
+        first, end = self._play(joints, actions, np.where(solved, -1, 0), 0)
+        return end, first < self.config.max_episode_steps
+
+    def _play(
+        self,
+        joints: NDArray[np.float64],
+        actions: NDArray[np.int64],
+        known: NDArray[np.int64],
+        since: int,
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Play actions; episodes with ``known`` below ``since`` are solved and keep their step."""
+        return _play(
+            joints,
+            self.increments[actions],
+            self.scene.joint_lower,
+            self.scene.joint_upper,
+            self._links,
+            self._slides,
+            self._varied,
+            self._goal,
+            self.config.success_distance_m,
+            self._cosine,
+            self.config.ignore_roll,
+            known,
+            since,
+            self.config.max_episode_steps,
+        )
+
+
+@njit(cache=True, error_model="numpy")
+def _play(
+    joints: NDArray[np.float64],
+    moves: NDArray[np.float64],
+    lower: NDArray[np.float64],
+    upper: NDArray[np.float64],
+    links: NDArray[np.float64],
+    slides: NDArray[np.bool_],
+    varied: int,
+    goal: NDArray[np.float64],
+    distance_m: float,
+    cosine: float,
+    ignore_roll: bool,
+    known: NDArray[np.int64],
+    since: int,
+    never: int,
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Kernel of ``OpenLoopScore``.
+
+    Joints from number ``varied`` on have the same angles in every episode: their part of the chain
+    is computed once per step. Angles come last, as most gripper positions are too far away.
+    """
+    episodes, count = joints.shape
+    steps = moves.shape[0]
+    end = joints.copy()
+    same = joints[0].copy()
+    tail = np.empty((steps, 3, 4))
+    for t in range(steps):
+        tail[t] = links[count]
+        for j in range(count - 1, varied - 1, -1):
+            same[j] = min(max(same[j] + moves[t, j], lower[j]), upper[j])
+            cos, sin = math.cos(same[j]), math.sin(same[j])
+            for c in range(4):
+                _carry(tail[t, :, c], same[j], cos, sin, slides[j], links[j], c == 3)
+    end[:, varied:] = same[varied:]
+    move_cos, move_sin = np.cos(moves[:, :varied]), np.sin(moves[:, :varied])
+    cosines, sines = np.empty(varied), np.empty(varied)
+    first = np.full(episodes, never)
+    gripper = np.empty((3, 4))
+    for e in range(episodes):
+        done = known[e] < since
+        if done:
+            first[e] = known[e]
+        for t in range(steps):
+            for j in range(varied):
+                angle = end[e, j] + moves[t, j]
+                end[e, j] = min(max(angle, lower[j]), upper[j])
+                if t <= since or end[e, j] != angle:
+                    if not done and t >= since:
+                        cosines[j], sines[j] = math.cos(end[e, j]), math.sin(end[e, j])
+                else:  # four products instead of cosine and sine
+                    cos, sin = cosines[j], sines[j]
+                    cosines[j] = cos * move_cos[t, j] - sin * move_sin[t, j]
+                    sines[j] = sin * move_cos[t, j] + cos * move_sin[t, j]
+            if done or t < since:
+                continue
+            square = 0.0
+            gripper[:, 3] = tail[t, :, 3]
+            for j in range(varied - 1, -1, -1):
+                _carry(gripper[:, 3], end[e, j], cosines[j], sines[j], slides[j], links[j], True)
+            for k in range(3):
+                square += (gripper[k, 3] - goal[e, k, 3]) ** 2
+            if square >= distance_m**2:
+                continue
+            gripper[:, :3] = tail[t, :, :3]
+            for c in range(2 if ignore_roll else 0, 3):
+                for j in range(varied - 1, -1, -1):
+                    _carry(
+                        gripper[:, c], end[e, j], cosines[j], sines[j], slides[j], links[j], False
+                    )
+            trace = 0.0
+            for c in range(2 if ignore_roll else 0, 3):
+                for k in range(3):
+                    trace += gripper[k, c] * goal[e, k, c]
+            if (trace if ignore_roll else (trace - 1) / 2) > cosine:
+                first[e] = t
+                done = True
+    return first, end
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _carry(
+    column: NDArray[np.float64],
+    value: float,
+    cos: float,
+    sin: float,
+    slide: bool,
+    link: NDArray[np.float64],
+    is_point: bool,
+) -> None:
+    """Carry a column of a pose, in place, over one joint and the link before it."""
+    x, y, z = column[0], column[1], column[2]
+    if slide:
+        z += value if is_point else 0.0
+    else:
+        x, y = cos * x - sin * y, sin * x + cos * y
+    shift = 1.0 if is_point else 0.0
+    for k in range(3):
+        column[k] = link[k, 0] * x + link[k, 1] * y + link[k, 2] * z + link[k, 3] * shift
+
+
+def _joint_chain(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Split the arm into constant transforms with a turn about z, or a slide along z, between.
+
+    Returns:
+        links (J + 1, 3, 4): the transform before each joint, at angle 0, and that to the gripper;
+        and which joints are slides, (J,).
+    """
+    model = scene.model
+    joints = [model.joint(ROBOT_PREFIX + name).id for name in scene.robot.joints]
+    data = mujoco.MjData(model)
+    data.qpos[scene.qpos_index] = 0.0
+    mujoco.mj_kinematics(model, data)
+    tcp = np.eye(4)
+    tcp[:3, :3] = data.site_xmat[scene.tcp_site].reshape(3, 3)
+    tcp[:3, 3] = data.site_xpos[scene.tcp_site]
+    frames = [np.eye(4), *(_axis_frame(data.xanchor[j], data.xaxis[j]) for j in joints), tcp]
+    links = [(np.linalg.inv(a) @ b)[:3] for a, b in pairwise(frames)]
+    return np.stack(links), model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE
+
+
+def _axis_frame(anchor: NDArray[np.float64], axis: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Build a frame (4, 4) at a joint's anchor with z along its axis."""
+    side = np.eye(3)[np.argmin(np.abs(axis))]
+    x = np.cross(side, axis)
+    x /= np.linalg.norm(x)
+    frame = np.eye(4)
+    frame[:3, :3] = np.stack([x, np.cross(axis, x), axis], axis=1)
+    frame[:3, 3] = anchor
+    return frame
+
+
+def grasp_transforms(
+    scene: Scene, target: NDArray[np.int64], position: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Grasp frames of targets at places (n, 2) [m] as transforms to world (n, 3, 4)."""
+    points = target_places(scene, position) + scene.grasp_position[target]
+    return np.concatenate([scene.grasp_matrix[target], points[..., None]], axis=2)

@@ -1,0 +1,98 @@
+"""Agents without eyes: the open-loop search scores lists as the environment plays them."""
+
+import numpy as np
+import pytest
+
+from knowarm.world.agents import BlindAgent, FrozenAgent, OpenLoopAgent
+from knowarm.world.agents.open_loop import search_open_loop
+from knowarm.world.agents.open_loop_score import OpenLoopScore
+from knowarm.world.config import EnvConfig
+from knowarm.world.episodes import evaluation_episodes
+from knowarm.world.play import play
+from knowarm.world.robots import MAIN_ROBOTS
+from knowarm.world.vector_env import ReachVectorEnv
+from tests.world.helpers import EXAMPLES
+
+SCARA = str(EXAMPLES / "scara.toml")  # with a slide
+
+
+class ListAgent:
+    """Plays a list of actions and notes the images it is given."""
+
+    def __init__(self, actions: np.ndarray) -> None:
+        self.actions = actions
+        self.seen: list[np.ndarray] = []
+
+    def start(self, env: ReachVectorEnv) -> None:
+        self.num_envs = env.num_envs
+        self.step = 0
+
+    def act(self, observations: np.ndarray) -> np.ndarray:
+        self.seen.append(observations.copy())
+        self.step += 1
+        return np.tile(self.actions[self.step - 1], (self.num_envs, 1))
+
+
+def loose(robot: str, **fields) -> EnvConfig:
+    return EnvConfig(
+        robot=robot,
+        dynamics="kinematic",
+        image_size=4,
+        success_distance_m=0.3,
+        success_angle_deg=40.0 if fields.get("ignore_roll") else 75.0,
+        **fields,
+    )
+
+
+@pytest.mark.parametrize("ignore_roll", [False, True])
+@pytest.mark.parametrize("robot", [*MAIN_ROBOTS, "tiago-near", SCARA])
+def test_the_score_equals_the_kinematic_environment(robot, ignore_roll):
+    targets = ("bottle",) if robot == SCARA else EnvConfig().targets
+    config = loose(robot, ignore_roll=ignore_roll, targets=targets, mpi_rad=0.08)
+    env = ReachVectorEnv(config, 60)
+    episodes = evaluation_episodes(env.scene, config, 60, 0)
+    score = OpenLoopScore(env.scene, config, episodes)
+    actions = np.random.default_rng(1).choice([0, 1, 1, 2, 3], size=(50, env.scene.num_joints))
+    result = play(ListAgent(actions), env, episodes)
+    first = score.first_success(actions)
+    assert 0 < result.success.sum() < 60
+    np.testing.assert_array_equal(first < 50, result.success)
+    np.testing.assert_array_equal(first[result.success] + 1, result.length[result.success])
+    assert score.count(first) == result.success.sum()
+    changed = actions.copy()
+    changed[20:] = 0
+    again = score.first_success(changed, first, 20)
+    np.testing.assert_array_equal(again, score.first_success(changed))
+    half, solved = score.play_on(score.start, actions[:20], np.zeros(60, dtype=bool))
+    _, solved = score.play_on(half, actions[20:], solved)
+    np.testing.assert_array_equal(solved, result.success)
+
+
+def test_the_search_is_reproducible_and_beats_standing_still():
+    config = EnvConfig(robot="tiago-near", success_distance_m=0.10, success_angle_deg=17.0)
+    actions = search_open_loop(config, 600, 3)
+    search_open_loop.cache_clear()
+    np.testing.assert_array_equal(actions, search_open_loop(config, 600, 3))
+    assert actions.shape == (50, 7)
+    env = ReachVectorEnv(EnvConfig(robot="tiago-near", image_size=4), 100)
+    env.config = config
+    episodes = evaluation_episodes(env.scene, config, 100, 0)
+    blind = play(OpenLoopAgent(3, 600), ReachVectorEnv(config, 100), episodes).success.mean()
+    still = play(ListAgent(np.zeros_like(actions)), ReachVectorEnv(config, 100), episodes)
+    assert blind > 0.3 > still.success.mean()
+
+
+def test_a_blind_agent_sees_black_and_a_frozen_one_the_first_image():
+    env = ReachVectorEnv(loose("irb120", max_episode_steps=3), 2)
+    episodes = evaluation_episodes(env.scene, env.config, 2, 0)
+    blind, frozen, seeing = (ListAgent(np.ones((3, 6), dtype=np.int64)) for _ in range(3))
+    for _ in range(2):  # a second start forgets the first images
+        play(BlindAgent(blind), env, episodes)
+        play(FrozenAgent(frozen), env, episodes)
+        play(seeing, env, episodes)
+        episodes = episodes[np.array([1, 0])]
+    assert not np.any(blind.seen)
+    assert len(frozen.seen) == len(seeing.seen) == 6
+    for k, image in enumerate(frozen.seen):
+        np.testing.assert_array_equal(image, seeing.seen[k // 3 * 3])
+    assert (seeing.seen[2] != seeing.seen[0]).any()
