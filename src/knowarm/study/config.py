@@ -1,10 +1,12 @@
 """Studies as data: experiments, seeds, overrides and evaluations, from TOML, JSON or Python."""
 
+import dataclasses
 import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,7 @@ from knowarm.experiment.config import EvaluationConfig, ExperimentConfig
 from knowarm.experiment.registry import Colours, experiment_config, experiment_name
 from knowarm.experiment.run_folder import write_json
 from knowarm.reading import read_json
-from knowarm.study.executors import EXECUTORS, Local, Where
+from knowarm.study.executors import EXECUTORS, Local, RunKey, Where
 from knowarm.study.mirrors import MIRRORS
 
 FORMAT = 1
@@ -138,7 +140,7 @@ class StudyConfig:
 
     def runs(self) -> list[ExperimentConfig]:
         """Return the config of every run, experiment by experiment."""
-        return [replace(each, {"seed": s}) for each in self._experiments() for s in self.seeds]
+        return list(self._runs.values())
 
     def run(self, experiment: str, seed: int) -> ExperimentConfig:
         """Return the config of one run.
@@ -146,11 +148,18 @@ class StudyConfig:
         Raises:
             UserError: the study has no such run.
         """
-        found = {(each.name, each.seed): each for each in self.runs()}
-        if (experiment, seed) not in found:
-            names = [f"{name}/{seed}" for name, seed in found]
+        if (experiment, seed) not in self._runs:
+            names = [f"{name}/{seed}" for name, seed in self._runs]
             raise unknown_name(f"run of the study {self.name!r}", f"{experiment}/{seed}", names)
-        return found[experiment, seed]
+        return self._runs[experiment, seed]
+
+    @cached_property
+    def _runs(self) -> dict[RunKey, ExperimentConfig]:
+        return {
+            (each.name, seed): dataclasses.replace(each, seed=seed)
+            for each in self._experiments()
+            for seed in self.seeds
+        }
 
     def _experiments(self) -> list[ExperimentConfig]:
         return [self._experiment(name) for name in self.cells()]

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -182,28 +183,41 @@ def seconds_left(statuses: Sequence[RunStatus]) -> dict[RunKey, float]:
 
 def _progress(folder: RunFolder) -> dict[str, Any]:
     """Read step, rate, time and interim success from the curves."""
-    rows = _rows(folder.metrics_path)
+    progress: dict[str, Any] = {}
+    for path, read in (
+        (folder.metrics_path, _training),
+        (folder.evaluations_path, _interim_success),
+    ):
+        try:
+            found = path.stat()
+            progress |= read(path, found.st_mtime_ns, found.st_size)
+        except OSError:  # not there yet, or being replaced
+            continue
+    return progress
+
+
+@lru_cache(maxsize=2000)
+def _training(path: Path, *version: int) -> Mapping[str, Any]:
+    """Read a run's metrics; not again while the file is the same."""
+    rows = read_csv(path)
     seconds, before = 0.0, 0.0
     for row in rows:
         now = float(row.get("wall_time_s") or 0)
         # The clock starts anew with each session.
         seconds, before = seconds + (now - before if now >= before else now), now
     last: Mapping[str, str] = rows[-1] if rows else {}
-    success = [row["success"] for row in _rows(folder.evaluations_path) if row.get("success")]
     return {
         "step": int(float(last.get("step") or 0)),
         "steps_per_s": float(last.get("steps_per_s") or 0) or None,
         "seconds": seconds,
-        "success": float(success[-1]) if success else None,
     }
 
 
-def _rows(path: Path) -> list[dict[str, str]]:
-    """Read a curve; none while it is missing or being replaced."""
-    try:
-        return read_csv(path)
-    except OSError:
-        return []
+@lru_cache(maxsize=2000)
+def _interim_success(path: Path, *version: int) -> Mapping[str, Any]:
+    """Read the success of the latest interim evaluation."""
+    success = [row["success"] for row in read_csv(path) if row.get("success")]
+    return {"success": float(success[-1])} if success else {}
 
 
 def _failure(path: Path) -> str:

@@ -1,0 +1,91 @@
+"""The commands of `knowarm study`."""
+
+import io
+import json
+import shutil
+
+import pytest
+from rich.console import Console
+
+from knowarm.cli.main import main
+from knowarm.cli.study_table import StudyProgress, status_table
+from knowarm.study.config import SHIPPED, read_study
+from knowarm.study.driver import open_study
+from knowarm.study.status import FAILURE, study_status
+from knowarm.study.worker import record_failure
+from tests.study.tiny import TOML
+
+pytestmark = pytest.mark.usefixtures("inline")
+
+
+def test_studies_are_shown(capsys, tmp_path):
+    assert main(["study", "show"]) == 0
+    out = capsys.readouterr().out
+    assert all(name in out for name in SHIPPED)
+    assert main(["study", "show", "paper"]) == 0
+    out = capsys.readouterr().out
+    assert SHIPPED["paper"].read_text() in out
+    assert all(cell in out for cell in read_study("paper").cells())
+
+
+def test_status_retry_stop_report_and_pack(capsys, tmp_path, finished):
+    out = shutil.copytree(finished, tmp_path / "tiny")
+    record_failure(out / "irb120-bm-ppo" / "0", "a reason")
+    file = tmp_path / "status.json"
+    assert main(["study", "status", str(out), "--json", str(file)]) == 0
+    assert "irb120-bm-ppo/0 failed: a reason" in capsys.readouterr().out
+    values = json.loads(file.read_text())
+    assert values["states"] == {"failed": 1, "done": 1}
+    assert [run["state"] for run in values["runs"]] == ["failed", "done"]
+    assert main(["study", "report", str(out)]) == 0
+    assert "Missing: irb120-bm-ppo/0 is failed" in capsys.readouterr().out
+    assert (out / "report.html").exists()
+    assert main(["study", "retry", str(out), "irb120-bm-ppo"]) == 0
+    assert not (out / "irb120-bm-ppo" / "0" / FAILURE).exists()
+    assert main(["study", "stop", str(out)]) == 0
+    assert "Nothing is running" in capsys.readouterr().out
+    assert main(["study", "pack", str(out)]) == 0
+    assert main(["study", "unpack", f"{out}.tar.gz", "--out", str(tmp_path / "again")]) == 0
+    assert main(["study", "run", str(tmp_path / "again")]) == 2
+    assert "unpacked study" in capsys.readouterr().err
+    assert main(["study", "run", str(out)]) == 0
+    assert "Complete" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["run", "papper"], "'paper'"),
+        (["run", "mine.toml", "--where", "slurm"], "'slurm'"),
+        (["run", "mine.toml", "--seeds", "1", "1"], "given twice"),
+        (["run", "mine.toml", "--cores", "100000"], "where.cores"),
+        (["run", "mine.toml", "--mirrors", "wanbd"], "'wandb'"),
+        (["status", "."], "holds no study"),
+        (["shwo"], "'show'"),
+    ],
+)
+def test_mistakes_end_in_one_line_and_nothing_is_written(
+    capsys, tmp_path, monkeypatch, arguments, words
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.toml").write_text(TOML)
+    assert main(["study", *arguments]) == 2
+    err = capsys.readouterr().err
+    assert words in err
+    assert err.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.toml"]
+
+
+def test_the_display_shows_states_as_table_or_lines(capsys, finished):
+    study = open_study(finished)
+    statuses = study_status(study, finished)
+    file = io.StringIO()
+    Console(file=file, width=120).print(status_table(study, statuses))
+    assert "irb120-bm-ppo" in file.getvalue()
+    assert file.getvalue().count("done") == 3
+    with StudyProgress(study) as show:
+        show(statuses)
+        show(statuses)
+    out = capsys.readouterr().out
+    assert out.count("irb120-bm-ppo/0 done") == 1
+    assert out.count("2 runs: 2 done.") == 1
