@@ -6,13 +6,14 @@
 # WHEELS  folder of wheels, made as gpu-requirements.txt says; split files (*.whl.part*) are joined.
 #         They are installed into an environment that also sees the packages of PYTHON (torch,
 #         Numba). If left out or empty, only PYTHON's packages are used.
-# OUT     folder for the results (runs/gpu): gpu.json, parity.txt, and of the training metrics.csv,
+# OUT     folder for the results (the environment variable OUT, else runs/gpu): gpu.json, parity.txt, and of the training metrics.csv,
 #         evaluations.csv, config.json and provenance.json.
 #
 # Settings, as environment variables:
 #   STAGES   stages to run, of "parity bench train" (all). Each resumes an earlier call:
 #            bench measures the rows that gpu.json lacks, train resumes from the last checkpoint.
-#   LIMIT_S  time limit per stage (540 s); train then saves and stops, call again to resume.
+#   DRY_RUN  1 to check and print sizes and commands only; nothing is installed or measured.
+#   LIMIT_S  time limit per stage (480 s); train then saves and stops, call again to resume.
 #   PYTHON   interpreter (python3).      WORK  folder for files kept between calls
 #   DEVICE   cuda (default) or cpu.            (runs/gpu-work); remove it to start over.
 #   TINY     1 for small sizes that only check that every stage runs.
@@ -20,8 +21,8 @@
 set -euo pipefail
 
 here=$(cd "$(dirname "$0")/.." && pwd)
-WHEELS=${1:-} OUT=${2:-$here/runs/gpu} WORK=${WORK:-$here/runs/gpu-work}
-PYTHON=${PYTHON:-python3} DEVICE=${DEVICE:-cuda} TINY=${TINY:-} LIMIT_S=${LIMIT_S:-540}
+WHEELS=${1:-} OUT=${2:-${OUT:-$here/runs/gpu}} WORK=${WORK:-$here/runs/gpu-work}
+PYTHON=${PYTHON:-python3} DEVICE=${DEVICE:-cuda} TINY=${TINY:-} LIMIT_S=${LIMIT_S:-480} DRY_RUN=${DRY_RUN:-}
 STAGES=${STAGES-parity bench train}
 requirements=$here/benchmarks/gpu-requirements.txt
 experiment=irb120-full-ppo
@@ -34,6 +35,29 @@ for stage in $STAGES; do
 done
 case $DEVICE in cpu | cuda) ;; *) fail "DEVICE must be cuda or cpu, got '$DEVICE'." ;; esac
 [ -z "$WHEELS" ] || [ -d "$WHEELS" ] || fail "the folder of wheels $WHEELS does not exist."
+
+# Largest file of WHEELS.
+PART_BYTES=48000000
+
+# Print what a call would do: the files that travel, and each stage with its limit.
+dry_run() {
+  local file size total=0
+  for file in ${WHEELS:+"$WHEELS"/*.whl*}; do
+    [ -f "$file" ] || continue
+    size=$(stat -c %s "$file") total=$((total + $(stat -c %s "$file")))
+    printf '%6d kB  %s\n' $((size / 1000)) "${file##*/}"
+    [ "$size" -le $PART_BYTES ] || fail "${file##*/} has more than $((PART_BYTES / 1000000)) MB: split it (gpu-requirements.txt says how)."
+  done
+  echo "files in all: $((total / 1000)) kB, in $(((total + PART_BYTES - 1) / PART_BYTES)) transfers of at most $((PART_BYTES / 1000000)) MB"
+  for stage in $STAGES; do
+    echo "at most $LIMIT_S s: STAGES=$stage DEVICE=$DEVICE benchmarks/gpu.sh ${1:-}"
+  done
+}
+if [ -n "$DRY_RUN" ]; then
+  dry_run "${1:-}"
+  exit
+fi
+
 mkdir -p "$OUT" "$WORK"
 OUT=$(cd "$OUT" && pwd) WORK=$(cd "$WORK" && pwd) run=$WORK/runs/$experiment/0
 [ -z "$WHEELS" ] || WHEELS=$(cd "$WHEELS" && pwd)
@@ -66,7 +90,7 @@ for path in sys.path:
     [ ! -e "$part" ] || cat "$part" >> "$WORK/wheels/$(basename "${part%.part*}")"
   done
   compgen -G "$WORK/wheels/*.whl" > /dev/null || fail "there are no wheels in $WHEELS."
-  "$PYTHON" -m pip install --quiet --disable-pip-version-check --no-index --no-deps "$WORK"/wheels/*.whl
+  "$PYTHON" -m pip install --quiet --disable-pip-version-check --no-index --no-deps --no-compile "$WORK"/wheels/*.whl
 }
 
 parity() {
@@ -108,8 +132,9 @@ train() {
           --interim.every-steps 40 --interim.episodes 2 --checkpoint-every-steps 40)
       else
         # Checkpoints hold the environments' last images: fewer than on the CPU.
+        # An interim evaluation takes two CPU cores for seconds: 140 of them, not 1,400.
         options+=(--total-steps 70000000 --algorithm.num-envs 4096 --algorithm.minibatches 16
-          --checkpoint-every-steps 10000000)
+          --checkpoint-every-steps 10000000 --interim.every-steps 500000)
       fi
       # shellcheck disable=SC2206
       options+=(${TRAIN_OPTIONS:-})
@@ -128,6 +153,17 @@ train() {
 }
 
 export PYTHONUNBUFFERED=1
+# Warp keeps its compiled kernels there, from one call to the next.
+export WARP_CACHE_PATH=${WARP_CACHE_PATH:-$WORK/warp-cache}
+# Numba compiles with NVVM, which it looks for below CUDA_HOME.
+if [ -z "${CUDA_HOME:-}" ]; then
+  for folder in "$(dirname "$(dirname "$(command -v nvcc || echo /none/bin/nvcc)")")" /usr/local/cuda /usr/local/cuda-*; do
+    if [ -d "$folder/nvvm" ]; then
+      export CUDA_HOME=$folder
+      break
+    fi
+  done
+fi
 [ -z "$WHEELS" ] || install
 export PYTHONPATH=$here/src${PYTHONPATH:+:$PYTHONPATH}
 cd "$here"

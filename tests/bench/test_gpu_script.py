@@ -130,6 +130,24 @@ def test_split_wheels_are_installed_beside_the_packages_of_python(tmp_path: Path
     assert found.stdout == "42\n"
 
 
+def test_a_dry_run_prints_sizes_and_commands_and_does_nothing(tmp_path: Path) -> None:
+    wheels = tmp_path / "wheels"
+    wheels.mkdir()
+    (wheels / "a-1.0-py3-none-any.whl.partaa").write_bytes(b"x" * 3000)
+    done = gpu_sh(tmp_path, str(wheels), str(tmp_path / "out"), DRY_RUN="1", LIMIT_S="480")
+    assert done.returncode == 0, done.stderr
+    assert "3 kB  a-1.0-py3-none-any.whl.partaa" in done.stdout
+    assert "files in all: 3 kB, in 1 transfers of at most 48 MB" in done.stdout
+    for stage in ("parity", "bench", "train"):
+        assert f"at most 480 s: STAGES={stage} DEVICE=cpu benchmarks/gpu.sh" in done.stdout
+    assert not (tmp_path / "out").exists()
+    with (wheels / "b-1.0-py3-none-any.whl").open("wb") as file:
+        file.truncate(48_000_001)
+    done = gpu_sh(tmp_path, str(wheels), str(tmp_path / "out"), DRY_RUN="1")
+    assert done.returncode == 1
+    assert "b-1.0-py3-none-any.whl has more than 48 MB: split it" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("arguments", "settings", "words"),
     [

@@ -1,6 +1,13 @@
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
 import torch
 
+from knowarm.policy import lstm as lstm_module
 from knowarm.policy import lstm_kernels
 from knowarm.policy.lstm import MaskedLSTM, MaskedLSTMFunction
 
@@ -82,3 +89,67 @@ def test_the_compiled_loops_do_what_the_operations_do(monkeypatch):
         results.append([hidden, h, c, *(tensor.grad for tensor in inputs)])
     for one, other in zip(*results, strict=True):
         torch.testing.assert_close(one, other, rtol=1e-5, atol=2e-6)
+
+
+@pytest.mark.parametrize("low", [torch.float32, torch.bfloat16])
+def test_the_operations_of_a_gpu_do_what_steps_do_in_both_precisions(monkeypatch, low):
+    monkeypatch.setattr(lstm_kernels, "_can_compile", lambda tensor: False)
+    torch.manual_seed(4)
+    lstm = MaskedLSTM(N, H)
+    for parameter in lstm.parameters():
+        torch.nn.init.normal_(parameter)
+    x, state, start = random_case()
+    x, state = x.float().requires_grad_(), tuple(part.float() for part in state)
+    gradients = []
+    for unrolled in (True, False):
+        with torch.autocast("cpu", torch.bfloat16, enabled=low == torch.bfloat16):
+            if unrolled:
+                hidden, (_, c) = lstm.unroll(x, state, start)
+            else:
+                after, steps = state, []
+                for t in range(T):
+                    one, after = lstm.step(x[t], after, start[t])
+                    steps.append(one)
+                hidden, c = torch.stack(steps), after[1]
+        assert hidden.dtype == c.dtype == torch.float32
+        inputs = [x, *lstm.parameters()]
+        loss = hidden.square().sum() + c.sin().sum()
+        gradients.append([hidden, c, *torch.autograd.grad(loss, inputs)])
+    tolerance = 1e-5 if low == torch.float32 else 0.05
+    for one, other in zip(*gradients, strict=True):
+        torch.testing.assert_close(
+            one, other, rtol=tolerance, atol=tolerance * float(other.abs().max())
+        )
+
+
+def triton_program(task, interpret):
+    pytest.importorskip("triton")
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.policy.triton_lstm", task],
+        cwd=Path(__file__).parents[2],
+        env=os.environ | {"TRITON_INTERPRET": str(int(interpret))},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_tritons_kernels_do_what_the_operations_do():
+    """In Triton's interpreter, with and without padding, in float32 and bfloat16."""
+    assert triton_program("compare", interpret=True)
+
+
+def test_tritons_kernels_compile_for_the_gpu():
+    kernels = json.loads(triton_program("compile", interpret=False))
+    assert set(kernels) == {"forward_kernel", "backward_kernel"}
+    for found in kernels.values():
+        assert found["f64"] == found["local"] == 0
+        assert found["stores"]
+
+
+def test_a_triton_that_cannot_compile_is_reported_once(monkeypatch):
+    pytest.importorskip("triton")
+    monkeypatch.setattr(lstm_module, "_triton", lstm_module._triton.__wrapped__)
+    with pytest.warns(RuntimeWarning, match="Triton could not compile the LSTM's kernels"):
+        assert lstm_module._triton() is None

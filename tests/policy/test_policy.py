@@ -7,6 +7,7 @@ import torch
 from knowarm.errors import UserError
 from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
 from knowarm.policy.config import layer_widths
+from knowarm.policy.encoder import ImageEncoder
 from knowarm.policy.fusion import FUSIONS, Fusion
 
 T, B, K, FACETS = 4, 3, 12, 5
@@ -300,3 +301,18 @@ def test_the_activation_after_the_fully_connected_layer(activation):
     gain = 2.0 if activation == "relu" else 1.0
     product = policy.fc.weight @ policy.fc.weight.T
     torch.testing.assert_close(product, gain * torch.eye(16), rtol=0, atol=1e-5)
+
+
+def test_the_first_convolution_over_blocks_is_the_one_over_patches(monkeypatch):
+    """On a GPU four patches are multiplied at once."""
+    torch.manual_seed(0)
+    encoder = ImageEncoder(24, pixel_shift=0.5, pixel_scale=4.0)
+    patches = encoder.patches(torch.randint(256, (3, 24, 24, 3), dtype=torch.uint8))
+    results = []
+    for blocks in (False, True):
+        monkeypatch.setattr(encoder, "_multiplies_blocks", lambda given, answer=blocks: answer)
+        features = encoder(patches)
+        parameters = list(encoder.parameters())
+        results.append([features, *torch.autograd.grad(features.square().sum(), parameters)])
+    for one, other in zip(*results, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-4, atol=1e-4 * float(other.abs().max()))

@@ -1,5 +1,9 @@
 """Masked LSTM: a single-layer LSTM whose state is reset where an episode starts."""
 
+import warnings
+from functools import cache
+from importlib import import_module
+from importlib.util import find_spec
 from typing import Any
 
 import torch
@@ -68,11 +72,20 @@ class MaskedLSTM(nn.Module):
             Hidden states (T, B, H) and the state after the last step.
         """
         keep = (~episode_start).to(self.weight_hh.dtype)[:, :, None]
-        hidden, h, c = MaskedLSTMFunction.apply(self._project(x), self.weight_hh, *state, keep)
+        projected = self._project_aligned(x) if _uses_triton(x) else self._project(x)
+        hidden, h, c = MaskedLSTMFunction.apply(projected, self.weight_hh, *state, keep)
         return hidden, (h, c)
 
     def _project(self, x: Tensor) -> Tensor:
         return F.linear(x, self.weight_ih, self.bias_ih + self.bias_hh)
+
+    def _project_aligned(self, x: Tensor) -> Tensor:
+        """Compute `_project` with sizes padded to multiples of eight; see `lstm_triton`."""
+        gates, inputs = self.weight_ih.shape
+        more, missing = -gates % 8, -inputs % 8
+        weight = F.pad(self.weight_ih, (0, missing, 0, more))
+        bias = F.pad(self.bias_ih + self.bias_hh, (0, more))
+        return F.linear(F.pad(x, (0, missing)), weight, bias)[..., :gates]
 
 
 class MaskedLSTMFunction(torch.autograd.Function):
@@ -85,7 +98,8 @@ class MaskedLSTMFunction(torch.autograd.Function):
 
     PyTorch's fused LSTM has no masks within a sequence, and a Python loop under autograd
     computes T products per weight gradient. Here each weight gradient is one product, and the
-    element-wise work between two products is one loop (`knowarm.policy.lstm_kernels`).
+    element-wise work between two products is one loop on the CPU (`knowarm.policy.lstm_kernels`)
+    and one kernel on a GPU with Triton (`knowarm.policy.lstm_triton`).
 
     Matrix products have the dtype of ``projected`` (float32, or bfloat16 for speed); everything
     else, the cell state in particular, has the dtype of ``weight_hh``.
@@ -108,6 +122,11 @@ class MaskedLSTMFunction(torch.autograd.Function):
         Returns:
             Hidden states (T, B, H), last hidden state (B, H), last cell state (B, H).
         """
+        ctx.fused = _uses_triton(projected)
+        if ctx.fused:
+            hidden, h, c, saved = _triton().forward(projected, weight_hh, h, c, keep)
+            ctx.save_for_backward(*saved, keep)
+            return hidden, h, c
         steps, batch, _ = projected.shape
         size = weight_hh.shape[1]
         low, full = projected.dtype, weight_hh.dtype
@@ -131,6 +150,9 @@ class MaskedLSTMFunction(torch.autograd.Function):
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, None]:
         """Return the gradients of all inputs but ``keep``."""
         d_hidden, dh, dc = grads
+        if ctx.fused:
+            *saved, keep = ctx.saved_tensors
+            return *_triton().backward(saved, keep, *grads), None
         gates, weight, h_in, c_in, c_tanh, keep = ctx.saved_tensors
         size = weight.shape[1]
         d_projected = torch.empty_like(gates, dtype=weight.dtype)
@@ -142,3 +164,27 @@ class MaskedLSTMFunction(torch.autograd.Function):
             d_next.copy_(torch.mm(low, weight))
         d_weight = d_projected.view(-1, 4 * size).t() @ h_in.view(-1, size)
         return d_projected, d_weight.to(keep.dtype), d_next * keep[0], dc, None
+
+
+def _uses_triton(x: Tensor) -> bool:
+    """Tell whether the recursion over a tensor runs on Triton's kernels."""
+    return x.is_cuda and x.dtype != torch.float64 and _triton() is not None
+
+
+@cache
+def _triton() -> Any:
+    """Return the module of Triton's kernels, None where they cannot be compiled."""
+    if find_spec("triton") is None:
+        return None
+    module = import_module("knowarm.policy.lstm_triton")
+    try:
+        module.compile_kernels()
+    except Exception as error:  # of Triton, the C compiler or the driver
+        warnings.warn(
+            f"Triton could not compile the LSTM's kernels ({error}); PyTorch's operations, which "
+            "are slower, take their place.",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+        return None
+    return module
