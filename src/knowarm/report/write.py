@@ -83,7 +83,7 @@ def write_report(
     _write_data(study, pages, out)
     temporary = out.with_name(out.name + ".tmp")
     try:
-        temporary.write_text(page, encoding="utf-8")
+        temporary.write_text(page, encoding="utf-8", errors="replace")  # lone surrogates
         temporary.replace(out)
     except OSError as error:
         raise UserError(f"Cannot write {out}: {error.strerror}.") from error
@@ -105,7 +105,9 @@ def _write_data(study: Study, pages: Sequence[Page], out: Path) -> None:
         folder.mkdir(exist_ok=True)
         write_json(folder / MANIFEST, {"format": FORMAT, "report": out.name, "files": names})
         for table in tables.values():
-            with (folder / f"{table.name}.csv").open("w", newline="", encoding="utf-8") as file:
+            with (folder / f"{table.name}.csv").open(
+                "w", newline="", encoding="utf-8", errors="replace"
+            ) as file:
                 writer = csv.writer(file, lineterminator="\n")
                 writer.writerow(table.csv_columns())
                 for row in table.rows:
