@@ -8,7 +8,7 @@ TORCH := torch==2.13.0
 # Only comparisons with MuJoCo's own renderer use OpenGL; EGL needs no display.
 export MUJOCO_GL ?= egl
 
-.PHONY: help demo best test check format lint types fast-tests mutate bench bench-compare clean
+.PHONY: help demo best test check format lint types fast-tests torture mutate bench bench-compare clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*##' Makefile | sed 's/:.*##/\t/'
@@ -54,6 +54,9 @@ types: $(VENV)/.dev ## run mypy
 
 fast-tests: $(VENV)/.dev ## run the fast tests
 	$(PY) -m pytest -q -n 2 --dist worksteal -m "not slow and not browser and not opengl"
+
+torture: $(VENV)/.dev ## kill, damage, stop and starve it for an hour or more: docs/reliability.md
+	$(PY) -m tests.robustness.torture
 
 mutate: $(VENV)/.dev ## apply 40 deliberate mistakes, one after the other: the tests must notice 38
 	$(PY) -m tests.mutate

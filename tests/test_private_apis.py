@@ -114,3 +114,38 @@ def test_a_child_of_the_fork_server_can_release_it():
     assert {"_forkserver_pid", "_forkserver_alive_fd"} <= before
     source = inspect.getsource(forkserver)
     assert "_forkserver._forkserver_alive_fd" in source.split("def _serve_one")[1]
+
+
+TEMPORARY = """
+import multiprocessing.util, sys
+from pathlib import Path
+from knowarm.private_apis import keep_temporary_files_in
+
+keep_temporary_files_in(Path(sys.argv[1]))
+print(multiprocessing.util.get_temp_dir())
+"""
+
+
+def test_multiprocessing_keeps_its_files_where_it_is_told(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-c", TEMPORARY, tmp_path], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == str(tmp_path)
+
+
+def test_the_web_viewer_has_the_functions_that_are_replaced():
+    web_server = pytest.importorskip("mujoco.studio.web.web_server", exc_type=ImportError)
+    web_viewer = pytest.importorskip("mujoco.studio.web_viewer", exc_type=ImportError)
+    source = inspect.getsource(web_viewer) + inspect.getsource(web_server)
+    for call in (
+        "web_server.bind_public_socket(",
+        "await serve(",
+        "process_request=process_request",
+        "_print_url_banner(",
+        "_open_browser(",
+    ):
+        assert call in source
+    before = web_server.serve
+    with private_apis.guarded_web_viewer(*[lambda *given: None] * 4):
+        assert web_server.serve is not before
+    assert web_server.serve is before

@@ -26,7 +26,16 @@ MAY_IMPORT = {
 }
 """Packages that each package may import, beside itself and the modules of `EVERYBODY`."""
 
-EVERYBODY = {"errors", "config", "cores", "svg", "private_apis", "seeding", "__version__"}
+EVERYBODY = {
+    "errors",
+    "config",
+    "cores",
+    "svg",
+    "private_apis",
+    "seeding",
+    "reading",
+    "__version__",
+}
 """Modules at the root that every package may import."""
 
 MODULES = sorted(path for path in SOURCE.rglob("*.py") if path.parent != SOURCE)

@@ -33,3 +33,11 @@ def test_a_document_is_well_formed_and_described():
 def test_text_width_grows_with_the_font():
     assert svg.text_width("mug") == pytest.approx(3 * 0.57 * 13)
     assert svg.text_width("mug", 26) == pytest.approx(2 * svg.text_width("mug"))
+
+
+def test_characters_that_xml_cannot_hold_are_left_out():
+    text = "a\x00\x08\x0b\x1f\x1b[31m\ud800\uffff b<c\t\n"
+    drawn = svg.label(1, 2, text, class_="x\x01y") + svg.hover(text)
+    parsed = ET.fromstring(f"<svg>{drawn}</svg>")
+    assert parsed[0].text == "a[31m b<c\t\n"
+    assert parsed[0].get("class") == "xy"

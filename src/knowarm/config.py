@@ -1,6 +1,7 @@
 """Conversion between config dataclasses and JSON values, with strict checks when reading."""
 
 import dataclasses
+import math
 import types
 import typing
 from collections.abc import Callable, Iterable, Mapping
@@ -24,6 +25,36 @@ def registered(config_types: Callable[[], Iterable[type]]) -> dict[str, Any]:
         config_types: returns the dataclasses that are registered now.
     """
     return {_TYPES: config_types}
+
+
+MAX_SEED = 2**63 - 1
+"""Largest seed: PyTorch's generators take no larger one."""
+
+
+def check_numbers(config: Any, *, where: str = "") -> None:
+    """Check that every number in a (nested) config is finite, and seeds fit into 63 bits.
+
+    Args:
+        config: a dataclass, or a value of one of its fields.
+        where: its name, for error messages.
+
+    Raises:
+        UserError: a number is NaN or infinite, or a seed is out of range.
+    """
+    if dataclasses.is_dataclass(config):
+        prefix = where or type(config).__name__
+        for field in dataclasses.fields(config):
+            check_numbers(getattr(config, field.name), where=f"{prefix}.{field.name}")
+    elif isinstance(config, Mapping):
+        for key, value in config.items():
+            check_numbers(value, where=f"{where}.{key}")
+    elif isinstance(config, tuple | list):
+        for i, value in enumerate(config):
+            check_numbers(value, where=f"{where}[{i}]")
+    elif isinstance(config, float) and not math.isfinite(config):
+        raise UserError(f"{where} must be a finite number, got {config}.")
+    elif isinstance(config, int) and where.endswith(".seed") and not 0 <= config <= MAX_SEED:
+        raise UserError(f"{where} must lie between 0 and 2**63 - 1, got {config}.")
 
 
 def to_dict(config: Any) -> dict[str, Any]:

@@ -3,14 +3,18 @@
 tests/test_private_apis.py fails where a new version of a library lacks one of them.
 """
 
+import multiprocessing.process
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial, update_wrapper
+from pathlib import Path
 from types import CellType, FunctionType
 from typing import Any
 
 import torch
+
+from knowarm.errors import UserError
 
 
 def cpu_has_bfloat16() -> bool:
@@ -39,6 +43,16 @@ def key_numba_cache(function: Callable[..., Any], key: str) -> Callable[..., Any
     code = function.__code__.replace(co_freevars=("key",))
     keyed = FunctionType(code, function.__globals__, closure=(CellType(key),))
     return update_wrapper(keyed, function)
+
+
+def keep_temporary_files_in(folder: Path) -> None:
+    """Let multiprocessing keep the sockets of this process in a folder.
+
+    Reason: it makes a folder with a random name, which stays for ever when the process is killed,
+    and no later process can tell that it is not in use.
+    """
+    config = multiprocessing.process.current_process()._config  # type: ignore[attr-defined]
+    config.setdefault("tempdir", str(folder))
 
 
 def release_fork_server() -> None:
@@ -76,3 +90,54 @@ def no_fused_multiply_add() -> Iterator[None]:
         yield
     finally:
         nvvm.compile_ir = compile_ir
+
+
+@contextmanager
+def guarded_web_viewer(
+    bind: Callable[..., Any],
+    guard: Callable[[Callable[..., Any]], Callable[..., Any]],
+    announce: Callable[..., None],
+    open_browser: Callable[..., None],
+) -> Iterator[None]:
+    """Change how MuJoCo's web viewer listens and answers, as long as this context lasts.
+
+    Reason: the viewer listens on all interfaces, answers any Host and Origin, and has no option to
+    change either.
+
+    Args:
+        bind: returns the listening socket.
+        guard: wraps the server's function for requests.
+        announce: prints the address.
+        open_browser: opens the page.
+
+    Raises:
+        UserError: this version of the viewer has other functions; nothing was started.
+    """
+    from mujoco.studio import web_viewer
+    from mujoco.studio.web import web_server
+
+    serve = web_server.serve
+
+    def guarded_serve(*args: Any, process_request: Callable[..., Any], **options: Any) -> Any:
+        return serve(*args, process_request=guard(process_request), **options)
+
+    replaced = [
+        (web_server, "bind_public_socket", bind),
+        (web_server, "serve", guarded_serve),
+        (web_viewer, "_print_url_banner", announce),
+        (web_viewer, "_open_browser", open_browser),
+    ]
+    if missing := [name for module, name, _ in replaced if not hasattr(module, name)]:
+        raise UserError(
+            f"This version of mujoco-studio lacks {missing[0]}, so the viewer cannot be kept from "
+            "listening on the network. Install the version that KnowArm was tested with, or record "
+            "with --video or --strip."
+        )
+    before = [getattr(module, name) for module, name, _ in replaced]
+    try:
+        for module, name, function in replaced:
+            setattr(module, name, function)
+        yield
+    finally:
+        for (module, name, _), function in zip(replaced, before, strict=True):
+            setattr(module, name, function)

@@ -1,13 +1,23 @@
 """SVG builder: elements, text, paths and whole drawings as markup strings."""
 
 from collections.abc import Sequence
-from html import escape
+from html import escape as _escape_markup
+
+_NOT_XML = dict.fromkeys(
+    (*range(9), 11, 12, *range(14, 32), *range(0xD800, 0xE000), 0xFFFE, 0xFFFF)
+)
+"""Characters that XML cannot hold, not even escaped."""
 
 Point = tuple[float, float]
 """x and y [px]; y points down."""
 
 FONT = "Helvetica, Arial, sans-serif"
 """Font of `document`; inline drawings take the font of their page."""
+
+
+def escape(text: str, *, quote: bool = False) -> str:
+    """Escape text for markup, without the characters that XML cannot hold."""
+    return _escape_markup(text.translate(_NOT_XML), quote=quote)
 
 
 def element(tag: str, *children: str, **attributes: object) -> str:

@@ -1,4 +1,5 @@
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -41,7 +42,9 @@ def test_an_unwritable_place_is_found_before_training(tmp_path):
         RunFolder.create(tmp_path / "file" / "0")
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+@pytest.mark.skipif(
+    not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write anywhere"
+)
 def test_a_read_only_place_is_found_before_training(tmp_path):
     tmp_path.chmod(0o500)
     with pytest.raises(UserError, match="Cannot write"):
@@ -84,3 +87,47 @@ def test_a_new_log_replaces_an_old_file(tmp_path):
     CsvLog(path).write({"step": 1})
     CsvLog(path).write({"step": 2})
     assert [row["step"] for row in read_csv(path)] == ["2"]
+
+
+def log_of(tmp_path, content: bytes):
+    path = tmp_path / "metrics.csv"
+    path.write_bytes(content)
+    return path
+
+
+@pytest.mark.parametrize("damage", [b"\xff", b"\0", b"x", b"", b",,,,"])
+def test_one_damaged_row_does_not_block_resuming(tmp_path, damage):
+    path = log_of(tmp_path, b"step,loss\n10,0.5\n" + damage + b"20,0.4\n30,0.3\n40,0.2\n")
+    CsvLog(path, keep_to_step=30).write({"step": 50, "loss": 0.1})
+    steps = [row["step"] for row in read_csv(path)]
+    assert [step for step in steps if step != "20"] == ["10", "30", "50"]
+
+
+def test_a_row_that_cannot_be_written_is_an_error_for_users(tmp_path):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    log = CsvLog(folder / "metrics.csv")
+    log.write({"step": 1})
+    folder.rename(tmp_path / "moved")  # while training
+    with pytest.raises(UserError, match=r"Cannot write .*metrics\.csv: No such file.*resume"):
+        log.write({"step": 2})
+    with pytest.raises(UserError, match="Cannot read"):
+        log.write({"step": 2, "new": 1})
+
+
+def test_a_damaged_header_does_not_block_resuming(tmp_path, caplog):
+    path = log_of(tmp_path, b"st\xffp,loss\n10,0.5\n")
+    CsvLog(path, keep_to_step=30).write({"step": 50})
+    assert read_csv(path) == [{"step": "50"}]
+    assert path.with_suffix(".damaged").exists()
+    assert "names no column step" in caplog.text
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs Linux's /dev/full")
+def test_a_full_disk_is_an_error_for_users(tmp_path):
+    log = CsvLog(tmp_path / "metrics.csv")
+    log.write({"step": 1})
+    (tmp_path / "metrics.csv").unlink()
+    (tmp_path / "metrics.csv").symlink_to("/dev/full")
+    with pytest.raises(UserError, match="No space left on device"):
+        log.write({"step": 2})

@@ -40,7 +40,7 @@ def test_what_was_saved_is_read_back_to_the_byte(store):
 
 def test_transposed_arrays_are_saved_as_they_look(store):
     array = np.arange(6.0).reshape(2, 3).T
-    store.save(Checkpoint(policy={"a": array}))
+    store.save(Checkpoint(policy={"a": array}, facts={"step": 1}))
     np.testing.assert_array_equal(store.load().policy["a"], array)
 
 

@@ -7,7 +7,9 @@ from urllib.parse import unquote
 
 import pytest
 
+from knowarm.errors import UserError
 from knowarm.report import write_report
+from knowarm.report.write import _csv
 from tests.report.synthetic_study import Size, Truth, robot_title, write_study
 
 
@@ -108,16 +110,73 @@ def test_the_same_folders_give_the_same_bytes(made, tmp_path):
     assert again.read_text() == first.replace("report.json", "again.json")
 
 
-def test_a_table_that_is_gone_leaves_no_csv_behind(tmp_path):
-    runs = write_study(
-        tmp_path / "runs", Truth(success={"bm": 0.5}), seeds=1, size=Size(points=5, episodes=9)
-    )
-    (tmp_path / "report-data").mkdir()
-    (tmp_path / "report-data" / "old.csv").write_text("")
-    (tmp_path / "report-data" / "notes.txt").write_text("kept")
+def small_study(folder):
+    return write_study(folder, Truth(success={"bm": 0.5}), seeds=2, size=Size(points=5, episodes=9))
+
+
+def test_a_report_replaces_its_own_files_and_no_others(tmp_path):
+    runs, data = small_study(tmp_path / "runs"), tmp_path / "report-data"
+    page = write_report(runs, tmp_path / "report.html")
+    manifest = json.loads((data / "manifest.json").read_text())
+    assert {path.name for path in data.iterdir()} == {"manifest.json", *manifest["files"]}
+    (data / "own.csv").write_text("mine")
+    (data / "old.csv").write_text("")
+    manifest["files"] += ["old.csv", "../report.html", "/etc/hostname"]
+    (data / "manifest.json").write_text(json.dumps(manifest))
+    write_report(runs, page)
+    assert (data / "own.csv").read_text() == "mine"
+    assert not (data / "old.csv").exists()
+    assert page.exists()
+
+
+def test_a_report_of_an_earlier_version_without_a_manifest_is_replaced(tmp_path):
+    runs, page = small_study(tmp_path / "runs"), tmp_path / "report.html"
+    write_report(runs, page)
+    (tmp_path / "report-data" / "manifest.json").unlink()
+    write_report(runs, page)
+    assert (tmp_path / "report-data" / "manifest.json").exists()
+
+
+def test_files_of_others_are_not_overwritten(tmp_path):
+    runs, other = small_study(tmp_path / "runs"), tmp_path / "report.json"
+    other.write_text('{"results": [1, 2]}')
+    with pytest.raises(UserError, match=r"report\.json exists and is no report"):
+        write_report(runs, tmp_path / "report.html")
+    assert other.read_text() == '{"results": [1, 2]}'
+    other.unlink()
+    table = tmp_path / "report-data" / "training-irb120-fixed-colours-ppo.csv"
+    table.parent.mkdir(exist_ok=True)
+    table.write_text("mine")
+    with pytest.raises(UserError, match="is not part of an earlier report"):
+        write_report(runs, tmp_path / "report.html")
+    assert table.read_text() == "mine"
+
+
+@pytest.mark.parametrize("text", ['=HYPERLINK("http://x")', "+1", "-x", "@x", "\tx", "\rx"])
+def test_cells_that_spreadsheets_would_execute_are_quoted(text):
+    assert _csv(text, Path()) == "'" + text
+    assert _csv(-1.5, Path()) == "-1.5"
+    assert _csv("irb120", Path()) == "irb120"
+
+
+DAMAGE = {
+    "config.json": lambda v: v["env"].update(colours=[1], targets=3) or v.update(total_steps="x"),
+    "provenance.json": lambda v: v.update(parameter_counts={"total": {}}, versions=[]),
+    "summary.json": lambda v: v.update(per_target=[1], config=3, failures={}),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGE)
+def test_one_damaged_folder_does_not_stop_the_report(tmp_path, name):
+    runs = small_study(tmp_path / "runs")
+    path = next(runs[0].rglob(name))
+    values = json.loads(path.read_text())
+    DAMAGE[name](values)
+    path.write_text(json.dumps(values))
     write_report(runs, tmp_path / "report.html")
-    assert not (tmp_path / "report-data" / "old.csv").exists()
-    assert (tmp_path / "report-data" / "notes.txt").exists()
+    written = json.loads((tmp_path / "report.json").read_text())
+    assert any("damaged" in problem["what"] for problem in written["problems"])
+    assert written["runs"]
 
 
 def test_curves_are_drawn_from_the_values_of_their_table(made):

@@ -12,7 +12,8 @@ from knowarm.bench.study import StudyBenchConfig, bench_study
 from knowarm.bench.world import WorldBenchConfig, bench_world
 from knowarm.cli.tables import FilePath, check_json_path, print_table, write_json_table
 from knowarm.errors import UserError
-from knowarm.experiment.run_folder import read_json, write_json
+from knowarm.experiment.run_folder import write_json
+from knowarm.reading import read_json
 
 WORLD_TABLES = {
     "rows": "Environment steps/s with images, all threads together",

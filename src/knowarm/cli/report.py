@@ -8,8 +8,8 @@ import tyro
 
 from knowarm.cli.tables import FilePath, check_json_path
 from knowarm.experiment.build import Which, load_agent
-from knowarm.experiment.run_folder import read_json
 from knowarm.policy.onnx_export import INPUTS, OUTPUTS, export_onnx
+from knowarm.reading import read_json
 from knowarm.report import write_report
 
 

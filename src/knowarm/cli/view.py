@@ -30,7 +30,7 @@ class View:
     agent: Annotated[str, tyro.conf.arg(metavar="AGENT")] = "oracle"
     """A scripted agent (see `knowarm list`), or a run folder."""
     episodes: int = 6
-    """Number of episodes."""
+    """Number of episodes; the viewer plays them again and again until Ctrl-C."""
     seed: int = 0
     """Seed of the episodes, and of the actions of a stochastic agent."""
     targets: tuple[str, ...] = ()
@@ -43,6 +43,9 @@ class View:
     """Write an .mp4 video of the policy's images beside a large view, instead of the viewer."""
     strip: FilePath = None
     """Write an image with one film strip per episode, instead of opening the viewer."""
+    host: str = "127.0.0.1"
+    """Address on which the web viewer listens. Others than this machine's own, such as 0.0.0.0, are
+    reachable over the network by whoever has the token in the printed address."""
     port: int = 0
     """Port of the web viewer; 0 takes the first free port from 8080."""
     browser: bool = True
@@ -62,11 +65,12 @@ class View:
                 target, colour = env.facets[int(env.facet_ids[0])]
                 print(f"Episode {number + 1} of {len(episodes)}: {colour} {target}", flush=True)
 
-            print("Press Ctrl-C to stop.", flush=True)
+            print("Waiting for a browser. Press Ctrl-C to stop.", flush=True)
             watch(
                 agent,
                 env,
                 episodes,
+                host=self.host,
                 port=self.port,
                 open_browser=self.browser,
                 on_episode=announce,

@@ -15,6 +15,7 @@ from knowarm.experiment.run_folder import RunFolder
 from knowarm.knowledge.embedding import SceneEmbedding, scene_embedding
 from knowarm.learn import TorchVectorEnv, read_checkpoint
 from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
+from knowarm.reading import reading
 from knowarm.seeding import torch_generator
 from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import evaluation_episodes
@@ -192,17 +193,15 @@ def load_agent(
     folder = RunFolder.open(path)
     config = folder.experiment()
     provenance = folder.provenance()
-    stored = provenance["policy"]
     checkpoint = None if which == "untrained" else read_checkpoint(folder.checkpoints / which)
-    choices = from_dict(PolicyConfig, stored["config"], where="policy.config")
-    if choices.wide and checkpoint:
-        choices = _sizes_of_checkpoint(choices, checkpoint.policy)
-    policy = Policy(
-        choices,
-        from_dict(PolicyShape, stored["shape"], where="policy.shape"),
-        folder.knowledge(),
-        seed=config.seed,
-    )
+    table = folder.knowledge()
+    with reading(folder.path / "provenance.json", "Restore the file."):
+        stored = provenance["policy"]
+        choices = from_dict(PolicyConfig, stored["config"], where="policy.config")
+        if choices.wide and checkpoint:
+            choices = _sizes_of_checkpoint(choices, checkpoint.policy)
+        shape = from_dict(PolicyShape, stored["shape"], where="policy.shape")
+        policy = Policy(choices, shape, table, seed=config.seed)
     step = 0
     if checkpoint:
         step = int(checkpoint.facts["step"])

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Literal
 
-from knowarm.config import registered
+from knowarm.config import check_numbers, registered
 from knowarm.errors import UserError
 from knowarm.experiment.agents import Role
 from knowarm.experiment.algorithms import ALGORITHMS
@@ -114,6 +114,7 @@ class ExperimentConfig:
     """End training before ``total_steps`` once this rule is met; None trains all steps."""
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         for name in ("total_steps", "checkpoint_every_steps"):
             if getattr(self, name) < 1:
                 raise UserError(f"{name} must be at least 1, got {getattr(self, name)}.")
@@ -173,6 +174,7 @@ class EvaluationConfig:
     differently."""
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         for name in ("episodes", "seeds", "num_envs"):
             if getattr(self, name) < 1:
                 raise UserError(f"{name} must be at least 1, got {getattr(self, name)}.")

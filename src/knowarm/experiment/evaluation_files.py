@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from PIL import Image, ImageSequence, UnidentifiedImageError
+from PIL import Image, ImageSequence
 
 from knowarm.errors import UserError
+from knowarm.reading import reading
 
 EPISODE_COLUMNS = {
     "episode": ("int32", "index of the episode in the fixed list, from 0"),
@@ -36,6 +37,12 @@ STEP_COLUMNS = {
 
 FRAME_MS = 120
 """Display time of each image [ms]."""
+
+MAX_FRAMES = 10_000
+"""Most images of a film that is read; an episode has at most a few hundred steps."""
+
+AGAIN = "Evaluate the run again."
+"""Remedy for a damaged file of an evaluation."""
 
 LAST_MS = 1_200
 """Display time of the last image before the animation repeats [ms]."""
@@ -92,15 +99,12 @@ def read_table(path: Path, names: list[str] | None = None) -> dict[str, np.ndarr
     Raises:
         UserError: the file is missing, damaged, or lacks a column.
     """
-    try:
-        table = pq.read_table(path, columns=names)
-    except (OSError, pa.ArrowException) as error:
-        reason = str(error).splitlines()[0]
-        raise UserError(f"Cannot read {path}: {reason}. Evaluate the run again.") from error
-    missing = set(names or ()) - set(table.column_names)
-    if missing:
-        raise UserError(f"{path} lacks the column {min(missing)!r}. Evaluate the run again.")
-    return {name: np.asarray(table[name].to_numpy()) for name in table.column_names}
+    with reading(path, AGAIN):
+        table = pq.read_table(pa.BufferReader(path.read_bytes()), columns=names)
+        missing = set(names or ()) - set(table.column_names)
+        if missing:
+            raise UserError(f"{path} lacks the column {min(missing)!r}. {AGAIN}")
+        return {name: np.asarray(table[name].to_numpy()) for name in table.column_names}
 
 
 def write_film(path: Path, frames: np.ndarray) -> None:
@@ -137,7 +141,7 @@ def read_film(path: Path) -> np.ndarray:
         UserError: the file is missing or not an image.
     """
     frames: list[np.ndarray] = []
-    try:
+    with reading(path, AGAIN):
         with Image.open(path) as film:
             for number, frame in enumerate(ImageSequence.Iterator(film)):
                 image = np.asarray(frame.convert("RGB"))
@@ -146,6 +150,6 @@ def read_film(path: Path) -> np.ndarray:
                 is_last = number == getattr(film, "n_frames", 1) - 1
                 extra = shown - (LAST_MS if is_last else FRAME_MS)
                 frames += [image] * (1 + max(0, extra) // FRAME_MS)
+                if len(frames) > MAX_FRAMES:
+                    raise ValueError(f"it shows more than {MAX_FRAMES:,} images")
         return np.stack(frames)
-    except (OSError, UnidentifiedImageError) as error:
-        raise UserError(f"Cannot read {path}: {error}. Evaluate the run again.") from error

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from torch.utils.tensorboard import SummaryWriter
 
-from knowarm.experiment.run_folder import CsvLog, RunFolder
+from knowarm.experiment.run_folder import CsvLog, RunFolder, writing
 from knowarm.learn.trainer import Metrics
 
 EPISODES_SHOWN = 500
@@ -172,7 +172,8 @@ class RunLogs:
 
     def close(self) -> None:
         """Flush TensorBoard's event file and the mirrors."""
-        self._tensorboard.close()
+        with writing(self._folder.tensorboard):
+            self._tensorboard.close()
         for mirror in self._mirrors:
             mirror.close()
 
@@ -183,7 +184,8 @@ class RunLogs:
             for name, value in row.items()
             if name != "step" and math.isfinite(value)
         }
-        for name, value in values.items():
-            self._tensorboard.add_scalar(name, value, step)
+        with writing(self._folder.tensorboard):
+            for name, value in values.items():
+                self._tensorboard.add_scalar(name, value, step)
         for mirror in self._mirrors:
             mirror.scalars(step, values)

@@ -31,6 +31,7 @@ from typing import Any
 from knowarm.experiment.agents import AGENTS, Role
 from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.knowledge import migrate_source
+from knowarm.reading import read_json
 from knowarm.world.robots import ROBOTS
 
 FORMAT = 3
@@ -133,17 +134,17 @@ def migrate_checkpoints(folder: Path, robot: str) -> None:
     """
     for path in folder.glob("*/meta.json"):
         try:
-            meta = json.loads(path.read_text())
+            meta = read_json(path)
             migrated = {
                 **meta,
                 "description": migrate_description(meta["description"], robot),
                 "facts": _migrate_facts(meta["facts"]),
             }
-        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        except (ValueError, KeyError, TypeError, AttributeError):
             continue  # damaged: reading the checkpoint reports it
         if migrated != meta:
             temporary = path.with_name("meta.json.tmp")
-            temporary.write_text(json.dumps(migrated, indent=2))
+            temporary.write_text(json.dumps(migrated, indent=2), encoding="utf-8")
             temporary.replace(path)
 
 

@@ -14,10 +14,14 @@ Layout of ``runs/<experiment>/<seed>/``::
 
 import csv
 import json
+import logging
+import math
 import os
 import platform
+import re
 import subprocess
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -25,13 +29,16 @@ from typing import Any
 
 import numpy as np
 import psutil
-from safetensors.numpy import load_file, save_file
+from safetensors.numpy import save_file
 
 from knowarm.config import from_dict
 from knowarm.cores import processor
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig, StopWhen
 from knowarm.experiment.migration import FORMAT, migrate_config, migrate_provenance, migrate_row
+from knowarm.reading import UnreadableFileError, read_arrays, read_json, reading
+
+log = logging.getLogger("knowarm.experiment")
 
 PACKAGES = ("knowarm", "torch", "mujoco", "numpy", "numba", "gymnasium", "safetensors")
 
@@ -141,7 +148,8 @@ class RunFolder:
         if rule is None or not self.evaluations_path.exists():
             return None
         rows = read_csv(self.evaluations_path)
-        return rule.met_at((int(float(row["step"])), float(row["success"])) for row in rows)
+        cells = [(number_in(row, "step"), number_in(row, "success")) for row in rows]
+        return rule.met_at((int(a), b) for a, b in cells if a is not None and b is not None)
 
     def provenance(self) -> dict[str, Any]:
         """Read versions, machine, policy, parameter counts and knowledge of the run."""
@@ -157,14 +165,12 @@ class RunFolder:
 
     def knowledge(self) -> np.ndarray:
         """Read the knowledge table (F, K), float32, that the policy was trained with."""
-        file = self.path / "knowledge.safetensors"
-        try:
-            return load_file(file)["table"]
-        except Exception as error:  # safetensors raises its own, undocumented error types
-            raise UserError(
-                f"{file} cannot be read ({error}). The run folder is damaged: restore the file "
-                "or train again."
-            ) from error
+        file, remedy = self.path / "knowledge.safetensors", "Restore the file or train again."
+        with reading(file, remedy):
+            table = read_arrays(file, remedy=remedy)["table"]
+            if table.ndim != 2 or table.dtype != np.float32 or not np.isfinite(table).all():
+                raise ValueError("its table must be a matrix of finite float32 numbers")
+            return table
 
 
 class CsvLog:
@@ -176,7 +182,7 @@ class CsvLog:
     Args:
         path: the CSV file; created with the first row.
         keep_to_step: when a run resumes, rows of later steps are dropped, because training will
-            produce them again; None drops all rows.
+            produce them again, and rows whose step is damaged; None drops all rows.
         drop_steps: steps whose rows are dropped as well.
     """
 
@@ -186,54 +192,98 @@ class CsvLog:
         self._path = path
         self._columns: list[str] = []
         if path.exists():
-            rows = [row for row in read_csv(path) if keep_to_step is not None]
-            rows = [row for row in rows if float(row["step"] or 0) <= (keep_to_step or 0)]
-            rows = [row for row in rows if float(row["step"] or 0) not in drop_steps]
-            self._columns = list(rows[0]) if rows else []
+            last = -math.inf if keep_to_step is None else keep_to_step
+            rows = [
+                row
+                for row in self._read()
+                if (step := number_in(row, "step")) is not None
+                and step <= last
+                and step not in drop_steps
+            ]
+            self._columns = list(dict.fromkeys(name for row in rows for name in row))
             self._rewrite(rows)
 
+    def _read(self) -> list[dict[str, str]]:
+        """Read the rows; set a file aside whose header is damaged, as no row of it is of use."""
+        try:
+            return read_csv(self._path)
+        except UnreadableFileError as error:
+            aside = self._path.with_suffix(".damaged")
+            with writing(self._path):
+                self._path.replace(aside)
+            log.warning("%s Keeping it as %s and starting anew.", error, aside.name)
+            return []
+
     def write(self, row: Mapping[str, Any]) -> None:
-        """Append one row and flush it."""
+        """Append one row and flush it.
+
+        Raises:
+            UserError: the file cannot be written.
+        """
         if any(name not in self._columns for name in row):
             rows = read_csv(self._path) if self._columns else []
             self._columns += [name for name in row if name not in self._columns]
             self._rewrite(rows)
-        with self._path.open("a", newline="") as file:
+        with writing(self._path), self._path.open("a", newline="", encoding="utf-8") as file:
             csv.DictWriter(file, self._columns, lineterminator="\n").writerow(row)
 
     def _rewrite(self, rows: Sequence[Mapping[str, Any]]) -> None:
         temporary = self._path.with_suffix(".tmp")
-        with temporary.open("w", newline="") as file:
-            if self._columns:
-                writer = csv.DictWriter(file, self._columns, restval="", lineterminator="\n")
-                writer.writeheader()
-                writer.writerows(rows)
-        temporary.replace(self._path)
+        with writing(self._path):
+            with temporary.open("w", newline="", encoding="utf-8") as file:
+                if self._columns:
+                    writer = csv.DictWriter(file, self._columns, restval="", lineterminator="\n")
+                    writer.writeheader()
+                    writer.writerows(rows)
+            temporary.replace(self._path)
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Turn a failure to write a file of a running training into a `UserError`.
+
+    Raises:
+        UserError: an `OSError` was raised in the ``with`` block.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise UserError(
+            f"Cannot write {path}: {error.strerror or error}. The last checkpoint is intact: free "
+            "disk space, or move the run folder back to where the training started, and resume."
+        ) from error
 
 
 def read_csv(path: Path) -> list[dict[str, str]]:
-    """Read the rows of a CSV log in the current run format; skip a last line that is incomplete."""
-    lines = path.read_text().splitlines(keepends=True)
-    if lines and not lines[-1].endswith("\n"):
-        lines.pop()
-    return [migrate_row(row) for row in csv.DictReader(lines)]
+    """Read the rows of a CSV log in the current run format.
 
-
-def read_json(path: Path) -> dict[str, Any]:
-    """Read a JSON object.
+    A last line that is incomplete is skipped, as a crash leaves it. Bytes that are not UTF-8 stay
+    in their cell, cells beyond the header's are dropped, and missing ones are left out: the rest of
+    the row remains useful.
 
     Raises:
-        UserError: the file is missing, not JSON, or holds no object.
+        UnreadableFileError: the file cannot be read, or its header is damaged.
     """
+    with reading(path, "Restore the file."):
+        data = path.read_bytes()
+        text = data.decode(errors="replace").replace("\0", "\ufffd")
+        lines = re.findall(r"[^\n]*\n", text)  # without the end of an incomplete line
+        reader = csv.DictReader(lines)
+        if data and "step" not in (reader.fieldnames or ["step"]):
+            raise ValueError("its first line names no column step")
+        return [
+            migrate_row({n: cell for n, cell in row.items() if n is not None and cell is not None})
+            for row in reader
+        ]
+
+
+def number_in(row: Mapping[str, str], column: str) -> float | None:
+    """Return a finite number of a CSV log; None for a cell that is empty, missing or damaged."""
     try:
-        values = json.loads(path.read_text())
-    except OSError as error:
-        raise UserError(f"Cannot read {path}: {error.strerror}.") from error
-    except ValueError as error:
-        raise UserError(f"{path} is not valid JSON: {error}.") from error
-    if not isinstance(values, dict):
-        raise UserError(f"{path} must hold a JSON object, got {type(values).__name__}.")
-    return values
+        number = float(row[column])
+    except (KeyError, ValueError):
+        return None
+    return number if math.isfinite(number) else None
 
 
 def write_json(path: Path, values: Mapping[str, Any]) -> None:
@@ -244,7 +294,7 @@ def write_json(path: Path, values: Mapping[str, Any]) -> None:
     """
     temporary = path.with_name(path.name + ".tmp")
     try:
-        temporary.write_text(json.dumps(values, indent=2) + "\n")
+        temporary.write_text(json.dumps(values, indent=2) + "\n", encoding="utf-8")
         temporary.replace(path)
     except OSError as error:
         raise UserError(f"Cannot write {path}: {error.strerror}.") from error

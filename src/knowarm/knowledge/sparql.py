@@ -1,7 +1,9 @@
 """SPARQL queries on a knowledge graph, evaluated by pyoxigraph in memory."""
 
 import re
+import threading
 from dataclasses import dataclass
+from itertools import islice
 
 from pyoxigraph import Quad, QueryBoolean, QueryTriples, Store
 
@@ -10,8 +12,17 @@ from knowarm.knowledge.builder import GraphBuilder
 from knowarm.knowledge.formats.rdf import PREFIXES, rdf_triples
 from knowarm.knowledge.graph import KnowledgeGraph
 from knowarm.knowledge.terms import name_of_term
+from knowarm.reading import one_line
 
 EXAMPLE = "SELECT ?colour WHERE { :mug :hasColor ?colour }"
+
+TIMEOUT_S = 20.0
+"""Longest time that a query may take [s]."""
+
+MAX_ROWS = 1_000_000
+"""Most rows of an answer."""
+
+_IRI = re.compile(r'<[^<>"{}|^`\\\s]*>')
 
 _NO_KEYWORDS = re.compile(
     r'"""(?:[^"\\]|\\.|"(?!""))*"""' r"|'''(?:[^'\\]|\\.|'(?!''))*'''"
@@ -34,40 +45,78 @@ class Answer:
     """The graph of CONSTRUCT and DESCRIBE."""
 
 
-def sparql(graph: KnowledgeGraph, query: str) -> Answer:
+def sparql(graph: KnowledgeGraph, query: str, *, timeout_s: float = TIMEOUT_S) -> Answer:
     """Run a query; the prefix `:` stands for plain names, as in `:mug :hasColor ?colour`.
 
     Args:
         graph: the graph, with its labels as rdfs:label.
         query: SELECT, ASK, CONSTRUCT or DESCRIBE. The common prefixes (rdf, rdfs, owl, skos,
             xsd) are declared.
+        timeout_s: longest time to wait for the answer [s]; the query goes on in the background.
 
     Raises:
-        UserError: the query is malformed, or refers to other data with SERVICE or FROM.
+        UserError: the query is malformed, takes too long, has too many rows, or refers to other
+            data with SERVICE or FROM.
     """
     _refuse_other_data(query)
     store = Store()
     store.bulk_extend(Quad(*triple) for triple in rdf_triples(graph))
-    try:
-        result = store.query(query, prefixes=PREFIXES)
-        if isinstance(result, QueryBoolean):
-            return Answer(("answer",), (("yes" if result else "no",),))
-        if isinstance(result, QueryTriples):
-            builder = GraphBuilder()
-            for triple in result:
-                builder.add_statement(*map(name_of_term, triple))
-            return Answer((), (), builder.build())
-        columns = tuple(variable.value for variable in result.variables)
-        rows = [tuple("" if t is None else name_of_term(t) for t in row) for row in result]
-    except SyntaxError as error:
-        raise _malformed(error) from error
+    answers: list[Answer | BaseException] = []
+
+    def run() -> None:
+        try:
+            answers.append(_answer(store, query))
+        except BaseException as error:  # the thread that waits raises it
+            answers.append(error)
+
+    # The query engine can neither be interrupted nor limited; it does release the interpreter.
+    thread = threading.Thread(target=run, name="SPARQL query", daemon=True)
+    thread.start()
+    thread.join(timeout_s)
+    if not answers:
+        raise UserError(
+            f"SPARQL query: no answer after {timeout_s:g} s. Connect the patterns by common "
+            f"variables, add a LIMIT, or pass a longer timeout_s."
+        )
+    if isinstance(answers[0], Answer):
+        return answers[0]
+    if isinstance(answers[0], SyntaxError):
+        raise _malformed(answers[0]) from answers[0]
+    if isinstance(answers[0], UserError):
+        raise answers[0]
+    raise UserError(f"SPARQL query: {one_line(answers[0])}. Example: {EXAMPLE}") from answers[0]
+
+
+def _answer(store: Store, query: str) -> Answer:
+    result = store.query(query, prefixes=PREFIXES)
+    if isinstance(result, QueryBoolean):
+        return Answer(("answer",), (("yes" if result else "no",),))
+    if isinstance(result, QueryTriples):
+        builder = GraphBuilder()
+        for triple in islice(result, MAX_ROWS):
+            builder.add_statement(*map(name_of_term, triple))
+        return Answer((), (), builder.build())
+    columns = tuple(variable.value for variable in result.variables)
+    rows = [
+        tuple("" if t is None else name_of_term(t) for t in row)
+        for row in islice(result, MAX_ROWS + 1)
+    ]
+    if len(rows) > MAX_ROWS:
+        raise UserError(f"SPARQL query: more than {MAX_ROWS:,} rows. Add a LIMIT.")
     return Answer(columns, tuple(sorted(rows)))
 
 
 def _refuse_other_data(query: str) -> None:
-    """Refuse queries that would read other data than the graph, over the network or not."""
-    keywords = _NO_KEYWORDS.sub(" ", query)
-    found = re.search(r"service|\bfrom\b", keywords, re.IGNORECASE)
+    """Refuse queries that would read other data than the graph, over the network or not.
+
+    SERVICE is refused even inside strings and comments: telling what a string is would repeat the
+    grammar of SPARQL, and a mistake there would open the network.
+    """
+    found = re.search(r"\bfrom\b", _NO_KEYWORDS.sub(" ", query), re.IGNORECASE)
+    for service in re.finditer("service", _IRI.sub(" ", query), re.IGNORECASE):
+        before = re.search(r"[:?$@]?[\w%-]*$", service.string[: service.start()])
+        if before is not None and before[0][:1] not in tuple(":?$@"):
+            found = service
     if found:
         raise UserError(
             f"SPARQL query: {found[0].upper()} refers to other data, but a query reads the given "

@@ -6,6 +6,7 @@ A checkpoint is a folder of four files: ``policy.safetensors``, ``optimizer.safe
 
 import hashlib
 import json
+import operator
 import os
 import shutil
 from collections.abc import Mapping
@@ -14,12 +15,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from safetensors import SafetensorError
 from safetensors.numpy import load as load_arrays
 from safetensors.numpy import save as save_arrays
 from torch import nn
 
 from knowarm.errors import UserError
+from knowarm.reading import UnreadableFileError, read_json, reading
 
 Arrays = dict[str, np.ndarray]
 FORMAT = 1
@@ -79,7 +80,7 @@ class CheckpointStore:
             if (self.folder / name).is_dir():
                 try:
                     return read_checkpoint(self.folder / name, self.description)
-                except DamagedCheckpointError as error:
+                except UnreadableFileError as error:
                     problems.append(str(error))
         raise UserError(
             " ".join(problems)
@@ -132,10 +133,6 @@ class CheckpointStore:
         _sync(folder)
 
 
-class DamagedCheckpointError(UserError):
-    """A checkpoint is incomplete, truncated or modified."""
-
-
 def read_checkpoint(folder: Path, description: Mapping[str, Any] | None = None) -> Checkpoint:
     """Read a checkpoint folder and verify its digests.
 
@@ -144,7 +141,7 @@ def read_checkpoint(folder: Path, description: Mapping[str, Any] | None = None) 
         description: what the checkpoint must belong to; None accepts any.
 
     Raises:
-        DamagedCheckpointError: a file is missing or differs from what was written.
+        UnreadableFileError: a file is missing or differs from what was written.
         UserError: there is no such folder, or the checkpoint belongs to another run; the
             message shows both descriptions.
     """
@@ -153,26 +150,22 @@ def read_checkpoint(folder: Path, description: Mapping[str, Any] | None = None) 
         folder = _aside(folder)
     if not folder.is_dir():
         raise UserError(f"There is no checkpoint in {folder}.")
-    try:
-        meta = json.loads((folder / "meta.json").read_text())
-        digests, facts = meta["sha256"], meta["facts"]
-        written_for = meta["description"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise DamagedCheckpointError(
-            f"{folder / 'meta.json'} is missing or damaged ({error}); the checkpoint is incomplete."
-        ) from error
+    file, remedy = folder / "meta.json", "The checkpoint is incomplete: restore it or delete it."
+    meta = read_json(file, remedy=remedy)
+    with reading(file, remedy):
+        digests, facts = dict(meta["sha256"]), dict(meta["facts"])
+        written_for = dict(meta["description"])
+        facts["step"] = operator.index(facts["step"])
     if description is not None:
         _compare(folder, written_for, json.loads(json.dumps(dict(description))))
     parts = {}
     for part in PARTS:
         path = folder / f"{part}.safetensors"
-        try:
+        with reading(path, remedy):
             data = path.read_bytes()
             if hashlib.sha256(data).hexdigest() != digests[part]:
                 raise ValueError(f"its {len(data)} bytes differ from those written")
             parts[part] = load_arrays(data)
-        except (OSError, ValueError, KeyError, SafetensorError) as error:
-            raise DamagedCheckpointError(f"{path} is damaged: {error}.") from error
     return Checkpoint(**parts, facts=facts)
 
 
@@ -205,6 +198,8 @@ def _write_file(path: Path, data: bytes) -> None:
 
 def _sync(folder: Path) -> None:
     """Flush renames and new names in a folder to disk."""
+    if os.name == "nt":
+        return  # Windows cannot open folders
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
+from knowarm.config import check_numbers
 from knowarm.errors import UserError
 
 PRIVILEGED_OPTIONS: Mapping[str, tuple[Any, str]] = {
@@ -53,6 +54,7 @@ class CurriculumConfig(AlgorithmConfig):
     """Success of an update's episodes above which the factor decreases."""
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         _fraction(self, "threshold_success")
         if not self.threshold_decrease >= 0:
             raise UserError(f"threshold_decrease must be 0 or more, got {self.threshold_decrease}.")

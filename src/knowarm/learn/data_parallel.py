@@ -188,6 +188,15 @@ def make_learner(
     """
     network.to(device)
     processes = count_processes(config) if device.type == "cpu" else 1
+    if device.type == "cpu" and config.processes is not None and processes < config.processes:
+        log.warning(
+            "processes=%d is reduced to %d: minibatches have %d environments, and each process "
+            "needs %d of them.",
+            config.processes,
+            processes,
+            config.num_envs // config.minibatches,
+            MIN_ENVS_PER_PROCESS,
+        )
     if processes > 1:
         return DataParallelLearner(network, config, precision, processes)
     return Learner(network, config, precision, device)

@@ -1,25 +1,30 @@
 """Child processes: start method, process-wide settings, pipes and failure reports."""
 
+import atexit
 import ctypes
 import logging
 import multiprocessing
 import os
+import shutil
 import signal
 import sys
+import tempfile
 import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import BaseContext
+from pathlib import Path
 from typing import Any
 
 import psutil
 import torch
 
 from knowarm.errors import UserError
-from knowarm.private_apis import release_fork_server
+from knowarm.private_apis import keep_temporary_files_in, release_fork_server
 
 log = logging.getLogger("knowarm.learn")
 
@@ -28,6 +33,9 @@ STOP_S = 3.0
 
 CHECK_S = 1.0
 """Time between two looks at whether a child process was stopped from outside."""
+
+_FOLDER = "knowarm-"
+"""Beginning of the names of `_temporary_folder`; the process id follows."""
 
 _PR_SET_PDEATHSIG = 1
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
@@ -64,11 +72,33 @@ def process_context(preload: Sequence[str] = ()) -> BaseContext:
     Args:
         preload: modules that the server imports before the first fork.
     """
+    keep_temporary_files_in(_temporary_folder())
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["knowarm.learn.fork_server", *preload])
     return context
+
+
+@cache
+def _temporary_folder() -> Path:
+    """Return this process's folder for sockets and the like; remove those of killed processes.
+
+    A process removes its own at its end. One that was killed leaves it to the next one.
+    """
+    parent = Path(tempfile.gettempdir())
+    for old in parent.glob(f"{_FOLDER}*"):
+        pid = old.name.removeprefix(_FOLDER).split("-")[0]
+        if pid.isdigit() and not psutil.pid_exists(int(pid)):
+            shutil.rmtree(old, ignore_errors=True)
+    made = Path(tempfile.mkdtemp(prefix=f"{_FOLDER}{os.getpid()}-"))
+    atexit.register(_remove, made, os.getpid())
+    return made
+
+
+def _remove(folder: Path, pid: int) -> None:
+    if os.getpid() == pid:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def prepare_child_process() -> None:

@@ -14,10 +14,10 @@ from markupsafe import Markup, escape
 import knowarm
 from knowarm.errors import UserError
 from knowarm.experiment.run_folder import write_json
+from knowarm.reading import read_json
 from knowarm.report.blocks import Column, Page, Row, Table, Verdict, flat
-from knowarm.report.collect import collect
 from knowarm.report.format import FORMATS, MISSING, counted
-from knowarm.report.pages import build_pages
+from knowarm.report.sound import build_report
 from knowarm.report.study import Study
 
 DIGITS = 9
@@ -25,6 +25,12 @@ DIGITS = 9
 
 FORMAT = 1
 """Version of the format of ``report.json``."""
+
+MANIFEST = "manifest.json"
+"""File beside the CSV files that lists them."""
+
+FORMULA = ("=", "+", "-", "@", "\t", "\r")
+"""Beginnings of cells that spreadsheets take for formulas."""
 
 MOST_SOURCES = 40
 """Links under a table; ``report.json`` lists all sources."""
@@ -44,7 +50,8 @@ def write_report(
     """Write one report from run folders.
 
     Beside ``out`` it writes ``<out>.json`` with every table of the report and a folder
-    ``<out>-data`` with one CSV per table. Equal folders give equal bytes.
+    ``<out>-data`` with one CSV per table and a ``manifest.json`` that lists them. Of an earlier
+    report of the same name it replaces these files and no others. Equal folders give equal bytes.
 
     Args:
         run_paths: run folders, or folders that hold them at any depth.
@@ -57,7 +64,8 @@ def write_report(
         ``out``.
 
     Raises:
-        UserError: there is nothing to report, or ``out`` cannot be written.
+        UserError: there is nothing to report, ``out`` cannot be written, or a file that is not
+            part of a report has one of its names.
     """
     out = Path(out)
     if out.suffix.lower() not in (".html", ".htm"):
@@ -67,13 +75,15 @@ def write_report(
     except OSError as error:
         raise UserError(f"Cannot write to {out.parent}: {error.strerror}.") from error
     references = {name: Path(path) for name, path in (reference_results or {}).items()}
-    study = collect([Path(path) for path in run_paths], references)
-    pages = build_pages(study)
+    study, pages, page = build_report(
+        [Path(path) for path in run_paths],
+        references,
+        lambda study, pages: _render(study, pages, out),
+    )
     _write_data(study, pages, out)
-    page = _render(study, pages, out)
     temporary = out.with_name(out.name + ".tmp")
     try:
-        temporary.write_text(page, encoding="utf-8")
+        temporary.write_text(page, encoding="utf-8", errors="replace")  # lone surrogates
         temporary.replace(out)
     except OSError as error:
         raise UserError(f"Cannot write {out}: {error.strerror}.") from error
@@ -89,16 +99,19 @@ def _write_data(study: Study, pages: Sequence[Page], out: Path) -> None:
     folder, start = _data_folder(out), out.parent
     tables = {table.name: table for page in pages for table in page.tables()}
     assert len(tables) == sum(len(page.tables()) for page in pages), "two tables of one name"
+    names = [f"{name}.csv" for name in tables]
+    _remove_earlier(out, folder, names)
     try:
         folder.mkdir(exist_ok=True)
-        for old in folder.glob("*.csv"):
-            old.unlink()
+        write_json(folder / MANIFEST, {"format": FORMAT, "report": out.name, "files": names})
         for table in tables.values():
-            with (folder / f"{table.name}.csv").open("w", newline="", encoding="utf-8") as file:
+            with (folder / f"{table.name}.csv").open(
+                "w", newline="", encoding="utf-8", errors="replace"
+            ) as file:
                 writer = csv.writer(file, lineterminator="\n")
                 writer.writerow(table.csv_columns())
                 for row in table.rows:
-                    writer.writerow([_raw(row.get(key), start) for key in table.csv_columns()])
+                    writer.writerow([_csv(row.get(key), start) for key in table.csv_columns()])
     except OSError as error:
         raise UserError(f"Cannot write {folder}: {error.strerror}.") from error
     write_json(
@@ -134,6 +147,37 @@ def _write_data(study: Study, pages: Sequence[Page], out: Path) -> None:
             },
         },
     )
+
+
+def _remove_earlier(out: Path, folder: Path, names: Sequence[str]) -> None:
+    """Remove the CSV files of an earlier report, as its manifest lists them.
+
+    Raises:
+        UserError: a file with the name of one that will be written is not part of a report.
+    """
+    report, manifest = out.with_suffix(".json"), folder / MANIFEST
+    earlier = read_json(report) if report.is_file() else {}
+    if report.exists() and not {"knowarm", "tables", "verdicts"} <= set(earlier):
+        raise UserError(
+            f"{report} exists and is no report of KnowArm, whose JSON would replace it. Move the "
+            "file, or give the report another name."
+        )
+    if manifest.is_file():
+        own = read_json(manifest).get("files")
+    else:  # a report of an earlier version
+        own = [f"{name}.csv" for name in earlier["tables"]] if earlier else []
+    own = [name for name in own if isinstance(name, str)] if isinstance(own, list) else []
+    if strange := [name for name in names if name not in own and (folder / name).exists()]:
+        raise UserError(
+            f"{folder / strange[0]} exists and is not part of an earlier report. Move the file, or "
+            "give the report another name."
+        )
+    try:
+        for name in own:
+            if Path(name).name == name and name.endswith(".csv"):
+                (folder / name).unlink(missing_ok=True)
+    except OSError as error:
+        raise UserError(f"Cannot write {folder}: {error.strerror}.") from error
 
 
 def _render(study: Study, pages: Sequence[Page], out: Path) -> str:
@@ -203,6 +247,12 @@ def _plain(value: Any, start: Path) -> Any:
     if isinstance(value, float):
         return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
     return value
+
+
+def _csv(value: Any, start: Path) -> str:
+    """Return a value as a CSV cell; text that a spreadsheet would execute gets a quote before."""
+    text = _raw(value, start)
+    return f"'{text}" if isinstance(value, str) and text.startswith(FORMULA) else text
 
 
 def _raw(value: Any, start: Path) -> str:

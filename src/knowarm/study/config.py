@@ -15,7 +15,8 @@ from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.agents import controls_of
 from knowarm.experiment.config import EvaluationConfig, ExperimentConfig
 from knowarm.experiment.registry import Colours, experiment_config, experiment_name
-from knowarm.experiment.run_folder import read_json, write_json
+from knowarm.experiment.run_folder import write_json
+from knowarm.reading import read_json
 from knowarm.study.executors import EXECUTORS, Local, RunKey, Where
 from knowarm.study.mirrors import MIRRORS
 

@@ -11,8 +11,9 @@ from knowarm.config import to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.config import EvaluationConfig, ExperimentConfig
 from knowarm.experiment.run import run_path
-from knowarm.experiment.run_folder import RunFolder, read_csv, read_json
+from knowarm.experiment.run_folder import RunFolder, read_csv
 from knowarm.experiment.run_lock import is_locked
+from knowarm.reading import read_json
 from knowarm.study.config import StudyConfig
 from knowarm.study.executors import RunKey
 

@@ -1,18 +1,28 @@
 """Attachment of a robot's or target's MJCF file to the ``MjSpec`` of a scene."""
 
+import re
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
+from PIL import Image
 
 from knowarm.errors import UserError
+from knowarm.reading import one_line, reading
 from knowarm.world.robot import Robot
 from knowarm.world.target import Target
 
 ROBOT_PREFIX = "robot/"
 """Prefix of all names of the robot's own file in the scene."""
+
+MAX_PIXELS = 4096 * 4096
+"""Most pixels of a texture, and most points of a height field."""
+
+MAX_COPIES, MAX_INCLUDES = 10_000, 16
+"""Most copies that replicating elements of an MJCF file make, and deepest inclusion of files."""
 
 ROBOT_BIT, SUPPORT_BIT = 1, 2
 """MuJoCo contact bits: the only contacts are those between robot and support."""
@@ -28,18 +38,77 @@ def read_mjcf(path: Path, owner: str) -> mujoco.MjSpec:
     Raises:
         UserError: the file is missing, or MuJoCo cannot read or compile it.
     """
-    if not path.is_file():
+    with reading(path, "Give the path of an MJCF file."):
+        is_file = path.is_file()
+    if not is_file:
         raise UserError(f"{owner}: mjcf is {str(path)!r}, and there is no such file.")
     try:
+        _check_repetitions(path, owner)
         spec = mujoco.MjSpec.from_file(str(path))
+        _check_sizes(spec, path, owner)
         spec.compile()
-    except ValueError as error:
-        reason = " ".join(str(error).split())
+    except (ValueError, mujoco.FatalError) as error:
+        if isinstance(error, UserError):
+            raise
+        reason = one_line(error)
         raise UserError(
             f"{owner}: mjcf {str(path)!r} does not compile: {reason}. Correct the file; "
             f"`python -m mujoco.viewer --mjcf={path}` shows the same error."
         ) from None
     return spec
+
+
+def _check_repetitions(path: Path, owner: str, depth: int = 0) -> None:
+    """Refuse elements that repeat others very often, while MuJoCo has not yet expanded them.
+
+    Raises:
+        UserError: a ``count`` is too large, or files include each other too deeply.
+    """
+    with reading(path, "Give the path of an MJCF file."):
+        text = path.read_bytes()
+    total = 1
+    for found in re.finditer(rb"count\s*=\s*[\"']([^\"']*)[\"']", text):
+        for word in found[1].split():
+            total *= max(1, int(word)) if word.isdigit() else 1
+    if total > MAX_COPIES:
+        raise UserError(
+            f"{owner}: mjcf {str(path)!r} repeats elements {total:,} times, and at most "
+            f"{MAX_COPIES:,} copies are read. Reduce the attributes count."
+        )
+    for found in re.finditer(rb"<include\s[^>]*file\s*=\s*[\"']([^\"']*)[\"']", text):
+        included = path.parent / found[1].decode(errors="replace")
+        if depth > MAX_INCLUDES:
+            raise UserError(f"{owner}: mjcf {str(path)!r} includes files too deeply.")
+        if included.is_file():
+            _check_repetitions(included, owner, depth + 1)
+
+
+def _check_sizes(spec: mujoco.MjSpec, path: Path, owner: str) -> None:
+    """Refuse textures, height fields and buffers that would take gigabytes.
+
+    Raises:
+        UserError: one of them is too large.
+    """
+    # A cube texture has six square faces; MuJoCo takes its height from the width.
+    sizes = {f"texture {t.name!r}": t.width * max(t.height, t.width) for t in spec.textures}
+    for texture in spec.textures:
+        file = path.parent / spec.texturedir / texture.file
+        if texture.file and file.suffix.lower() == ".png":
+            with suppress(OSError, Image.DecompressionBombError), Image.open(file) as image:
+                sizes[f"texture {texture.name!r}"] = image.width * image.height
+    sizes |= {f"height field {h.name!r}": h.nrow * h.ncol for h in spec.hfields}
+    sizes["memory"] = max(0, spec.memory) // 16
+    sizes |= {
+        name: getattr(spec, name)
+        for name in dir(spec)
+        if name.startswith("nuser") and isinstance(getattr(spec, name), int)
+    }
+    for name, size in sizes.items():
+        if size > MAX_PIXELS:
+            raise UserError(
+                f"{owner}: mjcf {str(path)!r}: {name} has {size:,} elements, and at most "
+                f"{MAX_PIXELS:,} are read. Reduce its size."
+            )
 
 
 def attach_robot(spec: mujoco.MjSpec, robot: Robot) -> None:

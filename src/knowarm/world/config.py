@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
+from knowarm.config import check_numbers
 from knowarm.errors import UserError
 from knowarm.world.held_out import HeldOut
 from knowarm.world.robots import DEFAULT_ROBOT
@@ -59,6 +60,7 @@ class EnvConfig:
     """Colours and places reserved for a test of generalization; None reserves none."""
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         _one_of("colours", self.colours, ("fixed", "randomized"))
         _one_of("dynamics", self.dynamics, ("dynamic", "kinematic"))
         _one_of("renderer", self.renderer, ("raycast", "opengl"))

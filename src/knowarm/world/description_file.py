@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 
 from knowarm.config import from_dict
 from knowarm.errors import UserError
+from knowarm.reading import one_line, read_text
 from knowarm.world.robot import Robot
 from knowarm.world.target import Target
 
@@ -35,12 +36,11 @@ def read_target(path: Path) -> Target:
 
 
 def _read(path: Path, kind: type[T]) -> T:
+    text = read_text(path, remedy="Give the path of a TOML file.", most=2**20)
     try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise UserError(f"Cannot read {str(path)!r}: {error.strerror}.") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UserError(f"{str(path)!r} is not TOML: {error}.") from None
+        values = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise UserError(f"{str(path)!r} is not TOML: {one_line(error)}.") from None
     if not isinstance(values.get("mjcf"), str):
         raise UserError(
             f"{str(path)!r}: field mjcf must be the path of an MJCF file, got "
@@ -56,7 +56,10 @@ def _resolve(mjcf: str, path: Path) -> Path:
     package, colon, inside = mjcf.partition(":")
     if not colon or not package.isidentifier():
         return path.parent / mjcf
-    found = importlib.util.find_spec(package)
+    try:
+        found = importlib.util.find_spec(package)
+    except (ImportError, ValueError):
+        found = None
     if found is None or not found.submodule_search_locations:
         raise UserError(
             f"{str(path)!r}: mjcf is {mjcf!r}, and the Python package {package!r} is not "

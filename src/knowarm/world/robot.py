@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from knowarm.config import check_numbers
 from knowarm.errors import UserError
 
 
@@ -115,6 +116,7 @@ class Robot:
     """Natural frequency of the critically damped position servos [Hz]."""
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         if not self.title:
             object.__setattr__(self, "title", self.name)
         count = len(self.joints)

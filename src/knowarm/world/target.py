@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from knowarm.config import check_numbers
 from knowarm.errors import UserError
 
 
@@ -32,6 +33,7 @@ class Target:
     """Site of the grasp frame; it is never visible."""
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         if not self.colours:
             raise UserError(f"Target {self.name!r}: colours is empty; give at least one RGB.")
         for colour, rgb in self.colours.items():

@@ -73,7 +73,7 @@ def _entity(uri: str) -> str:
 def _weight(properties: bytes, path: Path, number: int) -> float:
     try:
         return float(json.loads(properties)["weight"])
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise UserError(
             f"{path}, line {number}: the fifth column must be JSON with a number `weight`, "
             f"got {properties[:60].decode(errors='replace')!r}. Download the file again."

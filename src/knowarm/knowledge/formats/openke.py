@@ -13,6 +13,11 @@ from knowarm.knowledge.names import Names
 PARTS = ("train", "valid", "test")
 
 
+def is_number(text: str) -> bool:
+    """Return whether a text is a number of at most 9 ASCII digits; `isdigit` accepts others."""
+    return text.isascii() and text.isdigit() and len(text) <= 9
+
+
 def is_openke(folder: Path) -> bool:
     """Return whether a folder holds OpenKE's files."""
     return all((folder / f"{name}2id.txt").is_file() for name in ("entity", "relation", "train"))
@@ -75,7 +80,7 @@ def _read_names(path: Path) -> tuple[Names, np.ndarray]:
     count, lines = _counted_lines(path)
     for number, line in lines:
         name, _, text = line.rpartition("\t") if "\t" in line else line.rpartition(" ")
-        if not name or not text.strip().isdigit():
+        if not name or not is_number(text.strip()):
             raise UserError(
                 f"{path}, line {number}: expected `name<tab>id`, got {line!r}. Correct the line."
             )
@@ -106,7 +111,7 @@ def _read_triples(path: Path, entities: int, relations: int) -> np.ndarray:
     count, lines = _counted_lines(path)
     for number, line in lines:
         cells = line.split()
-        if len(cells) != 3 or not all(cell.isdigit() for cell in cells):
+        if len(cells) != 3 or not all(map(is_number, cells)):
             raise UserError(
                 f"{path}, line {number}: expected three ids `head tail relation`, got {line!r}. "
                 f"Correct the line."
@@ -133,7 +138,7 @@ def _counted_lines(path: Path) -> tuple[int, list[tuple[int, str]]]:
     if not lines:
         return 0, []
     (number, first), *rest = lines
-    if not first.strip().isdigit():
+    if not is_number(first.strip()):
         raise UserError(
             f"{path}, line {number}: the first line must be the number of lines that follow, "
             f"got {first!r}."

@@ -8,6 +8,7 @@ import heapq
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import IO, cast
 from xml.parsers import expat
 
 from pyoxigraph import BlankNode, NamedNode, RdfFormat, Triple, parse, serialize
@@ -26,6 +27,7 @@ from knowarm.knowledge.terms import (
     name_of_term,
     triple_of_names,
 )
+from knowarm.reading import MAX_JSON, reading
 
 PREFIXES = {
     "": NAMESPACE,
@@ -40,6 +42,12 @@ PREFIXES = {
 _GENERATED = re.compile(r"[a-f][0-9a-f]{25,31}")
 """Random ids that pyoxigraph gives to blank nodes without a name."""
 
+
+MAX_GAP = 4 * 2**20
+"""Most bytes without a complete statement; the parser starts each attempt to read one anew."""
+
+MAX_DEPTH, MAX_ENTITY = 200, 1_000
+"""Deepest nesting of XML elements and longest XML entity."""
 
 _XML_NAME = re.compile(r"[^\W\d][\w.-]*$")
 """End of an IRI that RDF/XML can write as an element."""
@@ -68,20 +76,51 @@ def read_rdf(path: Path, syntax: RdfFormat) -> KnowledgeGraph:
 
     try:
         _refuse_binary(path)
+        if syntax == RdfFormat.RDF_XML:
+            _check_xml(path)
         add = builder.add
         with open_bytes(path) as file:
-            for quad in parse(file, format=syntax, base_iri=base):
+            source = _Source(file, path, MAX_JSON if syntax == RdfFormat.JSON_LD else MAX_GAP)
+            for quad in parse(cast(IO[bytes], source), format=syntax, base_iri=base):
+                source.gap = 0
                 head, tail, relation = quad.subject, quad.object, quad.predicate.value
                 if type(head) is NamedNode and type(tail) is NamedNode:  # most triples: fast
                     add(head.value, relation, tail.value)
                 else:
                     builder.add_statement(name(head), relation, name(tail))
+    except UserError:
+        raise
     except SyntaxError as error:
         raise _malformed(path, syntax, error) from error
     except READ_ERRORS as error:
         raise unreadable(path, error) from error
-    builder.rename(name_of_iri)
-    return builder.build()
+    with reading(path, "Correct the file."):
+        builder.rename(name_of_iri)
+        return builder.build()
+
+
+class _Source:
+    """File that the parser reads, as long as statements come out of it."""
+
+    def __init__(self, file: IO[bytes], path: Path, most: int) -> None:
+        self._file, self._path, self._most = file, path, most
+        self.gap = 0
+        """Bytes read since the last statement."""
+
+    def read(self, size: int = -1) -> bytes:
+        """Read at most ``size`` bytes.
+
+        Raises:
+            UserError: too many bytes hold no statement.
+        """
+        data = self._file.read(size)
+        self.gap += len(data)
+        if self.gap > self._most:
+            raise UserError(
+                f"{self._path}: {self._most / 2**20:.0f} MiB in a row hold no complete statement, "
+                f"which no graph needs. Look for a string, comment or list that does not end."
+            )
+        return data
 
 
 def write_rdf(graph: KnowledgeGraph, path: Path, syntax: RdfFormat) -> None:
@@ -120,7 +159,7 @@ def _refuse_binary(path: Path) -> None:
 def _malformed(path: Path, syntax: RdfFormat, error: SyntaxError) -> UserError:
     """Return the error for a file that the parser refuses."""
     _refuse_functional_syntax(path)
-    reason = re.sub(r"^Parser error .*?: ", "", str(error.msg))
+    reason = re.sub(r"^Parser error .*?: ", "", " ".join(str(error.msg).split()))
     line = error.lineno
     if "Invalid UTF-8" in reason:
         return UserError(
@@ -139,6 +178,48 @@ def _malformed(path: Path, syntax: RdfFormat, error: SyntaxError) -> UserError:
         f"{place}: not well-formed {syntax.name}: {reason}. "
         f"Correct the file, or give the right format."
     )
+
+
+def _check_xml(path: Path) -> None:
+    """Refuse XML that would take the parser very long: deep nesting, entities of entities.
+
+    Raises:
+        UserError: an element is nested too deeply, or an entity is longer than a name or refers to
+            another one.
+    """
+    parser, depth = expat.ParserCreate(), 0
+
+    def refuse(what: str) -> None:
+        raise UserError(
+            f"{path}, line {parser.CurrentLineNumber}: {what}, which no graph needs. Correct the "
+            f"file, or write it as Turtle."
+        )
+
+    def start(name: str, attributes: dict[str, str]) -> None:
+        nonlocal depth
+        depth += 1
+        if depth > MAX_DEPTH:
+            refuse(f"elements are nested more than {MAX_DEPTH} deep")
+
+    def end(name: str) -> None:
+        nonlocal depth
+        depth -= 1
+
+    def entity(name: str, is_parameter: bool, value: str | None, *rest: str | None) -> None:
+        if value is None:
+            refuse(f"the entity {name!r} lies in another document")
+        elif "&" in value or "%" in value or len(value) > MAX_ENTITY:
+            refuse(f"the entity {name!r} is longer than {MAX_ENTITY} letters or refers to others")
+
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.EntityDeclHandler = entity
+    try:
+        with open_bytes(path) as file:
+            parser.ParseFile(file)
+    except expat.ExpatError:
+        return  # reading the file reports it
+    except LookupError as error:  # an unknown encoding
+        raise unreadable(path, error) from error
 
 
 def _xml_error(path: Path) -> tuple[int, str] | None:

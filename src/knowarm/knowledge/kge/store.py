@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import safe_open
 from safetensors.torch import save_file
 
 from knowarm.config import from_dict
@@ -16,8 +16,12 @@ from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.kge.models import KgeModel
 from knowarm.knowledge.kge.train import new_model
 from knowarm.knowledge.names import SEPARATOR
+from knowarm.reading import reading
 
 FORMAT = "knowarm-graph-embedding-1"
+
+AGAIN = "Fit the model again with `knowarm knowledge fit GRAPH --out FILE`."
+"""Remedy for a damaged file."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,29 +58,31 @@ def load_model(path: Path) -> StoredModel:
     """
     if not path.is_file():
         raise UserError(f"There is no model file {path}. Write one with `save_model`.")
-    try:
-        with safe_open(path, "pt") as file:
-            about = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except (SafetensorError, OSError) as error:
-        raise UserError(
-            f"{path} is not a complete safetensors file: {error}. Fit the model again."
-        ) from error
+    with reading(path, AGAIN), safe_open(path, "pt") as file:
+        about = file.metadata() or {}
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     if about.get("format") != FORMAT:
         raise UserError(
             f"{path} holds no graph embedding of KnowArm (format {about.get('format')!r}, expected "
             f"{FORMAT!r}). Make one with `knowarm knowledge fit GRAPH --out FILE`."
         )
-    config = from_dict(KgeConfig, json.loads(about["config"]))
-    entities, relations = (
-        tuple(tensors.pop(f"names.{kind}").numpy().tobytes().split(SEPARATOR)[:-1])
-        for kind in ("entities", "relations")
-    )
-    model = new_model(config, len(entities), len(relations))
-    model.load_state_dict(tensors)
-    return StoredModel(
-        config=config,
-        model=model,
-        entities=tuple(name.decode() for name in entities),
-        relations=tuple(name.decode() for name in relations),
-    )
+    with reading(path, AGAIN):
+        config = from_dict(KgeConfig, json.loads(about["config"]))
+        entities, relations = (
+            tuple(
+                tensors.pop(f"names.{kind}")
+                .numpy()
+                .tobytes()
+                .decode()
+                .split(SEPARATOR.decode())[:-1]
+            )
+            for kind in ("entities", "relations")
+        )
+        numbers = sum(value.numel() for value in tensors.values())
+        if numbers < (len(entities) + len(relations)) * config.dim:  # before memory is allocated
+            raise ValueError(f"{numbers:,} numbers are too few for its names and dimension")
+        if not all(torch.isfinite(value).all() for value in tensors.values()):
+            raise ValueError("it contains non-finite values")
+        model = new_model(config, len(entities), len(relations))
+        model.load_state_dict(tensors)
+    return StoredModel(config=config, model=model, entities=entities, relations=relations)

@@ -1,0 +1,63 @@
+"""Options and summary of the whole suite."""
+
+import os
+import random
+import re
+
+import pytest
+
+REMEDIES = {
+    "Chromium": ("apt-get install chromium", r"chromium"),
+    "WordNet": ("apt-get install wordnet-base", r"wordnet"),
+    "OpenGL": ("apt-get install libosmesa6 libgl1 libegl1", r"opengl|osmesa|egl"),
+    "dm_control": ("pip install --no-deps dm_control", r"dm_control"),
+}
+"""What tests need beside the Python packages of the extra ``dev``: remedy, and pattern of the
+reason with which they are skipped."""
+
+
+def pytest_addoption(parser):
+    parser.addoption(
+        "--order-seed", type=int, help="run modules, and the tests in them, in a random order"
+    )
+
+
+def pytest_collection_modifyitems(config, items):
+    """Shuffle modules and tests; tests of a module stay together for the sake of its fixtures."""
+    seed = config.getoption("--order-seed")
+    if seed is None:
+        return
+    modules = {}
+    for item in items:
+        modules.setdefault(item.module.__name__, []).append(item)
+    generator = random.Random(seed)
+    groups = list(modules.values())
+    generator.shuffle(groups)
+    for group in groups:
+        generator.shuffle(group)
+    items[:] = [item for group in groups for item in group]
+
+
+def missing(terminalreporter):
+    """Return the number of tests that were skipped for the lack of each program."""
+    reasons = [str(report.longrepr) for report in terminalreporter.stats.get("skipped", [])]
+    counts = {
+        name: sum(bool(re.search(pattern, reason, re.IGNORECASE)) for reason in reasons)
+        for name, (_, pattern) in REMEDIES.items()
+    }
+    return {name: count for name, count in counts.items() if count}
+
+
+def pytest_terminal_summary(terminalreporter):
+    for name, count in missing(terminalreporter).items():
+        terminalreporter.write_line(
+            f"{count} skipped for lack of {name}; to run them: {REMEDIES[name][0]}", yellow=True
+        )
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(session, exitstatus):
+    """Fail where nothing may be missing (``KNOWARM_TESTS_COMPLETE=1``, as in ``.ci/run``)."""
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    if os.environ.get("KNOWARM_TESTS_COMPLETE") and reporter is not None and missing(reporter):
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED

@@ -1,0 +1,65 @@
+import logging
+import multiprocessing
+import os
+import subprocess
+import sys
+
+import psutil
+import pytest
+import torch
+
+from knowarm.learn.checkpoint import CheckpointStore
+from knowarm.learn.config import PPOConfig
+from knowarm.learn.data_parallel import make_learner
+from knowarm.learn.processes import process_context
+from tests.learn.a3c.test_stop import UPDATE, build
+from tests.learn.test_data_parallel import noisy_learner
+from tests.learn.toys import toy_policy
+
+FOLDERS = """
+from knowarm.learn.processes import _temporary_folder
+
+print(_temporary_folder())
+"""
+
+
+def test_the_folders_of_killed_processes_are_removed(tmp_path):
+    unused = next(pid for pid in range(2**22 - 1, 0, -1) if not psutil.pid_exists(pid))
+    killed, used = tmp_path / f"knowarm-{unused}-abc", tmp_path / f"knowarm-{os.getpid()}-abc"
+    others = tmp_path / "knowarm-notes"
+    for folder in (killed, used, others):
+        folder.mkdir()
+        (folder / "socket").touch()
+    done = subprocess.run(
+        [sys.executable, "-c", FOLDERS],
+        env={**os.environ, "TMPDIR": str(tmp_path), "PYTHONPATH": os.pathsep.join(sys.path)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.startswith(str(tmp_path))
+    assert sorted(tmp_path.iterdir()) == sorted([used, others])  # its own is gone as well
+
+
+def test_fewer_processes_than_asked_for_are_said(caplog):
+    config = PPOConfig(num_envs=8, rollout_steps=4, minibatches=1, processes=2, device="cpu")
+    with caplog.at_level(logging.WARNING, "knowarm.learn"):
+        make_learner(toy_policy(), config, "float32", torch.device("cpu"))
+    assert "processes=2 is reduced to 1: minibatches have 8 environments" in caplog.text
+
+
+@pytest.mark.slow
+def test_helpers_and_workers_start_by_spawn(monkeypatch, tmp_path):
+    """As on Windows, which has no fork server."""
+    monkeypatch.setattr(multiprocessing, "get_all_start_methods", lambda: ["spawn"])
+    assert process_context().get_start_method() == "spawn"
+    learner, alone = noisy_learner(2), noisy_learner(1)
+    env_ids = torch.arange(16)
+    with learner.running(), alone.running():
+        together = learner.compute_gradient(env_ids).vector()
+        torch.testing.assert_close(together, alone.compute_gradient(env_ids).vector())
+    gate = tmp_path / "gate"
+    gate.touch()
+    trainer, evaluations = build(gate, CheckpointStore(tmp_path / "é", {}), evaluate_every=UPDATE)
+    assert trainer.train(2 * UPDATE).reason == "finished"
+    assert [step for step, *_ in evaluations] == [0, UPDATE, 2 * UPDATE]

@@ -1,0 +1,322 @@
+"""Every input format: whole files, and the function of KnowArm that reads them."""
+
+import bz2
+import gzip
+import io
+import lzma
+import signal
+import sys
+import tempfile
+import traceback
+import zipfile
+import zlib
+from collections.abc import Callable
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from knowarm.cli.train import parse_train
+from knowarm.errors import UserError
+from knowarm.experiment.build import load_agent
+from knowarm.experiment.evaluate import evaluate
+from knowarm.experiment.evaluation_files import read_film, read_table
+from knowarm.experiment.migration import migrate_checkpoints
+from knowarm.experiment.run import train
+from knowarm.experiment.run_folder import CsvLog, RunFolder
+from knowarm.knowledge import household, read_graph
+from knowarm.knowledge.formats import write_graph
+from knowarm.knowledge.formats.openke import write_openke
+from knowarm.knowledge.kge import KgeConfig
+from knowarm.knowledge.kge.split import all_triples, split_graph
+from knowarm.knowledge.kge.store import save_model
+from knowarm.knowledge.kge.train import train as train_embedding
+from knowarm.knowledge.sparql import EXAMPLE, sparql
+from knowarm.knowledge.vectors.glove import read_word_vectors
+from knowarm.knowledge.vectors.graph_embedding import stored_lookup
+from knowarm.learn.checkpoint import read_checkpoint
+from knowarm.report import write_report
+from knowarm.report.collect import collect
+from knowarm.world.attach import read_mjcf
+from knowarm.world.description_file import read_robot, read_target
+from knowarm.world.objects import TARGETS
+from knowarm.world.robots import ROBOTS
+from tests.experiment.test_run import short
+from tests.robustness.mutator import mutate
+
+STALL_S = 60
+"""Time after which reading one file counts as a failure; only where the system has timers [s]."""
+
+
+@dataclass(frozen=True)
+class Format:
+    """Files of one input format, one of which is mutated, and how they are read.
+
+    Attributes:
+        name: of the format.
+        path: the file that is mutated.
+        read: reads it, or the folder that it belongs to.
+    """
+
+    name: str
+    path: Path
+    read: Callable[[Path], object]
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A mutated file that ended otherwise than in a result or an error for users."""
+
+    format: str
+    seed: int
+    what: str
+
+
+class Stall(BaseException):
+    """Reading took longer than `STALL_S`."""
+
+
+def try_mutations(each: Format, seeds: range) -> list[Failure]:
+    """Read mutations of a format's file; return those that end in a traceback or a stall."""
+    original = each.path.read_bytes()
+    failures = []
+    try:
+        for seed in seeds:
+            random = np.random.default_rng((seed, zlib.crc32(each.name.encode())))
+            each.path.write_bytes(mutate(original, random, is_json=each.path.suffix == ".json"))
+            if (what := outcome(lambda: each.read(each.path))) is not None:
+                failures.append(Failure(each.name, seed, what))
+    finally:
+        each.path.write_bytes(original)
+    return failures
+
+
+def outcome(read: Callable[[], object]) -> str | None:
+    """Run a reader; return None for a result or an error for users, else what it raised."""
+    try:
+        with _timer(), redirect_stderr(io.StringIO()), redirect_stdout(io.StringIO()):
+            read()
+    except UserError as error:
+        return f"message of several lines: {error}" if "\n" in str(error) else None
+    except SystemExit as error:
+        return None if error.code in (0, 2) else f"exit code {error.code}"
+    except Stall:
+        return f"took more than {STALL_S} s"
+    except BaseException as error:
+        frame = traceback.extract_tb(error.__traceback__)[-1]
+        return f"{type(error).__name__}: {error} ({frame.filename}:{frame.lineno})"[:300]
+    return None
+
+
+@contextmanager
+def _timer():
+    if not hasattr(signal, "setitimer"):
+        yield
+        return
+
+    def stall(number, frame):
+        raise Stall
+
+    before = signal.signal(signal.SIGALRM, stall)
+    signal.setitimer(signal.ITIMER_REAL, STALL_S)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def make_formats(folder: Path) -> list[Format]:
+    """Write whole files of all formats into a folder."""
+    return [
+        *_graphs(folder / "graphs ä"),
+        *_vectors(folder / "vectors"),
+        *_world(folder / "world"),
+        *_run(folder / "runs"),
+        *_texts(folder),
+    ]
+
+
+def _graphs(folder: Path) -> list[Format]:
+    graph = household()
+    formats = []
+    folder.mkdir(parents=True)
+    for suffix in ("ttl", "nt", "rdf", "jsonld", "csv", "tsv"):
+        path = folder / f"home.{suffix}"
+        write_graph(graph, path)
+        formats.append(Format(f"graph .{suffix}", path, read_graph))
+    small = (folder / "home.nt").read_bytes()[:20_000].rsplit(b"\n", 1)[0] + b"\n"
+    for suffix, compress in (("gz", gzip.compress), ("bz2", bz2.compress), ("xz", lzma.compress)):
+        path = folder / f"small.nt.{suffix}"
+        path.write_bytes(compress(small))
+        formats.append(Format(f"graph .nt.{suffix}", path, read_graph))
+    path = folder / "small.nt.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("small.nt", small)
+    formats.append(Format("graph .nt.zip", path, read_graph))
+    openke = folder / "openke"
+    write_openke(split_graph(graph), openke)
+    formats += [
+        Format(f"OpenKE {name}", openke / f"{name}2id.txt", lambda path: read_graph(path.parent))
+        for name in ("entity", "relation", "train")
+    ]
+    path = folder / "conceptnet-assertions-5.7.0.csv"
+    line = '/a/x{0}\t/r/IsA\t/c/en/mug{0}\t/c/en/cup/n\t{{"weight": 2.0, "sources": []}}\n'
+    path.write_text("".join(line.format(i) for i in range(40)))
+    return [*formats, Format("ConceptNet", path, read_graph)]
+
+
+def _vectors(folder: Path) -> list[Format]:
+    folder.mkdir()
+    random = np.random.default_rng(0)
+    text = "".join(
+        f"word{i} " + " ".join(f"{x:.4f}" for x in random.normal(size=20)) + "\n"
+        for i in range(150)
+    ).encode()
+    plain, packed, zipped = (folder / f"words.txt{suffix}" for suffix in ("", ".gz", ".zip"))
+    plain.write_bytes(text)
+    packed.write_bytes(gzip.compress(text))
+    with zipfile.ZipFile(zipped, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("words.txt", text)
+    config = KgeConfig(dim=4, epochs=1)
+    graph = household()
+    trained = train_embedding(
+        config, all_triples(graph), len(graph.names), len(graph.relation_names)
+    )
+    embedding = folder / "home.safetensors"
+    save_model(trained.model, config, graph, embedding)
+    return [
+        *(
+            Format(f"word vectors {p.suffix}", p, read_word_vectors)
+            for p in (plain, packed, zipped)
+        ),
+        Format("graph embedding", embedding, lambda path: stored_lookup(path, graph)),
+    ]
+
+
+ROBOT = """name = "own"
+mjcf = "{mjcf}"
+joints = {joints}
+tcp_site = "{robot.tcp_site}"
+home = {home}
+rectangle_centre_m = [0.5, 0.0]
+rectangle_half_size_m = [0.1, 0.1]
+target_yaw_deg = 180.0
+camera_position_m = [1.5, 0.0, 1.0]
+camera_look_at_m = [0.4, 0.0, 0.2]
+camera_fovy_deg = 45.0
+
+[target_yaws_deg]
+mug = 170.0
+"""
+
+TARGET = """name = "own"
+mjcf = "{mjcf}"
+coloured_geoms = {geoms}
+
+[colours]
+red = [0.9, 0.1, 0.1]
+"""
+
+
+def _world(folder: Path) -> list[Format]:
+    folder.mkdir()
+    robot, target = next(iter(ROBOTS.values())).robot, next(iter(TARGETS.values()))
+    own_robot, own_target = folder / "robot.toml", folder / "target.toml"
+    mjcf = folder / "robot.xml"
+    mjcf.write_bytes(robot.mjcf.read_bytes())
+    own_robot.write_text(
+        ROBOT.format(mjcf=mjcf.name, joints=list(robot.joints), home=list(robot.home), robot=robot)
+    )
+    own_target.write_text(
+        TARGET.format(mjcf=target.mjcf.as_posix(), geoms=list(target.coloured_geoms))
+    )
+    return [
+        Format("robot TOML", own_robot, read_robot),
+        Format("target TOML", own_target, read_target),
+        Format("MJCF", mjcf, lambda path: read_mjcf(path, "Robot 'own'")),
+    ]
+
+
+def _run(folder: Path) -> list[Format]:
+    config = short(total_steps=40, checkpoint_every_steps=20)
+    run = train(config, folder, policy={"features": 8}).folder
+    evaluated = evaluate(run.path, episodes=2, record_films=1, label="two").write()
+
+    def reported(path: Path) -> None:
+        write_report([run.path], folder / "report.html")
+
+    def logs(path: Path) -> None:
+        before = path.read_bytes()
+        CsvLog(path, keep_to_step=20).write({"step": 40, "new": 1.0})
+        path.write_bytes(before)
+        collect([run.path])
+
+    def loaded(path: Path) -> None:
+        load_agent(run.path, which="latest")
+
+    def checkpoint(path: Path) -> None:
+        migrate_checkpoints(run.checkpoints, config.env.robot)
+        read_checkpoint(path.parent)
+
+    latest = run.checkpoints / "latest"
+    return [
+        Format("config.json", run.config_path, lambda path: RunFolder.open(run.path).experiment()),
+        Format("config.json in a report", run.config_path, reported),
+        Format("provenance.json", run.path / "provenance.json", loaded),
+        Format("provenance.json in a report", run.path / "provenance.json", reported),
+        Format("knowledge.safetensors", run.path / "knowledge.safetensors", loaded),
+        Format("metrics.csv", run.metrics_path, logs),
+        Format("evaluations.csv", run.evaluations_path, logs),
+        Format("checkpoint meta.json", latest / "meta.json", checkpoint),
+        *(
+            Format(f"checkpoint {p}", latest / f"{p}.safetensors", loaded)
+            for p in ("policy", "state")
+        ),
+        Format("summary.json in a report", evaluated / "summary.json", reported),
+        Format("episodes.parquet in a report", evaluated / "episodes.parquet", reported),
+        Format("evaluations.csv in a report", run.evaluations_path, reported),
+        Format("episodes.parquet", evaluated / "episodes.parquet", read_table),
+        Format("steps.parquet", evaluated / "steps.parquet", read_table),
+        Format("film", evaluated / "films" / "0.webp", read_film),
+    ]
+
+
+def _texts(folder: Path) -> list[Format]:
+    graph = household()
+    query = folder / "query.rq"
+    query.write_text(
+        EXAMPLE + "\n" * 3 + '# OPTIONAL { ?x :isA ?y } FILTER(?colour != "red") LIMIT 10\n'
+    )
+    options = folder / "options.txt"
+    options.write_text(
+        "--seed 3 --total-steps 1000 --env.mpi-rad 0.1 --env.image-size 64 --interim.episodes 4 "
+        "--algorithm.num-envs 64 --algorithm.gamma 0.9 --knowledge.source.kind words"
+    )
+    name = "irb120-full-ppo"
+    return [
+        Format("SPARQL", query, lambda p: sparql(graph, p.read_bytes().decode(errors="replace"))),
+        Format(
+            "command line",
+            options,
+            lambda p: parse_train([name, *p.read_bytes().decode(errors="replace").split()]),
+        ),
+    ]
+
+
+def main() -> None:
+    """Print the failures of ``FORMAT-PART COUNT [FIRST SEED]`` as a check while developing."""
+    part, count, *first = sys.argv[1:]
+    begin = int(first[0]) if first else 0
+    with tempfile.TemporaryDirectory() as folder:
+        for each in make_formats(Path(folder)):
+            if part in each.name:
+                failures = try_mutations(each, range(begin, begin + int(count)))
+                print(f"{each.name}: {len(failures)} failures", flush=True)
+                for failure in failures[:5]:
+                    print("   ", failure.seed, failure.what, flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,353 @@
+"""Campaigns against running programs: kill -9, failing file operations, stopped children, soak."""
+
+import dataclasses
+import hashlib
+import itertools
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+
+import numpy as np
+import psutil
+import torch
+
+from knowarm.errors import UserError
+from knowarm.experiment.config import InterimConfig
+from knowarm.experiment.evaluate import evaluate
+from knowarm.experiment.registry import experiment_config
+from knowarm.experiment.run import train
+from knowarm.experiment.run_folder import CsvLog, RunFolder, read_csv
+from knowarm.experiment.run_lock import lock_folder
+from knowarm.learn import Hooks
+from knowarm.learn.a3c import A3CTrainer
+from knowarm.learn.checkpoint import Checkpoint, CheckpointStore, read_checkpoint
+from knowarm.report import write_report
+from knowarm.world.config import EnvConfig
+from knowarm.world.vector_env import ReachVectorEnv
+from tests.experiment.test_run import short
+from tests.learn.a3c.test_trainer import FAST, Make, make_play
+from tests.learn.test_data_parallel import noisy_learner
+from tests.learn.toys import toy_policy
+
+GONE_S = 120
+"""Time that child processes of a killed trainer have to disappear [s]."""
+
+STEPS = 20
+"""Environment steps of one update of the storms' trainings."""
+
+
+def storm_config(kind: str, total_steps: int):
+    """Return a small training of a kind: "ppo", "ppo with helpers" or "a3c"."""
+    values = {
+        "total_steps": total_steps,
+        "checkpoint_every_steps": 2 * STEPS,
+        "interim": InterimConfig(every_steps=10 * STEPS, episodes=2),
+    }
+    config = short(**values)
+    if kind == "ppo with helpers":
+        algorithm = dataclasses.replace(
+            config.algorithm, num_envs=32, rollout_steps=5, minibatches=2, processes=2
+        )
+        return dataclasses.replace(config, algorithm=algorithm)
+    if kind == "a3c":
+        algorithm = dataclasses.replace(FAST, envs_per_worker=4, log_every_steps=2 * STEPS)
+        config = experiment_config("irb120-full-a3c")
+        return dataclasses.replace(config, **values, algorithm=algorithm)
+    return config
+
+
+def train_until_killed(kind: str, runs: Path, total_steps: int) -> None:
+    """Train, or resume the training in ``runs``."""
+    torch.set_num_threads(1)
+    config = storm_config(kind, total_steps)
+    started = next(runs.rglob("config.json"), None) is not None
+    train(config, runs, resume=started, policy={"features": 8})
+
+
+def kill_storm(kind: str, kills: int, seed: int) -> tuple[int, list[str]]:
+    """Kill a training again and again; check its folder each time and its result at the end."""
+    random, failures = np.random.default_rng(seed), []
+    total, killed = STEPS * 8 * (kills + 2) * (8 if kind != "ppo" else 1), 0
+    with tempfile.TemporaryDirectory() as temporary:
+        runs, step = Path(temporary) / "störm runs", 0
+        folder = runs / storm_config(kind, total).name / "0"
+        for number in range(kills):
+            process = _start(kind, runs, total)
+            _wait_for_rows(folder, int(random.integers(1, 5)), process)
+            time.sleep(random.random() * 0.05)
+            family = _family(process.pid)
+            if process.exitcode is not None:  # all steps were taken; later kills would be none
+                failures += [f"{kind} {number}: it failed"] if process.exitcode else []
+                break
+            process.kill()
+            killed += 1
+            process.join()
+            _, alive = psutil.wait_procs(family, timeout=GONE_S)
+            failures += [f"{kind} {number}: {child} lives on" for child in alive]
+            try:
+                now = _check_folder(folder)
+            except Exception as error:
+                failures.append(f"{kind} {number}: {type(error).__name__}: {error}")
+                continue
+            if now < step:
+                failures.append(f"{kind} {number}: the checkpoint went from {step} back to {now}")
+            step = now
+        if kind == "ppo":
+            failures += _compare_with_uninterrupted(kind, runs, total, Path(temporary) / "whole")
+    return killed, failures
+
+
+def _train_silently(kind: str, runs: Path, total: int) -> None:
+    silence = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(silence, 2)
+    train_until_killed(kind, runs, total)
+
+
+def _start(kind: str, runs: Path, total: int) -> BaseProcess:
+    """Start a trainer; where possible by fork, which saves the seconds that imports take."""
+    method = "fork" if sys.platform.startswith("linux") else "spawn"
+    context = multiprocessing.get_context(method)
+    process = context.Process(target=_train_silently, args=(kind, runs, total))
+    process.start()
+    return process
+
+
+def _wait_for_rows(folder: Path, rows: int, process: BaseProcess) -> None:
+    """Wait until the curves have changed some times, or the training has ended."""
+    sizes: list[int] = []
+    path = folder / "metrics.csv"
+    while len(sizes) <= rows and process.is_alive():
+        size = path.stat().st_size if path.exists() else 0
+        if not sizes or size != sizes[-1]:
+            sizes.append(size)
+        time.sleep(0.005)
+
+
+def _family(pid: int) -> list[psutil.Process]:
+    try:
+        return psutil.Process(pid).children(recursive=True)
+    except psutil.Error:
+        return []
+
+
+def _check_folder(folder: Path) -> int:
+    """Check what a killed training leaves; return the step of its checkpoint."""
+    with lock_folder(folder, remedy="The lock of a killed process must be free."):
+        pass
+    if not (folder / "config.json").exists():
+        return 0  # killed before the run was described
+    run = RunFolder.open(folder)
+    run.experiment()
+    for path in (run.metrics_path, run.evaluations_path):
+        if path.exists():
+            read_csv(path)
+    if not run.has_checkpoint:
+        return 0
+    for name in ("latest", "previous"):
+        if (run.checkpoints / name).is_dir():
+            return int(read_checkpoint(run.checkpoints / name).facts["step"])
+    raise AssertionError("no checkpoint")
+
+
+def _compare_with_uninterrupted(kind: str, runs: Path, total: int, whole: Path) -> list[str]:
+    for folder in (runs, whole):
+        process = _start(kind, folder, total)
+        process.join()
+        if process.exitcode:
+            return [f"{kind}: the training to the end failed"]
+    name = Path(storm_config(kind, total).name) / "0" / "checkpoints" / "latest"
+    digests = [
+        hashlib.sha256((folder / name / "policy.safetensors").read_bytes()).hexdigest()
+        for folder in (runs, whole)
+    ]
+    return [] if digests[0] == digests[1] else [f"{kind}: other parameters than uninterrupted"]
+
+
+EVALUATE = """
+import sys
+from knowarm.experiment.evaluate import evaluate
+
+while True:
+    evaluate(sys.argv[1], episodes=2, record_films=1, label="storm").write()
+    print("written", flush=True)
+"""
+
+
+def kill_evaluations(kills: int, seed: int) -> tuple[int, list[str]]:
+    """Kill a process that evaluates; a folder with a summary must be complete."""
+    random, failures = np.random.default_rng(seed), []
+    with tempfile.TemporaryDirectory() as temporary:
+        config = storm_config("ppo", STEPS)
+        folder = train(config, temporary, policy={"features": 8}).folder
+        for number in range(kills):
+            process = subprocess.Popen(
+                [sys.executable, "-c", EVALUATE, folder.path],
+                stdout=subprocess.PIPE,
+                env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+            )
+            process.stdout.readline()
+            time.sleep(random.random() * 0.3)
+            process.kill()
+            process.communicate()
+            try:
+                write_report([folder.path], Path(temporary) / "report.html")
+            except Exception as error:
+                failures.append(f"evaluation {number}: {type(error).__name__}: {error}")
+    return kills, failures
+
+
+class _Faults:
+    """Lets one file operation below a folder fail, chosen by its number."""
+
+    def __init__(self) -> None:
+        self._active: tuple[str, int, OSError] | None = None
+        self._count = 0
+        sys.addaudithook(self._hook)
+
+    @contextmanager
+    def inject(self, folder: Path, number: int, error: OSError) -> Iterator[None]:
+        """Let the operation ``number`` fail."""
+        self._count, self._active = 0, (str(folder), number, error)
+        try:
+            yield
+        finally:
+            self._active = None
+
+    def _hook(self, event: str, arguments: tuple) -> None:
+        if self._active is None or event not in OPERATIONS:
+            return
+        folder, number, error = self._active
+        if threading.current_thread() is threading.main_thread() and any(
+            folder in str(argument) for argument in arguments[:2]
+        ):
+            self._count += 1
+            if self._count == number:
+                raise error
+
+
+OPERATIONS = {"open", "os.rename", "os.remove", "os.mkdir", "os.rmdir", "shutil.rmtree"}
+ERRORS = [OSError(28, "No space left on device"), OSError(5, "Input/output error")]
+ERRORS += [PermissionError(13, "Permission denied"), FileNotFoundError(2, "No such file")]
+
+_faults: _Faults | None = None
+
+
+def inject_file_errors(tries: int, seed: int) -> tuple[int, list[str]]:
+    """Let single file operations fail; what fails must say so, and what was stored stay whole."""
+    global _faults
+    _faults = _faults or _Faults()
+    torch.set_num_threads(1)
+    random, failures = np.random.default_rng(seed), []
+    arrays = {"a": np.arange(100.0)}
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        run = train(storm_config("ppo", 2 * STEPS), folder / "runs", policy={"features": 8}).folder
+        store = CheckpointStore(folder / "checkpoints", {})
+        store.save(Checkpoint(policy=arrays, facts={"step": 0}))
+
+        def save(number: int) -> None:
+            store.save(Checkpoint(policy=arrays, facts={"step": number}))
+
+        def log(number: int) -> None:
+            CsvLog(folder / "log.csv", keep_to_step=number).write({"step": number, f"c{number}": 1})
+
+        def report(number: int) -> None:
+            write_report([run.path], folder / "report" / "report.html")
+
+        def evaluated(number: int) -> None:
+            evaluate(run.path, episodes=2, label="faults").write()
+
+        def training(number: int) -> None:
+            train(
+                storm_config("ppo", (4 + number) * STEPS),
+                folder / "runs",
+                resume=True,
+                policy={"features": 8},
+            )
+
+        actions = [(save, 8, 20), (log, 8, 6), (report, 1, 30), (evaluated, 1, 12)]
+        actions += [(training, 1, 60)]
+        weights = np.array([weight for _, weight, _ in actions], float)
+        for number in range(tries):
+            action, _, most = actions[random.choice(len(actions), p=weights / weights.sum())]
+            error = ERRORS[int(random.integers(len(ERRORS)))]
+            try:
+                with _faults.inject(folder, int(random.integers(1, most)), error):
+                    action(number)
+            except UserError as caught:
+                if "\n" in str(caught):
+                    failures.append(f"{action.__name__} {number}: several lines: {caught}")
+            except Exception as caught:
+                failures.append(f"{action.__name__} {number}: {type(caught).__name__}: {caught}")
+            try:
+                store.load()
+                RunFolder.open(run.path).experiment()
+                read_checkpoint(run.checkpoints / "latest")
+            except Exception as caught:
+                failures.append(f"after {action.__name__} {number}: {caught}")
+    return tries, failures
+
+
+def stop_children(tries: int, seed: int) -> tuple[int, list[str]]:
+    """Stop worker, evaluator and helper processes (SIGSTOP); training must go on."""
+    random, failures = np.random.default_rng(seed), []
+    learner, env_ids = noisy_learner(2), torch.arange(16)
+    with learner.running():
+        expected = learner.compute_gradient(env_ids).vector()
+        for number in range(tries // 2):
+            os.kill(learner._workers[0].process.pid, signal.SIGSTOP)
+            if not torch.equal(learner.compute_gradient(env_ids).vector(), expected):
+                failures.append(f"helper {number}: another gradient")
+    stopped: list[int] = []
+    rows = itertools.count()
+
+    def stop_one(row: dict) -> None:
+        if next(rows) % 3 == 0:
+            children = [*trainer._pool.workers, trainer._evaluations._child]
+            child = children[int(random.integers(len(children)))]
+            os.kill(child.process.pid, signal.SIGSTOP)
+            stopped.append(child.process.pid)
+
+    trainer = A3CTrainer(
+        FAST,
+        toy_policy(features=8),
+        Make(False, 5),
+        seed=0,
+        make_evaluate=partial(make_play, False, 5),
+        evaluate_every=2000,
+        hooks=Hooks(on_metrics=stop_one, should_stop=lambda: len(stopped) >= tries - tries // 2),
+    )
+    trainer.train(10**9)
+    if trainer.restarts or trainer._evaluations.restarts:
+        failures.append("a stopped process was restarted instead of continued")
+    return tries // 2 + len(stopped), failures
+
+
+def random_steps(robot: str, steps: int, seed: int) -> tuple[int, list[str]]:
+    """Step a robot with random actions; images, rewards and poses must stay within bounds."""
+    config = EnvConfig(robot=robot, image_size=16, colours="randomized")
+    env, random, failures = ReachVectorEnv(config, 50), np.random.default_rng(seed), []
+    env.reset(seed=seed)
+    done = 0
+    try:
+        while done < steps:
+            actions = random.integers(7, size=env.action_space.shape)
+            image, reward, _, _, _ = env.step(actions)
+            done += 50
+            if not np.isfinite(reward).all() or image.dtype != np.uint8:
+                failures.append(f"{robot} at step {done}: a reward or image out of bounds")
+            if not np.isfinite(env.simulation.batch.bind("qpos")).all():
+                failures.append(f"{robot} at step {done}: a joint angle is not finite")
+    finally:
+        env.close()
+    return done, failures

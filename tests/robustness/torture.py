@@ -1,0 +1,89 @@
+"""Long form of all campaigns: ``make torture``, or ``python -m tests.robustness.torture``.
+
+Prints a table of tries and failures per campaign and ends with exit code 1 if there is a failure.
+"""
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from knowarm.world.robots import ROBOTS
+from tests.robustness.formats import make_formats, try_mutations
+from tests.robustness.storms import (
+    inject_file_errors,
+    kill_evaluations,
+    kill_storm,
+    random_steps,
+    stop_children,
+)
+
+Result = tuple[int, list[str]]
+
+
+def mutations(tries: int, seed: int) -> Result:
+    """Try an equal number of mutations of every format."""
+    failures = []
+    with tempfile.TemporaryDirectory() as folder:
+        formats = make_formats(Path(folder))
+        each = -(-tries // len(formats))
+        for one in formats:
+            found = try_mutations(one, range(seed, seed + each))
+            failures += [f"{f.format}, seed {f.seed}: {f.what}" for f in found]
+        return each * len(formats), failures
+
+
+CAMPAIGNS: dict[str, tuple[int, Callable[[int, int], Result]]] = {
+    "kill -9, PPO alone": (50, lambda n, seed: kill_storm("ppo", n, seed)),
+    "kill -9, PPO with helpers": (25, lambda n, seed: kill_storm("ppo with helpers", n, seed)),
+    "kill -9, A3C": (25, lambda n, seed: kill_storm("a3c", n, seed)),
+    "kill -9, evaluation": (20, kill_evaluations),
+    "mutations of files": (20_000, mutations),
+    "injected file errors": (500, inject_file_errors),
+    "stopped child processes": (40, stop_children),
+    **{
+        f"random steps, {robot}": (
+            1_000_000,
+            lambda n, seed, robot=robot: random_steps(robot, n, seed),
+        )
+        for robot in ROBOTS
+    },
+}
+"""Tries of the long form, and the function that makes them."""
+
+
+def main() -> int:
+    """Run the campaigns that the arguments name, and print the summary."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", default="", help="part of the names of the campaigns to run")
+    parser.add_argument("--scale", type=float, default=1.0, help="share of the tries")
+    parser.add_argument("--seed", type=int, default=0, help="another one makes other tries")
+    parser.add_argument("--json", type=Path, help="file that results are added to")
+    given = parser.parse_args()
+    rows, everything = [], []
+    for name, (tries, campaign) in CAMPAIGNS.items():
+        if given.only not in name:
+            continue
+        begin = time.monotonic()
+        count, failures = campaign(max(1, round(tries * given.scale)), given.seed)
+        minutes = (time.monotonic() - begin) / 60
+        rows.append({"campaign": name, "tries": count, "failures": len(failures)})
+        rows[-1]["minutes"] = round(minutes, 1)
+        print(f"{name}: {count:,} tries, {len(failures)} failures, {minutes:.1f} min", flush=True)
+        for failure in failures[:20]:
+            print(f"    {failure}", flush=True)
+        everything += failures
+        if given.json is not None:
+            before = json.loads(given.json.read_text()) if given.json.exists() else []
+            given.json.write_text(json.dumps([*before, rows[-1]], indent=2))
+    print("\n| campaign | tries | failures |\n|---|---|---|")
+    for row in rows:
+        print(f"| {row['campaign']} | {row['tries']:,} | {row['failures']} |")
+    return 1 if everything else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,72 @@
+"""Every defect of a stored file is one kind of error, on one line."""
+
+import json
+
+import numpy as np
+import pytest
+from safetensors.numpy import save_file
+
+from knowarm.errors import UserError
+from knowarm.reading import UnreadableFileError, read_arrays, read_json, read_text, reading
+
+
+class PanicException(BaseException):
+    """What libraries written in Rust raise."""
+
+
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (KeyError("table"), r"f\.bin is damaged or of another format: missing 'table'\. Fix it\."),
+        (ValueError("two\nlines"), "two lines"),
+        (MemoryError(), "MemoryError"),
+        (RecursionError("deep"), "deep"),
+        (PanicException("index out of bounds"), "index out of bounds"),
+        (PermissionError(13, "Permission denied"), r"Cannot read .*f\.bin: Permission denied\."),
+    ],
+)
+def test_whatever_reading_raises_names_file_and_remedy(tmp_path, error, message):
+    with (
+        pytest.raises(UnreadableFileError, match=message) as caught,
+        reading(tmp_path / "f.bin", "Fix it."),
+    ):
+        raise error
+    assert "\n" not in str(caught.value)
+
+
+def test_errors_for_users_and_interrupts_pass(tmp_path):
+    with pytest.raises(UserError, match="mine"), reading(tmp_path, ""):
+        raise UserError("mine")
+    with pytest.raises(KeyboardInterrupt), reading(tmp_path, ""):
+        raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"{", b"[1]", b"3", b"\xff{}", b'{"a":' * 200_000, b"[" * 200_000, b'{"a": 1}x'],
+)
+def test_damaged_json(tmp_path, content):
+    path = tmp_path / "f.json"
+    path.write_bytes(content)
+    with pytest.raises(UnreadableFileError, match=r"f\.json"):
+        read_json(path)
+    path.write_text(json.dumps({"ä": 1}), encoding="utf-8")
+    assert read_json(path) == {"ä": 1}
+
+
+def test_a_large_file_is_not_read_whole(tmp_path):
+    path = tmp_path / "f.txt"
+    with path.open("wb") as file:
+        file.truncate(50_000_000_000)  # sparse: takes no room on disk
+    with pytest.raises(UnreadableFileError, match="larger than 1 MiB"):
+        read_text(path, remedy="", most=2**20)
+
+
+def test_damaged_arrays(tmp_path):
+    path = tmp_path / "f.safetensors"
+    save_file({"a": np.arange(3)}, path)
+    np.testing.assert_array_equal(read_arrays(path, remedy="")["a"], np.arange(3))
+    for content in (b"", b"\xff" * 8, path.read_bytes()[:-3], b"\x01" * 40):
+        path.write_bytes(content)
+        with pytest.raises(UnreadableFileError, match="Train again"):
+            read_arrays(path, remedy="Train again.")

@@ -1,0 +1,119 @@
+"""The web viewer answers this machine only, waits for a browser, and plays until it is stopped."""
+
+import http.client
+import socket
+import subprocess
+import sys
+from email.message import Message
+
+import pytest
+
+from knowarm.errors import UserError
+from knowarm.world.web_access import COOKIE, WebAccess
+
+pytest.importorskip("mujoco.studio.web.web_server", exc_type=ImportError)
+from websockets.sync.client import connect  # installed with mujoco-studio
+
+
+def headers(**values):
+    message = Message()
+    for name, value in values.items():
+        message[name] = value
+    message.get_all = lambda name, get=message.get_all: get(name) or []
+    return message
+
+
+def access(host="127.0.0.1"):
+    made = WebAccess(host, 0)
+    made.port = 8080
+    return made
+
+
+@pytest.mark.parametrize("host", ["localhost:8080", "127.0.0.1:8080", "[::1]:8080"])
+def test_names_of_this_machine_are_answered(host):
+    assert access().refusal("/", headers(Host=host)) is None
+    assert access().refusal("/state", headers(Host=host, Origin=f"http://{host}")) is None
+
+
+@pytest.mark.parametrize(
+    ("path", "values"),
+    [
+        ("/", {"Host": "evil.example:8080"}),  # DNS rebinding
+        ("/", {"Host": "localhost.evil.example:8080"}),
+        ("/", {"Host": "localhost:8081"}),
+        ("/", {"Host": "localhost:x"}),
+        ("/", {}),
+        ("/state", {"Host": "localhost:8080", "Origin": "http://evil.example"}),
+        ("/state", {"Host": "localhost:8080", "Origin": "null"}),
+        ("/ui", {"Host": "localhost:8080", "Origin": "http://localhost:3000"}),
+        ("/drop", {"Host": "localhost:8080", "Origin": "http://localhost:8080"}),
+    ],
+)
+def test_other_requests_are_refused(path, values):
+    assert access().refusal(path, headers(**values)) is not None
+
+
+def test_other_addresses_need_the_token():
+    made = access("0.0.0.0")
+    host = {"Host": "arm.example:8080"}
+    assert made.token in made.url
+    assert "token" in made.refusal("/", headers(**host))
+    assert made.refusal(f"/?token={made.token}", headers(**host)) is None
+    assert made.refusal("/ui", headers(**host, Cookie=f"a=b; {COOKIE}={made.token}")) is None
+    for wrong in ("x", made.token[:-1], made.token + "ä"):
+        assert made.refusal("/?token=" + wrong, headers(**host)) is not None
+        assert made.refusal("/", headers(**host, Cookie=f"{COOKIE}={wrong}")) is not None
+    assert access().token is None
+
+
+def test_a_port_that_is_taken_is_named():
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(UserError, match=f"cannot listen on 127.0.0.1, port {port}"):
+            WebAccess("127.0.0.1", port).bind()
+
+
+def test_an_address_of_another_machine_is_refused():
+    with pytest.raises(UserError, match=r"cannot listen on 192\.0\.2\.1"):
+        WebAccess("192.0.2.1", 0).bind()
+
+
+def status(port, path="/", **values):
+    connection = http.client.HTTPConnection("127.0.0.1", port)
+    connection.putrequest("GET", path, skip_host=True)
+    for name, value in values.items():
+        connection.putheader(name, value)
+    connection.endheaders()
+    answer = connection.getresponse().status
+    connection.close()
+    return answer
+
+
+@pytest.mark.slow
+def test_the_viewer():
+    command = [sys.executable, "-m", "knowarm", "view", "--agent", "random", "--episodes", "1"]
+    options = ["--no-browser", "--dynamics", "kinematic", "--targets", "mug"]
+    viewer = subprocess.Popen([*command, *options], stdout=subprocess.PIPE, text=True)
+    try:
+        lines = iter(viewer.stdout.readline, "")
+        url = next(line.split()[-1] for line in lines if "runs at" in line)
+        assert url.startswith("http://127.0.0.1:")
+        port = int(url.strip("/").rsplit(":", 1)[1])
+        host = f"127.0.0.1:{port}"
+        assert status(port, Host=host) == 200
+        assert status(port, Host="evil.example") == 403
+        assert status(port, "/model", Host=host, Origin="http://evil.example") == 403
+        assert status(port, "/drop", Host=host) == 403
+        # 127.0.0.2 is this machine as well: a listener on all interfaces would answer there.
+        if sys.platform.startswith("linux"):
+            with pytest.raises(ConnectionRefusedError):
+                socket.create_connection(("127.0.0.2", port))
+        with pytest.raises(Exception, match="403"):
+            connect(f"ws://{host}/state", origin="http://evil.example", open_timeout=None)
+        with connect(f"ws://{host}/state", origin=f"http://{host}", open_timeout=None):
+            played = [next(line for line in lines if "Episode 1 of 1" in line) for _ in range(2)]
+        assert len(played) == 2  # again and again
+        assert viewer.poll() is None
+    finally:
+        viewer.kill()
+        viewer.communicate()
