@@ -1,7 +1,7 @@
 """Export a trained policy and play it with ONNX Runtime, without PyTorch in the loop.
 
 pip install 'knowarm[onnx]'
-python examples/export_onnx.py runs/irb120-full-ppo/0 --episodes 20
+python examples/export_onnx.py runs/irb120-full-fast/0 --episodes 20
 """
 
 import argparse

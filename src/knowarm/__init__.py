@@ -11,8 +11,8 @@ Train the paper's agent and its baseline, evaluate both on the same episodes, an
 
     import knowarm
 
-    for name in ("irb120-full-ppo", "irb120-bm-ppo"):
-        run = knowarm.train(name, runs="runs", total_steps=5_000_000)
+    for name in ("irb120-full-fast", "irb120-bm-fast"):
+        run = knowarm.train(name, runs="runs")
         knowarm.evaluate(run.folder.path, episodes=1000).write()
     knowarm.write_report(["runs"], "runs/report.html")
 
@@ -22,7 +22,7 @@ Use one part alone::
     graph = knowarm.read_graph("kitchen.ttl")           # RDF, ConceptNet, OpenKE or a table
     config = knowarm.KnowledgeConfig(detail="full")
     vector = knowarm.scene_embedding(config, [("mug", "red"), ("bottle", "yellow")]).vector
-    trained = knowarm.load_agent("zoo/irb120-full-ppo")  # an agent, its policy and its config
+    trained = knowarm.load_agent("zoo/irb120-full-fast")  # an agent, its policy and its config
 
 Experiments
     train               train a named experiment or a config, or resume a run

@@ -20,7 +20,7 @@ class Evaluate:
     """Evaluate an agent on the episodes of the paper's post-training evaluation."""
 
     agent: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="AGENT")]
-    """A run folder (runs/irb120-full-ppo/0), or a scripted agent (see `knowarm list`)."""
+    """A run folder (runs/irb120-full-fast/0), or a scripted agent (see `knowarm list`)."""
     evaluation: Annotated[EvaluationConfig, tyro.conf.OmitArgPrefixes] = field(
         default_factory=EvaluationConfig
     )

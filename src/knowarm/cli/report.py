@@ -46,7 +46,7 @@ class Export:
     """Write a trained policy as an ONNX model of one time step."""
 
     run_folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
-    """Run folder, such as runs/irb120-full-ppo/0."""
+    """Run folder, such as runs/irb120-full-fast/0."""
     out: Path = Path("policy.onnx")
     """ONNX file to write."""
     which: Which = "best"

@@ -178,7 +178,7 @@ def load_agent(
     """Load the trained agent of a run.
 
     Args:
-        path: the run folder, such as ``runs/irb120-full-ppo/0``.
+        path: the run folder, such as ``runs/irb120-full-fast/0``.
         which: the policy of the best interim evaluation, the latest policy, or the initial
             weights.
         greedy: take the most probable action instead of sampling one.

@@ -13,8 +13,8 @@ from knowarm.experiment.registry import experiment_config, experiment_name
 from knowarm.experiment.run import run_path, train
 from knowarm.world.robots import ROBOTS
 
-STEPS = 500_000
-"""Environment steps of each agent: enough to learn the orientation, not the whole task."""
+STEPS = 700_000
+"""Environment steps of each agent: most episodes then succeed, not all."""
 
 EVALUATION = EvaluationConfig(episodes=200, label="demo")
 """The same 200 episodes for every agent."""

@@ -55,7 +55,7 @@ def train(
     """Train one experiment, or resume a training that was stopped.
 
     Args:
-        config: the experiment's name, such as ``"irb120-full-ppo"``, or its config. To resume a
+        config: the experiment's name, such as ``"irb120-full-fast"``, or its config. To resume a
             run, pass what it was started with; only ``total_steps`` may differ.
         runs: folder of all runs; this one is stored in ``<runs>/<experiment>/<seed>/``.
         resume: continue from the run's latest intact checkpoint instead of refusing a folder that

@@ -90,7 +90,7 @@ class RunFolder:
             what = "has no config.json" if folder.path.is_dir() else "does not exist"
             raise UserError(
                 f"{path} is not a run folder: it {what}. Give the folder of one seed, such as "
-                "runs/irb120-full-ppo/0."
+                "runs/irb120-full-fast/0."
             )
         found = folder.config().get("format")
         if found != FORMAT:

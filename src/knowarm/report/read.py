@@ -40,7 +40,7 @@ def read_folders(
     if not runs:
         reasons = "; ".join(f"{p.path}: {p.what}" for p in problems[:3]) or "no folder was given"
         raise UserError(
-            f"Nothing to report: {reasons}. Give run folders such as runs/irb120-full-ppo/0."
+            f"Nothing to report: {reasons}. Give run folders such as runs/irb120-full-fast/0."
         )
     known: list[Reference] = []
     for name, path in (references or {}).items():
