@@ -47,8 +47,11 @@ def test_numba_caches_a_function_under_its_key(tmp_path: Path) -> None:
     path = tmp_path / "cached_function.py"
     path.write_text("def double(x):\n    return 2 * x\n")
 
+    alive = []  # Numba cannot import the module again, so its functions must stay
+
     def cache_hits(key: str) -> int:
         compiled = njit(cache=True)(key_numba_cache(load(path).double, key))
+        alive.append(compiled)
         assert compiled(4) == 8
         return sum(compiled.stats.cache_hits.values())
 

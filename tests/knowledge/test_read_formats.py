@@ -135,9 +135,12 @@ def test_a_query_reads_the_given_graph_only(query):
 
 
 def test_keywords_in_names_strings_and_comments_are_no_keywords():
-    query = """SELECT ?service WHERE { # from the SERVICE <http://a.org/>
-        ?service :hasColor ?from . FILTER(?from != "a \\"service from" && ?from != :from) }"""
+    """But SERVICE is refused in strings and comments, too."""
+    query = """SELECT ?service WHERE { # from <http://a.org/>
+        ?service :hasColor ?from . FILTER(?from != "a \\"from" && ?from != :from) }"""
     assert len(sparql(household(), query).rows) > 40
+    with pytest.raises(UserError, match="nothing is fetched from the network"):
+        sparql(household(), query.replace("# from", "# SERVICE"))
     labels = sparql(
         household(), "SELECT ?l { :mug rdfs:label ?l ; :isA ?o OPTIONAL { ?l :no ?x } }"
     )

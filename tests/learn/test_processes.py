@@ -11,6 +11,7 @@ import torch
 from knowarm.learn.checkpoint import CheckpointStore
 from knowarm.learn.config import PPOConfig
 from knowarm.learn.data_parallel import make_learner
+from knowarm.learn.minibatch import TrainingNetwork
 from knowarm.learn.processes import process_context
 from tests.learn.a3c.test_stop import UPDATE, build
 from tests.learn.test_data_parallel import noisy_learner
@@ -44,7 +45,7 @@ def test_the_folders_of_killed_processes_are_removed(tmp_path):
 def test_fewer_processes_than_asked_for_are_said(caplog):
     config = PPOConfig(num_envs=8, rollout_steps=4, minibatches=1, processes=2, device="cpu")
     with caplog.at_level(logging.WARNING, "knowarm.learn"):
-        make_learner(toy_policy(), config, "float32", torch.device("cpu"))
+        make_learner(TrainingNetwork(toy_policy(), 0), config, "float32", torch.device("cpu"))
     assert "processes=2 is reduced to 1: minibatches have 8 environments" in caplog.text
 
 

@@ -166,6 +166,17 @@ DAMAGE = {
 }
 
 
+def test_half_of_a_surrogate_pair_does_not_stop_the_report(tmp_path):
+    runs = small_study(tmp_path / "runs")
+    path = next(runs[0].rglob("config.json"))
+    values = json.loads(path.read_text())
+    values["agent"] = "full \ud800"
+    path.write_text(json.dumps(values))
+    write_report(runs, tmp_path / "report.html")
+    assert "full ?" in (tmp_path / "report.html").read_text()
+    assert (tmp_path / "report.json").exists()
+
+
 @pytest.mark.parametrize("name", DAMAGE)
 def test_one_damaged_folder_does_not_stop_the_report(tmp_path, name):
     runs = small_study(tmp_path / "runs")

@@ -97,15 +97,19 @@ class Cluster:
         )
         end = time.monotonic() + 120
         while time.monotonic() < end:
-            found = subprocess.run(
+            asking = subprocess.Popen(
                 [sys.executable, "-c", code, f"127.0.0.1:{self.port}"],
                 env=self.environment,
-                capture_output=True,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
                 text=True,
             )
-            if found.stdout.strip() == str(count):
-                return
-        pytest.fail(f"the cluster has no {count} nodes: {found.stderr[-2000:]}")
+            try:
+                if asking.communicate(timeout=60)[0].strip() == str(count):
+                    return
+            except subprocess.TimeoutExpired:
+                kill_tree(asking)  # Ray waits for ever for a node that has died
+        pytest.fail(f"the cluster has no {count} nodes")
 
     def study(self, study: Path, out: Path, **environment: str) -> subprocess.Popen:
         command = [sys.executable, "-m", "knowarm", "study", "run", str(study), "--out", str(out)]
@@ -144,6 +148,7 @@ def wait_until(condition, timeout_s: float = 300.0) -> None:
         time.sleep(0.2)
 
 
+@pytest.mark.skipif(" " in sys.executable, reason="Ray cannot start from a path with a space")
 def test_a_study_survives_the_loss_of_a_node_and_of_its_driver(tmp_path, cluster):
     study = tmp_path / "study.toml"
     study.write_text(STUDY)

@@ -76,15 +76,18 @@ class MaskedLSTM(nn.Module):
         hidden, h, c = MaskedLSTMFunction.apply(projected, self.weight_hh, *state, keep)
         return hidden, (h, c)
 
+    def _bias(self) -> Tensor:
+        return self.bias_ih + self.bias_hh
+
     def _project(self, x: Tensor) -> Tensor:
-        return F.linear(x, self.weight_ih, self.bias_ih + self.bias_hh)
+        return F.linear(x, self.weight_ih, self._bias())
 
     def _project_aligned(self, x: Tensor) -> Tensor:
         """Compute `_project` with sizes padded to multiples of eight; see `lstm_triton`."""
         gates, inputs = self.weight_ih.shape
         more, missing = -gates % 8, -inputs % 8
         weight = F.pad(self.weight_ih, (0, missing, 0, more))
-        bias = F.pad(self.bias_ih + self.bias_hh, (0, more))
+        bias = F.pad(self._bias(), (0, more))
         return F.linear(F.pad(x, (0, missing)), weight, bias)[..., :gates]
 
 

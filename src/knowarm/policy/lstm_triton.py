@@ -47,7 +47,7 @@ def forward_kernel(
     b, j = place // size, place % size
     row = t * batch + b
     kept = tl.load(keep + row, mask=inside, other=0.0)
-    next_kept = tl.load(keep + row + batch, mask=inside & (t + 1 < steps), other=0.0)
+    next_kept = tl.load(keep + row + batch, mask=inside & (row + batch < steps * batch), other=0.0)
     own, more = row * 4 * size + j, b * wide + j
     i = tl.load(projected + own, mask=inside, other=0.0).to(tl.float32)
     f = tl.load(projected + own + size, mask=inside, other=0.0).to(tl.float32)
@@ -71,7 +71,7 @@ def forward_kernel(
     tl.store(hidden + state, out, mask=inside)
     tl.store(c + place, cell, mask=inside)
     # A store rounds to the type of its target.
-    rest = inside & (t + 1 < steps)
+    rest = inside & (row + batch < steps * batch)
     tl.store(h_in + (row + batch) * deep + j, out * next_kept, mask=rest)
 
 
@@ -85,7 +85,8 @@ def backward_kernel(
     inside = place < batch * size
     b, j = place // size, place % size
     row = t * batch + b
-    last, rest = inside & (t + 1 == steps), inside & (t + 1 < steps)
+    last = inside & (row + batch >= steps * batch)
+    rest = inside & (row + batch < steps * batch)
     kept = tl.load(keep + row, mask=inside, other=0.0)
     next_kept = tl.load(keep + row + batch, mask=rest, other=0.0)
     own, state = row * 4 * size + j, row * size + j

@@ -39,6 +39,7 @@ def test_simulated_images_equal_the_cpus() -> None:
 
 def test_compiled_kernels_fit_the_gpu() -> None:
     """For compute capability 9.0: nothing fused, no float64, no memory in place of registers."""
+    pytest.importorskip("numba_cuda", reason="numba-cuda is not installed")
     pathfinder = pytest.importorskip("cuda.pathfinder", reason="numba-cuda is not installed")
     for library in ("nvvm", "nvrtc"):
         try:
