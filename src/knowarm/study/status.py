@@ -203,7 +203,7 @@ def _training(path: Path, *version: int) -> Mapping[str, Any]:
     seconds, before = 0.0, 0.0
     for row in rows:
         now = float(row.get("wall_time_s") or 0)
-        # The clock starts anew with each session.
+        # The clock restarts whenever a training resumes.
         seconds, before = seconds + (now - before if now >= before else now), now
     last: Mapping[str, str] = rows[-1] if rows else {}
     return {
