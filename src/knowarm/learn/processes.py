@@ -34,6 +34,9 @@ STOP_S = 3.0
 CHECK_S = 1.0
 """Time between two looks at whether a child process was stopped from outside."""
 
+START_ATTEMPTS = 5
+"""How often the start of a child process is tried when its fork server is killed meanwhile."""
+
 _FOLDER = "knowarm-"
 """Beginning of the names of `_temporary_folder`; the process id follows."""
 
@@ -153,14 +156,26 @@ class ChildProcess:
     def start(
         cls, context: BaseContext, name: str, run: Callable[..., None], *arguments: Any
     ) -> "ChildProcess":
-        """Start ``run(*arguments, connection)`` in a new process."""
-        here, there = context.Pipe()
-        process = context.Process(  # type: ignore[attr-defined]
-            target=run, args=(*arguments, there), name=name, daemon=True
-        )
-        process.start()
-        # The child now has the only other end, so reading fails once it has exited.
-        there.close()
+        """Start ``run(*arguments, connection)`` in a new process.
+
+        A fork server that is killed while it starts the process is replaced by a new one.
+        """
+        for attempts_left in reversed(range(START_ATTEMPTS)):
+            here, there = context.Pipe()
+            process = context.Process(  # type: ignore[attr-defined]
+                target=run, args=(*arguments, there), name=name, daemon=True
+            )
+            try:
+                process.start()
+                break
+            except (EOFError, ConnectionError):
+                here.close()  # a process that was started all the same exits
+                if not attempts_left:
+                    raise
+                log.warning("The fork server ended while starting the %s; trying again.", name)
+            finally:
+                # The child has the only other end, so reading fails once it has exited.
+                there.close()
         child = cls(name, process, here)
         _watch.add(child)
         return child
