@@ -34,8 +34,12 @@ STOP_S = 3.0
 CHECK_S = 1.0
 """Time between two looks at whether a child process was stopped from outside."""
 
-START_ATTEMPTS = 5
+START_ATTEMPTS = 8
 """How often the start of a child process is tried when its fork server is killed meanwhile."""
+
+START_PAUSE_S = 0.05
+"""Pause before the second attempt, doubled for each further one: a server that is being killed
+refuses connections for a while before it counts as dead [s]."""
 
 _FOLDER = "knowarm-"
 """Beginning of the names of `_temporary_folder`; the process id follows."""
@@ -160,7 +164,7 @@ class ChildProcess:
 
         A fork server that is killed while it starts the process is replaced by a new one.
         """
-        for attempts_left in reversed(range(START_ATTEMPTS)):
+        for attempt in range(START_ATTEMPTS):
             here, there = context.Pipe()
             process = context.Process(  # type: ignore[attr-defined]
                 target=run, args=(*arguments, there), name=name, daemon=True
@@ -170,9 +174,10 @@ class ChildProcess:
                 break
             except (EOFError, ConnectionError):
                 here.close()  # a process that was started all the same exits
-                if not attempts_left:
+                if attempt == START_ATTEMPTS - 1:
                     raise
                 log.warning("The fork server ended while starting the %s; trying again.", name)
+                time.sleep(START_PAUSE_S * 2**attempt)
             finally:
                 # The child has the only other end, so reading fails once it has exited.
                 there.close()
