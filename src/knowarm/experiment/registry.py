@@ -61,12 +61,15 @@ def experiment_config(name: str, **overrides: Any) -> ExperimentConfig:
     middle, _, algorithm = name.removeprefix(f"{robot}-").rpartition("-")
     if algorithm not in ALGORITHMS:
         raise unknown_name("experiment", name, experiment_names())
-    raise unknown_name("agent of the experiment", middle.removesuffix("-dr"), AGENTS)
+    known = dict.fromkeys(parts[1] for parts in _combinations())
+    raise unknown_name("agent of the experiment", middle.removesuffix("-dr"), known)
 
 
 def _combinations() -> Iterator[tuple[str, str, str, Colours]]:
     for robot in ROBOTS:
-        for agent in AGENTS:
+        for agent, entry in AGENTS.items():
+            if entry.knowledge.scope == "query":  # reaching shows one object and asks nothing
+                continue
             for colours in COLOURS.values():
                 for algorithm in ALGORITHMS:
                     yield robot, agent, algorithm, colours
