@@ -93,7 +93,7 @@ class ChoiceTable:
         """
         objects = self.objects
         owner = objects[:, None] == np.arange(objects.max() + 1)
-        for query in np.flatnonzero(self.askable.any(axis=1)):
+        for query in map(int, np.flatnonzero(self.askable.any(axis=1))):
             beside = self.distractors(query)
             found = (beside.astype(np.int64) @ owner) > 0
             few = np.flatnonzero(self.askable[query] & (found.sum(axis=1) < count - 1))
