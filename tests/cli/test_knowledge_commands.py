@@ -176,7 +176,7 @@ def test_queries_of_a_graph_of_the_user(capsys, tmp_path):
     code, _, error = run(capsys, "queries", graph, "--split", "S4")
     assert code == 2
     assert "S4" in error
-    assert "no value can be held out" in error
+    assert "the values that can be held out belong to 0 objects" in error
     code, _, error = run(capsys, "queries", graph, "--objects", "a", "x")
     assert code == 2
     assert "says nothing about the object 'x'" in error

@@ -67,8 +67,10 @@ class HeldOut:
             )
         self.objects = held
 
-    def hold_values(self, rng: np.random.Generator) -> None:
+    def hold_values(self, rng: np.random.Generator, per_episode: int) -> None:
         """Hold out values that a triple links to a value that stays (S4).
+
+        They belong to enough objects for an episode of which each can be asked for.
 
         Raises:
             UserError: there is none.
@@ -77,22 +79,25 @@ class HeldOut:
         links = self._links(values)
         known = {name for condition in self.facts for name in self.holders[condition]}
         wanted = max(1, round(SHARES["S4"] * len(values)))
-        held: set[str] = set()
+        held, covered = set[str](), set[str]()
         for index in rng.permutation(len(values)):
             new = {*held, values[index]}
             linked = all(links[value] - new for value in new)
             left = {name for c in self.facts if c.value not in new for name in self.holders[c]}
-            if len(new) <= wanted and linked and left == known:
+            if (len(new) <= wanted or len(covered) < per_episode) and linked and left == known:
                 held = new
-        if not held:
+                covered = {n for c in self.facts if c.value in held for n in self.holders[c]}
+                covered -= self.objects
+        if len(covered) < per_episode:
             raise UserError(
-                "no value can be held out: a triple must link it to a value that stays, such as "
-                "(drinking, relatedTo, tea), and each object must keep another fact. Add such "
-                "triples."
+                f"the values that can be held out belong to {len(covered)} objects, and an "
+                f"episode needs {per_episode} that can be asked for. A triple must link each "
+                "value to one that stays, such as (drinking, relatedTo, tea), and each object "
+                "must keep another fact. Add such triples."
             )
         self.values = held
 
-    def hold_pairs(self, rng: np.random.Generator) -> None:
+    def hold_pairs(self, rng: np.random.Generator, per_episode: int) -> None:
         """Hold out objects of each condition, at most a third of an object's conditions (S2).
 
         Each object keeps a fact to be asked by.
@@ -120,10 +125,11 @@ class HeldOut:
                 self.pairs.add((condition, name))
                 load[name] += 1
                 facts[name] -= not condition.is_colour
-        if not self.pairs:
+        if len({name for _, name in self.pairs}) < per_episode:
+            self.pairs = set()
             raise UserError(
-                "no condition has two objects of which one can be held out. Add facts that "
-                "several objects share."
+                f"fewer than {per_episode} objects, which an episode needs, share a condition "
+                "with an object that stays. Add facts that several objects share."
             )
 
     def _links(self, values: list[str]) -> dict[str, set[str]]:

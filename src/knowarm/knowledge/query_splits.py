@@ -115,10 +115,9 @@ def query_splits(
         rng = np.random.default_rng(seed_sequence(seed, "splits", number))
         if name in hold_out:
             try:
-                if name == "S3":
-                    held.hold_objects(rng, objects)
-                else:
-                    (held.hold_values if name == "S4" else held.hold_pairs)(rng)
+                {"S2": held.hold_pairs, "S3": held.hold_objects, "S4": held.hold_values}[name](
+                    rng, objects
+                )
             except UserError as error:
                 reasons[name] = str(error)
     train = maker.table(held.in_training)
