@@ -184,6 +184,12 @@ AGENTS: dict[str, Agent] = {
         knowledge=QUERY,
         colour="c-blue",
     ),
+    "subgraph-similarity": Agent(
+        about="as subgraph, scoring positions of the image by similarity",
+        role="knowledge",
+        knowledge=QUERY,
+        policy=PolicyConfig(fusion="similarity"),
+    ),
     "query-words": Agent(
         about="the word vectors of the query, without the graph",
         role="knowledge",
