@@ -81,6 +81,8 @@ def build(config: ExperimentConfig) -> Parts:
     env = ReachVectorEnv(config.env, 1)
     embedding = scene_embedding(config.knowledge, env.facets, run_seed=config.seed)
     table = embedding.table(env.facets)
+    if env.queries and not embedding.dim:
+        table = np.zeros((len(env.queries), 0), np.float32)
     shape = PolicyShape(
         joints=env.scene.num_joints,
         levels=len(ACTION_LEVELS),
@@ -124,7 +126,11 @@ class InterimFactory:
         def evaluate(policy: Policy) -> dict[str, float]:
             generator = torch_generator(self.seed, "interim_actions")
             agent = PolicyAgent(policy, greedy=interim.greedy, generator=generator)
-            return interim_numbers(play(agent, env, episodes), self.env.success_distance_m)
+            result = play(agent, env, episodes)
+            numbers = interim_numbers(result, self.env.success_distance_m)
+            if env.queries:  # ended nearest to the wanted object
+                numbers["choice"] = float((result.chosen == result.target).mean())
+            return numbers
 
         return evaluate
 
