@@ -1,6 +1,6 @@
 """Configuration of the knowledge of an agent: from a graph to the vector that the policy gets."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from knowarm.config import registered
@@ -96,3 +96,14 @@ FULL_PLUS = KnowledgeConfig(
     slot_norm=1.0,
 )
 """Slots in which every pair of objects and colours can be told apart (see `knowledge.probe`)."""
+
+QUERY = replace(
+    FULL_PLUS,
+    scope="query",
+    graph="objects",
+    direction="both",
+    colour_share=0.5,
+    aliases={"cyan": "blue green", "dumbbell": "weight", "toolbox": "tool box"},
+)
+"""One slot per condition of the query: half its value, half what the graph links to the value,
+from the objects that have it to other values."""
