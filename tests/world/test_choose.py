@@ -134,8 +134,8 @@ def test_only_the_query_tells_which_object_is_meant() -> None:
 
 def test_a_split_that_asks_for_few_facets_draws_the_question_first() -> None:
     class OneAnswer(NameQueries):
-        def table(self, facets: Any) -> Any:
-            table = super().table(facets)
+        def table(self, facets: Any, objects: int) -> Any:
+            table = super().table(facets, objects)
             askable = table.askable.copy()
             askable[:, 1:] = False
             return replace(table, askable=askable)

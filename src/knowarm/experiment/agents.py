@@ -39,6 +39,8 @@ class Agent:
     """From the graph to the knowledge vector."""
     policy: PolicyConfig = field(default_factory=PolicyConfig)
     """Choices of the policy network."""
+    marked: bool = False
+    """Whether the image marks the object that is meant (choice task only)."""
     colour: str | None = None
     """Class of the report's palette that draws the agent in every chart (``c-blue``); None takes
     a spare one."""
@@ -177,6 +179,13 @@ AGENTS: dict[str, Agent] = {
         role="knowledge",
         knowledge=FULL,
         policy=PolicyConfig(fusion="critic", hidden="fixed"),
+    ),
+    "mask": Agent(
+        about="upper bound of the choice task: the image marks the object that is meant",
+        role="privileged",
+        knowledge=KnowledgeConfig(detail="none"),
+        marked=True,
+        colour="c-gold",
     ),
     "subgraph": Agent(
         about="the subgraph around the values of the query",

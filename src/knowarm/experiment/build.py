@@ -82,11 +82,10 @@ def build(config: ExperimentConfig) -> Parts:
         UserError: the graph lacks an object, or the sizes do not fit together.
     """
     env = ReachVectorEnv(config.env, 1)
-    queries: tuple[str, ...] = getattr(env, "queries", ())
     embedding: SceneEmbedding
-    if queries:
-        embedding = query_embedding(config.knowledge, queries, run_seed=config.seed)
-        table = embedding.table(queries)
+    if env.queries:
+        embedding = query_embedding(config.knowledge, env.queries, run_seed=config.seed)
+        table = embedding.table(env.queries)
     else:
         embedding = scene_embedding(config.knowledge, env.facets, run_seed=config.seed)
         table = embedding.table(env.facets)
@@ -133,7 +132,11 @@ class InterimFactory:
         def evaluate(policy: Policy) -> dict[str, float]:
             generator = torch_generator(self.seed, "interim_actions")
             agent = PolicyAgent(policy, greedy=interim.greedy, generator=generator)
-            return interim_numbers(play(agent, env, episodes), self.env.success_distance_m)
+            result = play(agent, env, episodes)
+            numbers = interim_numbers(result, self.env.success_distance_m)
+            if env.queries:  # ended nearest to the wanted object
+                numbers["choice"] = float((result.chosen == result.target).mean())
+            return numbers
 
         return evaluate
 

@@ -8,6 +8,7 @@ from knowarm.config import check_numbers, registered
 from knowarm.errors import UserError
 from knowarm.experiment.agents import Role
 from knowarm.experiment.algorithms import ALGORITHMS
+from knowarm.experiment.graph_queries import GraphQueries as GraphQueries  # registers itself
 from knowarm.knowledge.config import KnowledgeConfig
 from knowarm.learn.config import AlgorithmConfig, PPOConfig
 from knowarm.policy.config import PolicyConfig
@@ -155,9 +156,12 @@ class EvaluationConfig:
     held_out: bool = False
     """Play the colours and places that the environment excluded from training."""
 
+    split: Literal["train", "S1", "S2", "S3", "S4", "S5"] | None = None
+    """Questions of the choice task: those of this split's test; None takes those of training."""
+
     label: str | None = None
     """Name of the folder of the evaluation's files; None takes ``post-training-<actions>``, plus
-    ``-held-out`` for held-out episodes."""
+    ``-held-out`` for held-out episodes, or the split in lower case."""
 
     blind_episodes: int = 200
     """Number of episodes, from the first, that the blind agents play beside a trained one; 0 plays
@@ -198,5 +202,7 @@ class EvaluationConfig:
     def folder(self) -> str:
         """Name of the folder of the evaluation's files."""
         return self.label or (
-            f"post-training-{self.actions}" + ("-held-out" if self.held_out else "")
+            f"post-training-{self.actions}"
+            + ("-held-out" if self.held_out else "")
+            + (f"-{self.split.lower()}" if self.split else "")
         )

@@ -14,11 +14,13 @@ from knowarm.experiment.blind import blind_numbers
 from knowarm.experiment.build import TrainedAgent, load_agent
 from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.evaluation_files import (
+    CHOICE_COLUMNS,
     EPISODE_COLUMNS,
     step_columns,
     write_film,
     write_table,
 )
+from knowarm.experiment.graph_queries import GraphQueries
 from knowarm.experiment.run_folder import write_json
 from knowarm.statistics import Interval, bootstrap, wilson
 from knowarm.world.agents import AgentProtocol
@@ -72,7 +74,8 @@ class EvaluationResult:
             (folder / "summary.json").unlink(missing_ok=True)
         except OSError as error:
             raise UserError(f"Cannot write to {folder}: {error.strerror}.") from error
-        write_table(folder / "episodes.parquet", self.episodes, EPISODE_COLUMNS)
+        columns = EPISODE_COLUMNS | (CHOICE_COLUMNS if "query" in self.episodes else {})
+        write_table(folder / "episodes.parquet", self.episodes, columns)
         if self.steps is not None:
             joints = sum(name.startswith("joint_") for name in self.steps)
             write_table(folder / "steps.parquet", self.steps, step_columns(joints))
@@ -145,6 +148,7 @@ def evaluate(
         "env": to_dict(judged),
         **summarize(episodes),
         **blind,
+        **({"choice_chance": 1 / judged.choice.objects} if judged.choice else {}),
     }
     return EvaluationResult(summary, episodes, steps, result.images, folder)
 
@@ -159,11 +163,21 @@ def _with_thresholds(env_config: EnvConfig, config: EvaluationConfig) -> EnvConf
                 "environment holds none out. Train with env.held_out, or leave held_out out."
             )
         held_out = dataclasses.replace(held_out, play="held_out")
+    choice = env_config.choice
+    if config.split is not None:
+        if choice is None or not isinstance(choice.queries, GraphQueries):
+            raise UserError(
+                f"split={config.split!r} selects what a graph's queries ask, and this task asks "
+                "none. Evaluate a run of the choice task, or leave split out."
+            )
+        queries = dataclasses.replace(choice.queries, split=config.split)
+        choice = dataclasses.replace(choice, queries=queries)
     return dataclasses.replace(
         env_config,
         success_distance_m=config.distance_m,
         success_angle_deg=config.angle_deg,
         held_out=held_out,
+        choice=choice,
     )
 
 
@@ -183,12 +197,12 @@ def _episode_columns(
 ) -> dict[str, np.ndarray]:
     count = len(result.length)
     names = np.array(["/".join(facet) for facet in env.facets])
-    targets = np.array([target for target, _ in env.facets])
     seeds = config.seed + np.arange(config.seeds)
-    return {
+    targets = np.array([target.name for target in env.scene.targets])
+    columns = {
         "episode": np.arange(count),
         "evaluation_seed": np.repeat(seeds, count // config.seeds),
-        "target": targets[result.facet],
+        "target": targets[result.target],
         "facet": names[result.facet],
         "return": result.episode_return,
         "length": result.length,
@@ -198,6 +212,13 @@ def _episode_columns(
         "accurate": result.distance <= config.distance_m,
         "success_wide": _ever_within(result, config),
     }
+    if env.queries:
+        columns |= {
+            "query": np.array(env.queries)[result.query],
+            "chosen": targets[result.chosen],
+            "choice_correct": result.chosen == result.target,
+        }
+    return columns
 
 
 def _ever_within(result: EpisodeResults, config: EvaluationConfig) -> np.ndarray:
@@ -247,9 +268,15 @@ def summarize(episodes: Columns) -> dict[str, Any]:
         ``success`` (distance and angle at the same step) and ``success_wide`` (the wider angle),
         each of these three with Wilson's interval. ``return_mean`` and ``length_mean`` have
         bootstrap intervals over episodes. Standard deviations are those of the sample (n - 1).
+        Where an episode asks a query also ``choice``, the share of episodes that ended nearest to
+        the wanted object, with Wilson's interval, ``success_if_chosen``, the success among these,
+        and groups ``per_query``.
     """
     summary = _numbers(episodes)
-    for group, column in (("per_target", "target"), ("per_facet", "facet")):
+    groups = {"per_target": "target", "per_facet": "facet"}
+    if "query" in episodes:
+        groups["per_query"] = "query"
+    for group, column in groups.items():
         keys = episodes[column]
         summary[group] = {
             str(name): _numbers({key: values[keys == name] for key, values in episodes.items()})
@@ -271,6 +298,12 @@ def _numbers(episodes: Columns) -> dict[str, Any]:
         column = "accurate" if name == "accuracy" else name
         share = wilson(int(np.count_nonzero(episodes[column])), count)
         values |= {name: share.estimate, **_bounds(name, share)}
+    if "choice_correct" in episodes:
+        correct = episodes["choice_correct"]
+        share = wilson(int(np.count_nonzero(correct)), count)
+        values |= {"choice": share.estimate, **_bounds("choice", share)}
+        reached = episodes["success"][correct]
+        values["success_if_chosen"] = float(reached.mean()) if len(reached) else 0.0
     values["failures"] = len(failures)
     values["failure_distance_mean"] = float(np.mean(failures)) if len(failures) else None
     values["failure_distance_std"] = _std(failures) if len(failures) else None

@@ -17,8 +17,13 @@ MAX_OBJECTS = 6
 class QuerySource:
     """Base of the configs that make a choice table."""
 
-    def table(self, facets: tuple[Facet, ...]) -> ChoiceTable:
-        """Make the table for the (object, colour) pairs that an environment can show."""
+    def table(self, facets: tuple[Facet, ...], objects: int) -> ChoiceTable:
+        """Make the table.
+
+        Args:
+            facets: the (object, colour) pairs that the environment can show.
+            objects: number of objects per episode.
+        """
         raise NotImplementedError
 
 
@@ -39,7 +44,7 @@ class NameQueries(QuerySource):
                 "one."
             )
 
-    def table(self, facets: tuple[Facet, ...]) -> ChoiceTable:
+    def table(self, facets: tuple[Facet, ...], objects: int) -> ChoiceTable:
         """Make a table with one query per object and one per colour."""
         words: dict[str, Callable[[Facet], str]] = {
             "object": lambda facet: f"isA {facet[0]}",
@@ -62,7 +67,7 @@ class NameQueries(QuerySource):
 
 
 QUERY_SOURCES: dict[str, type[QuerySource]] = {"names": NameQueries}
-"""Sources of queries by their tag."""
+"""Sources of queries by their tag. ``experiment.graph_queries`` adds those of a graph."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -156,9 +156,8 @@ def arrange(config: EnvConfig) -> Arrangements:
 def _arrange(
     robot: str, targets: tuple[str, ...], facets: tuple[Facet, ...], choice: ChoiceConfig
 ) -> Arrangements:
-    scene, table, m = (
-        load_scene(robot, targets, several=True), choice.queries.table(facets), choice.objects
-    )  # fmt: skip
+    scene, m = load_scene(robot, targets, several=True), choice.objects
+    table = choice.queries.table(facets, m)
     target, _ = facet_indices(scene, table)
     layouts = LayoutSource(scene)
     chosen = draw_compositions(table, m)
