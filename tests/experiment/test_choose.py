@@ -9,10 +9,10 @@ import pytest
 from knowarm.config import from_dict, to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS
-from knowarm.experiment.build import build
+from knowarm.experiment.build import build, load_agent
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.evaluate import evaluate
-from knowarm.experiment.graph_queries import GraphQueries
+from knowarm.experiment.graph_queries import GraphQueries, retold
 from knowarm.experiment.registry import experiment_config, experiment_names
 from knowarm.experiment.run import train
 from knowarm.world.agents import OracleAgent
@@ -69,6 +69,43 @@ def test_training_and_evaluation_report_the_choice(tmp_path: Path) -> None:
     assert result.summary["choice_chance"] == 0.25
     assert {"query", "chosen", "choice_correct"} <= result.episodes.keys()
     assert result.summary["per_query"]
+
+
+def test_the_edited_graph_of_s5_is_told_to_the_policy(tmp_path: Path) -> None:
+    """Vectors of the subgraph follow the edit, and one-hot codes stay; both for the test only."""
+    for agent, follows in (("subgraph", True), ("query-onehot", False)):
+        config = experiment_config(f"irb120-choose-{agent}-fast", env=SMALL)
+        judged = replace(config.env.choice, queries=GraphQueries(pairs="none", split="S5"))
+        table = build(config).table
+        again = retold(config, replace(config.env, choice=judged))
+        assert again.shape == table.shape
+        moved = np.abs(again - table).max(axis=1) > 0.01
+        assert moved.any() == follows
+        assert not moved.all()
+    elsewhere = replace(config, knowledge=replace(config.knowledge, graph="household"))
+    with pytest.raises(UserError, match="told about them from household"):
+        retold(elsewhere, replace(config.env, choice=judged))
+
+
+def test_an_evaluation_on_the_edited_graph_counts_the_old_answers(tmp_path: Path) -> None:
+    run = train(
+        "irb120-choose-subgraph-fast",
+        tmp_path,
+        total_steps=200,
+        env=SMALL,
+        algorithm={"num_envs": 8, "rollout_steps": 25, "minibatches": 2, "processes": 1},
+        interim={"every_steps": 200, "episodes": 4},
+    )
+    trained = load_agent(run.folder.path)
+    before = trained.policy.knowledge_table.clone()
+    result = evaluate(trained, episodes=8, blind_episodes=0, split="S5")
+    assert (trained.policy.knowledge_table == before).all()
+    wrong = result.episodes["chose_old_answer"]
+    assert not (wrong & result.episodes["choice_correct"]).any()
+    assert result.summary["chose_old_answer"] == wrong.mean()
+    assert result.write().name == "post-training-greedy-s5"
+    with pytest.raises(UserError, match="set split to 'S5'"):
+        evaluate(trained, episodes=8, split="S2", edited="mine.csv")
 
 
 def test_the_oracle_chooses_and_reaches_in_every_split() -> None:

@@ -79,6 +79,9 @@ def _print(summary: dict[str, Any]) -> None:
             f"{chance:.0f} %), and reached it in {100 * summary['success_if_chosen']:.1f} % of "
             "those.\n"
         )
+    if "chose_old_answer" in summary:
+        old = 100 * summary["chose_old_answer"]
+        print(f"Chose what the query meant before the graph was edited in {old:.1f} %.\n")
     if "blind_agents" in summary:
         _print_blind(summary)
     criteria = summary["config"]

@@ -159,6 +159,9 @@ class EvaluationConfig:
     split: Literal["train", "S1", "S2", "S3", "S4", "S5"] | None = None
     """Questions of the choice task: those of this split's test; None takes those of training."""
 
+    edited: str | None = None
+    """Path of the edited graph of split S5; None takes the one that swaps values."""
+
     label: str | None = None
     """Name of the folder of the evaluation's files; None takes ``post-training-<actions>``, plus
     ``-held-out`` for held-out episodes, or the split in lower case."""
@@ -182,6 +185,10 @@ class EvaluationConfig:
         for name in ("episodes", "seeds", "num_envs"):
             if getattr(self, name) < 1:
                 raise UserError(f"{name} must be at least 1, got {getattr(self, name)}.")
+        if self.edited is not None and self.split != "S5":
+            raise UserError(
+                f"edited is the graph of split S5, got split={self.split!r}; set split to 'S5'."
+            )
         if self.blind_episodes < 0:
             raise UserError(f"blind_episodes must be at least 0, got {self.blind_episodes}.")
         for name in ("distance_m", "angle_deg", "wide_angle_deg"):

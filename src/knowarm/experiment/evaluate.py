@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from knowarm.config import replace, to_dict
 from knowarm.errors import UserError
@@ -20,7 +21,7 @@ from knowarm.experiment.evaluation_files import (
     write_film,
     write_table,
 )
-from knowarm.experiment.graph_queries import GraphQueries
+from knowarm.experiment.graph_queries import GraphQueries, old_answers, retold
 from knowarm.experiment.run_folder import write_json
 from knowarm.statistics import Interval, bootstrap, wilson
 from knowarm.world.agents import AgentProtocol
@@ -74,7 +75,8 @@ class EvaluationResult:
             (folder / "summary.json").unlink(missing_ok=True)
         except OSError as error:
             raise UserError(f"Cannot write to {folder}: {error.strerror}.") from error
-        columns = EPISODE_COLUMNS | (CHOICE_COLUMNS if "query" in self.episodes else {})
+        further = {name: each for name, each in CHOICE_COLUMNS.items() if name in self.episodes}
+        columns = EPISODE_COLUMNS | further
         write_table(folder / "episodes.parquet", self.episodes, columns)
         if self.steps is not None:
             joints = sum(name.startswith("joint_") for name in self.steps)
@@ -119,7 +121,7 @@ def evaluate(
     config = replace(config or EvaluationConfig(), overrides)
     if isinstance(agent, str | Path):
         agent = load_agent(agent, greedy=config.actions == "greedy", seed=config.seed)
-    folder, blind_episodes = None, 0
+    folder, blind_episodes, trained = None, 0, None
     if isinstance(agent, TrainedAgent):
         blind_episodes = config.blind_episodes if agent.which != "untrained" else 0
         if agent.which != "best":
@@ -127,12 +129,16 @@ def evaluate(
         env_config = env_config or agent.config.env
         agent_name = f"{agent.config.name}/{agent.config.seed}"
         folder = agent.folder.evaluation(config.folder)
-        agent = agent.agent
+        trained, agent = agent, agent.agent
     if env_config is None:
         raise UserError("This agent has no task of its own: pass env_config=EnvConfig(...).")
     judged = _with_thresholds(env_config, config)
     env = ReachVectorEnv(judged, min(config.num_envs, config.episodes))
+    told = None if trained is None else trained.policy.knowledge_table
     try:
+        if trained is not None and config.split == "S5":
+            table = torch.from_numpy(retold(trained.config, judged))
+            trained.policy.knowledge_table = table.to(trained.policy.knowledge_table.device)
         fixed = _episodes(env, config)
         result = play(agent, env, fixed, record_images=config.record_films)
         blind = blind_numbers(agent, result.success, env, fixed, blind_episodes, config.seed)
@@ -140,6 +146,8 @@ def evaluate(
         steps = _step_columns(result) if config.record_steps else None
     finally:
         env.close()
+        if trained is not None and told is not None:
+            trained.policy.knowledge_table = told
     summary = {
         "format": FORMAT,
         "agent": agent_name,
@@ -170,7 +178,8 @@ def _with_thresholds(env_config: EnvConfig, config: EvaluationConfig) -> EnvConf
                 f"split={config.split!r} selects what a graph's queries ask, and this task asks "
                 "none. Evaluate a run of the choice task, or leave split out."
             )
-        queries = dataclasses.replace(choice.queries, split=config.split)
+        edited = config.edited or choice.queries.edited
+        queries = dataclasses.replace(choice.queries, split=config.split, edited=edited)
         choice = dataclasses.replace(choice, queries=queries)
     return dataclasses.replace(
         env_config,
@@ -218,6 +227,10 @@ def _episode_columns(
             "chosen": targets[result.chosen],
             "choice_correct": result.chosen == result.target,
         }
+    if config.split == "S5":
+        before = old_answers(env.config)
+        asked = zip(columns["query"], columns["chosen"], strict=True)
+        columns["chose_old_answer"] = np.array([name in before.get(q, ()) for q, name in asked])
     return columns
 
 
@@ -270,7 +283,8 @@ def summarize(episodes: Columns) -> dict[str, Any]:
         bootstrap intervals over episodes. Standard deviations are those of the sample (n - 1).
         Where an episode asks a query also ``choice``, the share of episodes that ended nearest to
         the wanted object, with Wilson's interval, ``success_if_chosen``, the success among these,
-        and groups ``per_query``.
+        and groups ``per_query``; on split S5 also ``chose_old_answer``, the share that ended
+        nearest to an object that the query meant before the graph was edited.
     """
     summary = _numbers(episodes)
     groups = {"per_target": "target", "per_facet": "facet"}
@@ -304,6 +318,8 @@ def _numbers(episodes: Columns) -> dict[str, Any]:
         values |= {"choice": share.estimate, **_bounds("choice", share)}
         reached = episodes["success"][correct]
         values["success_if_chosen"] = float(reached.mean()) if len(reached) else 0.0
+    if "chose_old_answer" in episodes:
+        values["chose_old_answer"] = float(episodes["chose_old_answer"].mean())
     values["failures"] = len(failures)
     values["failure_distance_mean"] = float(np.mean(failures)) if len(failures) else None
     values["failure_distance_std"] = _std(failures) if len(failures) else None

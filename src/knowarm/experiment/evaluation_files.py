@@ -30,6 +30,7 @@ CHOICE_COLUMNS = {
     "query": ("string", "what the episode asked for"),
     "chosen": ("string", "object whose grasp point was nearest to the gripper at the end"),
     "choice_correct": ("bool", "whether that is the object that the query means"),
+    "chose_old_answer": ("bool", "whether the query meant it before the graph was edited"),
 }
 """Further columns where several objects are visible."""
 
