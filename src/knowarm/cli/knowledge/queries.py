@@ -15,9 +15,7 @@ from knowarm.knowledge.formats import open_graph
 from knowarm.knowledge.queries import COLOUR_RELATION, Pairs, QueryGraph
 from knowarm.knowledge.query_splits import SPLITS, QuerySplits, QueryTable, query_splits
 from knowarm.knowledge.terms import local_name
-
-COLOURS = ("red", "orange", "yellow", "green", "cyan", "blue", "purple", "pink", "brown")
-"""Colours of objects of which the graph states none."""
+from knowarm.world.objects import COLOURS, TARGETS
 
 SHOWN = 12
 """Most held-out pairs or new triples that are printed."""
@@ -32,8 +30,8 @@ class Queries(GraphOptions):
     objects: tuple[str, ...] = ()
     """Objects of the task; by default every entity that is the head of a triple and the tail of
     none, and no colour."""
-    colours: tuple[str, ...] = COLOURS
-    """Colours of objects of which the graph states none."""
+    colours: tuple[str, ...] = tuple(COLOURS)
+    """Colours of objects that are no targets and of which the graph states none."""
     ask: str | None = None
     """Answer one query, such as "usedFor drinking and hasColor blue", and show nothing else."""
     split: str | None = None
@@ -90,8 +88,13 @@ class Queries(GraphOptions):
         states_colours = COLOUR_RELATION in map(local_name, graph.relations_used)
         facets = []
         for name in names:
-            pairs = graph_facets([name], graph) if states_colours else [(name, "")]
-            facets += pairs if pairs[0][1] else [(name, colour) for colour in self.colours]
+            pairs = [(name, colour) for colour in self.colours]
+            if name in TARGETS:
+                pairs = [(name, colour) for colour in TARGETS[name].colours]
+            elif states_colours:
+                stated = graph_facets([name], graph)
+                pairs = stated if stated[0][1] else pairs
+            facets += pairs
         return facets
 
 
