@@ -58,6 +58,8 @@ OTHER_MEANINGS = {
     | {"partial", "full"},
     # Values of KnowledgeConfig.detail, as arguments of the knowledge commands, and a command.
     "cli/knowledge": {"partial", "full", "subgraph"},
+    # Value of EnvConfig.mesh_detail.
+    "world/config.py": {"full"},
     # A scripted agent that draws its actions.
     "world/agents": {"random"},
     # Value of PolicyConfig.knowledge_encoder, which format 1 derived from the knowledge's source.

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol, cast
 
+from knowarm.cores import available_cores
 from knowarm.learn import (
     A3CConfig,
     A3CTrainer,
@@ -15,6 +16,10 @@ from knowarm.learn import (
 )
 from knowarm.learn.config import AlgorithmConfig
 from knowarm.policy import Policy
+
+EVALUATOR_THREADS = 8
+"""Most threads that play the interim episodes of a training on a GPU; forty episodes keep no more
+busy, and the training itself uses one."""
 
 
 class MakeEnv(Protocol):
@@ -69,6 +74,7 @@ def _make_ppo(inputs: TrainerInputs) -> Trainer:
     else:
         # The interim episodes are played on the CPU: on a GPU they would take as long as training.
         options["make_evaluate"] = inputs.make_evaluate
+        options["evaluator_threads"] = min(EVALUATOR_THREADS, available_cores())
     return PPOTrainer(config, inputs.policy, env, **options)
 
 

@@ -174,7 +174,7 @@ class PPOConfig(ScheduleConfig):
     sums differently."""
 
     cuda_graphs: bool = True
-    """Capture the gradient step as a CUDA graph (device "cuda")."""
+    """Capture the gradient and the policy's step as CUDA graphs (device "cuda")."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -55,6 +55,10 @@ class EnvConfig:
     antialiasing: bool = True
     """Average several rays in pixels that contain an edge (ray caster only)."""
 
+    mesh_detail: Literal["pixels", "full"] = "pixels"
+    """Meshes of a robot simplified to what the image's pixels can show, or with all their
+    triangles as the (slow) reference (ray caster only)."""
+
     randomization: VisualRandomization = field(default_factory=VisualRandomization)
     """What varies in the image besides the paper's colours; all off by default."""
 
@@ -70,6 +74,7 @@ class EnvConfig:
         _one_of("colours", self.colours, ("fixed", "randomized"))
         _one_of("dynamics", self.dynamics, ("dynamic", "kinematic"))
         _one_of("renderer", self.renderer, ("raycast", "opengl"))
+        _one_of("mesh_detail", self.mesh_detail, ("pixels", "full"))
         for name in ("success_distance_m", "success_angle_deg", "mpi_rad"):
             value = getattr(self, name)
             if value is not None and not value > 0:

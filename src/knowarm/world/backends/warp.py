@@ -34,6 +34,9 @@ def import_warp() -> tuple[Any, Any]:
     """Import Warp and MuJoCo Warp without their messages on the terminal."""
     warp = importlib.import_module("warp")
     warp.config.log_level = warp.LOG_WARNING
+    # Machine code: a driver need not be as new as Warp's compiler, and modules that were compiled
+    # ahead of time are found.
+    warp.config.cuda_output = "cubin"
     warp.init()
     return warp, importlib.import_module("mujoco_warp")
 

@@ -125,3 +125,6 @@ MAIN_ROBOTS = tuple(name for name, entry in ROBOTS.items() if entry.variant_of i
 
 DEFAULT_ROBOT = "irb120"
 """Robot of an ``EnvConfig`` that names none."""
+
+DEMO_ROBOT = "tiago"
+"""Robot of `knowarm demo`: the one that learns in the fewest steps."""
