@@ -10,7 +10,10 @@ from knowarm.cli.tables import FilePath, check_json_path, print_table, write_jso
 from knowarm.errors import UserError
 from knowarm.experiment.installation_check import check_installation
 from knowarm.world.config import EnvConfig
+from knowarm.world.object_check import check_objects
+from knowarm.world.objects import CHOICE_TARGETS
 from knowarm.world.robot_check import check_robot
+from knowarm.world.robots import DEFAULT_ROBOT
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,8 +22,11 @@ class Doctor:
 
     robot: Annotated[str | None, tyro.conf.arg(metavar="ROBOT", help_behavior_hint="")] = None
     """Robot to check instead of the installation: a name, TOML description or MJCF file."""
-    targets: tuple[str, ...] = EnvConfig().targets
-    """Objects the robot should reach, by name or TOML file."""
+    targets: tuple[str, ...] = ()
+    """Objects the robot should reach, by name or TOML file. Default: those of the task."""
+    choose: bool = False
+    """Check the objects of the choice task: whether this robot reaches them where several stand,
+    and whether any two of them, and any two colours, can be told apart in the image."""
     runs: Path = Path("runs")
     """Output folder of training runs, checked for free disk space."""
     json: FilePath = None
@@ -33,10 +39,15 @@ class Doctor:
             UserError: at least one check failed.
         """
         check_json_path(self.json)
-        if self.robot is None:
+        if self.choose:
+            robot = self.robot or DEFAULT_ROBOT
+            targets = self.targets or CHOICE_TARGETS
+            checks, what = check_objects(robot, targets), f"objects of robot {robot}"
+        elif self.robot is None:
             checks, what = check_installation(self.runs), "installation"
         else:
-            checks, what = check_robot(self.robot, self.targets), f"robot {self.robot}"
+            targets = self.targets or EnvConfig().targets
+            checks, what = check_robot(self.robot, targets), f"robot {self.robot}"
         rows = [["ok" if c.ok else "FAILED", c.name, c.found] for c in checks]
         print_table(f"Checks of the {what}", ["result", "check", "found"], rows)
         write_json_table(self.json, {"what": what, "checks": [vars(check) for check in checks]})

@@ -68,7 +68,7 @@ def check_robot(path: Path | str, targets: Sequence[str] = EnvConfig().targets) 
     try:
         env = ReachVectorEnv(config, SAMPLES)
     except UserError as error:
-        return [_result("scene", False, str(error), "Correct the named field.")]
+        return [check_result("scene", False, str(error), "Correct the named field.")]
     scene = env.scene
     joints = ", ".join(
         f"{name} [{low:.2f}, {high:.2f}]"
@@ -77,8 +77,8 @@ def check_robot(path: Path | str, targets: Sequence[str] = EnvConfig().targets) 
         )
     )
     checks = [
-        _result("scene", True, f"compiles, {scene.model.ngeom} geoms"),
-        _result("joints", True, joints),
+        check_result("scene", True, f"compiles, {scene.model.ngeom} geoms"),
+        check_result("joints", True, joints),
         _check_gripper(env),
         _check_servos(env),
     ]
@@ -90,7 +90,8 @@ def check_robot(path: Path | str, targets: Sequence[str] = EnvConfig().targets) 
     return checks
 
 
-def _result(name: str, ok: bool, found: str, remedy: str = "") -> Check:
+def check_result(name: str, ok: bool, found: str, remedy: str = "") -> Check:
+    """Return a check, with the remedy only if it failed."""
     return Check(name=name, ok=ok, found=found, remedy="" if ok else remedy)
 
 
@@ -99,7 +100,7 @@ def _check_mjcf(path: Path) -> list[Check]:
     try:
         model = read_mjcf(path, str(path)).compile()
     except UserError as error:
-        return [_result("MJCF", False, str(error), "Correct the file.")]
+        return [check_result("MJCF", False, str(error), "Correct the file.")]
     movable = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
     joints = [
         model.joint(j).name
@@ -115,20 +116,20 @@ def _check_mjcf(path: Path) -> list[Check]:
         "camera_position_m = [x, y, z]; camera_look_at_m = [x, y, z]; camera_fovy_deg = 40.0"
     )
     return [
-        _result("MJCF", True, f"compiles: {model.nbody - 1} bodies"),
-        _result(
+        check_result("MJCF", True, f"compiles: {model.nbody - 1} bodies"),
+        check_result(
             "joints",
             bool(joints),
             f"with a range: {', '.join(joints) or 'none'}",
             "Give the arm's joints a range.",
         ),
-        _result(
+        check_result(
             "sites",
             bool(sites),
             ", ".join(filter(None, sites)) or "none",
             "Set tcp_body to have the site added.",
         ),
-        _result(
+        check_result(
             "description",
             False,
             "an MJCF file does not contain the task's layout",
@@ -143,7 +144,7 @@ def _check_gripper(env: ReachVectorEnv) -> Check:
     position = env.simulation.tcp_position.mean(axis=0)
     approach = env.simulation.tcp_matrix[:, 2::3].mean(axis=0)
     above = position[2] > env.scene.robot.support_height_m
-    return _result(
+    return check_result(
         "gripper",
         bool(above and approach[2] < 0.5),
         f"starts at {np.round(position, 3).tolist()} m, approach (z) is "
@@ -162,7 +163,7 @@ def _check_servos(env: ReachVectorEnv) -> Check:
         env.step(generator.integers(len(ACTION_LEVELS), size=env.action_space.shape))
         lags.append(np.abs(env.joint_positions - env.joint_targets))
     lag = float(np.mean(lags, axis=(0, 1)).max())
-    return _result(
+    return check_result(
         "servos",
         lag < MAX_LAG_RAD,
         f"mean distance from target after a step at most {lag:.4f} rad per joint",
@@ -190,7 +191,7 @@ def _check_reach(env: ReachVectorEnv) -> Check:
             f"{100 * solution.contact[missed].mean():.0f} % in contact): move or shrink the "
             "rectangle, or turn the target with target_yaws_deg."
         )
-    return _result(
+    return check_result(
         f"reach of {env.scene.targets[0].name}",
         share >= MIN_REACHABLE,
         f"{100 * share:.0f} % of {SAMPLES} positions reachable without contact",
@@ -211,7 +212,7 @@ def _check_visible(env: ReachVectorEnv) -> list[Check]:
         pixels = (np.abs(shown - hidden).max(axis=-1) > DIFFERENCE).sum(axis=(1, 2))
         few = float(np.percentile(pixels, 5))
         checks.append(
-            _result(
+            check_result(
                 f"{colour} {scene.targets[0].name} in the image",
                 few >= MIN_PIXELS,
                 f"in {np.median(pixels):.0f} pixels (median), {few:.0f} (5th percentile)",
