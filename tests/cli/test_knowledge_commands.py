@@ -164,6 +164,16 @@ def test_queries(capsys, tmp_path):
     code, text, _ = run(capsys, "queries", "--ask", "usedFor learning and hasColor blue")
     assert text.count("blue") == 3
     assert "globe" in text
+    code, text, _ = run(capsys, "queries", "--agent", "subgraph", "--json", out)
+    assert json.loads(out.read_text())["rank_correlation"] > 0.4
+    for control in ("subgraph-shuffled", "query-random"):
+        run(capsys, "queries", "--agent", control, "--json", out)
+        assert abs(json.loads(out.read_text())["rank_correlation"]) < 0.2
+    code, text, _ = run(capsys, "queries", "--agent", "query-onehot")
+    assert "all conditions are equally similar" in text
+    code, _, error = run(capsys, "queries", "--agent", "full")
+    assert code == 2
+    assert "Unknown agent that is told queries 'full'" in error
     code, _, error = run(capsys, "queries", "--ask", "usedFor lerning")
     assert code == 2
     assert "Did you mean 'learning'" in error
