@@ -82,7 +82,8 @@ def import_numba_cuda() -> Any:
     """
     import numba.cuda
 
-    is_compiler = find_spec("numba_cuda") is not None and not numba.config.ENABLE_CUDASIM
+    simulated = numba.config.ENABLE_CUDASIM  # type: ignore[attr-defined]
+    is_compiler = find_spec("numba_cuda") is not None and not simulated
     if is_compiler and not hasattr(np, "row_stack"):
         np.row_stack = np.vstack  # noqa: NPY201
         try:

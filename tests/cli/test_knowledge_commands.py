@@ -143,3 +143,40 @@ def test_mistakes_end_in_one_line_and_code_2(capsys, words, message):
     assert code == 2
     assert message in error
     assert error.count("\n") == 1
+
+
+def test_queries(capsys, tmp_path):
+    out = tmp_path / "queries.json"
+    code, text, _ = run(capsys, "queries", "--json", out)
+    assert code == 0
+    assert "409 queries: 49 of one condition" in text
+    values = json.loads(out.read_text())
+    assert values["conditions"]["usedFor learning"] == ["book", "globe"]
+    assert values["splits"]["S1"] == values["splits"]["training"]
+    assert len(values["held_out"]["S3"]) == 6
+    assert values["empty"] == {}
+    code, _, _ = run(capsys, "queries", "--split", "S4", "--json", out)
+    asked = json.loads(out.read_text())["questions"]
+    assert all(any(value in query for value in values["held_out"]["S4"]) for query in asked)
+    code, text, _ = run(capsys, "queries", "--ask", "usedFor learning and hasColor blue")
+    assert text.count("blue") == 3
+    assert "globe" in text
+    code, _, error = run(capsys, "queries", "--ask", "usedFor lerning")
+    assert code == 2
+    assert "Did you mean 'learning'" in error
+
+
+def test_queries_of_a_graph_of_the_user(capsys, tmp_path):
+    graph = tmp_path / "mine.csv"
+    uses = zip("abcdef", "uuvvww", strict=True)
+    graph.write_text("".join(f"{name},usedFor,{use}\n" for name, use in uses))
+    code, text, _ = run(capsys, "queries", graph, "--colours", "red", "blue", "green")
+    assert code == 0
+    assert "No S3 (objects that training never showed): 5 of the 6 objects" in text
+    code, _, error = run(capsys, "queries", graph, "--split", "S4")
+    assert code == 2
+    assert "S4" in error
+    assert "the values that can be held out belong to 0 objects" in error
+    code, _, error = run(capsys, "queries", graph, "--objects", "a", "x")
+    assert code == 2
+    assert "says nothing about the object 'x'" in error

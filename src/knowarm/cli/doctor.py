@@ -9,7 +9,7 @@ import tyro
 from knowarm.cli.tables import FilePath, check_json_path, print_table, write_json_table
 from knowarm.errors import UserError
 from knowarm.experiment.installation_check import check_installation
-from knowarm.world.objects import TARGETS
+from knowarm.world.config import EnvConfig
 from knowarm.world.robot_check import check_robot
 
 
@@ -19,7 +19,7 @@ class Doctor:
 
     robot: Annotated[str | None, tyro.conf.arg(metavar="ROBOT", help_behavior_hint="")] = None
     """Robot to check instead of the installation: a name, TOML description or MJCF file."""
-    targets: tuple[str, ...] = tuple(TARGETS)
+    targets: tuple[str, ...] = EnvConfig().targets
     """Objects the robot should reach, by name or TOML file."""
     runs: Path = Path("runs")
     """Output folder of training runs, checked for free disk space."""

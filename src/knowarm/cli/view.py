@@ -13,7 +13,7 @@ from knowarm.experiment.build import load_agent
 from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
 from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import evaluation_episodes
-from knowarm.world.record import record_episode, write_strip, write_video
+from knowarm.world.record import describe_episode, record_episode, write_strip, write_video
 from knowarm.world.scene import find_robot
 from knowarm.world.vector_env import ReachVectorEnv
 from knowarm.world.watch import watch
@@ -62,8 +62,8 @@ class View:
         if self.video is None and self.strip is None:
 
             def announce(number: int) -> None:
-                target, colour = env.facets[int(env.facet_ids[0])]
-                print(f"Episode {number + 1} of {len(episodes)}: {colour} {target}", flush=True)
+                wanted = describe_episode(env)
+                print(f"Episode {number + 1} of {len(episodes)}: {wanted}", flush=True)
 
             print("Waiting for a browser. Press Ctrl-C to stop.", flush=True)
             watch(

@@ -8,6 +8,7 @@ import numpy as np
 
 from knowarm.knowledge.config import KnowledgeConfig
 from knowarm.knowledge.embedding import scene_embedding
+from knowarm.knowledge.facets import Facet
 from knowarm.knowledge.graph import KnowledgeGraph
 from knowarm.knowledge.scene import load_graph
 from knowarm.knowledge.terms import label_of, local_name
@@ -83,7 +84,7 @@ def probe(config: KnowledgeConfig, facets: Sequence[tuple[str, str]]) -> Probe:
     everything = scene_embedding(config, pairs)
     vectors = everything.matrix.astype(np.float64)
     vectors /= np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
-    slots = everything.slots
+    slots = [slot for slot in everything.slots if isinstance(slot, Facet)]
     in_task = np.array([slot in task.slots for slot in slots])
     objects = np.array([slot.object for slot in slots])
     recovered: dict[str, dict[str, float]] = {}

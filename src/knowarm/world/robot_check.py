@@ -14,7 +14,6 @@ from knowarm.world.config import EnvConfig
 from knowarm.world.description_file import SUFFIX
 from knowarm.world.episodes import evaluation_episodes
 from knowarm.world.ik import InverseKinematics
-from knowarm.world.objects import TARGETS
 from knowarm.world.render.renderer import make_renderer
 from knowarm.world.tasks.reach import ACTION_LEVELS
 from knowarm.world.vector_env import ReachVectorEnv
@@ -52,7 +51,7 @@ class Check:
     """How to correct it; empty if the check passed."""
 
 
-def check_robot(path: Path | str, targets: Sequence[str] = tuple(TARGETS)) -> list[Check]:
+def check_robot(path: Path | str, targets: Sequence[str] = EnvConfig().targets) -> list[Check]:
     """Check a robot's description.
 
     Args:

@@ -23,7 +23,7 @@ from knowarm.world.episodes import EpisodeSource
 from knowarm.world.render.renderer import TorchRenderer, make_renderer
 from knowarm.world.step_graph import CudaRecorder, StepGraph
 from knowarm.world.tasks.privileged import privileged_columns, privileged_state
-from knowarm.world.tasks.reach import ACTION_LEVELS, MASKS, ReachTask
+from knowarm.world.tasks.reach import ACTION_LEVELS, ReachTask
 from knowarm.world.vector_env import describe, draw_images
 
 FINAL = "final."
@@ -65,7 +65,8 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         task: the state of the episodes.
         simulation: the physics.
         renderer: draws the observations.
-        facets: (target, colour) names; targets in config order, colours in theirs.
+        facets: as those of ``ReachVectorEnv``.
+        queries: likewise.
         privileged_columns: names of the D columns of the privileged state, with their meaning in
             `knowarm.world.tasks.privileged.privileged_columns`.
         report_final_observations: whether these images are drawn; True until a trainer that does
@@ -108,7 +109,7 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         shape = (num_envs, side, side, 3)
         self._final_images = torch.zeros(shape, dtype=torch.uint8, device=self.device)
         self.task = ReachTask(scene, config, self.simulation)
-        self.facets = self.task.facets
+        self.facets, self.queries = self.task.facets, self.task.queries
         self.privileged_columns = privileged_columns(scene.num_joints)
         self.report_final_observations = True
         self.report_privileged_state = False
@@ -131,7 +132,7 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
 
     @property
     def facet_ids(self) -> Tensor:
-        """Facet of each current episode, (n,) int64."""
+        """Row of the knowledge table for each current episode, (n,) int64: facet, or query."""
         return _tensor(self.task.facet_ids)
 
     @property
@@ -209,7 +210,7 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         metrics = [name.removeprefix(FINAL) for name in outputs if name.startswith(FINAL)]
         final = {name: outputs.pop(FINAL + name) for name in metrics}
         extra = {
-            "final_info": final | dict.fromkeys(MASKS, ended),
+            "final_info": final | _masks(final, ended),
             "_final_info": ended,
         }
         if self.report_final_observations:
@@ -217,7 +218,7 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         if self.report_privileged_state:
             extra["final_privileged_state"] = outputs.pop("final_privileged_state")
         reward, terminated = outputs.pop("reward"), outputs.pop("terminated")
-        infos = outputs | dict.fromkeys(MASKS, self._everywhere) | extra
+        infos = outputs | _masks(outputs, self._everywhere) | extra
         return images, reward, terminated, truncated, infos
 
     def _play(self, actions: Array) -> tuple[dict[str, Array], Tensor]:
@@ -262,7 +263,7 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
     def _infos(self, mask: Tensor) -> dict[str, Any]:
         """Return the metrics of the current state as tensors, each with a mask (n,)."""
         metrics = {name: _tensor(values) for name, values in self.task.metrics().items()}
-        return metrics | dict.fromkeys(MASKS, mask)
+        return metrics | _masks(metrics, mask)
 
     def _draw(self) -> Tensor:
         """Draw all environments, into a new tensor."""
@@ -311,6 +312,11 @@ def check_actions(actions: Any, shape: tuple[int, int], device: torch.device, le
         )
     if device.type == "cpu":
         check_action_range(actions.numpy(), levels)
+
+
+def _masks(infos: dict[str, Tensor], mask: Tensor) -> dict[str, Tensor]:
+    """Return Gymnasium's mask of each info."""
+    return {f"_{name}": mask for name in infos}
 
 
 def _tensor(array: Array) -> Tensor:

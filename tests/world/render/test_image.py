@@ -6,9 +6,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 
+from knowarm.bench.images import ssim
 from knowarm.world.render import Raycaster
 from tests.world.render.opengl_images import NoOpenGL, opengl_images
 from tests.world.render.raycast_scenes import (
@@ -23,21 +22,6 @@ SIDE = 64
 STATES = 40
 
 pytestmark = pytest.mark.opengl
-
-
-def ssim(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> float:
-    """Structural similarity (Wang et al. 2004), Gaussian window of 1.5 pixels, channel mean."""
-    values = []
-    for channel in range(3):
-        x, y = (image[..., channel].astype(np.float64) for image in (a, b))
-        mean_x, mean_y = gaussian_filter(x, 1.5), gaussian_filter(y, 1.5)
-        var_x = gaussian_filter(x * x, 1.5) - mean_x**2
-        var_y = gaussian_filter(y * y, 1.5) - mean_y**2
-        cov = gaussian_filter(x * y, 1.5) - mean_x * mean_y
-        c1, c2 = (0.01 * 255) ** 2, (0.03 * 255) ** 2
-        score = (2 * mean_x * mean_y + c1) * (2 * cov + c2)
-        values.append((score / ((mean_x**2 + mean_y**2 + c1) * (var_x + var_y + c2))).mean())
-    return float(np.mean(values))
 
 
 def similarity(model: mujoco.MjModel, camera: int | str, folder: Path, smooth: bool) -> float:

@@ -220,7 +220,7 @@ class WarpSimulator:
         """Set servo targets and object positions of all environments."""
         self._ctrl.copy_(joint_targets)
         places = target_places(self.scene, target_position).to(torch.float32)
-        self._mocap[:, self._targets] = places[:, None, :]
+        self._mocap[:, self._targets] = places
         if distractor_position is not None:
             self._mocap[:, self._distractors, :2] = distractor_position.to(torch.float32)
 

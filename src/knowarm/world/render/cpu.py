@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.errors import UserError
+from knowarm.world.render.closeness import closest_depths
 from knowarm.world.render.cpu_kernels import Scratch, Stored, render_range, trace_field
 from knowarm.world.render.fill import PROJECTION, Field
+from knowarm.world.render.intersections import MESH
 from knowarm.world.render.numeric import FAR
 from knowarm.world.render.scenery import read_lamps, read_scenery, read_view
 from knowarm.world.render.tiles import ANTIALIASING, EXTENT, RECORD, TILE, Grid, make_grid
@@ -47,6 +49,8 @@ class Raycaster:
         num_threads: threads that share a batch.
         geom_groups: geom groups that are drawn; MuJoCo's renderer draws 0, 1 and 2.
         background: RGB where no geom is, in 0..1.
+        mesh_error_px: how far the outline of a mesh may be moved to draw it with fewer triangles
+            [px], at the smallest distance at which it can be seen; None draws all triangles.
 
     Attributes:
         view: (12,) float32, position [m] and row-major rotation of the camera, world.
@@ -71,6 +75,7 @@ class Raycaster:
         num_threads: int = 1,
         geom_groups: tuple[int, ...] = (0, 1, 2),
         background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        mesh_error_px: float | None = None,
     ) -> None:
         for name, side in (("width", width), ("height", height)):
             if not 1 <= side <= MAX_SIDE:
@@ -82,7 +87,12 @@ class Raycaster:
         mujoco.mj_camlight(model, data)
         self.width, self.height = width, height
         self.view, half_height = read_view(model, data, camera)
-        self.scenery, self.lamps = read_scenery(model, geom_groups), read_lamps(model, data)
+        tolerance = None
+        if mesh_error_px is not None and np.any(model.geom_type == MESH):
+            depth = closest_depths(model, self.view, half_height, width / height)
+            tolerance = depth * (mesh_error_px * 2 * half_height / height)
+        self.scenery = read_scenery(model, geom_groups, tolerance)
+        self.lamps = read_lamps(model, data)
         self.grid = make_grid(width, height, half_height, ANTIALIASING if antialiasing else 1)
         self._pool = ThreadPoolExecutor(num_threads) if num_threads > 1 else None
         self._positions = np.empty((0, 0, 3), dtype=np.float32)

@@ -1,9 +1,10 @@
 """Fill loops of the CPU ray caster: depth and colour of the samples that a geom covers.
 
 The tiles of a geom in one strip are contiguous in memory: one branch-free loop draws them, which
-the compiler vectorizes over the sixteen samples of a tile. Triangles of a mesh are drawn by the
-same loop, one after the other; in small images most triangles of a fine mesh lie between the
-samples and are skipped.
+the compiler vectorizes over the sixteen samples of a tile. Triangles of a mesh are drawn one after
+the other by such a loop that only notes which triangle is nearest; the samples that show the mesh
+are shaded once at the end. In small images most triangles of a fine mesh lie between the samples
+and are skipped.
 """
 
 from collections.abc import Callable
@@ -23,8 +24,19 @@ from knowarm.world.render.intersections import (
     SPHERE,
     Hit,
     face_planes,
+    triangle,
 )
-from knowarm.world.render.numeric import ONE, ZERO, Vector, minus, nine, scalar, to_parent, triple
+from knowarm.world.render.numeric import (
+    ONE,
+    ZERO,
+    Matrix,
+    Vector,
+    minus,
+    nine,
+    scalar,
+    to_parent,
+    triple,
+)
 from knowarm.world.render.scenery import Meshes
 from knowarm.world.render.shading import shade
 from knowarm.world.render.tiles import (
@@ -78,6 +90,69 @@ def _fill(
             new = geom if ids else colour
             depth[k] = t if closer else farther
             value[k] = new if closer else other
+
+
+@njit(error_model="numpy")
+def _fill_triangle(
+    planes: intersections.Faces,
+    window: tuple[int, int, int, int],
+    frame: Matrix,
+    mark: np.int32,
+    grid: Grid,
+    field: Field,
+) -> None:
+    """Note ``mark`` in the columns and rows of samples where a triangle is nearest."""
+    upper = window[2] >> BITS << BITS
+    rows = (window[3] >> BITS << BITS) + TILE - upper
+    for strip in range(window[0] >> BITS, (window[1] >> BITS) + 1):
+        start = (strip * grid.rows + upper) * TILE
+        depth = field[0][start : start + rows * TILE]
+        value = field[1][start : start + rows * TILE]
+        left, top = np.int32(strip * TILE), np.int32(upper)
+        for k in range(rows * TILE):
+            lane = np.int32(k)
+            column = np.int32(left + (lane & np.int32(TILE - 1)))
+            x, y = sample_point(column, np.int32(top + (lane >> np.int32(BITS))), grid)
+            t, _ = triangle(planes, sample_direction(x, y, frame))
+            farther, other = depth[k], value[k]
+            closer = t < farther
+            depth[k] = t if closer else farther
+            value[k] = mark if closer else other
+
+
+@njit(error_model="numpy")
+def _shade_triangles(
+    record: NDArray[np.float32],
+    extent: NDArray[np.int32],
+    grid: Grid,
+    meshes: Meshes,
+    value: NDArray[np.int32],
+) -> None:
+    """Replace the triangles' marks in the samples of a mesh by their colours."""
+    eye, frame = triple(record, 0), nine(record, 3)
+    head, sun = triple(record, 9), triple(record, 15)
+    paint = triple(record, 18), triple(record, 21), triple(record, 24)
+    upper, lower = extent[4] >> BITS << BITS, (extent[5] >> BITS << BITS) + TILE
+    for strip in range(extent[2] >> BITS, (extent[3] >> BITS) + 1):
+        for row in range(upper, lower):
+            start = (strip * grid.rows + row) * TILE
+            for lane in range(TILE):
+                mark = value[start + lane]
+                if mark >= 0:
+                    continue
+                f = -1 - mark
+                a, b, c = corners(meshes, f, eye)
+                x, y = sample_point(np.int32(strip * TILE + lane), np.int32(row), grid)
+                _, normal = intersections.smooth_triangle(
+                    face_planes(a, b, c),
+                    sample_direction(x, y, frame),
+                    (
+                        triple(meshes.normal[f], 0),
+                        triple(meshes.normal[f], 3),
+                        triple(meshes.normal[f], 6),
+                    ),
+                )
+                value[start + lane] = shade(normal, head, sun, paint)
 
 
 @njit(error_model="numpy")
@@ -156,10 +231,8 @@ def fill_mesh(
         if (left > right) | (upper > lower):
             continue
         a, b, c = corners(meshes, f, eye)
-        normals = (
-            triple(meshes.normal[f], 0), triple(meshes.normal[f], 3), triple(meshes.normal[f], 6)
-        )  # fmt: skip
-        planes, window = face_planes(a, b, c), (left, right, upper, lower)
-        _fill(
-            intersections.smooth_triangle, planes, normals, window, record, geom, grid, field, ids
-        )
+        mark = np.int32(geom if ids else -1 - f)
+        window = (left, right, upper, lower)
+        _fill_triangle(face_planes(a, b, c), window, frame, mark, grid, field)
+    if not ids:
+        _shade_triangles(record, extent, grid, meshes, field[1])

@@ -50,6 +50,15 @@ class Renderer(Protocol):
         """
 
 
+MESH_ERROR_PX = 0.4
+"""How far the outline of a simplified mesh may be moved [px]."""
+
+
+def mesh_error(config: EnvConfig) -> float | None:
+    """Return the allowed error of meshes [px], or None to draw all their triangles."""
+    return MESH_ERROR_PX if config.mesh_detail == "pixels" else None
+
+
 def make_renderer(scene: Scene, config: EnvConfig, size: int, num_threads: int = 0) -> Renderer:
     """Construct the renderer that a config names.
 
@@ -73,6 +82,7 @@ def make_renderer(scene: Scene, config: EnvConfig, size: int, num_threads: int =
         size,
         antialiasing=config.antialiasing,
         num_threads=num_threads or available_cores(),
+        mesh_error_px=mesh_error(config),
     )
 
 
@@ -153,7 +163,12 @@ def _make_cuda_raycaster(
 
     size = config.image_size
     raycaster = CudaRaycaster(
-        scene.model, scene.camera, size, size, antialiasing=config.antialiasing
+        scene.model,
+        scene.camera,
+        size,
+        size,
+        antialiasing=config.antialiasing,
+        mesh_error_px=mesh_error(config),
     )
     poses = [torch.zeros((1, scene.model.ngeom, k), device=device) for k in (3, 9)]
     try:

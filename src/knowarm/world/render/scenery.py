@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.errors import UserError, unknown_name
+from knowarm.world.render.detail import Mesh, simplified
 from knowarm.world.render.intersections import MESH, SUPPORTED
 
 DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)
@@ -69,8 +70,18 @@ class Scenery(NamedTuple):
     """Ids of the drawn geoms that can move, (M,)."""
 
 
-def read_scenery(model: mujoco.MjModel, geom_groups: tuple[int, ...]) -> Scenery:
+def read_scenery(
+    model: mujoco.MjModel,
+    geom_groups: tuple[int, ...],
+    tolerance: NDArray[np.float64] | None = None,
+) -> Scenery:
     """Read the geoms of a model.
+
+    Args:
+        model: the geoms.
+        geom_groups: groups that are drawn.
+        tolerance: how far the surface of each mesh geom may be moved to simplify it [m], (G,);
+            None for meshes as they are.
 
     Raises:
         UserError: a geom of a drawn group is of a type that the ray caster cannot draw.
@@ -93,7 +104,7 @@ def read_scenery(model: mujoco.MjModel, geom_groups: tuple[int, ...]) -> Scenery
         kind=model.geom_type.astype(np.int32),
         size=model.geom_size.astype(np.float32),
         emission=emission,
-        meshes=_read_meshes(model),
+        meshes=_read_meshes(model, drawn, tolerance),
         rgba=_geom_colours(model),
         fixed=drawn[fixed[drawn]].astype(np.int32),
         moving=drawn[~fixed[drawn]].astype(np.int32),
@@ -176,34 +187,52 @@ def _is_fixed(model: mujoco.MjModel, body: int) -> bool:
 
 
 def _geom_colours(model: mujoco.MjModel) -> NDArray[np.float32]:
-    """Return the colours as MuJoCo draws them, (G, 4): the geom's own, or its material's."""
+    """Return the colours as MuJoCo draws them, (G, 4): the geom's own, or its material's.
+
+    A material with a texture has the texture's mean colour, times its own.
+    """
+    material = model.mat_rgba.astype(np.float32)
+    for m, texture in enumerate(model.mat_texid[:, int(mujoco.mjtTextureRole.mjTEXROLE_RGB)]):
+        if texture >= 0:
+            channels = model.tex_nchannel[texture]
+            first = model.tex_adr[texture]
+            size = channels * model.tex_width[texture] * model.tex_height[texture]
+            texels = model.tex_data[first : first + size].reshape(-1, channels)
+            material[m, :3] *= texels[:, : min(3, channels)].mean(axis=0) / 255
     colours = model.geom_rgba.astype(np.float32)
     default = (model.geom_rgba == np.array(DEFAULT_RGBA, dtype=np.float32)).all(axis=1)
     from_material = (model.geom_matid >= 0) & default
-    colours[from_material] = model.mat_rgba[model.geom_matid[from_material]]
+    colours[from_material] = material[model.geom_matid[from_material]]
     return colours
 
 
-def _read_meshes(model: mujoco.MjModel) -> Meshes:
-    """Read the triangles of all mesh geoms."""
+def _read_meshes(
+    model: mujoco.MjModel, drawn: NDArray[np.intp], tolerance: NDArray[np.float64] | None
+) -> Meshes:
+    """Read the triangles of the drawn mesh geoms, those of a shared mesh once."""
     span = np.zeros((model.ngeom, 4), dtype=np.int32)
     winding = np.zeros(model.ngeom, dtype=np.int32)
-    for g in np.flatnonzero(model.geom_type == MESH):
-        mesh = model.geom_dataid[g]
-        vertex, face = model.mesh_vertadr[mesh], model.mesh_faceadr[mesh]
-        span[g] = (
-            vertex, vertex + model.mesh_vertnum[mesh], face, face + model.mesh_facenum[mesh]
-        )  # fmt: skip
-        winding[g] = _winding(model, mesh)
-    first_vertex = np.repeat(model.mesh_vertadr, model.mesh_facenum)[:, None]
-    first_normal = np.repeat(model.mesh_normaladr, model.mesh_facenum)[:, None]
-    vertices = model.mesh_vert.reshape(-1, 3).astype(np.float32)
-    faces = (model.mesh_face.reshape(-1, 3) + first_vertex).astype(np.int32)
-    normals = model.mesh_normal.reshape(-1, 3)[model.mesh_facenormal.reshape(-1, 3) + first_normal]
+    geoms = drawn[model.geom_type[drawn] == MESH]
+    meshes: list[Mesh] = []
+    vertices, triangles = 0, 0
+    for mesh in np.unique(model.geom_dataid[geoms]):
+        users = geoms[model.geom_dataid[geoms] == mesh]
+        shape = _read_mesh(model, mesh)
+        if tolerance is not None:
+            shape = simplified(shape, float(tolerance[users].min()))
+        meshes.append(shape._replace(face=shape.face + np.int32(vertices)))
+        after = vertices + len(shape.vertex), triangles + len(shape.face)
+        span[users] = vertices, after[0], triangles, after[1]
+        winding[users] = _winding(shape)
+        vertices, triangles = after
+    empty = Mesh(
+        np.empty((0, 3), np.float32), np.empty((0, 3), np.int32), np.empty((0, 3, 3), np.float32)
+    )
+    vertex, face, normal = (np.concatenate(arrays) for arrays in zip(empty, *meshes, strict=True))
     return Meshes(
-        vertex=vertices,
-        face=faces,
-        normal=_plausible_normals(normals, vertices[faces]).reshape(-1, 9),
+        vertex=vertex,
+        face=face,
+        normal=normal.reshape(-1, 9),
         span=span,
         winding=winding,
         middle=model.geom_aabb[:, :3].astype(np.float32),
@@ -211,12 +240,19 @@ def _read_meshes(model: mujoco.MjModel) -> Meshes:
     )
 
 
-def _winding(model: mujoco.MjModel, mesh: int) -> int:
+def _read_mesh(model: mujoco.MjModel, mesh: int) -> Mesh:
+    """Read one mesh, with normals that fit its triangles."""
+    first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+    vertex = model.mesh_vert[first : first + count].astype(np.float32)
+    first, count = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
+    face = model.mesh_face[first : first + count].astype(np.int32)
+    corner = model.mesh_facenormal[first : first + count] + model.mesh_normaladr[mesh]
+    return Mesh(vertex, face, _plausible_normals(model.mesh_normal[corner], vertex[face]))
+
+
+def _winding(mesh: Mesh) -> int:
     """Return the orientation of a closed mesh's triangles (see ``Meshes``), 0 for an open mesh."""
-    first = model.mesh_vertadr[mesh]
-    vertices = model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(np.float64)
-    first = model.mesh_faceadr[mesh]
-    faces = model.mesh_face[first : first + model.mesh_facenum[mesh]].astype(np.int64)
+    vertices, faces = mesh.vertex.astype(np.float64), mesh.face.astype(np.int64)
     # Corners at one place are one corner, even if they are vertices with different normals.
     place = np.unique(vertices, axis=0, return_inverse=True)[1].reshape(-1)[faces]
     place = place[(place != np.roll(place, 1, axis=1)).all(axis=1)]
