@@ -133,6 +133,28 @@ class CountingCuts(Tape):
         self.cuts += 1
 
 
+def test_final_images_are_drawn_only_where_wanted() -> None:
+    steps, drawn = {}, []
+    for wanted in (True, False):
+        env = recorded_env(WARP, Tape(), max_episode_steps=3)
+        draw = env.renderer.draw
+
+        def note(*args: Any, draw: Any = draw, **options: Any) -> None:
+            drawn.append(options.get("wanted") is not None)
+            draw(*args, **options)
+
+        env.renderer.draw = note
+        env.report_final_observations = wanted
+        env.reset(seed=0)
+        stay = torch.zeros((6, 6), dtype=torch.int64)
+        steps[wanted] = [env.step(stay) for _ in range(WARM_UP_STEPS + 4)]
+        assert any(drawn) == wanted
+        drawn.clear()
+    for one, other in zip(steps[True], steps[False], strict=True):
+        assert one[4].keys() - other[4].keys() == {"final_obs", "_final_obs"}
+        assert_equal(one[:4], other[:4])
+
+
 @pytest.mark.parametrize("options", OPTIONS, ids=["plain", "varied"])
 def test_a_replayed_step_launches_little(
     options: dict[str, Any], monkeypatch: pytest.MonkeyPatch

@@ -83,7 +83,7 @@ class PPOTrainer(Trainer):
         network = TrainingNetwork(policy.to(self._device), targets, seed)
         self._head = network.head
         self._learner = make_learner(network, config, self.matmul_precision, self._device)
-        others = NoFinalValues() if config.critic == "state" else None
+        others = NoFinalValues(env) if config.critic == "state" else None
         self._collector = Collector(
             env, policy, seed=seed, final_values=others, curriculum=self._curriculum
         )

@@ -1,22 +1,22 @@
 """Checks of a robot's description: scene, joints, gripper, servos, reach and visibility."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-import mujoco
 import numpy as np
 
 from knowarm.errors import UserError
 from knowarm.world.appearance import TargetColours, resting_colours
-from knowarm.world.attach import read_mjcf
 from knowarm.world.config import EnvConfig
-from knowarm.world.description_file import SUFFIX
 from knowarm.world.episodes import evaluation_episodes
 from knowarm.world.ik import InverseKinematics
 from knowarm.world.render.renderer import make_renderer
 from knowarm.world.tasks.reach import ACTION_LEVELS
 from knowarm.world.vector_env import ReachVectorEnv
+
+MJCF_SUFFIXES = (".xml", ".mjcf")
+"""Files with these suffixes hold a bare model, for which a description is drafted."""
 
 SAMPLES = 100
 """Episodes per check."""
@@ -51,20 +51,30 @@ class Check:
     """How to correct it; empty if the check passed."""
 
 
-def check_robot(path: Path | str, targets: Sequence[str] = EnvConfig().targets) -> list[Check]:
+def check_robot(
+    path: Path | str,
+    targets: Sequence[str] = EnvConfig().targets,
+    *,
+    angle_deg: float = 15.0,
+    ignore_roll: bool = False,
+) -> list[Check]:
     """Check a robot's description.
 
     Args:
-        path: a TOML description, a name in ``ROBOTS``, or a bare MJCF file, for which the
-            description to write is shown.
+        path: a TOML description or a name in ``ROBOTS``.
         targets: names or TOML files of the objects that it should reach.
+        angle_deg: orientation tolerance of the task [deg].
+        ignore_roll: whether the task ignores the rotation about the approach axis.
 
     Returns:
         The results in order; only the first if the scene cannot be built.
     """
-    if str(path).endswith((".xml", ".mjcf")):
-        return _check_mjcf(Path(path))
-    config = EnvConfig(robot=str(path), targets=tuple(targets), success_angle_deg=15.0)
+    config = EnvConfig(
+        robot=str(path),
+        targets=tuple(targets),
+        success_angle_deg=angle_deg,
+        ignore_roll=ignore_roll,
+    )
     try:
         env = ReachVectorEnv(config, SAMPLES)
     except UserError as error:
@@ -83,9 +93,7 @@ def check_robot(path: Path | str, targets: Sequence[str] = EnvConfig().targets) 
         _check_servos(env),
     ]
     for name in targets:
-        one = ReachVectorEnv(
-            EnvConfig(robot=str(path), targets=(name,), colours="randomized"), SAMPLES
-        )
+        one = ReachVectorEnv(replace(config, targets=(name,), colours="randomized"), SAMPLES)
         checks += [_check_reach(one), *_check_visible(one)]
     return checks
 
@@ -93,49 +101,6 @@ def check_robot(path: Path | str, targets: Sequence[str] = EnvConfig().targets) 
 def check_result(name: str, ok: bool, found: str, remedy: str = "") -> Check:
     """Return a check, with the remedy only if it failed."""
     return Check(name=name, ok=ok, found=found, remedy="" if ok else remedy)
-
-
-def _check_mjcf(path: Path) -> list[Check]:
-    """Report what a bare MJCF file contains and what its description must add."""
-    try:
-        model = read_mjcf(path, str(path)).compile()
-    except UserError as error:
-        return [check_result("MJCF", False, str(error), "Correct the file.")]
-    movable = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
-    joints = [
-        model.joint(j).name
-        for j in range(model.njnt)
-        if any(model.jnt_type[j] == kind for kind in movable) and model.jnt_limited[j]
-    ]
-    sites = [model.site(s).name for s in range(model.nsite)]
-    home = ", ".join("0.0" for _ in joints)
-    names = ", ".join(f'"{name}"' for name in joints)
-    text = (
-        f'mjcf = "{path.name}"; joints = [{names}]; home = [{home}]; tcp_site = "..."; '
-        "rectangle_centre_m = [x, y]; rectangle_half_size_m = [x, y]; target_yaw_deg = -135.0; "
-        "camera_position_m = [x, y, z]; camera_look_at_m = [x, y, z]; camera_fovy_deg = 40.0"
-    )
-    return [
-        check_result("MJCF", True, f"compiles: {model.nbody - 1} bodies"),
-        check_result(
-            "joints",
-            bool(joints),
-            f"with a range: {', '.join(joints) or 'none'}",
-            "Give the arm's joints a range.",
-        ),
-        check_result(
-            "sites",
-            bool(sites),
-            ", ".join(filter(None, sites)) or "none",
-            "Set tcp_body to have the site added.",
-        ),
-        check_result(
-            "description",
-            False,
-            "an MJCF file does not contain the task's layout",
-            f"Write {path.with_suffix(SUFFIX)} with, one per line: {text}. Then check that file.",
-        ),
-    ]
 
 
 def _check_gripper(env: ReachVectorEnv) -> Check:
@@ -176,7 +141,7 @@ def _check_reach(env: ReachVectorEnv) -> Check:
     """Solve the inverse kinematics at positions over the whole rectangle."""
     episodes = evaluation_episodes(env.scene, env.config, SAMPLES, 1)
     env.reset(options={"episodes": episodes})
-    solver = InverseKinematics(env.scene)
+    solver = InverseKinematics(env.scene, ignore_roll=env.config.ignore_roll)
     solution = solver.solve(env.grasp_position, env.grasp_matrix, env.joint_positions)
     reached = solution.within(env.config.success_distance_m, env.config.success_angle_deg)
     share = float(reached.mean())

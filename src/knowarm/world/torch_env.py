@@ -43,7 +43,8 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
 
     - "final_obs": (n, H, W, 3) uint8, the last image of each episode that was truncated. Other
       rows are undefined, and the next step overwrites the tensor.
-    - "_final_obs": (n,) bool, where an episode was truncated.
+    - "_final_obs": (n,) bool, where an episode was truncated. Both are left out without
+      ``report_final_observations``.
     - "final_info": the infos before the reset, valid where an episode ended.
     - "_final_info": (n,) bool, where an episode ended.
     - "final_privileged_state": (n, D) float32, the privileged state before the reset, if
@@ -68,6 +69,8 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         queries: likewise.
         privileged_columns: names of the D columns of the privileged state, with their meaning in
             `knowarm.world.tasks.privileged.privileged_columns`.
+        report_final_observations: whether these images are drawn; True until a trainer that does
+            not look at them clears it.
         report_privileged_state: whether infos contain the privileged state before resets; False
             until a trainer that learns from it sets it.
 
@@ -108,6 +111,7 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         self.task = ReachTask(scene, config, self.simulation)
         self.facets, self.queries = self.task.facets, self.task.queries
         self.privileged_columns = privileged_columns(scene.num_joints)
+        self.report_final_observations = True
         self.report_privileged_state = False
         self._everywhere = torch.ones(num_envs, dtype=torch.bool, device=self.device)
         self._graph: StepGraph | None = None
@@ -197,7 +201,8 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         if self._graph is None:
             outputs, images = self._play(actions.numpy() if self._on_host else actions)
         else:
-            outputs, images = self._graph(actions, self.report_privileged_state)
+            reports = self.report_final_observations, self.report_privileged_state
+            outputs, images = self._graph(actions, reports)
             assert isinstance(self.simulation, WarpSimulator)
             self.simulation.check_overflow()
         outputs = {name: _tensor(values) for name, values in outputs.items()}
@@ -205,11 +210,11 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         metrics = [name.removeprefix(FINAL) for name in outputs if name.startswith(FINAL)]
         final = {name: outputs.pop(FINAL + name) for name in metrics}
         extra = {
-            "final_obs": self._final_images,
-            "_final_obs": truncated,
             "final_info": final | _masks(final, ended),
             "_final_info": ended,
         }
+        if self.report_final_observations:
+            extra |= {"final_obs": self._final_images, "_final_obs": truncated}
         if self.report_privileged_state:
             extra["final_privileged_state"] = outputs.pop("final_privileged_state")
         reward, terminated = outputs.pop("reward"), outputs.pop("terminated")
@@ -227,7 +232,8 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         task.move(actions if self._on_host else actions.clamp(0, len(ACTION_LEVELS) - 1))
         outcome = task.outcome()
         outputs = outcome._asdict() | {"ended": outcome.ended}
-        self._draw_final(outcome.truncated)
+        if self.report_final_observations:
+            self._draw_final(outcome.truncated)
         final = infos = task.metrics()
         if self.report_privileged_state:
             outputs["final_privileged_state"] = self.privileged_state
