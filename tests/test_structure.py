@@ -60,6 +60,7 @@ OTHER_MEANINGS = {
     "cli/knowledge": {"partial", "full", "subgraph"},
     # Value of EnvConfig.mesh_detail.
     "world/config.py": {"full"},
+    "world/scene_image.py": {"full"},
     # A scripted agent that draws its actions.
     "world/agents": {"random"},
     # Value of PolicyConfig.knowledge_encoder, which format 1 derived from the knowledge's source.

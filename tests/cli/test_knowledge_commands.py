@@ -1,5 +1,6 @@
 import json
 import xml.etree.ElementTree as ET
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -7,6 +8,8 @@ import pytest
 from knowarm.cli.main import main
 from knowarm.knowledge import household
 from knowarm.knowledge.formats import HOUSEHOLD
+
+ROOT = Path(__file__).parents[2]
 
 
 def run(capsys, *words):
@@ -161,6 +164,16 @@ def test_queries(capsys, tmp_path):
     code, text, _ = run(capsys, "queries", "--ask", "usedFor learning and hasColor blue")
     assert text.count("blue") == 3
     assert "globe" in text
+    code, text, _ = run(capsys, "queries", "--agent", "subgraph", "--json", out)
+    assert json.loads(out.read_text())["rank_correlation"] > 0.4
+    for control in ("subgraph-shuffled", "query-random"):
+        run(capsys, "queries", "--agent", control, "--json", out)
+        assert abs(json.loads(out.read_text())["rank_correlation"]) < 0.2
+    code, text, _ = run(capsys, "queries", "--agent", "query-onehot")
+    assert "all conditions are equally similar" in text
+    code, _, error = run(capsys, "queries", "--agent", "full")
+    assert code == 2
+    assert "Unknown agent that is told queries 'full'" in error
     code, _, error = run(capsys, "queries", "--ask", "usedFor lerning")
     assert code == 2
     assert "Did you mean 'learning'" in error
@@ -176,7 +189,25 @@ def test_queries_of_a_graph_of_the_user(capsys, tmp_path):
     code, _, error = run(capsys, "queries", graph, "--split", "S4")
     assert code == 2
     assert "S4" in error
-    assert "the values that can be held out belong to 0 objects" in error
+    assert "of the objects whose values can be held out, 0 can stand" in error
     code, _, error = run(capsys, "queries", graph, "--objects", "a", "x")
     assert code == 2
     assert "says nothing about the object 'x'" in error
+
+
+def test_the_example_of_an_own_graph(capsys, tmp_path):
+    """The page prints the file, and its commands show what the page says."""
+    example = ROOT / "examples" / "own_graph" / "tidy.csv"
+    assert example.read_text() in (ROOT / "docs" / "choose.md").read_text()
+    out = tmp_path / "queries.json"
+    code, text, _ = run(capsys, "queries", example, "--json", out)
+    assert code == 0
+    assert "89 queries: 17 of one condition" in text
+    assert set(json.loads(out.read_text())["empty"]) == {"S3"}
+    edited = tmp_path / "edited.csv"
+    changed = ("book,ownedBy,grandmother", "book,ownedBy,grandfather")
+    edited.write_text(example.read_text().replace(*changed))
+    run(capsys, "queries", example, "--edited", edited, "--split", "S5", "--json", out)
+    questions = json.loads(out.read_text())["questions"]
+    assert set(map(tuple, questions.values())) == {("book",)}
+    assert all(query.startswith("ownedBy grandfather") for query in questions)

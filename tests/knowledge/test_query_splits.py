@@ -171,7 +171,7 @@ def test_splits_that_a_graph_does_not_allow_say_why():
     with pytest.raises(UserError, match=r"S3 .* is empty: 5 of the 6 objects"):
         splits.test("S3")
     with pytest.raises(
-        UserError, match=r"S4 .* is empty: the values that can be held out belong to 0"
+        UserError, match=r"S4 .* is empty: of the objects whose values can be held out, 0"
     ):
         splits.test("S4")
     with pytest.raises(UserError, match="Unknown split 's3'"):

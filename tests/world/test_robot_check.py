@@ -5,7 +5,6 @@ from pathlib import Path
 import pytest
 
 from knowarm.world.robot_check import check_robot
-from knowarm.world.robots import ROBOTS
 from tests.world.helpers import EXAMPLES, write_robot
 
 
@@ -37,10 +36,3 @@ def test_defects_are_named_with_a_remedy(
     bad = {check.name: check for check in check_robot(write_robot(tmp_path, **changes), ["bottle"])}
     assert not bad[name].ok
     assert words in bad[name].remedy + bad[name].found
-
-
-def test_bare_mjcf_gets_a_template_of_its_description() -> None:
-    checks = {check.name: check for check in check_robot(ROBOTS["irb120"].robot.mjcf)}
-    assert "joint_6" in checks["joints"].found
-    assert not checks["description"].ok
-    assert 'joints = ["joint_1", ' in checks["description"].remedy

@@ -137,7 +137,7 @@ ALGORITHMS: dict[str, Algorithm] = {
             matmul_precision="auto",
         ),
         make_trainer=_make_a3c,
-        total_steps=5_000_000,
+        total_steps=10_000_000,
         policy={"pixel_shift": 0.5, "pixel_scale": 4.0},
     ),
 }

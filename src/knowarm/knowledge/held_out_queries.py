@@ -79,21 +79,20 @@ class HeldOut:
         links = self._links(values)
         known = {name for condition in self.facts for name in self.holders[condition]}
         wanted = max(1, round(SHARES["S4"] * len(values)))
-        held, covered = set[str](), set[str]()
+        held: set[str] = set()
+        beside = 0
         for index in rng.permutation(len(values)):
             new = {*held, values[index]}
             linked = all(links[value] - new for value in new)
             left = {name for c in self.facts if c.value not in new for name in self.holders[c]}
-            if (len(new) <= wanted or len(covered) < per_episode) and linked and left == known:
-                held = new
-                covered = {n for c in self.facts if c.value in held for n in self.holders[c]}
-                covered -= self.objects
-        if len(covered) < per_episode:
+            if (len(new) <= wanted or beside < per_episode - 1) and linked and left == known:
+                held, beside = new, self._most_beside(new)
+        if beside < per_episode - 1:
             raise UserError(
-                f"the values that can be held out belong to {len(covered)} objects, and an "
-                f"episode needs {per_episode} that can be asked for. A triple must link each "
-                "value to one that stays, such as (drinking, relatedTo, tea), and each object "
-                "must keep another fact. Add such triples."
+                f"of the objects whose values can be held out, {beside} can stand beside another "
+                f"one that is asked for, and an episode needs {per_episode - 1}. A triple must "
+                "link each value to one that stays, such as (drinking, relatedTo, tea), and each "
+                "object must keep another fact. Add such triples."
             )
         self.values = held
 
@@ -131,6 +130,11 @@ class HeldOut:
                 f"fewer than {per_episode} objects, which an episode needs, share a condition "
                 "with an object that stays. Add facts that several objects share."
             )
+
+    def _most_beside(self, values: set[str]) -> int:
+        """Return how many objects that some of the values belong to lack one of them, at most."""
+        held = [set(self.holders[c]) - self.objects for c in self.facts if c.value in values]
+        return max((len(set().union(*held) - each) for each in held), default=0)
 
     def _links(self, values: list[str]) -> dict[str, set[str]]:
         """Return the values that a triple links to each value, in either direction."""

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from knowarm.errors import UserError
 from knowarm.world.arrays import Array, Place, array_namespace, here
 from knowarm.world.episodes import Episodes
+from knowarm.world.render.scenery import material_colours
 from knowarm.world.scene import Scene
 from knowarm.world.visual_randomization import LookSource, VisualRandomization
 
@@ -17,7 +18,7 @@ def resting_colours(scene: Scene, num_envs: int) -> NDArray[np.float32]:
     model = scene.model
     rgba = model.geom_rgba.copy()
     with_material = model.geom_matid >= 0
-    rgba[with_material] = model.mat_rgba[model.geom_matid[with_material]]
+    rgba[with_material] = material_colours(model)[model.geom_matid[with_material]]
     rgba[scene.geom_target >= 0, 3] = 0.0
     return np.repeat(rgba[None].astype(np.float32), num_envs, axis=0)
 

@@ -16,6 +16,9 @@ MAX_STEP_RAD = 0.3
 ATTEMPTS = 6
 """Sets of random starts tried for poses that are not reached."""
 
+ROTATION_WEIGHT = 0.2
+"""Weight of the direction beside the position where the roll is ignored [m/rad]."""
+
 REACHED_M, REACHED_DEG = 0.01, 3.0
 """Errors below which a pose counts as reached; far below the task's thresholds."""
 
@@ -52,12 +55,17 @@ class InverseKinematics:
         scene: the robot and its support.
         starts: number of starts per pose: the given joints, then home, then random ones.
         seed: seed of the random starts.
+        ignore_roll: leave the rotation about the approach axis open, and put the position before
+            the direction where an arm has too few joints for both.
     """
 
-    def __init__(self, scene: Scene, starts: int = 8, seed: int = 0) -> None:
+    def __init__(
+        self, scene: Scene, starts: int = 8, seed: int = 0, *, ignore_roll: bool = False
+    ) -> None:
         self.scene = scene
         self._starts = starts
         self._seed = seed
+        self._ignore_roll = ignore_roll
         model = scene.model
         self._body = int(model.site_bodyid[scene.tcp_site])
         joints = [model.joint(f"robot/{name}").id for name in scene.robot.joints]
@@ -69,6 +77,7 @@ class InverseKinematics:
         position: NDArray[np.float64],
         matrix: NDArray[np.float64],
         start: NDArray[np.float64],
+        attempts: int = ATTEMPTS,
     ) -> IKSolution:
         """Find joint angles for n gripper poses, retrying those not reached from other starts.
 
@@ -76,9 +85,10 @@ class InverseKinematics:
             position: desired gripper positions, world [m], (n, 3).
             matrix: desired rotations from gripper to world, row-major, (n, 9).
             start: joint angles that the solution should be near to [rad], (n, J).
+            attempts: sets of random starts tried for poses that are not reached.
         """
         solution = self._solve_once(position, matrix, start, self._seed)
-        for attempt in range(1, ATTEMPTS):
+        for attempt in range(1, attempts):
             missed = np.flatnonzero(~solution.within(REACHED_M, REACHED_DEG))
             if not len(missed):
                 break
@@ -116,6 +126,8 @@ class InverseKinematics:
             error = _pose_error(simulation, position, matrix)
             translation, rotation = simulation.batch.jac(self._body, simulation.tcp_position)
             jacobian = np.concatenate([translation, rotation], axis=1)[:, :, self._dofs]
+            if self._ignore_roll:
+                error, jacobian = _without_roll(error, jacobian, matrix)
             transposed = jacobian.transpose(0, 2, 1)
             damped = jacobian @ transposed + DAMPING**2 * np.eye(6)
             step = (transposed @ np.linalg.solve(damped, error[..., None]))[..., 0]
@@ -123,7 +135,7 @@ class InverseKinematics:
         q = self._unwind(q, np.tile(start, (self._starts, 1)))
         simulation.set_joints(q)
         distance, angle = measure(
-            simulation.tcp_position, simulation.tcp_matrix, position, matrix, False
+            simulation.tcp_position, simulation.tcp_matrix, position, matrix, self._ignore_roll
         )
         change = np.abs(q - np.tile(start, (self._starts, 1))).max(axis=1)
         touches = contacts.reshape(len(q)) > 0
@@ -144,6 +156,19 @@ class InverseKinematics:
         unwound = q - 2 * np.pi * turns
         inside = (unwound >= self.scene.joint_lower) & (unwound <= self.scene.joint_upper)
         return np.where(inside, unwound, q)
+
+
+def _without_roll(
+    error: NDArray[np.float64], jacobian: NDArray[np.float64], matrix: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Drop the rotation about the approach axis from errors (n, 6) and Jacobians (n, 6, J)."""
+    axis = matrix.reshape(-1, 3, 3)[:, :, 2]
+    across = ROTATION_WEIGHT * (np.eye(3) - axis[:, :, None] * axis[:, None, :])
+    turn = (across @ error[:, 3:, None])[..., 0]
+    return (
+        np.concatenate([error[:, :3], turn], axis=1),
+        np.concatenate([jacobian[:, :3], across @ jacobian[:, 3:]], axis=1),
+    )
 
 
 def _pose_error(

@@ -1,22 +1,22 @@
 """Checks of a robot's description: scene, joints, gripper, servos, reach and visibility."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-import mujoco
 import numpy as np
 
 from knowarm.errors import UserError
 from knowarm.world.appearance import TargetColours, resting_colours
-from knowarm.world.attach import read_mjcf
 from knowarm.world.config import EnvConfig
-from knowarm.world.description_file import SUFFIX
 from knowarm.world.episodes import evaluation_episodes
 from knowarm.world.ik import InverseKinematics
 from knowarm.world.render.renderer import make_renderer
 from knowarm.world.tasks.reach import ACTION_LEVELS
 from knowarm.world.vector_env import ReachVectorEnv
+
+MJCF_SUFFIXES = (".xml", ".mjcf")
+"""Files with these suffixes hold a bare model, for which a description is drafted."""
 
 SAMPLES = 100
 """Episodes per check."""
@@ -51,24 +51,34 @@ class Check:
     """How to correct it; empty if the check passed."""
 
 
-def check_robot(path: Path | str, targets: Sequence[str] = EnvConfig().targets) -> list[Check]:
+def check_robot(
+    path: Path | str,
+    targets: Sequence[str] = EnvConfig().targets,
+    *,
+    angle_deg: float = 15.0,
+    ignore_roll: bool = False,
+) -> list[Check]:
     """Check a robot's description.
 
     Args:
-        path: a TOML description, a name in ``ROBOTS``, or a bare MJCF file, for which the
-            description to write is shown.
+        path: a TOML description or a name in ``ROBOTS``.
         targets: names or TOML files of the objects that it should reach.
+        angle_deg: orientation tolerance of the task [deg].
+        ignore_roll: whether the task ignores the rotation about the approach axis.
 
     Returns:
         The results in order; only the first if the scene cannot be built.
     """
-    if str(path).endswith((".xml", ".mjcf")):
-        return _check_mjcf(Path(path))
-    config = EnvConfig(robot=str(path), targets=tuple(targets), success_angle_deg=15.0)
+    config = EnvConfig(
+        robot=str(path),
+        targets=tuple(targets),
+        success_angle_deg=angle_deg,
+        ignore_roll=ignore_roll,
+    )
     try:
         env = ReachVectorEnv(config, SAMPLES)
     except UserError as error:
-        return [_result("scene", False, str(error), "Correct the named field.")]
+        return [check_result("scene", False, str(error), "Correct the named field.")]
     scene = env.scene
     joints = ", ".join(
         f"{name} [{low:.2f}, {high:.2f}]"
@@ -77,64 +87,20 @@ def check_robot(path: Path | str, targets: Sequence[str] = EnvConfig().targets) 
         )
     )
     checks = [
-        _result("scene", True, f"compiles, {scene.model.ngeom} geoms"),
-        _result("joints", True, joints),
+        check_result("scene", True, f"compiles, {scene.model.ngeom} geoms"),
+        check_result("joints", True, joints),
         _check_gripper(env),
         _check_servos(env),
     ]
     for name in targets:
-        one = ReachVectorEnv(
-            EnvConfig(robot=str(path), targets=(name,), colours="randomized"), SAMPLES
-        )
+        one = ReachVectorEnv(replace(config, targets=(name,), colours="randomized"), SAMPLES)
         checks += [_check_reach(one), *_check_visible(one)]
     return checks
 
 
-def _result(name: str, ok: bool, found: str, remedy: str = "") -> Check:
+def check_result(name: str, ok: bool, found: str, remedy: str = "") -> Check:
+    """Return a check, with the remedy only if it failed."""
     return Check(name=name, ok=ok, found=found, remedy="" if ok else remedy)
-
-
-def _check_mjcf(path: Path) -> list[Check]:
-    """Report what a bare MJCF file contains and what its description must add."""
-    try:
-        model = read_mjcf(path, str(path)).compile()
-    except UserError as error:
-        return [_result("MJCF", False, str(error), "Correct the file.")]
-    movable = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
-    joints = [
-        model.joint(j).name
-        for j in range(model.njnt)
-        if any(model.jnt_type[j] == kind for kind in movable) and model.jnt_limited[j]
-    ]
-    sites = [model.site(s).name for s in range(model.nsite)]
-    home = ", ".join("0.0" for _ in joints)
-    names = ", ".join(f'"{name}"' for name in joints)
-    text = (
-        f'mjcf = "{path.name}"; joints = [{names}]; home = [{home}]; tcp_site = "..."; '
-        "rectangle_centre_m = [x, y]; rectangle_half_size_m = [x, y]; target_yaw_deg = -135.0; "
-        "camera_position_m = [x, y, z]; camera_look_at_m = [x, y, z]; camera_fovy_deg = 40.0"
-    )
-    return [
-        _result("MJCF", True, f"compiles: {model.nbody - 1} bodies"),
-        _result(
-            "joints",
-            bool(joints),
-            f"with a range: {', '.join(joints) or 'none'}",
-            "Give the arm's joints a range.",
-        ),
-        _result(
-            "sites",
-            bool(sites),
-            ", ".join(filter(None, sites)) or "none",
-            "Set tcp_body to have the site added.",
-        ),
-        _result(
-            "description",
-            False,
-            "an MJCF file does not contain the task's layout",
-            f"Write {path.with_suffix(SUFFIX)} with, one per line: {text}. Then check that file.",
-        ),
-    ]
 
 
 def _check_gripper(env: ReachVectorEnv) -> Check:
@@ -143,7 +109,7 @@ def _check_gripper(env: ReachVectorEnv) -> Check:
     position = env.simulation.tcp_position.mean(axis=0)
     approach = env.simulation.tcp_matrix[:, 2::3].mean(axis=0)
     above = position[2] > env.scene.robot.support_height_m
-    return _result(
+    return check_result(
         "gripper",
         bool(above and approach[2] < 0.5),
         f"starts at {np.round(position, 3).tolist()} m, approach (z) is "
@@ -162,7 +128,7 @@ def _check_servos(env: ReachVectorEnv) -> Check:
         env.step(generator.integers(len(ACTION_LEVELS), size=env.action_space.shape))
         lags.append(np.abs(env.joint_positions - env.joint_targets))
     lag = float(np.mean(lags, axis=(0, 1)).max())
-    return _result(
+    return check_result(
         "servos",
         lag < MAX_LAG_RAD,
         f"mean distance from target after a step at most {lag:.4f} rad per joint",
@@ -175,7 +141,7 @@ def _check_reach(env: ReachVectorEnv) -> Check:
     """Solve the inverse kinematics at positions over the whole rectangle."""
     episodes = evaluation_episodes(env.scene, env.config, SAMPLES, 1)
     env.reset(options={"episodes": episodes})
-    solver = InverseKinematics(env.scene)
+    solver = InverseKinematics(env.scene, ignore_roll=env.config.ignore_roll)
     solution = solver.solve(env.grasp_position, env.grasp_matrix, env.joint_positions)
     reached = solution.within(env.config.success_distance_m, env.config.success_angle_deg)
     share = float(reached.mean())
@@ -190,7 +156,7 @@ def _check_reach(env: ReachVectorEnv) -> Check:
             f"{100 * solution.contact[missed].mean():.0f} % in contact): move or shrink the "
             "rectangle, or turn the target with target_yaws_deg."
         )
-    return _result(
+    return check_result(
         f"reach of {env.scene.targets[0].name}",
         share >= MIN_REACHABLE,
         f"{100 * share:.0f} % of {SAMPLES} positions reachable without contact",
@@ -211,7 +177,7 @@ def _check_visible(env: ReachVectorEnv) -> list[Check]:
         pixels = (np.abs(shown - hidden).max(axis=-1) > DIFFERENCE).sum(axis=(1, 2))
         few = float(np.percentile(pixels, 5))
         checks.append(
-            _result(
+            check_result(
                 f"{colour} {scene.targets[0].name} in the image",
                 few >= MIN_PIXELS,
                 f"in {np.median(pixels):.0f} pixels (median), {few:.0f} (5th percentile)",

@@ -9,15 +9,15 @@ import tyro
 
 from knowarm.cli.knowledge.options import GraphOptions
 from knowarm.cli.tables import check_json_path, print_table, write_json_table
+from knowarm.errors import unknown_name
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.knowledge.facets import graph_facets
 from knowarm.knowledge.formats import open_graph
+from knowarm.knowledge.probe import query_agreement
 from knowarm.knowledge.queries import COLOUR_RELATION, Pairs, QueryGraph
 from knowarm.knowledge.query_splits import SPLITS, QuerySplits, QueryTable, query_splits
 from knowarm.knowledge.terms import local_name
-
-COLOURS = ("red", "orange", "yellow", "green", "cyan", "blue", "purple", "pink", "brown")
-"""Colours of objects of which the graph states none."""
+from knowarm.world.objects import COLOURS, TARGETS
 
 SHOWN = 12
 """Most held-out pairs or new triples that are printed."""
@@ -32,10 +32,12 @@ class Queries(GraphOptions):
     objects: tuple[str, ...] = ()
     """Objects of the task; by default every entity that is the head of a triple and the tail of
     none, and no colour."""
-    colours: tuple[str, ...] = COLOURS
-    """Colours of objects of which the graph states none."""
+    colours: tuple[str, ...] = tuple(COLOURS)
+    """Colours of objects that are no targets and of which the graph states none."""
     ask: str | None = None
     """Answer one query, such as "usedFor drinking and hasColor blue", and show nothing else."""
+    agent: str | None = None
+    """Measure how well what this agent is told reflects the answers, and show nothing else."""
     split: str | None = None
     """List the questions of a test, S1 to S5, instead of the overview."""
     pairs: Pairs = "colour"
@@ -63,6 +65,9 @@ class Queries(GraphOptions):
             print_table(f"Answers to {query.name!r}", ["object", "colour"], found)
             write_json_table(self.json, {"query": query.name, "answers": found})
             return
+        if self.agent is not None:
+            self._print_agreement(self.agent, asked)
+            return
         splits = query_splits(
             graph,
             facets,
@@ -81,6 +86,17 @@ class Queries(GraphOptions):
             values = _print_overview(asked, splits)
         write_json_table(self.json, values)
 
+    def _print_agreement(self, agent: str, asked: QueryGraph) -> None:
+        from knowarm.experiment.agents import AGENTS  # imports torch, which takes seconds
+
+        told = [name for name, each in AGENTS.items() if each.knowledge.scope == "query"]
+        if agent not in told:
+            raise unknown_name("agent that is told queries", agent, told)
+        found = query_agreement(AGENTS[agent].knowledge, asked, run_seed=self.seed)
+        shown = "undefined: all conditions are equally similar" if found is None else f"{found:.3f}"
+        print(f"Rank correlation of similar vectors and common answers, {agent}: {shown}.")
+        write_json_table(self.json, {"agent": agent, "rank_correlation": found})
+
     def _facets(self, graph: KnowledgeGraph) -> list[tuple[str, str]]:
         names = self.objects or [
             name
@@ -90,8 +106,13 @@ class Queries(GraphOptions):
         states_colours = COLOUR_RELATION in map(local_name, graph.relations_used)
         facets = []
         for name in names:
-            pairs = graph_facets([name], graph) if states_colours else [(name, "")]
-            facets += pairs if pairs[0][1] else [(name, colour) for colour in self.colours]
+            pairs = [(name, colour) for colour in self.colours]
+            if name in TARGETS:
+                pairs = [(name, colour) for colour in TARGETS[name].colours]
+            elif states_colours:
+                stated = graph_facets([name], graph)
+                pairs = stated if stated[0][1] else pairs
+            facets += pairs
         return facets
 
 

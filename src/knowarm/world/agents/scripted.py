@@ -77,7 +77,7 @@ class OracleAgent:
         """Solve the inverse kinematics of every episode."""
         self._env = env
         self._levels = joint_increments(env.scene.robot, env.config)
-        solver = InverseKinematics(env.scene, seed=self._seed)
+        solver = InverseKinematics(env.scene, seed=self._seed, ignore_roll=env.config.ignore_roll)
         self._reach = solver.solve(env.grasp_position, env.grasp_matrix, env.joint_positions)
 
     def act(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:

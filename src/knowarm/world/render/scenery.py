@@ -186,23 +186,25 @@ def _is_fixed(model: mujoco.MjModel, body: int) -> bool:
     return bool(model.body_weldid[body] == 0 and model.body_mocapid[model.body_rootid[body]] < 0)
 
 
-def _geom_colours(model: mujoco.MjModel) -> NDArray[np.float32]:
-    """Return the colours as MuJoCo draws them, (G, 4): the geom's own, or its material's.
-
-    A material with a texture has the texture's mean colour, times its own.
-    """
-    material = model.mat_rgba.astype(np.float32)
+def material_colours(model: mujoco.MjModel) -> NDArray[np.float32]:
+    """Return the colours of the materials, (materials, 4): with a texture, times its mean."""
+    colours = model.mat_rgba.astype(np.float32)
     for m, texture in enumerate(model.mat_texid[:, int(mujoco.mjtTextureRole.mjTEXROLE_RGB)]):
         if texture >= 0:
             channels = model.tex_nchannel[texture]
             first = model.tex_adr[texture]
             size = channels * model.tex_width[texture] * model.tex_height[texture]
             texels = model.tex_data[first : first + size].reshape(-1, channels)
-            material[m, :3] *= texels[:, : min(3, channels)].mean(axis=0) / 255
+            colours[m, :3] *= texels[:, : min(3, channels)].mean(axis=0) / 255
+    return colours
+
+
+def _geom_colours(model: mujoco.MjModel) -> NDArray[np.float32]:
+    """Return the colours as MuJoCo draws them, (G, 4): the geom's own, or its material's."""
     colours = model.geom_rgba.astype(np.float32)
     default = (model.geom_rgba == np.array(DEFAULT_RGBA, dtype=np.float32)).all(axis=1)
     from_material = (model.geom_matid >= 0) & default
-    colours[from_material] = material[model.geom_matid[from_material]]
+    colours[from_material] = material_colours(model)[model.geom_matid[from_material]]
     return colours
 
 

@@ -57,7 +57,7 @@ _IRB120 = Robot(
     target_yaw_deg=-135.0,
     target_yaws_deg={"mug": -195.0, "bottle": 75.0}
     | dict.fromkeys(_FROM_ABOVE, 75.0)
-    | dict.fromkeys(_FROM_THE_SIDE, -165.0),
+    | dict.fromkeys(_FROM_THE_SIDE, -150.0),
     # at the right front of the robot; the view contains the workspace but not the robot's base
     camera_position_m=(1.25, -0.90, 0.95),
     camera_look_at_m=(0.42, -0.03, 0.31),

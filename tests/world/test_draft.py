@@ -1,0 +1,119 @@
+"""Drafts of descriptions: joints, TCP, task, layout, overrides; the draft passes all checks."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from knowarm.errors import UserError
+from knowarm.world.config import EnvConfig
+from knowarm.world.description_file import read_robot
+from knowarm.world.draft import draft_robot, read_overrides
+from knowarm.world.draft_gripper import find_gripper
+from knowarm.world.robot_check import check_robot
+from knowarm.world.robots import ROBOTS
+from knowarm.world.scene import load_scene
+from knowarm.world.scene_image import SIDE, write_scene_image
+from tests.world.helpers import EXAMPLES
+
+SHIPPED = ROBOTS["irb120"].robot
+HAND = """
+<mujoco><worldbody><body name="base"><geom size=".05"/>
+  <body name="link1" pos="0 0 .2"><joint name="a" axis="0 0 1" range="-3 3"/><geom size=".05"/>
+  <body name="link2" pos="0 0 .2"><joint name="b" axis="0 1 0" range="-3 3"/><geom size=".05"/>
+  <body name="link3" pos="0 0 .2"><joint name="c" axis="0 1 0" range="-3 3"/><geom size=".05"/>
+  <body name="link4" pos="0 0 .1"><joint name="d" axis="0 0 1" range="-3 3"/>
+    <geom type="box" size=".03 .03 .03"/>{inside}
+    {fingers}
+  </body></body></body></body></body></worldbody></mujoco>"""
+FINGERS = """<body name="{0}" pos="{1} 0 .05"><joint name="{0}_slide" type="slide" axis="1 0 0"
+    range="0 .04"/><geom type="box" size=".01 .01 .04" pos="0 0 .04"/></body>"""
+
+
+def hand(inside: str = "", fingers: str = "") -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_string(HAND.format(inside=inside, fingers=fingers))
+
+
+def test_tcp_is_the_robots_own_site() -> None:
+    gripper = find_gripper(mujoco.MjModel.from_xml_path(str(SHIPPED.mjcf)))
+    assert gripper.joints == SHIPPED.joints
+    assert gripper.tcp == {"tcp_site": "tcp"}
+    assert "site 'tcp'" in gripper.how
+
+
+def test_tcp_lies_between_the_ends_of_two_fingers() -> None:
+    both = FINGERS.format("left", 0.02) + FINGERS.format("right", -0.02)
+    gripper = find_gripper(hand(fingers=both))
+    assert gripper.joints == ("a", "b", "c", "d")
+    assert gripper.tcp["tcp_body"] == "link4"
+    np.testing.assert_allclose(gripper.tcp["tcp_position_m"][:2], 0, atol=1e-6)
+    assert 0.10 < gripper.tcp["tcp_position_m"][2] < 0.13
+    matrix = np.zeros(9)
+    mujoco.mju_quat2Mat(matrix, np.array(gripper.tcp["tcp_quaternion"]))
+    np.testing.assert_allclose(matrix.reshape(3, 3)[:, 2], [0, 0, 1], atol=1e-5)
+    # The fingers open along x of the hand.
+    np.testing.assert_allclose(np.abs(matrix.reshape(3, 3)[:, 1]), [1, 0, 0], atol=1e-5)
+
+
+def test_single_jaw_is_no_joint_of_the_arm() -> None:
+    assert find_gripper(hand(fingers=FINGERS.format("jaw", 0.02))).joints == ("a", "b", "c", "d")
+
+
+def test_site_that_points_elsewhere_is_turned() -> None:
+    site = '<site name="pinch" pos="0 0 .1" euler="0 90 0"/>'
+    gripper = find_gripper(hand(inside=site))
+    assert gripper.tcp["tcp_site"] == "tcp"
+    np.testing.assert_allclose(gripper.tcp["tcp_position_m"], [0, 0, 0.1], atol=1e-6)
+    assert "'pinch', turned" in gripper.how
+
+
+def test_arm_without_gripper_gets_a_tcp_in_front_of_its_end() -> None:
+    gripper = find_gripper(hand())
+    np.testing.assert_allclose(gripper.tcp["tcp_position_m"], [0, 0, 0.08], atol=1e-6)
+
+
+def test_file_without_an_arm_is_refused() -> None:
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body><joint name="a"/><geom size=".1"/></body></worldbody></mujoco>'
+    )
+    with pytest.raises(UserError, match="chain of at least two"):
+        find_gripper(model)
+
+
+@pytest.mark.slow
+def test_draft_of_a_six_joint_arm_passes_all_checks(tmp_path: Path) -> None:
+    draft = draft_robot(SHIPPED.mjcf, ["mug", "bottle"], {"camera_fovy_deg": 45.0})
+    assert (draft.success_angle_deg, draft.ignore_roll) == (15.0, False)
+    assert draft.task_options() == ""
+    file = tmp_path / "arm.toml"
+    file.write_text(draft.toml(file))
+    robot = read_robot(file)
+    assert robot.camera_fovy_deg == 45.0
+    assert robot.joints == SHIPPED.joints
+    failed = [check for check in check_robot(file, ["mug", "bottle"]) if not check.ok]
+    assert failed == []
+    image = tmp_path / "arm.png"
+    write_scene_image(load_scene(str(file), ("mug", "bottle")), EnvConfig(robot=str(file)), image)
+    from PIL import Image
+
+    assert Image.open(image).size == (2 * SIDE, SIDE)
+
+
+@pytest.mark.slow
+def test_arm_with_four_joints_gets_an_easier_orientation() -> None:
+    draft = draft_robot(EXAMPLES / "scara.xml", ["mug"], {})
+    assert draft.success_angle_deg > 15 or draft.ignore_roll
+    assert "--env." in draft.task_options()
+    assert f"# train with: {draft.task_options()}" in draft.toml()
+
+
+def test_overrides_are_fields_in_tomls_notation() -> None:
+    assert read_overrides(["camera_fovy_deg=50", "home=[0.0, 1]"]) == {
+        "camera_fovy_deg": 50,
+        "home": [0.0, 1],
+    }
+    with pytest.raises(UserError, match="not TOML"):
+        read_overrides(["home=[0.0"])
+    with pytest.raises(UserError, match="camera_fovy_deg"):
+        read_overrides(["camera_fovy=50"])
