@@ -10,6 +10,7 @@ from typing import Any
 import gymnasium
 
 from knowarm.errors import UserError, unknown_name
+from knowarm.world.menagerie import KNOWN_ARMS
 from knowarm.world.robots import ROBOTS
 
 NAMESPACE = "knowarm"
@@ -37,7 +38,8 @@ def make(robot: str, num_envs: int | None = None, device: str | None = None, **o
     """Create an environment of the reaching task.
 
     Args:
-        robot: a name in ``ROBOTS``, the Gymnasium id of one, or the TOML file of your own robot.
+        robot: a name in ``ROBOTS`` or ``KNOWN_ARMS``, the Gymnasium id of a robot, or the TOML file
+            of your own.
         num_envs: number of environments; None for a single, unbatched one.
         device: None for NumPy arrays; "cpu" or "cuda" for torch tensors (with ``num_envs``).
         options: fields of ``EnvConfig``, and arguments of the environment's constructor.
@@ -53,8 +55,9 @@ def make(robot: str, num_envs: int | None = None, device: str | None = None, **o
     ids = {env_id(name): name for name in ROBOTS}
     ids |= {ROBOTS[name].env_id: name for name in ROBOTS}
     name = ids.get(robot, robot)
-    if name not in ROBOTS and not name.endswith(".toml"):
-        raise unknown_name("robot or environment", robot, [*ROBOTS, *map(env_id, ROBOTS)])
+    if name not in {**ROBOTS, **KNOWN_ARMS} and not name.endswith(".toml"):
+        known = [*ROBOTS, *KNOWN_ARMS, *map(env_id, ROBOTS)]
+        raise unknown_name("robot or environment", robot, known)
     if num_envs is None:
         if device is not None:
             raise UserError(

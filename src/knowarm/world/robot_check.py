@@ -1,7 +1,7 @@
 """Checks of a robot's description: scene, joints, gripper, servos, reach and visibility."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -70,8 +70,12 @@ def check_robot(
     Returns:
         The results in order; only the first if the scene cannot be built.
     """
-    task = {"success_angle_deg": angle_deg, "ignore_roll": ignore_roll}
-    config = EnvConfig(robot=str(path), targets=tuple(targets), **task)
+    config = EnvConfig(
+        robot=str(path),
+        targets=tuple(targets),
+        success_angle_deg=angle_deg,
+        ignore_roll=ignore_roll,
+    )
     try:
         env = ReachVectorEnv(config, SAMPLES)
     except UserError as error:
@@ -90,9 +94,7 @@ def check_robot(
         _check_servos(env),
     ]
     for name in targets:
-        one = ReachVectorEnv(
-            EnvConfig(robot=str(path), targets=(name,), colours="randomized", **task), SAMPLES
-        )
+        one = ReachVectorEnv(replace(config, targets=(name,), colours="randomized"), SAMPLES)
         checks += [_check_reach(one), *_check_visible(one)]
     return checks
 
