@@ -3,8 +3,8 @@
     python benchmarks/gpu_pack.py PACK [--warp-cache CACHE]
 
 Downloads the packages of gpu-requirements.txt for Linux and Python 3.12, leaves out what is not
-used there, and writes one archive in parts: PACK/1/site.tar.xz.1of2, PACK/2/site.tar.xz.2of2. Each
-folder is one transfer.
+used there, and writes one archive in parts: PACK/1/site.tar.xz.1of3, PACK/2/site.tar.xz.2of3 and
+so on. Each folder is one transfer.
 """
 
 import argparse
@@ -42,7 +42,7 @@ UNUSED = (
 
 FILTERS = [
     {"id": lzma.FILTER_X86},
-    {"id": lzma.FILTER_LZMA2, "preset": 2, "dict_size": 2**25},
+    {"id": lzma.FILTER_LZMA2, "preset": 6, "dict_size": 2**26},
 ]
 
 FATBIN, MAGIC = "<IHHQ", 0xBA55ED50

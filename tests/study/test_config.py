@@ -4,7 +4,8 @@ import pytest
 
 from knowarm.config import from_dict, to_dict
 from knowarm.errors import UserError
-from knowarm.experiment.agents import AGENTS
+from knowarm.experiment.agents import AGENTS, controls_of
+from knowarm.knowledge.query_splits import SPLITS
 from knowarm.study.config import SHIPPED, StudyConfig, controls, read_study, write_study
 from knowarm.study.executors import Local
 from tests.study.tiny import TOML
@@ -32,6 +33,15 @@ def test_the_paper_is_twelve_cells():
     assert len(cells) == len(study.cells()) == 12
     assert {run.role for run in study.runs()} == {"baseline", "knowledge"}
     assert study.evaluations[0].episodes == 1000
+
+
+def test_the_study_of_choosing_holds_controls_of_its_subject_and_every_split():
+    study = read_study("choose")
+    agents = {run.agent for run in study.runs()}
+    assert set(controls_of("subgraph", "content_control")) & agents
+    assert {AGENTS[name].role for name in agents} >= {"baseline", "knowledge", "privileged"}
+    assert [each.split for each in study.evaluations] == list(SPLITS)
+    assert {(each.distance_m, each.angle_deg) for each in study.evaluations} == {(0.05, 15.0)}
 
 
 def test_controls_match_the_agents_of_a_study():

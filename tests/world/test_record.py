@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -6,8 +7,10 @@ from PIL import Image
 
 from knowarm.errors import UserError
 from knowarm.world.agents.scripted import OracleAgent
+from knowarm.world.config import choice_env_config
 from knowarm.world.episodes import evaluation_episodes
 from knowarm.world.record import record_episode, write_strip, write_video
+from knowarm.world.vector_env import ReachVectorEnv
 from tests.world.helpers import MakeEnv
 
 
@@ -57,3 +60,14 @@ def test_an_unwritable_or_unknown_file_is_named(films: list, tmp_path: Path) -> 
     (tmp_path / "file").write_text("")
     with pytest.raises(UserError, match="Cannot write"):
         write_strip(tmp_path / "file" / "strip.png", films)
+
+
+def test_a_strip_shows_the_query_above_its_row(tmp_path: Path) -> None:
+    env = ReachVectorEnv(choice_env_config(image_size=16, dynamics="kinematic"), 1)
+    episodes = evaluation_episodes(env.scene, env.config, 1, seed=1)
+    frames = record_episode(OracleAgent(), env, episodes)
+    assert frames[0].wanted.startswith(env.queries[int(episodes.query[0])])
+    write_strip(tmp_path / "with.png", [frames])
+    write_strip(tmp_path / "without.png", [[replace(frame, wanted="") for frame in frames]])
+    heights = [Image.open(tmp_path / f"{name}.png").height for name in ("with", "without")]
+    assert heights[0] > heights[1]

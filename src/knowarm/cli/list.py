@@ -8,6 +8,7 @@ from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.registry import experiment_names
 from knowarm.learn.config import privileged_uses
 from knowarm.world.agents import SCRIPTED_AGENTS
+from knowarm.world.menagerie import HOW_TO_GET, known_arms
 from knowarm.world.objects import TARGETS
 from knowarm.world.robots import ROBOTS
 
@@ -27,6 +28,14 @@ class List:
             ["robot", "name", "Gymnasium id"],
             [[name, entry.title, f"knowarm/{entry.env_id}"] for name, entry in ROBOTS.items()],
         )
+        arms = known_arms()
+        print_table(
+            "Known arms, whose files are in the MuJoCo Menagerie",
+            ["robot", "name", "file"],
+            [[arm.name, arm.title, str(arm.mjcf or "missing")] for arm in arms],
+        )
+        if any(arm.mjcf is None for arm in arms):
+            print(f"To get the missing files: {HOW_TO_GET}.\n")
         print_table(
             "Agents",
             ["agent", "role", "description"],
@@ -63,6 +72,7 @@ class List:
             self.json,
             {
                 "robots": {name: entry.title for name, entry in ROBOTS.items()},
+                "known_arms": {arm.name: arm.title for arm in arms},
                 "targets": list(TARGETS),
                 "agents": {name: agent.about for name, agent in AGENTS.items()},
                 "roles": {name: agent.role for name, agent in AGENTS.items()},

@@ -11,6 +11,7 @@ import gymnasium
 
 from knowarm.errors import UserError, unknown_name
 from knowarm.world.config import CHOICE_DEFAULTS
+from knowarm.world.menagerie import KNOWN_ARMS
 from knowarm.world.robots import ROBOTS
 
 NAMESPACE = "knowarm"
@@ -45,7 +46,8 @@ def make(robot: str, num_envs: int | None = None, device: str | None = None, **o
     """Create an environment of the reaching task, or of the choice task by its Gymnasium id.
 
     Args:
-        robot: a name in ``ROBOTS``, a Gymnasium id, or the TOML file of your own robot.
+        robot: a name in ``ROBOTS`` or ``KNOWN_ARMS``, a Gymnasium id, or the TOML file of your own
+            robot.
         num_envs: number of environments; None for a single, unbatched one.
         device: None for NumPy arrays; "cpu" or "cuda" for torch tensors (with ``num_envs``).
         options: fields of ``EnvConfig``, and arguments of the environment's constructor.
@@ -62,8 +64,8 @@ def make(robot: str, num_envs: int | None = None, device: str | None = None, **o
     choices = {full: name for name in ROBOTS if (full := choice_env_id(name))}
     short = robot if "/" in robot else f"{NAMESPACE}/{robot}"
     name = ids.get(short, choices.get(short, robot))
-    if name not in ROBOTS and not name.endswith(".toml"):
-        raise unknown_name("robot or environment", robot, [*ROBOTS, *ids, *choices])
+    if name not in {**ROBOTS, **KNOWN_ARMS} and not name.endswith(".toml"):
+        raise unknown_name("robot or environment", robot, [*ROBOTS, *KNOWN_ARMS, *ids, *choices])
     if short in choices:
         options = CHOICE_DEFAULTS | options
     if num_envs is None:

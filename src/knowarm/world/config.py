@@ -19,7 +19,7 @@ class EnvConfig:
     """The reaching task (paper, section 3). Defaults are the paper's training settings."""
 
     robot: str = DEFAULT_ROBOT
-    """A name in ``ROBOTS``, or the TOML file of your own robot."""
+    """A name in ``ROBOTS`` or ``KNOWN_ARMS``, or the TOML file of your own robot."""
 
     targets: tuple[str, ...] = ("mug", "bottle", "cereal_box")
     """Names in ``TARGETS`` or TOML files; one is drawn uniformly per episode."""

@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 from knowarm.config import from_dict
 from knowarm.errors import UserError
 from knowarm.reading import one_line, read_text
+from knowarm.world.menagerie import SCHEME, menagerie_file
 from knowarm.world.robot import Robot
 from knowarm.world.target import Target
 
@@ -20,8 +21,9 @@ SUFFIX = ".toml"
 def read_robot(path: Path) -> Robot:
     """Read a robot: the fields of ``Robot``, with ``mjcf`` relative to the file.
 
-    ``mjcf = "package:path/in/it.xml"`` names a file of an installed Python package. ``name`` is the
-    file's stem unless given.
+    ``mjcf = "package:path/in/it.xml"`` names a file of an installed Python package, and
+    ``"menagerie:folder/file.xml"`` one of a MuJoCo Menagerie checkout. ``name`` is the file's stem
+    unless given.
 
     Raises:
         UserError: there is no such file, it is not TOML, or a field is unknown, missing or of the
@@ -54,6 +56,8 @@ def _read(path: Path, kind: type[T]) -> T:
 def _resolve(mjcf: str, path: Path) -> Path:
     """Resolve ``mjcf``: in a package if it names one, else relative to the TOML file."""
     package, colon, inside = mjcf.partition(":")
+    if package == SCHEME:
+        return menagerie_file(inside, f"Robot {path.stem!r}")
     if not colon or not package.isidentifier():
         return path.parent / mjcf
     try:

@@ -16,7 +16,7 @@ from scipy.stats import qmc
 from knowarm.config import from_dict
 from knowarm.errors import UserError, unknown_name
 from knowarm.reading import one_line
-from knowarm.world.attach import read_mjcf
+from knowarm.world.attach import ROBOT_PREFIX, read_mjcf
 from knowarm.world.backends.mujoco import MujocoSimulator
 from knowarm.world.config import EnvConfig
 from knowarm.world.draft_gripper import find_gripper
@@ -37,6 +37,13 @@ HOME_ANGLE_DEG = (55.0, 130.0)
 
 MPI_RAD = 0.05
 """MPI of a drafted robot [rad]."""
+
+START_RAD = 0.4
+"""Largest offset of a joint at the start of an episode: as of the shipped robots [rad]."""
+
+STOP_RAD, MAX_SERVO_HZ = 0.01, 10.0
+"""Wanted distance from its target at which friction stops a joint, and highest servo frequency:
+the simulation's steps of 20 ms are too long for much faster ones."""
 
 MARGIN = 0.85
 """Share of the image within which everything must lie."""
@@ -264,6 +271,27 @@ def _home(scene: Scene, ignore_roll: bool) -> tuple[NDArray[np.float64], str]:
         f"grasps at the rectangle's middle"
     )
     return poses[best], text
+
+
+def servo_frequency_hz(scene: Scene) -> float:
+    """Return a natural frequency at which damping and friction do not delay the servos.
+
+    With inertia m, damping d and friction f of a joint at home, a servo of frequency w follows with
+    the time constant (d / m) / w^2 + 2 / w and stops within f / (m w^2) of its target.
+    """
+    model = scene.model
+    data = mujoco.MjData(model)
+    data.qpos[scene.qpos_index] = scene.home
+    mujoco.mj_forward(model, data)
+    inertia = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, inertia)
+    dofs = [model.joint(ROBOT_PREFIX + name).dofadr[0] for name in scene.robot.joints]
+    mass = np.maximum(np.diag(inertia)[dofs], 1e-6)
+    delay = 2 / (2 * np.pi * Robot.servo_frequency_hz)
+    damped = (1 + np.sqrt(1 + delay * model.dof_damping[dofs] / mass)) / delay
+    rubbed = np.sqrt(model.dof_frictionloss[dofs] / (STOP_RAD * mass))
+    wanted = float(np.maximum(damped, rubbed).max()) / (2 * np.pi)
+    return round(min(wanted, MAX_SERVO_HZ), 1)
 
 
 def _camera(scene: Scene) -> dict[str, Any]:

@@ -16,7 +16,7 @@ MAX_STEP_RAD = 0.3
 ATTEMPTS = 6
 """Sets of random starts tried for poses that are not reached."""
 
-ROTATION_WEIGHT = 0.2
+ROTATION_WEIGHT = 0.05
 """Weight of the direction beside the position where the roll is ignored [m/rad]."""
 
 REACHED_M, REACHED_DEG = 0.01, 3.0

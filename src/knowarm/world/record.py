@@ -82,6 +82,8 @@ def record_episode(agent: AgentProtocol, env: ReachVectorEnv, episode: Episodes)
 def write_strip(path: Path, episodes: Sequence[Sequence[Frame]], columns: int = 6) -> None:
     """Write a film strip: one row per episode, frames evenly spaced from start to end.
 
+    Where episodes ask a query, it stands above the row.
+
     Args:
         path: an image file; its suffix selects the format.
         episodes: frames of each episode.
@@ -92,11 +94,13 @@ def write_strip(path: Path, episodes: Sequence[Sequence[Frame]], columns: int = 
     """
     side = 240
     width = columns * (side + _MARGIN) + _MARGIN
-    height = len(episodes) * (side + _LINE + _MARGIN) + _MARGIN
+    title = _LINE if any(frames[0].wanted for frames in episodes) else 0
+    height = len(episodes) * (title + side + _LINE + _MARGIN) + _MARGIN
     strip = Image.new("RGB", (width, height), _PAPER)
     draw, font = ImageDraw.Draw(strip), ImageFont.load_default(14)
     for row, frames in enumerate(episodes):
-        top = _MARGIN + row * (side + _LINE + _MARGIN)
+        top = _MARGIN + row * (title + side + _LINE + _MARGIN) + title
+        draw.text((_MARGIN, top - 22), frames[0].wanted, _INK, font)
         chosen = np.unique(np.linspace(0, len(frames) - 1, columns).round().astype(int))
         for column, index in enumerate(chosen):
             frame = frames[index]
@@ -147,14 +151,14 @@ def _side_by_side(frame: Frame) -> NDArray[np.uint8]:
     sheet.paste(small, (_MARGIN, _MARGIN))
     sheet.paste(Image.fromarray(frame.large), (RENDER_SIZE + 2 * _MARGIN, _MARGIN))
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(16)
-    draw.text((_MARGIN, RENDER_SIZE + _MARGIN + 6), _caption(frame), _INK, font)
+    caption = f"{frame.wanted}; {_caption(frame)}" if frame.wanted else _caption(frame)
+    draw.text((_MARGIN, RENDER_SIZE + _MARGIN + 6), caption, _INK, font)
     return np.asarray(sheet)
 
 
 def _caption(frame: Frame) -> str:
     reached = ", reached" if frame.success else ""
-    state = f"step {frame.step}: {100 * frame.distance:.1f} cm, {frame.angle:.0f} deg{reached}"
-    return frame.wanted if frame.wanted and frame.step == 0 else state
+    return f"step {frame.step}: {100 * frame.distance:.1f} cm, {frame.angle:.0f} deg{reached}"
 
 
 def _save(path: Path, write: Callable[[], None]) -> None:

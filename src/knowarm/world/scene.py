@@ -16,6 +16,7 @@ from knowarm.world.attach import ROBOT_PREFIX
 from knowarm.world.compose import CAMERA, DISTRACTOR, compose
 from knowarm.world.config import EnvConfig
 from knowarm.world.description_file import SUFFIX, read_robot, read_target
+from knowarm.world.menagerie import KNOWN_ARMS
 from knowarm.world.objects import TARGETS
 from knowarm.world.robot import Robot
 from knowarm.world.robots import ROBOTS
@@ -107,15 +108,17 @@ class Scene:
 
 
 def find_robot(name: str) -> Robot:
-    """Return the robot of a name, or of a TOML file (see ``description_file``).
+    """Return the shipped robot or known arm of a name, or that of a TOML file.
 
     Raises:
         UserError: the name is unknown; the message lists the nearest names.
     """
     if name.endswith(SUFFIX):
         return read_robot(Path(name))
+    if name in KNOWN_ARMS:
+        return read_robot(KNOWN_ARMS[name])
     if name not in ROBOTS:
-        raise unknown_name("robot", name, ROBOTS)
+        raise unknown_name("robot", name, [*ROBOTS, *KNOWN_ARMS])
     return ROBOTS[name].robot
 
 
