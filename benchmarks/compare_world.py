@@ -107,6 +107,9 @@ def _async_worker(config: EnvConfig, bench: WorldBenchConfig) -> Speed:
         "dynamics": config.dynamics,
         "image_size": config.image_size,
         "renderer": "opengl",
+        "targets": config.targets,
+        "colours": config.colours,
+        "choice": config.choice,
     }
     env = AsyncVectorEnv(
         [lambda: gymnasium.make(gym_id, disable_env_checker=True, **options)] * bench.workers,

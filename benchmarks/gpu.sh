@@ -1,18 +1,18 @@
 #!/usr/bin/env bash
-# Parity tests, benchmark and a whole training on this machine's GPU. Needs no network.
+# First contact, parity tests, benchmark and a whole training on this machine's GPU. Needs no network.
 #
-#   benchmarks/gpu.sh [WHEELS] [OUT]
+#   benchmarks/gpu.sh [PACK] [OUT]
 #
-# WHEELS  folder of wheels, made as gpu-requirements.txt says; split files (*.whl.part*) are joined.
-#         They are installed into an environment that also sees the packages of PYTHON (torch,
-#         Numba). If left out or empty, only PYTHON's packages are used.
-# OUT     folder for the results (the environment variable OUT, else runs/gpu): gpu.json, parity.txt, and of the training metrics.csv,
-#         evaluations.csv, config.json and provenance.json.
+# PACK  folder with the parts of gpu_pack.py's archive. It is unpacked into WORK, and its packages
+#       come before those of PYTHON (torch, Numba and what else gpu-machine.txt names). If left out
+#       or empty, only PYTHON's packages are used.
+# OUT   folder for the results (the environment variable OUT, else runs/gpu): gpu.json, smoke.txt,
+#       parity.txt, and of the training metrics.csv, evaluations.csv, config.json, provenance.json.
 #
 # Settings, as environment variables:
-#   STAGES   stages to run, of "parity bench train" (all). Each resumes an earlier call:
+#   STAGES   stages to run, of "smoke parity bench train" (all). Each resumes an earlier call:
 #            bench measures the rows that gpu.json lacks, train resumes from the last checkpoint.
-#   DRY_RUN  1 to check and print sizes and commands only; nothing is installed or measured.
+#   DRY_RUN  1 to check and print sizes, commands and times only; nothing is unpacked or measured.
 #   LIMIT_S  time limit per stage (480 s); train then saves and stops, call again to resume.
 #   PYTHON   interpreter (python3).      WORK  folder for files kept between calls
 #   DEVICE   cuda (default) or cpu.            (runs/gpu-work); remove it to start over.
@@ -21,81 +21,103 @@
 set -euo pipefail
 
 here=$(cd "$(dirname "$0")/.." && pwd)
-WHEELS=${1:-} OUT=${2:-${OUT:-$here/runs/gpu}} WORK=${WORK:-$here/runs/gpu-work}
+PACK=${1:-} OUT=${2:-${OUT:-$here/runs/gpu}} WORK=${WORK:-$here/runs/gpu-work}
 PYTHON=${PYTHON:-python3} DEVICE=${DEVICE:-cuda} TINY=${TINY:-} LIMIT_S=${LIMIT_S:-480} DRY_RUN=${DRY_RUN:-}
-STAGES=${STAGES-parity bench train}
-requirements=$here/benchmarks/gpu-requirements.txt
+STAGES=${STAGES-smoke parity bench train}
 experiment=irb120-full-ppo
 run=$WORK/runs/$experiment/0
+TOTAL_STEPS=70000000 BENCH_ROWS="256 1024 4096 16384" BENCH_SECONDS=5
 
 fail() { echo "gpu.sh: $*" >&2; exit 1; }
 
 for stage in $STAGES; do
-  case $stage in parity | bench | train) ;; *) fail "unknown stage '$stage'; the stages are parity, bench, train." ;; esac
+  case $stage in smoke | parity | bench | train) ;; *) fail "unknown stage '$stage'; the stages are smoke, parity, bench, train." ;; esac
 done
 case $DEVICE in cpu | cuda) ;; *) fail "DEVICE must be cuda or cpu, got '$DEVICE'." ;; esac
-[ -z "$WHEELS" ] || [ -d "$WHEELS" ] || fail "the folder of wheels $WHEELS does not exist."
+[ -z "$PACK" ] || [ -d "$PACK" ] || fail "the folder $PACK does not exist."
 
-# Largest file of WHEELS.
-PART_BYTES=48000000
+# The parts of the archive in PACK, or in one folder per transfer below it, in order.
+parts=()
+if [ -n "$PACK" ]; then
+  mapfile -t parts < <(find "$PACK" -name 'site.tar.xz.*of*' -printf '%f %p\n' | sort | cut -d' ' -f2-)
+  [ ${#parts[@]} -gt 0 ] || fail "there is no part of an archive (site.tar.xz.1of2) in $PACK."
+fi
 
-# Print what a call would do: the files that travel, and each stage with its limit.
+# Largest file of PACK, largest transfer with the checkout, and the assumed speed of training.
+PART_BYTES=48000000 TRANSFER_BYTES=67108864 STEPS_PER_S=200000
+
+# Print the seconds that a stage will take. Nothing has been measured on a GPU: these are guesses
+# from the CPU device and from the target speeds.
+estimate() {
+  case $1 in
+    smoke) echo 90 ;;
+    parity) echo 240 ;;
+    bench) echo $((15 + $(wc -w <<< "$BENCH_ROWS") * (2 * BENCH_SECONDS + 20))) ;;
+    train) echo $((60 + TOTAL_STEPS / STEPS_PER_S)) ;;
+  esac
+}
+
+# Print what a call would do: the files that travel, and each stage with its time and limit.
 dry_run() {
-  local file size total=0
-  for file in ${WHEELS:+"$WHEELS"/*.whl*}; do
-    [ -f "$file" ] || continue
-    size=$(stat -c %s "$file") total=$((total + $(stat -c %s "$file")))
-    printf '%6d kB  %s\n' $((size / 1000)) "${file##*/}"
-    [ "$size" -le $PART_BYTES ] || fail "${file##*/} has more than $((PART_BYTES / 1000000)) MB: split it (gpu-requirements.txt says how)."
+  local part size checkout=0 total=0
+  checkout=$(cd "$here" && git ls-files -z --cached --others --exclude-standard 2> /dev/null |
+    xargs -0 -r stat -c %s 2> /dev/null | awk '{sum += $1} END {print sum + 0}')
+  for part in "${parts[@]}"; do
+    size=$(stat -c %s "$part")
+    echo "transfer of $(((size + checkout) / 1000)) kB: ${part##*/} $((size / 1000)) kB, the checkout $((checkout / 1000)) kB"
+    [ "$size" -le $PART_BYTES ] || fail "${part##*/} has more than $((PART_BYTES / 1000000)) MB."
+    [ $((size + checkout)) -le $TRANSFER_BYTES ] || fail "this is more than $((TRANSFER_BYTES / 1000)) kB."
   done
-  echo "files in all: $((total / 1000)) kB, in $(((total + PART_BYTES - 1) / PART_BYTES)) transfers of at most $((PART_BYTES / 1000000)) MB"
   for stage in $STAGES; do
-    echo "at most $LIMIT_S s: STAGES=$stage DEVICE=$DEVICE benchmarks/gpu.sh ${1:-}"
+    total=$((total + $(estimate "$stage")))
+    echo "about $(estimate "$stage") s, at most $LIMIT_S s: STAGES=$stage DEVICE=$DEVICE benchmarks/gpu.sh $PACK"
   done
+  echo "in all about $((total / 60)) minutes"
 }
 if [ -n "$DRY_RUN" ]; then
-  dry_run "${1:-}"
+  dry_run
   exit
 fi
 
 mkdir -p "$OUT" "$WORK"
 OUT=$(cd "$OUT" && pwd) WORK=$(cd "$WORK" && pwd) run=$WORK/runs/$experiment/0
-[ -z "$WHEELS" ] || WHEELS=$(cd "$WHEELS" && pwd)
 
 # Copy the results also if a later stage fails.
 publish() {
-  for file in "$WORK"/gpu.json "$WORK"/parity.txt "$run"/{metrics,evaluations}.csv "$run"/{config,provenance}.json; do
+  for file in "$WORK"/gpu.json "$WORK"/{smoke,parity}.txt "$run"/{metrics,evaluations}.csv "$run"/{config,provenance}.json; do
     [ ! -f "$file" ] || cp "$file" "$OUT/"
   done
 }
 trap publish EXIT
 
-# Make an environment that sees PYTHON's packages, also if PYTHON is itself in an environment:
-# --system-site-packages would only show the packages of the base Python.
-install() {
-  local venv=$WORK/venv
-  if [ ! -x "$venv/bin/python" ]; then
-    "$PYTHON" -m venv --without-pip "$venv"
-    "$PYTHON" -c 'import sys
-for path in sys.path:
-    if path.endswith(("site-packages", "dist-packages")):
-        print(f"import site; site.addsitedir({path!r})")' \
-      > "$("$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/base.pth"
+# Unpack the archive, unless an earlier call did. Its packages are found before PYTHON's, and its
+# NVVM, with which Numba compiles, by the dynamic linker.
+unpack() {
+  local last=${parts[-1]} content
+  [ "${last##*of}" = ${#parts[@]} ] || fail "${last##*/} is there, but only ${#parts[@]} of ${last##*of} parts are."
+  content=$(stat -c '%s' "${parts[@]}")
+  if [ "$(cat "$WORK/unpacked" 2> /dev/null)" != "$content" ]; then
+    rm -rf "$WORK/unpacked" "$WORK/pack"
+    cat "${parts[@]}" | "$PYTHON" -c 'import sys, tarfile
+with tarfile.open(fileobj=sys.stdin.buffer, mode="r|xz") as tar:
+    tar.extractall(sys.argv[1], filter="data")' "$WORK/pack" || fail "the archive in $PACK is damaged."
+    [ ! -d "$WORK/pack/warp-cache" ] || cp -r "$WORK/pack/warp-cache" "$WORK/"
+    echo "$content" > "$WORK/unpacked"
   fi
-  PYTHON=$venv/bin/python
-  rm -rf "$WORK/wheels"
-  mkdir "$WORK/wheels"
-  for wheel in "$WHEELS"/*.whl; do [ ! -e "$wheel" ] || ln -s "$wheel" "$WORK/wheels/"; done
-  for part in "$WHEELS"/*.whl.part*; do
-    [ ! -e "$part" ] || cat "$part" >> "$WORK/wheels/$(basename "${part%.part*}")"
-  done
-  compgen -G "$WORK/wheels/*.whl" > /dev/null || fail "there are no wheels in $WHEELS."
-  "$PYTHON" -m pip install --quiet --disable-pip-version-check --no-index --no-deps --no-compile "$WORK"/wheels/*.whl
+  export PYTHONPATH=$WORK/pack/site${PYTHONPATH:+:$PYTHONPATH}
+  export LD_LIBRARY_PATH=$WORK/pack/site/nvidia/cu13/lib${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}
+}
+
+smoke() {
+  local options=(--device "$DEVICE")
+  [ -z "$TINY" ] || options+=(--num-envs 4 --image-size 32)
+  timeout "$LIMIT_S" "$PYTHON" -m benchmarks.gpu_smoke "${options[@]}" 2>&1 | tee "$WORK/smoke.txt" ||
+    fail "first contact failed. See $OUT/smoke.txt."
 }
 
 parity() {
   local tests chosen=cuda
-  # Only files with tests for a GPU: other tests need packages that are not in WHEELS.
+  # Only files with tests for a GPU: other tests need packages that are not in PACK.
   mapfile -t tests < <(grep -rlE 'mark\.cuda|tests\.devices|tests\.world\.faces' "$here/tests" --include='test_*.py' | grep -v '/bench/' | sort)
   # Without a GPU the same comparisons run on the CPU device.
   [ "$DEVICE" = cuda ] || chosen='not cuda'
@@ -108,7 +130,7 @@ parity() {
 }
 
 bench() {
-  local options=(--device "$DEVICE")
+  local options=(--device "$DEVICE" --num-envs $BENCH_ROWS --seconds "$BENCH_SECONDS")
   [ -z "$TINY" ] || options+=(--num-envs 4 8 --seconds 0.05 --image-size 32 --rollout-steps 5
     --matmul-side 64 --copy-bytes 1000000)
   # shellcheck disable=SC2086
@@ -133,7 +155,7 @@ train() {
       else
         # Checkpoints hold the environments' last images: fewer than on the CPU.
         # An interim evaluation takes two CPU cores for seconds: 140 of them, not 1,400.
-        options+=(--total-steps 70000000 --algorithm.num-envs 4096 --algorithm.minibatches 16
+        options+=(--total-steps "$TOTAL_STEPS" --algorithm.num-envs 4096 --algorithm.minibatches 16
           --checkpoint-every-steps 10000000 --interim.every-steps 500000)
       fi
       # shellcheck disable=SC2206
@@ -155,19 +177,10 @@ train() {
 export PYTHONUNBUFFERED=1
 # Warp keeps its compiled kernels there, from one call to the next.
 export WARP_CACHE_PATH=${WARP_CACHE_PATH:-$WORK/warp-cache}
-# Numba compiles with NVVM, which it looks for below CUDA_HOME.
-if [ -z "${CUDA_HOME:-}" ]; then
-  for folder in "$(dirname "$(dirname "$(command -v nvcc || echo /none/bin/nvcc)")")" /usr/local/cuda /usr/local/cuda-*; do
-    if [ -d "$folder/nvvm" ]; then
-      export CUDA_HOME=$folder
-      break
-    fi
-  done
-fi
-[ -z "$WHEELS" ] || install
+[ -z "$PACK" ] || unpack
 export PYTHONPATH=$here/src${PYTHONPATH:+:$PYTHONPATH}
 cd "$here"
-"$PYTHON" "$here/benchmarks/gpu_versions.py" "$requirements" "$DEVICE"
+"$PYTHON" "$here/benchmarks/gpu_versions.py" "$DEVICE" "$here"/benchmarks/gpu-{requirements,machine}.txt
 for stage in $STAGES; do
   echo "== $stage"
   "$stage"

@@ -1,8 +1,9 @@
-"""Check of the installed packages against a file of requirements; `gpu.sh` calls it.
+"""Check of the installed packages against files of requirements; `gpu.sh` calls it.
 
-    python benchmarks/gpu_versions.py benchmarks/gpu-requirements.txt cuda
+    python benchmarks/gpu_versions.py cuda gpu-requirements.txt gpu-machine.txt
 
-On device "cpu", numba-cuda is not needed and other versions than the required ones are allowed.
+On device "cpu", numba-cuda and its compiler are not needed and other versions than the required
+ones are allowed.
 """
 
 import sys
@@ -12,13 +13,16 @@ from pathlib import Path
 import torch
 from packaging.requirements import Requirement
 
+ONLY_CUDA = ("numba-cuda", "nvidia-nvvm")
+"""Packages that the device "cpu" does not need."""
+
 
 def problems(lines: list[str], device: str) -> tuple[list[str], list[str]]:
     """Print the installed versions; return the errors and the warnings."""
     errors, warnings = [], []
     for line in lines:
         requirement = Requirement(line)
-        if device == "cpu" and requirement.name == "numba-cuda":
+        if device == "cpu" and requirement.name in ONLY_CUDA:
             continue
         try:
             found = version(requirement.name)
@@ -34,17 +38,18 @@ def problems(lines: list[str], device: str) -> tuple[list[str], list[str]]:
 
 
 def main() -> None:
-    path, device = sys.argv[1:]
+    device, *paths = sys.argv[1:]
     print(f"python {sys.version.split()[0]} at {sys.executable}")
     print(f"torch {torch.__version__}, CUDA {torch.version.cuda}")
-    lines = [line.split("#")[0].strip() for line in Path(path).read_text().splitlines()]
+    text = "\n".join(Path(path).read_text() for path in paths)
+    lines = [line.split("#")[0].strip() for line in text.splitlines()]
     errors, warnings = problems([line for line in lines if line], device)
     if device == "cuda" and not torch.cuda.is_available():
         errors.append("torch finds no GPU")
     if warnings:
         print(f"other versions: {'; '.join(warnings)}")
     if errors:
-        sys.exit(f"cannot continue: {'; '.join(errors)}. {path} says how to get the wheels.")
+        sys.exit(f"cannot continue: {'; '.join(errors)}. gpu_pack.py packs those of {paths[0]}.")
 
 
 if __name__ == "__main__":

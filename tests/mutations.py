@@ -312,7 +312,7 @@ EVIDENCE = [
     (
         "placebos of another length",
         "knowledge/embedding.py",
-        "matrix = _with_real_lengths(matrix, config, source, slots)",
+        "matrix = _with_lengths(matrix, real)",
         "pass",
         "tests/knowledge/test_embedding.py -k placebos_copy",
     ),

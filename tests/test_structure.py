@@ -56,8 +56,8 @@ OTHER_MEANINGS = {
     "knowledge": {"analogy", "zeros", "random", "shuffled", "onehot", "wrong-object", "learned"}
     # Values of KnowledgeConfig.detail.
     | {"partial", "full"},
-    # Values of KnowledgeConfig.detail, as arguments of the knowledge commands.
-    "cli/knowledge": {"partial", "full"},
+    # Values of KnowledgeConfig.detail, as arguments of the knowledge commands, and a command.
+    "cli/knowledge": {"partial", "full", "subgraph"},
     # Value of EnvConfig.mesh_detail.
     "world/config.py": {"full"},
     "world/scene_image.py": {"full"},

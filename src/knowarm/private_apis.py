@@ -8,10 +8,13 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial, update_wrapper
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from types import CellType, FunctionType
 from typing import Any
 
+import numpy as np
 import torch
 
 from knowarm.errors import UserError
@@ -69,6 +72,25 @@ def release_fork_server() -> None:
     if server._forkserver_pid is None and server._forkserver_alive_fd is not None:
         os.close(server._forkserver_alive_fd)
         server._forkserver_alive_fd = None
+
+
+def import_numba_cuda() -> Any:
+    """Import Numba's CUDA target; with NumPy 2.5 or newer, also the part that fails there later.
+
+    Reason: numba-cuda 0.30.4 asks NumPy for ``row_stack`` when it first compiles a kernel, and
+    NumPy 2.5 removed this name of ``vstack``. NumPy has it for as long as the import lasts.
+    """
+    import numba.cuda
+
+    simulated = numba.config.ENABLE_CUDASIM  # type: ignore[attr-defined]
+    is_compiler = find_spec("numba_cuda") is not None and not simulated
+    if is_compiler and not hasattr(np, "row_stack"):
+        np.row_stack = np.vstack  # noqa: NPY201
+        try:
+            import_module("numba.cuda.np.npyimpl")
+        finally:
+            del np.row_stack  # noqa: NPY201
+    return numba.cuda
 
 
 @contextmanager

@@ -12,7 +12,9 @@ import numpy as np
 if TYPE_CHECKING:
     import torch
 
-Purpose = Literal["weights", "episodes", "actions", "minibatches", "placebos", "interim_actions"]
+Purpose = Literal[
+    "weights", "episodes", "actions", "minibatches", "placebos", "interim_actions", "splits"
+]
 """What random numbers are drawn for. The position of a purpose is part of its stream: append new
 purposes at the end.
 
@@ -21,7 +23,8 @@ purposes at the end.
 - ``actions``: sampled actions of training; A3C: worker, number of its restarts;
 - ``minibatches``: order of the environments in PPO's passes;
 - ``placebos``: random vectors and shuffled graphs; the knowledge's seed, number of the draw;
-- ``interim_actions``: sampled actions of interim evaluations.
+- ``interim_actions``: sampled actions of interim evaluations;
+- ``splits``: what the splits of a choice task hold out; number of the split.
 """
 
 _PURPOSES: tuple[Purpose, ...] = get_args(Purpose)

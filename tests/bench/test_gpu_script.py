@@ -6,14 +6,15 @@ import re
 import subprocess
 import sys
 import tomllib
-import zipfile
 from pathlib import Path
 
 import pytest
 import torch
 
+from benchmarks import gpu_pack
+
 ROOT = Path(__file__).parent.parent.parent
-REQUIREMENTS = ROOT / "benchmarks" / "gpu-requirements.txt"
+REQUIREMENTS = [ROOT / "benchmarks" / f"gpu-{name}.txt" for name in ("requirements", "machine")]
 
 
 def gpu_sh(folder: Path, *arguments: str, **settings: str) -> subprocess.CompletedProcess[str]:
@@ -35,7 +36,7 @@ def test_every_stage_runs_on_the_cpu_device(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
     out = tmp_path / "out"
     curve = {"metrics.csv", "evaluations.csv", "config.json", "provenance.json"}
-    assert {path.name for path in out.iterdir()} == {"gpu.json", "parity.txt"} | curve
+    assert {path.name for path in out.iterdir()} == {"gpu.json", "smoke.txt", "parity.txt"} | curve
     result = json.loads((out / "gpu.json").read_text())
     assert [row["num_envs"] for row in result["rows"]] == [4, 8]
     assert result["env_steps_per_s"] > 0
@@ -94,58 +95,56 @@ def test_a_stopped_training_is_resumed(tmp_path: Path) -> None:
     assert len((tmp_path / "work" / "times").read_text().splitlines()) == 2
 
 
-def write_wheel(path: Path) -> None:
-    """Write the wheel of a package with one module."""
-    info = f"{path.name.split('-')[0]}-1.0.dist-info"
-    files = {
-        "gpu_probe.py": "answer = 42\n",
-        f"{info}/METADATA": "Metadata-Version: 2.1\nName: gpu-probe\nVersion: 1.0\n",
-        f"{info}/WHEEL": "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
-    }
-    record = "".join(f"{name},,\n" for name in (*files, f"{info}/RECORD"))
-    with zipfile.ZipFile(path, "w") as archive:
-        for name, text in {**files, f"{info}/RECORD": record}.items():
-            archive.writestr(name, text)
+def write_pack(folder: Path, bytes_per_part: int) -> list[Path]:
+    """Write an archive of a package with one module and of one file of Warp's cache, in parts."""
+    site, cache = folder / "made" / "site", folder / "made" / "cache"
+    for path, text in {
+        site / "gpu_probe.py": "answer = 42\n",
+        site / "gpu_probe-1.0.dist-info" / "METADATA": "Name: gpu-probe\nVersion: 1.0\n",
+        cache / "1.19.0" / "module.cubin": "code",
+    }.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    archive = folder / "made" / "site.tar.xz"
+    gpu_pack.write_archive(archive, **{"site": site, "warp-cache": cache})
+    return gpu_pack.split(archive, folder / "pack", bytes_per_part)
 
 
-def test_split_wheels_are_installed_beside_the_packages_of_python(tmp_path: Path) -> None:
+def test_a_pack_is_joined_and_its_packages_are_found(tmp_path: Path) -> None:
     pytest.importorskip("mujoco_warp")
-    whole, wheels = tmp_path / "gpu_probe-1.0-py3-none-any.whl", tmp_path / "wheels"
-    write_wheel(whole)
-    wheels.mkdir()
-    content = whole.read_bytes()
-    (wheels / f"{whole.name}.partaa").write_bytes(content[:300])
-    (wheels / f"{whole.name}.partab").write_bytes(content[300:])
-    for _ in range(2):  # the second call finds everything installed
-        done = gpu_sh(tmp_path, str(wheels), str(tmp_path / "out"), STAGES="")
+    parts = write_pack(tmp_path, 200)
+    assert len(parts) > 1
+    assert parts[0] == tmp_path / "pack" / "1" / f"site.tar.xz.1of{len(parts)}"
+    out = str(tmp_path / "out")
+    for _ in range(2):  # the second call finds everything unpacked
+        done = gpu_sh(tmp_path, str(tmp_path / "pack"), out, STAGES="")
         assert done.returncode == 0, done.stdout + done.stderr
     assert "mujoco-warp 4" in done.stdout
-    python = tmp_path / "work" / "venv" / "bin" / "python"
-    found = subprocess.run(
-        [str(python), "-c", "import gpu_probe, torch; print(gpu_probe.answer)"],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert found.stdout == "42\n"
-
-
-def test_a_dry_run_prints_sizes_and_commands_and_does_nothing(tmp_path: Path) -> None:
-    wheels = tmp_path / "wheels"
-    wheels.mkdir()
-    (wheels / "a-1.0-py3-none-any.whl.partaa").write_bytes(b"x" * 3000)
-    done = gpu_sh(tmp_path, str(wheels), str(tmp_path / "out"), DRY_RUN="1", LIMIT_S="480")
-    assert done.returncode == 0, done.stderr
-    assert "3 kB  a-1.0-py3-none-any.whl.partaa" in done.stdout
-    assert "files in all: 3 kB, in 1 transfers of at most 48 MB" in done.stdout
-    for stage in ("parity", "bench", "train"):
-        assert f"at most 480 s: STAGES={stage} DEVICE=cpu benchmarks/gpu.sh" in done.stdout
-    assert not (tmp_path / "out").exists()
-    with (wheels / "b-1.0-py3-none-any.whl").open("wb") as file:
-        file.truncate(48_000_001)
-    done = gpu_sh(tmp_path, str(wheels), str(tmp_path / "out"), DRY_RUN="1")
+    work = tmp_path / "work"
+    assert "42" in (work / "pack" / "site" / "gpu_probe.py").read_text()
+    assert (work / "warp-cache" / "1.19.0" / "module.cubin").is_file()
+    parts[-1].unlink()
+    done = gpu_sh(tmp_path, str(tmp_path / "pack"), out, STAGES="")
     assert done.returncode == 1
-    assert "b-1.0-py3-none-any.whl has more than 48 MB: split it" in done.stderr
+    assert f"only {len(parts) - 1} of {len(parts)} parts are" in done.stderr
+
+
+def test_a_dry_run_prints_sizes_times_and_commands_and_does_nothing(tmp_path: Path) -> None:
+    write_pack(tmp_path, 10**6)
+    pack = tmp_path / "pack"
+    done = gpu_sh(tmp_path, str(pack), str(tmp_path / "out"), DRY_RUN="1", LIMIT_S="480")
+    assert done.returncode == 0, done.stderr
+    assert re.search(r"transfer of \d+ kB: site.tar.xz.1of1 0 kB, the checkout \d+ kB", done.stdout)
+    for stage, seconds in (("smoke", 90), ("parity", 240), ("bench", 135), ("train", 410)):
+        line = f"about {seconds} s, at most 480 s: STAGES={stage} DEVICE=cpu benchmarks/gpu.sh"
+        assert line in done.stdout
+    assert "in all about 14 minutes" in done.stdout
+    assert not (tmp_path / "out").exists()
+    with (pack / "1" / "site.tar.xz.1of1").open("wb") as file:
+        file.truncate(48_000_001)
+    done = gpu_sh(tmp_path, str(pack), str(tmp_path / "out"), DRY_RUN="1")
+    assert done.returncode == 1
+    assert "site.tar.xz.1of1 has more than 48 MB" in done.stderr
 
 
 @pytest.mark.parametrize(
@@ -154,6 +153,7 @@ def test_a_dry_run_prints_sizes_and_commands_and_does_nothing(tmp_path: Path) ->
         ((), {"STAGES": "bench fly"}, "unknown stage 'fly'"),
         ((), {"DEVICE": "tpu"}, "DEVICE must be cuda or cpu"),
         (("/nowhere",), {}, "/nowhere does not exist"),
+        ((str(ROOT / "benchmarks"),), {}, "there is no part of an archive"),
         ((), {"STAGES": "train"}, "run the stage bench first"),
         pytest.param(
             (),
@@ -181,4 +181,8 @@ def required(lines: list[str]) -> set[str]:
 def test_the_requirements_contain_all_dependencies() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     needed = required(project["dependencies"] + project["optional-dependencies"]["gpu"])
-    assert needed - {"torch"} <= required(REQUIREMENTS.read_text().splitlines())
+    carried, there = (required(path.read_text().splitlines()) for path in REQUIREMENTS)
+    assert needed <= carried | there
+    assert not carried & there
+    viewers = {"glfw", "mujoco-studio", "pyopengl"}
+    assert not viewers & carried

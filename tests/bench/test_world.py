@@ -11,7 +11,11 @@ TINY = {"num_envs": 4, "seconds": 0.05, "robots": ("irb120",), "image_size": 16}
 def test_every_kind_of_dynamics_is_measured() -> None:
     seen: list = []
     table = bench_world(WorldBenchConfig(scaling=False, **TINY), seen.append)
-    assert [row["dynamics"] for row in table["rows"]] == ["dynamic", "kinematic"]
+    assert [(row["task"], row["dynamics"]) for row in table["rows"]] == [
+        ("reach", "dynamic"),
+        ("reach", "kinematic"),
+        ("choose", "dynamic"),
+    ]
     assert table["rows"] == seen
     assert all(row["steps_per_s"] > 0 for row in table["rows"])
     assert {row["antialiasing"] for row in table["raycaster"]} == {False, True}

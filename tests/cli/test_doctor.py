@@ -13,7 +13,8 @@ from tests.world.helpers import EXAMPLES
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"set": ("home=[0]",)}, "--set needs --robot with a robot"),
+        ({"set": ("home=[0]",)}, "--set needs --robot"),
+        ({"choose": True, "image": Path("a.png")}, "--image needs no --choose"),
         ({"robot": "irb120", "write": Path("a.toml")}, "--write needs --robot with an MJCF file"),
         ({"robot": "arm.xml", "write": Path("a.txt")}, "--write must name a .toml file"),
         ({"robot": "missing.xml"}, "no such file"),

@@ -1,5 +1,6 @@
 import json
 import xml.etree.ElementTree as ET
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -7,6 +8,8 @@ import pytest
 from knowarm.cli.main import main
 from knowarm.knowledge import household
 from knowarm.knowledge.formats import HOUSEHOLD
+
+ROOT = Path(__file__).parents[2]
 
 
 def run(capsys, *words):
@@ -143,3 +146,68 @@ def test_mistakes_end_in_one_line_and_code_2(capsys, words, message):
     assert code == 2
     assert message in error
     assert error.count("\n") == 1
+
+
+def test_queries(capsys, tmp_path):
+    out = tmp_path / "queries.json"
+    code, text, _ = run(capsys, "queries", "--json", out)
+    assert code == 0
+    assert "409 queries: 49 of one condition" in text
+    values = json.loads(out.read_text())
+    assert values["conditions"]["usedFor learning"] == ["book", "globe"]
+    assert values["splits"]["S1"] == values["splits"]["training"]
+    assert len(values["held_out"]["S3"]) == 6
+    assert values["empty"] == {}
+    code, _, _ = run(capsys, "queries", "--split", "S4", "--json", out)
+    asked = json.loads(out.read_text())["questions"]
+    assert all(any(value in query for value in values["held_out"]["S4"]) for query in asked)
+    code, text, _ = run(capsys, "queries", "--ask", "usedFor learning and hasColor blue")
+    assert text.count("blue") == 3
+    assert "globe" in text
+    code, text, _ = run(capsys, "queries", "--agent", "subgraph", "--json", out)
+    assert json.loads(out.read_text())["rank_correlation"] > 0.4
+    for control in ("subgraph-shuffled", "query-random"):
+        run(capsys, "queries", "--agent", control, "--json", out)
+        assert abs(json.loads(out.read_text())["rank_correlation"]) < 0.2
+    code, text, _ = run(capsys, "queries", "--agent", "query-onehot")
+    assert "all conditions are equally similar" in text
+    code, _, error = run(capsys, "queries", "--agent", "full")
+    assert code == 2
+    assert "Unknown agent that is told queries 'full'" in error
+    code, _, error = run(capsys, "queries", "--ask", "usedFor lerning")
+    assert code == 2
+    assert "Did you mean 'learning'" in error
+
+
+def test_queries_of_a_graph_of_the_user(capsys, tmp_path):
+    graph = tmp_path / "mine.csv"
+    uses = zip("abcdef", "uuvvww", strict=True)
+    graph.write_text("".join(f"{name},usedFor,{use}\n" for name, use in uses))
+    code, text, _ = run(capsys, "queries", graph, "--colours", "red", "blue", "green")
+    assert code == 0
+    assert "No S3 (objects that training never showed): 5 of the 6 objects" in text
+    code, _, error = run(capsys, "queries", graph, "--split", "S4")
+    assert code == 2
+    assert "S4" in error
+    assert "of the objects whose values can be held out, 0 can stand" in error
+    code, _, error = run(capsys, "queries", graph, "--objects", "a", "x")
+    assert code == 2
+    assert "says nothing about the object 'x'" in error
+
+
+def test_the_example_of_an_own_graph(capsys, tmp_path):
+    """The page prints the file, and its commands show what the page says."""
+    example = ROOT / "examples" / "own_graph" / "tidy.csv"
+    assert example.read_text() in (ROOT / "docs" / "choose.md").read_text()
+    out = tmp_path / "queries.json"
+    code, text, _ = run(capsys, "queries", example, "--json", out)
+    assert code == 0
+    assert "89 queries: 17 of one condition" in text
+    assert set(json.loads(out.read_text())["empty"]) == {"S3"}
+    edited = tmp_path / "edited.csv"
+    changed = ("book,ownedBy,grandmother", "book,ownedBy,grandfather")
+    edited.write_text(example.read_text().replace(*changed))
+    run(capsys, "queries", example, "--edited", edited, "--split", "S5", "--json", out)
+    questions = json.loads(out.read_text())["questions"]
+    assert set(map(tuple, questions.values())) == {("book",)}
+    assert all(query.startswith("ownedBy grandfather") for query in questions)

@@ -5,11 +5,12 @@ import pytest
 import torch
 
 from knowarm.config import to_dict
+from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS, controls_of
 from knowarm.experiment.build import build, load_agent
-from knowarm.experiment.registry import experiment_config
+from knowarm.experiment.registry import experiment_config, experiment_names
 from knowarm.experiment.run_folder import RunFolder
-from knowarm.knowledge import scene_embedding
+from knowarm.knowledge import query_embedding, scene_embedding
 from knowarm.learn.checkpoint import Checkpoint, CheckpointStore, policy_arrays
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
 
@@ -61,6 +62,42 @@ def test_controls_have_the_scope_width_norm_and_parameters_of_their_subject(
         assert np.linalg.norm(control.matrix, axis=1) == pytest.approx(lengths, rel=1e-5), name
         assert not np.allclose(control.matrix, real.matrix, atol=1e-3)
         assert len(np.unique(control.matrix, axis=0)) == len(facets)
+
+
+QUERIES = ["usedFor drinking", "hasColor blue", "contains tea and hasColor red"]
+
+
+@pytest.mark.parametrize(
+    ("subject", "content"),
+    [
+        ("subgraph", ["query-onehot", "query-random", "subgraph-shuffled"]),
+        ("query-words", ["query-onehot", "query-random"]),
+        ("query-analogy", ["query-onehot", "query-random"]),
+    ],
+)
+def test_controls_of_what_is_told_about_the_query(subject, content):
+    assert controls_of(subject, "capacity_control") == ["query-zeros"]
+    assert controls_of(subject, "content_control") == content
+    assert AGENTS[subject].role == "knowledge"
+    real = query_embedding(AGENTS[subject].knowledge, QUERIES)
+    for name in ["query-zeros", *content]:
+        control = query_embedding(AGENTS[name].knowledge, QUERIES)
+        assert (control.scope, control.dim, control.slots) == ("query", real.dim, real.slots)
+        assert AGENTS[name].policy == AGENTS[subject].policy
+        if name in content:
+            assert control.norm == pytest.approx(real.norm, rel=1e-5)
+            assert not np.allclose(control.matrix, real.matrix, atol=1e-3)
+
+
+def test_agents_that_are_told_a_query_are_not_offered_for_reaching():
+    told = [name for name in experiment_names() if "subgraph" in name or "query" in name]
+    assert told
+    assert all("-choose-" in name for name in told)
+    with pytest.raises(UserError, match="Unknown agent of the experiment 'subgraph'"):
+        experiment_config("irb120-subgraph-ppo")
+    config = experiment_config("irb120-full-ppo", knowledge={"scope": "query"})
+    with pytest.raises(UserError, match="this task asks for nothing"):
+        build(config)
 
 
 def test_an_agent_of_the_user_has_no_registered_controls():

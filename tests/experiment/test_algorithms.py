@@ -52,10 +52,12 @@ def test_the_tuned_a3c_has_the_measured_settings():
     """The settings of the curve in docs/lab-notes.md."""
     config = experiment_config("irb120-full-a3c-tuned")
     a3c = config.algorithm
-    assert (a3c.workers, a3c.envs_per_worker, a3c.rollout_steps) == (2, 32, 25)
+    assert (a3c.workers, a3c.envs_per_worker, a3c.rollout_steps) == (2, 128, 10)
     assert (a3c.gamma, a3c.gae_lambda, a3c.reward_scale) == (0.95, 0.95, 0.05)
-    assert (a3c.ent_coef, a3c.vf_coef, a3c.max_grad_norm) == (0.003, 0.5, 0.5)
-    assert (a3c.learning_rate, a3c.rmsprop_eps, a3c.rmsprop_alpha) == (7e-4, 1e-5, 0.99)
+    assert (a3c.ent_coef, a3c.vf_coef, a3c.max_grad_norm) == (0.001, 0.5, 0.5)
+    assert (a3c.learning_rate_schedule, a3c.learning_rate_final) == ("linear", 0.1)
+    assert (a3c.threshold_factor, a3c.threshold_decrease, a3c.threshold_success) == (3, 0.01, 0.5)
+    assert (a3c.learning_rate, a3c.rmsprop_eps, a3c.rmsprop_alpha) == (1e-3, 1e-5, 0.99)
     assert a3c.bootstrap_at_time_limit
     assert not a3c.rollout_ends_with_episode
     assert (config.policy.pixel_shift, config.policy.pixel_scale) == (0.5, 4)

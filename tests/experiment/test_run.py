@@ -10,11 +10,17 @@ from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.build import build, load_agent
 from knowarm.experiment.config import ExperimentConfig, InterimConfig, StopWhen
-from knowarm.experiment.registry import experiment_config, experiment_names
+from knowarm.experiment.registry import (
+    experiment_config,
+    experiment_name,
+    experiment_names,
+    tasks_of,
+)
 from knowarm.experiment.run import train
 from knowarm.experiment.run_folder import RunFolder, read_csv
 from knowarm.learn.checkpoint import read_checkpoint
 from knowarm.learn.config import A3CConfig, PPOConfig
+from knowarm.world.choice_source import choice_table
 
 
 @pytest.fixture(autouse=True)
@@ -159,12 +165,18 @@ SLOW = {"analogy"}  # trains a graph embedding
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in AGENTS]
+    ("name", "task"),
+    [
+        pytest.param(name, task, marks=[pytest.mark.slow] * (name in SLOW))
+        for name, agent in AGENTS.items()
+        for task in tasks_of(agent)
+    ],
 )
-def test_every_agent_can_be_built(name):
-    config = experiment_config(f"irb120-{name}-dr-ppo")
+def test_every_agent_can_be_built(name, task):
+    config = experiment_config(experiment_name("irb120", name, "ppo", "randomized", task))
     parts = build(config)
-    assert parts.table.shape == (6, parts.policy_shape.knowledge_dim) or config.policy.wide
+    rows = 6 if task == "reach" else len(choice_table(config.env).queries)
+    assert parts.table.shape == (rows, parts.policy_shape.knowledge_dim) or config.policy.wide
     assert np.isfinite(parts.table).all()
     assert parts.new_policy(0).parameter_counts()["total"] > 0
 

@@ -2,8 +2,10 @@
 
 from knowarm.experiment.agents import AGENTS
 
-KNOWLEDGE = {name: agent.knowledge for name, agent in AGENTS.items()}
-"""Knowledge of every registered agent, by the agent's name."""
+KNOWLEDGE = {
+    name: agent.knowledge for name, agent in AGENTS.items() if agent.knowledge.scope != "query"
+}
+"""Knowledge of every registered agent that describes scenes or targets, by the agent's name."""
 
 FACETS = [
     ("mug", "red"),

@@ -7,6 +7,7 @@ from knowarm.errors import UserError
 from knowarm.learn import PPOConfig
 from knowarm.learn.device import CudaGraph, Stopwatch, resolve_precision
 from tests.devices import DEVICES
+from tests.tape import Tape
 
 
 @pytest.mark.cuda
@@ -16,6 +17,15 @@ def test_a_cuda_graph_takes_new_arguments_and_shapes():
     for size in (3, 3, 5):
         x = torch.randn(size, device="cuda")
         torch.testing.assert_close(graph(x), x * 2 + 1)
+
+
+def test_a_recorded_function_takes_new_arguments_and_shapes():
+    graph = CudaGraph(lambda x, y: (x * y, x + 1), Tape().capture)
+    for size in (3, 3, 5):
+        x, y = torch.randn(size), torch.randn(size)
+        product, more = graph(x, y)
+        torch.testing.assert_close((product, more), (x * y, x + 1))
+        assert graph(x + 1, y)[1] is more, "results keep their memory"
 
 
 @pytest.mark.parametrize("device", DEVICES)

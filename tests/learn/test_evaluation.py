@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
+import torch
 
+from knowarm.cores import available_cores
 from knowarm.learn import CheckpointStore, PPOConfig, PPOTrainer
 from knowarm.learn.evaluation import MAX_PENDING, BackgroundEvaluations, InlineEvaluations
 from knowarm.learn.flat_parameters import flatten_parameters
@@ -37,11 +39,31 @@ def make_fail():
     return fail
 
 
+def count_threads(policy):
+    return {"torch": torch.get_num_threads(), "cores": available_cores()}
+
+
+def make_count_threads():
+    return count_threads
+
+
 def take_all(evaluations):
     completed = evaluations.completed(timeout_s=0.0)
     while evaluations.pending():
         completed += evaluations.completed(timeout_s=0.2)
     return completed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("threads", [None, 1, 3])
+def test_the_evaluator_uses_the_given_threads(threads):
+    spec = toy_policy().spec()
+    evaluations = BackgroundEvaluations(spec, make_count_threads, threads=threads)
+    evaluations.submit(0, flatten_parameters(toy_policy()))
+    (completed,) = take_all(evaluations)
+    evaluations.close()
+    expected = available_cores() if threads is None else min(threads, available_cores())
+    assert completed.results == {"torch": threads or 1, "cores": expected}
 
 
 @pytest.mark.slow

@@ -1,9 +1,12 @@
 """Budgets of kernels on a GPU: per gradient, and per step of the policy."""
 
+from collections.abc import Callable
+
 import pytest
 import torch
 
 from knowarm.learn import PPOConfig
+from knowarm.learn.device import CudaGraph
 from knowarm.learn.learner import Learner
 from knowarm.learn.minibatch import TrainingNetwork
 from knowarm.policy import Policy, PolicyConfig, PolicyShape, lstm, lstm_kernels
@@ -70,3 +73,20 @@ def test_a_step_of_the_policy_needs_few_kernels(learner: Learner) -> None:
     with LaunchCounter() as counter:
         learner.infer(learner.rollout, 0, image, state)
     assert counter.total <= 65
+
+
+def test_a_replayed_step_of_the_policy_only_copies(learner: Learner) -> None:
+    recorded: list[object] = []
+
+    def capture(run: Callable[[], None]) -> Callable[[], None]:
+        run()
+        return lambda: recorded.append(run)
+
+    learner._step = CudaGraph(learner._infer, capture)
+    image = torch.zeros(COUNT, SIDE, SIDE, 3, dtype=torch.uint8)
+    _, state = learner.infer(learner.rollout, 0, image, learner.policy.initial_state(COUNT))
+    with LaunchCounter() as counter:
+        learner.infer(learner.rollout, 1, image, state)
+    assert len(recorded) == 2, "one launch per step"
+    # Image, facets, starts and state are copied in; patches, values and logits out.
+    assert counter.seen == {"copy_.default": 7, "clone.default": 1}

@@ -9,7 +9,7 @@ from knowarm.errors import UserError
 from knowarm.learn.checkpoint import CheckpointStore
 from knowarm.learn.config import PPOConfig
 from knowarm.learn.guards import NotFiniteError
-from knowarm.learn.ppo import PPOTrainer, learning_rate
+from knowarm.learn.ppo import PPOTrainer
 from tests.learn.toys import (
     ToyEnv,
     informed_toy_policy,
@@ -236,5 +236,5 @@ def test_a_constructor_changes_no_setting_of_the_process(monkeypatch):
 )
 def test_learning_rates(schedule, expected):
     config = PPOConfig(learning_rate=2.0, learning_rate_schedule=schedule, learning_rate_final=0.1)
-    got = [learning_rate(config, progress) for progress in (0.0, 0.5, 1.5)]
+    got = [config.learning_rate_at(progress) for progress in (0.0, 0.5, 1.5)]
     assert got == pytest.approx(expected)

@@ -1,18 +1,21 @@
+import contextlib
 import logging
 import multiprocessing
 import os
 import subprocess
 import sys
+import time
 
 import psutil
 import pytest
 import torch
 
+from knowarm.learn import processes
 from knowarm.learn.checkpoint import CheckpointStore
 from knowarm.learn.config import PPOConfig
 from knowarm.learn.data_parallel import make_learner
 from knowarm.learn.minibatch import TrainingNetwork
-from knowarm.learn.processes import process_context
+from knowarm.learn.processes import ChildProcess, process_context
 from tests.learn.a3c.test_stop import UPDATE, build
 from tests.learn.test_data_parallel import noisy_learner
 from tests.learn.toys import toy_policy
@@ -47,6 +50,44 @@ def test_fewer_processes_than_asked_for_are_said(caplog):
     with caplog.at_level(logging.WARNING, "knowarm.learn"):
         make_learner(TrainingNetwork(toy_policy(), 0), config, "float32", torch.device("cpu"))
     assert "processes=2 is reduced to 1: minibatches have 8 environments" in caplog.text
+
+
+def send_one(connection):
+    with contextlib.suppress(BrokenPipeError):  # of a start that was given up
+        connection.send(1)
+
+
+@pytest.mark.skipif(
+    "forkserver" not in multiprocessing.get_all_start_methods(), reason="no fork server here"
+)
+@pytest.mark.parametrize("kills", [1, 2])
+def test_a_fork_server_killed_while_it_starts_a_process_is_replaced(kills, monkeypatch, caplog):
+    from multiprocessing import forkserver
+
+    read, killed = forkserver.read_signed, []
+
+    def kill_and_read(sentinel):
+        if len(killed) < kills:
+            server = psutil.Process(forkserver._forkserver._forkserver_pid)
+            killed.append(server.pid)
+            server.kill()
+            while server.status() != psutil.STATUS_ZOMBIE:
+                time.sleep(0.01)
+            raise EOFError("unexpected EOF")
+        return read(sentinel)
+
+    monkeypatch.setattr(forkserver, "read_signed", kill_and_read)
+    monkeypatch.setattr(processes, "START_ATTEMPTS", 2)
+    context = process_context()
+    if kills == 2:
+        with pytest.raises(EOFError):
+            ChildProcess.start(context, "helper", send_one)
+    else:
+        child = ChildProcess.start(context, "helper", send_one)
+        assert child.connection.recv() == 1
+        child.stop()
+        assert "The fork server ended while starting the helper" in caplog.text
+    assert len(set(killed)) == kills
 
 
 @pytest.mark.slow

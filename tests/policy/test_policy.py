@@ -8,10 +8,10 @@ from knowarm.errors import UserError
 from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
 from knowarm.policy.config import layer_widths
 from knowarm.policy.encoder import ImageEncoder
-from knowarm.policy.fusion import FUSIONS, Fusion
+from knowarm.policy.fusion import FUSIONS, Fusion, Similarity
 
 T, B, K, FACETS = 4, 3, 12, 5
-SHAPE = {"joints": 2, "levels": 3, "image_size": 24, "knowledge_dim": K, "knowledge_slots": 3}
+SHAPE = {"joints": 2, "levels": 3, "image_size": 28, "knowledge_dim": K, "knowledge_slots": 3}
 TABLE = np.random.default_rng(7).standard_normal((FACETS, K)).astype(np.float32)
 USED = [name for name in FUSIONS if name != "none"]
 
@@ -25,7 +25,7 @@ def make_policy(fusion, *, seed=0, table=TABLE, **changes):
 
 def inputs(seed=0):
     generator = torch.Generator().manual_seed(seed)
-    image = torch.randint(0, 256, (T, B, 24, 24, 3), dtype=torch.uint8, generator=generator)
+    image = torch.randint(0, 256, (T, B, 28, 28, 3), dtype=torch.uint8, generator=generator)
     facet = torch.randint(0, FACETS, (T, B), generator=generator)
     start = torch.rand(T, B, generator=generator) < 0.3
     return image, facet, start
@@ -110,6 +110,28 @@ def test_knowledge_reaches_what_the_fusion_promises(fusion):
     other_logits, other_values, _ = policy.unroll(image, facet, state, start)
     assert not torch.allclose(values, other_values)
     assert torch.allclose(logits, other_logits) == (fusion == "critic")
+
+
+@torch.no_grad()
+def test_similarity_amplifies_positions_that_match_all_slots():
+    """Channel 0 answers the first slot, channel 1 the second; one position of nine has both."""
+    fusion = Similarity(16, 6, 2)
+    fusion.key.weight.copy_(torch.eye(ImageEncoder.channels))
+    fusion.query.weight.zero_()
+    fusion.query.weight[0, 0] = fusion.query.weight[1, 1] = 20.0
+    maps = torch.zeros(1, 9, ImageEncoder.channels)
+    maps[:, 3:6, 0] = maps[:, 5:, 1] = 1.0
+    maps[..., 2] = 1.0
+    both = torch.tensor([[1.0, 0, 0, 0, 1.0, 0]])
+    weighted = fusion("fc", maps.flatten(1), both).view(9, -1)[:, 2]
+    assert weighted.argmax() == 5
+    assert weighted.mean() == pytest.approx(1.0)
+    assert weighted.min() >= 0.5
+    first = fusion("fc", maps.flatten(1), both * torch.tensor([1, 1, 1, 0, 0, 0])).view(9, -1)
+    assert (first[3:6, 2] > 1).all()
+    assert (first[[0, 1, 2, 6, 7, 8], 2] < 1).all()
+    assert torch.equal(fusion("fc", maps.flatten(1), 0 * both), maps.flatten(1))
+    assert fusion("lstm", maps, both) is maps
 
 
 def test_without_fusion_knowledge_changes_nothing():

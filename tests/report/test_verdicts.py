@@ -1,6 +1,7 @@
 """Verdicts on studies whose truth is known."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from knowarm.report.blocks import Verdict
 from knowarm.report.claims import claims, scores
 from knowarm.report.collect import collect
+from knowarm.report.pages import inputs
 from knowarm.report.verdict import finding, findings
 from knowarm.statistics import holm, welch
 from tests.report.synthetic_study import Size, Truth, write_study
@@ -282,3 +284,22 @@ def test_curves_are_compared_as_far_as_every_agent_has_a_run(tmp_path):
     early = long.interim["success"][long.interim["step"] <= 2_000_000]
     assert scores(task, bm, "speed")[1] <= early.max()
     assert scores(task, full, "speed")[0] <= short.interim["success"].max()
+
+
+def test_the_inputs_page_says_who_is_told_the_query(monkeypatch):
+    """Its controls are the content controls that are told a query as well."""
+    known = {"bm": {}, "asked": {"constant": False}, "codes": {"constant": False}}
+    roles = {"bm": "baseline", "asked": "knowledge", "codes": "content_control"}
+    groups = [
+        SimpleNamespace(
+            name=name, role=role, scope="query" if known[name] else "scene", runs=[name]
+        )
+        for name, role in roles.items()
+    ]
+    monkeypatch.setattr(inputs, "_known", known.__getitem__)
+    monkeypatch.setattr(inputs, "_privileged_uses", lambda group: [])
+    verdict = inputs._kind_of_input(SimpleNamespace(groups=groups, title="Choose"))
+    assert verdict.sentence == "Choose: the knowledge vector describes the query of the episode."
+    assert verdict.reasons == [
+        "asked, codes: the vector describes what the episode asks for. Compare with codes."
+    ]

@@ -2,14 +2,14 @@ import numpy as np
 import pytest
 
 from knowarm.world.agents.scripted import OracleAgent, RandomAgent, ZeroAgent
+from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import evaluation_episodes
-from knowarm.world.objects import TARGETS
 from knowarm.world.play import play
 from knowarm.world.robots import MAIN_ROBOTS
 from tests.world.helpers import MakeEnv
 
 
-@pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.parametrize("target", EnvConfig().targets)
 @pytest.mark.parametrize("robot", MAIN_ROBOTS)
 def test_the_oracle_solves_every_task(robot: str, target: str, make_env: MakeEnv) -> None:
     env = make_env(40, robot=robot, targets=(target,), image_size=8, num_threads=0)

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from knowarm.errors import UserError
+from knowarm.world.config import EnvConfig
 from knowarm.world.objects import TARGETS
 from knowarm.world.robots import ROBOTS
 from knowarm.world.scene import build_scene, find_robot, find_targets, load_scene, project
 
 IRB120, MUG = ROBOTS["irb120"].robot, TARGETS["mug"]
-ALL = tuple(TARGETS)
+ALL = EnvConfig().targets
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
 from knowarm.world import torch_env
@@ -13,6 +12,7 @@ from knowarm.world.held_out import HeldOut
 from knowarm.world.step_graph import WARM_UP_STEPS, CudaRecorder, StepGraph
 from knowarm.world.visual_randomization import VisualRandomization
 from tests.launches import LaunchCounter
+from tests.tape import Tape
 from tests.world.faces import CUDA, WARP
 
 OPTIONS: list[dict[str, Any]] = [
@@ -29,43 +29,6 @@ OPTIONS: list[dict[str, Any]] = [
 
 MOST_EXECUTED = 280
 """Operations of a step that is executed one by one."""
-
-
-class Tape(TorchDispatchMode):
-    """A ``Recorder`` of torch's operations with the memory they read and wrote, as CUDA graphs are.
-
-    Values that Python computed from a tensor are not read again, so a step that depends on them,
-    or on tensors of an earlier step, replays something else than it executed.
-    """
-
-    executes = True
-
-    def record(self, run: Any) -> list[Any]:
-        self.launches: list[Any] = []
-        with self:
-            run()
-        return self.launches
-
-    def cut(self, launch: Any) -> None:
-        launch()
-        self.launches.append(launch)
-
-    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        result = func(*args, **(kwargs or {}))
-        places = {x.untyped_storage().data_ptr() for x in tree_leaves((args, kwargs)) if tensor(x)}
-
-        def replay() -> None:
-            new = func(*args, **(kwargs or {}))
-            for old, values in zip(tree_leaves(result), tree_leaves(new), strict=True):
-                if tensor(old) and old.untyped_storage().data_ptr() not in places:
-                    old.copy_(values)
-
-        self.launches.append(replay)
-        return result
-
-
-def tensor(value: Any) -> bool:
-    return isinstance(value, torch.Tensor)
 
 
 def recorded_env(face: Any, recorder: Any = None, **options: Any) -> Any:
@@ -168,6 +131,28 @@ class CountingCuts(Tape):
 
     def cut(self, launch: Any) -> None:
         self.cuts += 1
+
+
+def test_final_images_are_drawn_only_where_wanted() -> None:
+    steps, drawn = {}, []
+    for wanted in (True, False):
+        env = recorded_env(WARP, Tape(), max_episode_steps=3)
+        draw = env.renderer.draw
+
+        def note(*args: Any, draw: Any = draw, **options: Any) -> None:
+            drawn.append(options.get("wanted") is not None)
+            draw(*args, **options)
+
+        env.renderer.draw = note
+        env.report_final_observations = wanted
+        env.reset(seed=0)
+        stay = torch.zeros((6, 6), dtype=torch.int64)
+        steps[wanted] = [env.step(stay) for _ in range(WARM_UP_STEPS + 4)]
+        assert any(drawn) == wanted
+        drawn.clear()
+    for one, other in zip(steps[True], steps[False], strict=True):
+        assert one[4].keys() - other[4].keys() == {"final_obs", "_final_obs"}
+        assert_equal(one[:4], other[:4])
 
 
 @pytest.mark.parametrize("options", OPTIONS, ids=["plain", "varied"])

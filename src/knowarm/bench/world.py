@@ -12,7 +12,7 @@ import numpy as np
 from knowarm.bench.clock import cpu_seconds
 from knowarm.cores import processor
 from knowarm.errors import UserError
-from knowarm.world.config import EnvConfig
+from knowarm.world.config import EnvConfig, choice_env_config
 from knowarm.world.robots import MAIN_ROBOTS
 from knowarm.world.tasks.reach import ACTION_LEVELS
 from knowarm.world.vector_env import ReachVectorEnv
@@ -76,7 +76,7 @@ def bench_world(
         on_row: called with each row of ``rows`` as soon as it is measured.
 
     Returns:
-        ``rows``: steps per second by robot and dynamics, by the clock and by CPU time.
+        ``rows``: steps per second by robot, task and dynamics, by the clock and by CPU time.
         ``raycaster``: frames per second of one core, by robot and anti-aliasing.
         ``scaling``: steps per second by number of environments and by image size.
         ``machine`` and ``config``.
@@ -84,7 +84,8 @@ def bench_world(
     config = config or WorldBenchConfig()
     rows = []
     for env_config in env_configs(config):
-        row = {"robot": env_config.robot, "dynamics": env_config.dynamics}
+        task = "choose" if env_config.choice else "reach"
+        row = {"robot": env_config.robot, "task": task, "dynamics": env_config.dynamics}
         row |= measure_env(env_config, config.num_envs, config.workers, config.seconds)._asdict()
         on_row(row)
         rows.append(row)
@@ -110,12 +111,15 @@ def bench_world(
 
 
 def env_configs(config: WorldBenchConfig) -> list[EnvConfig]:
-    """Return one environment config for each robot and kind of dynamics."""
-    return [
-        EnvConfig(robot=robot, dynamics=dynamics, image_size=config.image_size)
-        for robot in config.robots
-        for dynamics in DYNAMICS
-    ]
+    """Return a config for each robot and kind of dynamics, and the choice task of each robot."""
+    configs = []
+    for robot in config.robots:
+        configs += [
+            EnvConfig(robot=robot, dynamics=dynamics, image_size=config.image_size)
+            for dynamics in DYNAMICS
+        ]
+        configs.append(choice_env_config(robot, image_size=config.image_size))
+    return configs
 
 
 def measure_env(config: EnvConfig, num_envs: int, threads: int, seconds: float) -> Speed:
@@ -138,7 +142,7 @@ def measure_steps(env: gymnasium.vector.VectorEnv, seconds: float) -> Speed:
     for i in range(3):
         env.step(actions[i])
     count, start, cpu = 0, time.perf_counter(), cpu_seconds()
-    while (elapsed := time.perf_counter() - start) < seconds:
+    while (elapsed := time.perf_counter() - start) < seconds or count == 0:
         env.step(actions[count % 64])
         count += 1
     steps = count * env.num_envs
@@ -161,7 +165,7 @@ def measure_raycaster(config: EnvConfig, *, num_envs: int, seconds: float) -> fl
     poses = env.simulation.geom_position, env.simulation.geom_matrix, env.geom_rgba
     env.renderer.draw(*poses)
     count, start, cpu = 0, time.perf_counter(), cpu_seconds()
-    while time.perf_counter() - start < seconds:
+    while time.perf_counter() - start < seconds or count == 0:
         env.renderer.draw(*poses)
         count += 1
     return count * num_envs / (cpu_seconds() - cpu)

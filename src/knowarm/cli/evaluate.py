@@ -72,6 +72,16 @@ def _print(summary: dict[str, Any]) -> None:
     _print_groups(title, {"all": summary, **summary["per_target"]})
     if len(summary["per_facet"]) > len(summary["per_target"]):
         _print_groups("By target and colour", summary["per_facet"])
+    if "choice_chance" in summary:
+        chance = 100 * summary["choice_chance"]
+        print(
+            f"Chose the wanted object in {_share(summary, 'choice')} % of the episodes (chance "
+            f"{chance:.0f} %), and reached it in {100 * summary['success_if_chosen']:.1f} % of "
+            "those.\n"
+        )
+    if "chose_old_answer" in summary:
+        old = 100 * summary["chose_old_answer"]
+        print(f"Chose what the query meant before the graph was edited in {old:.1f} %.\n")
     if "blind_agents" in summary:
         _print_blind(summary)
     criteria = summary["config"]

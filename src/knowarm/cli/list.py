@@ -63,7 +63,8 @@ class List:
         examples = experiment_names()
         print(
             "An experiment is named ROBOT-AGENT-ALGORITHM, or ROBOT-AGENT-dr-ALGORITHM with\n"
-            "randomized colours of the targets. Train one, for example:\n"
+            "randomized colours of the targets, or ROBOT-choose-AGENT-ALGORITHM with several\n"
+            "objects, of which a query means one. Train one, for example:\n"
             f"  knowarm train {examples[0]}\n"
             f"  knowarm train {examples[-1]}"
         )

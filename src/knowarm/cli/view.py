@@ -10,10 +10,13 @@ from knowarm.cli.evaluate import is_scripted
 from knowarm.cli.tables import FilePath
 from knowarm.errors import UserError
 from knowarm.experiment.build import load_agent
+from knowarm.experiment.graph_queries import GraphQueries
 from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
-from knowarm.world.config import EnvConfig
+from knowarm.world.choice_config import ChoiceConfig
+from knowarm.world.config import EnvConfig, choice_env_config
 from knowarm.world.episodes import evaluation_episodes
-from knowarm.world.record import record_episode, write_strip, write_video
+from knowarm.world.record import describe_episode, record_episode, write_strip, write_video
+from knowarm.world.robots import DEFAULT_ROBOT
 from knowarm.world.scene import find_robot
 from knowarm.world.vector_env import ReachVectorEnv
 from knowarm.world.watch import watch
@@ -33,6 +36,8 @@ class View:
     """Number of episodes; the viewer plays them again and again until Ctrl-C."""
     seed: int = 0
     """Seed of the episodes, and of the actions of a stochastic agent."""
+    choose: bool = False
+    """Show a scripted agent several objects, of which a query means one; a run has its own task."""
     targets: tuple[str, ...] = ()
     """Objects to reach, by name or TOML file. Default: all, or the run's."""
     colours: Literal["fixed", "randomized"] | None = None
@@ -62,8 +67,8 @@ class View:
         if self.video is None and self.strip is None:
 
             def announce(number: int) -> None:
-                target, colour = env.facets[int(env.facet_ids[0])]
-                print(f"Episode {number + 1} of {len(episodes)}: {colour} {target}", flush=True)
+                wanted = describe_episode(env)
+                print(f"Episode {number + 1} of {len(episodes)}: {wanted}", flush=True)
 
             print("Waiting for a browser. Press Ctrl-C to stop.", flush=True)
             watch(
@@ -89,7 +94,10 @@ class View:
     def _agent(self) -> tuple[Callable[[], AgentProtocol], EnvConfig]:
         """Return a constructor of the agent, and its environment's config."""
         if is_scripted(self.agent):
-            config = EnvConfig() if self.robot is None else EnvConfig(robot=self.robot)
+            robot = self.robot or DEFAULT_ROBOT
+            config = EnvConfig(robot=robot)
+            if self.choose:
+                config = choice_env_config(robot, choice=ChoiceConfig(queries=GraphQueries()))
             return lambda: SCRIPTED_AGENTS[self.agent].make(self.seed), config
         trained = load_agent(self.agent, seed=self.seed)
         config = trained.config.env

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
-from knowarm.knowledge import FULL, FULL_PLUS, KnowledgeConfig
+from knowarm.knowledge import FULL, FULL_PLUS, QUERY, KnowledgeConfig
 from knowarm.knowledge.vectors import GraphEmbedding
 from knowarm.knowledge.vectors.placebos import (
     Learned,
@@ -39,6 +39,8 @@ class Agent:
     """From the graph to the knowledge vector."""
     policy: PolicyConfig = field(default_factory=PolicyConfig)
     """Choices of the policy network."""
+    marked: bool = False
+    """Whether the image marks the object that is meant (choice task only)."""
     colour: str | None = None
     """Class of the report's palette that draws the agent in every chart (``c-blue``); None takes
     a spare one."""
@@ -59,6 +61,7 @@ def _control(about: str, knowledge: KnowledgeConfig, source: Placebo, **fields: 
 
 _TARGET = replace(FULL, scope="target")
 _TARGET_PLUS = replace(FULL_PLUS, scope="target")
+_QUERY_WORDS = replace(QUERY, hops=0, colour_share=None)
 
 AGENTS: dict[str, Agent] = {
     "bm": Agent(
@@ -177,6 +180,58 @@ AGENTS: dict[str, Agent] = {
         knowledge=FULL,
         policy=PolicyConfig(fusion="critic", hidden="fixed"),
     ),
+    "mask": Agent(
+        about="upper bound of the choice task: the image marks the object that is meant",
+        role="privileged",
+        knowledge=KnowledgeConfig(detail="none"),
+        marked=True,
+        colour="c-gold",
+    ),
+    "subgraph": Agent(
+        about="the subgraph around the values of the query",
+        role="knowledge",
+        knowledge=QUERY,
+        colour="c-blue",
+    ),
+    "subgraph-similarity": Agent(
+        about="as subgraph, scoring positions of the image by similarity",
+        role="knowledge",
+        knowledge=QUERY,
+        policy=PolicyConfig(fusion="similarity"),
+    ),
+    "query-words": Agent(
+        about="the word vectors of the query, without the graph",
+        role="knowledge",
+        knowledge=_QUERY_WORDS,
+        colour="c-green",
+    ),
+    "query-analogy": Agent(
+        about="ANALOGY embeddings of the values of the query",
+        role="knowledge",
+        knowledge=replace(_QUERY_WORDS, source=GraphEmbedding(model="analogy"), centring=False),
+        colour="c-navy",
+    ),
+    "query-zeros": Agent(
+        about="control of the agents that are told the query: their shape, all zeros",
+        role="capacity_control",
+        knowledge=replace(QUERY, source=Zeros()),
+        colour="c-grey",
+    ),
+    "query-onehot": _control(
+        "the agents that are told the query: the index of each condition",
+        QUERY,
+        OneHot(),
+        colour="c-teal",
+    ),
+    "query-random": _control(
+        "the agents that are told the query: one random vector per condition",
+        QUERY,
+        RandomVectors(),
+        colour="c-purple",
+    ),
+    "subgraph-shuffled": _control(
+        "subgraph: from a graph with permuted tails", QUERY, ShuffledGraph(), colour="c-pink"
+    ),
 }
 """Every agent by name. The first agent of a role stands for it in the demo."""
 
@@ -189,8 +244,9 @@ def first_of_role(role: Role) -> str:
 def controls_of(subject: str, role: Role) -> list[str]:
     """Return the registered controls that match an agent in everything but their purpose.
 
-    A content control has the subject's knowledge but for the source, and the same network. A
-    capacity control has its scope, slots and width, or no knowledge and as many parameters.
+    A content control has the subject's knowledge but for the source, and the same network; one
+    whose numbers depend on no description fits every subject with its scope and slots. A capacity
+    control has its scope, slots and width, or no knowledge and as many parameters.
 
     Args:
         subject: name of a registered agent; others have no registered controls.
@@ -202,11 +258,14 @@ def controls_of(subject: str, role: Role) -> list[str]:
     def matches(control: Agent) -> bool:
         if replace(control.policy, wide=False) != agent.policy:
             return False
+        own, other = agent.knowledge, control.knowledge
+        if role == "content_control" and replace(other, source=own.source) == own:
+            return True
+        fields = ["scope", "detail", "dim"]
         if role == "content_control":
-            return replace(control.knowledge, source=agent.knowledge.source) == agent.knowledge
-        return all(
-            getattr(control.knowledge, name) == getattr(agent.knowledge, name)
-            for name in ("scope", "detail", "dim")
-        )
+            if not other.source.content_free or own.slot_norm is None:
+                return False
+            fields += ["slot_norm"]
+        return all(getattr(other, name) == getattr(own, name) for name in fields)
 
     return [name for name, each in AGENTS.items() if each.role == role and matches(each)]

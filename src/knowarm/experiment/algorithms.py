@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol, cast
 
+from knowarm.cores import available_cores
 from knowarm.learn import (
     A3CConfig,
     A3CTrainer,
@@ -15,6 +16,10 @@ from knowarm.learn import (
 )
 from knowarm.learn.config import AlgorithmConfig
 from knowarm.policy import Policy
+
+EVALUATOR_THREADS = 8
+"""Most threads that play the interim episodes of a training on a GPU; forty episodes keep no more
+busy, and the training itself uses one."""
 
 
 class MakeEnv(Protocol):
@@ -69,6 +74,7 @@ def _make_ppo(inputs: TrainerInputs) -> Trainer:
     else:
         # The interim episodes are played on the CPU: on a GPU they would take as long as training.
         options["make_evaluate"] = inputs.make_evaluate
+        options["evaluator_threads"] = min(EVALUATOR_THREADS, available_cores())
     return PPOTrainer(config, inputs.policy, env, **options)
 
 
@@ -110,21 +116,24 @@ ALGORITHMS: dict[str, Algorithm] = {
         policy={"pixel_shift": 0.0, "pixel_scale": 1.0, "fc_activation": "none"},
     ),
     "a3c-tuned": Algorithm(
-        about="A3C with few batched workers and PPO's discount, rewards and pixels; on CPU",
+        about="A3C with two batched workers, larger thresholds at first, PPO's rewards and pixels",
         config=A3CConfig(
             workers=2,
-            envs_per_worker=32,
-            rollout_steps=25,
+            envs_per_worker=128,
+            rollout_steps=10,
             rollout_ends_with_episode=False,
             bootstrap_at_time_limit=True,
-            learning_rate=7e-4,
+            learning_rate=1e-3,
+            learning_rate_schedule="linear",
             rmsprop_eps=1e-5,
             gamma=0.95,
             gae_lambda=0.95,
             vf_coef=0.5,
-            ent_coef=0.003,
+            ent_coef=0.001,
             reward_scale=0.05,
             max_grad_norm=0.5,
+            threshold_factor=3.0,
+            threshold_decrease=0.01,
             matmul_precision="auto",
         ),
         make_trainer=_make_a3c,

@@ -13,6 +13,7 @@ from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig, InterimConfig
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.knowledge.embedding import SceneEmbedding, scene_embedding
+from knowarm.knowledge.query_embedding import query_embedding
 from knowarm.learn import TorchVectorEnv, read_checkpoint
 from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
 from knowarm.reading import reading
@@ -75,12 +76,19 @@ class Parts:
 def build(config: ExperimentConfig) -> Parts:
     """Compute the knowledge table of an experiment and the shape of its policy.
 
+    The table has a row per facet, or per query where the task asks.
+
     Raises:
         UserError: the graph lacks an object, or the sizes do not fit together.
     """
     env = ReachVectorEnv(config.env, 1)
-    embedding = scene_embedding(config.knowledge, env.facets, run_seed=config.seed)
-    table = embedding.table(env.facets)
+    embedding: SceneEmbedding
+    if env.queries:
+        embedding = query_embedding(config.knowledge, env.queries, run_seed=config.seed)
+        table = embedding.table(env.queries)
+    else:
+        embedding = scene_embedding(config.knowledge, env.facets, run_seed=config.seed)
+        table = embedding.table(env.facets)
     shape = PolicyShape(
         joints=env.scene.num_joints,
         levels=len(ACTION_LEVELS),
@@ -124,7 +132,11 @@ class InterimFactory:
         def evaluate(policy: Policy) -> dict[str, float]:
             generator = torch_generator(self.seed, "interim_actions")
             agent = PolicyAgent(policy, greedy=interim.greedy, generator=generator)
-            return interim_numbers(play(agent, env, episodes), self.env.success_distance_m)
+            result = play(agent, env, episodes)
+            numbers = interim_numbers(result, self.env.success_distance_m)
+            if env.queries:  # ended nearest to the wanted object
+                numbers["choice"] = float((result.chosen == result.target).mean())
+            return numbers
 
         return evaluate
 

@@ -8,6 +8,7 @@ from knowarm.config import check_numbers, registered
 from knowarm.errors import UserError
 from knowarm.experiment.agents import Role
 from knowarm.experiment.algorithms import ALGORITHMS
+from knowarm.experiment.graph_queries import GraphQueries as GraphQueries  # registers itself
 from knowarm.knowledge.config import KnowledgeConfig
 from knowarm.learn.config import AlgorithmConfig, PPOConfig
 from knowarm.policy.config import PolicyConfig
@@ -155,9 +156,15 @@ class EvaluationConfig:
     held_out: bool = False
     """Play the colours and places that the environment excluded from training."""
 
+    split: Literal["train", "S1", "S2", "S3", "S4", "S5"] | None = None
+    """Questions of the choice task: those of this split's test; None takes those of training."""
+
+    edited: str | None = None
+    """Path of the edited graph of split S5; None takes the one that swaps values."""
+
     label: str | None = None
     """Name of the folder of the evaluation's files; None takes ``post-training-<actions>``, plus
-    ``-held-out`` for held-out episodes."""
+    ``-held-out`` for held-out episodes, or the split in lower case."""
 
     blind_episodes: int = 200
     """Number of episodes, from the first, that the blind agents play beside a trained one; 0 plays
@@ -178,6 +185,10 @@ class EvaluationConfig:
         for name in ("episodes", "seeds", "num_envs"):
             if getattr(self, name) < 1:
                 raise UserError(f"{name} must be at least 1, got {getattr(self, name)}.")
+        if self.edited is not None and self.split != "S5":
+            raise UserError(
+                f"edited is the graph of split S5, got split={self.split!r}; set split to 'S5'."
+            )
         if self.blind_episodes < 0:
             raise UserError(f"blind_episodes must be at least 0, got {self.blind_episodes}.")
         for name in ("distance_m", "angle_deg", "wide_angle_deg"):
@@ -198,5 +209,7 @@ class EvaluationConfig:
     def folder(self) -> str:
         """Name of the folder of the evaluation's files."""
         return self.label or (
-            f"post-training-{self.actions}" + ("-held-out" if self.held_out else "")
+            f"post-training-{self.actions}"
+            + ("-held-out" if self.held_out else "")
+            + (f"-{self.split.lower()}" if self.split else "")
         )

@@ -11,9 +11,9 @@ from knowarm.experiment.config import EvaluationConfig, ExperimentConfig, Interi
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.registry import experiment_config, experiment_name
 from knowarm.experiment.run import run_path, train
-from knowarm.world.robots import ROBOTS
+from knowarm.world.robots import DEMO_ROBOT
 
-STEPS = 700_000
+STEPS = 500_000
 """Environment steps of each agent: most episodes then succeed, not all."""
 
 EVALUATION = EvaluationConfig(episodes=200, label="demo")
@@ -46,11 +46,11 @@ def demo(folder: Path, *, steps: int = STEPS, should_stop: Callable[[], bool]) -
 
 
 def demo_experiments(steps: int) -> list[ExperimentConfig]:
-    """Return the experiments of the demo: first robot and algorithm, baseline and knowledge."""
-    robot, algorithm = next(iter(ROBOTS)), next(iter(ALGORITHMS))
+    """Return the experiments of the demo: baseline and knowledge, with the first algorithm."""
+    algorithm = next(iter(ALGORITHMS))
     return [
         dataclasses.replace(
-            experiment_config(experiment_name(robot, first_of_role(role), algorithm)),
+            experiment_config(experiment_name(DEMO_ROBOT, first_of_role(role), algorithm)),
             total_steps=steps,
             interim=InterimConfig(every_steps=max(1, steps // 10)),
         )

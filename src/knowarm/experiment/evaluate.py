@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from knowarm.config import replace, to_dict
 from knowarm.errors import UserError
@@ -14,11 +15,13 @@ from knowarm.experiment.blind import blind_numbers
 from knowarm.experiment.build import TrainedAgent, load_agent
 from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.evaluation_files import (
+    CHOICE_COLUMNS,
     EPISODE_COLUMNS,
     step_columns,
     write_film,
     write_table,
 )
+from knowarm.experiment.graph_queries import GraphQueries, old_answers, retold
 from knowarm.experiment.run_folder import write_json
 from knowarm.statistics import Interval, bootstrap, wilson
 from knowarm.world.agents import AgentProtocol
@@ -72,7 +75,9 @@ class EvaluationResult:
             (folder / "summary.json").unlink(missing_ok=True)
         except OSError as error:
             raise UserError(f"Cannot write to {folder}: {error.strerror}.") from error
-        write_table(folder / "episodes.parquet", self.episodes, EPISODE_COLUMNS)
+        further = {name: each for name, each in CHOICE_COLUMNS.items() if name in self.episodes}
+        columns = EPISODE_COLUMNS | further
+        write_table(folder / "episodes.parquet", self.episodes, columns)
         if self.steps is not None:
             joints = sum(name.startswith("joint_") for name in self.steps)
             write_table(folder / "steps.parquet", self.steps, step_columns(joints))
@@ -116,7 +121,7 @@ def evaluate(
     config = replace(config or EvaluationConfig(), overrides)
     if isinstance(agent, str | Path):
         agent = load_agent(agent, greedy=config.actions == "greedy", seed=config.seed)
-    folder, blind_episodes = None, 0
+    folder, blind_episodes, trained = None, 0, None
     if isinstance(agent, TrainedAgent):
         blind_episodes = config.blind_episodes if agent.which != "untrained" else 0
         if agent.which != "best":
@@ -124,12 +129,16 @@ def evaluate(
         env_config = env_config or agent.config.env
         agent_name = f"{agent.config.name}/{agent.config.seed}"
         folder = agent.folder.evaluation(config.folder)
-        agent = agent.agent
+        trained, agent = agent, agent.agent
     if env_config is None:
         raise UserError("This agent has no task of its own: pass env_config=EnvConfig(...).")
     judged = _with_thresholds(env_config, config)
     env = ReachVectorEnv(judged, min(config.num_envs, config.episodes))
+    told = None if trained is None else trained.policy.knowledge_table
     try:
+        if trained is not None and config.split == "S5":
+            table = torch.from_numpy(retold(trained.config, judged))
+            trained.policy.knowledge_table = table.to(trained.policy.knowledge_table.device)
         fixed = _episodes(env, config)
         result = play(agent, env, fixed, record_images=config.record_films)
         blind = blind_numbers(agent, result.success, env, fixed, blind_episodes, config.seed)
@@ -137,6 +146,8 @@ def evaluate(
         steps = _step_columns(result) if config.record_steps else None
     finally:
         env.close()
+        if trained is not None and told is not None:
+            trained.policy.knowledge_table = told
     summary = {
         "format": FORMAT,
         "agent": agent_name,
@@ -145,6 +156,7 @@ def evaluate(
         "env": to_dict(judged),
         **summarize(episodes),
         **blind,
+        **({"choice_chance": 1 / judged.choice.objects} if judged.choice else {}),
     }
     return EvaluationResult(summary, episodes, steps, result.images, folder)
 
@@ -159,11 +171,22 @@ def _with_thresholds(env_config: EnvConfig, config: EvaluationConfig) -> EnvConf
                 "environment holds none out. Train with env.held_out, or leave held_out out."
             )
         held_out = dataclasses.replace(held_out, play="held_out")
+    choice = env_config.choice
+    if config.split is not None:
+        if choice is None or not isinstance(choice.queries, GraphQueries):
+            raise UserError(
+                f"split={config.split!r} selects what a graph's queries ask, and this task asks "
+                "none. Evaluate a run of the choice task, or leave split out."
+            )
+        edited = config.edited or choice.queries.edited
+        queries = dataclasses.replace(choice.queries, split=config.split, edited=edited)
+        choice = dataclasses.replace(choice, queries=queries)
     return dataclasses.replace(
         env_config,
         success_distance_m=config.distance_m,
         success_angle_deg=config.angle_deg,
         held_out=held_out,
+        choice=choice,
     )
 
 
@@ -183,12 +206,12 @@ def _episode_columns(
 ) -> dict[str, np.ndarray]:
     count = len(result.length)
     names = np.array(["/".join(facet) for facet in env.facets])
-    targets = np.array([target for target, _ in env.facets])
     seeds = config.seed + np.arange(config.seeds)
-    return {
+    targets = np.array([target.name for target in env.scene.targets])
+    columns = {
         "episode": np.arange(count),
         "evaluation_seed": np.repeat(seeds, count // config.seeds),
-        "target": targets[result.facet],
+        "target": targets[result.target],
         "facet": names[result.facet],
         "return": result.episode_return,
         "length": result.length,
@@ -198,6 +221,17 @@ def _episode_columns(
         "accurate": result.distance <= config.distance_m,
         "success_wide": _ever_within(result, config),
     }
+    if env.queries:
+        columns |= {
+            "query": np.array(env.queries)[result.query],
+            "chosen": targets[result.chosen],
+            "choice_correct": result.chosen == result.target,
+        }
+    if config.split == "S5":
+        before = old_answers(env.config)
+        asked = zip(columns["query"], columns["chosen"], strict=True)
+        columns["chose_old_answer"] = np.array([name in before.get(q, ()) for q, name in asked])
+    return columns
 
 
 def _ever_within(result: EpisodeResults, config: EvaluationConfig) -> np.ndarray:
@@ -247,9 +281,16 @@ def summarize(episodes: Columns) -> dict[str, Any]:
         ``success`` (distance and angle at the same step) and ``success_wide`` (the wider angle),
         each of these three with Wilson's interval. ``return_mean`` and ``length_mean`` have
         bootstrap intervals over episodes. Standard deviations are those of the sample (n - 1).
+        Where an episode asks a query also ``choice``, the share of episodes that ended nearest to
+        the wanted object, with Wilson's interval, ``success_if_chosen``, the success among these,
+        and groups ``per_query``; on split S5 also ``chose_old_answer``, the share that ended
+        nearest to an object that the query meant before the graph was edited.
     """
     summary = _numbers(episodes)
-    for group, column in (("per_target", "target"), ("per_facet", "facet")):
+    groups = {"per_target": "target", "per_facet": "facet"}
+    if "query" in episodes:
+        groups["per_query"] = "query"
+    for group, column in groups.items():
         keys = episodes[column]
         summary[group] = {
             str(name): _numbers({key: values[keys == name] for key, values in episodes.items()})
@@ -271,6 +312,14 @@ def _numbers(episodes: Columns) -> dict[str, Any]:
         column = "accurate" if name == "accuracy" else name
         share = wilson(int(np.count_nonzero(episodes[column])), count)
         values |= {name: share.estimate, **_bounds(name, share)}
+    if "choice_correct" in episodes:
+        correct = episodes["choice_correct"]
+        share = wilson(int(np.count_nonzero(correct)), count)
+        values |= {"choice": share.estimate, **_bounds("choice", share)}
+        reached = episodes["success"][correct]
+        values["success_if_chosen"] = float(reached.mean()) if len(reached) else 0.0
+    if "chose_old_answer" in episodes:
+        values["chose_old_answer"] = float(episodes["chose_old_answer"].mean())
     values["failures"] = len(failures)
     values["failure_distance_mean"] = float(np.mean(failures)) if len(failures) else None
     values["failure_distance_std"] = _std(failures) if len(failures) else None

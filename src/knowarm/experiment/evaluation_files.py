@@ -26,6 +26,14 @@ EPISODE_COLUMNS = {
 }
 """Columns of ``episodes.parquet``: type and meaning; one row per episode."""
 
+CHOICE_COLUMNS = {
+    "query": ("string", "what the episode asked for"),
+    "chosen": ("string", "object whose grasp point was nearest to the gripper at the end"),
+    "choice_correct": ("bool", "whether that is the object that the query means"),
+    "chose_old_answer": ("bool", "whether the query meant it before the graph was edited"),
+}
+"""Further columns where several objects are visible."""
+
 STEP_COLUMNS = {
     "episode": ("int32", "index of the episode in the fixed list, from 0"),
     "step": ("int32", "step of the episode, from 1; the row holds the values after the step"),

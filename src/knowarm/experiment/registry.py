@@ -1,7 +1,8 @@
-"""Named experiments: every combination of robot, agent, target colours and algorithm.
+"""Named experiments: every combination of robot, task, agent, target colours and algorithm.
 
 Names are ``<robot>-<agent>[-dr]-<algorithm>``, such as ``irb120-full-ppo`` or ``tiago-bm-dr-a3c``;
-``dr`` randomizes the targets' colours (paper section 4.2.5).
+``dr`` randomizes the targets' colours (paper section 4.2.5). In the choice task they are
+``<robot>-choose-<agent>-<algorithm>``.
 """
 
 import dataclasses
@@ -10,10 +11,12 @@ from typing import Any, Literal
 
 from knowarm.config import replace
 from knowarm.errors import unknown_name
-from knowarm.experiment.agents import AGENTS, first_of_role
+from knowarm.experiment.agents import AGENTS, Agent, first_of_role
 from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.config import ExperimentConfig
-from knowarm.world.config import EnvConfig
+from knowarm.experiment.graph_queries import GraphQueries
+from knowarm.world.choice_config import ChoiceConfig
+from knowarm.world.config import EnvConfig, choice_env_config
 from knowarm.world.robots import ROBOTS
 
 Colours = Literal["fixed", "randomized"]
@@ -22,9 +25,20 @@ COLOURS: dict[str, Colours] = {"": "fixed", "-dr": "randomized"}
 """Colours of the targets by the suffix of the agent in an experiment's name."""
 
 
-def experiment_name(robot: str, agent: str, algorithm: str, colours: Colours = "fixed") -> str:
-    """Return the name of an experiment."""
+Task = Literal["reach", "choose"]
+
+
+def experiment_name(
+    robot: str,
+    agent: str,
+    algorithm: str,
+    colours: Colours = "fixed",
+    task: Task = "reach",
+) -> str:
+    """Return the name of an experiment; the choice task always randomizes the colours."""
     suffix = next(suffix for suffix, value in COLOURS.items() if value == colours)
+    if task == "choose":
+        return f"{robot}-choose-{agent}-{algorithm}"
     return f"{robot}-{agent}{suffix}-{algorithm}"
 
 
@@ -61,27 +75,50 @@ def experiment_config(name: str, **overrides: Any) -> ExperimentConfig:
     middle, _, algorithm = name.removeprefix(f"{robot}-").rpartition("-")
     if algorithm not in ALGORITHMS:
         raise unknown_name("experiment", name, experiment_names())
-    raise unknown_name("agent of the experiment", middle.removesuffix("-dr"), AGENTS)
+    task: Task = "choose" if middle.startswith("choose-") else "reach"
+    given = middle.removeprefix("choose-").removesuffix("-dr")
+    known = [each for each, agent in AGENTS.items() if task in tasks_of(agent)]
+    raise unknown_name("agent of the experiment", given, known)
 
 
-def _combinations() -> Iterator[tuple[str, str, str, Colours]]:
-    for robot in ROBOTS:
-        for agent in AGENTS:
+def tasks_of(agent: Agent) -> tuple[Task, ...]:
+    """Return the tasks in which an agent is an experiment.
+
+    An agent that is told the query needs a task that asks; one that is told the target or the
+    scene has no meaning there.
+    """
+    if agent.marked or agent.knowledge.scope == "query":
+        return ("choose",)
+    return ("reach", "choose") if agent.role == "baseline" else ("reach",)
+
+
+def _combinations() -> Iterator[tuple[str, str, str, Colours, Task]]:
+    for robot, entry in ROBOTS.items():
+        for name, agent in AGENTS.items():
+            tasks = tasks_of(agent)
             for colours in COLOURS.values():
                 for algorithm in ALGORITHMS:
-                    yield robot, agent, algorithm, colours
+                    if "reach" in tasks:
+                        yield robot, name, algorithm, colours, "reach"
+            for algorithm in ALGORITHMS:
+                if "choose" in tasks and entry.choice_env_id is not None:
+                    yield robot, name, algorithm, "randomized", "choose"
 
 
 def _config(
-    name: str, robot: str, agent_name: str, algorithm_name: str, colours: Colours
+    name: str, robot: str, agent_name: str, algorithm_name: str, colours: Colours, task: Task
 ) -> ExperimentConfig:
     agent, algorithm = AGENTS[agent_name], ALGORITHMS[algorithm_name]
+    env = EnvConfig(robot=robot, colours=colours)
+    if task == "choose":
+        choice = ChoiceConfig(queries=GraphQueries(), marked=agent.marked)
+        env = choice_env_config(robot, choice=choice)
     return ExperimentConfig(
         name=name,
         agent=agent_name,
         role=agent.role,
         total_steps=algorithm.total_steps,
-        env=EnvConfig(robot=robot, colours=colours),
+        env=env,
         knowledge=agent.knowledge,
         policy=dataclasses.replace(agent.policy, **algorithm.policy),
         algorithm=algorithm.config,

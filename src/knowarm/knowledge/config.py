@@ -1,6 +1,6 @@
 """Configuration of the knowledge of an agent: from a graph to the vector that the policy gets."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from knowarm.config import registered
@@ -11,7 +11,7 @@ from knowarm.knowledge.vectors.source import OnMissing, Source
 from knowarm.knowledge.vectors.words import WordVectors
 
 Detail = Literal["none", "partial", "full"]
-Scope = Literal["scene", "target"]
+Scope = Literal["scene", "target", "query"]
 Pooling = Literal["mean", "sif"]
 
 
@@ -28,10 +28,13 @@ class KnowledgeConfig:
     """Where vectors come from: one of the configs in `knowledge.vectors.SOURCES`, which are word
     vectors, graph embeddings, sentence encoders and placebos."""
     graph: str | None = None
-    """Path of the graph; None takes the shipped household graph."""
+    """Path of the graph, or the name of a shipped one ("household", "objects"); None takes the
+    household graph."""
     scope: Scope = "scene"
     """"scene" gives every episode the same vector of all slots (the paper's). "target" gives the
-    slot of the episode's own object and colour: information that no camera saw, so privileged."""
+    slot of the episode's own object and colour: information that no camera saw, so privileged.
+    "query" describes what the episode asks for, in tasks that ask: one slot per condition of the
+    query, from the subgraph around its value (with ``hops`` 0, from its own words)."""
     dim: int = 50
     """Numbers per slot: the dimension of the vectors of `source`."""
     hops: int = 1
@@ -58,7 +61,8 @@ class KnowledgeConfig:
     mean of all colours from a colour that has a share of its own)."""
     colour_share: float | None = None
     """Share of a slot that its own colour takes, 0 to 1; the rest is the object's. None gives the
-    colour's words the weight of all others, which makes slots of one object nearly equal."""
+    colour's words the weight of all others, which makes slots of one object nearly equal. With
+    scope "query": the share of the value that is asked for; the rest is its subgraph's."""
     slot_norm: float | None = None
     """Length that every slot is scaled to; None keeps the pooled length."""
     entity_names: dict[str, str] = field(default_factory=dict)
@@ -92,3 +96,14 @@ FULL_PLUS = KnowledgeConfig(
     slot_norm=1.0,
 )
 """Slots in which every pair of objects and colours can be told apart (see `knowledge.probe`)."""
+
+QUERY = replace(
+    FULL_PLUS,
+    scope="query",
+    graph="objects",
+    direction="both",
+    colour_share=0.5,
+    aliases={"cyan": "blue green", "dumbbell": "weight", "toolbox": "tool box"},
+)
+"""One slot per condition of the query: half its value, half what the graph links to the value,
+from the objects that have it to other values."""

@@ -3,9 +3,9 @@
 Pipeline: graph -> Gamma -> sentence -> vectors -> one slot per facet -> slots concatenated.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from knowarm.knowledge.config import KnowledgeConfig, Scope
 from knowarm.knowledge.facets import Facet, slots_of
 from knowarm.knowledge.graph import KnowledgeGraph
 from knowarm.knowledge.pooling import centre_of, slot_vector
+from knowarm.knowledge.queries import Condition
 from knowarm.knowledge.scene import Facets, load_graph, slot_subgraphs
 from knowarm.knowledge.sentence import Part, graph_parts, sentence_parts
 from knowarm.knowledge.terms import label_of
@@ -27,8 +28,8 @@ class SceneEmbedding:
 
     config: KnowledgeConfig
     """The config it was made by."""
-    slots: tuple[Facet, ...]
-    """Object and colour of each slot; empty for detail "none"."""
+    slots: tuple[Facet | Condition, ...]
+    """Object and colour of each slot, or the condition of a query; empty for detail "none"."""
     matrix: np.ndarray = field(repr=False)
     """The slots' vectors, (S, slot_dim) float32."""
     coverage: Coverage = field(repr=False)
@@ -124,65 +125,104 @@ def scene_embedding(
         run_seed: seed of the training run; only placebos that are drawn depend on it.
 
     Raises:
-        UserError: the graph, an object, a colour or a vector cannot be found.
+        UserError: the graph, an object, a colour or a vector cannot be found, or the config
+            describes queries.
 
     Example:
         >>> config = KnowledgeConfig(detail="full")
         >>> scene_embedding(config, [("mug", "red"), ("mug", "blue")]).matrix.shape
         (2, 50)
     """
-    slots, source = slots_of(config, facets), config.source
-    if config.colour_share is not None and not 0 <= config.colour_share <= 1:
-        raise UserError(f"colour_share is {config.colour_share}; it must lie between 0 and 1.")
-    coverage = Coverage()
-    sentences = ("",) * len(slots)
-    if not slots:
-        matrix = np.zeros((0, config.dim), np.float32)
-    elif isinstance(source, CodeSource):
-        matrix = source.code(len(slots), config.dim)
-    elif isinstance(source, VectorSource):
-        matrix, real_sentences = _pooled_slots(config, source, slots, coverage, run_seed)
-        changed = source.change_slots(matrix, source.draw_seed(config.seed, run_seed))
-        if changed is None:
-            sentences = real_sentences
-            if isinstance(source, Placebo):
-                matrix = _with_real_lengths(matrix, config, source, slots)
-        else:
-            matrix = changed
-    else:
-        raise UserError(f"source must be a VectorSource or a CodeSource, got {source!r}.")
+    if config.scope == "query":
+        raise UserError(
+            "scope 'query' describes what an episode asks for, and this task asks for nothing: "
+            "every episode shows one object. Use it in a task that asks queries, or set scope to "
+            "'scene' or 'target'."
+        )
+    slots = slots_of(config, facets)
+
+    def describe(config: KnowledgeConfig, run_seed: int) -> Described:
+        graph = load_graph(config, run_seed)
+        subgraphs, colours = slot_subgraphs(graph, slots, config, run_seed)
+        sentences = [sentence_parts(each, config.sentence) for each in subgraphs]
+        return Described(graph, sentences, colours, _colours(graph, config))
+
+    matrix, sentences, coverage = slot_matrix(config, len(slots), describe, run_seed)
     return SceneEmbedding(
         config=config,
         slots=slots,
         matrix=matrix,
         coverage=coverage,
         sentences=sentences,
-        note=source.note if slots else "",
+        note=config.source.note if slots else "",
     )
 
 
-def _with_real_lengths(
-    matrix: np.ndarray, config: KnowledgeConfig, source: Placebo, slots: Sequence[Facet]
-) -> np.ndarray:
+class Described(NamedTuple):
+    """What slots are computed from."""
+
+    graph: KnowledgeGraph
+    """The graph, changed where the source is a placebo that does so."""
+    sentences: list[list[Part]]
+    """The sentence of each slot."""
+    colours: Sequence[str | None]
+    """The graph's name of each slot's colour, or None."""
+    hues: list[Part]
+    """Labels of all colours of the graph."""
+
+
+def slot_matrix(
+    config: KnowledgeConfig,
+    count: int,
+    describe: Callable[[KnowledgeConfig, int], Described],
+    run_seed: int,
+) -> tuple[np.ndarray, tuple[str, ...], Coverage]:
+    """Compute slots from their descriptions by the config's source.
+
+    Args:
+        config: the source and how vectors are pooled.
+        count: number of slots, S.
+        describe: returns the descriptions for a config and a training seed.
+        run_seed: seed of the training run, for placebos that are drawn.
+
+    Returns:
+        The slots (S, D) float32, their sentences (empty for placebos without one), and how labels
+        were found.
+    """
+    source, coverage, nothing = config.source, Coverage(), ("",) * count
+    if config.colour_share is not None and not 0 <= config.colour_share <= 1:
+        raise UserError(f"colour_share is {config.colour_share}; it must lie between 0 and 1.")
+    if not count:
+        return np.zeros((0, config.dim), np.float32), nothing, coverage
+    if isinstance(source, CodeSource):
+        return source.code(count, config.dim), nothing, coverage
+    if not isinstance(source, VectorSource):
+        raise UserError(f"source must be a VectorSource or a CodeSource, got {source!r}.")
+    described = describe(config, run_seed)
+    matrix = _pooled_slots(config, source, described, coverage)
+    changed = source.change_slots(matrix, source.draw_seed(config.seed, run_seed))
+    if changed is not None:
+        return changed, nothing, coverage
+    if isinstance(source, Placebo):
+        real_config = replace(config, source=source.matches)
+        real = _pooled_slots(real_config, source.matches, describe(real_config, 0), Coverage())
+        matrix = _with_lengths(matrix, real)
+    words = tuple(" ".join(part.label for part in parts) for parts in described.sentences)
+    return matrix, words, coverage
+
+
+def _with_lengths(matrix: np.ndarray, real: np.ndarray) -> np.ndarray:
     """Scale each slot of a placebo (S, D) to the length of the real one, so norms are equal."""
-    config = replace(config, source=source.matches)
-    real, _ = _pooled_slots(config, source.matches, slots, Coverage(), run_seed=0)
     wanted, found = (np.linalg.norm(each, axis=1, keepdims=True) for each in (real, matrix))
     factor = np.divide(wanted, found, out=np.zeros_like(wanted), where=found > 0)
     return (matrix * factor).astype(np.float32)
 
 
 def _pooled_slots(
-    config: KnowledgeConfig,
-    source: VectorSource,
-    slots: Sequence[Facet],
-    coverage: Coverage,
-    run_seed: int,
-) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Return the slots' vectors, (S, D) float32, and sentences; record how labels were found."""
-    graph = load_graph(config, run_seed)
-    subgraphs, colours = slot_subgraphs(graph, slots, config, run_seed)
-    sentences = [sentence_parts(sub, config.sentence) for sub in subgraphs]
+    config: KnowledgeConfig, source: VectorSource, described: Described, coverage: Coverage
+) -> np.ndarray:
+    """Return the slots' vectors, (S, D) float32; record how labels were found."""
+    graph, sentences, colours, hues = described
     everything = graph_parts(graph, relation_words=config.relation_words) if config.centring else []
     lookup = source.open(
         Request(
@@ -200,13 +240,12 @@ def _pooled_slots(
             f"{config.dim}. Take vectors of {config.dim} numbers or set dim to {lookup.dim}."
         )
     centre = centre_of(lookup, everything) if config.centring else 0.0
-    hue_centre = centre_of(lookup, _colours(graph, config)) if config.centring else 0.0
+    hue_centre = centre_of(lookup, hues) if config.centring else 0.0
     rows = [
         slot_vector(parts, colour, lookup, config, centre, hue_centre, coverage)
         for parts, colour in zip(sentences, colours, strict=True)
     ]
-    words = tuple(" ".join(part.label for part in parts) for parts in sentences)
-    return np.array(rows, np.float32), words
+    return np.array(rows, np.float32)
 
 
 def _colours(graph: KnowledgeGraph, config: KnowledgeConfig) -> list[Part]:

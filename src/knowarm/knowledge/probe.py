@@ -5,10 +5,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.stats import spearmanr
 
 from knowarm.knowledge.config import KnowledgeConfig
 from knowarm.knowledge.embedding import scene_embedding
+from knowarm.knowledge.facets import Facet
 from knowarm.knowledge.graph import KnowledgeGraph
+from knowarm.knowledge.queries import QueryGraph
+from knowarm.knowledge.query_embedding import query_embedding
 from knowarm.knowledge.scene import load_graph
 from knowarm.knowledge.terms import label_of, local_name
 
@@ -83,7 +87,7 @@ def probe(config: KnowledgeConfig, facets: Sequence[tuple[str, str]]) -> Probe:
     everything = scene_embedding(config, pairs)
     vectors = everything.matrix.astype(np.float64)
     vectors /= np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
-    slots = everything.slots
+    slots = [slot for slot in everything.slots if isinstance(slot, Facet)]
     in_task = np.array([slot in task.slots for slot in slots])
     objects = np.array([slot.object for slot in slots])
     recovered: dict[str, dict[str, float]] = {}
@@ -195,3 +199,33 @@ def _share_found(scores: np.ndarray, true: np.ndarray) -> float:
     k = int(true.sum())
     best = np.argsort(-scores, kind="stable")[:k]
     return float(true[best].sum() / k)
+
+
+def query_agreement(
+    config: KnowledgeConfig, asked: QueryGraph, *, run_seed: int = 0
+) -> float | None:
+    """Measure whether conditions with similar answers have similar slots.
+
+    Args:
+        config: knowledge of scope "query"; its graph is that of ``asked``.
+        asked: the graph with the facets of a task.
+        run_seed: seed of the training run, for placebos that are drawn.
+
+    Returns:
+        Spearman's rank correlation, over all pairs of facts that can be asked, of the cosine of
+        their slots and the share of objects that satisfy both among those that satisfy either.
+        None if all slots are equally similar, as one-hot codes are.
+    """
+    facts = [query for query in asked.queries("none") if not query.conditions[0].is_colour]
+    texts = [query.name for query in facts]
+    cosine = _cosine(query_embedding(config, texts, run_seed=run_seed, graph=asked.graph).matrix)
+    owner = np.array([asked.objects.index(name) for name, _ in asked.facets])
+    holds = np.array(
+        [np.bincount(owner[row], minlength=len(asked.objects)) > 0 for row in asked.answers(facts)]
+    )
+    both = (holds[:, None] & holds).sum(2)
+    either = (holds[:, None] | holds).sum(2)
+    pairs = np.triu_indices(len(facts), 1)
+    if not len(pairs[0]) or np.ptp(cosine[pairs]) < 1e-6:
+        return None
+    return float(spearmanr(cosine[pairs], (both / either)[pairs]).statistic)

@@ -8,7 +8,7 @@ import numpy as np
 from knowarm.errors import UserError
 from knowarm.knowledge.config import KnowledgeConfig
 from knowarm.knowledge.facets import Facet, facet_subgraph, slots_of
-from knowarm.knowledge.formats import household, read_graph
+from knowarm.knowledge.formats import open_graph
 from knowarm.knowledge.graph import KnowledgeGraph
 from knowarm.knowledge.sentence import sentence
 from knowarm.knowledge.vectors.placebos import ShuffledGraph, WrongObject
@@ -18,14 +18,17 @@ Facets = Sequence[tuple[str, str]]
 """The task's (object, colour) pairs, in the environment's order."""
 
 
-def load_graph(config: KnowledgeConfig, run_seed: int = 0) -> KnowledgeGraph:
+def load_graph(
+    config: KnowledgeConfig, run_seed: int = 0, graph: KnowledgeGraph | None = None
+) -> KnowledgeGraph:
     """Read the config's graph, and change it where the source is a placebo that does so.
 
     Args:
         config: graph and source.
         run_seed: seed of the training run, for placebos that are drawn.
+        graph: take this graph in place of the config's, such as an edited one.
     """
-    graph = household() if config.graph is None else read_graph(config.graph)
+    graph = open_graph(config.graph) if graph is None else graph
     source = config.source
     if not isinstance(source, VectorSource):
         return graph

@@ -227,7 +227,15 @@ class ImmediateFinalValues:
 
 
 class NoFinalValues:
-    """Values no final observations: another critic values the states."""
+    """Values no final observations: another critic values the states.
+
+    Args:
+        env: if it has the attribute ``report_final_observations``, it need not draw them.
+    """
+
+    def __init__(self, env: TorchVectorEnv) -> None:
+        if hasattr(env, "report_final_observations"):
+            env.report_final_observations = False
 
     def add(self, rollout: Rollout, t: int, cut: Tensor, state: State, infos: Infos) -> None:
         """Do nothing; see `ImmediateFinalValues.add`."""

@@ -1,5 +1,6 @@
 """Configurations of the learning algorithms."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
@@ -37,12 +38,21 @@ class AlgorithmConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CurriculumConfig(AlgorithmConfig):
-    """Success thresholds that start larger and decrease to the task's as training succeeds.
+class ScheduleConfig(AlgorithmConfig):
+    """What changes during a training: learning rate and success thresholds.
 
     Raises:
         UserError: a value out of range.
     """
+
+    learning_rate: float
+    """Learning rate at the start of training."""
+
+    learning_rate_schedule: Literal["constant", "linear", "cosine"] = "linear"
+    """How the learning rate decreases over the whole training."""
+
+    learning_rate_final: float = 0.1
+    """Learning rate at the end of training, as a fraction of the initial one."""
 
     threshold_factor: float = 1.0
     """Factor of both success thresholds at the start of training; 1: the task's own."""
@@ -55,15 +65,30 @@ class CurriculumConfig(AlgorithmConfig):
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        _fraction(self, "threshold_success")
+        _positive(self, "learning_rate")
+        _fraction(self, "threshold_success", "learning_rate_final")
         if not self.threshold_decrease >= 0:
             raise UserError(f"threshold_decrease must be 0 or more, got {self.threshold_decrease}.")
         if not self.threshold_factor >= 1:
             raise UserError(f"threshold_factor must be at least 1, got {self.threshold_factor}.")
 
+    def learning_rate_at(self, progress: float) -> float:
+        """Return the learning rate after a fraction ``progress`` of the training, cut to 0..1.
+
+        It decreases from ``learning_rate`` to ``learning_rate_final`` times that along a line or
+        half a cosine, or stays constant.
+        """
+        start, final = self.learning_rate, self.learning_rate_final
+        progress = min(max(progress, 0.0), 1.0)
+        if self.learning_rate_schedule == "constant":
+            return start
+        linear = self.learning_rate_schedule == "linear"
+        remaining = 1 - progress if linear else 0.5 * (1 + math.cos(math.pi * progress))
+        return start * (final + (1 - final) * remaining)
+
 
 @dataclass(frozen=True, kw_only=True)
-class PPOConfig(CurriculumConfig):
+class PPOConfig(ScheduleConfig):
     """Recurrent PPO; the defaults learned fastest in our tests (docs/lab-notes.md).
 
     Raises:
@@ -90,13 +115,6 @@ class PPOConfig(CurriculumConfig):
     else, at the same learning rate."""
 
     learning_rate: float = 1e-3
-    """Learning rate at the start of training."""
-
-    learning_rate_schedule: Literal["constant", "linear", "cosine"] = "linear"
-    """How the learning rate decreases over the whole training."""
-
-    learning_rate_final: float = 0.1
-    """Learning rate at the end of training, as a fraction of the initial one."""
 
     adam_eps: float = 1e-5
     """Epsilon of Adam."""
@@ -156,7 +174,7 @@ class PPOConfig(CurriculumConfig):
     sums differently."""
 
     cuda_graphs: bool = True
-    """Capture the gradient step as a CUDA graph (device "cuda")."""
+    """Capture the gradient and the policy's step as CUDA graphs (device "cuda")."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -169,8 +187,8 @@ class PPOConfig(CurriculumConfig):
             "minibatches",
             *_given(self, "processes"),
         )
-        _positive(self, "learning_rate", "adam_eps", "clip_range", "reward_scale", "max_grad_norm")
-        _fraction(self, "gamma", "gae_lambda", "learning_rate_final")
+        _positive(self, "adam_eps", "clip_range", "reward_scale", "max_grad_norm")
+        _fraction(self, "gamma", "gae_lambda")
         for name in ("auxiliary_coef", "progress_coef"):
             if not getattr(self, name) >= 0:
                 raise UserError(f"{name} must be 0 or more, got {getattr(self, name)}.")
@@ -187,7 +205,7 @@ class PPOConfig(CurriculumConfig):
 
 
 @dataclass(frozen=True, kw_only=True)
-class A3CConfig(CurriculumConfig):
+class A3CConfig(ScheduleConfig):
     """Asynchronous advantage actor-critic (A3C); defaults as in the paper (section 4.2).
 
     What the paper does not give (rollouts, time limit, max_grad_norm, rmsprop_eps) follows the
@@ -225,7 +243,8 @@ class A3CConfig(CurriculumConfig):
     The lineage lets it end with zero, as after a success."""
 
     learning_rate: float = 1e-4
-    """Learning rate of RMSprop."""
+
+    learning_rate_schedule: Literal["constant", "linear", "cosine"] = "constant"
 
     rmsprop_alpha: float = 0.99
     """Decay of RMSprop's running mean of squared gradients."""
@@ -262,7 +281,7 @@ class A3CConfig(CurriculumConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         _at_least(self, 1, "workers", "envs_per_worker", "rollout_steps", "log_every_steps")
-        _positive(self, "learning_rate", "rmsprop_eps", "reward_scale", "max_grad_norm")
+        _positive(self, "rmsprop_eps", "reward_scale", "max_grad_norm")
         _fraction(self, "gamma", "gae_lambda", "rmsprop_alpha")
         if self.rollout_ends_with_episode and self.envs_per_worker > 1:
             raise UserError(

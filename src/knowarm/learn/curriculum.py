@@ -3,7 +3,7 @@
 from typing import Any
 
 from knowarm.errors import UserError
-from knowarm.learn.config import CurriculumConfig
+from knowarm.learn.config import ScheduleConfig
 
 
 class ThresholdCurriculum:
@@ -17,7 +17,7 @@ class ThresholdCurriculum:
         UserError: the factor is not 1, and the environment has no such attribute.
     """
 
-    def __init__(self, config: CurriculumConfig, env: Any) -> None:
+    def __init__(self, config: ScheduleConfig, env: Any) -> None:
         self._config = config
         self._env = env
         if config.threshold_factor > 1:

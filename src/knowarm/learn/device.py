@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
@@ -53,42 +53,64 @@ def tf32_products(precision: MatmulPrecision, device: torch.device) -> Iterator[
         matmul.allow_tf32, cudnn.allow_tf32 = before
 
 
+def capture_cuda_graph(run: Callable[[], None]) -> Callable[[], None]:
+    """Record the launches of ``run`` as a CUDA graph; return what replays them."""
+    side, current = torch.cuda.Stream(), torch.cuda.current_stream()
+    side.wait_stream(current)
+    with torch.cuda.stream(side):
+        for _ in range(WARM_UP_CALLS):
+            run()
+    current.wait_stream(side)
+    graph = torch.cuda.CUDAGraph()
+    with torch.cuda.graph(graph):
+        run()
+    replay: Callable[[], None] = graph.replay
+    return replay
+
+
 class CudaGraph:
-    """A function of one tensor, captured as a CUDA graph at its first call with a shape.
+    """A function of tensors, captured as a CUDA graph at its first call with their shapes.
 
     Launching hundreds of small kernels one by one takes the host longer than the GPU needs to run
-    them. The function must not synchronize with the device, and may depend only on its argument
+    them. The function must not synchronize with the device, and may depend only on its arguments
     and on memory that keeps its address.
 
     Args:
-        function: takes one tensor and returns one; both keep their shapes.
+        function: takes tensors and returns one or several; all keep their shapes.
+        capture: records the launches of a function and returns what repeats them.
     """
 
-    def __init__(self, function: Callable[[Tensor], Tensor]) -> None:
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        capture: Callable[[Callable[[], None]], Callable[[], None]] = capture_cuda_graph,
+    ) -> None:
         self._function = function
-        self._graphs: dict[torch.Size, tuple[torch.cuda.CUDAGraph, Tensor, Tensor]] = {}
+        self._capture = capture
+        self._graphs: dict[
+            tuple[torch.Size, ...], tuple[Callable[[], None], list[Tensor], Any]
+        ] = {}
 
-    def __call__(self, argument: Tensor) -> Tensor:
-        """Replay the graph; the next call with the same shape overwrites the result."""
-        if argument.shape not in self._graphs:
-            self._graphs[argument.shape] = self._capture(argument)
-        graph, static_input, result = self._graphs[argument.shape]
-        static_input.copy_(argument)
-        graph.replay()
-        return result
+    def __call__(self, *arguments: Tensor) -> Any:
+        """Replay the graph; the next call with the same shapes overwrites the results."""
+        shapes = tuple(argument.shape for argument in arguments)
+        if shapes not in self._graphs:
+            self._graphs[shapes] = self._record([argument.clone() for argument in arguments])
+        replay, inputs, results = self._graphs[shapes]
+        for static, argument in zip(inputs, arguments, strict=True):
+            static.copy_(argument)
+        replay()
+        return results
 
-    def _capture(self, argument: Tensor) -> tuple[torch.cuda.CUDAGraph, Tensor, Tensor]:
-        static_input = argument.clone()
-        side, current = torch.cuda.Stream(), torch.cuda.current_stream()
-        side.wait_stream(current)
-        with torch.cuda.stream(side):
-            for _ in range(WARM_UP_CALLS):
-                self._function(static_input)
-        current.wait_stream(side)
-        graph = torch.cuda.CUDAGraph()
-        with torch.cuda.graph(graph):
-            result = self._function(static_input)
-        return graph, static_input, result
+    def _record(self, inputs: list[Tensor]) -> tuple[Callable[[], None], list[Tensor], Any]:
+        results: Any = None
+
+        def run() -> None:
+            nonlocal results
+            results = self._function(*inputs)
+
+        replay = self._capture(run)
+        return replay, inputs, results
 
 
 class Stopwatch:

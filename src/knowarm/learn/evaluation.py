@@ -11,6 +11,7 @@ from multiprocessing.context import BaseContext
 import numpy as np
 import torch
 
+from knowarm.cores import limited_to
 from knowarm.learn.flat_parameters import FlatParameters
 from knowarm.learn.processes import (
     STOP_S,
@@ -96,10 +97,16 @@ class BackgroundEvaluations:
         policy: structure and knowledge of the policy.
         make_evaluate: called in the child process; picklable.
         context: start method of the child process; by default `process_context`.
+        threads: threads of the child process, for the policy too; None for one thread of PyTorch,
+            since training on the CPU needs the cores, and as many others as the environment uses.
     """
 
     def __init__(
-        self, policy: PolicySpec, make_evaluate: MakeEvaluate, context: BaseContext | None = None
+        self,
+        policy: PolicySpec,
+        make_evaluate: MakeEvaluate,
+        context: BaseContext | None = None,
+        threads: int | None = None,
     ) -> None:
         self.restarts = 0
         self._context = context or process_context(["knowarm.learn.evaluation"])
@@ -107,7 +114,7 @@ class BackgroundEvaluations:
         parameters = sum(p.numel() for p in policy.build().parameters())
         specs = {"values": ((parameters,), torch.float32)}
         self._shared = SharedTensors(self._context, specs)
-        self._arguments = policy, make_evaluate, self._shared
+        self._arguments = policy, make_evaluate, self._shared, threads
         self._child = self._start()
         self._pending: deque[tuple[int, np.ndarray]] = deque()
         self._completed: list[CompletedEvaluation] = []
@@ -179,10 +186,17 @@ Evaluations = InlineEvaluations | BackgroundEvaluations
 
 
 def run_evaluator(
-    policy: PolicySpec, make_evaluate: MakeEvaluate, shared: SharedTensors, connection: Connection
+    policy: PolicySpec,
+    make_evaluate: MakeEvaluate,
+    shared: SharedTensors,
+    threads: int | None,
+    connection: Connection,
 ) -> None:
     """Entry point of the evaluator process: evaluate until the parent process exits."""
     prepare_child_process()
+    if threads is not None:
+        os.environ.update(limited_to(threads))
+        torch.set_num_threads(threads)
     try:
         judge = policy.build()
         parameters = FlatParameters(judge)

@@ -51,8 +51,10 @@ class Learner:
         self._device = device
         self._allocate()
         self._compute: Callable[[Tensor], Tensor] = self._loss_vector
+        self._step: CudaGraph | None = None
         if device.type == "cuda" and config.cuda_graphs:
             self._compute = CudaGraph(self._loss_vector)
+            self._step = CudaGraph(self._infer)
 
     def _allocate(self) -> None:
         steps, count = self._config.rollout_steps, self._config.num_envs
@@ -74,11 +76,26 @@ class Learner:
 
     def infer(self, rollout: Rollout, t: int, image: Tensor, state: State) -> tuple[Tensor, State]:
         """Run the policy for step t, as `infer_step`; the next call may overwrite the state."""
-        return infer_step(self.policy, rollout, t, image, state)
+        if self._step is None:
+            return infer_step(self.policy, rollout, t, image, state)
+        facet, start = rollout.facet[t], rollout.episode_start[t]
+        patches, logits, values, h, c = self._step(image, facet, start, *state)
+        rollout.patches[t] = patches
+        rollout.value[t] = values
+        return logits.clone(), (h, c)
 
     def compute_gradient(self, env_ids: Tensor) -> PPOLossTerms:
         """Compute loss terms and gradient over the environments ``env_ids`` (b,) int64."""
         return PPOLossTerms.from_vector(self._compute(env_ids))
+
+    @torch.no_grad()
+    def _infer(
+        self, image: Tensor, facet: Tensor, start: Tensor, h: Tensor, c: Tensor
+    ) -> tuple[Tensor, ...]:
+        """Run the policy for a step: patches, logits, values and the next state."""
+        patches = self.policy.patches(image)
+        logits, values, state = self.policy.step(patches, facet, (h, c), start)
+        return patches, logits, values, *state
 
     def _loss_vector(self, env_ids: Tensor) -> Tensor:
         self.gradient.zero_()

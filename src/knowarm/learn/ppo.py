@@ -1,6 +1,5 @@
 """PPO trainer: recurrent proximal policy optimization."""
 
-import math
 import time
 from typing import Any, cast
 
@@ -84,7 +83,7 @@ class PPOTrainer(Trainer):
         network = TrainingNetwork(policy.to(self._device), targets, seed)
         self._head = network.head
         self._learner = make_learner(network, config, self.matmul_precision, self._device)
-        others = NoFinalValues() if config.critic == "state" else None
+        others = NoFinalValues(env) if config.critic == "state" else None
         self._collector = Collector(
             env, policy, seed=seed, final_values=others, curriculum=self._curriculum
         )
@@ -173,7 +172,7 @@ class PPOTrainer(Trainer):
     def _update(self, total_steps: int) -> Metrics:
         """Collect one rollout, learn from it, and return the metrics of both."""
         config, rollout = self.config, self._learner.rollout
-        rate = learning_rate(config, self.step / total_steps)
+        rate = config.learning_rate_at(self.step / total_steps)
         self._optimizer.set_learning_rate(rate)
         environment_s, start = self._collector.environment_s, time.perf_counter()
         record = self._privileged.rollout if self._privileged else None
@@ -287,20 +286,6 @@ class PPOTrainer(Trainer):
             gradient.copy_(torch.where(finite, gradient * factor, 0))
         self._optimizer.step()
         return norm
-
-
-def learning_rate(config: PPOConfig, progress: float) -> float:
-    """Return the learning rate after a fraction ``progress`` (0..1) of the training.
-
-    It decreases from ``learning_rate`` to ``learning_rate_final`` times that along a line or half
-    a cosine, or stays constant.
-    """
-    start, schedule = config.learning_rate, config.learning_rate_schedule
-    progress = min(max(progress, 0.0), 1.0)
-    if schedule == "constant":
-        return start
-    remaining = 1 - progress if schedule == "linear" else 0.5 * (1 + math.cos(math.pi * progress))
-    return start * (config.learning_rate_final + (1 - config.learning_rate_final) * remaining)
 
 
 def explained_variance(values: Tensor, returns: Tensor) -> float:

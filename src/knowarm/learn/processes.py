@@ -34,6 +34,13 @@ STOP_S = 3.0
 CHECK_S = 1.0
 """Time between two looks at whether a child process was stopped from outside."""
 
+START_ATTEMPTS = 8
+"""How often the start of a child process is tried when its fork server is killed meanwhile."""
+
+START_PAUSE_S = 0.05
+"""Pause before the second attempt, doubled for each further one: a server that is being killed
+refuses connections for a while before it counts as dead [s]."""
+
 _FOLDER = "knowarm-"
 """Beginning of the names of `_temporary_folder`; the process id follows."""
 
@@ -153,14 +160,27 @@ class ChildProcess:
     def start(
         cls, context: BaseContext, name: str, run: Callable[..., None], *arguments: Any
     ) -> "ChildProcess":
-        """Start ``run(*arguments, connection)`` in a new process."""
-        here, there = context.Pipe()
-        process = context.Process(  # type: ignore[attr-defined]
-            target=run, args=(*arguments, there), name=name, daemon=True
-        )
-        process.start()
-        # The child now has the only other end, so reading fails once it has exited.
-        there.close()
+        """Start ``run(*arguments, connection)`` in a new process.
+
+        A fork server that is killed while it starts the process is replaced by a new one.
+        """
+        for attempt in range(START_ATTEMPTS):
+            here, there = context.Pipe()
+            process = context.Process(  # type: ignore[attr-defined]
+                target=run, args=(*arguments, there), name=name, daemon=True
+            )
+            try:
+                process.start()
+                break
+            except (EOFError, ConnectionError):
+                here.close()  # a process that was started all the same exits
+                if attempt == START_ATTEMPTS - 1:
+                    raise
+                log.warning("The fork server ended while starting the %s; trying again.", name)
+                time.sleep(START_PAUSE_S * 2**attempt)
+            finally:
+                # The child has the only other end, so reading fails once it has exited.
+                there.close()
         child = cls(name, process, here)
         _watch.add(child)
         return child

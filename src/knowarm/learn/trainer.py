@@ -86,6 +86,7 @@ class Trainer(ABC):
             training continues; picklable. Results may arrive after later steps. Checkpoints do
             not wait for them: they hold the parameters of pending evaluations, which are played
             after resuming.
+        evaluator_threads: threads of that process; None for one thread of PyTorch.
         evaluate_every: steps between two interim evaluations; the first precedes training.
         hooks: functions to call.
         checkpoints: where checkpoints are saved; None saves none.
@@ -106,6 +107,7 @@ class Trainer(ABC):
         seed: int,
         evaluate: Evaluate | None = None,
         make_evaluate: MakeEvaluate | None = None,
+        evaluator_threads: int | None = None,
         evaluate_every: int = 50_000,
         hooks: Hooks | None = None,
         checkpoints: CheckpointStore | None = None,
@@ -124,6 +126,7 @@ class Trainer(ABC):
         self.failure_folder = failure_folder
         self._evaluate = evaluate
         self._make_evaluate = make_evaluate
+        self._evaluator_threads = evaluator_threads
         self._evaluations: Evaluations | None = None
         self._context: BaseContext | None = None
         self._stopping = False
@@ -148,7 +151,7 @@ class Trainer(ABC):
             self._evaluations = InlineEvaluations(self.policy.spec(), self._evaluate)
         elif self._make_evaluate is not None:
             self._evaluations = BackgroundEvaluations(
-                self.policy.spec(), self._make_evaluate, self._context
+                self.policy.spec(), self._make_evaluate, self._context, self._evaluator_threads
             )
         self._stopping = False
         try:

@@ -19,7 +19,7 @@ class PolicyConfig:
 
     fusion: str = "before_lstm"
     """Where the knowledge vector enters the network: none, before_fc, before_lstm (the paper),
-    after_lstm, film, attention or critic (`knowarm.policy.fusion.FUSIONS`)."""
+    after_lstm, film, attention, similarity or critic (`knowarm.policy.fusion.FUSIONS`)."""
 
     hidden: Literal["grow", "fixed"] | int = "grow"
     """Hidden size of the LSTM: "grow" is ``features`` plus the width of the knowledge vector (the

@@ -144,6 +144,41 @@ class Attention(Fusion):
         return torch.cat((x, mixture), 1)
 
 
+class Similarity(Fusion):
+    """Attention over the feature map: the knowledge scores the positions of the image.
+
+    ``e_p = sum_s (W_q slot_s) . (W_k x_p) / sqrt(C)``, ``a = softmax(e)`` over the P positions, and
+    ``x_p -> (1 + P a_p) / 2 x_p``: positions whose features match all slots are amplified before
+    the fully connected layer, and the others keep half of theirs, so that the arm remains visible.
+    A slot of zeros, such as a condition that a query does not have, changes nothing.
+    """
+
+    def __init__(self, features: int, knowledge: int, slots: int) -> None:
+        super().__init__(features, knowledge, slots)
+        self.slots, channels = slots, ImageEncoder.channels
+        self.query = nn.Linear(knowledge // slots, channels, bias=False)
+        self.key = nn.Linear(channels, channels, bias=False)
+
+    def reset_parameters(self, generator: torch.Generator) -> None:
+        """Initialize both linear maps orthogonally."""
+        for layer in (self.query, self.key):
+            orthogonal(layer, 1.0, generator)
+
+    def forward(self, layer: Layer, x: Tensor, knowledge: Tensor) -> Tensor:
+        """Weight the convolution features: (N, positions * channels), (N, K) -> the same."""
+        if layer != "fc":
+            return x
+        maps = x.view(x.shape[0], -1, ImageEncoder.channels)
+        weights = torch.softmax(self.scores(maps, knowledge), 1) * maps.shape[1]
+        return (maps * (0.5 + 0.5 * weights[:, :, None])).flatten(1)
+
+    def scores(self, maps: Tensor, knowledge: Tensor) -> Tensor:
+        """Compute the similarity of positions (N, P, C) to the knowledge (N, K): (N, P)."""
+        slots = knowledge.view(knowledge.shape[0], self.slots, -1)
+        wanted = self.query(slots).sum(1)
+        return (self.key(maps) * wanted[:, None]).sum(2) / math.sqrt(ImageEncoder.channels)
+
+
 FUSIONS: dict[str, type[Fusion]] = {
     "none": Fusion,
     "before_fc": BeforeFC,
@@ -151,6 +186,7 @@ FUSIONS: dict[str, type[Fusion]] = {
     "after_lstm": AfterLSTM,
     "film": FiLM,
     "attention": Attention,
+    "similarity": Similarity,
     "critic": CriticOnly,
 }
 """Fusions by name, as `PolicyConfig.fusion` gives it."""

@@ -228,7 +228,7 @@ class Group(Evaluated):
 
     @property
     def scope(self) -> str:
-        """Scope of the knowledge vector: "scene" (one per task) or "target" (one per facet)."""
+        """Scope of the knowledge vector: "scene" (one per task), "target" or "query"."""
         return str(self.runs[0].knowledge.get("scope", "scene"))
 
     @property

@@ -6,7 +6,7 @@
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from knowarm.statistics.interval import CONFIDENCE, Interval
 
@@ -16,7 +16,7 @@ BLOCK = 2_000_000
 
 def iqm(scores: np.ndarray, axis: int = -1) -> np.ndarray:
     """Compute the interquartile mean of scores: the mean of the middle half."""
-    return np.asarray(stats.trim_mean(scores, 0.25, axis=axis))
+    return np.asarray(scipy.stats.trim_mean(scores, 0.25, axis=axis))
 
 
 def bootstrap(
@@ -103,7 +103,7 @@ def _percentiles(
     seed: int,
 ) -> tuple[float, float]:
     """Resample every sample by itself; return the ends of the percentile interval."""
-    low, high = stats.bootstrap(
+    low, high = scipy.stats.bootstrap(
         samples,
         statistic,
         vectorized=True,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from knowarm.statistics.interval import CONFIDENCE, Interval
 
@@ -48,7 +48,7 @@ def welch(first: np.ndarray, second: np.ndarray) -> Comparison:
     if min(first.size, second.size) < 2:
         raise ValueError("a difference between methods needs at least two runs of each")
     spread = math.sqrt((first.var(ddof=1) + second.var(ddof=1)) / 2)
-    return _t_test(stats.ttest_ind, first, second, spread, equal_var=False)
+    return _t_test(scipy.stats.ttest_ind, first, second, spread, equal_var=False)
 
 
 def paired(first: np.ndarray, second: np.ndarray) -> Comparison:
@@ -67,7 +67,7 @@ def paired(first: np.ndarray, second: np.ndarray) -> Comparison:
     if first.shape != second.shape or first.size < 2:
         raise ValueError("paired values need two equal shapes of at least two pairs")
     spread = float((first - second).std(ddof=1))
-    return _t_test(stats.ttest_rel, first, second, spread)
+    return _t_test(scipy.stats.ttest_rel, first, second, spread)
 
 
 def one_way_anova(groups: Sequence[np.ndarray]) -> tuple[float, float]:
@@ -85,7 +85,7 @@ def one_way_anova(groups: Sequence[np.ndarray]) -> tuple[float, float]:
     if all(np.ptp(group) == 0 for group in groups):  # 0 / 0: no variance within to divide by
         equal = len({float(np.mean(group)) for group in groups}) == 1
         return (0.0, 1.0) if equal else (math.inf, 0.0)
-    result = stats.f_oneway(*groups)
+    result = scipy.stats.f_oneway(*groups)
     return float(result.statistic), float(result.pvalue)
 
 
@@ -113,10 +113,10 @@ def power_of_two_samples(effect_size: float, count: int) -> float:
         count: runs of each agent, at least 2.
     """
     freedom, noncentrality = 2 * count - 2, abs(effect_size) * math.sqrt(count / 2)
-    critical = stats.t.ppf(0.975, freedom)
+    critical = scipy.stats.t.ppf(0.975, freedom)
     # Where SciPy's tail underflows to NaN the power is 1 to machine precision.
-    upper = float(stats.nct.sf(critical, freedom, noncentrality))
-    lower = float(stats.nct.cdf(-critical, freedom, noncentrality))
+    upper = float(scipy.stats.nct.sf(critical, freedom, noncentrality))
+    lower = float(scipy.stats.nct.cdf(-critical, freedom, noncentrality))
     return (1.0 if math.isnan(upper) else upper) + (0.0 if math.isnan(lower) else lower)
 
 

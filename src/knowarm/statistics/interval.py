@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from scipy import stats
+import scipy
 
 CONFIDENCE = 0.95
 """Coverage of every interval of this package, unless an argument says otherwise."""
@@ -37,7 +37,7 @@ def wilson(successes: int, trials: int, confidence: float = CONFIDENCE) -> Inter
     Raises:
         ValueError: there are no trials, or more successes than trials.
     """
-    ends = stats.binomtest(successes, trials).proportion_ci(confidence, method="wilson")
+    ends = scipy.stats.binomtest(successes, trials).proportion_ci(confidence, method="wilson")
     return Interval(successes / trials, float(ends.low), float(ends.high))
 
 

@@ -4,7 +4,7 @@ import warnings
 from typing import Any
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from knowarm.statistics.interval import CONFIDENCE, Interval
 
@@ -64,10 +64,12 @@ def restricted_mean_steps(steps: np.ndarray, reached: np.ndarray, until: float) 
     left = at_risk - crossings
     terms = np.divide(crossings, at_risk * left, out=np.zeros(len(left)), where=left > 0)
     error = float(np.sqrt((right**2 * terms).sum()))
-    half = float(stats.norm.ppf(0.5 + CONFIDENCE / 2)) * error
+    half = float(scipy.stats.norm.ppf(0.5 + CONFIDENCE / 2)) * error
     return Interval(estimate, max(0.0, estimate - half), min(until, estimate + half))
 
 
 def _below_threshold(steps: np.ndarray, reached: np.ndarray) -> Any:
     """Estimate S(t) at every observed step."""
-    return stats.ecdf(stats.CensoredData.right_censored(steps, ~np.asarray(reached, bool))).sf
+    return scipy.stats.ecdf(
+        scipy.stats.CensoredData.right_censored(steps, ~np.asarray(reached, bool))
+    ).sf

@@ -23,8 +23,12 @@ def resting_colours(scene: Scene, num_envs: int) -> NDArray[np.float32]:
     return np.repeat(rgba[None].astype(np.float32), num_envs, axis=0)
 
 
+MARKED_RGB, UNMARKED_RGB = (1.0, 0.0, 1.0), (0.72, 0.72, 0.72)
+"""Colours of the wanted object and of the others with ``ChoiceConfig.marked``."""
+
+
 class TargetColours:
-    """Colours that show one target in one of its colours and hide the others.
+    """Colours that show some targets, each in one of its colours, and hide the others.
 
     Args:
         scene: the targets' geoms and colours.
@@ -36,20 +40,26 @@ class TargetColours:
         self._owner = place(scene.geom_target)
         self._coloured = place(scene.geom_coloured)
         self._colours = place(scene.target_colours)
+        self._marks = place(np.array([MARKED_RGB, UNMARKED_RGB], dtype=np.float32))
 
-    def __call__(self, target: Array, colour: Array) -> Array:
+    def __call__(self, target: Array, colour: Array, marked: bool = False) -> Array:
         """Return the colours of every geom, new, (k, G, 4) float32 in 0..1; alpha 0 hides.
 
         Args:
-            target: index of the visible target, (k,) int64, NumPy or torch.
-            colour: index into its colours, (k,) int64.
+            target: indices of the visible targets, (k, M) int64, NumPy or torch, or (k,) for one.
+            colour: indices into their colours, of the same shape.
+            marked: paint the first target in one colour and the others in another.
         """
         xp = array_namespace(target)
-        visible = self._owner == target[:, None]
-        own, others = self._resting[:, :3], self._resting[:, 3:]
-        painted = (visible & self._coloured)[..., None]
-        rgb = xp.where(painted, self._colours[target, colour][:, None, :], own)
-        alpha = xp.astype(visible, xp.float32)[..., None] + others
+        target, colour = (xp.reshape(x, (target.shape[0], -1)) for x in (target, colour))
+        rgb, alpha = self._resting[:, :3], self._resting[:, 3:]
+        for j in range(target.shape[1]):
+            visible = self._owner == target[:, j, None]
+            painted = (visible & (self._coloured | marked))[..., None]
+            shade = self._colours[target[:, j], colour[:, j]]
+            shade = self._marks[min(j, 1)] if marked else shade[:, None, :]
+            rgb = xp.where(painted, shade, rgb)
+            alpha = xp.astype(visible, xp.float32)[..., None] + alpha
         return xp.concat([rgb, alpha], axis=-1)
 
 
@@ -76,11 +86,17 @@ class AppearanceSource:
         scene: the objects in the image.
         randomization: what varies in the image.
         place: moves the constants to the device of the computation.
+        marked: see ``TargetColours``.
     """
 
     def __init__(
-        self, scene: Scene, randomization: VisualRandomization, place: Place = here
+        self,
+        scene: Scene,
+        randomization: VisualRandomization,
+        place: Place = here,
+        marked: bool = False,
     ) -> None:
+        self._marked = marked
         self._draws = randomization.draws
         self._colours = TargetColours(scene, place)
         self._looks = LookSource(scene, randomization, place)
@@ -100,8 +116,15 @@ class AppearanceSource:
             )
 
     def __call__(self, target: Array, colour: Array, position: Array, look: Array) -> Shown:
-        """Compute the appearance of k episodes from fields of ``Episodes``, NumPy or torch."""
-        rgba = self._colours(target, colour)
+        """Compute the appearance of k episodes, NumPy or torch.
+
+        Args:
+            target: indices of the visible targets, (k, M) int64.
+            colour: indices into their colours, (k, M) int64.
+            position: x and y of the first target, (k, 2) [m].
+            look: as in ``Episodes``.
+        """
+        rgba = self._colours(target, colour, self._marked)
         if not self._draws:
             return Shown(rgba, None, None, None)
         seen = self._looks(look, position)

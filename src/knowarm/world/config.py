@@ -1,11 +1,13 @@
-"""Configuration of the reaching task."""
+"""Configuration of the task: reaching for one object, or choosing among several."""
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 from knowarm.config import check_numbers
 from knowarm.errors import UserError
+from knowarm.world.choice_config import ChoiceConfig
 from knowarm.world.held_out import HeldOut
+from knowarm.world.objects import CHOICE_TARGETS
 from knowarm.world.robots import DEFAULT_ROBOT
 from knowarm.world.visual_randomization import VisualRandomization
 
@@ -63,6 +65,10 @@ class EnvConfig:
     held_out: HeldOut | None = None
     """Colours and places reserved for a test of generalization; None reserves none."""
 
+    choice: ChoiceConfig | None = None
+    """Several objects, of which a query means one (``choice_env_config`` has the defaults of the
+    other fields); None shows a single object."""
+
     def __post_init__(self) -> None:
         check_numbers(self)
         _one_of("colours", self.colours, ("fixed", "randomized"))
@@ -81,6 +87,8 @@ class EnvConfig:
             raise UserError(
                 f"EnvConfig.image_size must be 1 to {MAX_IMAGE_SIZE}, got {self.image_size}."
             )
+        if self.choice is not None:
+            self._check_choice(self.choice)
         if not self.targets:
             raise UserError("EnvConfig.targets is empty; name at least one target.")
         if len(set(self.targets)) != len(self.targets):
@@ -88,6 +96,41 @@ class EnvConfig:
                 f"EnvConfig.targets contains a name twice: {', '.join(self.targets)}; list each "
                 "once."
             )
+
+    def _check_choice(self, choice: ChoiceConfig) -> None:
+        if choice.objects > len(self.targets):
+            raise UserError(
+                f"ChoiceConfig.objects is {choice.objects}, and EnvConfig.targets names "
+                f"{len(self.targets)}; all objects of an episode are different. Name more targets "
+                "or show fewer objects."
+            )
+        for name, used in (
+            ("held_out", self.held_out is not None),
+            ("randomization.distractors", self.randomization.distractors > 0),
+        ):
+            if used:
+                raise UserError(
+                    f"EnvConfig.{name} cannot be combined with EnvConfig.choice: what stands in "
+                    "the rectangle is decided by choice.queries. Leave one of them out."
+                )
+
+
+def choice_env_config(robot: str = DEFAULT_ROBOT, **options: Any) -> EnvConfig:
+    """Return the config of the choice task: all its objects, in all their colours.
+
+    Args:
+        robot: as ``EnvConfig.robot``.
+        options: further fields of ``EnvConfig``, which replace these.
+    """
+    return EnvConfig(robot=robot, **(CHOICE_DEFAULTS | options))
+
+
+CHOICE_DEFAULTS: dict[str, Any] = {
+    "targets": CHOICE_TARGETS,
+    "colours": "randomized",
+    "choice": ChoiceConfig(),
+}
+"""Fields of ``EnvConfig`` in which the choice task differs from reaching."""
 
 
 def _one_of(field: str, value: str, allowed: tuple[str, ...]) -> None:

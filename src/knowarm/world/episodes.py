@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.world.arrays import Array, Place, array_namespace, here
+from knowarm.world.choice_source import ChoiceSource, Chosen
 from knowarm.world.config import EnvConfig
 from knowarm.world.draws import derive, uniforms
 from knowarm.world.held_out import TRIES, allowed_colours, check_names, choose_places
@@ -36,6 +37,18 @@ class Episodes:
     look: NDArray[np.float64]
     """Uniform draws for the visual randomization, (n, L); L = 0 without any."""
 
+    others: NDArray[np.int64]
+    """Indices of the other visible objects into the config's targets, (n, M); M = 0 in reaching."""
+
+    other_colour: NDArray[np.int64]
+    """Indices into the colours of these, (n, M)."""
+
+    other_position: NDArray[np.float64]
+    """x and y of these [m], (n, M, 2)."""
+
+    query: NDArray[np.int64]
+    """Number of the query that means the target, (n,); 0 in reaching."""
+
     def __len__(self) -> int:
         return len(self.target)
 
@@ -56,7 +69,8 @@ class EpisodeSource:
         place: moves the constants to the device of the draws.
 
     Raises:
-        UserError: held-out colours that no target has, or that leave a target without colour.
+        UserError: held-out colours that no target has, or that leave a target without colour; a
+            choice table that does not fit the targets.
     """
 
     def __init__(self, scene: Scene, config: EnvConfig, place: Place = here) -> None:
@@ -70,6 +84,7 @@ class EpisodeSource:
         moved = np.isin(np.arange(scene.num_joints), robot.start_joints)
         self._moved = place(moved)
         self._reach = place(robot.start_fraction * (scene.joint_upper - scene.joint_lower) / 2)
+        self._choices = ChoiceSource(scene, config, place) if config.choice else None
         table, count = _allowed_colours(scene, config)
         self._colours, self._colour_count = place(table), place(count)
 
@@ -86,17 +101,33 @@ class EpisodeSource:
         """
         xp = array_namespace(streams, indices)
         looks = _JOINTS + self._joints
-        places = looks + self._look_draws
+        rest = looks + self._look_draws
         tries = TRIES if self._held_out and self._held_out.places else 0
-        u = uniforms(streams, indices, places + 2 * tries)
-        target = xp.astype(u[:, _TARGET] * self._targets, xp.int64)
-        candidates = xp.concat([u[:, _X : _Y + 1], u[:, places:]], axis=1)
-        signed = 2 * xp.reshape(candidates, (u.shape[0], 1 + tries, 2)) - 1
-        position = self._centre + choose_places(self._held_out, signed) * self._half
-        choice = xp.astype(u[:, _COLOUR] * self._colour_count[target], xp.int64)
+        more = self._choices.draws if self._choices else 2 * tries
+        u = uniforms(streams, indices, rest + more)
         offsets = xp.where(self._moved, (2 * u[:, _JOINTS:looks] - 1) * self._reach, 0.0)
-        return Episodes(
-            offsets, target, position, self._colours[target, choice], u[:, looks:places]
+        if self._choices:
+            chosen = self._choices(u[:, _TARGET], u[:, rest:])
+        else:
+            chosen = self._one_object(u, u[:, rest:])
+        return Episodes(joint_offsets=offsets, look=u[:, looks:rest], **chosen._asdict())
+
+    def _one_object(self, u: Array, more: Array) -> Chosen:
+        """Draw a target, its position and its colour; ``more`` are candidates for the position."""
+        xp = array_namespace(u)
+        n = u.shape[0]
+        target = xp.astype(u[:, _TARGET] * self._targets, xp.int64)
+        candidates = xp.concat([u[:, _X : _Y + 1], more], axis=1)
+        signed = 2 * xp.reshape(candidates, (n, candidates.shape[1] // 2, 2)) - 1
+        choice = xp.astype(u[:, _COLOUR] * self._colour_count[target], xp.int64)
+        return Chosen(
+            target=target,
+            position=self._centre + choose_places(self._held_out, signed) * self._half,
+            colour=self._colours[target, choice],
+            others=xp.empty_like(target[:, None])[:, :0],
+            other_colour=xp.empty_like(target[:, None])[:, :0],
+            other_position=xp.empty_like(signed[:, :0]),
+            query=xp.zeros_like(target),
         )
 
 

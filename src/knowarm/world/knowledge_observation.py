@@ -21,7 +21,8 @@ class KnowledgeObservation(gymnasium.Wrapper):
 
     Args:
         env: a reaching environment.
-        table: (F, K) float32, one row per facet in ``env.facets``.
+        table: (F, K) float32, one row per facet in ``env.facets``, or per query in
+            ``env.queries`` where several objects are visible.
 
     Raises:
         UserError: a table with the wrong number of rows.
@@ -30,7 +31,7 @@ class KnowledgeObservation(gymnasium.Wrapper):
     def __init__(self, env: gymnasium.Env, table: ArrayLike) -> None:
         super().__init__(env)
         assert isinstance(env.unwrapped, ReachEnv)
-        self._table = _checked_table(table, env.unwrapped.facets)
+        self._table = _checked_table(table, env.unwrapped)
         self.observation_space = _with_knowledge(env.observation_space, self._table)
 
     def reset(
@@ -46,7 +47,7 @@ class KnowledgeObservation(gymnasium.Wrapper):
         return self._observe(image, info), reward, terminated, truncated, info
 
     def _observe(self, image: NDArray[np.uint8], info: dict[str, Any]) -> Observation:
-        return {"image": image, "knowledge": self._table[info["facet"]].copy()}
+        return {"image": image, "knowledge": self._table[info[_row(info)]].copy()}
 
 
 class VectorKnowledgeObservation(VectorWrapper):
@@ -55,7 +56,7 @@ class VectorKnowledgeObservation(VectorWrapper):
     def __init__(self, env: VectorEnv, table: ArrayLike) -> None:
         super().__init__(env)
         assert isinstance(env.unwrapped, ReachVectorEnv)
-        self._table = _checked_table(table, env.unwrapped.facets)
+        self._table = _checked_table(table, env.unwrapped)
         self.single_observation_space = _with_knowledge(env.single_observation_space, self._table)
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
 
@@ -77,22 +78,28 @@ class VectorKnowledgeObservation(VectorWrapper):
         if self.env.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP and "final_obs" in infos:
             final = infos["final_obs"].copy()
             for i in np.flatnonzero(infos["_final_obs"]):
-                facet = infos["final_info"]["facet"][i]
-                final[i] = {"image": final[i], "knowledge": self._table[facet].copy()}
+                row = infos["final_info"][_row(infos)][i]
+                final[i] = {"image": final[i], "knowledge": self._table[row].copy()}
             infos = infos | {"final_obs": final}
         return self._observe(images, infos), rewards, terminated, truncated, infos
 
     def _observe(self, images: NDArray[np.uint8], infos: dict[str, Any]) -> Observation:
-        return {"image": images, "knowledge": self._table[infos["facet"]]}
+        return {"image": images, "knowledge": self._table[infos[_row(infos)]]}
 
 
-def _checked_table(table: ArrayLike, facets: tuple[tuple[str, str], ...]) -> NDArray[np.float32]:
+def _row(infos: dict[str, Any]) -> str:
+    """Return the name of the info that selects the row of the table."""
+    return "query" if "query" in infos else "facet"
+
+
+def _checked_table(table: ArrayLike, env: ReachEnv | ReachVectorEnv) -> NDArray[np.float32]:
     array = np.asarray(table, dtype=np.float32)
-    if array.ndim != 2 or len(array) != len(facets) or array.shape[1] == 0:
-        named = ", ".join("/".join(facet) for facet in facets)
+    names = env.queries or tuple("/".join(facet) for facet in env.facets)
+    if array.ndim != 2 or len(array) != len(names) or array.shape[1] == 0:
+        kind = "queries" if env.queries else "facets"
         raise UserError(
-            f"table must have one row for each of the {len(facets)} facets ({named}), got shape "
-            f"{array.shape}."
+            f"table must have one row for each of the {len(names)} {kind} ({', '.join(names)}), "
+            f"got shape {array.shape}."
         )
     return array
 

@@ -95,6 +95,12 @@ class EpisodeResults:
     facet: NDArray[np.int64]
     """Index into the environment's facets."""
 
+    query: NDArray[np.int64]
+    """Number of the query, 0 in reaching."""
+
+    chosen: NDArray[np.int64]
+    """Index of the target nearest to the gripper at the end: in reaching the only one."""
+
     steps: StepTable
     """Every step."""
 
@@ -188,12 +194,13 @@ def play(
                     "angle": infos["angle"][ids],
                     "reward": moment.reward[ids],
                     "terminated": moment.terminated[ids],
+                    "chosen": infos.get("chosen", infos["target"])[ids],
                 }
             )
     columns = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
     order = np.lexsort((columns["step"], columns["episode"]))
     columns = {name: column[order] for name, column in columns.items()}
-    terminated = columns.pop("terminated")
+    terminated, chosen = columns.pop("terminated"), columns.pop("chosen")
     steps = StepTable(**columns)
     length = np.bincount(steps.episode, minlength=count)
     last = np.cumsum(length) - 1
@@ -206,6 +213,8 @@ def play(
         target=episodes.target,
         colour=episodes.colour,
         facet=np.concatenate(facets),
+        query=episodes.query,
+        chosen=chosen[last],
         steps=steps,
         images=tuple(np.stack(frames) for frames in images),
     )

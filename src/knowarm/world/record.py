@@ -44,6 +44,18 @@ class Frame:
     success: bool
     """Whether the target is reached."""
 
+    wanted: str = ""
+    """The query and its object, for captions; empty without a query."""
+
+
+def describe_episode(env: ReachVectorEnv) -> str:
+    """Say what environment 0 is to reach: "red mug", or "hasColor red: the red mug" of a query."""
+    task = env.task
+    target, colour = env.facets[int(task.facet[0])]
+    if not env.queries:
+        return f"{colour} {target}"
+    return f"{env.queries[int(task.query[0])]}: the {colour} {target}"
+
 
 def record_episode(agent: AgentProtocol, env: ReachVectorEnv, episode: Episodes) -> list[Frame]:
     """Play one episode and keep every frame, from the start pose to the end.
@@ -61,6 +73,7 @@ def record_episode(agent: AgentProtocol, env: ReachVectorEnv, episode: Episodes)
             distance=float(moment.infos["distance"][0]),
             angle=float(moment.infos["angle"][0]),
             success=bool(moment.infos["is_success"][0]),
+            wanted=describe_episode(env) if env.queries else "",
         )
         for moment in play_steps(agent, env, episode)
     ]
@@ -140,7 +153,8 @@ def _side_by_side(frame: Frame) -> NDArray[np.uint8]:
 
 def _caption(frame: Frame) -> str:
     reached = ", reached" if frame.success else ""
-    return f"step {frame.step}: {100 * frame.distance:.1f} cm, {frame.angle:.0f} deg{reached}"
+    state = f"step {frame.step}: {100 * frame.distance:.1f} cm, {frame.angle:.0f} deg{reached}"
+    return frame.wanted if frame.wanted and frame.step == 0 else state
 
 
 def _save(path: Path, write: Callable[[], None]) -> None:

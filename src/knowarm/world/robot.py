@@ -1,7 +1,7 @@
 """Robot description: model file, joints, gripper, and the scene around the robot."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from knowarm.config import check_numbers
@@ -93,6 +93,13 @@ class Robot:
     rectangle_half_size_m: tuple[float, float]
     """Half extent of that rectangle along x and y [m]."""
 
+    choice_centre_m: tuple[float, float] | None = None
+    """Centre of the rectangle in which several objects stand, x and y [m]; None takes that of a
+    single one."""
+
+    choice_half_size_m: tuple[float, float] | None = None
+    """Half extent of that rectangle along x and y [m]; None as above."""
+
     target_yaw_deg: float
     """Direction of the targets' x axis (their grasp side) about the vertical [deg]."""
 
@@ -140,6 +147,10 @@ class Robot:
                 f"rectangle_half_size_m must not be negative, got {self.rectangle_half_size_m}",
             ),
             (
+                min(self.choice_half_size_m or (0.0,)) >= 0,
+                f"choice_half_size_m must not be negative, got {self.choice_half_size_m}",
+            ),
+            (
                 0 < self.camera_fovy_deg < 180,
                 f"camera_fovy_deg must lie between 0 and 180, got {self.camera_fovy_deg}",
             ),
@@ -151,6 +162,14 @@ class Robot:
         ):
             if not valid:
                 raise UserError(f"Robot {self.name!r}: {message}.")
+
+    def for_choice(self) -> "Robot":
+        """Return the robot with the rectangle in which several objects stand."""
+        return replace(
+            self,
+            rectangle_centre_m=self.choice_centre_m or self.rectangle_centre_m,
+            rectangle_half_size_m=self.choice_half_size_m or self.rectangle_half_size_m,
+        )
 
     @property
     def support_height_m(self) -> float:

@@ -11,7 +11,6 @@ from knowarm.world.appearance import TargetColours, resting_colours
 from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import evaluation_episodes
 from knowarm.world.ik import InverseKinematics
-from knowarm.world.objects import TARGETS
 from knowarm.world.render.renderer import make_renderer
 from knowarm.world.tasks.reach import ACTION_LEVELS
 from knowarm.world.vector_env import ReachVectorEnv
@@ -54,7 +53,7 @@ class Check:
 
 def check_robot(
     path: Path | str,
-    targets: Sequence[str] = tuple(TARGETS),
+    targets: Sequence[str] = EnvConfig().targets,
     *,
     angle_deg: float = 15.0,
     ignore_roll: bool = False,
@@ -79,7 +78,7 @@ def check_robot(
     try:
         env = ReachVectorEnv(config, SAMPLES)
     except UserError as error:
-        return [_result("scene", False, str(error), "Correct the named field.")]
+        return [check_result("scene", False, str(error), "Correct the named field.")]
     scene = env.scene
     joints = ", ".join(
         f"{name} [{low:.2f}, {high:.2f}]"
@@ -88,8 +87,8 @@ def check_robot(
         )
     )
     checks = [
-        _result("scene", True, f"compiles, {scene.model.ngeom} geoms"),
-        _result("joints", True, joints),
+        check_result("scene", True, f"compiles, {scene.model.ngeom} geoms"),
+        check_result("joints", True, joints),
         _check_gripper(env),
         _check_servos(env),
     ]
@@ -99,7 +98,8 @@ def check_robot(
     return checks
 
 
-def _result(name: str, ok: bool, found: str, remedy: str = "") -> Check:
+def check_result(name: str, ok: bool, found: str, remedy: str = "") -> Check:
+    """Return a check, with the remedy only if it failed."""
     return Check(name=name, ok=ok, found=found, remedy="" if ok else remedy)
 
 
@@ -109,7 +109,7 @@ def _check_gripper(env: ReachVectorEnv) -> Check:
     position = env.simulation.tcp_position.mean(axis=0)
     approach = env.simulation.tcp_matrix[:, 2::3].mean(axis=0)
     above = position[2] > env.scene.robot.support_height_m
-    return _result(
+    return check_result(
         "gripper",
         bool(above and approach[2] < 0.5),
         f"starts at {np.round(position, 3).tolist()} m, approach (z) is "
@@ -128,7 +128,7 @@ def _check_servos(env: ReachVectorEnv) -> Check:
         env.step(generator.integers(len(ACTION_LEVELS), size=env.action_space.shape))
         lags.append(np.abs(env.joint_positions - env.joint_targets))
     lag = float(np.mean(lags, axis=(0, 1)).max())
-    return _result(
+    return check_result(
         "servos",
         lag < MAX_LAG_RAD,
         f"mean distance from target after a step at most {lag:.4f} rad per joint",
@@ -156,7 +156,7 @@ def _check_reach(env: ReachVectorEnv) -> Check:
             f"{100 * solution.contact[missed].mean():.0f} % in contact): move or shrink the "
             "rectangle, or turn the target with target_yaws_deg."
         )
-    return _result(
+    return check_result(
         f"reach of {env.scene.targets[0].name}",
         share >= MIN_REACHABLE,
         f"{100 * share:.0f} % of {SAMPLES} positions reachable without contact",
@@ -177,7 +177,7 @@ def _check_visible(env: ReachVectorEnv) -> list[Check]:
         pixels = (np.abs(shown - hidden).max(axis=-1) > DIFFERENCE).sum(axis=(1, 2))
         few = float(np.percentile(pixels, 5))
         checks.append(
-            _result(
+            check_result(
                 f"{colour} {scene.targets[0].name} in the image",
                 few >= MIN_PIXELS,
                 f"in {np.median(pixels):.0f} pixels (median), {few:.0f} (5th percentile)",

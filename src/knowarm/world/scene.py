@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -13,6 +14,7 @@ from knowarm.errors import UserError, unknown_name
 from knowarm.world.arrays import Array, array_namespace
 from knowarm.world.attach import ROBOT_PREFIX
 from knowarm.world.compose import CAMERA, DISTRACTOR, compose
+from knowarm.world.config import EnvConfig
 from knowarm.world.description_file import SUFFIX, read_robot, read_target
 from knowarm.world.menagerie import KNOWN_ARMS
 from knowarm.world.objects import TARGETS
@@ -138,9 +140,39 @@ def find_targets(names: Sequence[str]) -> tuple[Target, ...]:
 
 
 @lru_cache(maxsize=16)
-def load_scene(robot: str, targets: tuple[str, ...], distractors: int = 0) -> Scene:
-    """Build the scene of a named robot and named targets, cached per process."""
-    return build_scene(find_robot(robot), find_targets(targets), distractors)
+def load_scene(
+    robot: str, targets: tuple[str, ...], distractors: int = 0, several: bool = False
+) -> Scene:
+    """Build the scene of a named robot and named targets, cached per process.
+
+    Args:
+        robot: a name in ``ROBOTS``, or a TOML file.
+        targets: names in ``TARGETS``, or TOML files.
+        distractors: objects that are never the target.
+        several: whether several targets are visible at a time; they have their own rectangle.
+    """
+    found = find_robot(robot)
+    return build_scene(found.for_choice() if several else found, find_targets(targets), distractors)
+
+
+def scene_of(config: EnvConfig) -> Scene:
+    """Load the scene of a config."""
+    return load_scene(
+        config.robot,
+        tuple(config.targets),
+        config.randomization.distractors,
+        several=config.choice is not None,
+    )
+
+
+def list_facets(
+    scene: Scene, colours: Literal["fixed", "randomized"]
+) -> tuple[tuple[str, str], ...]:
+    """List the (target, colour) pairs of a scene, with the first colours or with all."""
+    last = None if colours == "randomized" else 1
+    return tuple(
+        (target.name, colour) for target in scene.targets for colour in [*target.colours][:last]
+    )
 
 
 def build_scene(robot: Robot, targets: Sequence[Target], distractors: int = 0) -> Scene:
@@ -214,10 +246,10 @@ def build_scene(robot: Robot, targets: Sequence[Target], distractors: int = 0) -
 
 
 def target_places(scene: Scene, position: Array) -> Array:
-    """Lift positions (n, 2) [m] to the support: (n, 3) [m], world, NumPy or torch."""
+    """Lift positions (..., 2) [m] to the support: (..., 3) [m], world, NumPy or torch."""
     xp = array_namespace(position)
-    height = xp.full_like(position[:, :1], scene.robot.support_height_m)
-    return xp.concat([position, height], axis=1)
+    height = xp.full_like(position[..., :1], scene.robot.support_height_m)
+    return xp.concat([position, height], axis=-1)
 
 
 def project(scene: Scene, points: NDArray[np.float64]) -> NDArray[np.float64]:

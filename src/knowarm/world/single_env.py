@@ -31,7 +31,7 @@ class ReachEnv(gymnasium.Env[NDArray[np.uint8], NDArray[np.int64]]):
             EnvConfig(**options), 1, num_threads=1, autoreset=AutoresetMode.DISABLED
         )
         self.config = self._vector.config
-        self.facets = self._vector.facets
+        self.facets, self.queries = self._vector.facets, self._vector.queries
         self.observation_space = self._vector.single_observation_space
         self.action_space = self._vector.single_action_space
 
@@ -42,7 +42,7 @@ class ReachEnv(gymnasium.Env[NDArray[np.uint8], NDArray[np.int64]]):
 
     @property
     def facet_id(self) -> int:
-        """Index into ``facets`` of the current episode."""
+        """Row of the knowledge table for the current episode: its facet, or its query."""
         return int(self._vector.facet_ids[0])
 
     def reset(
@@ -119,5 +119,9 @@ def make_vector_env(
 
 
 def _first(infos: dict[str, Any]) -> dict[str, Any]:
-    """Return the infos of environment 0 as Python numbers, without the masks."""
-    return {name: values[0].item() for name, values in infos.items() if not name.startswith("_")}
+    """Return the infos of environment 0 as Python numbers or arrays, without the masks."""
+    return {
+        name: values[0].copy() if values.ndim > 1 else values[0].item()
+        for name, values in infos.items()
+        if not name.startswith("_")
+    }

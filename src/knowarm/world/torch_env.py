@@ -23,7 +23,7 @@ from knowarm.world.episodes import EpisodeSource
 from knowarm.world.render.renderer import TorchRenderer, make_renderer
 from knowarm.world.step_graph import CudaRecorder, StepGraph
 from knowarm.world.tasks.privileged import privileged_columns, privileged_state
-from knowarm.world.tasks.reach import ACTION_LEVELS, MASKS, ReachTask
+from knowarm.world.tasks.reach import ACTION_LEVELS, ReachTask
 from knowarm.world.vector_env import describe, draw_images
 
 FINAL = "final."
@@ -43,7 +43,8 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
 
     - "final_obs": (n, H, W, 3) uint8, the last image of each episode that was truncated. Other
       rows are undefined, and the next step overwrites the tensor.
-    - "_final_obs": (n,) bool, where an episode was truncated.
+    - "_final_obs": (n,) bool, where an episode was truncated. Both are left out without
+      ``report_final_observations``.
     - "final_info": the infos before the reset, valid where an episode ended.
     - "_final_info": (n,) bool, where an episode ended.
     - "final_privileged_state": (n, D) float32, the privileged state before the reset, if
@@ -64,9 +65,12 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         task: the state of the episodes.
         simulation: the physics.
         renderer: draws the observations.
-        facets: (target, colour) names; targets in config order, colours in theirs.
+        facets: as those of ``ReachVectorEnv``.
+        queries: likewise.
         privileged_columns: names of the D columns of the privileged state, with their meaning in
             `knowarm.world.tasks.privileged.privileged_columns`.
+        report_final_observations: whether these images are drawn; True until a trainer that does
+            not look at them clears it.
         report_privileged_state: whether infos contain the privileged state before resets; False
             until a trainer that learns from it sets it.
 
@@ -105,8 +109,9 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         shape = (num_envs, side, side, 3)
         self._final_images = torch.zeros(shape, dtype=torch.uint8, device=self.device)
         self.task = ReachTask(scene, config, self.simulation)
-        self.facets = self.task.facets
+        self.facets, self.queries = self.task.facets, self.task.queries
         self.privileged_columns = privileged_columns(scene.num_joints)
+        self.report_final_observations = True
         self.report_privileged_state = False
         self._everywhere = torch.ones(num_envs, dtype=torch.bool, device=self.device)
         self._graph: StepGraph | None = None
@@ -127,7 +132,7 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
 
     @property
     def facet_ids(self) -> Tensor:
-        """Facet of each current episode, (n,) int64."""
+        """Row of the knowledge table for each current episode, (n,) int64: facet, or query."""
         return _tensor(self.task.facet_ids)
 
     @property
@@ -196,7 +201,8 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         if self._graph is None:
             outputs, images = self._play(actions.numpy() if self._on_host else actions)
         else:
-            outputs, images = self._graph(actions, self.report_privileged_state)
+            reports = self.report_final_observations, self.report_privileged_state
+            outputs, images = self._graph(actions, reports)
             assert isinstance(self.simulation, WarpSimulator)
             self.simulation.check_overflow()
         outputs = {name: _tensor(values) for name, values in outputs.items()}
@@ -204,15 +210,15 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         metrics = [name.removeprefix(FINAL) for name in outputs if name.startswith(FINAL)]
         final = {name: outputs.pop(FINAL + name) for name in metrics}
         extra = {
-            "final_obs": self._final_images,
-            "_final_obs": truncated,
-            "final_info": final | dict.fromkeys(MASKS, ended),
+            "final_info": final | _masks(final, ended),
             "_final_info": ended,
         }
+        if self.report_final_observations:
+            extra |= {"final_obs": self._final_images, "_final_obs": truncated}
         if self.report_privileged_state:
             extra["final_privileged_state"] = outputs.pop("final_privileged_state")
         reward, terminated = outputs.pop("reward"), outputs.pop("terminated")
-        infos = outputs | dict.fromkeys(MASKS, self._everywhere) | extra
+        infos = outputs | _masks(outputs, self._everywhere) | extra
         return images, reward, terminated, truncated, infos
 
     def _play(self, actions: Array) -> tuple[dict[str, Array], Tensor]:
@@ -226,7 +232,8 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         task.move(actions if self._on_host else actions.clamp(0, len(ACTION_LEVELS) - 1))
         outcome = task.outcome()
         outputs = outcome._asdict() | {"ended": outcome.ended}
-        self._draw_final(outcome.truncated)
+        if self.report_final_observations:
+            self._draw_final(outcome.truncated)
         final = infos = task.metrics()
         if self.report_privileged_state:
             outputs["final_privileged_state"] = self.privileged_state
@@ -256,7 +263,7 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
     def _infos(self, mask: Tensor) -> dict[str, Any]:
         """Return the metrics of the current state as tensors, each with a mask (n,)."""
         metrics = {name: _tensor(values) for name, values in self.task.metrics().items()}
-        return metrics | dict.fromkeys(MASKS, mask)
+        return metrics | _masks(metrics, mask)
 
     def _draw(self) -> Tensor:
         """Draw all environments, into a new tensor."""
@@ -305,6 +312,11 @@ def check_actions(actions: Any, shape: tuple[int, int], device: torch.device, le
         )
     if device.type == "cpu":
         check_action_range(actions.numpy(), levels)
+
+
+def _masks(infos: dict[str, Tensor], mask: Tensor) -> dict[str, Tensor]:
+    """Return Gymnasium's mask of each info."""
+    return {f"_{name}": mask for name in infos}
 
 
 def _tensor(array: Array) -> Tensor:

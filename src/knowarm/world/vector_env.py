@@ -13,11 +13,14 @@ from knowarm.world.arguments import check_state, checked_actions
 from knowarm.world.backends.mujoco import MujocoSimulator
 from knowarm.world.config import EnvConfig
 from knowarm.world.render.renderer import Renderer, make_renderer
-from knowarm.world.scene import Scene, load_scene
-from knowarm.world.tasks.reach import ACTION_LEVELS, MASKS, ReachTask
+from knowarm.world.scene import Scene, scene_of
+from knowarm.world.tasks.reach import ACTION_LEVELS, ReachTask
 
 RENDER_SIZE = 480
 """Width and height of the images that ``render`` returns [px]."""
+
+KEPT = {"target", "colour", "query"}
+"""Infos that may be arrays of the task, which it keeps until the episode ends."""
 
 Step = tuple[
     NDArray[np.uint8], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]
@@ -33,7 +36,8 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
     does not depend on n. Every returned array is new and belongs to the caller.
 
     Infos are arrays (n,): distance [m], angle [deg], target and colour (indices), facet (index
-    into ``facets``) and is_success, each with Gymnasium's mask ``_name``.
+    into ``facets``) and is_success, each with Gymnasium's mask ``_name``. With several objects
+    (``config.choice``) they also hold those of ``choice_metrics``.
 
     Args:
         config: the task.
@@ -47,6 +51,7 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
         simulation: the physics.
         renderer: draws the observations; any ``Renderer`` may be assigned.
         facets: (target, colour) names; targets in config order, colours in theirs.
+        queries: the queries with several objects, readable; empty in reaching.
     """
 
     def __init__(
@@ -69,7 +74,7 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
         self.renderer: Renderer = make_renderer(self.scene, config, config.image_size, num_threads)
         self._large_renderer: Renderer | None = None
         self.task = ReachTask(self.scene, config, self.simulation)
-        self.facets = self.task.facets
+        self.facets, self.queries = self.task.facets, self.task.queries
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self._ended = np.ones(num_envs, dtype=np.bool_)
 
@@ -100,7 +105,7 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
 
     @property
     def facet_ids(self) -> NDArray[np.int64]:
-        """Facet of each current episode, (n,)."""
+        """Row of the knowledge table for each current episode, (n,): facet, or query."""
         return self.task.facet_ids
 
     def reset(
@@ -207,9 +212,10 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
     def _infos(self) -> dict[str, Any]:
         """Copy the metrics of the current state, each with its mask."""
         infos = self.task.metrics()
-        for name in ("target", "colour"):  # the task keeps these until the episode ends
+        for name in KEPT & infos.keys():
             infos[name] = infos[name].copy()
-        return infos | dict.fromkeys(MASKS, np.ones(self.num_envs, dtype=np.bool_))
+        masks = [f"_{name}" for name in infos]
+        return infos | dict.fromkeys(masks, np.ones(self.num_envs, dtype=np.bool_))
 
     def _final_infos(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
         """Return last images and metrics of the episodes that ended, as Gymnasium defines them."""
@@ -217,7 +223,9 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
         images = np.full(self.num_envs, None, dtype=object)
         images[ids] = np.fromiter(self._render_images(ids), dtype=object, count=len(ids))
         final = {
-            name: np.where(ended, values, 0).astype(values.dtype)
+            name: np.where(ended[(...,) + (None,) * (values.ndim - 1)], values, 0).astype(
+                values.dtype
+            )
             for name, values in self._infos().items()
         }
         return {
@@ -236,7 +244,7 @@ def describe(env: Any, config: EnvConfig, num_envs: int) -> Scene:
     """
     if num_envs < 1:
         raise UserError(f"num_envs must be at least 1, got {num_envs}.")
-    scene = load_scene(config.robot, tuple(config.targets), config.randomization.distractors)
+    scene = scene_of(config)
     shape = (config.image_size, config.image_size, 3)
     env.num_envs = num_envs
     env.single_observation_space = spaces.Box(0, 255, shape, np.uint8)

@@ -111,8 +111,11 @@ def _show(viewer: object, seconds: float) -> bool:
 
 def _current_colours(env: ReachVectorEnv, colours: tuple[int, ...]) -> tuple[int, ...]:
     """Return the colour index of each target, updated for the current episode."""
-    target, colour = int(env.task.target[0]), int(env.task.colour[0])
-    return (*colours[:target], colour, *colours[target + 1 :])
+    task, now = env.task, list(colours)
+    now[int(task.target[0])] = int(task.colour[0])
+    for target, colour in zip(task.others[0], task.other_colour[0], strict=True):
+        now[int(target)] = int(colour)
+    return tuple(now)
 
 
 def _coloured_model(env: ReachVectorEnv, colours: tuple[int, ...]) -> mujoco.MjModel:
@@ -134,6 +137,6 @@ def _copy_pose(env: ReachVectorEnv, data: mujoco.MjData) -> None:
     data.qpos[:] = batch.bind("qpos")[0]
     data.mocap_pos[:] = batch.bind("mocap_pos")[0]
     data.mocap_quat[:] = batch.bind("mocap_quat")[0]
-    hidden = np.arange(len(scene.targets)) != env.task.target[0]
+    hidden = ~np.isin(np.arange(len(scene.targets)), env.task.objects[0])
     data.mocap_pos[scene.target_mocap[hidden], 2] = FAR_BELOW_M
     mujoco.mj_forward(env.scene.model, data)

@@ -106,6 +106,22 @@ def test_updates_of_both_workers_arrive_and_are_recorded():
     assert all(row["updates_per_s"] > 0 for row in rows)
 
 
+def trained(**changes):
+    policy, rows = toy_policy(), []
+    config = dataclasses.replace(FAST, workers=1, log_every_steps=96, **changes)
+    A3CTrainer(config, policy, Make(False, 5), seed=0, hooks=Hooks(on_metrics=rows.append)).train(
+        288
+    )
+    assert [row["threshold_factor"] for row in rows] == [1, 1, 1]
+    return [parameter.detach().numpy().tobytes() for parameter in policy.parameters()]
+
+
+def test_the_learning_rate_follows_its_schedule():
+    constant = trained(learning_rate_schedule="constant")
+    assert trained(learning_rate_schedule="linear", learning_rate_final=1.0) == constant
+    assert trained(learning_rate_schedule="linear", learning_rate_final=0.0) != constant
+
+
 @pytest.mark.slow
 def test_a_killed_worker_is_reported_and_replaced(caplog):
     killed = []

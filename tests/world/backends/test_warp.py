@@ -38,12 +38,13 @@ def both(
     """Start both simulators at the same episodes; return them and the joint angles."""
     episodes = evaluation_episodes(scene, EnvConfig(robot=scene.robot.name), count, seed=0)
     joints = scene.home + episodes.joint_offsets
+    places = np.repeat(episodes.position[:, None], len(scene.targets), axis=1)
     host = MujocoSimulator(scene, count, 1, dynamics)
-    host.reset(IndexSelection(np.arange(count)), joints, episodes.position)
+    host.reset(IndexSelection(np.arange(count)), joints, places)
     other = WarpSimulator(scene, count, torch.device(device), dynamics)
     start = torch.as_tensor(joints, dtype=torch.float32, device=device)
     every = torch.ones(count, dtype=torch.bool, device=device)
-    other.reset(MaskSelection(every), start, torch.as_tensor(episodes.position, device=device))
+    other.reset(MaskSelection(every), start, torch.as_tensor(places, device=device))
     assert pose_error(host, other).max() < 1e-5
     return host, other, joints
 

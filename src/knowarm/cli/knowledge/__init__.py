@@ -9,6 +9,7 @@ from knowarm.cli.knowledge.embed import Embed
 from knowarm.cli.knowledge.fit import Evaluate, Fit
 from knowarm.cli.knowledge.options import SceneOptions, take_source
 from knowarm.cli.knowledge.probe import ProbeCommand
+from knowarm.cli.knowledge.queries import Queries
 from knowarm.cli.knowledge.show import Show
 from knowarm.cli.knowledge.subgraph import Draw, Subgraph
 from knowarm.errors import unknown_name
@@ -22,6 +23,7 @@ COMMANDS: dict[str, Any] = {
     "evaluate": Evaluate,
     "probe": ProbeCommand,
     "draw": Draw,
+    "queries": Queries,
 }
 """The commands of the group, by name."""
 

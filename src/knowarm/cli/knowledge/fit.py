@@ -10,7 +10,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from knowarm.cli.tables import check_json_path, print_table, write_json_table
 from knowarm.errors import UserError
-from knowarm.knowledge import household, read_graph
+from knowarm.knowledge.formats import open_graph
 from knowarm.knowledge.formats.openke import is_openke, read_openke_split
 from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.kge.split import Split, split_graph
@@ -98,7 +98,7 @@ def _read_split(path: Path | None, valid: float, test: float, seed: int) -> Spli
         UserError: the graph cannot be read, or its own split has no test triple.
     """
     if path is None or not (path.is_dir() and is_openke(path)):
-        graph = household() if path is None else read_graph(path)
+        graph = open_graph(path)
         return split_graph(graph, valid=valid, test=test, seed=seed)
     split = read_openke_split(path)
     if not len(split.test):

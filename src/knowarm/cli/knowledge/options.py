@@ -8,8 +8,9 @@ from typing import Annotated, Literal
 import tyro
 
 from knowarm.errors import UserError, unknown_name
-from knowarm.knowledge import FULL, KnowledgeConfig, KnowledgeGraph, household, read_graph
+from knowarm.knowledge import FULL, KnowledgeConfig, KnowledgeGraph, read_graph
 from knowarm.knowledge.facets import graph_facets
+from knowarm.knowledge.formats import open_graph
 from knowarm.knowledge.scene import load_graph
 from knowarm.knowledge.vectors import Source, source_named
 from knowarm.world.config import EnvConfig
@@ -24,13 +25,15 @@ class GraphOptions:
     """The graph that a command works on."""
 
     graph: Annotated[Path | None, tyro.conf.Positional] = None
-    """A graph file or an OpenKE folder; the shipped household graph by default."""
+    """A graph file, an OpenKE folder or a shipped graph; "household" by default."""
     format: str | None = None
     """The file's format ("turtle", "ntriples", ...); by default that of its suffix."""
 
     def read(self) -> KnowledgeGraph:
         """Read the graph."""
-        return household() if self.graph is None else read_graph(self.graph, self.format)
+        if self.graph is None or self.format is None:
+            return open_graph(self.graph)
+        return read_graph(self.graph, self.format)
 
 
 @dataclass(frozen=True, kw_only=True)

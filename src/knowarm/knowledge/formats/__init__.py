@@ -51,8 +51,14 @@ WRITERS: dict[str, Callable[[KnowledgeGraph, Path], None]] = {
 }
 """Writer by the file's suffix."""
 
-HOUSEHOLD = Path(__file__).parent.parent / "data" / "household.ttl"
-"""The shipped graph: 31 household objects and facts about them that matter to a robot arm."""
+_DATA = Path(__file__).parent.parent / "data"
+
+HOUSEHOLD = _DATA / "household.ttl"
+"""The default graph: 31 household objects and facts about them that matter to a robot arm."""
+
+SHIPPED = {"household": HOUSEHOLD, "objects": _DATA / "objects.ttl"}
+"""Graphs that come with the package by name. "objects" holds the objects of the choice task, with
+facts that can be asked."""
 
 
 def read_graph(path: str | Path, format: str | None = None) -> KnowledgeGraph:
@@ -67,7 +73,10 @@ def read_graph(path: str | Path, format: str | None = None) -> KnowledgeGraph:
     """
     path = Path(path)
     if not path.exists():
-        raise UserError(f"There is no graph file {path}. Give the path of a file, e.g. home.ttl.")
+        raise UserError(
+            f"There is no graph file {path}. Give the path of a file, e.g. home.ttl, or the name "
+            f"of a shipped graph: {', '.join(SHIPPED)}."
+        )
     if format is None:
         format = _format_of(path)
     if format not in FORMATS:
@@ -97,9 +106,24 @@ def write_graph(graph: KnowledgeGraph, path: str | Path) -> None:
 
 
 @cache
+def shipped_graph(name: str) -> KnowledgeGraph:
+    """Read a graph of `SHIPPED`, once per process."""
+    return read_graph(SHIPPED[name])
+
+
 def household() -> KnowledgeGraph:
-    """Read the shipped graph, once per process."""
-    return read_graph(HOUSEHOLD)
+    """Return the shipped household graph."""
+    return shipped_graph("household")
+
+
+def open_graph(graph: str | Path | None) -> KnowledgeGraph:
+    """Return a graph by the name of a shipped one or by its path; None is the household graph.
+
+    Raises:
+        UserError: there is no such file, or it is malformed.
+    """
+    name = "household" if graph is None else str(graph)
+    return shipped_graph(name) if name in SHIPPED else read_graph(name)
 
 
 def _format_of(path: Path) -> str:

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from knowarm.errors import UserError
-from knowarm.knowledge.formats import household
+from knowarm.knowledge.formats import SHIPPED, shipped_graph
 from knowarm.knowledge.graph import KnowledgeGraph
 from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.kge.split import all_triples
@@ -40,8 +40,9 @@ class GraphEmbedding(VectorSource):
         graph = request.graph
         if self.file is not None:
             return stored_lookup(Path(self.file), graph)
-        if graph is household():
-            return _embed_household(self.model, request.dim, request.seed)
+        for name in SHIPPED:
+            if graph is shipped_graph(name):
+                return _embed_shipped(name, self.model, request.dim, request.seed)
         return embed_graph(self.model, graph, dim=request.dim, seed=request.seed)
 
 
@@ -116,6 +117,6 @@ def stored_lookup(path: Path, graph: KnowledgeGraph) -> EntityLookup:
 
 
 @cache
-def _embed_household(model: str, dim: int, seed: int) -> EntityLookup:
-    """Train on the shipped graph, once per process."""
-    return embed_graph(model, household(), dim=dim, seed=seed)
+def _embed_shipped(name: str, model: str, dim: int, seed: int) -> EntityLookup:
+    """Train on a shipped graph, once per process."""
+    return embed_graph(model, shipped_graph(name), dim=dim, seed=seed)

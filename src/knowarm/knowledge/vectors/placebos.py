@@ -85,6 +85,7 @@ class RandomVectors(DrawnPlacebo):
     """Normal noise, each slot as long as the real one."""
 
     kind: Literal["random"] = "random"
+    content_free: ClassVar[bool] = True
     note: ClassVar[str] = "placebo: random numbers, each slot as long as the real one"
 
     def change_slots(self, slots: np.ndarray, seed: int) -> np.ndarray:
@@ -99,6 +100,7 @@ class OneHot(Placebo):
     """The slot's number as a one-hot, as long as the real slot: identity without meaning."""
 
     kind: Literal["onehot"] = "onehot"
+    content_free: ClassVar[bool] = True
     note: ClassVar[str] = (
         "placebo: one-hot slot numbers, as long as the real slots; identity without meaning"
     )

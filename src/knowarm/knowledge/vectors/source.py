@@ -104,6 +104,9 @@ class Source:
 
     placebo: ClassVar[bool] = False
     """Whether the numbers carry no meaning, or a false one: a control of an experiment."""
+    content_free: ClassVar[bool] = False
+    """Whether the numbers depend on how many slots there are and how long, not on what they
+    describe: such a control fits every subject with slots of that length."""
     note: ClassVar[str] = ""
     """What reports say beside this source."""
     encoder: ClassVar[Literal["identity", "learned"]] = "identity"

@@ -67,6 +67,8 @@ class UpdateReport:
     value_loss: float
     entropy: float
     grad_norm: float
+    threshold_factor: float
+    """Factor of the success thresholds from now on."""
     episodes: FinishedEpisodes
 
 
@@ -102,6 +104,10 @@ class WorkerRestarted:
     """From the worker pool: a worker died and was restarted."""
 
 
+_MEANS = ("policy_loss", "value_loss", "entropy", "grad_norm", "threshold_factor")
+"""Fields of a report whose means over the updates are metrics."""
+
+
 @dataclass
 class UpdateStatistics:
     """Sums over the updates since the last row of metrics; plain numbers for checkpoints."""
@@ -114,6 +120,7 @@ class UpdateStatistics:
     value_loss: float = 0.0
     entropy: float = 0.0
     grad_norm: float = 0.0
+    threshold_factor: float = 0.0
     episodes: int = 0
     episode_return: float = 0.0
     episode_length: int = 0
@@ -125,7 +132,7 @@ class UpdateStatistics:
         self.steps += report.steps
         self.stale += report.staleness > 0
         self.staleness += report.staleness
-        for name in ("policy_loss", "value_loss", "entropy", "grad_norm"):
+        for name in _MEANS:
             setattr(self, name, getattr(self, name) + getattr(report, name))
         self.episodes += len(report.episodes.length)
         self.episode_return += float(report.episodes.episode_return.sum())
@@ -143,7 +150,7 @@ class UpdateStatistics:
             row["return_mean"] = self.episode_return / self.episodes
             row["length_mean"] = self.episode_length / self.episodes
             row["success"] = self.successes / self.episodes
-        for name in ("policy_loss", "value_loss", "entropy", "grad_norm"):
+        for name in _MEANS:
             row[name] = getattr(self, name) / self.updates
         row["updates"] = self.updates
         row["stale_share"] = self.stale / self.updates

@@ -126,7 +126,7 @@ class A3CWorker:
             shared["values"],
             shared["mean_square"],
             self._parameters.gradient,
-            learning_rate=config.learning_rate,
+            learning_rate=config.learning_rate_at((step - steps) / self._total_steps),
             alpha=config.rmsprop_alpha,
             eps=config.rmsprop_eps,
         )
@@ -142,6 +142,7 @@ class A3CWorker:
                 value_loss=float(loss.value.detach()),
                 entropy=float(loss.entropy.detach()),
                 grad_norm=float(norm),
+                threshold_factor=self._curriculum.factor,
                 episodes=episodes,
             )
         )

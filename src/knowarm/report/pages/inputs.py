@@ -38,6 +38,7 @@ PRIVILEGED = (
     "{agents}: the vector identifies the target of the episode, which no camera observed. "
     "{controls}"
 )
+TOLD = "{agents}: the vector describes what the episode asks for. {controls}"
 
 PRIVILEGED_TRAINING = (
     "{agents}: training used the simulator's state. The policy receives the image alone, in "
@@ -80,18 +81,25 @@ def _table(run: Run) -> np.ndarray | None:
 def _kind_of_input(task: Task) -> Verdict:
     """State which agents have a constant vector and which a privileged one."""
     known = {group.name: _known(group.runs[0]) for group in task.groups}
+    told = [group.name for group in task.groups if group.scope == "query" and known[group.name]]
+    constant, privileged = (
+        [name for name, each in known.items() if each.get(field)]
+        for field in ("constant", "privileged")
+    )
     reasons = []
-    for field, words, role, scope in (
-        ("constant", CONSTANT, "capacity_control", "scene"),
-        ("privileged", PRIVILEGED, "content_control", "target"),
+    for agents, words, role, scope in (
+        (constant, CONSTANT, "capacity_control", "scene"),
+        (privileged, PRIVILEGED, "content_control", "target"),
+        (told, TOLD, "content_control", "query"),
     ):
-        agents = [name for name, each in known.items() if each.get(field)]
         if agents:
             ran = [g.name for g in task.groups if g.role == role and g.scope == scope]
             controls = f"Compare with {listed(ran)}." if ran else "No control for this ran."
             reasons.append(words.format(agents=", ".join(agents), controls=controls))
-    if any(each.get("privileged") for each in known.values()):
+    if privileged:
         sentence = "some knowledge vectors are privileged"
+    elif told:
+        sentence = "the knowledge vector describes the query of the episode"
     elif reasons:
         sentence = "the knowledge vector is a constant input, which is a bias"
     else:

@@ -16,7 +16,7 @@ from knowarm.world.config import EnvConfig
 from knowarm.world.draws import derive
 from knowarm.world.episodes import draw_episodes
 from knowarm.world.ik import InverseKinematics
-from knowarm.world.scene import load_scene
+from knowarm.world.scene import scene_of
 from knowarm.world.tasks.reach import ACTION_LEVELS
 from knowarm.world.vector_env import ReachVectorEnv
 
@@ -86,7 +86,7 @@ def search_open_loop(config: EnvConfig, budget: int = BUDGET, seed: int = 0) -> 
     Returns:
         The best list, one action per step of an episode.
     """
-    scene = load_scene(config.robot, tuple(config.targets), config.randomization.distractors)
+    scene = scene_of(config)
     streams = np.full(SEARCH_EPISODES, derive(seed, "open-loop episodes"), dtype=np.uint64)
     indices = np.arange(SEARCH_EPISODES, dtype=np.uint64)
     score = OpenLoopScore(scene, config, draw_episodes(scene, config, streams, indices))

@@ -68,7 +68,7 @@ class Simulator(Protocol):
         Args:
             selection: the environments, made by ``arrays``.
             joint_targets: (m, J) [rad].
-            target_position: x and y of the targets, of which one is visible, (m, 2) [m].
+            target_position: x and y of the K targets, also of hidden ones, (m, K, 2) [m].
             distractor_position: x and y of the distractors, (m, D, 2) [m]; None without any.
         """
         ...

@@ -86,7 +86,7 @@ class MujocoSimulator:
         self._warmstart[ids] = 0.0
         self._ctrl[ids] = joint_targets
         places = target_places(self.scene, target_position)
-        self._mocap[ids[:, None], self.scene.target_mocap] = places[:, None, :]
+        self._mocap[ids[:, None], self.scene.target_mocap] = places
         if distractor_position is not None:
             at = ids[:, None], self.scene.distractor_mocap
             self._mocap[(*at, slice(2))] = distractor_position

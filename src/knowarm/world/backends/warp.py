@@ -34,6 +34,9 @@ def import_warp() -> tuple[Any, Any]:
     """Import Warp and MuJoCo Warp without their messages on the terminal."""
     warp = importlib.import_module("warp")
     warp.config.log_level = warp.LOG_WARNING
+    # Machine code: a driver need not be as new as Warp's compiler, and modules that were compiled
+    # ahead of time are found.
+    warp.config.cuda_output = "cubin"
     warp.init()
     return warp, importlib.import_module("mujoco_warp")
 
@@ -217,7 +220,7 @@ class WarpSimulator:
         """Set servo targets and object positions of all environments."""
         self._ctrl.copy_(joint_targets)
         places = target_places(self.scene, target_position).to(torch.float32)
-        self._mocap[:, self._targets] = places[:, None, :]
+        self._mocap[:, self._targets] = places
         if distractor_position is not None:
             self._mocap[:, self._distractors, :2] = distractor_position.to(torch.float32)
 

@@ -1,10 +1,51 @@
-"""Objects that can be targets, each an MJCF file beside this module."""
+"""Objects that can be targets, each an MJCF file beside this module and an entry here."""
 
 from pathlib import Path
 
 from knowarm.world.target import Target
 
 _FOLDER = Path(__file__).parent
+
+COLOURS: dict[str, tuple[float, float, float]] = {
+    "red": (1.0, 0.0, 0.0),
+    "orange": (1.0, 0.5, 0.0),
+    "yellow": (1.0, 1.0, 0.0),
+    "green": (0.0, 0.6, 0.1),
+    "cyan": (0.0, 0.85, 0.85),
+    "blue": (0.0, 0.0, 1.0),
+    "purple": (0.45, 0.0, 0.85),
+    "pink": (1.0, 0.45, 0.75),
+    "brown": (0.55, 0.27, 0.07),
+}
+"""Colours of the objects that can have any; RGB in 0..1."""
+
+_COLOURED_GEOMS: dict[str, tuple[str, ...]] = {
+    "teapot": ("belly", "spout", "handle_top", "handle_side"),
+    "kettle": ("belly", "shoulder", "spout"),
+    "pitcher": ("belly", "lip", "handle_top", "handle_side", "handle_bottom"),
+    "wine_glass": ("foot", "stem", "bowl"),
+    "bowl": ("foot", "wall", "rim"),
+    "vase": ("belly", "neck"),
+    "pot": ("wall",),
+    "pan": ("dish",),
+    "jar": ("glass",),
+    "can": ("wall",),
+    "candle": ("wax",),
+    "lamp": ("foot", "stem", "shade_top"),
+    "flashlight": ("tube", "head"),
+    "mallet": ("head",),
+    "brush": ("block", "handle"),
+    "basket": ("bottom",),
+    "bucket": ("wall",),
+    "watering_can": ("belly", "spout", "handle_top", "handle_side", "handle_bottom"),
+    "clock": ("rim",),
+    "book": ("cover_front", "cover_back", "spine"),
+    "toolbox": ("box",),
+    "dumbbell": ("weight_left", "weight_right"),
+    "bell": ("rim", "dome"),
+    "globe": ("ball",),
+}
+"""Geoms in the object's colour, by object: one row and one MJCF file per object."""
 
 TARGETS: dict[str, Target] = {
     # grasped on its handle, inclined by 45 degrees
@@ -28,5 +69,12 @@ TARGETS: dict[str, Target] = {
         colours={"brown": (0.55, 0.27, 0.07), "light_blue": (0.5, 0.7, 0.9)},
         coloured_geoms=("carton",),
     ),
+} | {
+    name: Target(name=name, mjcf=_FOLDER / f"{name}.xml", colours=COLOURS, coloured_geoms=geoms)
+    for name, geoms in _COLOURED_GEOMS.items()
 }
-"""The paper's targets by name. To add one, put its MJCF file here and add an entry."""
+"""The paper's three targets and the objects of the choice task, by name. To add one, put its MJCF
+file here and add an entry."""
+
+CHOICE_TARGETS = ("mug", "bottle", *_COLOURED_GEOMS)
+"""Objects of the choice task."""

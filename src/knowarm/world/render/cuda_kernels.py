@@ -14,9 +14,9 @@ from collections.abc import Callable
 from inspect import signature
 from typing import Any
 
-import numba.cuda
 import numpy as np
 
+from knowarm.private_apis import import_numba_cuda
 from knowarm.world.render.intersections import (
     MESH,
     Hit,
@@ -36,7 +36,7 @@ from knowarm.world.render.tiles import (
     sample_point,
 )
 
-cuda: Any = numba.cuda
+cuda: Any = import_numba_cuda()
 """Numba's CUDA module; its type annotations do not cover kernels."""
 
 Array = Any

@@ -13,6 +13,9 @@ class RobotEntry:
     env_id: str
     """Gymnasium id of its reaching task, without the namespace ``knowarm/``."""
 
+    choice_env_id: str | None = None
+    """Gymnasium id of its choice task, likewise; None if it has none."""
+
     robot: Robot
     """Description from which a scene is built."""
 
@@ -27,6 +30,13 @@ class RobotEntry:
 
 _FOLDER = Path(__file__).parent
 
+_FROM_ABOVE = (
+    *("kettle", "wine_glass", "bowl", "vase", "pot", "jar", "can", "candle", "lamp", "mallet"),
+    *("brush", "basket", "clock", "toolbox", "dumbbell", "bell", "globe"),
+)
+_FROM_THE_SIDE = ("teapot", "pitcher", "pan", "flashlight", "bucket", "watering_can", "book")
+"""Objects of the choice task by the direction of their grasp."""
+
 _IRB120 = Robot(
     name="irb120",
     title="ABB IRB120",
@@ -39,10 +49,15 @@ _IRB120 = Robot(
     # the paper's 60 x 20 cm rectangle, on the floor in front of the robot
     rectangle_centre_m=(0.47, 0.0),
     rectangle_half_size_m=(0.10, 0.30),
+    # where the gripper reaches all objects of the choice task, also low ones from above
+    choice_centre_m=(0.44, 0.0),
+    choice_half_size_m=(0.07, 0.29),
     # directions in which the wrist stays within its range and the ways to two grasps have little
     # in common
     target_yaw_deg=-135.0,
-    target_yaws_deg={"mug": -195.0, "bottle": 75.0},
+    target_yaws_deg={"mug": -195.0, "bottle": 75.0}
+    | dict.fromkeys(_FROM_ABOVE, 75.0)
+    | dict.fromkeys(_FROM_THE_SIDE, -150.0),
     # at the right front of the robot; the view contains the workspace but not the robot's base
     camera_position_m=(1.25, -0.90, 0.95),
     camera_look_at_m=(0.42, -0.03, 0.31),
@@ -62,6 +77,8 @@ _TIAGO = Robot(
     # the paper's 20 x 25 cm rectangle
     rectangle_centre_m=(0.70, -0.08),
     rectangle_half_size_m=(0.10, 0.125),
+    choice_centre_m=(0.68, 0.0),
+    choice_half_size_m=(0.09, 0.23),
     target_yaw_deg=-165.0,
     target_yaws_deg={"cereal_box": -135.0},
     turned_grasps=("mug",),
@@ -96,8 +113,8 @@ _TIAGO_NEAR = replace(
 """Starts at 20 degrees from two grasps; nine of ten episodes can be solved blind."""
 
 ROBOTS: dict[str, RobotEntry] = {
-    "irb120": RobotEntry(env_id="IRB120Reach-v0", robot=_IRB120),
-    "tiago": RobotEntry(env_id="TiagoReach-v0", robot=_TIAGO),
+    "irb120": RobotEntry(env_id="IRB120Reach-v0", choice_env_id="IRB120Choose-v0", robot=_IRB120),
+    "tiago": RobotEntry(env_id="TiagoReach-v0", choice_env_id="TiagoChoose-v0", robot=_TIAGO),
     "irb120-near": RobotEntry(env_id="IRB120NearReach-v0", robot=_IRB120_NEAR, variant_of="irb120"),
     "tiago-near": RobotEntry(env_id="TiagoNearReach-v0", robot=_TIAGO_NEAR, variant_of="tiago"),
 }
@@ -108,3 +125,6 @@ MAIN_ROBOTS = tuple(name for name, entry in ROBOTS.items() if entry.variant_of i
 
 DEFAULT_ROBOT = "irb120"
 """Robot of an ``EnvConfig`` that names none."""
+
+DEMO_ROBOT = "tiago"
+"""Robot of `knowarm demo`: the one that learns in the fewest steps."""

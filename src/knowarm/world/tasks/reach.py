@@ -1,5 +1,7 @@
 """Reaching task: state and formulas of n episodes, on NumPy arrays or torch tensors.
 
+One object is visible, or with ``EnvConfig.choice`` several, of which a query means one.
+
 The order of a step is ``move`` -> ``outcome`` -> ``start_next`` for what has ended. Images are
 drawn by the vector environments, from the simulator's poses and ``shown``.
 """
@@ -15,17 +17,16 @@ from knowarm.world.appearance import AppearanceSource, Shown
 from knowarm.world.arguments import check_state, masked_ids, spread_seeds
 from knowarm.world.arrays import Array, Selection, array_namespace
 from knowarm.world.backends import Simulator
+from knowarm.world.choice_source import choice_table
 from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import Episodes, EpisodeSource
 from knowarm.world.robot import Robot
-from knowarm.world.scene import Scene, target_places
+from knowarm.world.scene import Scene, list_facets, target_places
+from knowarm.world.tasks.choose import check_objects, choice_metrics, target_positions
 from knowarm.world.tasks.reward import is_success, measure, reward_terms
 
 ACTION_LEVELS = (0.0, 1.0, -1.0, 0.1, -0.1, 0.01, -0.01)
 """Joint increments of the seven actions, in units of MPI (paper, table 1)."""
-
-MASKS = ("_distance", "_angle", "_target", "_colour", "_facet", "_is_success")
-"""Names of Gymnasium's masks of the infos."""
 
 _STATE = (
     "streams",
@@ -39,7 +40,19 @@ _STATE = (
 )
 """Arrays that, with the simulator's state, determine everything else."""
 
-VARYING = (*_STATE, "grasp_position", "grasp_matrix", "distance", "angle", "success", "thresholds")
+_SEVERAL = ("others", "other_colour", "other_position", "query")
+"""Further such arrays where several objects are visible."""
+
+VARYING = (
+    *_STATE,
+    *_SEVERAL,
+    "grasp_position",
+    "grasp_matrix",
+    "distance",
+    "angle",
+    "success",
+    "thresholds",
+)
 """Attributes that a step replaces, besides ``shown``."""
 
 
@@ -68,7 +81,7 @@ class Outcome(NamedTuple):
 
 
 class ReachTask:
-    """n environments in which an arm reaches for one of several targets (paper, section 3).
+    """n environments in which an arm reaches for a target (paper, section 3).
 
     No array is written after it was assigned to an attribute: attributes may be handed out, and
     their owner must not write into them.
@@ -80,12 +93,17 @@ class ReachTask:
 
     Attributes:
         facets: (target, colour) names; targets in config order, colours in theirs.
+        queries: readable queries with several objects; empty in reaching.
         steps: steps played in the current episode, (n,) int64.
         joint_targets: joint angles that the servos track, (n, J) [rad]; actions add to them.
         target: index of the target, (n,) int64.
         colour: index among the target's colours, (n,) int64.
         position: x and y of the target, (n, 2) float64 [m].
         look: draws of the visual randomization, (n, L) float64.
+        others: indices of the other visible targets, (n, M) int64; M = 0 in reaching.
+        other_colour: indices among their colours, (n, M) int64.
+        other_position: x and y of these, (n, M, 2) float64 [m].
+        query: number of the query that means the target, (n,) int64; 0 in reaching.
         grasp_position: (n, 3) [m], world.
         grasp_matrix: rotation from grasp frame to world, row-major, (n, 9).
         shown: colours, cameras and lights for the renderer.
@@ -93,6 +111,7 @@ class ReachTask:
         angle: between gripper and grasp frame, (n,) [deg].
         success: whether both are below their thresholds, (n,) bool.
         thresholds: of distance and angle, (2,) [m, deg].
+        grasp_offset: grasp point of each target relative to its position, (K, 3) [m].
     """
 
     distance: Array
@@ -107,9 +126,14 @@ class ReachTask:
         self._arrays = arrays = simulator.arrays
         place, real = arrays.place, arrays.float_dtype
         self._source = EpisodeSource(scene, config, place)
-        self._appearance = AppearanceSource(scene, config.randomization, place)
-        self.facets, first = list_facets(scene, config)
-        self._first_facet = place(first)
+        marked = config.choice is not None and config.choice.marked
+        self._appearance = AppearanceSource(scene, config.randomization, place, marked)
+        self.facets = list_facets(scene, config.colours)
+        self.queries = choice_table(config).queries if config.choice else ()
+        first = [[name for name, _ in self.facets].index(target.name) for target in scene.targets]
+        self._first_facet = place(np.array(first, dtype=np.int64))
+        self.target_numbers = place(np.arange(len(scene.targets)))
+        self._state_names = _STATE if config.choice is None else (*_STATE, *_SEVERAL)
         self._increments = place(joint_increments(scene.robot, config).astype(real))
         self._home = place(scene.home)
         self._limits = place(scene.joint_lower), place(scene.joint_upper)
@@ -117,7 +141,7 @@ class ReachTask:
             place(scene.joint_lower.astype(real)),
             place(scene.joint_upper.astype(real)),
         )
-        self._grasp_offset = place(scene.grasp_position)
+        self.grasp_offset = place(scene.grasp_position)
         self._grasp_rotation = place(scene.grasp_matrix.reshape(-1, 9).astype(real))
 
         self.streams = place(np.random.SeedSequence().generate_state(n, np.uint64))
@@ -128,6 +152,11 @@ class ReachTask:
         self.colour = place(np.zeros(n, dtype=np.int64))
         self.position = place(np.zeros((n, 2)))
         self.look = place(np.zeros((n, config.randomization.draws)))
+        others = config.choice.objects - 1 if config.choice else 0
+        self.others = place(np.zeros((n, others), dtype=np.int64))
+        self.other_colour = place(np.zeros((n, others), dtype=np.int64))
+        self.other_position = place(np.zeros((n, others, 2)))
+        self.query = place(np.zeros(n, dtype=np.int64))
         self.grasp_position = place(np.zeros((n, 3), dtype=real))
         self.grasp_matrix = place(np.zeros((n, 9), dtype=real))
         self.shown = Shown(None, None, None, None)
@@ -152,8 +181,18 @@ class ReachTask:
 
     @property
     def facet_ids(self) -> Array:
-        """Facet of each current episode, (n,) int64."""
+        """Row of the knowledge table for each current episode, (n,) int64: facet, or query."""
+        return self.query if self.queries else self.facet
+
+    @property
+    def facet(self) -> Array:
+        """Index of each episode's target and colour in ``facets``, (n,) int64."""
         return self._first_facet[self.target] + self.colour
+
+    @property
+    def objects(self) -> Array:
+        """Indices of the visible targets, the wanted one first, (n, 1 + M) int64."""
+        return array_namespace(self.target).concat([self.target[:, None], self.others], axis=1)
 
     def select_where(self, mask: Array) -> Selection:
         """Select environments by a mask, (n,) bool."""
@@ -180,6 +219,7 @@ class ReachTask:
             self.start_next(selection)
         elif len(episodes) == len(ids):
             self._appearance.check(episodes)
+            check_objects(episodes, self.others.shape[1] + 1)
             rows = (getattr(episodes, field.name) for field in fields(episodes))
             self._start(selection, Episodes(*(self._arrays.spread(r, ids, n) for r in rows)))
         else:
@@ -212,19 +252,20 @@ class ReachTask:
         return Outcome(reward, self.success, truncated)
 
     def metrics(self) -> dict[str, Array]:
-        """Return the infos of the current state, without masks, (n,) each."""
-        return {
+        """Return the infos of the current state, without masks, (n, ...) each."""
+        infos = {
             "distance": self.distance,
             "angle": self.angle,
             "target": self.target,
             "colour": self.colour,
-            "facet": self.facet_ids,
+            "facet": self.facet,
             "is_success": self.success,
         }
+        return infos if self.config.choice is None else infos | choice_metrics(self)
 
     def get_state(self) -> dict[str, NDArray[Any]]:
         """Copy all that determines the following steps to the host."""
-        state = {name: self._arrays.to_host(getattr(self, name)) for name in _STATE}
+        state = {name: self._arrays.to_host(getattr(self, name)) for name in self._state_names}
         return state | {"simulation": self.simulator.get_state()}
 
     def set_state(self, state: dict[str, NDArray[Any]]) -> None:
@@ -234,11 +275,14 @@ class ReachTask:
             UserError: the state belongs to another kind of environment.
         """
         check_state(self.get_state(), state)
-        for name in _STATE:
+        for name in self._state_names:
             setattr(self, name, self._arrays.place(np.array(state[name])))
         self._refresh(self._all)
         self.simulator.set_state(
-            state["simulation"], self.joint_targets, self.position, self.shown.distractor_position
+            state["simulation"],
+            self.joint_targets,
+            target_positions(self, self._all),
+            self.shown.distractor_position,
         )
         self._measure()
 
@@ -258,12 +302,14 @@ class ReachTask:
         self.colour = selection.put(self.colour, episodes.colour)
         self.position = selection.put(self.position, episodes.position)
         self.look = selection.put(self.look, episodes.look)
+        for name in _SEVERAL:
+            setattr(self, name, selection.put(getattr(self, name), getattr(episodes, name)))
         self.steps = selection.put(self.steps, xp.zeros_like(selection.take(self.steps)))
         distractors = self._refresh(selection)
         self.simulator.reset(
             selection,
             selection.take(self.joint_targets),
-            selection.take(self.position),
+            target_positions(self, selection),
             distractors,
         )
         self._measure()
@@ -272,12 +318,16 @@ class ReachTask:
         """Recompute grasp frames and appearance; return distractor positions, (m, D, 2) [m]."""
         xp = array_namespace(self.position)
         target, position = selection.take(self.target), selection.take(self.position)
-        grasp = target_places(self.scene, position) + self._grasp_offset[target]
+        grasp = target_places(self.scene, position) + self.grasp_offset[target]
         grasp = xp.astype(grasp, self.grasp_position.dtype, copy=False)
         self.grasp_position = selection.update(self.grasp_position, grasp)
         self.grasp_matrix = selection.update(self.grasp_matrix, self._grasp_rotation[target])
+        colours = xp.concat([self.colour[:, None], self.other_colour], axis=1)
         shown = self._appearance(
-            target, selection.take(self.colour), position, selection.take(self.look)
+            selection.take(self.objects),
+            selection.take(colours),
+            position,
+            selection.take(self.look),
         )
         self.shown = Shown(
             *(
@@ -298,16 +348,3 @@ class ReachTask:
             config.ignore_roll,
         )
         self.success = is_success(self.distance, self.angle, self.thresholds[0], self.thresholds[1])
-
-
-def list_facets(
-    scene: Scene, config: EnvConfig
-) -> tuple[tuple[tuple[str, str], ...], NDArray[np.int64]]:
-    """List the (target, colour) pairs of a config and the index of each target's first, (K,)."""
-    facets: list[tuple[str, str]] = []
-    first = []
-    for target in scene.targets:
-        colours = list(target.colours) if config.colours == "randomized" else [*target.colours][:1]
-        first.append(len(facets))
-        facets += [(target.name, colour) for colour in colours]
-    return tuple(facets), np.array(first, dtype=np.int64)

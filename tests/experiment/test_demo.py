@@ -1,0 +1,22 @@
+import dataclasses
+
+import pytest
+
+from knowarm.experiment import demo as module
+from knowarm.experiment.agents import AGENTS
+from knowarm.experiment.demo import demo, demo_experiments
+from knowarm.report import write_report
+
+
+@pytest.mark.slow
+def test_the_demo_trains_evaluates_and_resumes(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "EVALUATION", dataclasses.replace(module.EVALUATION, episodes=4))
+    stops = iter([False, True])
+    assert demo(tmp_path, steps=3200, should_stop=lambda: next(stops, True)) is None
+    paths = demo(tmp_path, steps=3200, should_stop=lambda: False)
+    assert paths is not None
+    roles = [AGENTS[config.agent].role for config in demo_experiments(3200)]
+    assert roles == ["baseline", "knowledge"]
+    assert [len(list(path.glob("evaluation/*/summary.json"))) for path in paths] == [2, 2]
+    page = write_report(paths, tmp_path / "report.html").read_text()
+    assert all(config.name in page for config in demo_experiments(3200))

@@ -1,0 +1,141 @@
+import numpy as np
+import pytest
+
+from knowarm.errors import UserError
+from knowarm.knowledge import graph_of
+from knowarm.knowledge.formats import shipped_graph
+from knowarm.knowledge.queries import Condition, Query, QueryGraph
+from knowarm.knowledge.sparql import sparql
+from tests.knowledge.choice import CHOICE, COLOURS, OBJECTS
+
+GRAPH = graph_of(
+    [
+        ("mug", "usedFor", "drinking"),
+        ("mug", "hasPart", "handle"),
+        ("glass", "usedFor", "drinking"),
+        ("glass", "isMadeOf", "glass"),
+        ("pan", "usedFor", "salt and pepper"),
+        ("pan", "hasPart", "handle"),
+        ("pan", "next to", "mug"),
+        ("drinking", "relatedTo", "water"),
+    ]
+)
+FACETS = [("mug", "red"), ("mug", "blue"), ("glass", "blue"), ("pan", "red")]
+
+
+@pytest.fixture
+def asked():
+    return QueryGraph(GRAPH, FACETS)
+
+
+@pytest.fixture(scope="module")
+def shipped():
+    return QueryGraph(shipped_graph("objects"), CHOICE)
+
+
+def names(queries):
+    return [query.name for query in queries]
+
+
+def test_conditions_are_the_facts_of_objects_and_the_colours(asked):
+    """Neither facts about values nor the names of objects can be asked."""
+    assert [each.name for each in asked.conditions] == [
+        "hasPart handle",
+        "usedFor drinking",
+        "usedFor salt and pepper",
+        "hasColor blue",
+        "hasColor red",
+    ]
+
+
+def test_facts_are_answered_by_the_object_and_colours_by_the_facet(asked):
+    queries = [asked.parse(text) for text in ("hasPart handle", "hasColor blue")]
+    assert asked.answers(queries).tolist() == [
+        [True, True, False, True],
+        [False, True, True, False],
+    ]
+    both = asked.parse("usedFor drinking and hasColor blue")
+    assert asked.answers([both]).tolist() == [[False, True, True, False]]
+
+
+def test_queries_of_two_conditions_need_both(asked):
+    """All that is used for drinking and blue is also what is blue, so that is no new question."""
+    assert names(asked.queries("none")) == [each.name for each in asked.conditions]
+    pairs = names(asked.queries("colour"))[5:]
+    assert pairs == ["hasPart handle and hasColor blue", "usedFor drinking and hasColor red"]
+    every = names(asked.queries("all"))[5:]
+    assert set(every) - set(pairs) == {"hasPart handle and usedFor drinking"}
+
+
+@pytest.mark.parametrize(
+    "text", ["usedFor salt and pepper", "usedFor salt and pepper and hasColor red"]
+)
+def test_a_value_may_hold_the_word_and(asked, text):
+    assert asked.parse(text).name == text
+    assert asked.parse(text).conditions[0] == Condition("usedFor", "salt and pepper")
+
+
+def test_a_relation_may_have_two_words():
+    graph = graph_of([("mug", "used for", "hot tea"), ("pan", "used for", "soup")])
+    asked = QueryGraph(graph, [("mug", "red"), ("pan", "red")])
+    assert asked.parse("used for hot tea").conditions == (Condition("used for", "hot tea"),)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("usedfor drinking", r"relation of the query 'usedfor'\. Did you mean 'usedFor'\?"),
+        ("usedFor drinkin", r"value of usedFor in a query 'drinkin'\. Did you mean 'drinking'"),
+        ("hasColor green", r"value of hasColor in a query 'green'\. .*Available: blue, red"),
+        ("usedFor mug", "names the object 'mug'.*never for its name"),
+        ("usedFor", "needs a relation and a value"),
+        (
+            "usedFor drinking and usedFor salt and pepper",
+            "Nothing answers the query.*'usedFor drinking': mug, glass; 'usedFor salt and pepper'",
+        ),
+    ],
+)
+def test_a_bad_query_is_refused(asked, text, message):
+    with pytest.raises(UserError, match=message):
+        asked.parse(text)
+
+
+def test_bad_graphs_are_refused():
+    with pytest.raises(UserError, match=r"says nothing about the object 'mugg'.*'mug'"):
+        QueryGraph(GRAPH, [("mugg", "red")])
+    with pytest.raises(UserError, match="no facets"):
+        QueryGraph(GRAPH, [])
+    same = graph_of([("a", "usedFor", "x"), ("b", "usedFor", "x")])
+    with pytest.raises(UserError, match="no fact that tells a, b apart"):
+        QueryGraph(same, [("a", "red"), ("b", "red")]).queries()
+
+
+def test_the_graph_may_state_which_colours_an_object_has():
+    graph = graph_of([("mug", "hasColor", "red"), ("pan", "usedFor", "soup")])
+    asked = QueryGraph(graph, [("mug", "red"), ("mug", "blue"), ("pan", "blue")])
+    assert asked.possible().tolist() == [True, False, True]
+    with pytest.raises(UserError, match=r"'mug' the colours red.* in blue only"):
+        QueryGraph(graph, [("mug", "blue")]).possible()
+
+
+def test_answers_of_the_shipped_graph_are_those_of_sparql(shipped):
+    single = shipped.queries("none")
+    for query, row in zip(single, shipped.answers(single), strict=True):
+        (condition,) = query.conditions
+        found = {shipped.facets[i] for i in np.flatnonzero(row)}
+        if condition.is_colour:
+            assert found == {facet for facet in CHOICE if facet[1] == condition.value}
+            continue
+        text = f"SELECT ?x WHERE {{ ?x :{condition.relation} :{condition.value} }}"
+        holders = {name for (name,) in sparql(shipped.graph, text).rows} & set(OBJECTS)
+        assert found == {(name, colour) for name in holders for colour in COLOURS}, condition
+
+
+def test_the_shipped_graph_has_something_to_ask_about_every_object(shipped):
+    single = shipped.queries("none")
+    assert len(single) == 49
+    facts = shipped.answers([q for q in single if not q.conditions[0].is_colour])
+    assert facts.any(1).all()
+    assert (facts.sum(0) >= 2).all()
+    assert all(shipped.answers([query]).sum() >= 2 * len(COLOURS) for query in single[:40])
+    assert all(Query.parse(query.name) == query for query in shipped.queries("all"))

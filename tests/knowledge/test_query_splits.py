@@ -1,0 +1,182 @@
+import numpy as np
+import pytest
+
+from knowarm.errors import UserError
+from knowarm.knowledge import graph_of
+from knowarm.knowledge.builder import difference, union
+from knowarm.knowledge.formats import shipped_graph
+from knowarm.knowledge.queries import Query
+from knowarm.knowledge.query_splits import SPLITS, query_splits
+from knowarm.world.choice import ChoiceTable
+from tests.knowledge.choice import CHOICE, OBJECTS
+
+GRAPH = shipped_graph("objects")
+
+
+@pytest.fixture(scope="module", params=[0, 1])
+def splits(request):
+    return query_splits(GRAPH, CHOICE, seed=request.param)
+
+
+def questions(table):
+    """Return every (query, object) that a table asks."""
+    return {(table.queries[q], table.facets[f][0]) for q, f in np.argwhere(table.askable).tolist()}
+
+
+def conditions_of(pairs):
+    return {(c, name) for text, name in pairs for c in Query.parse(text).conditions}
+
+
+def test_every_table_is_a_choice_table_with_enough_distractors(splits):
+    assert set(splits.tests) == set(SPLITS)
+    for table in (splits.train, *splits.tests.values()):
+        choice = ChoiceTable(**vars(table))
+        choice.check_objects(4)
+        assert choice.askable.any()
+
+
+def test_tests_ask_what_training_does_not(splits):
+    train = questions(splits.train)
+    assert questions(splits.test("S1")) == train
+    for name in ("S2", "S3", "S4"):
+        assert not questions(splits.test(name)) & train, name
+    changed = splits.test("S5")
+    before = dict(zip(splits.train.queries, splits.train.satisfies, strict=True))
+    for query, facet in np.argwhere(changed.askable):
+        assert not before[changed.queries[query]][facet]
+
+
+def test_s2_pairs_are_new_though_both_parts_are_known(splits):
+    train = conditions_of(questions(splits.train))
+    for text, name in questions(splits.test("S2")):
+        parts = Query.parse(text).conditions
+        assert any((c, name) not in train for c in parts)
+        assert all(any(c == known for known, _ in train) for c in parts)
+        assert any(name == known for _, known in train)
+
+
+def test_s3_objects_are_new_and_their_conditions_known(splits):
+    train = splits.train
+    shown = {train.facets[f][0] for f in np.flatnonzero(train.shown)}
+    asked = {c for c, _ in conditions_of(questions(train))}
+    held = splits.held_out.objects
+    assert len(held) == 6
+    assert not held & shown
+    test = splits.test("S3")
+    assert {test.facets[f][0] for f in np.flatnonzero(test.shown)} == held
+    assert {name for _, name in questions(test)} == held
+    assert {c for c, _ in conditions_of(questions(test))} <= asked
+
+
+def test_s4_values_are_new_and_linked_to_values_of_training(splits):
+    train = {c.value for c, _ in conditions_of(questions(splits.train))}
+    links = {frozenset((head, tail)) for head, _, tail in GRAPH}
+    held = splits.held_out.values
+    assert held
+    assert not held & train
+    assert all(any(frozenset((value, known)) in links for known in train) for value in held)
+    for text, _ in questions(splits.test("S4")):
+        assert {c.value for c in Query.parse(text).conditions} & held
+
+
+def test_s5_asks_queries_of_training_whose_answer_changed(splits):
+    asked = {c for c, _ in conditions_of(questions(splits.train))}
+    test = splits.test("S5")
+    assert {c for c, _ in conditions_of(questions(test))} <= asked
+    single = [q for q in np.flatnonzero(test.askable.any(1)) if " and " not in test.queries[q]]
+    assert len(single) >= 4
+    before = dict(zip(splits.train.queries, splits.train.satisfies, strict=True))
+    for query in single:
+        old = before[test.queries[query]] & test.shown
+        new = np.flatnonzero(test.askable[query])
+        assert not (test.satisfies[query] & old).any()
+        assert test.related[new][:, old].any(1).all(), "the old answer may stand beside the new"
+
+
+def test_what_is_shown_is_asked_for(splits):
+    """A facet that is never a target would tell, without any query, that it is a distractor."""
+    for table in (splits.train, *(splits.test(name) for name in ("S2", "S3", "S4"))):
+        assert (table.askable.any(0) == table.shown).all()
+
+
+def test_guessing_without_the_query_is_chance(splits):
+    """Draw sets of objects that can all be asked for: no object stands out as the target.
+
+    An object's share as the target, learned on half of the layouts, is used on the other half.
+    """
+    rng = np.random.default_rng(3)
+    for table in (splits.train, splits.test("S3")):
+        facets = np.flatnonzero(table.shown)
+        owner = np.array([OBJECTS.index(name) for name, _ in table.facets])
+        scenes = []
+        while len(scenes) < 400:
+            scene = rng.choice(facets, 4, replace=False)
+            if len(set(owner[scene])) < 4:
+                continue
+            alone = table.satisfies[:, scene].sum(1) == 1
+            if (table.askable[:, scene] & alone[:, None]).any(0).all():
+                scenes.append(scene)
+        scenes, target = np.array(scenes), rng.integers(4, size=len(scenes))
+        chosen = np.bincount(owner[scenes[np.arange(200), target[:200]]], minlength=len(OBJECTS))
+        seen = np.bincount(owner[scenes[:200]].ravel(), minlength=len(OBJECTS))
+        liking = chosen / np.maximum(seen, 1)
+        guess = liking[owner[scenes[200:]]].argmax(1)
+        assert abs((guess == target[200:]).mean() - 0.25) < 0.1
+
+
+def test_the_same_seed_gives_the_same_tables_and_another_one_others():
+    one, same, other = (query_splits(GRAPH, CHOICE, seed=seed) for seed in (4, 4, 5))
+    for name in SPLITS:
+        assert (one.test(name).askable == same.test(name).askable).all()
+        assert one.test(name).queries == same.test(name).queries
+    assert one.held_out.objects != other.held_out.objects
+    assert one.held_out.values != other.held_out.values
+    assert one.held_out.pairs != other.held_out.pairs
+
+
+def test_what_is_held_out_does_not_depend_on_the_order_of_the_facets():
+    one, other = (query_splits(GRAPH, facets).held_out for facets in (CHOICE, CHOICE[::-1]))
+    assert (one.objects, one.values, one.pairs) == (other.objects, other.values, other.pairs)
+
+
+def test_splits_draw_from_streams_of_their_own():
+    """Holding out less leaves the other draws as they are."""
+    objects = query_splits(GRAPH, CHOICE, hold_out=["S3"])
+    assert objects.held_out.objects == query_splits(GRAPH, CHOICE).held_out.objects
+    assert objects.held_out.values == set()
+    assert set(objects.tests) == {"S1", "S3", "S5"}
+    with pytest.raises(UserError, match=r"S4 .* is empty: hold_out does not name it"):
+        objects.test("S4")
+
+
+def test_an_edited_graph_of_the_user_is_a_test():
+    old = graph_of([("toolbox", "usedFor", "repairing"), ("mallet", "usedFor", "repairing")])
+    new = graph_of([("mug", "usedFor", "repairing"), ("mug", "usedFor", "sorting screws")])
+    splits = query_splits(GRAPH, CHOICE, hold_out=[], edited=union(difference(GRAPH, old), new))
+    asked = questions(splits.test("S5"))
+    assert ("usedFor repairing", "mug") in asked
+    assert {name for _, name in asked} == {"mug"}
+    assert "usedFor sorting screws" in splits.test("S5").queries
+    assert splits.test("S5").queries[: len(splits.train.queries)] == splits.train.queries
+    unchanged = query_splits(GRAPH, CHOICE, edited=GRAPH)
+    with pytest.raises(UserError, match=r"S5 .* is empty: the edited graph gives no query"):
+        unchanged.test("S5")
+
+
+def test_splits_that_a_graph_does_not_allow_say_why():
+    graph = graph_of([(name, "usedFor", use) for name, use in zip("abcdef", "uuvvww", strict=True)])
+    facets = [(name, colour) for name in "abcdef" for colour in ("red", "blue", "green")]
+    splits = query_splits(graph, facets)
+    assert set(splits.tests) >= {"S1", "S5"}
+    with pytest.raises(UserError, match=r"S3 .* is empty: 5 of the 6 objects"):
+        splits.test("S3")
+    with pytest.raises(
+        UserError, match=r"S4 .* is empty: of the objects whose values can be held out, 0"
+    ):
+        splits.test("S4")
+    with pytest.raises(UserError, match="Unknown split 's3'"):
+        splits.test("s3")
+    with pytest.raises(UserError, match="Unknown split to hold out 'S1'"):
+        query_splits(graph, facets, hold_out=["S1"])
+    with pytest.raises(UserError, match="Training would ask nothing"):
+        query_splits(graph, facets[:6])

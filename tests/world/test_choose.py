@@ -1,0 +1,240 @@
+"""Choice task: layouts, balance, infos, and agents that know or do not know the query."""
+
+import warnings
+from dataclasses import fields, replace
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium.utils.env_checker import check_env
+from stable_baselines3.common import env_checker
+
+from knowarm.errors import UserError
+from knowarm.world import choice_env_id
+from knowarm.world.agents.scripted import OracleAgent
+from knowarm.world.choice_config import ChoiceConfig, NameQueries
+from knowarm.world.choice_source import arrange
+from knowarm.world.config import EnvConfig, choice_env_config
+from knowarm.world.episodes import EpisodeSource, evaluation_episodes
+from knowarm.world.ik import InverseKinematics
+from knowarm.world.knowledge_observation import KnowledgeObservation
+from knowarm.world.layouts import support
+from knowarm.world.play import EpisodeResults, play
+from knowarm.world.render.cpu import Raycaster
+from knowarm.world.robots import MAIN_ROBOTS
+from knowarm.world.scene import scene_of, target_places
+from knowarm.world.torch_env import TorchReachVectorEnv
+from knowarm.world.vector_env import ReachVectorEnv
+
+STREAMS = np.arange(200, dtype=np.uint64)
+NUMBERS = STREAMS % np.uint64(7)
+METRICS = ("distance", "chosen", "is_choice_correct", "query", "objects", "object_positions")
+
+
+def small(robot: str = "irb120", **options: Any) -> EnvConfig:
+    return choice_env_config(robot, **({"image_size": 8, "dynamics": "kinematic"} | options))
+
+
+class PickingAgent(OracleAgent):
+    """Moves to one of the visible objects, which it draws: it knows no query."""
+
+    def start(self, env: ReachVectorEnv) -> None:
+        super().start(env)
+        task, rows = env.task, np.arange(env.num_envs)
+        pick = np.random.default_rng(self._seed).integers(task.objects.shape[1], size=env.num_envs)
+        target = task.objects[rows, pick]
+        position = np.concatenate([task.position[:, None], task.other_position], axis=1)
+        grasp = target_places(env.scene, position[rows, pick]) + task.grasp_offset[target]
+        matrix = env.scene.grasp_matrix[target].reshape(-1, 9)
+        solver = InverseKinematics(env.scene, seed=self._seed)
+        self._reach = solver.solve(grasp, matrix, env.joint_positions)
+
+
+def played(agent: OracleAgent, config: EnvConfig, count: int) -> EpisodeResults:
+    env = ReachVectorEnv(config, count)
+    return play(agent, env, evaluation_episodes(env.scene, config, count, seed=1))
+
+
+@pytest.mark.parametrize("robot", MAIN_ROBOTS)
+def test_the_oracle_reaches_the_object_of_the_query(robot: str) -> None:
+    result = played(OracleAgent(), small(robot), 60)
+    assert (result.chosen == result.target).mean() >= 0.98
+    assert result.success.mean() >= 0.97
+
+
+def test_an_agent_that_does_not_know_the_query_stays_at_chance() -> None:
+    count, chance = 160, 0.25
+    result = played(PickingAgent(), small(), count)
+    correct = (result.chosen == result.target).mean()
+    assert abs(correct - chance) < 3 * np.sqrt(chance * (1 - chance) / count)
+    assert result.success.mean() < 0.4
+
+
+@pytest.mark.parametrize("robot", MAIN_ROBOTS)
+def test_objects_do_not_overlap_and_stay_in_the_rectangle(robot: str) -> None:
+    config = small(robot)
+    scene = scene_of(config)
+    e = EpisodeSource(scene, config)(STREAMS, NUMBERS)
+    position = np.concatenate([e.position[:, None], e.other_position], axis=1)
+    objects = np.concatenate([e.target[:, None], e.others], axis=1)
+    inside = np.abs(position - scene.robot.rectangle_centre_m) <= scene.robot.rectangle_half_size_m
+    assert inside.all()
+    assert (np.sort(objects)[:, 1:] != np.sort(objects)[:, :-1]).all(), "all different"
+    angles = np.linspace(0, np.pi, 16, endpoint=False)
+    axes = np.stack([np.cos(angles), np.sin(angles), np.zeros(16)], axis=1)
+    ahead, behind = support(scene, axes), support(scene, -axes)
+    for i in range(4):
+        for j in range(i):
+            way = (position[:, i] - position[:, j]) @ axes[:, :2].T
+            a, b = objects[:, i], objects[:, j]
+            apart = (way > ahead[b] + behind[a]) | (-way > ahead[a] + behind[b])
+            assert apart.any(axis=1).all()
+
+
+@pytest.mark.parametrize("robot", MAIN_ROBOTS)
+def test_most_of_every_object_is_visible_beside_the_others(robot: str) -> None:
+    count = 40
+    env = ReachVectorEnv(small(robot), count)
+    env.reset(seed=0)
+    scene, task = env.scene, env.task
+    raycaster = Raycaster(scene.model, scene.camera, 64, 64)
+    poses = env.simulation.geom_position, env.simulation.geom_matrix
+    rgba = env.geom_rgba
+    together = raycaster.trace(*poses, rgba).geom
+    owner = np.append(scene.geom_target, -1)  # -1, no geom, belongs to no target
+    shares = []
+    for j in range(4):
+        own = task.objects[:, j]
+        alone = rgba.copy()
+        alone[..., 3] = np.where(
+            (scene.geom_target >= 0) & (scene.geom_target != own[:, None]), 0, alone[..., 3]
+        )
+        seen = owner[raycaster.trace(*poses, alone).geom] == own[:, None, None]
+        left = owner[together] == own[:, None, None]
+        shares.append(left.sum(axis=(1, 2)) / np.maximum(1, seen.sum(axis=(1, 2))))
+    assert np.quantile(shares, 0.01) > 0.4
+    assert np.mean(shares) > 0.9
+
+
+def test_only_the_query_tells_which_object_is_meant() -> None:
+    found = arrange(small())
+    chosen, table = found.compositions, found.table
+    assert chosen.balanced
+    sets, number = np.unique(chosen.facets, axis=0, return_inverse=True)
+    asked = np.zeros(sets.shape, dtype=int)
+    np.add.at(asked, (number.reshape(-1), chosen.wanted), 1)
+    assert (asked == asked[:, :1]).all(), "each object of a set is asked for equally often"
+    satisfied = table.satisfies[chosen.query[:, None], chosen.facets]
+    assert (satisfied.sum(axis=1) == 1).all(), "exactly one object satisfies the query"
+    assert satisfied[np.arange(len(chosen)), chosen.wanted].all()
+    assert np.bincount(chosen.query, minlength=len(table.queries)).min() > 0
+
+
+def test_a_split_that_asks_for_few_facets_draws_the_question_first() -> None:
+    class OneAnswer(NameQueries):
+        def table(self, facets: Any, objects: int) -> Any:
+            table = super().table(facets, objects)
+            askable = table.askable.copy()
+            askable[:, 1:] = False
+            return replace(table, askable=askable)
+
+    found = arrange(small(choice=ChoiceConfig(queries=OneAnswer())))
+    chosen = found.compositions
+    assert not chosen.balanced
+    assert (chosen.facets[np.arange(len(chosen)), chosen.wanted] == 0).all()
+    satisfied = found.table.satisfies[chosen.query[:, None], chosen.facets]
+    assert (satisfied.sum(axis=1) == 1).all()
+
+
+def test_torch_draws_the_same_episodes_and_shows_the_same_images() -> None:
+    config = small(image_size=32)
+    scene = scene_of(config)
+    episodes = EpisodeSource(scene, config)(STREAMS, NUMBERS)
+    streams, numbers = (torch.as_tensor(x.view(np.int64)) for x in (STREAMS, NUMBERS))
+    drawn = EpisodeSource(scene, config, torch.as_tensor)(streams, numbers)
+    for field in fields(episodes):
+        assert (getattr(episodes, field.name) == getattr(drawn, field.name).numpy()).all()
+    arrays, tensors = ReachVectorEnv(config, 3), TorchReachVectorEnv(config, 3)
+    images, infos = arrays.reset(seed=5)
+    torch_images, torch_infos = tensors.reset(seed=5)
+    assert (images == torch_images.numpy()).all()
+    for name in METRICS:
+        assert (infos[name] == torch_infos[name].numpy()).all(), name
+
+
+def test_an_episode_is_the_same_to_the_byte_at_any_number_of_environments() -> None:
+    config = small(image_size=32, dynamics="dynamic", max_episode_steps=5)
+    one, many = ReachVectorEnv(config, 1), ReachVectorEnv(config, 8, num_threads=2)
+    one.reset(seed=12)
+    many.reset(seed=5)
+    generator = np.random.default_rng(0)
+    for step in range(12):
+        if step == 7:
+            state = many.get_state()
+        action = generator.integers(7, size=(1, 6))
+        alone, together = one.step(action), many.step(np.repeat(action, 8, axis=0))
+        for a, b in zip(alone[:4], together[:4], strict=True):
+            assert a[0].tobytes() == b[-1].tobytes()
+        for name in METRICS:
+            assert alone[4][name][0].tobytes() == together[4][name][-1].tobytes(), name
+    again = ReachVectorEnv(config, 8)
+    again.set_state(state)
+    assert {name: values.tobytes() for name, values in again.get_state().items()} == {
+        name: values.tobytes() for name, values in state.items()
+    }
+
+
+@pytest.mark.parametrize("robot", MAIN_ROBOTS)
+def test_the_checkers_pass_without_a_warning(robot: str) -> None:
+    name = choice_env_id(robot)
+    assert name is not None
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env = gymnasium.make(name, render_mode="rgb_array")
+        check_env(env.unwrapped)
+        queries = env.unwrapped.queries  # type: ignore[attr-defined]
+        env_checker.check_env(KnowledgeObservation(env, np.eye(len(queries))))
+    envs = gymnasium.make_vec(name, num_envs=2)
+    assert envs.reset(seed=0)[1]["objects"].shape == (2, 4)
+
+
+def test_marked_objects_show_the_answer() -> None:
+    env = ReachVectorEnv(small(choice=ChoiceConfig(marked=True)), 4)
+    env.reset(seed=0)
+    wanted = env.scene.geom_target == env.task.target[:, None]
+    assert (env.geom_rgba[wanted] == [1, 0, 1, 1]).all()
+    others = (env.geom_rgba[..., 3] > 0) & (env.scene.geom_target >= 0) & ~wanted
+    assert (np.ptp(env.geom_rgba[others][:, :3], axis=1) == 0).all(), "grey"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"choice": ChoiceConfig(objects=3), "targets": ("mug", "jar")}, "names 2"),
+        ({"targets": ("mug",) * 4}, "twice"),
+    ],
+)
+def test_configs_that_do_not_fit_are_refused(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(UserError, match=message):
+        small(**options)
+
+
+def test_numbers_of_objects_outside_two_to_six_are_refused() -> None:
+    with pytest.raises(UserError, match="2 to 6, got 1"):
+        ChoiceConfig(objects=1)
+
+
+def test_episodes_of_another_number_of_objects_are_refused() -> None:
+    env = ReachVectorEnv(small(), 2)
+    other = small(choice=ChoiceConfig(objects=3))
+    episodes = evaluation_episodes(env.scene, other, 2, seed=0)
+    with pytest.raises(UserError, match="show 3 objects, and this environment shows 4"):
+        env.reset(options={"episodes": episodes})
+
+
+def test_too_many_objects_for_the_rectangle_are_refused() -> None:
+    large = ("pan", "watering_can", "teapot", "kettle", "basket", "toolbox")
+    with pytest.raises(UserError, match="6 objects do not fit the rectangle"):
+        arrange(small("tiago", targets=large, choice=ChoiceConfig(objects=6)))

@@ -1,0 +1,34 @@
+"""Checks of the objects of the choice task."""
+
+from pathlib import Path
+
+from knowarm.world.object_check import check_objects
+from tests.world.helpers import EXAMPLES
+
+
+def test_objects_that_can_be_reached_and_told_apart_pass() -> None:
+    checks = check_objects("irb120", ["mug", "can", "book", "bell"])
+    assert [check for check in checks if not check.ok] == []
+    assert {"reach of mug", "book in the image", "any two objects differ"} <= {
+        check.name for check in checks
+    }
+
+
+def test_two_objects_of_one_shape_are_named(tmp_path: Path) -> None:
+    for name in ("one", "other"):
+        text = (EXAMPLES / "bowl.toml").read_text()
+        mjcf = (EXAMPLES / "bowl.toml").parent / "bowl.xml"
+        lines = [line for line in text.splitlines() if not line.startswith(("mjcf", "name"))]
+        (tmp_path / f"{name}.toml").write_text(
+            "\n".join([f'name = "{name}"', f'mjcf = "{mjcf}"', *lines])
+        )
+    files = [str(tmp_path / f"{name}.toml") for name in ("one", "other")]
+    checks = {check.name: check for check in check_objects("irb120", [*files, "can", "bell"])}
+    assert not checks["any two objects differ"].ok
+    assert "one and other" in checks["any two objects differ"].found
+
+
+def test_a_scene_that_cannot_be_built_is_the_only_check() -> None:
+    (check,) = check_objects("irb120", ["mug", "mugg", "can", "bell"])
+    assert not check.ok
+    assert "mugg" in check.found
