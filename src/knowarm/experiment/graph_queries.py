@@ -78,7 +78,7 @@ class GraphQueries(QuerySource):
 
 
 def retold(config: "ExperimentConfig", env: EnvConfig) -> np.ndarray:
-    """Compute the knowledge table of a trained policy anew from the edited graph of S5.
+    """Compute the knowledge table of a trained policy from the edited graph of S5.
 
     Args:
         config: the experiment that trained the policy.

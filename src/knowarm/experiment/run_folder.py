@@ -211,7 +211,7 @@ class CsvLog:
             aside = self._path.with_suffix(".damaged")
             with writing(self._path):
                 self._path.replace(aside)
-            log.warning("%s Keeping it as %s and starting anew.", error, aside.name)
+            log.warning("%s Keeping it as %s and starting a new file.", error, aside.name)
             return []
 
     def write(self, row: Mapping[str, Any]) -> None:

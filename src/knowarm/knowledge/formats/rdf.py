@@ -44,7 +44,7 @@ _GENERATED = re.compile(r"[a-f][0-9a-f]{25,31}")
 
 
 MAX_GAP = 4 * 2**20
-"""Most bytes without a complete statement; the parser starts each attempt to read one anew."""
+"""Most bytes without a complete statement; a failed attempt is repeated from its start."""
 
 MAX_DEPTH, MAX_ENTITY = 200, 1_000
 """Deepest nesting of XML elements and longest XML entity."""
