@@ -3,16 +3,18 @@
 #
 #   benchmarks/gpu.sh [PACK] [OUT]
 #
-# PACK  folder with the parts of gpu_pack.py's archive. It is unpacked into WORK, and its packages
-#       come before those of PYTHON (torch, Numba and what else gpu-machine.txt names). If left out
-#       or empty, only PYTHON's packages are used.
+# PACK  folder with the parts of gpu_pack.py's archive and its digest. It is unpacked into WORK, and
+#       its packages come before those of PYTHON (torch, Numba and what else gpu-machine.txt names).
+#       If left out or empty, only PYTHON's packages are used.
 # OUT   folder for the results (the environment variable OUT, else runs/gpu): gpu.json, smoke.txt,
 #       parity.txt, and of the training metrics.csv, evaluations.csv, config.json, provenance.json.
 #
 # Settings, as environment variables:
 #   STAGES   stages to run, of "smoke parity bench train" (all). Each resumes an earlier call:
 #            bench measures the rows that gpu.json lacks, train resumes from the last checkpoint.
-#   DRY_RUN  1 to check and print sizes, commands and times only; nothing is unpacked or measured.
+#   DRY_RUN  1 to check and print each call's size, time and command, for a machine that takes a
+#            limited amount per call; nothing is unpacked or measured.
+#   STORE    folder for the parts on that machine (/tmp/pack), in the printed commands.
 #   LIMIT_S  time limit per stage (480 s); train then saves and stops, call again to resume.
 #   PYTHON   interpreter (python3).      WORK  folder for files kept between calls
 #   DEVICE   cuda (default) or cpu.            (runs/gpu-work); remove it to start over.
@@ -23,6 +25,7 @@ set -euo pipefail
 here=$(cd "$(dirname "$0")/.." && pwd)
 PACK=${1:-} OUT=${2:-${OUT:-$here/runs/gpu}} WORK=${WORK:-$here/runs/gpu-work}
 PYTHON=${PYTHON:-python3} DEVICE=${DEVICE:-cuda} TINY=${TINY:-} LIMIT_S=${LIMIT_S:-480} DRY_RUN=${DRY_RUN:-}
+STORE=${STORE:-/tmp/pack}
 STAGES=${STAGES-smoke parity bench train}
 experiment=irb120-full-ppo
 run=$WORK/runs/$experiment/0
@@ -43,8 +46,9 @@ if [ -n "$PACK" ]; then
   [ ${#parts[@]} -gt 0 ] || fail "there is no part of an archive (site.tar.xz.1of2) in $PACK."
 fi
 
-# Largest file of PACK, largest transfer with the checkout, and the assumed speed of training.
-PART_BYTES=48000000 TRANSFER_BYTES=67108864 STEPS_PER_S=200000
+# Largest file of PACK, largest call with the checkout, longest time of all calls, and guesses of the
+# times of a transfer, of unpacking and of training.
+PART_BYTES=48000000 CALL_BYTES=67108864 TOTAL_S=1800 TRANSFER_S=60 UNPACK_S=30 STEPS_PER_S=200000
 
 # Print the seconds that a stage will take. Nothing has been measured on a GPU: these are guesses
 # from the CPU device and from the target speeds.
@@ -57,22 +61,41 @@ estimate() {
   esac
 }
 
-# Print what a call would do: the files that travel, and each stage with its time and limit.
+# Print and check one call: bytes of the pack that travel, seconds, command.
+calls=0 total=0
+call() {
+  local bytes=$(($1 + checkout))
+  calls=$((calls + 1)) total=$((total + $2))
+  echo "call $calls: $((bytes / 1000)) kB, about $2 s: $3"
+  [ $bytes -le $CALL_BYTES ] || fail "call $calls has more than $((CALL_BYTES / 1000)) kB."
+  [ "$2" -le "$LIMIT_S" ] || fail "call $calls takes longer than LIMIT_S=$LIMIT_S s."
+}
+
+# Print what a machine that takes a limited amount per call would be asked for. The checkout travels
+# with each call. The first stage runs in the call that brings the last part.
 dry_run() {
-  local part size checkout=0 total=0
+  local part size store='' command run='' bytes=0 seconds=0
   checkout=$(cd "$here" && git ls-files -z --cached --others --exclude-standard 2> /dev/null |
     xargs -0 -r stat -c %s 2> /dev/null | awk '{sum += $1} END {print sum + 0}')
+  echo "the checkout: $((checkout / 1000)) kB"
+  [ "$DEVICE" = cuda ] || run="DEVICE=$DEVICE "
+  run+="benchmarks/gpu.sh${PACK:+ $STORE}"
   for part in "${parts[@]}"; do
     size=$(stat -c %s "$part")
-    echo "transfer of $(((size + checkout) / 1000)) kB: ${part##*/} $((size / 1000)) kB, the checkout $((checkout / 1000)) kB"
+    echo "${part##*/}: $((size / 1000)) kB"
     [ "$size" -le $PART_BYTES ] || fail "${part##*/} has more than $((PART_BYTES / 1000000)) MB."
-    [ $((size + checkout)) -le $TRANSFER_BYTES ] || fail "this is more than $((TRANSFER_BYTES / 1000)) kB."
+    [ -z "$store" ] || call "$bytes" "$seconds" "$store"
+    store="mkdir -p $STORE && cp ${part%/*}/* $STORE" bytes=$size seconds=$TRANSFER_S
   done
   for stage in $STAGES; do
-    total=$((total + $(estimate "$stage")))
-    echo "about $(estimate "$stage") s, at most $LIMIT_S s: STAGES=$stage DEVICE=$DEVICE benchmarks/gpu.sh $PACK"
+    command="STAGES=$stage $run" seconds=$((seconds + $(estimate "$stage")))
+    [ -z "$store" ] || command="$store && $command" seconds=$((seconds + UNPACK_S))
+    call "$bytes" "$seconds" "$command"
+    store='' bytes=0 seconds=0
   done
-  echo "in all about $((total / 60)) minutes"
+  [ -z "$store" ] || call "$bytes" "$seconds" "$store"
+  echo "$calls calls, about $((total / 60)) minutes"
+  [ $total -le $TOTAL_S ] || fail "this is more than $((TOTAL_S / 60)) minutes."
 }
 if [ -n "$DRY_RUN" ]; then
   dry_run
@@ -93,16 +116,18 @@ trap publish EXIT
 # Unpack the archive, unless an earlier call did. Its packages are found before PYTHON's, and its
 # NVVM, with which Numba compiles, by the dynamic linker.
 unpack() {
-  local last=${parts[-1]} content
+  local last=${parts[-1]} digest
   [ "${last##*of}" = ${#parts[@]} ] || fail "${last##*/} is there, but only ${#parts[@]} of ${last##*of} parts are."
-  content=$(stat -c '%s' "${parts[@]}")
-  if [ "$(cat "$WORK/unpacked" 2> /dev/null)" != "$content" ]; then
+  digest=$(cat "${parts[@]}" | sha256sum | cut -d' ' -f1)
+  [ "$digest" = "$(find "$PACK" -name site.tar.xz.sha256 -exec cat {} + | sort -u)" ] ||
+    fail "the joined parts in $PACK have another digest than site.tar.xz.sha256; transfer them again."
+  if [ "$(cat "$WORK/unpacked" 2> /dev/null)" != "$digest" ]; then
     rm -rf "$WORK/unpacked" "$WORK/pack"
     cat "${parts[@]}" | "$PYTHON" -c 'import sys, tarfile
 with tarfile.open(fileobj=sys.stdin.buffer, mode="r|xz") as tar:
     tar.extractall(sys.argv[1], filter="data")' "$WORK/pack" || fail "the archive in $PACK is damaged."
     [ ! -d "$WORK/pack/warp-cache" ] || cp -r "$WORK/pack/warp-cache" "$WORK/"
-    echo "$content" > "$WORK/unpacked"
+    echo "$digest" > "$WORK/unpacked"
   fi
   export PYTHONPATH=$WORK/pack/site${PYTHONPATH:+:$PYTHONPATH}
   export LD_LIBRARY_PATH=$WORK/pack/site/nvidia/cu13/lib${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}

@@ -3,11 +3,12 @@
     python benchmarks/gpu_pack.py PACK [--warp-cache CACHE]
 
 Downloads the packages of gpu-requirements.txt for Linux and Python 3.12, leaves out what is not
-used there, and writes one archive in parts: PACK/1/site.tar.xz.1of3, PACK/2/site.tar.xz.2of3 and
-so on. Each folder is one transfer.
+used there, and writes one archive in parts: PACK/1/site.tar.xz.1of2 and PACK/2/site.tar.xz.2of2.
+Each folder is one transfer, and also holds the SHA-256 digest of the whole archive.
 """
 
 import argparse
+import hashlib
 import lzma
 import shutil
 import struct
@@ -31,6 +32,8 @@ PLATFORMS = ("2_28", "2_27", "2_17", "2_12")
 
 UNUSED = (
     "bin",
+    "mujoco/doc",
+    "mujoco/include",
     "mujoco_warp/test_data",
     "nvidia/cu13/include",
     "nvidia/cu13/nvvm/bin",  # nvcc's compiler; Numba needs the library
@@ -42,7 +45,7 @@ UNUSED = (
 
 FILTERS = [
     {"id": lzma.FILTER_X86},
-    {"id": lzma.FILTER_LZMA2, "preset": 6, "dict_size": 2**26},
+    {"id": lzma.FILTER_LZMA2, "preset": 9 | lzma.PRESET_EXTREME},
 ]
 
 FATBIN, MAGIC = "<IHHQ", 0xBA55ED50
@@ -144,16 +147,19 @@ def write_archive(archive: Path, **folders: Path) -> None:
 
 
 def split(archive: Path, pack: Path, most_bytes: int) -> list[Path]:
-    """Split an archive into equal parts, in a folder each."""
+    """Split an archive into equal parts, in a folder each, with the digest of the archive."""
     size = archive.stat().st_size
     count = -(-size // most_bytes)
     length = -(-size // count)
     parts = []
     with archive.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+        file.seek(0)
         for number in range(1, count + 1):
             part = pack / str(number) / f"{archive.name}.{number}of{count}"
             part.parent.mkdir(parents=True)
             part.write_bytes(file.read(length))
+            part.with_name(f"{archive.name}.sha256").write_text(f"{digest}\n")
             parts.append(part)
     return parts
 

@@ -6,7 +6,13 @@ import pytest
 import torch
 
 from knowarm.bench import clock as clock_module
-from knowarm.bench.clock import PartClock, seconds_per_call
+from knowarm.bench.clock import (
+    HOST_CALLS,
+    HOST_ROUNDS,
+    PartClock,
+    host_seconds_per_call,
+    seconds_per_call,
+)
 
 CPU = torch.device("cpu")
 
@@ -28,6 +34,28 @@ def test_a_call_is_timed_over_many_calls(now: list[float]) -> None:
 
     assert seconds_per_call(run, 3.0, CPU) == 0.25
     assert len(calls) == 1 + 10 + 15  # too short twice, then 1.2 x 3 s
+
+
+def test_the_hosts_time_is_without_the_devices(
+    now: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: list[int] = []
+    queued: list[int] = []
+
+    def issue() -> None:
+        calls.append(1)
+        queued.append(1)
+        # The first round is slow, as others on the machine may make it.
+        now[0] += 5.0 if len(calls) <= HOST_CALLS else 0.25
+
+    def wait(device: torch.device) -> None:
+        now[0] += 100.0 * len(queued)
+        queued.clear()
+
+    monkeypatch.setattr(torch.cuda, "synchronize", wait)
+    assert host_seconds_per_call(issue, torch.device("cuda", 0)) == 0.25
+    assert len(calls) == HOST_ROUNDS * HOST_CALLS
+    assert not queued
 
 
 def test_parts_are_added_up_by_name(now: list[float]) -> None:

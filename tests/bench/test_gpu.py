@@ -60,6 +60,7 @@ def test_everything_is_measured_on_the_cpu_device() -> None:
         assert all(0 < share < 1 for share in shares)
         assert sum(shares) <= 1.01
         assert row["step_ms"] * row["env_steps_per_s"] == pytest.approx(1000 * row["num_envs"])
+        assert row["host_ms"] > 0
         for what in ("env", "training"):
             assert row[f"{what}_bytes_per_step"] > 0
             assert row[f"{what}_bandwidth_share"] > 0
@@ -112,7 +113,7 @@ def test_other_errors_are_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_table_with_and_without_figures_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
     memory = {"torch_peak_bytes": 2**30, "device_used_bytes": 3 * 2**30}
     rows = [
-        {"num_envs": 256, "error": None, "env_steps_per_s": 4321.0} | memory,
+        {"num_envs": 256, "error": None, "env_steps_per_s": 4321.0, "host_ms": 0.31} | memory,
         {"num_envs": 16384, "error": "They do not fit."} | memory,
     ]
     training = {
@@ -133,6 +134,7 @@ def test_a_table_with_and_without_figures_is_printed(capsys: pytest.CaptureFixtu
     printed = capsys.readouterr().out
     assert "A card, by number of environments" in printed
     assert "4,321" in printed
+    assert "0.31" in next(line for line in printed.splitlines() if "the host's part" in line)
     assert "16,384 environments: They do not fit." in printed
     assert "tf32" not in printed
     assert "70,000,000 of 70,000,000 steps in 7.50 minutes" in printed

@@ -1,5 +1,6 @@
 """Tests of ``benchmarks/gpu_pack.py``."""
 
+import hashlib
 import struct
 import tarfile
 from pathlib import Path
@@ -64,6 +65,9 @@ def test_parts_are_equal_and_small_enough(size: int, count: int, tmp_path: Path)
     assert len(parts) == count
     assert b"".join(part.read_bytes() for part in parts) == archive.read_bytes()
     assert max(part.stat().st_size for part in parts) <= 100 <= MOST_BYTES
+    digest = hashlib.sha256(archive.read_bytes()).hexdigest()
+    for part in parts:
+        assert part.with_name("site.tar.xz.sha256").read_text() == f"{digest}\n"
 
 
 def test_an_archive_holds_the_folders_under_their_names(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ import torch
 from benchmarks import gpu_pack
 
 ROOT = Path(__file__).parent.parent.parent
+STAGES = ("smoke", "parity", "bench", "train")
 REQUIREMENTS = [ROOT / "benchmarks" / f"gpu-{name}.txt" for name in ("requirements", "machine")]
 
 
@@ -129,22 +130,115 @@ def test_a_pack_is_joined_and_its_packages_are_found(tmp_path: Path) -> None:
     assert f"only {len(parts) - 1} of {len(parts)} parts are" in done.stderr
 
 
-def test_a_dry_run_prints_sizes_times_and_commands_and_does_nothing(tmp_path: Path) -> None:
-    write_pack(tmp_path, 10**6)
-    pack = tmp_path / "pack"
-    done = gpu_sh(tmp_path, str(pack), str(tmp_path / "out"), DRY_RUN="1", LIMIT_S="480")
+def calls_of(printed: str) -> list[tuple[int, int, str]]:
+    """Return bytes, seconds and command of each call that a dry run printed."""
+    calls = re.findall(r"^call \d+: (\d+) kB, about (\d+) s: (.*)$", printed, re.MULTILINE)
+    return [(1000 * int(size), int(seconds), command) for size, seconds, command in calls]
+
+
+def test_a_dry_run_prints_each_call_and_does_nothing(tmp_path: Path) -> None:
+    parts = write_pack(tmp_path, 200)
+    pack, out = str(tmp_path / "pack"), str(tmp_path / "out")
+    settings = {"DRY_RUN": "1", "LIMIT_S": "480"}
+    done = gpu_sh(tmp_path, pack, out, **settings, DEVICE="cuda")
     assert done.returncode == 0, done.stderr
-    assert re.search(r"transfer of \d+ kB: site.tar.xz.1of1 0 kB, the checkout \d+ kB", done.stdout)
-    for stage, seconds in (("smoke", 90), ("parity", 240), ("bench", 135), ("train", 410)):
-        line = f"about {seconds} s, at most 480 s: STAGES={stage} DEVICE=cpu benchmarks/gpu.sh"
-        assert line in done.stdout
-    assert "in all about 14 minutes" in done.stdout
-    assert not (tmp_path / "out").exists()
-    with (pack / "1" / "site.tar.xz.1of1").open("wb") as file:
-        file.truncate(48_000_001)
-    done = gpu_sh(tmp_path, str(pack), str(tmp_path / "out"), DRY_RUN="1")
+    calls = calls_of(done.stdout)
+    copies = [f"mkdir -p /tmp/pack && cp {part.parent}/* /tmp/pack" for part in parts]
+    stages = [f"STAGES={name} benchmarks/gpu.sh /tmp/pack" for name in STAGES]
+    assert [command for *_, command in calls] == [
+        *copies[:-1],
+        f"{copies[-1]} && {stages[0]}",
+        *stages[1:],
+    ]
+    # The last transfer, unpacking and the first stage are one call.
+    seconds = [60] * (len(parts) - 1) + [60 + 30 + 90, 240, 135, 410]
+    assert [each for _, each, _ in calls] == seconds
+    assert f"{len(calls)} calls, about {sum(seconds) // 60} minutes" in done.stdout
+    checkout = int(re.search(r"the checkout: (\d+) kB", done.stdout).group(1)) * 1000
+    assert checkout > 10**6
+    assert all(abs(size - checkout) <= 1000 for size, *_ in calls), "parts of 200 bytes"
+    assert not Path(out).exists()
+
+    only = gpu_sh(tmp_path, "", out, **settings, STAGES="bench")
+    assert calls_of(only.stdout) == [(checkout, 135, "STAGES=bench DEVICE=cpu benchmarks/gpu.sh")]
+
+
+@pytest.mark.parametrize(
+    ("size", "settings", "words"),
+    [
+        (48_000_001, {}, "site.tar.xz.1of1 has more than 48 MB"),
+        (1, {"LIMIT_S": "100"}, "call 1 takes longer than LIMIT_S=100 s"),
+        (1, {"STAGES": "train train train train train"}, "this is more than 30 minutes"),
+    ],
+)
+def test_a_dry_run_checks_limits(
+    size: int, settings: dict[str, str], words: str, tmp_path: Path
+) -> None:
+    (part,) = write_pack(tmp_path, 10**6)
+    with part.open("wb") as file:
+        file.truncate(size)
+    options = {"DRY_RUN": "1", "LIMIT_S": "600"} | settings
+    done = gpu_sh(tmp_path, str(tmp_path / "pack"), str(tmp_path / "out"), **options)
     assert done.returncode == 1
-    assert "site.tar.xz.1of1 has more than 48 MB" in done.stderr
+    assert words in done.stderr
+
+
+def test_damaged_parts_and_those_of_another_pack_are_refused(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco_warp")
+    parts = write_pack(tmp_path, 200)
+    arguments = str(tmp_path / "pack"), str(tmp_path / "out")
+    whole = parts[0].read_bytes()
+    parts[0].write_bytes(whole[:100] + bytes([whole[100] ^ 1]) + whole[101:])
+    done = gpu_sh(tmp_path, *arguments, STAGES="")
+    assert done.returncode == 1
+    assert "have another digest than site.tar.xz.sha256" in done.stderr
+    parts[0].write_bytes(whole)
+    digest = parts[0].with_name("site.tar.xz.sha256")
+    digest.write_text("0" * 64 + "\n")
+    done = gpu_sh(tmp_path, *arguments, STAGES="")
+    assert done.returncode == 1
+    assert "have another digest than site.tar.xz.sha256" in done.stderr
+
+
+RECORDER = """#!/usr/bin/env bash
+# In place of timeout and of Python: notes its name and arguments, and runs nothing.
+echo "${0##*/} $*" >> "$NOTES"
+"""
+
+
+def test_commands_of_a_gpu_have_the_whole_sizes_and_a_limit(tmp_path: Path) -> None:
+    for name in ("timeout", "python"):
+        program = tmp_path / "programs" / name
+        program.parent.mkdir(exist_ok=True)
+        program.write_text(RECORDER)
+        program.chmod(0o755)
+    (tmp_path / "work").mkdir()
+    (tmp_path / "work" / "gpu.json").write_text("{}")
+    settings = {
+        "DEVICE": "cuda",
+        "TINY": "",
+        "LIMIT_S": "",
+        "PYTHON": str(tmp_path / "programs" / "python"),
+        "PATH": f"{tmp_path / 'programs'}:{os.environ['PATH']}",
+        "NOTES": str(tmp_path / "notes"),
+    }
+    done = gpu_sh(tmp_path, STAGES="smoke bench train", **settings)
+    assert done.returncode == 0, done.stdout + done.stderr
+    notes = (tmp_path / "notes").read_text().splitlines()
+    smoke, bench, train = (line for line in notes if line.startswith("timeout"))
+    assert all(re.search(r"^timeout (--\S+ )*480 ", line) for line in (smoke, bench, train))
+    assert smoke.endswith("-m benchmarks.gpu_smoke --device cuda")
+    assert "--num-envs 256 1024 4096 16384 --seconds 5" in bench
+    assert "train irb120-full-ppo" in train
+    for option in (
+        "--algorithm.device cuda",
+        "--total-steps 70000000",
+        "--algorithm.num-envs 4096",
+        "--algorithm.minibatches 16",
+        "--interim.every-steps 500000",
+        "--checkpoint-every-steps 10000000",
+    ):
+        assert option in train
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,16 @@
 """Registered algorithms: the numbers that the paper states, and what stored runs meant."""
 
+from typing import Any, cast
+
+import pytest
+
 from knowarm.config import from_dict
+from knowarm.experiment import algorithms
+from knowarm.experiment.algorithms import ALGORITHMS, TrainerInputs
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.migration import migrate_config, migrate_description
 from knowarm.experiment.registry import experiment_config
+from knowarm.learn import PPOConfig
 from knowarm.learn.config import privileged_uses
 
 
@@ -87,3 +94,25 @@ def test_stored_a3c_runs_keep_their_meaning():
     assert description["policy.config.fc_activation"] == "relu"
     later = {**description, "policy.config.fc_activation": "none"}
     assert migrate_description(later, "irb120") == later
+
+
+@pytest.mark.parametrize(("cores", "threads"), [(16, 8), (2, 2)])
+def test_on_a_gpu_the_evaluator_has_up_to_eight_threads(
+    cores: int, threads: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[dict[str, Any]] = []
+    monkeypatch.setattr(algorithms, "available_cores", lambda: cores)
+    monkeypatch.setattr(algorithms, "PPOTrainer", lambda *_, **options: made.append(options))
+    for device in ("cuda", "cpu"):
+        inputs = TrainerInputs(
+            config=PPOConfig(device=device),
+            policy=cast(Any, None),
+            make_env=cast(Any, lambda num_envs, device: None),
+            make_evaluate=cast(Any, lambda: "evaluate"),
+            options={"seed": 3},
+        )
+        ALGORITHMS["ppo"].make_trainer(inputs)
+    on_gpu, on_cpu = made
+    assert on_gpu.keys() == {"seed", "make_evaluate", "evaluator_threads"}
+    assert on_gpu["evaluator_threads"] == threads
+    assert on_cpu == {"seed": 3, "evaluate": "evaluate"}

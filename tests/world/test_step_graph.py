@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from torch.utils._pytree import tree_leaves
+from torch.utils._pytree import tree_flatten_with_path, tree_leaves
 
 from knowarm.world import torch_env
 from knowarm.world.held_out import HeldOut
@@ -46,9 +46,24 @@ def assert_equal(one: Any, other: Any) -> None:
     torch.testing.assert_close(one, other, rtol=0, atol=0)
 
 
+def assert_alike(one: Any, other: Any) -> None:
+    """Compare results of a simulation whose solver sums in any order."""
+    ours, theirs = (dict(tree_flatten_with_path(each)[0]) for each in (one, other))
+    assert ours.keys() == theirs.keys()
+    for path, a in ours.items():
+        b = theirs[path]
+        if a.dtype == torch.uint8:  # an edge may fall on the other side of a sample's ray
+            differ = (a != b).any(dim=-1)
+            assert int(differ.sum()) <= 0.01 * differ.numel()
+        else:
+            torch.testing.assert_close(a, b, rtol=0, atol=2e-4)
+
+
 def play_both(plain: Any, recorded: Any, steps: int) -> None:
+    exact = plain.device.type == "cpu" or plain.config.dynamics == "kinematic"
+    compare = assert_equal if exact else assert_alike
     generator = torch.Generator().manual_seed(1)
-    assert_equal(plain.reset(seed=3), recorded.reset(seed=3))
+    compare(plain.reset(seed=3), recorded.reset(seed=3))
     truncated, terminated = 0, 0
     for t in range(steps):
         for env in (plain, recorded):
@@ -56,17 +71,22 @@ def play_both(plain: Any, recorded: Any, steps: int) -> None:
         actions = torch.randint(7, (6, 6), generator=generator).to(plain.device)
         if t == steps // 2:
             options = {"reset_mask": np.arange(6) % 2 == 0}
-            assert_equal(plain.reset(options=options), recorded.reset(options=options))
+            compare(plain.reset(options=options), recorded.reset(options=options))
         one, other = plain.step(actions), recorded.step(actions)
         final, other_final = (step[4].pop("final_obs") for step in (one, other))
-        assert_equal(one, other)
-        assert_equal(final[one[3]], other_final[one[3]])
+        compare(one, other)
+        compare(final[one[3]], other_final[one[3]])
         truncated, terminated = truncated + int(one[3].sum()), terminated + int(one[2].sum())
     assert truncated >= 6
     assert terminated
-    assert_equal(plain.facet_ids, recorded.facet_ids)
-    for name, values in plain.get_state().items():
-        assert (values == recorded.get_state()[name]).all(), name
+    compare(plain.facet_ids, recorded.facet_ids)
+    compare(plain.joint_positions, recorded.joint_positions)
+    one, other = plain.get_state(), recorded.get_state()
+    if not exact:  # velocities and accelerations
+        del one["simulation"], other["simulation"]
+    for name, values in one.items():
+        tolerance = 0 if exact else 2e-4
+        np.testing.assert_allclose(values, other[name], rtol=0, atol=tolerance, err_msg=name)
 
 
 @pytest.mark.parametrize("options", OPTIONS, ids=["plain", "varied"])

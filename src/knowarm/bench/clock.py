@@ -2,6 +2,7 @@
 
 import math
 import os
+import statistics
 import time
 from collections import defaultdict
 from collections.abc import Callable
@@ -9,6 +10,9 @@ from typing import Any
 
 import psutil
 import torch
+
+HOST_ROUNDS, HOST_CALLS = 9, 5
+"""Rounds, and calls per round, of ``host_seconds_per_call``. A GPU's queue holds 1,024 launches."""
 
 
 def cpu_seconds() -> float:
@@ -50,6 +54,30 @@ def seconds_per_call(run: Callable[[], Any], seconds: float, device: torch.devic
         if elapsed >= seconds:
             return elapsed / calls
         calls = min(10 * calls, math.ceil(1.2 * calls * seconds / max(elapsed, 1e-9)))
+
+
+def host_seconds_per_call(run: Callable[[], Any], device: torch.device) -> float:
+    """Measure the time that the host needs to issue a call of ``run``, without waiting for it.
+
+    The device is idle before each round of a few calls, so that no launch waits for a place in its
+    queue. On the CPU the host does the work itself, and the time includes it.
+
+    Args:
+        run: function to time; called ``HOST_ROUNDS`` x ``HOST_CALLS`` times.
+        device: device on which the work is done.
+
+    Returns:
+        Median over the rounds of the time per call by the host's clock [s].
+    """
+    rounds = []
+    for _ in range(HOST_ROUNDS):
+        synchronize(device)
+        begin = time.perf_counter()
+        for _ in range(HOST_CALLS):
+            run()
+        rounds.append((time.perf_counter() - begin) / HOST_CALLS)
+    synchronize(device)
+    return statistics.median(rounds)
 
 
 class PartClock:

@@ -6,7 +6,12 @@ from dataclasses import dataclass, replace
 
 import torch
 
-from knowarm.bench.clock import PartClock, seconds_per_call, synchronize
+from knowarm.bench.clock import (
+    PartClock,
+    host_seconds_per_call,
+    seconds_per_call,
+    synchronize,
+)
 from knowarm.bench.gpu_estimate import (
     environment_bytes,
     ray_operations,
@@ -169,9 +174,10 @@ def environment_row(env: TorchReachVectorEnv, seconds: float, seed: int) -> Row:
         seed: seed of episodes and actions.
 
     Returns:
-        ``env_steps_per_s``; ``step_ms``, time per step of all environments [ms];
-        ``env_share_physics``, ``env_share_images`` and ``env_share_rest`` (episodes, looks,
-        rewards) of that time; and the result of ``memory_row``.
+        ``env_steps_per_s``; ``step_ms``, time per step of all environments [ms]; ``host_ms``, time
+        that the host needs to issue such a step [ms]; ``env_share_physics``, ``env_share_images``
+        and ``env_share_rest`` (episodes, looks, rewards) of ``step_ms``; and the result of
+        ``memory_row``.
     """
     generator = torch.Generator(env.device).manual_seed(seed)
     shape = (env.num_envs, env.scene.num_joints)
@@ -185,6 +191,7 @@ def environment_row(env: TorchReachVectorEnv, seconds: float, seed: int) -> Row:
     each = seconds_per_call(step, seconds, env.device)
     steps = max(1, min(PART_STEPS, round(seconds / each)))
     row = {"env_steps_per_s": env.num_envs / each, "step_ms": 1000 * each}
+    row["host_ms"] = 1000 * host_seconds_per_call(step, env.device)
     return row | _part_shares(env, step, steps) | memory_row(env.device)
 
 

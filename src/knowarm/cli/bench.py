@@ -99,6 +99,8 @@ def print_learn(result: dict[str, Any]) -> None:
 
 GPU_LINES = {
     "env_steps_per_s": "environment steps/s, with images",
+    "step_ms": "  time of a step [ms]",
+    "host_ms": "  the host's part of it [ms]",
     "env_share_physics": "  share of physics",
     "env_share_images": "  share of images",
     "env_bandwidth_share": "  share of peak bandwidth",

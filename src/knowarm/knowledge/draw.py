@@ -1,5 +1,6 @@
 """Drawings as SVG files: graphs in columns around their objects, and tables of cosines."""
 
+import math
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -210,7 +211,7 @@ def _barycentre(graph: KnowledgeGraph, boxes: dict[int, _Box], entity: int) -> f
     """Return the mean height of the neighbours in earlier columns."""
     beside = [*graph.tails[graph.out_rows(entity)], *graph.heads[graph.in_rows(entity)]]
     placed = [boxes[int(i)].y for i in beside if boxes[int(i)].column < boxes[entity].column]
-    return sum(placed) / len(placed) if placed else 0.0
+    return math.fsum(placed) / len(placed) if placed else 0.0
 
 
 def _edges(

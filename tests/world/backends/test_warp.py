@@ -1,5 +1,8 @@
 """MuJoCo Warp's poses are those of ``mujoco.batch``, step for step."""
 
+from collections.abc import Callable
+from typing import Any
+
 import mujoco
 import numpy as np
 import pytest
@@ -63,6 +66,43 @@ def test_poses_after_fifty_random_steps(robot: str, dynamics: str, device: str) 
         other.step(torch.as_tensor(targets, dtype=torch.float32, device=device))
     assert pose_error(host, other).max() < 1e-4
     assert other.joint_positions.cpu().numpy() == pytest.approx(host.joint_positions, abs=1e-4)
+
+
+@pytest.mark.parametrize("dynamics", ["dynamic", "kinematic"])
+def test_a_replayed_graph_computes_the_bits_of_single_launches(
+    dynamics: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On the CPU only: on a GPU the solver sums in any order."""
+    scene, device, count = load_scene("irb120", TARGETS), "cpu", 5
+
+    def single(simulator: WarpSimulator, run: Callable[[], None]) -> Callable[[], None]:
+        def launch() -> None:
+            with simulator._warp.ScopedDevice(simulator._warp_device):
+                run()
+
+        return launch
+
+    _, graph, targets = both(scene, device, dynamics, count)
+    with monkeypatch.context() as patched:
+        patched.setattr(WarpSimulator, "_prepared", single)
+        _, executed, _ = both(scene, device, dynamics, count)
+    launches: list[Any] = []
+    launch = graph._warp.launch
+    monkeypatch.setattr(
+        graph._warp, "launch", lambda *args, **opts: (launches.append(args), launch(*args, **opts))
+    )
+    generator = np.random.default_rng(2)
+    for _ in range(8):
+        targets = targets + generator.choice([0.1, -0.1], size=targets.shape)
+        step = torch.as_tensor(targets, dtype=torch.float32, device=device)
+        launches.clear()
+        graph.step(step)
+        assert not launches, "the graph was replayed"
+        executed.step(step)
+        assert len(launches) >= 1
+        assert (graph.get_state() == executed.get_state()).all()
+        for name in ("geom_position", "geom_matrix", "tcp_position", "tcp_matrix"):
+            assert torch.equal(getattr(graph, name), getattr(executed, name)), name
 
 
 @pytest.mark.parametrize("device", DEVICES)
