@@ -13,13 +13,14 @@ from knowarm.config import to_dict
 from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.evaluate import summarize
 from knowarm.experiment.evaluation_files import (
+    CHOICE_COLUMNS,
     EPISODE_COLUMNS,
     step_columns,
     write_film,
     write_table,
 )
 from knowarm.experiment.run_folder import RunFolder
-from knowarm.knowledge import KnowledgeConfig, SceneEmbedding, scene_embedding
+from knowarm.knowledge import KnowledgeConfig, SceneEmbedding, query_embedding, scene_embedding
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.world.agents import BLIND_AGENTS
 from knowarm.world.robots import ROBOTS
@@ -35,6 +36,8 @@ FACETS = {
         ("cereal_box", "light_blue"),
     ],
 }
+QUERIES = {"usedFor drinking": "mug", "hasPart handle": "bottle", "hasColor brown": "cereal_box"}
+"""Queries of the choice task, and the object that each means."""
 JOINTS = {"irb120": 6, "tiago": 7}
 LABEL = "post-training-greedy"
 
@@ -78,6 +81,12 @@ def robot_title(name: str) -> str:
 def env_of(robot: str = "irb120", colours: str = "fixed") -> dict[str, Any]:
     """The task, as ``config.json`` has it."""
     return {"robot": robot, "targets": ["mug", "bottle", "cereal_box"], "colours": colours}
+
+
+def choice_env(*, marked: bool = False) -> dict[str, Any]:
+    """The choice task, as ``config.json`` has it."""
+    queries = {"kind": "graph", "graph": "objects", "split": "train"}
+    return env_of() | {"choice": {"objects": 4, "queries": queries, "marked": marked}}
 
 
 def write_study(
@@ -156,7 +165,7 @@ def write_run(
         provenance[part] = provenance[part] | values
     folder.write_json("provenance.json", provenance)
     if size.tables:
-        table = embedding.table(facets)
+        table = embedding.table(list(QUERIES) if known.scope == "query" else facets)
         folder.write_knowledge(table[:, :0] if policy_of(agent).wide else table)
     write_evaluation(path / "evaluation" / LABEL, agent, success, env, generator, size)
     return path
@@ -164,6 +173,8 @@ def write_run(
 
 @lru_cache
 def _embedding(agent: str, colours: str) -> SceneEmbedding:
+    if knowledge_of(agent).scope == "query":
+        return query_embedding(knowledge_of(agent), list(QUERIES))
     return scene_embedding(knowledge_of(agent), FACETS[colours])
 
 
@@ -257,6 +268,61 @@ def write_evaluation(
     if size.blind:
         numbers |= _blind(numbers["success"])
     (folder / "summary.json").write_text(json.dumps(known | numbers, indent=2))
+
+
+def write_choice(
+    folder: Path,
+    agent: str,
+    split: str,
+    choice: float,
+    generator: np.random.Generator,
+    *,
+    reach: float = 0.8,
+    old: float = 0.5,
+    size: Size = Size(),
+) -> None:
+    """Write one evaluation folder of the choice task.
+
+    Args:
+        folder: the folder.
+        agent: name of the agent.
+        split: name of the split.
+        choice: probability of a right choice.
+        generator: of the draws.
+        reach: probability of success after a right choice.
+        old: probability that a wrong choice on S5 is the answer before the edit.
+        size: episodes and films.
+    """
+    folder.mkdir(parents=True)
+    count, env = size.episodes, choice_env()
+    config = {"episodes": count, "seed": 1_000_003, "seeds": 1, "split": split}
+    config |= {"distance_m": 0.05, "angle_deg": 15.0, "wide_angle_deg": 20.0, "actions": "greedy"}
+    known = {"format": 2, "agent": agent, "label": folder.name, "config": config, "env": env}
+    known |= {"choice_chance": 1 / env["choice"]["objects"]}
+    if not size.tables:
+        share = generator.binomial(count, choice) / count
+        flat = {"success": share * reach, "accuracy": share * reach, "return_mean": 140 * share}
+        flat |= {"episodes": count, "choice": share, "success_if_chosen": reach}
+        flat |= {"chose_old_answer": (1 - share) * old} if split == "S5" else {}
+        (folder / "summary.json").write_text(json.dumps(known | flat))
+        return
+    columns = _episodes(0.5, env, generator, size, 1)
+    asked = np.array([list(QUERIES.values()).index(name) for name in columns["target"]])
+    correct = generator.random(count) < choice
+    others = np.array([*list(QUERIES.values())[1:], *list(QUERIES.values())[:1]])[asked]
+    columns |= {
+        "query": np.array(list(QUERIES))[asked],
+        "chosen": np.where(correct, columns["target"], others),
+        "choice_correct": correct,
+        "success": correct & (generator.random(count) < reach),
+    }
+    if split == "S5":
+        columns["chose_old_answer"] = ~correct & (generator.random(count) < old)
+    further = {name: each for name, each in CHOICE_COLUMNS.items() if name in columns}
+    write_table(folder / "episodes.parquet", columns, EPISODE_COLUMNS | further)
+    for number in range(size.films):
+        write_film(folder / "films" / f"{number}.webp", _images(int(columns["length"][number])))
+    (folder / "summary.json").write_text(json.dumps(known | summarize(columns)))
 
 
 def _blind(success: float) -> dict[str, Any]:

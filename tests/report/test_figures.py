@@ -6,7 +6,14 @@ import pytest
 
 from knowarm.report import format
 from knowarm.report.charts import Axis, Scale, Series, fit, histograms, line_chart
-from knowarm.report.diagrams import Dot, dot_chart, graph_diagram, heat_map, stacked_bars
+from knowarm.report.diagrams import (
+    Dot,
+    confusion_map,
+    dot_chart,
+    graph_diagram,
+    heat_map,
+    stacked_bars,
+)
 from knowarm.report.format import palette, slugs
 from knowarm.statistics import Interval
 
@@ -57,6 +64,7 @@ def drawings():
             Axis(title="x"),
         ),
         "graph": graph_diagram([("mug", "hasColor", "<red>"), ("box", "hasColor", "<red>")], "n"),
+        "confusion": confusion_map(np.array([[0.9, 0.1]]), ["a<b"], ["c", "d&e"], "name"),
         "heat": heat_map(np.array([[0.1, -0.5], [0.0, 0.0]]), ["a", "b"], "name"),
         "zeros": heat_map(np.zeros((1, 3)), ["a"], "name"),
         "bars": stacked_bars({"bm": {"heads": 3, "memory": 5}}, "name"),

@@ -40,6 +40,8 @@ SHARED = {
     "return_mean": Column("return_mean", "mean return", "number1", interval=True),
     "success": Column("success", "success", "percent", interval=True),
     "accuracy": Column("accuracy", "accuracy", "percent", interval=True),
+    "split": Column("split", "split"),
+    "choice": Column("choice", "right choices", "percent", interval=True),
 }
 """Columns of several tables, by key."""
 

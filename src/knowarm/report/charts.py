@@ -100,6 +100,7 @@ class Axis:
 
 STEPS_AXIS = Axis(title="environment steps", format=format.steps)
 SUCCESS_AXIS = Axis(title="success", format=format.whole_percent, range=(0.0, 1.0))
+CHOICE_AXIS = Axis(title="right choices", format=format.whole_percent, range=(0.0, 1.0))
 RETURN_AXIS = Axis(title="mean return", format=format.decimals(0))
 
 

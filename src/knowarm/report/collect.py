@@ -30,6 +30,9 @@ COLOURS = {"fixed": "fixed colours", "randomized": "randomized colours"}
 NOT_THE_TASK = {"renderer", "image_size", "name"}
 """Fields of ``env`` that do not make a different task."""
 
+NOT_THE_CHOICE = {"marked"}
+"""Fields of ``env.choice`` that do not make a different task: the upper bound solves the same."""
+
 NOT_A_SETTING = {"agent", "role", "name", "seed", "env", "format", "checkpoint_every_steps"}
 """Top-level fields of the config that are no setting of the agent."""
 
@@ -131,14 +134,15 @@ def _same_rules(first: Evaluation, second: Evaluation) -> bool:
     return rules[0] == rules[1]
 
 
+def rules(evaluation: Evaluation) -> str:
+    """Return a text that is equal for evaluations on the same episodes with the same thresholds."""
+    kept = {k: v for k, v in evaluation.config.items() if not k.startswith(NOT_A_RULE)}
+    return json.dumps([evaluation.summary["episodes"], kept], sort_keys=True)
+
+
 def _comparable(runs: list[Run], label: str, problems: list[Problem]) -> list[Run]:
     """Drop evaluations on other episodes or with other thresholds than most."""
-
-    def settings(evaluation: Evaluation) -> str:
-        kept = {k: v for k, v in evaluation.config.items() if not k.startswith(NOT_A_RULE)}
-        return json.dumps([evaluation.summary["episodes"], kept], sort_keys=True)
-
-    found = {run.path: settings(run.evaluations[label]) for run in runs if label in run.evaluations}
+    found = {run.path: rules(run.evaluations[label]) for run in runs if label in run.evaluations}
     usual = _most_common(found.values())
     kept = []
     for run in runs:
@@ -198,6 +202,8 @@ def _most_common(values: Any) -> Any:
 def _task_key(run: Run) -> str:
     """Return a key that is equal for runs on the same task with the same algorithm."""
     env = {name: value for name, value in run.env.items() if name not in NOT_THE_TASK}
+    if isinstance(choice := env.get("choice"), dict):
+        env["choice"] = {name: v for name, v in choice.items() if name not in NOT_THE_CHOICE}
     return json.dumps([env, run.algorithm], sort_keys=True)
 
 

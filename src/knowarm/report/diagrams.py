@@ -9,7 +9,7 @@ from knowarm.report import format
 from knowarm.report.charts import Axis, Box, Scale, fit
 from knowarm.report.study import Evaluated
 from knowarm.statistics import Interval
-from knowarm.svg import curve, drawing, element, hover, label
+from knowarm.svg import curve, drawing, element, hover, label, text_width
 
 ROW = 34
 """Height of a row of a dot chart [px]."""
@@ -22,6 +22,9 @@ WIDTH, BAR_ROW = 560.0, 46
 
 CELLS_PER_ROW = 25
 """Cells in a row of a heat map."""
+
+CONFUSION_CELL = 34.0
+"""Largest side of a cell of a confusion matrix [px]."""
 
 HUES = ("h0", "h1", "h2", "h3", "h4", "h5")
 """Palette classes of the objects of a graph."""
@@ -183,6 +186,46 @@ def heat_map(matrix: np.ndarray, names: Sequence[str], title: str) -> str:
             )
         y += -(-len(slot) // CELLS_PER_ROW) * height + 12
     return drawing(WIDTH, max(y, 1.0), title, *parts, class_="chart heat")
+
+
+def confusion_map(
+    shares: np.ndarray, rows: Sequence[str], columns: Sequence[str], title: str
+) -> str:
+    """Draw a matrix of shares as cells: the larger the share, the darker.
+
+    Args:
+        shares: (R, C) in 0..1.
+        rows: what each row stands for.
+        columns: what each column stands for, written upwards below the cells.
+        title: text alternative.
+    """
+    left = 8 + max(text_width(each) for each in rows)
+    below = 8 + max(text_width(each) for each in columns)
+    size = min(CONFUSION_CELL, (WIDTH - left) / len(columns))
+    parts = []
+    for i, (row, values) in enumerate(zip(rows, shares.tolist(), strict=True)):
+        y = i * size
+        parts.append(label(left - 6, y + size / 2 + 4, row, class_="row-name", text_anchor="end"))
+        for j, (column, share) in enumerate(zip(columns, values, strict=True)):
+            parts.append(
+                element(
+                    "rect",
+                    hover(f"{row}, chosen {column}: {format.whole_percent(share)}"),
+                    x=left + j * size,
+                    y=y,
+                    width=size - 1,
+                    height=size - 1,
+                    class_="cell up",
+                    fill_opacity=round(0.06 + 0.94 * share, 3),
+                )
+            )
+    bottom = len(rows) * size
+    for j, column in enumerate(columns):
+        x, y = left + (j + 0.5) * size + 4, bottom + 6
+        turned = {"transform": f"rotate(-90 {x:.6g} {y:.6g})", "text_anchor": "end"}
+        parts.append(label(x, y, column, class_="tick", **turned))
+    width = left + len(columns) * size
+    return drawing(width, bottom + below, title, *parts, class_="chart heat")
 
 
 def graph_diagram(triples: Sequence[tuple[str, str, str]], title: str) -> str:

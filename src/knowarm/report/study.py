@@ -228,7 +228,7 @@ class Group(Evaluated):
 
     @property
     def scope(self) -> str:
-        """Scope of the knowledge vector: "scene" (one per task), "target" or "query"."""
+        """Scope of the knowledge vector, a `knowarm.knowledge.config.Scope`."""
         return str(self.runs[0].knowledge.get("scope", "scene"))
 
     @property
@@ -295,13 +295,13 @@ class Task:
 
     @cached_property
     def subjects(self) -> tuple[Group, ...]:
-        """The agents whose knowledge is tested: one of role knowledge, one privileged.
+        """The agents whose knowledge vector is tested: one of role knowledge, one privileged.
 
         Of several of one role it is the first with the most detail, such as the colours.
         """
-        found = []
+        found, told = [], [g for g in self.groups if g.runs[0].knowledge.get("detail") != "none"]
         for role in ("knowledge", "privileged"):
-            groups = [group for group in self.groups if group.role == role]
+            groups = [group for group in told if group.role == role]
             found += sorted(groups, key=lambda group: -group.runs[0].detail)[:1]
         return tuple(found)
 

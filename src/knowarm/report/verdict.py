@@ -111,7 +111,7 @@ def _judge(subject: Group, tested: Sequence[Claim]) -> tuple[Kind, str]:
     if not capacity:
         return "size not excluded", (
             f"{better}, but its network is larger, too: without a capacity control this is no "
-            f"evidence for knowledge.{_hint('capacity_control', subject)}"
+            f"evidence for knowledge.{hint('capacity_control', subject)}"
         )
     if missed := _not_beaten(capacity):
         return "size may explain it", (
@@ -122,7 +122,7 @@ def _judge(subject: Group, tested: Sequence[Claim]) -> tuple[Kind, str]:
     if not content:
         return "meaning not tested", (
             f"{better}; whether the content of the vector matters was not tested."
-            f"{_hint('content_control', subject)}"
+            f"{hint('content_control', subject)}"
         )
     if missed := _not_beaten(content):
         return "input without meaning", (
@@ -154,7 +154,7 @@ def _not_counted(task: Task, subject: Group) -> str:
     return f" Not counted as controls: {listed(reasons)}." if reasons else ""
 
 
-def _hint(role: Role, subject: Group) -> str:
+def hint(role: Role, subject: Group) -> str:
     """Return a sentence that names the registered agents that would answer the question."""
     names = controls_of(subject.agent, role)
     return f" Registered for this: {listed(names, 'or')}." if names else ""

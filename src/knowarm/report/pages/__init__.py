@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 
 from knowarm.report.blocks import Block, Page, Part, Text
+from knowarm.report.choice import choice_findings
 from knowarm.report.claims import claims
 from knowarm.report.pages import (
     behaviour,
@@ -10,6 +11,7 @@ from knowarm.report.pages import (
     inputs,
     knowledge,
     paper,
+    query,
     results,
     runs,
     summary,
@@ -22,6 +24,7 @@ HEADINGS = {
     "inputs": ("Network inputs", "All agents receive the same image and differ in the vector."),
     "training": ("Training", "Interim evaluations on fixed episodes, with training thresholds."),
     "results": ("Results", "The best model of every run on the same new episodes."),
+    "query": ("Was the query understood?", "Agents that are told it, against their controls."),
     "knowledge": ("Does the knowledge matter?", "Each control lacks one property of the vector."),
     "differences": ("Are the differences significant?", "The unit is the training seed."),
     "paper": (
@@ -37,7 +40,7 @@ HEADINGS = {
 
 def build_pages(study: Study) -> list[Page]:
     """Build all pages that have something to show."""
-    decided = claims(study)
+    decided, understood = claims(study), choice_findings(study)
 
     def per_task(blocks: Callable[[Task], Sequence[Block]], *intro: str) -> list[Block]:
         found = [
@@ -48,14 +51,18 @@ def build_pages(study: Study) -> list[Page]:
     def of_knowledge(task: Task) -> list[Block]:
         return knowledge.knowledge_blocks(task, decided)
 
+    def of_query(task: Task) -> list[Block]:
+        return query.query_blocks(task, understood)
+
     def of_differences(task: Task) -> list[Block]:
         return differences.difference_blocks(task, decided)
 
     content: dict[str, Sequence[Block]] = {
-        "summary": summary.summary_blocks(study, decided),
+        "summary": summary.summary_blocks(study, decided, understood),
         "inputs": per_task(inputs.input_blocks),
         "training": per_task(training.training_blocks),
         "results": per_task(results.result_blocks),
+        "query": per_task(of_query, *query.EXPLANATION),
         "knowledge": per_task(of_knowledge, knowledge.EXPLANATION),
         "differences": per_task(of_differences, *differences.EXPLANATION),
         "paper": paper.paper_blocks(study),

@@ -8,6 +8,7 @@ from PIL import Image
 
 from knowarm.errors import UserError
 from knowarm.experiment.evaluation_files import read_film
+from knowarm.knowledge.terms import label_of
 from knowarm.report import format
 from knowarm.report.blocks import Block, Column, Figure, Film, Films, Panel, Row, Table, Verdict
 from knowarm.report.charts import density_chart
@@ -91,7 +92,10 @@ def _joints(task: Task, first: Group, second: Group) -> Figure:
 
 
 def film_blocks(task: Task) -> list[Films]:
-    """Show agents on the same episodes: the policy's images as a strip and as an animation."""
+    """Show agents on the same episodes: the policy's images as a strip and as an animation.
+
+    Where episodes ask, the heading says in words what was asked for.
+    """
     first = (*task.subjects, task.baseline)
     groups = sorted(task.groups, key=lambda group: group not in first)
     filmed = [(g.name, g.best) for g in groups if g.best and g.best.films()][:MOST_AGENTS]
@@ -101,8 +105,8 @@ def film_blocks(task: Task) -> list[Films]:
     common = set.intersection(*(set(evaluation.films()) for _, evaluation in filmed))
     blocks = []
     try:
-        for number, facet in _first_of_each_target(filmed[0][1], sorted(common)):
-            title = f"Episode {number}, {format.facet(facet)}: {task.title}"
+        for number, shown in _first_of_each_target(filmed[0][1], sorted(common)):
+            title = f"Episode {number}, {shown}: {task.title}"
             films = [_film(name, task.colours[name], each, number) for name, each in filmed]
             blocks.append(Films(title=title, films=films))
     except UserError:
@@ -111,12 +115,22 @@ def film_blocks(task: Task) -> list[Films]:
 
 
 def _first_of_each_target(evaluation: Evaluation, numbers: list[int]) -> list[tuple[int, str]]:
-    """Return the number and the facet of the first episode of each target."""
+    """Return the number of the first episode of each target, and what it shows and asks for."""
     episodes = evaluation.episodes()
     found: dict[str, tuple[int, str]] = {}
     for number in numbers:
-        found.setdefault(str(episodes["target"][number]), (number, str(episodes["facet"][number])))
+        shown = format.facet(str(episodes["facet"][number]))
+        if "query" in episodes:
+            shown = f"asked for \u201c{query_words(str(episodes['query'][number]))}\u201d ({shown})"
+        found.setdefault(str(episodes["target"][number]), (number, shown))
     return sorted(found.values())[:MOST_EPISODES]
+
+
+def query_words(text: str) -> str:
+    """Return a query in words: "usedFor drinking and hasColor light_blue" as "used for drinking
+    and has color light blue".
+    """
+    return " ".join(label_of(word, {}) for word in text.split(" "))
 
 
 def _film(name: str, colour: str, evaluation: Evaluation, number: int) -> Film:
@@ -125,6 +139,8 @@ def _film(name: str, colour: str, evaluation: Evaluation, number: int) -> Film:
     episodes = evaluation.episodes()
     length = int(episodes["length"][number])
     outcome = "reached after" if episodes["success"][number] else "not reached in"
+    if "chosen" in episodes and not episodes["choice_correct"][number]:
+        outcome = f"chose the {format.facet(str(episodes['chosen'][number]))}, {outcome}"
     places = np.unique(np.linspace(0, len(frames) - 1, min(STRIP_FRAMES, len(frames))).round())
     height, width = frames.shape[1:3]
     return Film(

@@ -1,5 +1,6 @@
 """Page "Summary": verdicts in sentences, and success and return of every agent."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from knowarm.report import format
@@ -17,6 +18,7 @@ from knowarm.report.blocks import (
     shared,
 )
 from knowarm.report.charts import RETURN_AXIS, SUCCESS_AXIS
+from knowarm.report.choice import Finding, choice_summary
 from knowarm.report.claims import Claim
 from knowarm.report.diagrams import dot_chart, group_dot
 from knowarm.report.format import counted, listed
@@ -31,11 +33,14 @@ NAMES = 124
 """Space for the agents' names [px]."""
 
 
-def summary_blocks(study: Study, decided: list[Claim]) -> list[Block]:
+def summary_blocks(
+    study: Study, decided: list[Claim], understood: Sequence[Finding]
+) -> list[Block]:
     """State what the runs show, in sentences generated from their numbers, then the numbers."""
     blocks: list[Block] = []
     for task in study.tasks:
         blocks += [replace(each, shown_reasons=1) for each in findings(task, decided)]
+        blocks += choice_summary([each for each in understood if each.task is task])
         learned = learning_verdict(task)
         if learned:
             blocks.append(learned)

@@ -1,12 +1,20 @@
 """Page "Training": learning curves, steps to fixed levels of success, time and speed."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
 
 from knowarm.report.blocks import Block, Column, Figure, Panel, Row, Table, cells, shared
-from knowarm.report.charts import RETURN_AXIS, STEPS_AXIS, SUCCESS_AXIS, Box, Series, line_chart
+from knowarm.report.charts import (
+    RETURN_AXIS,
+    STEPS_AXIS,
+    SUCCESS_AXIS,
+    Axis,
+    Box,
+    Series,
+    line_chart,
+)
 from knowarm.report.pages.paper import time_saved
 from knowarm.report.study import CONTROLS, Curve, Group, Run, Task
 from knowarm.statistics import first_crossing, median_steps, on_grid, restricted_mean_steps, trend
@@ -32,17 +40,27 @@ LEVELS = (0.5, 0.7, 0.8)
 
 def training_blocks(task: Task) -> list[Block]:
     """Show how each agent learned: interim evaluations, steps to thresholds, speed."""
-    blocks: list[Block] = [_curves(task)] if any(run.interim for run in task.runs) else []
+    blocks: list[Block] = []
+    if any(run.interim for run in task.runs):
+        blocks.append(curve_figure(task, MEASURES, "training", "Learning curves"))
     groups = [g for g in task.groups if any(run.has_success_curve for run in g.runs)]
     if groups:
         blocks.append(_thresholds(task, groups))
     return [*blocks, _speed(task)]
 
 
-def _curves(task: Task) -> Figure:
+def curve_figure(task: Task, measures: Mapping[str, Axis], name: str, title: str) -> Figure:
+    """Draw columns of ``evaluations.csv`` over environment steps, one line per agent.
+
+    Args:
+        task: the task.
+        measures: drawn columns and their axes; each is a key of `blocks.SHARED`.
+        name: name of the table.
+        title: heading, before the title of the task.
+    """
     rows: dict[tuple[str, float], Row] = {}
     panels, legend = [], {}
-    for key, axis in MEASURES.items():
+    for key, axis in measures.items():
         series = []
         for group in task.groups:
             curves = [run.interim for run in group.runs if key in run.interim]
@@ -51,23 +69,25 @@ def _curves(task: Task) -> Figure:
                 series.append(line)
                 legend[line.name] = line.colour
                 _add_rows(rows, line, key)
-        name = f"{axis.title} over environment steps on {task.title}"
+        words = f"{axis.title} over environment steps on {task.title}"
         for only, box in BOXES.items() if series else ():
-            panels.append(Panel(svg=line_chart(series, name, STEPS_AXIS, axis, box=box), only=only))
+            panels.append(
+                Panel(svg=line_chart(series, words, STEPS_AXIS, axis, box=box), only=only)
+            )
     return Figure(
-        title=f"Learning curves: {task.title}",
+        title=f"{title}: {task.title}",
         caption="Line: moving average over a tenth of the curve, averaged over training seeds. "
         "Band: 95 % bootstrap interval over seeds, where there are several. Thin lines: the "
         "measured values of each seed. Dashed: controls. Click a name to hide its line.",
         panels=panels,
         legend=list(legend.items()),
         table=Table(
-            name=f"training-{task.name}",
+            name=f"{name}-{task.name}",
             title=f"Moving averages of the interim evaluations: {task.title}",
             columns=[
                 *shared("agent", "seeds"),
                 Column("step", "steps", "steps"),
-                *shared("return_mean", "success"),
+                *shared(*measures),
             ],
             rows=list(rows.values()),
             sources=[run.path / "evaluations.csv" for run in task.runs if run.interim],

@@ -1,0 +1,244 @@
+"""The page "Was the query understood?" on studies whose truth is known, and on a real run."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from knowarm.experiment.agents import AGENTS
+from knowarm.experiment.evaluate import evaluate
+from knowarm.experiment.run import train
+from knowarm.report import write_report
+from knowarm.report.blocks import Films, flat
+from knowarm.report.choice import Finding, asked_splits, choice_findings, choice_summary, query_type
+from knowarm.report.collect import collect
+from knowarm.report.pages import behaviour, build_pages
+from knowarm.report.study import Study
+from tests.report.synthetic_study import Size, choice_env, write_choice, write_run
+
+LIGHT = Size(points=8, episodes=400, tables=False)
+CONTROLS = ("bm", "query-zeros", "query-onehot", "query-random", "subgraph-shuffled")
+EVERY = dict.fromkeys(CONTROLS, 0.3) | {"bm": 0.25, "query-zeros": 0.25, "subgraph": 0.9}
+
+
+def study_of(
+    folder: Path,
+    choices: dict[str, dict[str, float]],
+    *,
+    seeds: int = 3,
+    size: Size = LIGHT,
+    reach: float = 0.8,
+    old: float = 0.5,
+) -> Study:
+    """Collect a study in which each agent chooses rightly with a probability per split."""
+    generator = np.random.default_rng(0)
+    paths = []
+    for agent, splits in choices.items():
+        for seed in range(seeds):
+            path = folder / f"irb120-choose-{agent}-fast" / str(seed)
+            env = choice_env(marked=agent in AGENTS and AGENTS[agent].marked)
+            write_run(path, agent, seed, 0.5, env=env, generator=generator, size=size)
+            shutil.rmtree(path / "evaluation")  # of a task that does not ask
+            for split, choice in splits.items():
+                share = float(np.clip(generator.normal(choice, 0.02), 0.02, 0.98))
+                where = path / "evaluation" / f"post-training-greedy-{split.lower()}"
+                write_choice(where, agent, split, share, generator, reach=reach, old=old, size=size)
+            paths.append(path)
+    return collect(paths)
+
+
+def on(split: str, choices: dict[str, float]) -> dict[str, dict[str, float]]:
+    return {agent: {split: choice} for agent, choice in choices.items()}
+
+
+def only(study: Study) -> Finding:
+    (finding,) = choice_findings(study)
+    return finding
+
+
+def named(sentence: str) -> set[str]:
+    """Agents that a sentence names."""
+    words = sentence.split(": ", 1)[1].replace(",", " ").replace(".", " ").split()
+    return set(words) & set(AGENTS)
+
+
+def test_a_query_is_understood_if_every_control_is_beaten(tmp_path):
+    finding = only(study_of(tmp_path, on("S2", EVERY)))
+    assert finding.kind == "understood"
+    verdict = finding.verdict()
+    assert verdict.tone == "good"
+    assert named(verdict.sentence) == set(EVERY)
+    assert "S2 (pairs of condition and object that training never asked)" in verdict.sentence
+    assert len(verdict.reasons) == len(CONTROLS) + 1
+
+
+def test_a_code_that_is_as_good_refutes_the_meaning(tmp_path):
+    finding = only(study_of(tmp_path, on("S1", EVERY | {"query-onehot": 0.9})))
+    assert finding.kind == "not above the best control"
+    assert finding.controls[0].name == "query-onehot"
+    words = finding.verdict().sentence
+    assert "not significantly more often than query-onehot" in words
+    assert "better than query-random, subgraph-shuffled" in words
+
+
+@pytest.mark.parametrize("seeds", [1, 2])
+def test_few_seeds_decide_nothing(tmp_path, seeds):
+    finding = only(study_of(tmp_path, on("S1", EVERY), seeds=seeds))
+    assert finding.kind == "too few seeds"
+    assert f"{seeds} training seed" in finding.verdict().sentence
+
+
+def test_a_sentence_names_only_the_controls_that_ran(tmp_path):
+    ran = {name: EVERY[name] for name in ("bm", "query-onehot", "subgraph")}
+    finding = only(study_of(tmp_path, on("S1", ran)))
+    assert finding.kind == "understood"
+    assert named(finding.verdict().sentence) == set(ran)
+
+
+def test_the_meaning_is_tested_by_content_controls_only(tmp_path):
+    ran = {name: EVERY[name] for name in ("bm", "query-zeros", "subgraph")}
+    finding = only(study_of(tmp_path, on("S1", ran)))
+    assert finding.kind == "meaning not tested"
+    assert "Registered for this: query-onehot" in finding.verdict().sentence
+
+
+def test_without_controls_nothing_is_compared(tmp_path):
+    finding = only(study_of(tmp_path, on("S1", {"subgraph": 0.9, "mask": 0.99})))
+    assert finding.kind == "no control"
+
+
+def test_unseen_objects_fail_beside_splits_that_are_understood(tmp_path):
+    choices = {
+        agent: {"S1": choice, "S3": 0.2 if agent == "subgraph" else 0.25}
+        for agent, choice in EVERY.items()
+    }
+    findings = choice_findings(study_of(tmp_path, choices))
+    assert [(f.subject.split, f.kind) for f in findings] == [
+        ("S1", "understood"),
+        ("S3", "not above chance"),
+    ]
+    (summary,) = choice_summary(findings)
+    assert summary.sentence.endswith("subgraph: understood on S1; not above chance on S3.")
+
+
+def test_an_agent_at_chance_does_not_beat_controls_below_it(tmp_path):
+    """On S5 a code follows the old graph, and so lies below chance."""
+    low = dict.fromkeys(CONTROLS, 0.05) | {"subgraph": 0.25}
+    assert only(study_of(tmp_path, on("S5", low))).kind == "not above chance"
+
+
+def test_controls_are_those_of_the_registry(tmp_path):
+    """A shuffled graph is no control of an agent that does not read the graph."""
+    choices = {"bm": 0.25, "query-words": 0.6, "subgraph-shuffled": 0.9, "query-onehot": 0.3}
+    finding = only(study_of(tmp_path, on("S4", choices)))
+    assert {each.name for each in finding.controls} == {"bm", "query-onehot"}
+    assert finding.kind == "understood"
+
+
+def test_noise_is_hardly_ever_understood(tmp_path):
+    loud = 0
+    for number in range(8):
+        generator = np.random.default_rng(number)
+        choices = {
+            agent: {split: 0.5 + generator.normal(0, 0.02) for split in ("S1", "S2", "S3")}
+            for agent in ("bm", "query-onehot", "subgraph")
+        }
+        findings = choice_findings(study_of(tmp_path / str(number), choices))
+        loud += any(each.kind == "understood" for each in findings)
+    assert loud <= 1
+
+
+def test_numbers_are_corrected_for_chance(tmp_path):
+    study = study_of(tmp_path, on("S1", {"bm": 0.25, "subgraph": 0.95}), reach=0.9)
+    bm, told = asked_splits(study.tasks[0])["S1"]
+    assert told.level("choice_corrected").estimate == pytest.approx(
+        (told.level("choice").estimate - 0.25) / 0.75
+    )
+    assert abs(bm.level("success_corrected").estimate) < 0.05
+    assert told.level("success_corrected").estimate > 0.75
+    assert bm.level("success").estimate > 0.2
+
+
+def test_the_rate_of_switching_counts_the_new_among_both_answers(tmp_path):
+    study = study_of(tmp_path, on("S5", {"subgraph": 0.6}), seeds=1, old=1.0)
+    (asked,) = asked_splits(study.tasks[0])["S5"]
+    assert asked.level("switched").estimate == pytest.approx(asked.level("choice").estimate)
+    never = study_of(tmp_path / "never", on("S5", {"subgraph": 0.6}), seeds=1, old=0.0)
+    (asked,) = asked_splits(never.tasks[0])["S5"]
+    assert asked.level("switched").estimate == 1
+
+
+def test_the_upper_bound_is_shown_in_the_same_task(tmp_path):
+    study = study_of(tmp_path, on("S1", EVERY | {"mask": 0.99}))
+    (task,) = study.tasks
+    assert "mask" in {each.name for each in asked_splits(task)["S1"]}
+    assert [group.name for group in task.subjects] == ["subgraph"]
+    assert only(study).kind == "understood"
+
+
+def test_kinds_of_queries():
+    assert query_type("usedFor drinking and hasColor blue") == "usedFor and hasColor"
+    assert query_type("hasPart pouring spout") == "hasPart"
+    assert query_type("x") == "x"
+
+
+def test_films_say_what_was_asked(tmp_path):
+    size = Size(points=5, episodes=30, films=3)
+    study = study_of(tmp_path, on("S1", {"bm": 0.25, "subgraph": 0.5}), seeds=1, size=size)
+    assert behaviour.query_words("usedFor drinking and hasColor light_blue") == (
+        "used for drinking and has color light blue"
+    )
+    found = behaviour.film_blocks(study.tasks[0])
+    assert all(isinstance(each, Films) and "asked for “" in each.title for each in found)
+    texts = {film.text.split(",")[0] for each in found for film in each.films}
+    assert any(text.startswith("chose the ") for text in texts)
+
+
+def test_the_page_shows_every_number(tmp_path):
+    splits = {"S1": 0.3, "S5": 0.3}
+    size = Size(points=5, episodes=40)
+    study = study_of(tmp_path, {"bm": splits, "subgraph": {"S1": 0.9, "S5": 0.7}}, size=size)
+    page = next(page for page in build_pages(study) if page.name == "query")
+    tables = {table.name.split("-irb120")[0]: table for table in page.tables()}
+    assert set(tables) == {"choice", "reach", "switched", "query-types", "confusion"}
+    assert [row["split"] for row in tables["choice"].rows] == ["S1", "S1", "S5", "S5"]
+    assert {row["type"] for row in tables["query-types"].rows} == {"usedFor", "hasPart", "hasColor"}
+    shares = [row for row in tables["confusion"].rows if row["split"] == "S1"]
+    assert sum(row["episodes"] for row in shares) == 3 * 40
+    by_object = {(row["asked"], row["chosen"]): row["share"] for row in shares}
+    assert by_object["mug", "mug"] > 0.7
+    assert len([block for block in flat(page.blocks) if getattr(block, "kind", "")]) == 2
+
+
+def test_a_study_that_asks_nothing_has_no_such_page(tmp_path):
+    write_run(tmp_path / "run" / "0", "bm", 0, 0.5, size=Size(points=5, episodes=10))
+    assert "query" not in {page.name for page in build_pages(collect([tmp_path]))}
+
+
+def test_a_real_run_is_reported(tmp_path):
+    run = train(
+        "irb120-choose-query-words-fast",
+        tmp_path / "runs",
+        total_steps=400,
+        env={"dynamics": "kinematic", "choice": {"queries": {"pairs": "none"}}},
+        algorithm={"num_envs": 8, "rollout_steps": 25, "minibatches": 2, "processes": 1},
+        interim={"every_steps": 200, "episodes": 4},
+    )
+    for split in ("S1", "S5"):
+        config = {"episodes": 8, "blind_episodes": 0, "record_films": 2}
+        evaluate(run.folder.path, split=split, **config).write()
+    page = write_report([tmp_path / "runs"], tmp_path / "report.html")
+    written = page.read_text()
+    assert "Was the query understood?" in written
+    assert "asked for “" in written
+    tables = json.loads(page.with_suffix(".json").read_text())["tables"]
+    names = {name.split("-irb120")[0] for name in tables}
+    assert {"choice", "reach", "switched", "choice-curves", "query-types", "confusion"} <= names
+    (verdict,) = {
+        v["kind"]
+        for v in json.loads(page.with_suffix(".json").read_text())["verdicts"]
+        if v["page"] == "query"
+    }
+    assert verdict == "no control"
