@@ -276,7 +276,7 @@ def choice_findings(study: Study) -> list[Finding]:
         for task in study.tasks
         for asked in asked_splits(task).values()
         for subject in asked
-        if subject.group.role == "knowledge" and subject.group.scope == "query"
+        if subject.group.role == "knowledge" and subject.group.scope != "scene"
     ]
     tested = [finding for finding in found if finding.testable]
     adjusted = holm([finding.p_value for finding in tested])
