@@ -218,8 +218,8 @@ class Finding:
         chance = format.percent(self.subject.chance)
         if self.kind == "not above chance":
             return (
-                f"{name} did not understand the query: it chose the wanted object {share}, not "
-                f"significantly more often than at random ({chance})."
+                f"{name} is not shown to understand the query: it chose the wanted object {share}, "
+                f"not significantly more often than at random ({chance})."
             )
         best = f"{self.controls[0].name} ({_points(self.against[0].difference)})"
         names = [each.name for each in self.controls]
