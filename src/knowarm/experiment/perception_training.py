@@ -179,7 +179,7 @@ def measure(perception: Perception, env: EnvConfig) -> dict[str, dict[str, float
     for number, (name, tested) in enumerate(_tests(env)):
         seed = derive_seed(config.seed, "perception", TESTS, number)
         pictures = draw_pictures(tested, perception.seen, config.test_images, seed)
-        found[name] = _shares(perception, pictures, tested)
+        found[name] = shares(perception, pictures, tested)
     return found
 
 
@@ -192,7 +192,14 @@ def _tests(env: EnvConfig) -> Iterator[tuple[str, EnvConfig]]:
 
 
 @torch.inference_mode()
-def _shares(perception: Perception, pictures: Pictures, env: EnvConfig) -> dict[str, float]:
+def shares(perception: Perception, pictures: Pictures, env: EnvConfig) -> dict[str, float]:
+    """Return the shares that were named rightly, as in `measure`.
+
+    Args:
+        perception: the module.
+        pictures: what is named.
+        env: the task of the pictures.
+    """
     scores = torch.cat([perception(part) for part in pictures.images.split(TEST_BATCH)])
     facets = perception.seen.facets
     count = pictures.facets.shape[1]
@@ -205,7 +212,7 @@ def _shares(perception: Perception, pictures: Pictures, env: EnvConfig) -> dict[
     same = owner[pictures.facets][:, :, None] == owner[named][:, None]
     alike = colour[pictures.facets][:, :, None] == colour[named][:, None]
     found, both = same.any(2), (same & alike).any(2)
-    shares = {
+    found_shares = {
         "objects": float(found.float().mean()),
         "colours": float(both.sum() / found.sum().clamp(min=1)),
         "both": float(both.float().mean()),
@@ -213,8 +220,8 @@ def _shares(perception: Perception, pictures: Pictures, env: EnvConfig) -> dict[
     if env.choice is not None:
         answers = torch.from_numpy(answers_of(env, facets))[pictures.queries]
         told = scores.masked_fill(~answers, -torch.inf).argmax(1)
-        shares["told"] = float((told == pictures.facets[:, 0]).float().mean())
-    return shares
+        found_shares["told"] = float((told == pictures.facets[:, 0]).float().mean())
+    return found_shares
 
 
 def answers_of(env: EnvConfig, facets: tuple[tuple[str, str], ...]) -> np.ndarray:
