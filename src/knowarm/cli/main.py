@@ -22,6 +22,7 @@ COMMANDS = {
     "evaluate": ("evaluate:Evaluate", "evaluate a trained or scripted agent on fixed episodes"),
     "study": ("study:COMMANDS", "run a table of experiments and seeds, restartable"),
     "report": ("report:Report", "write one HTML report from run folders"),
+    "perception": ("perception:parse", "train a module that names objects and colours in images"),
     "knowledge": ("knowledge:parse", "inspect a graph, its sentences, vectors and embeddings"),
     "view": ("view:View", "show an agent in the browser, or record it"),
     "export": ("report:Export", "write a trained policy as ONNX"),
@@ -65,14 +66,17 @@ def main(argv: Sequence[str] | None = None) -> int:
 def with_flags(message: str) -> str:
     """Replace boolean arguments in an error message of the library by flags.
 
-    ``resume=True`` becomes ``--resume``, ``matched_only=False`` becomes ``--no-matched-only``.
+    ``resume=True`` becomes ``--resume``, ``matched_only=False`` becomes ``--no-matched-only``, and
+    ``perception=FILE`` becomes ``--perception FILE``.
     """
 
     def flag(found: re.Match[str]) -> str:
         name, value = found.groups()
+        if value == "FILE":
+            return f"--{name.replace('_', '-')} FILE"
         return f"--{'' if value == 'True' else 'no-'}{name.replace('_', '-')}"
 
-    return re.sub(r"\b([a-z_]+)=(True|False)\b", flag, message)
+    return re.sub(r"\b([a-z_]+)=(True|False|FILE)\b", flag, message)
 
 
 def _parse(name: str, arguments: list[str]) -> Any:

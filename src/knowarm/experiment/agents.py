@@ -61,6 +61,7 @@ def _control(about: str, knowledge: KnowledgeConfig, source: Placebo, **fields: 
 
 _TARGET = replace(FULL, scope="target")
 _TARGET_PLUS = replace(FULL_PLUS, scope="target")
+_PERCEIVED = replace(FULL_PLUS, scope="perceived")
 _QUERY_WORDS = replace(QUERY, hops=0, colour_share=None)
 
 AGENTS: dict[str, Agent] = {
@@ -114,6 +115,19 @@ AGENTS: dict[str, Agent] = {
     "target-random+": _control("target+, as target-random", _TARGET_PLUS, RandomVectors()),
     "target-shuffled+": _control("target+, as target-shuffled", _TARGET_PLUS, ShuffledGraph()),
     "target-onehot+": _control("target+, as target-onehot", _TARGET_PLUS, OneHot()),
+    "target-perceived": Agent(
+        about="the slot of the object and colour that a perception module names in the image",
+        role="knowledge",
+        knowledge=_PERCEIVED,
+    ),
+    "target-perceived-zeros": Agent(
+        about="control of target-perceived: its shape, all zeros",
+        role="capacity_control",
+        knowledge=replace(_PERCEIVED, source=Zeros()),
+    ),
+    "target-perceived-onehot": _control(
+        "target-perceived: the index of what was named, no meaning", _PERCEIVED, OneHot()
+    ),
     "zeros": Agent(
         about="control of full and full+: their shape, all zeros",
         role="capacity_control",
