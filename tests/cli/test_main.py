@@ -3,6 +3,7 @@
 import json
 import shlex
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -121,6 +122,24 @@ def test_errors_of_the_library_name_flags() -> None:
 def test_a_knowledge_source_is_chosen_by_name() -> None:
     command = parse_train(["irb120-full-ppo", "--knowledge.source", "zeros"])
     assert to_dict(command.config)["knowledge"]["source"]["kind"] == "zeros"
+
+
+AT_EXIT = """
+import atexit, gc, sys
+
+atexit.register(lambda: print(gc.get_freeze_count()))
+sys.argv = ["knowarm", "--version"]
+from knowarm.cli.main import main
+main()
+"""
+
+
+def test_the_end_of_a_command_collects_no_garbage() -> None:
+    """With PyTorch loaded this took a second, and 12 on a machine with other programs."""
+    done = subprocess.run(
+        [sys.executable, "-c", AT_EXIT], capture_output=True, text=True, check=True
+    )
+    assert int(done.stdout.split()[-1]) > 1000
 
 
 def test_make_best_is_the_recipe_of_the_shipped_policy() -> None:

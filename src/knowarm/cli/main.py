@@ -3,6 +3,8 @@
 Only the module of the given command is imported, so that help and typing errors answer at once.
 """
 
+import atexit
+import gc
 import os
 import re
 import sys
@@ -45,6 +47,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         0, or 2 for a user error, or 130 after Ctrl-C.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
+    if argv is None:
+        # The process ends with its objects: collecting PyTorch's takes seconds on a busy machine.
+        atexit.register(gc.freeze)
     try:
         if not arguments or arguments[0] in ("-h", "--help"):
             print(_help())
