@@ -3,9 +3,7 @@
 Only the module of the given command is imported, so that help and typing errors answer at once.
 """
 
-import atexit
 import errno
-import gc
 import os
 import re
 import sys
@@ -17,6 +15,7 @@ import tyro
 
 import knowarm
 from knowarm.errors import UserError, unknown_name
+from knowarm.private_apis import end_process
 
 COMMANDS = {
     "demo": ("train:Demo", "train two agents for a short time, evaluate them, write a report"),
@@ -48,12 +47,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: arguments after the program's name; None takes them from ``sys.argv``.
 
     Returns:
-        0, or 2 for a user error, or 130 after Ctrl-C.
+        0, or 2 for a user error, or 130 after Ctrl-C. Without ``argv`` the process ends with it.
     """
-    arguments = list(sys.argv[1:] if argv is None else argv)
     if argv is None:
-        # The process ends with its objects: collecting PyTorch's takes seconds on a busy machine.
-        atexit.register(gc.freeze)
+        end_process(_run(sys.argv[1:]))
+    return _run(list(argv))
+
+
+def _run(arguments: list[str]) -> int:
+    """Run one command and return the exit code."""
     try:
         if not arguments or arguments[0] in ("-h", "--help"):
             print(_help())
