@@ -78,7 +78,7 @@ def inject_file_errors(tries: int, seed: int) -> tuple[int, list[str]]:
             write_report([run.path], folder / "report" / "report.html")
 
         def evaluated(number: int) -> None:
-            evaluate(run.path, episodes=2, label="faults").write()
+            evaluate(run.path, episodes=2, blind_episodes=0, label="faults").write()
 
         def training(number: int) -> None:
             train(

@@ -173,7 +173,7 @@ import sys
 from knowarm.experiment.evaluate import evaluate
 
 while True:
-    evaluate(sys.argv[1], episodes=2, record_films=1, label="storm").write()
+    evaluate(sys.argv[1], episodes=2, record_films=1, blind_episodes=0, label="storm").write()
     print("written", flush=True)
 """
 
