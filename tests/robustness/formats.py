@@ -254,7 +254,8 @@ def _world(folder: Path) -> list[Format]:
 def _run(folder: Path) -> list[Format]:
     config = short(total_steps=40, checkpoint_every_steps=20)
     run = train(config, folder, policy={"features": 8}).folder
-    evaluated = evaluate(run.path, episodes=2, record_films=1, label="two").write()
+    values = {"episodes": 2, "record_films": 1, "blind_episodes": 0}
+    evaluated = evaluate(run.path, **values, label="two").write()
 
     def reported(path: Path) -> None:
         write_report([run.path], folder / "report.html")
