@@ -184,7 +184,10 @@ def test_a_table_has_a_row_per_facet_in_both_tasks():
 
 def test_the_registry_has_its_controls():
     assert controls_of("target-perceived", "capacity_control") == ["target-perceived-zeros"]
-    assert controls_of("target-perceived", "content_control") == ["target-perceived-onehot"]
+    assert controls_of("target-perceived", "content_control") == [
+        "target-perceived-onehot",
+        "target-perceived-random",
+    ]
 
 
 @pytest.mark.parametrize("name", [REACH, CHOOSE])

@@ -130,6 +130,9 @@ AGENTS: dict[str, Agent] = {
     "target-perceived-onehot": _control(
         "target-perceived: the index of what was named, no meaning", _PERCEIVED, OneHot()
     ),
+    "target-perceived-random": _control(
+        "target-perceived: one random vector per facet", _PERCEIVED, RandomVectors()
+    ),
     "zeros": Agent(
         about="control of full and full+: their shape, all zeros",
         role="capacity_control",

@@ -16,6 +16,7 @@ from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.graph_queries import GraphQueries
 from knowarm.knowledge import QUERY
+from knowarm.knowledge.vectors.placebos import OneHot
 from knowarm.world.choice_config import ChoiceConfig
 from knowarm.world.config import EnvConfig, choice_env_config
 from knowarm.world.robots import ROBOTS
@@ -90,7 +91,9 @@ def tasks_of(agent: Agent) -> tuple[Task, ...]:
     """
     if agent.marked or agent.knowledge.scope == "query":
         return ("choose",)
-    both = agent.role == "baseline" or agent.knowledge.scope == "perceived"
+    # One-hot codes have fewer numbers than the choice task has facets.
+    perceives = agent.knowledge.scope == "perceived" and agent.knowledge.source != OneHot()
+    both = agent.role == "baseline" or perceives
     return ("reach", "choose") if both else ("reach",)
 
 
