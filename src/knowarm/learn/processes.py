@@ -106,7 +106,7 @@ def wait_for_fork_server(context: BaseContext, should_stop: Callable[[], bool]) 
 
     def start() -> None:
         process = context.Process(target=_do_nothing, daemon=True)  # type: ignore[attr-defined]
-        with suppress(EOFError, ConnectionError):  # `ChildProcess.start` replaces the server
+        with suppress(EOFError, OSError):  # `ChildProcess.start` replaces the server
             process.start()
             is_ready.set()
             process.join()
