@@ -45,8 +45,10 @@ UNUSED = (
 
 FILTERS = [
     {"id": lzma.FILTER_X86},
-    {"id": lzma.FILTER_LZMA2, "preset": 9 | lzma.PRESET_EXTREME},
+    {"id": lzma.FILTER_LZMA2, "preset": 9 | lzma.PRESET_EXTREME, "dict_size": 2**29},
 ]
+"""The dictionary spans the archive: Warp's library contains the same compiler several times, about
+100 MB apart. Unpacking takes as much memory, packing about ten times as much."""
 
 FATBIN, MAGIC = "<IHHQ", 0xBA55ED50
 """Header of a container of code for several GPUs: magic number, version, sizes of header and

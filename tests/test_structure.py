@@ -31,6 +31,7 @@ EVERYBODY = {
     "config",
     "cores",
     "svg",
+    "compiling",
     "private_apis",
     "seeding",
     "reading",

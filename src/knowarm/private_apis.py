@@ -3,19 +3,21 @@
 tests/test_private_apis.py fails where a new version of a library lacks one of them.
 """
 
+import atexit
 import multiprocessing.process
 import os
+import sys
+import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial, update_wrapper
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from types import CellType, FunctionType
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
-import torch
 
 from knowarm.errors import UserError
 
@@ -26,6 +28,8 @@ def cpu_has_bfloat16() -> bool:
     PyTorch has no public function for it: ``torch.backends.cpu.get_cpu_capability`` names the
     vector instructions and leaves out both extensions.
     """
+    import torch  # takes a second to import, and the command line imports this module
+
     return bool(torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported())
 
 
@@ -56,6 +60,26 @@ def keep_temporary_files_in(folder: Path) -> None:
     """
     config = multiprocessing.process.current_process()._config  # type: ignore[attr-defined]
     config.setdefault("tempdir", str(folder))
+
+
+def end_process(code: int) -> NoReturn:
+    """End this process without freeing its objects.
+
+    Reason: at a normal exit the interpreter collects PyTorch's objects, which takes a second, and
+    20 seconds on a busy machine, where a training must end soon after SIGTERM. Functions registered
+    with ``atexit`` are still called, by a private function.
+
+    Args:
+        code: exit code.
+    """
+    for thread in threading.enumerate():
+        if not thread.daemon and thread is not threading.current_thread():
+            thread.join()
+    atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError, AttributeError):  # closed, or nobody reads it
+            stream.flush()
+    os._exit(code)
 
 
 def release_fork_server() -> None:

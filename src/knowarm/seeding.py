@@ -13,7 +13,14 @@ if TYPE_CHECKING:
     import torch
 
 Purpose = Literal[
-    "weights", "episodes", "actions", "minibatches", "placebos", "interim_actions", "splits"
+    "weights",
+    "episodes",
+    "actions",
+    "minibatches",
+    "placebos",
+    "interim_actions",
+    "splits",
+    "perception",
 ]
 """What random numbers are drawn for. The position of a purpose is part of its stream: append new
 purposes at the end.
@@ -24,7 +31,8 @@ purposes at the end.
 - ``minibatches``: order of the environments in PPO's passes;
 - ``placebos``: random vectors and shuffled graphs; the knowledge's seed, number of the draw;
 - ``interim_actions``: sampled actions of interim evaluations;
-- ``splits``: what the splits of a choice task hold out; number of the split.
+- ``splits``: what the splits of a choice task hold out; number of the split;
+- ``perception``: weights and images of a perception module; number of the images and of the test.
 """
 
 _PURPOSES: tuple[Purpose, ...] = get_args(Purpose)

@@ -16,6 +16,7 @@ from benchmarks.gpu_pack import (
     MOST_BYTES,
     PTX,
     clear_other_gpus,
+    download,
     remove_unused,
     split,
     write_archive,
@@ -55,6 +56,20 @@ def test_what_a_gpu_does_not_need_is_removed(tmp_path: Path) -> None:
     remove_unused(tmp_path, 90)
     found = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
     assert found == set(used)
+
+
+def test_exactly_the_listed_packages_are_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    commands: list[list[str]] = []
+    monkeypatch.setattr(
+        "benchmarks.gpu_pack.subprocess.run", lambda command, check: commands.append(command)
+    )
+    download(Path("site"), Path("requirements.txt"))
+    (command,) = commands
+    assert command[1:4] == ["-m", "pip", "install"]
+    assert {"--no-deps", "--no-compile", "--only-binary=:all:"} <= set(command)
+    assert "--python-version=3.12" in command
+    assert command[command.index("--target") + 1] == "site"
+    assert command[-2:] == ["--requirement", "requirements.txt"]
 
 
 @pytest.mark.parametrize(("size", "count"), [(1, 1), (100, 1), (101, 2), (250, 3)])

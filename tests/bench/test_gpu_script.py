@@ -222,8 +222,10 @@ def test_commands_of_a_gpu_have_the_whole_sizes_and_a_limit(tmp_path: Path) -> N
         "PATH": f"{tmp_path / 'programs'}:{os.environ['PATH']}",
         "NOTES": str(tmp_path / "notes"),
     }
-    done = gpu_sh(tmp_path, STAGES="smoke bench train", **settings)
+    out = tmp_path / "results"
+    done = gpu_sh(tmp_path, "", STAGES="smoke bench train", OUT=str(out), **settings)
     assert done.returncode == 0, done.stdout + done.stderr
+    assert {path.name for path in out.iterdir()} == {"gpu.json", "smoke.txt"}
     notes = (tmp_path / "notes").read_text().splitlines()
     smoke, bench, train = (line for line in notes if line.startswith("timeout"))
     assert all(re.search(r"^timeout (--\S+ )*480 ", line) for line in (smoke, bench, train))

@@ -3,6 +3,7 @@
 import json
 import shlex
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -121,6 +122,31 @@ def test_errors_of_the_library_name_flags() -> None:
 def test_a_knowledge_source_is_chosen_by_name() -> None:
     command = parse_train(["irb120-full-ppo", "--knowledge.source", "zeros"])
     assert to_dict(command.config)["knowledge"]["source"]["kind"] == "zeros"
+
+
+AT_EXIT = """
+import atexit, sys
+from knowarm.cli.main import main
+
+class Last:
+    def __del__(self):
+        print("freed")
+
+last = Last()
+atexit.register(print, "at exit")
+sys.argv = ["knowarm", *sys.argv[1:]]
+main()
+"""
+
+
+@pytest.mark.parametrize(("argument", "code", "out"), [("--version", 0, 1), ("fly", 2, 0)])
+def test_a_command_ends_without_freeing_its_objects(argument, code, out) -> None:
+    """With PyTorch loaded this took a second, and 12 on a machine with other programs."""
+    done = subprocess.run([sys.executable, "-c", AT_EXIT, argument], capture_output=True, text=True)
+    assert done.returncode == code
+    assert len(done.stdout.splitlines()) == out + 1
+    assert done.stdout.endswith("at exit\n")
+    assert done.stderr.count("\n") == 1 - out
 
 
 def test_make_best_is_the_recipe_of_the_shipped_policy() -> None:

@@ -16,7 +16,7 @@ from knowarm.learn.config import privileged_uses
 from knowarm.world import torch_env
 from knowarm.world.tasks import privileged
 
-EVALUATION = EvaluationConfig(episodes=6, num_envs=6, record_films=0)
+EVALUATION = EvaluationConfig(episodes=6, num_envs=6, record_films=0, blind_episodes=0)
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,7 @@ import contextlib
 import logging
 import multiprocessing
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -15,7 +16,7 @@ from knowarm.learn.checkpoint import CheckpointStore
 from knowarm.learn.config import PPOConfig
 from knowarm.learn.data_parallel import make_learner
 from knowarm.learn.minibatch import TrainingNetwork
-from knowarm.learn.processes import ChildProcess, process_context
+from knowarm.learn.processes import ChildProcess, prepare_child_process, process_context
 from tests.learn.a3c.test_stop import UPDATE, build
 from tests.learn.test_data_parallel import noisy_learner
 from tests.learn.toys import toy_policy
@@ -88,6 +89,30 @@ def test_a_fork_server_killed_while_it_starts_a_process_is_replaced(kills, monke
         child.stop()
         assert "The fork server ended while starting the helper" in caplog.text
     assert len(set(killed)) == kills
+
+
+def answer(connection):
+    prepare_child_process()
+    connection.send("ready")
+    connection.send(connection.recv())
+
+
+@pytest.mark.skipif(
+    "forkserver" not in multiprocessing.get_all_start_methods(), reason="no fork server here"
+)
+def test_children_outlive_the_terminal_until_the_trainer_has_asked_for_their_states():
+    context = process_context()
+    child = ChildProcess.start(context, "helper", answer)
+    assert child.connection.recv() == "ready"
+    server = psutil.Process(child.process.pid).parent()
+    for pid in (child.process.pid, server.pid):
+        os.kill(pid, signal.SIGHUP)
+    child.send("state")
+    assert child.connection.recv() == "state"
+    other = ChildProcess.start(context, "helper", send_one)
+    assert psutil.Process(other.process.pid).parent() == server
+    for each in (child, other):
+        each.stop()
 
 
 @pytest.mark.slow

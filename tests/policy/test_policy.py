@@ -3,6 +3,7 @@ import pickle
 import numpy as np
 import pytest
 import torch
+from torch import nn
 
 from knowarm.errors import UserError
 from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
@@ -116,9 +117,10 @@ def test_knowledge_reaches_what_the_fusion_promises(fusion):
 def test_similarity_amplifies_positions_that_match_all_slots():
     """Channel 0 answers the first slot, channel 1 the second; one position of nine has both."""
     fusion = Similarity(16, 6, 2)
-    fusion.key.weight.copy_(torch.eye(ImageEncoder.channels))
+    fusion.key = nn.Identity()
+    fusion.query = nn.Linear(3, ImageEncoder.channels, bias=False)
     fusion.query.weight.zero_()
-    fusion.query.weight[0, 0] = fusion.query.weight[1, 1] = 20.0
+    fusion.query.weight[0, 0] = fusion.query.weight[1, 1] = 30.0
     maps = torch.zeros(1, 9, ImageEncoder.channels)
     maps[:, 3:6, 0] = maps[:, 5:, 1] = 1.0
     maps[..., 2] = 1.0

@@ -175,6 +175,7 @@ def test_the_upper_bound_is_shown_in_the_same_task(tmp_path):
     (task,) = study.tasks
     assert "mask" in {each.name for each in asked_splits(task)["S1"]}
     assert [group.name for group in task.subjects] == ["subgraph"]
+    assert "choice of 4" in task.title
     assert only(study).kind == "understood"
 
 

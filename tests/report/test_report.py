@@ -121,11 +121,13 @@ def test_a_report_replaces_its_own_files_and_no_others(tmp_path):
     assert {path.name for path in data.iterdir()} == {"manifest.json", *manifest["files"]}
     (data / "own.csv").write_text("mine")
     (data / "old.csv").write_text("")
-    manifest["files"] += ["old.csv", "../report.html", "/etc/hostname"]
+    (tmp_path / "kept.csv").write_text("mine")
+    manifest["files"] += ["old.csv", "../kept.csv", "/etc/hostname"]
     (data / "manifest.json").write_text(json.dumps(manifest))
     write_report(runs, page)
     assert (data / "own.csv").read_text() == "mine"
     assert not (data / "old.csv").exists()
+    assert (tmp_path / "kept.csv").read_text() == "mine"
     assert page.exists()
 
 

@@ -23,6 +23,10 @@ from knowarm.experiment.build import load_agent
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.evaluation_files import read_film, read_table
 from knowarm.experiment.migration import migrate_checkpoints
+from knowarm.experiment.perceived import FILE
+from knowarm.experiment.perception import PerceptionConfig, read_perception, write_perception
+from knowarm.experiment.perception_training import train_perception
+from knowarm.experiment.registry import experiment_config
 from knowarm.experiment.run import train
 from knowarm.experiment.run_folder import CsvLog, RunFolder
 from knowarm.knowledge import household, read_graph
@@ -44,6 +48,13 @@ from knowarm.world.objects import TARGETS
 from knowarm.world.robots import ROBOTS
 from tests.experiment.test_run import short
 from tests.robustness.mutator import mutate
+
+SHORT_PERCEIVED = {
+    "total_steps": 8,
+    "algorithm": {"num_envs": 4, "rollout_steps": 2, "minibatches": 1, "processes": 1},
+    "interim": {"every_steps": 8, "episodes": 1},
+}
+"""The shortest training of an agent that perceives."""
 
 STALL_S = 60
 """Time after which reading one file counts as a failure; only where the system has timers [s]."""
@@ -134,6 +145,7 @@ def make_formats(folder: Path) -> list[Format]:
         *_vectors(folder / "vectors"),
         *_world(folder / "world"),
         *_run(folder / "runs"),
+        *_perception(folder / "perception"),
         *_texts(folder),
     ]
 
@@ -242,7 +254,8 @@ def _world(folder: Path) -> list[Format]:
 def _run(folder: Path) -> list[Format]:
     config = short(total_steps=40, checkpoint_every_steps=20)
     run = train(config, folder, policy={"features": 8}).folder
-    evaluated = evaluate(run.path, episodes=2, record_films=1, label="two").write()
+    values = {"episodes": 2, "record_films": 1, "blind_episodes": 0}
+    evaluated = evaluate(run.path, **values, label="two").write()
 
     def reported(path: Path) -> None:
         write_report([run.path], folder / "report.html")
@@ -280,6 +293,18 @@ def _run(folder: Path) -> list[Format]:
         Format("episodes.parquet", evaluated / "episodes.parquet", read_table),
         Format("steps.parquet", evaluated / "steps.parquet", read_table),
         Format("film", evaluated / "films" / "0.webp", read_film),
+    ]
+
+
+def _perception(folder: Path) -> list[Format]:
+    config = experiment_config("irb120-target-perceived-fast", env={"image_size": 20})
+    path = folder / "module.safetensors"
+    training = PerceptionConfig(images=8, epochs=1, test_images=2)
+    write_perception(train_perception(config.env, training), path)
+    run = train(config, folder, perception=path, **SHORT_PERCEIVED).folder
+    return [
+        Format("perception module", path, read_perception),
+        Format("perception.safetensors of a run", run.path / FILE, lambda _: load_agent(run.path)),
     ]
 
 

@@ -12,9 +12,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from knowarm.world.robots import ROBOTS
+from tests.robustness.faults import inject_file_errors
 from tests.robustness.formats import make_formats, try_mutations
 from tests.robustness.storms import (
-    inject_file_errors,
     kill_evaluations,
     kill_storm,
     random_steps,

@@ -36,6 +36,7 @@ fields.algorithm = {num_envs = 32, processes = 2}
 
 [[evaluations]]
 episodes = 3
+blind_episodes = 0
 
 [where]
 kind = "local"

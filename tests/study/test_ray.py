@@ -33,6 +33,7 @@ algorithm = {num_envs = 4, rollout_steps = 5, minibatches = 2, processes = 1}
 
 [[evaluations]]
 episodes = 3
+blind_episodes = 0
 
 [where]
 memory_gib = 0.5

@@ -14,6 +14,7 @@ from knowarm.cores import processor
 from knowarm.errors import UserError
 from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.build import EnvFactory, Parts, build
+from knowarm.experiment.perceived import perception_for
 from knowarm.experiment.registry import DEFAULT_EXPERIMENT, experiment_config
 from knowarm.learn import A3CConfig, Hooks, Metrics, PPOConfig, PPOTrainer, TorchVectorEnv
 from knowarm.learn.a3c import A3CTrainer
@@ -77,8 +78,12 @@ def bench_learn(config: LearnBenchConfig | None = None) -> dict[str, Any]:
         configuration of PPO over PPO, ``ratio_a3c_batched`` (A3C with many environments per worker
         over the paper's 17 workers of one), the machine, and ``success`` with the rows of
         `time_to_success`.
+
+    Raises:
+        UserError: the experiment needs a perception module.
     """
     config = config or LearnBenchConfig()
+    perception_for(experiment_config(config.experiment).knowledge, None)
     torch.set_num_threads(config.cores)
     rows = [
         raycaster_row(config),

@@ -8,6 +8,7 @@ from typing import Any, cast
 from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.build import InterimFactory, build
 from knowarm.experiment.config import ExperimentConfig, InterimConfig
+from knowarm.experiment.perceived import perception_for
 from knowarm.experiment.registry import experiment_config, experiment_name
 from knowarm.learn import Hooks, Metrics, PPOConfig, PPOTrainer
 from knowarm.policy import Policy
@@ -63,6 +64,7 @@ class SuccessClock:
 
 def interim_evaluation(experiment: ExperimentConfig, seed: int) -> Callable[[Policy], Metrics]:
     """Return the function that plays the interim evaluation of the benchmark."""
+    perception_for(experiment.knowledge, None)  # refuses agents that need a module
     return InterimFactory(experiment.env, INTERIM, seed)()
 
 

@@ -27,6 +27,8 @@ class Evaluate:
     """Episodes and success criteria."""
     which: Which = "best"
     """Checkpoint of the run: best interim evaluation, latest, or untrained."""
+    perception: FilePath = None
+    """Another perception module than the one that the run was trained with."""
     env: EnvConfig = field(default_factory=EnvConfig)
     """Environment of a scripted agent; a run is evaluated in its own."""
     save: bool = True
@@ -38,6 +40,8 @@ class Evaluate:
         """Evaluate, print and save."""
         check_json_path(self.json)
         if is_scripted(self.agent):
+            if self.perception is not None:
+                raise UserError("A scripted agent perceives nothing: leave out --perception.")
             agent = SCRIPTED_AGENTS[self.agent].make(self.evaluation.seed)
             result = evaluate(agent, self.env, self.evaluation, agent_name=self.agent)
         elif self.env != EnvConfig():
@@ -47,7 +51,9 @@ class Evaluate:
             )
         else:
             greedy, seed = self.evaluation.actions == "greedy", self.evaluation.seed
-            trained = load_agent(self.agent, which=self.which, greedy=greedy, seed=seed)
+            trained = load_agent(
+                self.agent, which=self.which, greedy=greedy, seed=seed, perception=self.perception
+            )
             result = evaluate(trained, config=self.evaluation)
         _print(result.summary)
         if result.folder is not None and self.save:

@@ -3,6 +3,7 @@
 Only the module of the given command is imported, so that help and typing errors answer at once.
 """
 
+import errno
 import os
 import re
 import sys
@@ -14,6 +15,7 @@ import tyro
 
 import knowarm
 from knowarm.errors import UserError, unknown_name
+from knowarm.private_apis import end_process
 
 COMMANDS = {
     "demo": ("train:Demo", "train two agents for a short time, evaluate them, write a report"),
@@ -22,6 +24,7 @@ COMMANDS = {
     "evaluate": ("evaluate:Evaluate", "evaluate a trained or scripted agent on fixed episodes"),
     "study": ("study:COMMANDS", "run a table of experiments and seeds, restartable"),
     "report": ("report:Report", "write one HTML report from run folders"),
+    "perception": ("perception:parse", "train a module that names objects and colours in images"),
     "knowledge": ("knowledge:parse", "inspect a graph, its sentences, vectors and embeddings"),
     "view": ("view:View", "show an agent in the browser, or record it"),
     "export": ("report:Export", "write a trained policy as ONNX"),
@@ -34,6 +37,9 @@ The definition is a frozen dataclass whose fields are the arguments and whose ``
 work, a dict of such dataclasses by name, or a function that makes one from the arguments.
 """
 
+FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
+"""Errors of the system without the name of a file."""
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command.
@@ -42,9 +48,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: arguments after the program's name; None takes them from ``sys.argv``.
 
     Returns:
-        0, or 2 for a user error, or 130 after Ctrl-C.
+        0, or 2 for a user error, or 130 after Ctrl-C. Without ``argv`` the process ends with it.
     """
-    arguments = list(sys.argv[1:] if argv is None else argv)
+    if argv is None:
+        end_process(_run(sys.argv[1:]))
+    return _run(list(argv))
+
+
+def _run(arguments: list[str]) -> int:
+    """Run one command and return the exit code."""
     try:
         if not arguments or arguments[0] in ("-h", "--help"):
             print(_help())
@@ -53,26 +65,43 @@ def main(argv: Sequence[str] | None = None) -> int:
         else:
             _parse(arguments[0], arguments[1:]).run()
     except UserError as error:
-        print(f"knowarm: {with_flags(str(error))}", file=sys.stderr)
-        return 2
+        return _fail(with_flags(str(error)))
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:  # the reader (head, less) has closed the pipe
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except OSError as error:
+        if error.filename is None and error.errno not in FULL_DISK:
+            raise
+        where = str(error.filename or "A file")
+        shown = where if len(where) <= 100 else f"{where[:97]}..."
+        return _fail(f"{shown}: {error.strerror}. Give another path, or free disk space.")
     return 0
+
+
+def _fail(message: str) -> int:
+    """Print an error on one line, control characters of names from files escaped; return 2."""
+    shown = "".join(
+        each if each.isprintable() else each.encode("unicode_escape").decode() for each in message
+    )
+    print(f"knowarm: {shown}", file=sys.stderr)
+    return 2
 
 
 def with_flags(message: str) -> str:
     """Replace boolean arguments in an error message of the library by flags.
 
-    ``resume=True`` becomes ``--resume``, ``matched_only=False`` becomes ``--no-matched-only``.
+    ``resume=True`` becomes ``--resume``, ``matched_only=False`` becomes ``--no-matched-only``, and
+    ``perception=FILE`` becomes ``--perception FILE``.
     """
 
     def flag(found: re.Match[str]) -> str:
         name, value = found.groups()
+        if value == "FILE":
+            return f"--{name.replace('_', '-')} FILE"
         return f"--{'' if value == 'True' else 'no-'}{name.replace('_', '-')}"
 
-    return re.sub(r"\b([a-z_]+)=(True|False)\b", flag, message)
+    return re.sub(r"\b([a-z_]+)=(True|False|FILE)\b", flag, message)
 
 
 def _parse(name: str, arguments: list[str]) -> Any:

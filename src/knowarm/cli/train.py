@@ -8,6 +8,7 @@ from typing import Annotated
 import tyro
 
 from knowarm.cli.knowledge.options import take_source
+from knowarm.cli.tables import FilePath
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.demo import STEPS, demo
@@ -34,11 +35,19 @@ class Train:
     """Parent folder of all runs; this run is saved in RUNS/EXPERIMENT/SEED."""
     resume: bool = False
     """Resume the run from its latest checkpoint, with the options it was started with."""
+    perception: FilePath = None
+    """Perception module of `knowarm perception train`, for agents told what is perceived."""
 
     def run(self) -> None:
         """Train until the last step or Ctrl-C."""
         with StopRequest() as should_stop:
-            run = train(self.config, self.runs, resume=self.resume, should_stop=should_stop)
+            run = train(
+                self.config,
+                self.runs,
+                resume=self.resume,
+                should_stop=should_stop,
+                perception=self.perception,
+            )
         where, result = run.folder.path, run.result
         if result.reason == "stopped":
             again = f"knowarm train {self.config.name} --seed {self.config.seed} --resume"

@@ -61,7 +61,10 @@ def _control(about: str, knowledge: KnowledgeConfig, source: Placebo, **fields: 
 
 _TARGET = replace(FULL, scope="target")
 _TARGET_PLUS = replace(FULL_PLUS, scope="target")
+_PERCEIVED = replace(FULL_PLUS, scope="perceived")
 _QUERY_WORDS = replace(QUERY, hops=0, colour_share=None)
+_TOLD = PolicyConfig(fusion="similarity", hidden="fixed")
+"""Policy of the agents that are told a query: it has to find in the image what the query means."""
 
 AGENTS: dict[str, Agent] = {
     "bm": Agent(
@@ -114,6 +117,22 @@ AGENTS: dict[str, Agent] = {
     "target-random+": _control("target+, as target-random", _TARGET_PLUS, RandomVectors()),
     "target-shuffled+": _control("target+, as target-shuffled", _TARGET_PLUS, ShuffledGraph()),
     "target-onehot+": _control("target+, as target-onehot", _TARGET_PLUS, OneHot()),
+    "target-perceived": Agent(
+        about="the slot of the object and colour that a perception module names in the image",
+        role="knowledge",
+        knowledge=_PERCEIVED,
+    ),
+    "target-perceived-zeros": Agent(
+        about="control of target-perceived: its shape, all zeros",
+        role="capacity_control",
+        knowledge=replace(_PERCEIVED, source=Zeros()),
+    ),
+    "target-perceived-onehot": _control(
+        "target-perceived: the index of what was named, no meaning", _PERCEIVED, OneHot()
+    ),
+    "target-perceived-random": _control(
+        "target-perceived: one random vector per facet", _PERCEIVED, RandomVectors()
+    ),
     "zeros": Agent(
         about="control of full and full+: their shape, all zeros",
         role="capacity_control",
@@ -191,46 +210,55 @@ AGENTS: dict[str, Agent] = {
         about="the subgraph around the values of the query",
         role="knowledge",
         knowledge=QUERY,
+        policy=_TOLD,
         colour="c-blue",
     ),
-    "subgraph-similarity": Agent(
-        about="as subgraph, scoring positions of the image by similarity",
+    "subgraph-before-lstm": Agent(
+        about="as subgraph, concatenated before the LSTM as in the paper",
         role="knowledge",
         knowledge=QUERY,
-        policy=PolicyConfig(fusion="similarity"),
     ),
     "query-words": Agent(
         about="the word vectors of the query, without the graph",
         role="knowledge",
         knowledge=_QUERY_WORDS,
+        policy=_TOLD,
         colour="c-green",
     ),
     "query-analogy": Agent(
         about="ANALOGY embeddings of the values of the query",
         role="knowledge",
         knowledge=replace(_QUERY_WORDS, source=GraphEmbedding(model="analogy"), centring=False),
+        policy=_TOLD,
         colour="c-navy",
     ),
     "query-zeros": Agent(
         about="control of the agents that are told the query: their shape, all zeros",
         role="capacity_control",
         knowledge=replace(QUERY, source=Zeros()),
+        policy=_TOLD,
         colour="c-grey",
     ),
     "query-onehot": _control(
         "the agents that are told the query: the index of each condition",
         QUERY,
         OneHot(),
+        policy=_TOLD,
         colour="c-teal",
     ),
     "query-random": _control(
         "the agents that are told the query: one random vector per condition",
         QUERY,
         RandomVectors(),
+        policy=_TOLD,
         colour="c-purple",
     ),
     "subgraph-shuffled": _control(
-        "subgraph: from a graph with permuted tails", QUERY, ShuffledGraph(), colour="c-pink"
+        "subgraph: from a graph with permuted tails",
+        QUERY,
+        ShuffledGraph(),
+        policy=_TOLD,
+        colour="c-pink",
     ),
 }
 """Every agent by name. The first agent of a role stands for it in the demo."""

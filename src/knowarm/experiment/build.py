@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -11,6 +11,14 @@ import torch
 from knowarm.config import from_dict
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig, InterimConfig
+from knowarm.experiment.perceived import (
+    FILE,
+    PerceivingAgent,
+    PerceivingVectorEnv,
+    perception_for,
+    stored_perception,
+)
+from knowarm.experiment.perception import Perception, perception_of, read_module
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.knowledge.embedding import SceneEmbedding, scene_embedding
 from knowarm.knowledge.query_embedding import query_embedding
@@ -39,15 +47,21 @@ class EnvFactory:
 
     Attributes:
         config: the task.
+        perception: content of the perception module's file, for knowledge of what is perceived.
     """
 
     config: EnvConfig
+    perception: bytes | None = None
 
     def __call__(
         self, num_envs: int, num_threads: int = 0, *, device: str = "cpu"
     ) -> TorchVectorEnv:
         """Make ``num_envs`` environments on a device, with ``num_threads`` threads (0: all)."""
-        return TorchReachVectorEnv(self.config, num_envs, device=device, num_threads=num_threads)
+        options: dict[str, Any] = {"device": device, "num_threads": num_threads}
+        if self.perception is None:
+            return TorchReachVectorEnv(self.config, num_envs, **options)
+        perception = perception_of(self.perception, Path(FILE))
+        return PerceivingVectorEnv(self.config, num_envs, perception, **options)
 
 
 @dataclass(frozen=True)
@@ -76,14 +90,15 @@ class Parts:
 def build(config: ExperimentConfig) -> Parts:
     """Compute the knowledge table of an experiment and the shape of its policy.
 
-    The table has a row per facet, or per query where the task asks.
+    The table has a row per facet, or per query where the task asks, unless the knowledge is of
+    what is perceived.
 
     Raises:
         UserError: the graph lacks an object, or the sizes do not fit together.
     """
     env = ReachVectorEnv(config.env, 1)
     embedding: SceneEmbedding
-    if env.queries:
+    if env.queries and config.knowledge.scope != "perceived":
         embedding = query_embedding(config.knowledge, env.queries, run_seed=config.seed)
         table = embedding.table(env.queries)
     else:
@@ -117,21 +132,25 @@ class InterimFactory:
         env: the task, with the success thresholds of training.
         interim: number and seed of the episodes.
         seed: of the run; sampled actions depend on it, the episodes do not.
+        perception: content of the perception module's file, for knowledge of what is perceived.
     """
 
     env: EnvConfig
     interim: InterimConfig
     seed: int
+    perception: bytes | None = None
 
     def __call__(self) -> Callable[[Policy], dict[str, float]]:
         """Make the environments, draw the episodes, and return the evaluating function."""
         interim = self.interim
         env = ReachVectorEnv(self.env, interim.episodes)
         episodes = evaluation_episodes(env.scene, self.env, interim.episodes, interim.seed)
+        data = self.perception
+        perception = None if data is None else perception_of(data, Path(FILE))
 
         def evaluate(policy: Policy) -> dict[str, float]:
             generator = torch_generator(self.seed, "interim_actions")
-            agent = PolicyAgent(policy, greedy=interim.greedy, generator=generator)
+            agent = policy_agent(policy, perception, interim.greedy, generator)
             result = play(agent, env, episodes)
             numbers = interim_numbers(result, self.env.success_distance_m)
             if env.queries:  # ended nearest to the wanted object
@@ -139,6 +158,16 @@ class InterimFactory:
             return numbers
 
         return evaluate
+
+
+def policy_agent(
+    policy: Policy, perception: Perception | None, greedy: bool, generator: torch.Generator
+) -> PolicyAgent:
+    """Return the agent that plays with a policy, and with a perception module where it has one."""
+    options: dict[str, Any] = {"greedy": greedy, "generator": generator}
+    if perception is None:
+        return PolicyAgent(policy, **options)
+    return PerceivingAgent(perception, policy, **options)
 
 
 def interim_numbers(result: EpisodeResults, success_distance_m: float) -> dict[str, float]:
@@ -185,7 +214,12 @@ class TrainedAgent:
 
 
 def load_agent(
-    path: Path | str, *, which: Which = "best", greedy: bool = True, seed: int = 0
+    path: Path | str,
+    *,
+    which: Which = "best",
+    greedy: bool = True,
+    seed: int = 0,
+    perception: Path | str | None = None,
 ) -> TrainedAgent:
     """Load the trained agent of a run.
 
@@ -195,6 +229,7 @@ def load_agent(
             weights.
         greedy: take the most probable action instead of sampling one.
         seed: seed of the sampled actions.
+        perception: file of another perception module than the one that the run folder keeps.
 
     Returns:
         The agent with its policy, config and run folder.
@@ -221,8 +256,20 @@ def load_agent(
     elif "seed_derivation" not in provenance:
         policy.reset_parameters(torch.Generator().manual_seed(config.seed))
     policy.eval()
-    agent = PolicyAgent(policy, greedy=greedy, generator=torch.Generator().manual_seed(seed))
+    generator = torch.Generator().manual_seed(seed)
+    agent = policy_agent(policy, _perception(folder, config, perception), greedy, generator)
     return TrainedAgent(agent, policy, config, folder, step, which)
+
+
+def _perception(
+    folder: RunFolder, config: ExperimentConfig, given: Path | str | None
+) -> Perception | None:
+    """Return the given perception module, or that of the run; None where none is needed."""
+    if given is not None:
+        return perception_for(config.knowledge, read_module(Path(given)), Path(given))
+    if config.knowledge.scope != "perceived":
+        return None
+    return perception_of(stored_perception(folder), folder.path / FILE)
 
 
 def _sizes_of_checkpoint(config: PolicyConfig, arrays: dict[str, np.ndarray]) -> PolicyConfig:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from knowarm.errors import UserError
+from knowarm.knowledge.embedding import scene_embedding
 from knowarm.knowledge.formats import open_graph
 from knowarm.knowledge.queries import Pairs
 from knowarm.knowledge.query_embedding import query_embedding
@@ -14,6 +15,7 @@ from knowarm.world.choice import ChoiceTable, Facet
 from knowarm.world.choice_config import QUERY_SOURCES, QuerySource
 from knowarm.world.choice_source import choice_table
 from knowarm.world.config import EnvConfig
+from knowarm.world.scene import list_facets, scene_of
 
 if TYPE_CHECKING:
     from knowarm.experiment.config import ExperimentConfig
@@ -85,7 +87,8 @@ def retold(config: "ExperimentConfig", env: EnvConfig) -> np.ndarray:
         env: the task of the test, with the queries of S5.
 
     Returns:
-        (Q, K) float32, one row per query of the test.
+        (Q, K) float32, one row per query of the test; per facet, (F, K), where knowledge describes
+        what is perceived.
 
     Raises:
         UserError: the knowledge comes from another graph than the queries.
@@ -99,6 +102,10 @@ def retold(config: "ExperimentConfig", env: EnvConfig) -> np.ndarray:
             f"them from {config.knowledge.graph}. Train with knowledge.graph set to the former."
         )
     splits = queries.splits(choice_table(env).facets, env.choice.objects)
+    if config.knowledge.scope == "perceived":
+        facets = list_facets(scene_of(env), env.colours)
+        seen = scene_embedding(config.knowledge, facets, run_seed=config.seed, graph=splits.edited)
+        return seen.table(facets)
     embedding = query_embedding(
         config.knowledge,
         splits.test("S5").queries,

@@ -28,6 +28,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS, Role
 from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.knowledge import migrate_source
@@ -131,6 +132,9 @@ def migrate_checkpoints(folder: Path, robot: str) -> None:
     Args:
         folder: the run's ``checkpoints`` folder.
         robot: the run's robot, in the current format.
+
+    Raises:
+        UserError: a file cannot be written.
     """
     for path in folder.glob("*/meta.json"):
         try:
@@ -144,8 +148,14 @@ def migrate_checkpoints(folder: Path, robot: str) -> None:
             continue  # damaged: reading the checkpoint reports it
         if migrated != meta:
             temporary = path.with_name("meta.json.tmp")
-            temporary.write_text(json.dumps(migrated, indent=2), encoding="utf-8")
-            temporary.replace(path)
+            try:
+                temporary.write_text(json.dumps(migrated, indent=2), encoding="utf-8")
+                temporary.replace(path)
+            except OSError as error:
+                raise UserError(
+                    f"Cannot write {path}: {error.strerror or error}. The checkpoint is intact: "
+                    "free disk space and resume."
+                ) from error
 
 
 def migrate_description(description: Mapping[str, Any], robot: str) -> dict[str, Any]:

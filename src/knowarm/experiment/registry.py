@@ -15,6 +15,8 @@ from knowarm.experiment.agents import AGENTS, Agent, first_of_role
 from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.graph_queries import GraphQueries
+from knowarm.knowledge import QUERY
+from knowarm.knowledge.vectors.placebos import OneHot
 from knowarm.world.choice_config import ChoiceConfig
 from knowarm.world.config import EnvConfig, choice_env_config
 from knowarm.world.robots import ROBOTS
@@ -85,11 +87,14 @@ def tasks_of(agent: Agent) -> tuple[Task, ...]:
     """Return the tasks in which an agent is an experiment.
 
     An agent that is told the query needs a task that asks; one that is told the target or the
-    scene has no meaning there.
+    scene has no meaning there. What is perceived can be told in both.
     """
     if agent.marked or agent.knowledge.scope == "query":
         return ("choose",)
-    return ("reach", "choose") if agent.role == "baseline" else ("reach",)
+    # One-hot codes have fewer numbers than the choice task has facets.
+    perceives = agent.knowledge.scope == "perceived" and agent.knowledge.source != OneHot()
+    both = agent.role == "baseline" or perceives
+    return ("reach", "choose") if both else ("reach",)
 
 
 def _combinations() -> Iterator[tuple[str, str, str, Colours, Task]]:
@@ -109,17 +114,19 @@ def _config(
     name: str, robot: str, agent_name: str, algorithm_name: str, colours: Colours, task: Task
 ) -> ExperimentConfig:
     agent, algorithm = AGENTS[agent_name], ALGORITHMS[algorithm_name]
-    env = EnvConfig(robot=robot, colours=colours)
+    env, knowledge = EnvConfig(robot=robot, colours=colours), agent.knowledge
     if task == "choose":
         choice = ChoiceConfig(queries=GraphQueries(), marked=agent.marked)
         env = choice_env_config(robot, choice=choice)
+        if knowledge.scope == "perceived":  # described by the graph that is asked
+            knowledge = dataclasses.replace(knowledge, graph=QUERY.graph, aliases=QUERY.aliases)
     return ExperimentConfig(
         name=name,
         agent=agent_name,
         role=agent.role,
         total_steps=algorithm.total_steps,
         env=env,
-        knowledge=agent.knowledge,
+        knowledge=knowledge,
         policy=dataclasses.replace(agent.policy, **algorithm.policy),
         algorithm=algorithm.config,
     )

@@ -15,11 +15,14 @@ from knowarm.experiment.build import SEED_DERIVATION, EnvFactory, InterimFactory
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.logs import Mirror, RunLogs, TrainingProgress
 from knowarm.experiment.migration import FORMAT, migrate_checkpoints
+from knowarm.experiment.perceived import FILE, describe_module, perception_for, stored_perception
+from knowarm.experiment.perception import check_fits, read_module
 from knowarm.experiment.registry import experiment_config
-from knowarm.experiment.run_folder import RunFolder, provenance
+from knowarm.experiment.run_folder import RunFolder, provenance, writing
 from knowarm.experiment.run_lock import lock_folder
 from knowarm.learn import CheckpointStore, Hooks, Trainer, TrainingResult
 from knowarm.policy import Policy
+from knowarm.world.scene import list_facets, scene_of
 
 BEFORE_FIRST_STEP = -1
 """Step before every row of the curves: resuming from it drops them all."""
@@ -50,6 +53,7 @@ def train(
     resume: bool = False,
     should_stop: Callable[[], bool] = lambda: False,
     mirrors: Sequence[Mirror] = (),
+    perception: Path | str | None = None,
     **overrides: Any,
 ) -> Run:
     """Train one experiment, or resume a training that was stopped.
@@ -62,6 +66,8 @@ def train(
             holds a run; a run that ended before its first checkpoint starts from the beginning.
         should_stop: called between updates; true saves a checkpoint and ends the training.
         mirrors: further places that receive the curves, beside CSV files and TensorBoard.
+        perception: file of the perception module, for knowledge of what is perceived; the run
+            folder keeps a copy, with which it resumes.
         **overrides: fields of the config to change; a nested config takes a mapping of its fields,
             such as ``algorithm={"num_envs": 64}``.
 
@@ -78,14 +84,43 @@ def train(
     path = run_path(Path(runs), config)
     if resume:
         _check_same(config, RunFolder.open(path))
+    module = _perception(config, RunFolder(path) if resume else None, perception)
     parts = build(config)
     with lock_folder(path, remedy="Wait until it ends, stop it, or pass another runs folder."):
-        return _train_locked(config, parts, path, resume, should_stop, mirrors)
+        return _train_locked(config, parts, module, path, resume, should_stop, mirrors)
+
+
+def _perception(
+    config: ExperimentConfig, resumed: RunFolder | None, given: Path | str | None
+) -> bytes | None:
+    """Return the content of the perception module of a run; None where none is needed.
+
+    Raises:
+        UserError: none is given where one is needed or the reverse, it does not fit the task, or a
+            resumed run was trained with another one.
+    """
+    data = None if given is None else read_module(Path(given))
+    path = None if given is None else Path(given)
+    if resumed is not None and (resumed.path / FILE).exists():
+        stored = stored_perception(resumed)
+        if data is not None and data != stored:
+            raise UserError(
+                f"{resumed.path} was trained with another perception module than {given}. Resume "
+                "without perception, or pass another runs folder or seed to start a new run."
+            )
+        data, path = stored, resumed.path / FILE
+    perception = perception_for(config.knowledge, data, path or Path(FILE))
+    if perception is not None:
+        check_fits(
+            perception.seen, config.env, list_facets(scene_of(config.env), config.env.colours)
+        )
+    return data
 
 
 def _train_locked(
     config: ExperimentConfig,
     parts: Parts,
+    module: bytes | None,
     path: Path,
     resume: bool,
     should_stop: Callable[[], bool],
@@ -105,11 +140,11 @@ def _train_locked(
         for line in announcements(parts):
             progress.line(line)
         logs = RunLogs(folder, progress, mirrors)
-        trainer = _make_trainer(config, parts, policy, folder, logs, should_stop)
+        trainer = _make_trainer(config, parts, policy, module, folder, logs, should_stop)
         if not (resume and folder.has_checkpoint):
             # Written after the trainer is built: a config that this machine cannot train leaves
             # no run behind.
-            _describe(folder, config, parts)
+            _describe(folder, config, parts, module)
         keep_to_step = None
         if resume and folder.has_checkpoint:
             trainer.resume()
@@ -163,8 +198,10 @@ def description(config: ExperimentConfig, parts: Parts) -> dict[str, Any]:
     }
 
 
-def _describe(folder: RunFolder, config: ExperimentConfig, parts: Parts) -> None:
-    """Write provenance, knowledge table and config before the first step."""
+def _describe(
+    folder: RunFolder, config: ExperimentConfig, parts: Parts, module: bytes | None
+) -> None:
+    """Write provenance, knowledge table, perception module and config before the first step."""
     policy = parts.new_policy(config.seed)
     folder.write_json(
         "provenance.json",
@@ -178,8 +215,12 @@ def _describe(folder: RunFolder, config: ExperimentConfig, parts: Parts) -> None
             },
             "facets": [list(facet) for facet in parts.facets],
             "knowledge": parts.embedding.describe(),
+            **({} if module is None else {"perception": describe_module(module)}),
         },
     )
+    if module is not None:
+        with writing(folder.path / FILE):
+            (folder.path / FILE).write_bytes(module)
     folder.write_knowledge(parts.table)
     folder.write_json("config.json", {"format": FORMAT, **to_dict(config)})
 
@@ -223,6 +264,7 @@ def _make_trainer(
     config: ExperimentConfig,
     parts: Parts,
     policy: Policy,
+    module: bytes | None,
     folder: RunFolder,
     logs: RunLogs,
     should_stop: Callable[[], bool],
@@ -235,8 +277,8 @@ def _make_trainer(
     inputs = TrainerInputs(
         config=config.algorithm,
         policy=policy,
-        make_env=EnvFactory(config.env),
-        make_evaluate=InterimFactory(config.env, config.interim, config.seed),
+        make_env=EnvFactory(config.env, module),
+        make_evaluate=InterimFactory(config.env, config.interim, config.seed, module),
         options={
             "seed": config.seed,
             "evaluate_every": config.interim.every_steps,

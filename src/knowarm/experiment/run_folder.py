@@ -5,6 +5,7 @@ Layout of ``runs/<experiment>/<seed>/``::
     config.json            the resolved ExperimentConfig
     provenance.json        versions, commit, machine, policy sizes, parameter counts, knowledge
     knowledge.safetensors  the policy's knowledge table (F, K), one row per facet
+    perception.safetensors the perception module, for agents that are told what it names
     metrics.csv            one row per update (PPO) or log interval (A3C)
     evaluations.csv        one row per interim evaluation
     tensorboard/           the same curves for TensorBoard
@@ -29,7 +30,7 @@ from typing import Any
 
 import numpy as np
 import psutil
-from safetensors.numpy import save_file
+from safetensors.numpy import save
 
 from knowarm.config import from_dict
 from knowarm.cores import processor
@@ -160,8 +161,14 @@ class RunFolder:
         write_json(self.path / name, values)
 
     def write_knowledge(self, table: np.ndarray) -> None:
-        """Store the knowledge table (F, K), float32."""
-        save_file({"table": np.ascontiguousarray(table)}, self.path / "knowledge.safetensors")
+        """Store the knowledge table (F, K), float32.
+
+        Raises:
+            UserError: the file cannot be written.
+        """
+        path = self.path / "knowledge.safetensors"
+        with writing(path):
+            path.write_bytes(save({"table": np.ascontiguousarray(table)}))
 
     def knowledge(self) -> np.ndarray:
         """Read the knowledge table (F, K), float32, that the policy was trained with."""

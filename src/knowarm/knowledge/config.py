@@ -11,7 +11,7 @@ from knowarm.knowledge.vectors.source import OnMissing, Source
 from knowarm.knowledge.vectors.words import WordVectors
 
 Detail = Literal["none", "partial", "full"]
-Scope = Literal["scene", "target", "query"]
+Scope = Literal["scene", "target", "query", "perceived"]
 Pooling = Literal["mean", "sif"]
 
 
@@ -34,7 +34,9 @@ class KnowledgeConfig:
     """"scene" gives every episode the same vector of all slots (the paper's). "target" gives the
     slot of the episode's own object and colour: information that no camera saw, so privileged.
     "query" describes what the episode asks for, in tasks that ask: one slot per condition of the
-    query, from the subgraph around its value (with ``hops`` 0, from its own words)."""
+    query, from the subgraph around its value (with ``hops`` 0, from its own words). "perceived"
+    gives the slot of the object and colour that a perception module names in the image; in tasks
+    that ask, of the surest of those that answer the query."""
     dim: int = 50
     """Numbers per slot: the dimension of the vectors of `source`."""
     hops: int = 1

@@ -11,7 +11,8 @@ import numpy as np
 
 from knowarm.errors import UserError
 from knowarm.knowledge.config import KnowledgeConfig, Scope
-from knowarm.knowledge.facets import Facet, slots_of
+from knowarm.knowledge.facets import Facet, slots_of, with_seen_colours
+from knowarm.knowledge.formats import open_graph
 from knowarm.knowledge.graph import KnowledgeGraph
 from knowarm.knowledge.pooling import centre_of, slot_vector
 from knowarm.knowledge.queries import Condition
@@ -41,7 +42,7 @@ class SceneEmbedding:
 
     @property
     def scope(self) -> Scope:
-        """Whether the policy gets all slots or that of the episode's target."""
+        """Which slots the policy gets."""
         return self.config.scope
 
     @property
@@ -56,10 +57,10 @@ class SceneEmbedding:
 
     @property
     def dim(self) -> int:
-        """K, the width of the policy's input: S * slot_dim (scene) or slot_dim (target)."""
+        """K, the width of the policy's input: S * slot_dim (scene) or slot_dim (one facet's)."""
         if not self.slots:
             return 0
-        return self.slot_dim if self.scope == "target" else self.matrix.size
+        return self.matrix.size if self.scope == "scene" else self.slot_dim
 
     @property
     def norm(self) -> float:
@@ -82,7 +83,7 @@ class SceneEmbedding:
         """Return the knowledge input of the policy for each facet, (F, K) float32.
 
         Raises:
-            UserError: a facet has no slot (scope "target" only).
+            UserError: a facet has no slot (other scopes than "scene").
         """
         if not self.slots:
             return np.zeros((len(facets), 0), np.float32)
@@ -115,7 +116,11 @@ class SceneEmbedding:
 
 
 def scene_embedding(
-    config: KnowledgeConfig, facets: Facets, *, run_seed: int = 0
+    config: KnowledgeConfig,
+    facets: Facets,
+    *,
+    run_seed: int = 0,
+    graph: KnowledgeGraph | None = None,
 ) -> SceneEmbedding:
     """Embed the facts of the graph about the task's objects.
 
@@ -123,6 +128,7 @@ def scene_embedding(
         config: the graph, the source of vectors and the choices between.
         facets: the environment's (object, colour) pairs in its order.
         run_seed: seed of the training run; only placebos that are drawn depend on it.
+        graph: take this graph in place of the config's, such as an edited one.
 
     Raises:
         UserError: the graph, an object, a colour or a vector cannot be found, or the config
@@ -137,15 +143,19 @@ def scene_embedding(
         raise UserError(
             "scope 'query' describes what an episode asks for, and this task asks for nothing: "
             "every episode shows one object. Use it in a task that asks queries, or set scope to "
-            "'scene' or 'target'."
+            "'scene', 'target' or 'perceived'."
         )
-    slots = slots_of(config, facets)
+    slots, stated = slots_of(config, facets), graph
+    if config.scope == "perceived" and slots:
+        stated = with_seen_colours(
+            open_graph(config.graph) if graph is None else graph, slots, config
+        )
 
     def describe(config: KnowledgeConfig, run_seed: int) -> Described:
-        graph = load_graph(config, run_seed)
-        subgraphs, colours = slot_subgraphs(graph, slots, config, run_seed)
+        changed = load_graph(config, run_seed, stated)
+        subgraphs, colours = slot_subgraphs(changed, slots, config, run_seed)
         sentences = [sentence_parts(each, config.sentence) for each in subgraphs]
-        return Described(graph, sentences, colours, _colours(graph, config))
+        return Described(changed, sentences, colours, _colours(changed, config))
 
     matrix, sentences, coverage = slot_matrix(config, len(slots), describe, run_seed)
     return SceneEmbedding(

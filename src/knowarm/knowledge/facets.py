@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from knowarm.errors import UserError, unknown_name
+from knowarm.knowledge.builder import graph_of, union
 from knowarm.knowledge.config import KnowledgeConfig
 from knowarm.knowledge.graph import KnowledgeGraph
 from knowarm.knowledge.subgraph import gamma
@@ -53,6 +54,28 @@ def graph_facets(
         colours = [local_name(graph.names[i]) for i in np.sort(tails)]
         pairs += [(name, colour) for colour in colours or [""]]
     return pairs
+
+
+def with_seen_colours(
+    graph: KnowledgeGraph, slots: Sequence[Facet], config: KnowledgeConfig
+) -> KnowledgeGraph:
+    """Add the colours in which objects are seen, for objects of which the graph states none.
+
+    Raises:
+        UserError: the graph lacks an object.
+    """
+    stated = {
+        graph.names[head]
+        for head, relation in zip(graph.heads, graph.relations, strict=True)
+        if local_name(graph.relation_names[relation]) == config.colour_relation
+    }
+    seen = []
+    for slot in slots:
+        name = graph.names[graph.entity_id(config.entity_names.get(slot.object, slot.object))]
+        if slot.colour is not None and name not in stated:
+            colour = config.entity_names.get(slot.colour, slot.colour)
+            seen.append((name, config.colour_relation, colour))
+    return union(graph, graph_of(seen)) if seen else graph
 
 
 def facet_subgraph(

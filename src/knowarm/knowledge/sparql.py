@@ -22,6 +22,10 @@ TIMEOUT_S = 20.0
 MAX_ROWS = 1_000_000
 """Most rows of an answer."""
 
+MAX_QUERY, STACK = 20_000, 256 * 2**20
+"""Most characters of a query, and the bytes of stack that the engine has for it: it calls itself
+for every pair of brackets, and a stack that is too small for them ends the process."""
+
 _IRI = re.compile(r'<[^<>"{}|^`\\\s]*>')
 
 _NO_KEYWORDS = re.compile(
@@ -55,9 +59,14 @@ def sparql(graph: KnowledgeGraph, query: str, *, timeout_s: float = TIMEOUT_S) -
         timeout_s: longest time to wait for the answer [s]; the query goes on in the background.
 
     Raises:
-        UserError: the query is malformed, takes too long, has too many rows, or refers to other
-            data with SERVICE or FROM.
+        UserError: the query is malformed or too long, takes too long, has too many rows, or refers
+            to other data with SERVICE or FROM.
     """
+    if len(query) > MAX_QUERY:
+        raise UserError(
+            f"SPARQL query: it has {len(query):,} characters, and at most {MAX_QUERY:,} are read. "
+            f"Ask for less at once."
+        )
     _refuse_other_data(query)
     store = Store()
     store.bulk_extend(Quad(*triple) for triple in rdf_triples(graph))
@@ -67,11 +76,16 @@ def sparql(graph: KnowledgeGraph, query: str, *, timeout_s: float = TIMEOUT_S) -
         try:
             answers.append(_answer(store, query))
         except BaseException as error:  # the thread that waits raises it
-            answers.append(error)
+            # The engine's objects in its frames must be dropped by this thread.
+            answers.append(error.with_traceback(None))
 
     # The query engine can neither be interrupted nor limited; it does release the interpreter.
     thread = threading.Thread(target=run, name="SPARQL query", daemon=True)
-    thread.start()
+    before = threading.stack_size(STACK)
+    try:
+        thread.start()
+    finally:
+        threading.stack_size(before)
     thread.join(timeout_s)
     if not answers:
         raise UserError(

@@ -14,7 +14,6 @@ import torch
 from knowarm.cores import limited_to
 from knowarm.learn.flat_parameters import FlatParameters
 from knowarm.learn.processes import (
-    STOP_S,
     ChildProcess,
     ProcessFailure,
     prepare_child_process,
@@ -137,8 +136,8 @@ class BackgroundEvaluations:
         return list(self._pending)
 
     def close(self) -> None:
-        """Stop the child process; what it evaluates now is lost."""
-        self._child.stop(0.0 if self._pending else STOP_S)
+        """Kill the child process; what it evaluates now is lost."""
+        self._child.stop(0.0)
 
     def _start(self) -> ChildProcess:
         return ChildProcess.start(self._context, "evaluator", run_evaluator, *self._arguments)

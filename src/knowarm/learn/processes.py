@@ -13,6 +13,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from multiprocessing.connection import Connection, wait
@@ -33,6 +34,9 @@ STOP_S = 3.0
 
 CHECK_S = 1.0
 """Time between two looks at whether a child process was stopped from outside."""
+
+READY_S = 0.1
+"""Time between two looks at whether training should stop, while the fork server starts [s]."""
 
 START_ATTEMPTS = 8
 """How often the start of a child process is tried when its fork server is killed meanwhile."""
@@ -85,6 +89,38 @@ def process_context(preload: Sequence[str] = ()) -> BaseContext:
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["knowarm.learn.fork_server", *preload])
     return context
+
+
+def wait_for_fork_server(context: BaseContext, should_stop: Callable[[], bool]) -> bool:
+    """Wait until child processes can be started, unless training is to stop before that.
+
+    A new fork server imports PyTorch before it answers, which takes seconds, and on a busy machine
+    many; `ChildProcess.start` would wait for it without looking at ``should_stop``.
+
+    Returns:
+        Whether training goes on; false if it was asked to stop meanwhile.
+    """
+    if context.get_start_method() != "forkserver":
+        return not should_stop()
+    is_ready = threading.Event()
+
+    def start() -> None:
+        process = context.Process(target=_do_nothing, daemon=True)  # type: ignore[attr-defined]
+        with suppress(EOFError, OSError):  # `ChildProcess.start` replaces the server
+            process.start()
+            is_ready.set()
+            process.join()
+        is_ready.set()
+
+    threading.Thread(target=start, name="fork server", daemon=True).start()
+    while not should_stop():
+        if is_ready.wait(READY_S):
+            return not should_stop()
+    return False
+
+
+def _do_nothing() -> None:
+    """Run in a child process that shows that its fork server works."""
 
 
 @cache

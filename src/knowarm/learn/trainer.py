@@ -22,6 +22,7 @@ from knowarm.learn.evaluation import (
     Metrics,
 )
 from knowarm.learn.flat_parameters import unflatten_parameters
+from knowarm.learn.processes import process_context, wait_for_fork_server
 from knowarm.policy import Policy
 
 StopReason = Literal["finished", "stopped"]
@@ -147,13 +148,17 @@ class Trainer(ABC):
             UserError: a checkpoint cannot be written, or the memory of a GPU is full.
             RuntimeError: a child process exits or fails repeatedly.
         """
+        self._stopping = False
+        if self._context is None and self._make_evaluate is not None:
+            self._context = process_context(["knowarm.learn.evaluation"])
+        if self._context is not None and not wait_for_fork_server(self._context, self._should_stop):
+            return self._result("stopped")  # nothing to save that resuming would not find
         if self._evaluate is not None:
             self._evaluations = InlineEvaluations(self.policy.spec(), self._evaluate)
         elif self._make_evaluate is not None:
             self._evaluations = BackgroundEvaluations(
                 self.policy.spec(), self._make_evaluate, self._context, self._evaluator_threads
             )
-        self._stopping = False
         try:
             for step, values in sorted(self.pending_evaluations.items()):
                 assert self._evaluations is not None
@@ -164,6 +169,9 @@ class Trainer(ABC):
         finally:
             if self._evaluations is not None:
                 self._evaluations.close()
+        return self._result(reason)
+
+    def _result(self, reason: StopReason) -> TrainingResult:
         return TrainingResult(
             step=self.step, reason=reason, best_return=self.best.value, best_step=self.best.step
         )

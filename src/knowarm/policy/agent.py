@@ -46,6 +46,10 @@ class PolicyAgent:
         self._state = self.policy.initial_state(env.num_envs)
         self._episode_start = torch.ones(env.num_envs, dtype=torch.bool)
 
+    def rows_for(self, observations: np.ndarray) -> torch.Tensor:
+        """Return the row of the knowledge table of each episode, (n,) int64."""
+        return torch.as_tensor(self._env.facet_ids)
+
     @torch.inference_mode()
     def act(self, observations: np.ndarray) -> np.ndarray:
         """Choose actions.
@@ -56,7 +60,7 @@ class PolicyAgent:
         Returns:
             (n, J) int64 levels.
         """
-        facet = torch.as_tensor(self._env.facet_ids)
+        facet = self.rows_for(observations)
         image = torch.as_tensor(observations)
         logits, _, self._state = self.policy.step(image, facet, self._state, self._episode_start)
         self._episode_start = torch.zeros_like(self._episode_start)

@@ -9,7 +9,7 @@ from typing import ClassVar, Literal
 import torch
 from torch import Tensor, nn
 
-from knowarm.policy.encoder import ImageEncoder, orthogonal
+from knowarm.policy.encoder import RELU_GAIN, ImageEncoder, orthogonal
 
 Layer = Literal["fc", "lstm", "actor", "critic"]
 """Layers whose input a fusion can change: fully connected layer, LSTM, actor heads, critic."""
@@ -147,22 +147,29 @@ class Attention(Fusion):
 class Similarity(Fusion):
     """Attention over the feature map: the knowledge scores the positions of the image.
 
-    ``e_p = sum_s (W_q slot_s) . (W_k x_p) / sqrt(C)``, ``a = softmax(e)`` over the P positions, and
+    ``e_p = sum_s (W_q slot_s) . key(x_p) / sqrt(D)``, ``a = softmax(e)`` over the P positions, and
     ``x_p -> (1 + P a_p) / 2 x_p``: positions whose features match all slots are amplified before
     the fully connected layer, and the others keep half of theirs, so that the arm remains visible.
-    A slot of zeros, such as a condition that a query does not have, changes nothing.
+    ``key`` has a hidden layer, without which objects of any colour and colours of any object
+    compete for the same channels. A slot of zeros, such as a condition that a query does not have,
+    changes nothing.
     """
+
+    width = 64
+    """D, dimensions in which knowledge and positions are compared."""
 
     def __init__(self, features: int, knowledge: int, slots: int) -> None:
         super().__init__(features, knowledge, slots)
         self.slots, channels = slots, ImageEncoder.channels
-        self.query = nn.Linear(knowledge // slots, channels, bias=False)
-        self.key = nn.Linear(channels, channels, bias=False)
+        self.query = nn.Linear(knowledge // slots, self.width, bias=False)
+        self.key = nn.Sequential(
+            nn.Linear(channels, 2 * self.width), nn.ReLU(), nn.Linear(2 * self.width, self.width)
+        )
 
     def reset_parameters(self, generator: torch.Generator) -> None:
-        """Initialize both linear maps orthogonally."""
-        for layer in (self.query, self.key):
-            orthogonal(layer, 1.0, generator)
+        """Initialize the three linear maps orthogonally."""
+        for layer, gain in ((self.query, 1.0), (self.key[0], RELU_GAIN), (self.key[2], 1.0)):
+            orthogonal(layer, gain, generator)
 
     def forward(self, layer: Layer, x: Tensor, knowledge: Tensor) -> Tensor:
         """Weight the convolution features: (N, positions * channels), (N, K) -> the same."""
@@ -176,7 +183,7 @@ class Similarity(Fusion):
         """Compute the similarity of positions (N, P, C) to the knowledge (N, K): (N, P)."""
         slots = knowledge.view(knowledge.shape[0], self.slots, -1)
         wanted = self.query(slots).sum(1)
-        return (self.key(maps) * wanted[:, None]).sum(2) / math.sqrt(ImageEncoder.channels)
+        return (self.key(maps) * wanted[:, None]).sum(2) / math.sqrt(self.width)
 
 
 FUSIONS: dict[str, type[Fusion]] = {

@@ -10,9 +10,10 @@ from functools import partial
 
 import numpy as np
 import torch
-from numba import njit
 from numpy.typing import NDArray
 from torch import Tensor
+
+from knowarm.compiling import njit
 
 Floats = NDArray[np.float32]
 

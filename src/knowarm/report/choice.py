@@ -218,8 +218,8 @@ class Finding:
         chance = format.percent(self.subject.chance)
         if self.kind == "not above chance":
             return (
-                f"{name} did not understand the query: it chose the wanted object {share}, not "
-                f"significantly more often than at random ({chance})."
+                f"{name} is not shown to understand the query: it chose the wanted object {share}, "
+                f"not significantly more often than at random ({chance})."
             )
         best = f"{self.controls[0].name} ({_points(self.against[0].difference)})"
         names = [each.name for each in self.controls]
@@ -276,7 +276,7 @@ def choice_findings(study: Study) -> list[Finding]:
         for task in study.tasks
         for asked in asked_splits(task).values()
         for subject in asked
-        if subject.group.role == "knowledge" and subject.group.scope == "query"
+        if subject.group.role == "knowledge" and subject.group.scope != "scene"
     ]
     tested = [finding for finding in found if finding.testable]
     adjusted = holm([finding.p_value for finding in tested])

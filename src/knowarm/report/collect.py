@@ -174,6 +174,8 @@ def _titles(tasks: list[list[Run]]) -> list[tuple[str, str]]:
         robot, colours = (str(runs[0].env.get(name)) for name in ("robot", "colours"))
         title = ROBOTS[robot].title if robot in ROBOTS else robot
         rest = [COLOURS.get(colours, COLOURS["fixed"]), runs[0].algorithm.upper()]
+        if choice := runs[0].env.get("choice"):
+            rest.insert(0, f"choice of {choice.get('objects')}")
         short.append((" · ".join([robot, *rest]), " · ".join([title, *rest])))
     titles = []
     for both, runs in zip(short, tasks, strict=True):

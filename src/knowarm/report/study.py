@@ -295,15 +295,13 @@ class Task:
 
     @cached_property
     def subjects(self) -> tuple[Group, ...]:
-        """The agents whose knowledge vector is tested: one of role knowledge, one privileged.
-
-        Of several of one role it is the first with the most detail, such as the colours.
-        """
-        found, told = [], [g for g in self.groups if g.runs[0].knowledge.get("detail") != "none"]
-        for role in ("knowledge", "privileged"):
-            groups = [group for group in told if group.role == role]
-            found += sorted(groups, key=lambda group: -group.runs[0].detail)[:1]
-        return tuple(found)
+        """The agents whose knowledge is tested: of each role and scope that with most detail."""
+        told = [g for g in self.groups if g.runs[0].knowledge.get("detail") != "none"]
+        groups = [g for role in ("knowledge", "privileged") for g in told if g.role == role]
+        first: dict[tuple[str | None, str], Group] = {}
+        for group in sorted(groups, key=lambda group: -group.runs[0].detail):
+            first.setdefault((group.role, group.scope), group)
+        return tuple(group for group in groups if group in first.values())
 
     @cached_property
     def colours(self) -> dict[str, str]:

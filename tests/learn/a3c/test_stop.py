@@ -1,8 +1,11 @@
 """Stopping A3C, whatever its evaluations take, and processes that were stopped from outside."""
 
 import dataclasses
+import itertools
+import multiprocessing
 import os
 import signal
+import threading
 import time
 from functools import partial
 from pathlib import Path
@@ -14,6 +17,7 @@ from knowarm.learn.a3c import A3CTrainer
 from knowarm.learn.a3c.worker_pool import WorkerPool
 from knowarm.learn.checkpoint import CheckpointStore
 from knowarm.learn.evaluation import MAX_PENDING
+from knowarm.learn.processes import ChildProcess
 from tests.learn.a3c.test_trainer import FAST, Make
 from tests.learn.toys import ToyEnv, toy_policy
 
@@ -22,18 +26,26 @@ INTERVAL = 10 * UPDATE
 
 
 @dataclasses.dataclass(frozen=True)
-class Paced:
-    """Environments whose updates take at least 60 ms, so that the trainer keeps up anywhere."""
+class InStep:
+    """Environments of workers that wait for each other and for the trainer after every update.
+
+    A worker ends an update once the trainer has read the one before of every worker from the file
+    ``progress``. So "one update" means the same on every machine.
+    """
+
+    progress: Path
 
     def __call__(self, num_envs, num_threads):
         env = ToyEnv(num_envs, recall=False, length=5)
-        step = env.step
+        step, taken = env.step, itertools.count()
 
-        def paced_step(actions):
-            time.sleep(0.01)
+        def step_in_step(actions):
+            update, rest = divmod(next(taken), FAST.rollout_steps)
+            while rest == FAST.rollout_steps - 1 and int(self.progress.read_text() or 0) < update:
+                time.sleep(0.001)
             return step(actions)
 
-        env.step = paced_step
+        env.step = step_in_step
         return NumpyToTorch(env)
 
 
@@ -58,10 +70,19 @@ class StepsOfCheckpoints(CheckpointStore):
         self.steps.append(checkpoint.facts["step"])
 
 
-def build(gate, checkpoints, *, workers=1, make_env=None, evaluate_every=UPDATE, **hooks):
+def build(
+    gate,
+    checkpoints,
+    *,
+    workers=1,
+    make_env=None,
+    evaluate_every=UPDATE,
+    log_every_steps=FAST.log_every_steps,
+    **hooks,
+):
     evaluations = []
     trainer = A3CTrainer(
-        dataclasses.replace(FAST, workers=workers),
+        dataclasses.replace(FAST, workers=workers, log_every_steps=log_every_steps),
         toy_policy(features=8),
         make_env or Make(False, 5),
         seed=3,
@@ -76,21 +97,32 @@ def build(gate, checkpoints, *, workers=1, make_env=None, evaluate_every=UPDATE,
 
 @pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
-def test_checkpoints_do_not_wait_for_evaluations(tmp_path, workers):
+def test_a_checkpoint_is_at_most_one_interval_and_one_update_old(tmp_path, workers):
     """The evaluator never answers, and every interval is saved all the same."""
-    store = StepsOfCheckpoints()
+    store, ages, waits = StepsOfCheckpoints(), [], []
+    progress = tmp_path / "progress"
+    progress.write_text("0")
+
+    def should_stop():
+        progress.write_text(str(min(trainer._worker_steps) // UPDATE))
+        waits.append(trainer.step)
+        is_stuck = len(waits) > 500 and waits[-500] == trainer.step > 0
+        return is_stuck or trainer.step >= 6 * INTERVAL
+
     trainer, evaluations = build(
         tmp_path / "never",
         store,
         workers=workers,
-        make_env=Paced(),
+        make_env=InStep(progress),
         evaluate_every=INTERVAL,
-        should_stop=lambda: trainer.step >= 6 * INTERVAL,
+        log_every_steps=UPDATE,
+        on_metrics=lambda row: ages.append(row["step"] - store.steps[-1]),
+        should_stop=should_stop,
     )
     assert trainer.train(10**9).reason == "stopped"
     assert evaluations == []
-    gaps = [b - a for a, b in zip(store.steps, store.steps[1:], strict=False)]
-    assert max(gaps) <= 2 * INTERVAL
+    assert trainer.step >= 6 * INTERVAL
+    assert max(ages) <= INTERVAL + workers * UPDATE
     assert trainer.step - store.steps[-1] <= workers * UPDATE
 
 
@@ -161,15 +193,88 @@ def test_a_stopped_process_is_continued(tmp_path, which):
 
 @pytest.mark.slow
 def test_a_worker_that_never_answers_does_not_block_a_stop(tmp_path, monkeypatch, caplog):
+    reads = []
     trainer, _ = build(
         tmp_path / "never",
         CheckpointStore(tmp_path, {}),
         workers=2,
-        should_stop=lambda: trainer.step >= 2 * UPDATE,
+        should_stop=lambda: len(reads) > 0,
     )
     monkeypatch.setattr("knowarm.learn.a3c.trainer.STATE_S", 0.0)
-    monkeypatch.setattr(WorkerPool, "read", lambda pool, timeout_s: iter(()))
-    trainer.step = 2 * UPDATE
+    monkeypatch.setattr(WorkerPool, "read", lambda pool, timeout_s: reads.append(0) or iter(()))
     assert trainer.train(10**9).reason == "stopped"
     assert "No state arrived from the workers [0, 1]" in caplog.text
     assert trainer.checkpoints.load().facts["step"] == int(trainer._shared["steps"].sum())
+
+
+@pytest.mark.skipif(
+    "forkserver" not in multiprocessing.get_all_start_methods(), reason="no fork server here"
+)
+def test_a_stop_does_not_wait_until_the_fork_server_has_started(tmp_path, monkeypatch):
+    from multiprocessing import forkserver
+
+    read, started = forkserver.read_signed, threading.Event()
+
+    def read_once_started(descriptor):
+        assert threading.current_thread() is not threading.main_thread()
+        started.wait()
+        return read(descriptor)
+
+    monkeypatch.setattr(forkserver, "read_signed", read_once_started)
+    asked = []
+    trainer, _ = build(
+        tmp_path / "never",
+        CheckpointStore(tmp_path, {}),
+        should_stop=lambda: asked.append(0) or len(asked) > 3,
+    )
+    try:
+        assert trainer.train(10**9).reason == "stopped"
+    finally:
+        started.set()
+    assert trainer.step == 0
+
+
+def test_a_stop_between_the_starts_of_workers_starts_no_more(tmp_path):
+    pools = []
+    trainer, _ = build(
+        tmp_path / "never",
+        CheckpointStore(tmp_path, {}),
+        workers=3,
+        should_stop=lambda: len(pools) == 1,
+    )
+    start = trainer._start_worker
+    trainer._start_worker = lambda *which: pools.append(start(*which)) or pools[-1]
+    assert trainer.train(10**9).reason == "stopped"
+    assert len(pools) == 1
+    assert trainer.checkpoints.load().facts["step"] == int(trainer._shared["steps"].sum())
+
+
+@dataclasses.dataclass(frozen=True)
+class Busy:
+    """Environments whose first step never ends."""
+
+    def __call__(self, num_envs, num_threads):
+        env = ToyEnv(num_envs, recall=False, length=5)
+        env.step = lambda actions: threading.Event().wait()
+        return NumpyToTorch(env)
+
+
+def test_a_stop_kills_busy_processes_at_once(tmp_path, monkeypatch):
+    """The time until they would be killed would add to the one that the workers have to answer."""
+    timeouts, asked, stop = [], [], ChildProcess.stop
+    monkeypatch.setattr("knowarm.learn.a3c.trainer.STATE_S", 0.1)
+    monkeypatch.setattr(
+        ChildProcess,
+        "stop",
+        lambda child, timeout_s=99.0: timeouts.append(timeout_s) or stop(child, 0),
+    )
+    trainer, _ = build(
+        tmp_path / "never",
+        CheckpointStore(tmp_path, {}),
+        workers=2,
+        make_env=Busy(),
+        should_stop=lambda: asked.append(0) or len(asked) > 6,
+    )
+    assert trainer.train(10**9).reason == "stopped"
+    assert timeouts == [0.0] * 3  # two workers and the evaluator
+    assert trainer.checkpoints.load().facts["step"] == 0

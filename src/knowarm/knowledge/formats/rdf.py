@@ -47,7 +47,13 @@ MAX_GAP = 4 * 2**20
 """Most bytes without a complete statement; a failed attempt is repeated from its start."""
 
 MAX_DEPTH, MAX_ENTITY = 200, 1_000
-"""Deepest nesting of XML elements and longest XML entity."""
+"""Deepest nesting of XML elements and JSON values, and longest XML entity. The parsers call
+themselves for every level, and the process ends where its stack does."""
+
+MAX_QUOTED = 1_000
+"""Most triples inside triples (RDF-star) without a complete statement."""
+
+_JSON_TOKEN = re.compile(rb'"(?:[^"\\]|\\.)*"?|[\[{]|[\]}]', re.DOTALL)
 
 _XML_NAME = re.compile(r"[^\W\d][\w.-]*$")
 """End of an IRI that RDF/XML can write as an element."""
@@ -78,6 +84,8 @@ def read_rdf(path: Path, syntax: RdfFormat) -> KnowledgeGraph:
         _refuse_binary(path)
         if syntax == RdfFormat.RDF_XML:
             _check_xml(path)
+        if syntax == RdfFormat.JSON_LD:
+            _check_json(path)
         add = builder.add
         with open_bytes(path) as file:
             source = _Source(file, path, MAX_JSON if syntax == RdfFormat.JSON_LD else MAX_GAP)
@@ -106,6 +114,7 @@ class _Source:
         self._file, self._path, self._most = file, path, most
         self.gap = 0
         """Bytes read since the last statement."""
+        self._quoted = 0
 
     def read(self, size: int = -1) -> bytes:
         """Read at most ``size`` bytes.
@@ -114,6 +123,12 @@ class _Source:
             UserError: too many bytes hold no statement.
         """
         data = self._file.read(size)
+        self._quoted = data.count(b"<<") + (self._quoted if self.gap else 0)
+        if self._quoted > MAX_QUOTED:
+            raise UserError(
+                f"{self._path}: more than {MAX_QUOTED:,} triples inside triples (RDF-star), which "
+                f"a knowledge graph cannot hold. State them as plain triples."
+            )
         self.gap += len(data)
         if self.gap > self._most:
             raise UserError(
@@ -220,6 +235,31 @@ def _check_xml(path: Path) -> None:
         return  # reading the file reports it
     except LookupError as error:  # an unknown encoding
         raise unreadable(path, error) from error
+
+
+def _check_json(path: Path) -> None:
+    """Refuse JSON that is nested too deeply for the parser.
+
+    Raises:
+        UserError: it is, or it is larger than the parser may read.
+    """
+    with open_bytes(path) as file:
+        data = file.read(MAX_JSON + 1)
+    if len(data) > MAX_JSON:
+        raise UserError(
+            f"{path}: JSON-LD of more than {MAX_JSON / 2**20:.0f} MiB is not read. Write the graph "
+            f"as N-Triples."
+        )
+    depth = 0
+    for token in _JSON_TOKEN.finditer(data):
+        bracket = token[0][:1]
+        depth += (bracket in b"[{") - (bracket in b"]}")
+        if depth > MAX_DEPTH:
+            line = 1 + data.count(b"\n", 0, token.start())
+            raise UserError(
+                f"{path}, line {line}: values are nested more than {MAX_DEPTH} deep, which no "
+                f"graph needs. Correct the file, or write it as Turtle."
+            )
 
 
 def _xml_error(path: Path) -> tuple[int, str] | None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from safetensors import safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 
 from knowarm.config import from_dict
 from knowarm.errors import UserError
@@ -45,7 +45,8 @@ def save_model(model: KgeModel, config: KgeConfig, graph: KnowledgeGraph, path: 
         tensors[f"names.{name}"] = torch.from_numpy(np.frombuffer(names.blob, np.uint8).copy())
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        save_file(tensors, path, {"format": FORMAT, "config": json.dumps(asdict(config))})
+        # `save_file` raises another type of error than `OSError` when a disk is full.
+        path.write_bytes(save(tensors, {"format": FORMAT, "config": json.dumps(asdict(config))}))
     except OSError as error:
         raise UserError(f"Cannot write {path}: {error.strerror}. Give another path.") from error
 

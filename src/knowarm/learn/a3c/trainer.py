@@ -95,7 +95,7 @@ class A3CTrainer(Trainer):
         reason: StopReason = "finished"
         if self._evaluates_start:
             self._evaluate_once(EvaluationRequest(number=0, step=0, values=self._values()))
-        self._pool = WorkerPool(self._start_worker, self._worker_restarts)
+        self._pool = WorkerPool(self._start_worker, self._worker_restarts, self._should_stop)
         try:
             while len(self._done) < self.config.workers:
                 self._read()
@@ -186,6 +186,8 @@ class A3CTrainer(Trainer):
         starts new episodes when training resumes.
         """
         self._request_states(then_exit=True)
+        for index in range(len(self._pool.workers), self.config.workers):  # not even started
+            self._add_state(index, self._last_state(index))
         deadline = math.inf
         while self._request is not None:
             self._read()

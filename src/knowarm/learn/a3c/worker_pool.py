@@ -34,14 +34,22 @@ class WorkerPool:
     Args:
         start_worker: starts worker ``index``; the second argument counts its former processes.
         restarts: number of former processes of each worker; updated in place.
+        should_stop: asked between two starts; once true, the remaining workers are not started.
     """
 
     def __init__(
-        self, start_worker: Callable[[int, int], ChildProcess], restarts: list[int]
+        self,
+        start_worker: Callable[[int, int], ChildProcess],
+        restarts: list[int],
+        should_stop: Callable[[], bool],
     ) -> None:
         self._start_worker = start_worker
         self._restarts = restarts
-        self.workers = [start_worker(index, count) for index, count in enumerate(restarts)]
+        self.workers: list[ChildProcess] = []
+        for index, count in enumerate(restarts):
+            if should_stop():
+                break
+            self.workers.append(start_worker(index, count))
         self._exiting: set[int] = set()
         self._exits_in_a_row: dict[int, int] = {}
 
@@ -74,8 +82,8 @@ class WorkerPool:
                     yield index, self._restart(index)
 
     def stop(self) -> None:
-        """Stop all workers."""
-        stop_all(self.workers)
+        """Kill all workers; those whose last state has arrived have nothing left to do."""
+        stop_all(self.workers, 0.0)
 
     def _handle_failure(self, index: int, failure: ProcessFailure) -> None:
         if failure.user_error is not None:

@@ -39,6 +39,10 @@ PRIVILEGED = (
     "{controls}"
 )
 TOLD = "{agents}: the vector describes what the episode asks for. {controls}"
+PERCEIVED = (
+    "{agents}: the vector describes what a perception module names in the first image of the "
+    "episode. {controls}"
+)
 
 PRIVILEGED_TRAINING = (
     "{agents}: training used the simulator's state. The policy receives the image alone, in "
@@ -81,7 +85,10 @@ def _table(run: Run) -> np.ndarray | None:
 def _kind_of_input(task: Task) -> Verdict:
     """State which agents have a constant vector and which a privileged one."""
     known = {group.name: _known(group.runs[0]) for group in task.groups}
-    told = [group.name for group in task.groups if group.scope == "query" and known[group.name]]
+    told, perceived = (
+        [g.name for g in task.groups if g.scope == scope and known[g.name]]
+        for scope in ("query", "perceived")
+    )
     constant, privileged = (
         [name for name, each in known.items() if each.get(field)]
         for field in ("constant", "privileged")
@@ -91,6 +98,7 @@ def _kind_of_input(task: Task) -> Verdict:
         (constant, CONSTANT, "capacity_control", "scene"),
         (privileged, PRIVILEGED, "content_control", "target"),
         (told, TOLD, "content_control", "query"),
+        (perceived, PERCEIVED, "content_control", "perceived"),
     ):
         if agents:
             ran = [g.name for g in task.groups if g.role == role and g.scope == scope]
@@ -100,6 +108,8 @@ def _kind_of_input(task: Task) -> Verdict:
         sentence = "some knowledge vectors are privileged"
     elif told:
         sentence = "the knowledge vector describes the query of the episode"
+    elif perceived:
+        sentence = "the knowledge vector describes what is perceived"
     elif reasons:
         sentence = "the knowledge vector is a constant input, which is a bias"
     else:

@@ -5,9 +5,9 @@ from itertools import pairwise
 
 import mujoco
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from knowarm.compiling import njit
 from knowarm.world.attach import ROBOT_PREFIX
 from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import Episodes

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from knowarm.compiling import njit
 from knowarm.private_apis import key_numba_cache
 
 Vector = tuple[np.float32, np.float32, np.float32]

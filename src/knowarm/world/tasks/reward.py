@@ -4,9 +4,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from knowarm.compiling import njit
 from knowarm.world.arrays import Array, array_namespace
 
 SUCCESS_REWARD = 100.0

@@ -1,0 +1,310 @@
+"""Inputs that once ended in a traceback, a crash or gigabytes; see docs/reliability.md."""
+
+import errno
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from safetensors.numpy import save_file
+from safetensors.torch import load_file
+from safetensors.torch import save_file as save_tensors
+
+from knowarm.cli.main import main
+from knowarm.errors import UserError
+from knowarm.experiment.build import load_agent
+from knowarm.experiment.evaluation_files import FRAME_MS, MAX_FRAMES, read_film
+from knowarm.experiment.logs import RunLogs, TrainingProgress
+from knowarm.experiment.migration import migrate_checkpoints
+from knowarm.experiment.run_folder import CsvLog, RunFolder, read_csv
+from knowarm.knowledge import household, read_graph
+from knowarm.knowledge import sparql as sparql_module
+from knowarm.knowledge.kge import KgeConfig
+from knowarm.knowledge.kge.store import FORMAT, load_model, save_model
+from knowarm.knowledge.kge.train import new_model
+from knowarm.knowledge.sparql import MAX_QUERY, sparql
+from knowarm.learn.checkpoint import Checkpoint, CheckpointStore, read_checkpoint
+from knowarm.world.attach import MAX_PIXELS, read_mjcf
+from knowarm.world.description_file import read_robot
+
+ZOO = Path(__file__).parent.parent.parent / "zoo"
+FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_a_row_with_too_many_cells_does_not_block_resuming(tmp_path):
+    path = tmp_path / "metrics.csv"
+    path.write_text("step,loss\n10,0.5,7,8\n30,0.3\n")
+    CsvLog(path, keep_to_step=30).write({"step": 50, "loss": 0.1})
+    assert [row["step"] for row in read_csv(path)] == ["10", "30", "50"]
+    assert path.read_text().startswith("step,loss\n")
+
+
+@pytest.fixture(scope="module")
+def embedding(tmp_path_factory):
+    graph, config = household(), KgeConfig(dim=4)
+    path = tmp_path_factory.mktemp("embedding") / "home.safetensors"
+    save_model(new_model(config, len(graph.names), len(graph.relation_names)), config, graph, path)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("config", "scale", "message"),
+    [
+        ("{", 1.0, "damaged or of another format"),
+        ('{"model": "analogy", "dim": 1000000000}', 1.0, "too few for its names and dimension"),
+        (None, float("nan"), "non-finite"),
+    ],
+)
+def test_damaged_graph_embeddings(tmp_path, embedding, config, scale, message):
+    tensors = load_file(embedding)
+    tensors = {n: t * scale if t.is_floating_point() else t for n, t in tensors.items()}
+    config = config or json.dumps({"model": "analogy", "dim": 4})
+    path = tmp_path / "a.safetensors"
+    save_tensors(tensors, path, {"format": FORMAT, "config": config})
+    with pytest.raises(UserError, match=message):
+        load_model(path)
+
+
+@pytest.mark.parametrize(
+    "table", [np.zeros(3, np.float32), np.zeros((2, 3)), np.full((2, 3), np.nan, np.float32)]
+)
+def test_damaged_knowledge(tmp_path, table):
+    save_file({"table": table}, tmp_path / "knowledge.safetensors")
+    with pytest.raises(UserError, match="matrix of finite float32"):
+        RunFolder(tmp_path).knowledge()
+
+
+@pytest.mark.parametrize(
+    "meta", ["[]", "{}", '{"facts": 3, "description": {}}', '{"description": 3}']
+)
+def test_damaged_facts_of_a_checkpoint(tmp_path, meta):
+    store = CheckpointStore(tmp_path, {})
+    store.save(Checkpoint(policy={}, facts={"step": 1}))
+    (tmp_path / "latest" / "meta.json").write_text(meta)
+    migrate_checkpoints(tmp_path, "irb120")
+    with pytest.raises(UserError, match=r"meta\.json.*restore it or delete it"):
+        read_checkpoint(tmp_path / "latest")
+
+
+def test_a_full_disk_while_checkpoints_are_migrated(tmp_path, monkeypatch):
+    old = ZOO / "irb120-full-ppo" / "checkpoints"
+    shutil.copytree(old, tmp_path / "checkpoints")
+
+    def full(path, *arguments, **options):
+        raise FULL
+
+    monkeypatch.setattr(Path, "write_text", full)
+    with pytest.raises(UserError, match=r"Cannot write .*meta\.json: No space left on device"):
+        migrate_checkpoints(tmp_path / "checkpoints", "irb120-near")
+
+
+def test_a_full_disk_while_a_curve_is_written_for_tensorboard(tmp_path, monkeypatch):
+    logs = RunLogs(RunFolder(tmp_path), TrainingProgress("run", 10))
+    logs.open(keep_to_step=None)
+
+    def full(*arguments, **options):
+        raise FULL
+
+    monkeypatch.setattr(logs._tensorboard, "add_scalar", full)
+    with pytest.raises(UserError, match=r"Cannot write .*tensorboard: No space left on device"):
+        logs.metrics({"step": 1, "loss": 0.5})
+    logs.close()
+
+
+def test_a_full_disk_while_arrays_are_written(tmp_path, embedding):
+    """Its own function for files would raise an error that is no `OSError`."""
+    gone = RunFolder(tmp_path / "gone")
+    with pytest.raises(UserError, match=r"Cannot write .*knowledge\.safetensors: No such file"):
+        gone.write_knowledge(np.zeros((2, 3), np.float32))
+    stored = load_model(embedding)
+    with pytest.raises(UserError, match=r"Cannot write .*: Is a directory"):
+        save_model(stored.model, stored.config, household(), tmp_path)
+
+
+@pytest.mark.parametrize("policy", [None, 3, {"config": 3, "shape": {}}, {"config": {}}])
+def test_damaged_provenance(tmp_path, policy):
+    run = shutil.copytree(ZOO / "irb120-full-fast", tmp_path / "run")
+    values = json.loads((run / "provenance.json").read_text())
+    values["policy"] = policy
+    (run / "provenance.json").write_text(json.dumps(values))
+    with pytest.raises(UserError):
+        load_agent(run)
+
+
+def test_a_film_of_very_many_images(tmp_path):
+    images = [Image.new("RGB", (4, 4), colour) for colour in ("red", "blue")]
+    duration = 2 * MAX_FRAMES * FRAME_MS
+    images[0].save(
+        tmp_path / "0.webp", save_all=True, append_images=images[1:], duration=[duration] * 2
+    )
+    with pytest.raises(UserError, match="shows more than"):
+        read_film(tmp_path / "0.webp")
+
+
+@pytest.mark.parametrize("number", ["9" * 5000, "9" * 12, "٣"])
+def test_ids_of_openke_are_small_numbers(tmp_path, number):
+    for name, text in (("entity", "1\nmug\t0\n"), ("relation", "1\nisA\t0\n")):
+        (tmp_path / f"{name}2id.txt").write_text(text)
+    (tmp_path / "train2id.txt").write_text(f"1\n0 0 {number}\n", encoding="utf-8")
+    with pytest.raises(UserError, match="expected three ids"):
+        read_graph(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.nt", '<http://a> <http://b> "\\uD800" .\n'),
+        ("b.jsonld", '{"@id": "http://a", "http://b": "\\ud800"}'),
+        ("c.nt", "<urn:knowarm:%ED%A0%80> <urn:knowarm:b> <urn:knowarm:c> .\n"),
+    ],
+)
+def test_half_of_a_surrogate_pair_in_a_graph(tmp_path, name, text):
+    (tmp_path / name).write_text(text)
+    try:
+        graph = read_graph(tmp_path / name)
+    except UserError:
+        return
+    assert " ".join(" ".join(triple) for triple in graph).encode()
+
+
+def test_an_over_long_path_of_a_robots_file(tmp_path):
+    with pytest.raises(UserError, match=r"Cannot read .*File name too long"):
+        read_mjcf(tmp_path / ("a" * 5000), "Robot 'own'")
+
+
+def test_toml_that_is_nested_very_deep(tmp_path):
+    path = tmp_path / "own.toml"
+    path.write_text("a = " + "[" * 50_000)
+    with pytest.raises(UserError, match="is not TOML"):
+        read_robot(path)
+
+
+@pytest.mark.parametrize("query", ["\ud800", "SELECT (<http://x/f>(1) AS ?y) {}"])
+def test_queries_that_the_engine_refuses(query):
+    with pytest.raises(UserError, match=r"SPARQL query: .*Example"):
+        sparql(household(), query)
+
+
+def test_an_answer_of_very_many_rows(monkeypatch):
+    monkeypatch.setattr(sparql_module, "MAX_ROWS", 2)
+    with pytest.raises(UserError, match="more than 2 rows"):
+        sparql(household(), "SELECT * { ?s ?p ?o }")
+
+
+@pytest.mark.parametrize("hidden", ["# SERVICE", '"SERVICE"', "'a\\'SERVICE'"])
+def test_service_is_refused_wherever_it_stands(hidden):
+    with pytest.raises(UserError, match="nothing is fetched"):
+        sparql(household(), f"ASK {{ ?s ?p ?o }} {hidden}")
+
+
+DEEP = """
+import sys
+from pathlib import Path
+from knowarm.errors import UserError
+from knowarm.knowledge import household, read_graph
+from knowarm.knowledge.sparql import sparql
+
+for given in sys.stdin.read().split("---"):
+    suffix, text = given.strip().split(" ", 1)
+    path = Path(sys.argv[1]) / f"a.{suffix}"
+    path.write_text(text)
+    try:
+        sparql(household(), text) if suffix == "rq" else read_graph(path)
+        print("read")
+    except UserError as error:
+        print(error)
+"""
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ("rq SELECT * " + "{" * 9_000 + "?s ?p ?o" + "}" * 9_000, "read"),
+        ("rq SELECT * " + "{" * 90_000, f"at most {MAX_QUERY:,} are read"),
+        ("ttl <a:a> <a:b> " + "<<( <a:a> <a:b> " * 90_000, "triples inside triples"),
+        ("nt <a:a> <a:b> " + "<<( <a:a> <a:b> " * 90_000, "triples inside triples"),
+        ("jsonld " + '{"a:b":' * 90_000 + "1" + "}" * 90_000, "nested more than 200 deep"),
+        ("jsonld " + '{"a:b":{"@list":[' * 90_000, "nested more than 200 deep"),
+    ],
+)
+def test_deep_nesting_does_not_end_the_process(tmp_path, given, message):
+    """The parsers call themselves for each level; without a limit, they exhaust the stack."""
+    done = subprocess.run(
+        [sys.executable, "-c", DEEP, tmp_path], input=given, capture_output=True, text=True
+    )
+    assert done.returncode == 0, f"it ended with {done.returncode}"
+    assert message in done.stdout
+
+
+def test_brackets_in_strings_are_no_nesting(tmp_path):
+    path = tmp_path / "a.jsonld"
+    path.write_text(json.dumps({"@id": "http://a", "http://b": '\\"' + "[{" * 1000}))
+    assert len(read_graph(path)) == 1
+
+
+BIG = int(MAX_PIXELS**0.5) * 2
+
+
+def mjcf(folder, content):
+    path = folder / "a.xml"
+    path.write_text(f"<mujoco>{content}</mujoco>")
+    return path
+
+
+def test_a_large_texture_of_a_file(tmp_path):
+    Image.new("1", (BIG, BIG)).save(tmp_path / "t.png")
+    path = mjcf(tmp_path, '<asset><texture name="t" type="2d" file="t.png"/></asset>')
+    with pytest.raises(UserError, match=rf"texture 't' has {BIG**2:,} elements"):
+        read_mjcf(path, "Robot 'own'")
+
+
+@pytest.mark.parametrize("content", ['<size memory="900G"/>', '<size nuser_body="500000000"/>'])
+def test_large_buffers(tmp_path, content):
+    with pytest.raises(UserError, match=r"has [\d,]+ elements"):
+        read_mjcf(mjcf(tmp_path, content), "Robot 'own'")
+
+
+def test_files_that_include_each_other(tmp_path):
+    path = mjcf(tmp_path, '<include file="a.xml"/>')
+    with pytest.raises(UserError, match="includes files too deeply"):
+        read_mjcf(path, "Robot 'own'")
+
+
+LONG = "a" * 5000
+ODD = "x\x1b[31m\n\u202ey"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["evaluate", f"{LONG}/0"],
+        ["report", LONG],
+        ["export", LONG],
+        ["train", "irb120-bm-ppo", "--resume", "--runs", LONG],
+        ["knowledge", "show", "--graph", f"{LONG}.ttl"],
+        ["knowledge", "fit", LONG],
+        ["study", "run", LONG],
+        ["evaluate", f"{ODD}/0"],
+        ["report", ODD],
+        ["knowledge", "show", "--graph", f"{ODD}.ttl"],
+        pytest.param(
+            ["list", "--json", "/dev/full"],
+            marks=pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full"),
+        ),
+    ],
+    ids=lambda arguments: " ".join(
+        a if len(a) < 20 and a.isprintable() else "_" for a in arguments
+    ),
+)
+def test_odd_paths_end_in_one_printable_line(capsys, tmp_path, monkeypatch, arguments):
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("knowarm: ")
+    assert error.endswith("\n")
+    assert error[:-1].isprintable()
