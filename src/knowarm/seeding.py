@@ -21,7 +21,6 @@ Purpose = Literal[
     "interim_actions",
     "splits",
     "perception",
-    "pretraining",
 ]
 """What random numbers are drawn for. The position of a purpose is part of its stream: append new
 purposes at the end.
@@ -33,8 +32,7 @@ purposes at the end.
 - ``placebos``: random vectors and shuffled graphs; the knowledge's seed, number of the draw;
 - ``interim_actions``: sampled actions of interim evaluations;
 - ``splits``: what the splits of a choice task hold out; number of the split;
-- ``perception``: weights and images of a perception module; number of the images and of the test;
-- ``pretraining``: episodes of the pretraining and their order.
+- ``perception``: weights and images of a perception module; number of the images and of the test.
 """
 
 _PURPOSES: tuple[Purpose, ...] = get_args(Purpose)

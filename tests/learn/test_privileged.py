@@ -16,7 +16,6 @@ from knowarm.learn.privileged import (
     RunningNormalizer,
     StateCritic,
     auxiliary_columns,
-    auxiliary_scale,
 )
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.world.config import EnvConfig
@@ -31,8 +30,6 @@ CONFIG = PPOConfig(
 OPTIONS = {
     "critic": {"critic": "state"},
     "auxiliary": {"auxiliary_coef": 0.5},
-    "auxiliary from memory": {"auxiliary_coef": 0.5, "auxiliary_input": "memory"},
-    "pretraining": {"pretraining_episodes": 8},
     "progress": {"progress_coef": 1.0},
     "thresholds": {"threshold_factor": 50.0},
     "muon": {"optimizer": "muon"},
@@ -78,23 +75,6 @@ def test_the_auxiliary_head_predicts_arm_and_target():
     chosen = [columns[i].split("/")[0] for i in auxiliary_columns(columns)]
     assert list(dict.fromkeys(chosen)) == list(AUXILIARY_QUANTITIES)
     assert len(chosen) == 24
-
-
-def test_the_weight_of_the_position_is_that_of_its_squared_error():
-    columns = privileged_columns(6)
-    names = [columns[i].split("/")[0] for i in auxiliary_columns(columns)]
-    squares = auxiliary_scale(columns, 10.0).square()
-    assert float(squares.mean()) == pytest.approx(1)
-    heavy = torch.tensor([name == "grasp_position" for name in names])
-    torch.testing.assert_close(squares[heavy], 10 * squares[~heavy][0].expand(3))
-    weighted = build(auxiliary_coef=0.5, auxiliary_position_weight=10.0)
-    weighted.train(80)
-    torch.testing.assert_close(
-        weighted._privileged.auxiliary_targets(),
-        weighted._privileged._standardized.state[..., auxiliary_columns(columns)]
-        * auxiliary_scale(columns, 10.0),
-    )
-    assert (auxiliary_scale(columns, 1.0) == 1).all()
 
 
 def test_values_are_those_of_the_state_before_and_after_each_step():
@@ -178,15 +158,12 @@ def test_every_option_changes_the_update(option):
     assert any(not torch.equal(first[name], second[name]) for name in first)
 
 
-@pytest.mark.parametrize("read", ["features", "memory"])
-def test_two_processes_compute_the_gradient_of_one(read):
+def test_two_processes_compute_the_gradient_of_one():
     table = np.random.default_rng(0).standard_normal((3, 4)).astype(np.float32)
     results = []
     for processes in (1, 2):
-        config = dataclasses.replace(
-            CONFIG, num_envs=32, processes=processes, auxiliary_coef=0.5, auxiliary_input=read
-        )
-        network = TrainingNetwork(informed_toy_policy(table), 5, read, seed=3)
+        config = dataclasses.replace(CONFIG, num_envs=32, processes=processes, auxiliary_coef=0.5)
+        network = TrainingNetwork(informed_toy_policy(table), 5, seed=3)
         learner = make_learner(network, config, "float32", CPU)
         fill_with_noise(learner, facets=3)
         learner.targets.auxiliary.copy_(
@@ -231,7 +208,6 @@ def test_an_environment_without_privileged_state_is_refused():
     [
         ("auxiliary_coef", -1.0),
         ("progress_coef", -0.1),
-        ("auxiliary_position_weight", 0.0),
         ("threshold_factor", 0.9),
         ("threshold_success", 1.5),
     ],

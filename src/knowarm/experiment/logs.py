@@ -170,10 +170,6 @@ class RunLogs:
         self._scalars("evaluation", {"step": step, **results})
         self._progress.evaluation(step, results, is_best)
 
-    def text(self, line: str) -> None:
-        """Print a line of the trainer."""
-        self._progress.line(line)
-
     def close(self) -> None:
         """Flush TensorBoard's event file and the mirrors."""
         with writing(self._folder.tensorboard):

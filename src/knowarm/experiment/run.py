@@ -273,12 +273,7 @@ def _make_trainer(
     def should_end() -> bool:
         return should_stop() or folder.ended_early_at(config.stop_when) is not None
 
-    hooks = Hooks(
-        on_metrics=logs.metrics,
-        on_evaluation=logs.evaluation,
-        on_text=logs.text,
-        should_stop=should_end,
-    )
+    hooks = Hooks(on_metrics=logs.metrics, on_evaluation=logs.evaluation, should_stop=should_end)
     inputs = TrainerInputs(
         config=config.algorithm,
         policy=policy,

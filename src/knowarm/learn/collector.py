@@ -88,8 +88,9 @@ class Collector:
         self.statistics = EpisodeStatistics(env.num_envs, env.device)
         self.generator = torch_generator(seed, "actions", *stream, device=env.device)
         self._stopwatch = Stopwatch(env.device)
-        self._episodes_seed = derive_seed(seed, "episodes", *stream)
-        self.reset()
+        self._image, _ = env.reset(seed=derive_seed(seed, "episodes", *stream))
+        self._start = torch.ones(env.num_envs, dtype=torch.bool, device=env.device)
+        self._state: State = policy.initial_state(env.num_envs)
         if final_values is None:
             on_cpu = env.device.type == "cpu"
             final_values = (
@@ -97,13 +98,6 @@ class Collector:
             )
         self._final_values = final_values
         policy.check_facets(int(env.facet_ids.max()))
-
-    def reset(self) -> None:
-        """Start the environments' streams of episodes from their beginning."""
-        count, device = self.env.num_envs, self.env.device
-        self._image, _ = self.env.reset(seed=self._episodes_seed)
-        self._start = torch.ones(count, dtype=torch.bool, device=device)
-        self._state: State = self.policy.initial_state(count)
 
     @property
     def environment_s(self) -> float:

@@ -8,14 +8,10 @@ from typing import Any, ClassVar, Literal
 from knowarm.config import check_numbers
 from knowarm.errors import UserError
 
-AuxiliaryInput = Literal["features", "memory"]
-"""Fields of `knowarm.policy.policy.Activations`."""
-
 PRIVILEGED_OPTIONS: Mapping[str, tuple[Any, str]] = {
     "critic": ("image", "critic"),
     "auxiliary_coef": (0, "auxiliary loss"),
     "progress_coef": (0, "progress reward"),
-    "pretraining_episodes": (0, "pretraining"),
 }
 """Options that need the simulator's state in training: value that does not, and what it is for."""
 
@@ -156,17 +152,6 @@ class PPOConfig(ScheduleConfig):
     """Coefficient of the auxiliary loss: predict joint angles, gripper and grasp frame from the
     features of the image; 0: none."""
 
-    auxiliary_input: AuxiliaryInput = "features"
-    """What the auxiliary head reads: the features of the image, or the memory's hidden state, which
-    knows more than the image where knowledge is fused before it."""
-
-    auxiliary_position_weight: float = 1.0
-    """Weight of the target's grasp position in the auxiliary loss; that of all else is 1."""
-
-    pretraining_episodes: int = 0
-    """Episodes from whose first images the policy learns, before the first update, where the
-    target stands; they are not counted as steps. 0: none."""
-
     progress_coef: float = 0.0
     """Factor of a reward for every step's decrease of distance (100 per metre) and angle (20 per
     90 degrees), added to the task's reward; 0: none."""
@@ -202,22 +187,11 @@ class PPOConfig(ScheduleConfig):
             "minibatches",
             *_given(self, "processes"),
         )
-        _positive(
-            self,
-            "adam_eps",
-            "clip_range",
-            "reward_scale",
-            "max_grad_norm",
-            "auxiliary_position_weight",
-        )
+        _positive(self, "adam_eps", "clip_range", "reward_scale", "max_grad_norm")
         _fraction(self, "gamma", "gae_lambda")
         for name in ("auxiliary_coef", "progress_coef"):
             if not getattr(self, name) >= 0:
                 raise UserError(f"{name} must be 0 or more, got {getattr(self, name)}.")
-        if self.pretraining_episodes < 0:
-            raise UserError(
-                f"pretraining_episodes must be 0 or more, got {self.pretraining_episodes}."
-            )
         if self.device == "cuda" and self.processes is not None:
             raise UserError(
                 f"processes ({self.processes}) applies to device 'cpu' only; leave it None "

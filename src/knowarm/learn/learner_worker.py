@@ -97,7 +97,7 @@ def _run(
 ) -> None:
     config, policy = args.config, args.policy.build()
     policy.matmul_precision = args.precision
-    network = TrainingNetwork(policy, args.auxiliary_targets, args.config.auxiliary_input)
+    network = TrainingNetwork(policy, args.auxiliary_targets)
     gradient = shared["gradients"][index]
     FlatParameters.bind(network, shared["parameters"], gradient)
     steps, count = config.rollout_steps, config.num_envs

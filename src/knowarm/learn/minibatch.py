@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from knowarm.learn.config import AuxiliaryInput, PPOConfig
+from knowarm.learn.config import PPOConfig
 from knowarm.learn.losses import PPOLossTerms, ppo_loss
 from knowarm.learn.rollout import Rollout
 from knowarm.learn.shared_tensors import TensorSpecs
@@ -31,27 +31,16 @@ class TrainingNetwork(nn.Module):
     Args:
         policy: trained in place.
         auxiliary_targets: K, 0 without a head.
-        auxiliary_input: what the head reads.
         seed: of the head's initial weights.
     """
 
-    def __init__(
-        self,
-        policy: Policy,
-        auxiliary_targets: int,
-        auxiliary_input: AuxiliaryInput = "features",
-        *,
-        seed: int = 0,
-    ) -> None:
+    def __init__(self, policy: Policy, auxiliary_targets: int, seed: int = 0) -> None:
         super().__init__()
         self.policy = policy
         self.auxiliary_targets = auxiliary_targets
-        self.auxiliary_input: AuxiliaryInput = auxiliary_input
         self.head: nn.Linear | None = None
         if auxiliary_targets:
-            reads_memory = auxiliary_input == "memory"
-            width = policy.hidden_size if reads_memory else policy.fc.out_features
-            self.head = nn.Linear(width, auxiliary_targets)
+            self.head = nn.Linear(policy.fc.out_features, auxiliary_targets)
             nn.init.orthogonal_(self.head.weight, generator=torch_generator(seed, "weights", 2))
             nn.init.zeros_(self.head.bias)
             self.head.to(policy.fc.weight.device)
@@ -95,7 +84,7 @@ def add_gradient(
         The terms times ``weight``, so that the terms of a minibatch's parts add up to its own.
     """
     h, c = rollout.start_state
-    logits, values, _, activations = network.policy.unroll_with_activations(
+    logits, values, _, features = network.policy.unroll_with_features(
         rollout.patches.index_select(1, env_ids),
         rollout.facet[:, env_ids],
         (h[env_ids], c[env_ids]),
@@ -103,7 +92,7 @@ def add_gradient(
     )
     auxiliary = None
     if network.head is not None and targets.auxiliary is not None:
-        predicted = network.head(getattr(activations, network.auxiliary_input).float())
+        predicted = network.head(features.float())
         error = predicted - targets.auxiliary[:, env_ids].flatten(0, 1)
         auxiliary = error.square().mean()
     terms = ppo_loss(

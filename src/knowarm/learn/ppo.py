@@ -1,7 +1,6 @@
 """PPO trainer: recurrent proximal policy optimization."""
 
 import time
-from dataclasses import replace
 from typing import Any, cast
 
 import torch
@@ -21,7 +20,6 @@ from knowarm.learn.guards import FiniteGuard, HealthMonitor
 from knowarm.learn.losses import PPOLossTerms
 from knowarm.learn.minibatch import TrainingNetwork
 from knowarm.learn.optimizer import PolicyOptimizer
-from knowarm.learn.pretraining import pretrain
 from knowarm.learn.privileged import PrivilegedLearning
 from knowarm.learn.processes import keep_freed_memory
 from knowarm.learn.returns import advantages
@@ -82,11 +80,8 @@ class PPOTrainer(Trainer):
             if config.auxiliary_coef:
                 targets = self._privileged.auxiliary_targets().shape[-1]
         self._curriculum = ThresholdCurriculum(config, env)
-        network = TrainingNetwork(
-            policy.to(self._device), targets, config.auxiliary_input, seed=seed
-        )
+        network = TrainingNetwork(policy.to(self._device), targets, seed)
         self._head = network.head
-        self._is_pretrained = config.pretraining_episodes == 0
         self._learner = make_learner(network, config, self.matmul_precision, self._device)
         others = NoFinalValues(env) if config.critic == "state" else None
         self._collector = Collector(
@@ -117,8 +112,6 @@ class PPOTrainer(Trainer):
 
     def _train_until(self, total_steps: int) -> StopReason:
         begin = time.perf_counter()
-        if not self._is_pretrained and not self._pretrain():
-            return "stopped"  # nothing to save: pretraining starts again
         if self._evaluates_start:
             self._submit_evaluation()
         while self.step < total_steps:
@@ -146,20 +139,6 @@ class PPOTrainer(Trainer):
                 self.save()
         return self._finish(self.save)
 
-    def _pretrain(self) -> bool:
-        """Learn where the targets stand; tell whether that was completed."""
-        self.policy.matmul_precision = self.matmul_precision
-        self._is_pretrained = pretrain(
-            self.policy,
-            cast(PrivilegedVectorEnv, self._collector.env),
-            episodes=self.config.pretraining_episodes,
-            seed=self.seed,
-            hooks=replace(self.hooks, should_stop=self._should_stop),
-        )
-        self.policy.matmul_precision = "float32"
-        self._collector.reset()
-        return self._is_pretrained
-
     def _submit_evaluation(self) -> None:
         if self._evaluations is not None:
             self._evaluations.submit(self.step, flatten_parameters(self.policy))
@@ -181,7 +160,6 @@ class PPOTrainer(Trainer):
         )
 
     def _restore(self, checkpoint: Checkpoint) -> None:
-        self._is_pretrained = True
         self._optimizer.set_state(checkpoint.optimizer)
         if self._head is not None:
             arrays = select(checkpoint.state, "auxiliary/")

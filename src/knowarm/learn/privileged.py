@@ -24,9 +24,6 @@ AUXILIARY_QUANTITIES = (
 )
 """Quantities of the privileged state that the auxiliary head predicts: arm and target."""
 
-POSITION = "grasp_position"
-"""Quantity of the privileged state that says where the target stands."""
-
 CRITIC_WIDTH = 128
 CRITIC_LEARNING_RATE = 1e-3
 CRITIC_EPOCHS = 2
@@ -181,9 +178,6 @@ class PrivilegedLearning:
         )
         self._progress_coef = config.progress_coef
         self._auxiliary = torch.tensor(auxiliary_columns(columns), device=env.device)
-        self._auxiliary_scale = auxiliary_scale(columns, config.auxiliary_position_weight).to(
-            env.device
-        )
         self._distance, self._angle = columns.index("distance/0"), columns.index("angle/0")
         self._normalizer = RunningNormalizer(len(columns), env.device)
         self._standardized = self.rollout
@@ -205,8 +199,8 @@ class PrivilegedLearning:
         )
 
     def auxiliary_targets(self) -> Tensor:
-        """Return the targets of the auxiliary head, (T, B, K): standardized, times their scale."""
-        return self._standardized.state.index_select(-1, self._auxiliary) * self._auxiliary_scale
+        """Return the standardized targets of the auxiliary head, (T, B, K)."""
+        return self._standardized.state.index_select(-1, self._auxiliary)
 
     def values(self) -> tuple[Tensor, Tensor]:
         """Return the critic's values before and after each step, (T, B) each."""
@@ -237,16 +231,6 @@ class PrivilegedLearning:
 def auxiliary_columns(columns: tuple[str, ...]) -> list[int]:
     """Return the indices of the columns that the auxiliary head predicts."""
     return [i for i, name in enumerate(columns) if name.split("/")[0] in AUXILIARY_QUANTITIES]
-
-
-def auxiliary_scale(columns: tuple[str, ...], position_weight: float) -> Tensor:
-    """Return the factors (K,) of the auxiliary head's targets.
-
-    They are the roots of the weights in the mean squared error, whose mean is 1.
-    """
-    names = [columns[i].split("/")[0] for i in auxiliary_columns(columns)]
-    weights = torch.tensor([position_weight if n == POSITION else 1.0 for n in names])
-    return (weights / weights.mean()).sqrt()
 
 
 def privileged_columns_of(env: PrivilegedVectorEnv) -> tuple[str, ...]:

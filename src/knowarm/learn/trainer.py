@@ -42,8 +42,6 @@ class Hooks:
     """Receives one row of metrics per update (PPO) or log interval (A3C)."""
     on_evaluation: Callable[[int, Metrics, bool], None] = lambda step, results, is_best: None
     """Receives step, results, and whether they are the best so far."""
-    on_text: Callable[[str], None] = lambda text: None
-    """Receives a line for the user."""
     should_stop: Callable[[], bool] = lambda: False
     """Called between updates; true saves a checkpoint and ends `Trainer.train`."""
 

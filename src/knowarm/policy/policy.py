@@ -7,7 +7,7 @@ an action, S blocks and L pixel values per block of an image's patches.
 """
 
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 import torch
@@ -22,15 +22,6 @@ from knowarm.seeding import torch_generator
 
 MatmulPrecision = Literal["float32", "tf32", "bfloat16"]
 """Precision of matrix products; "tf32" exists on GPUs only."""
-
-
-class Activations(NamedTuple):
-    """What the network computes of N images on the way to its outputs."""
-
-    features: Tensor
-    """(N, features) of the images; the LSTM receives them with the knowledge."""
-    memory: Tensor
-    """(N, H): the LSTM's hidden state."""
 
 
 class Policy(nn.Module):
@@ -181,13 +172,13 @@ class Policy(nn.Module):
     def unroll(
         self, image: Tensor, facet: Tensor, state: State, episode_start: Tensor
     ) -> tuple[Tensor, Tensor, State]:
-        """Advance every environment by T steps; see `unroll_with_activations`."""
-        logits, values, state, _ = self.unroll_with_activations(image, facet, state, episode_start)
+        """Advance every environment by T steps; see `unroll_with_features`."""
+        logits, values, state, _ = self.unroll_with_features(image, facet, state, episode_start)
         return logits, values, state
 
-    def unroll_with_activations(
+    def unroll_with_features(
         self, image: Tensor, facet: Tensor, state: State, episode_start: Tensor
-    ) -> tuple[Tensor, Tensor, State, Activations]:
+    ) -> tuple[Tensor, Tensor, State, Tensor]:
         """Advance every environment by T steps, for training.
 
         Args:
@@ -197,8 +188,8 @@ class Policy(nn.Module):
             episode_start: (T, B) bool.
 
         Returns:
-            Logits (T, B, J, A), values (T, B), state after the last step, and the activations of
-            N = T * B images.
+            Logits (T, B, J, A), values (T, B), state after the last step, and the features of the
+            images (T * B, features) that the LSTM receives with the knowledge.
         """
         patches = self.patches(image) if image.ndim == 5 else image
         steps, batch = episode_start.shape
@@ -207,10 +198,9 @@ class Policy(nn.Module):
             features = self._features(patches.flatten(0, 1), knowledge)
             inputs = self.fusion("lstm", features, knowledge).view(steps, batch, -1)
             hidden, state = self.memory.unroll(inputs, state, episode_start)
-        hidden = hidden.flatten(0, 1)
-        logits, value = self._heads(hidden, knowledge)
+        logits, value = self._heads(hidden.flatten(0, 1), knowledge)
         logits = logits.view(steps, batch, *logits.shape[1:])
-        return logits, value.view(steps, batch), state, Activations(features, hidden)
+        return logits, value.view(steps, batch), state, features
 
     def parameter_counts(self) -> dict[str, int]:
         """Count the parameters per group and in total."""
