@@ -50,6 +50,16 @@ def test_parts_can_be_left_out(finished, tmp_path, pack):
         pack_study(finished, small, leave_out=("film",))
 
 
+def test_a_perception_module_belongs_to_the_policies(finished, tmp_path):
+    copy = shutil.copytree(finished, tmp_path / "copy")
+    name = "irb120-bm-ppo/0/perception.safetensors"
+    (copy / name).write_bytes(b"module")
+    for leave_out, kept in (((), True), (("policies",), False)):
+        file = tmp_path / f"{kept}.tar.gz"
+        pack_study(copy, file, leave_out=leave_out)
+        assert (unpack_study(file, tmp_path / str(kept)) / name).exists() == kept
+
+
 def test_the_missing_runs_of_an_unpacked_study_are_run(finished, tmp_path):
     """A pack of what is done can be completed elsewhere, with the result of the whole study."""
     part = shutil.copytree(finished, tmp_path / "part")
