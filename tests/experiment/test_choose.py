@@ -18,6 +18,7 @@ from knowarm.experiment.run import train
 from knowarm.world.agents import OracleAgent
 from knowarm.world.config import choice_env_config
 
+TINY = {"images": 64, "epochs": 1, "batch": 32}
 SMALL = {"dynamics": "kinematic", "choice": {"queries": {"pairs": "none"}}}
 
 
@@ -57,6 +58,7 @@ def test_training_and_evaluation_report_the_choice(tmp_path: Path) -> None:
         "irb120-choose-query-onehot-fast",
         tmp_path,
         total_steps=400,
+        grounding=TINY,
         env=SMALL,
         algorithm={"num_envs": 8, "rollout_steps": 25, "minibatches": 2, "processes": 1},
         interim={"every_steps": 400, "episodes": 4},
@@ -92,14 +94,21 @@ def test_an_evaluation_on_the_edited_graph_counts_the_old_answers(tmp_path: Path
         "irb120-choose-subgraph-fast",
         tmp_path,
         total_steps=200,
+        grounding=TINY,
         env=SMALL,
         algorithm={"num_envs": 8, "rollout_steps": 25, "minibatches": 2, "processes": 1},
         interim={"every_steps": 200, "episodes": 4},
     )
     trained = load_agent(run.folder.path)
-    before = trained.policy.knowledge_table.clone()
+    network = trained.agent.perception  # type: ignore[attr-defined]
+    before = network.knowledge.clone()
+    seen = []
+    places = network.places
+    network.places = lambda *images: seen.append(network.knowledge.clone()) or places(*images)
     result = evaluate(trained, episodes=8, blind_episodes=0, split="S5")
-    assert (trained.policy.knowledge_table == before).all()
+    assert (network.knowledge == before).all()
+    assert all((table != before).any() for table in seen)
+    assert seen
     wrong = result.episodes["chose_old_answer"]
     assert not (wrong & result.episodes["choice_correct"]).any()
     assert result.summary["chose_old_answer"] == wrong.mean()

@@ -249,7 +249,7 @@ def test_the_policy_gets_nothing_privileged(files, name, monkeypatch):
     def refuse(*arguments, **options):
         raise AssertionError("labels were read")
 
-    monkeypatch.setattr(perception_training, "_facets", refuse)
+    monkeypatch.setattr(perception_training, "facet_numbers", refuse)
     monkeypatch.setattr(perception_training, "draw_pictures", refuse)
     true = world.task.facet_ids.copy()
     if name == REACH:  # in the choice task these are the queries, which the agent is told

@@ -50,10 +50,39 @@ def test_parts_can_be_left_out(finished, tmp_path, pack):
         pack_study(finished, small, leave_out=("film",))
 
 
-def test_an_unpacked_study_is_not_run(finished, tmp_path, pack):
-    out = unpack_study(pack, tmp_path / "unpacked")
-    with pytest.raises(UserError, match="unpacked study"):
+def test_a_perception_module_belongs_to_the_policies(finished, tmp_path):
+    copy = shutil.copytree(finished, tmp_path / "copy")
+    name = "irb120-bm-ppo/0/perception.safetensors"
+    (copy / name).write_bytes(b"module")
+    for leave_out, kept in (((), True), (("policies",), False)):
+        file = tmp_path / f"{kept}.tar.gz"
+        pack_study(copy, file, leave_out=leave_out)
+        assert (unpack_study(file, tmp_path / str(kept)) / name).exists() == kept
+
+
+def test_the_missing_runs_of_an_unpacked_study_are_run(finished, tmp_path):
+    """A pack of what is done can be completed elsewhere, with the result of the whole study."""
+    part = shutil.copytree(finished, tmp_path / "part")
+    shutil.rmtree(part / "irb120-bm-ppo" / "1")
+    pack_study(part, tmp_path / "part.tar.gz", leave_out=("policies", "steps", "films"))
+    out = unpack_study(tmp_path / "part.tar.gz", tmp_path / "unpacked")
+    kept = out / "irb120-bm-ppo" / "0" / "metrics.csv"
+    before = kept.stat().st_mtime_ns
+    assert [each.state for each in run_study(open_study(out), out)] == ["done", "done"]
+    assert kept.stat().st_mtime_ns == before
+    name = "irb120-bm-ppo/1/evaluations.csv"
+    assert (out / name).read_bytes() == (finished / name).read_bytes()
+
+
+def test_begun_runs_of_an_unpacked_study_are_not_run(finished, tmp_path):
+    part = shutil.copytree(finished, tmp_path / "part")
+    shutil.rmtree(part / "irb120-bm-ppo" / "1" / "evaluation")
+    pack_study(part, tmp_path / "part.tar.gz")
+    out = unpack_study(tmp_path / "part.tar.gz", tmp_path / "unpacked")
+    with pytest.raises(UserError, match=r"unpacked study.*irb120-bm-ppo/1.*remove the folders"):
         run_study(open_study(out), out)
+    shutil.rmtree(out / "irb120-bm-ppo" / "1")
+    assert [each.state for each in run_study(open_study(out), out)] == ["done", "done"]
 
 
 def test_a_damaged_pack_is_refused(finished, tmp_path, pack):

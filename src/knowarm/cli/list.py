@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from knowarm.cli.tables import FilePath, check_json_path, print_table, write_json_table
-from knowarm.experiment.agents import AGENTS
+from knowarm.experiment.agents import AGENTS, Agent
 from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.registry import experiment_names
 from knowarm.learn.config import privileged_uses
@@ -39,7 +39,7 @@ class List:
         print_table(
             "Agents",
             ["agent", "role", "description"],
-            [[name, agent.role, agent.about] for name, agent in AGENTS.items()],
+            [[name, agent.role, _about(agent)] for name, agent in AGENTS.items()],
         )
         print_table(
             "Algorithms",
@@ -81,3 +81,10 @@ class List:
                 "experiments": examples,
             },
         )
+
+
+def _about(agent: Agent) -> str:
+    """Describe an agent, and say what it learns from the simulator's labels beside its policy."""
+    if agent.grounding is None:
+        return agent.about
+    return f"{agent.about}; grounded by the simulator's labels in training"

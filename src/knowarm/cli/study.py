@@ -12,7 +12,7 @@ from knowarm.cli.study_table import StudyProgress, status_table, summary_line
 from knowarm.cli.tables import FilePath, check_json_path, print_table, write_json_table
 from knowarm.config import replace as replace_fields
 from knowarm.errors import UserError, unknown_name
-from knowarm.experiment.run import StopRequest
+from knowarm.experiment.stop_request import StopRequest
 from knowarm.report import write_report
 from knowarm.study.config import FILE, SHIPPED, StudyConfig, read_study
 from knowarm.study.driver import check_folder, open_study, request_stop, retry, run_study

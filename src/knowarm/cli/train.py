@@ -13,8 +13,9 @@ from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.demo import STEPS, demo
 from knowarm.experiment.registry import DEFAULT_EXPERIMENT, experiment_config, experiment_names
-from knowarm.experiment.run import StopRequest, run_path, train
+from knowarm.experiment.run import run_path, train
 from knowarm.experiment.run_folder import RunFolder
+from knowarm.experiment.stop_request import StopRequest
 from knowarm.report import write_report
 
 USAGE = f"""usage: knowarm train EXPERIMENT [OPTIONS]

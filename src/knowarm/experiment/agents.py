@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
+from knowarm.experiment.grounding import GroundingConfig
 from knowarm.knowledge import FULL, FULL_PLUS, QUERY, KnowledgeConfig
 from knowarm.knowledge.vectors import GraphEmbedding
 from knowarm.knowledge.vectors.placebos import (
@@ -39,6 +40,8 @@ class Agent:
     """From the graph to the knowledge vector."""
     policy: PolicyConfig = field(default_factory=PolicyConfig)
     """Choices of the policy network."""
+    grounding: GroundingConfig | None = None
+    """Network that finds what the query means (`ExperimentConfig.grounding`)."""
     marked: bool = False
     """Whether the image marks the object that is meant (choice task only)."""
     colour: str | None = None
@@ -63,8 +66,11 @@ _TARGET = replace(FULL, scope="target")
 _TARGET_PLUS = replace(FULL_PLUS, scope="target")
 _PERCEIVED = replace(FULL_PLUS, scope="perceived")
 _QUERY_WORDS = replace(QUERY, hops=0, colour_share=None)
-_TOLD = PolicyConfig(fusion="similarity", hidden="fixed")
-"""Policy of the agents that are told a query: it has to find in the image what the query means."""
+_GROUNDED: dict[str, Any] = {
+    "policy": PolicyConfig(hidden="fixed"),
+    "grounding": GroundingConfig(),
+}
+"""Choices of the agents that are told a query: a network finds in the image what it means."""
 
 AGENTS: dict[str, Agent] = {
     "bm": Agent(
@@ -210,7 +216,7 @@ AGENTS: dict[str, Agent] = {
         about="the subgraph around the values of the query",
         role="knowledge",
         knowledge=QUERY,
-        policy=_TOLD,
+        **_GROUNDED,
         colour="c-blue",
     ),
     "subgraph-before-lstm": Agent(
@@ -218,46 +224,52 @@ AGENTS: dict[str, Agent] = {
         role="knowledge",
         knowledge=QUERY,
     ),
+    "subgraph-similarity": Agent(
+        about="as subgraph, fused by similarity without a grounding network",
+        role="knowledge",
+        knowledge=QUERY,
+        policy=PolicyConfig(fusion="similarity", hidden="fixed"),
+    ),
     "query-words": Agent(
         about="the word vectors of the query, without the graph",
         role="knowledge",
         knowledge=_QUERY_WORDS,
-        policy=_TOLD,
+        **_GROUNDED,
         colour="c-green",
     ),
     "query-analogy": Agent(
         about="ANALOGY embeddings of the values of the query",
         role="knowledge",
         knowledge=replace(_QUERY_WORDS, source=GraphEmbedding(model="analogy"), centring=False),
-        policy=_TOLD,
+        **_GROUNDED,
         colour="c-navy",
     ),
     "query-zeros": Agent(
         about="control of the agents that are told the query: their shape, all zeros",
         role="capacity_control",
         knowledge=replace(QUERY, source=Zeros()),
-        policy=_TOLD,
+        **_GROUNDED,
         colour="c-grey",
     ),
     "query-onehot": _control(
         "the agents that are told the query: the index of each condition",
         QUERY,
         OneHot(),
-        policy=_TOLD,
+        **_GROUNDED,
         colour="c-teal",
     ),
     "query-random": _control(
         "the agents that are told the query: one random vector per condition",
         QUERY,
         RandomVectors(),
-        policy=_TOLD,
+        **_GROUNDED,
         colour="c-purple",
     ),
     "subgraph-shuffled": _control(
         "subgraph: from a graph with permuted tails",
         QUERY,
         ShuffledGraph(),
-        policy=_TOLD,
+        **_GROUNDED,
         colour="c-pink",
     ),
 }
@@ -285,6 +297,8 @@ def controls_of(subject: str, role: Role) -> list[str]:
 
     def matches(control: Agent) -> bool:
         if replace(control.policy, wide=False) != agent.policy:
+            return False
+        if control.grounding != agent.grounding:
             return False
         own, other = agent.knowledge, control.knowledge
         if role == "content_control" and replace(other, source=own.source) == own:

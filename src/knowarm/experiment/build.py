@@ -11,14 +11,16 @@ import torch
 from knowarm.config import from_dict
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig, InterimConfig
+from knowarm.experiment.grounding import Grounding, place_table
 from knowarm.experiment.perceived import (
     FILE,
     PerceivingAgent,
     PerceivingVectorEnv,
+    module_of,
     perception_for,
     stored_perception,
 )
-from knowarm.experiment.perception import Perception, perception_of, read_module
+from knowarm.experiment.perception import Perception, read_module
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.knowledge.embedding import SceneEmbedding, scene_embedding
 from knowarm.knowledge.query_embedding import query_embedding
@@ -60,7 +62,7 @@ class EnvFactory:
         options: dict[str, Any] = {"device": device, "num_threads": num_threads}
         if self.perception is None:
             return TorchReachVectorEnv(self.config, num_envs, **options)
-        perception = perception_of(self.perception, Path(FILE))
+        perception = module_of(self.perception)
         return PerceivingVectorEnv(self.config, num_envs, perception, **options)
 
 
@@ -70,7 +72,7 @@ class Parts:
 
     Attributes:
         embedding: the scene embedding with its names, coverage and norm.
-        table: (F, K) float32, the policy's knowledge vector for each facet.
+        table: (F, K) float32, the knowledge vector for each facet, or for each query.
         policy_config: choices of the policy.
         policy_shape: input and output sizes of the policy.
         facets: the environment's F (object, colour) pairs, one per row of the table.
@@ -81,10 +83,14 @@ class Parts:
     policy_config: PolicyConfig
     policy_shape: PolicyShape
     facets: tuple[tuple[str, str], ...]
+    places: np.ndarray | None = None
+    """With a grounding network, what the policy is told instead of the knowledge: (P, 2)
+    float32."""
 
     def new_policy(self, seed: int) -> Policy:
         """Initialize a policy; the same seed gives the same weights."""
-        return Policy(self.policy_config, self.policy_shape, self.table, seed=seed)
+        told = self.table if self.places is None else self.places
+        return Policy(self.policy_config, self.policy_shape, told, seed=seed)
 
 
 def build(config: ExperimentConfig) -> Parts:
@@ -104,12 +110,15 @@ def build(config: ExperimentConfig) -> Parts:
     else:
         embedding = scene_embedding(config.knowledge, env.facets, run_seed=config.seed)
         table = embedding.table(env.facets)
+    places = None
+    if config.grounding is not None:
+        places = place_table(config.env.image_size)
     shape = PolicyShape(
         joints=env.scene.num_joints,
         levels=len(ACTION_LEVELS),
         image_size=config.env.image_size,
-        knowledge_dim=embedding.dim,
-        knowledge_slots=max(1, embedding.dim // max(1, embedding.slot_dim)),
+        knowledge_dim=embedding.dim if places is None else places.shape[1],
+        knowledge_slots=slots_of(embedding) if places is None else 1,
     )
     policy = config.policy if embedding.dim else replace(config.policy, fusion="none")
     if config.knowledge.source.encoder != policy.knowledge_encoder == "identity":
@@ -119,7 +128,12 @@ def build(config: ExperimentConfig) -> Parts:
         )
     if policy.wide:
         table = table[:, :0]
-    return Parts(embedding, table, policy, shape, env.facets)
+    return Parts(embedding, table, policy, shape, env.facets, places)
+
+
+def slots_of(embedding: SceneEmbedding) -> int:
+    """Return the number of equal parts of a knowledge vector, at least 1."""
+    return max(1, embedding.dim // max(1, embedding.slot_dim))
 
 
 @dataclass(frozen=True)
@@ -146,7 +160,7 @@ class InterimFactory:
         env = ReachVectorEnv(self.env, interim.episodes)
         episodes = evaluation_episodes(env.scene, self.env, interim.episodes, interim.seed)
         data = self.perception
-        perception = None if data is None else perception_of(data, Path(FILE))
+        perception = None if data is None else module_of(data)
 
         def evaluate(policy: Policy) -> dict[str, float]:
             generator = torch_generator(self.seed, "interim_actions")
@@ -212,6 +226,16 @@ class TrainedAgent:
     step: int
     which: Which
 
+    def tell(self, knowledge: torch.Tensor) -> torch.Tensor:
+        """Replace the knowledge table (F, K) of grounding network or policy; return the old one."""
+        module = self.agent.perception if isinstance(self.agent, PerceivingAgent) else None
+        if isinstance(module, Grounding):
+            before, module.knowledge = module.knowledge, knowledge.to(module.knowledge.device)
+        else:
+            table = self.policy.knowledge_table
+            before, self.policy.knowledge_table = table, knowledge.to(table.device)
+        return before
+
 
 def load_agent(
     path: Path | str,
@@ -248,7 +272,8 @@ def load_agent(
         if choices.wide and checkpoint:
             choices = _sizes_of_checkpoint(choices, checkpoint.policy)
         shape = from_dict(PolicyShape, stored["shape"], where="policy.shape")
-        policy = Policy(choices, shape, table, seed=config.seed)
+        told = place_table(config.env.image_size) if config.grounding else table
+        policy = Policy(choices, shape, told, seed=config.seed)
     step = 0
     if checkpoint:
         step = int(checkpoint.facts["step"])
@@ -267,9 +292,9 @@ def _perception(
     """Return the given perception module, or that of the run; None where none is needed."""
     if given is not None:
         return perception_for(config.knowledge, read_module(Path(given)), Path(given))
-    if config.knowledge.scope != "perceived":
+    if not config.has_module:
         return None
-    return perception_of(stored_perception(folder), folder.path / FILE)
+    return module_of(stored_perception(folder), folder.path / FILE)
 
 
 def _sizes_of_checkpoint(config: PolicyConfig, arrays: dict[str, np.ndarray]) -> PolicyConfig:

@@ -9,6 +9,7 @@ from knowarm.errors import UserError
 from knowarm.experiment.agents import Role
 from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.graph_queries import GraphQueries as GraphQueries  # registers itself
+from knowarm.experiment.grounding import GroundingConfig
 from knowarm.knowledge.config import KnowledgeConfig
 from knowarm.learn.config import AlgorithmConfig, PPOConfig
 from knowarm.policy.config import PolicyConfig
@@ -102,6 +103,11 @@ class ExperimentConfig:
     policy: PolicyConfig = field(default_factory=PolicyConfig)
     """Choices of the policy network."""
 
+    grounding: GroundingConfig | None = None
+    """Train, before the first step, a network that finds in the first image of an episode what the
+    query means, and tell the policy this place instead of the query's vector; for tasks that ask
+    and knowledge of scope "query". None: the policy gets the vector."""
+
     algorithm: AlgorithmConfig = field(
         default_factory=PPOConfig,
         metadata=registered(lambda: [type(entry.config) for entry in ALGORITHMS.values()]),
@@ -121,6 +127,18 @@ class ExperimentConfig:
                 raise UserError(f"{name} must be at least 1, got {getattr(self, name)}.")
         if self.seed < 0:
             raise UserError(f"seed must be 0 or more, got {self.seed}.")
+        asks = self.env.choice is not None and self.knowledge.scope == "query"
+        if self.grounding is not None and not (asks and self.knowledge.detail != "none"):
+            raise UserError(
+                "grounding finds what a query means: it needs the choice task and knowledge of "
+                f"scope 'query', got {self.knowledge.scope!r} in "
+                f"{'the choice task' if self.env.choice else 'reaching'}. Leave grounding None."
+            )
+
+    @property
+    def has_module(self) -> bool:
+        """Whether the agent has a perception module or a grounding network beside its policy."""
+        return self.knowledge.scope == "perceived" or self.grounding is not None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -134,11 +134,10 @@ def evaluate(
         raise UserError("This agent has no task of its own: pass env_config=EnvConfig(...).")
     judged = _with_thresholds(env_config, config)
     env = ReachVectorEnv(judged, min(config.num_envs, config.episodes))
-    told = None if trained is None else trained.policy.knowledge_table
+    told: torch.Tensor | None = None
     try:
         if trained is not None and config.split == "S5":
-            table = torch.from_numpy(retold(trained.config, judged))
-            trained.policy.knowledge_table = table.to(trained.policy.knowledge_table.device)
+            told = trained.tell(torch.from_numpy(retold(trained.config, judged)))
         fixed = _episodes(env, config)
         result = play(agent, env, fixed, record_images=config.record_films)
         blind = blind_numbers(agent, result.success, env, fixed, blind_episodes, config.seed)
@@ -147,7 +146,7 @@ def evaluate(
     finally:
         env.close()
         if trained is not None and told is not None:
-            trained.policy.knowledge_table = told
+            trained.tell(told)
     summary = {
         "format": FORMAT,
         "agent": agent_name,

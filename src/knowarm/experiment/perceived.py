@@ -13,6 +13,7 @@ from torch import Tensor
 
 from knowarm.config import to_dict
 from knowarm.errors import UserError
+from knowarm.experiment.grounding import Grounding
 from knowarm.experiment.perception import (
     Perception,
     check_fits,
@@ -84,8 +85,55 @@ class Perceiver:
         return scores.argmax(1)
 
 
+class Grounder:
+    """Selects the place that a grounding network finds for the query.
+
+    Args:
+        grounding: the network.
+        env: the task.
+        device: of images and rows.
+
+    Raises:
+        UserError: the network was made for something else.
+    """
+
+    def __init__(
+        self, grounding: Grounding, env: EnvConfig, device: torch.device | str = "cpu"
+    ) -> None:
+        check_fits(grounding.seen, env, ())
+        self._grounding = grounding.to(device)
+
+    @torch.inference_mode()
+    def __call__(self, images: Tensor, queries: Tensor | None) -> Tensor:
+        """Find what the queries (n,) int64 of n images mean: (n,) int64, rows of `place_table`."""
+        assert queries is not None
+        parts = zip(images.split(BATCH), queries.split(BATCH), strict=True)
+        return torch.cat([self._grounding.places(*part) for part in parts])
+
+
+def perceiver(
+    module: Perception,
+    env: EnvConfig,
+    facets: tuple[tuple[str, str], ...],
+    device: torch.device | str = "cpu",
+) -> Perceiver | Grounder:
+    """Return what selects rows by a module; arguments as `Perceiver`."""
+    if isinstance(module, Grounding):
+        return Grounder(module, env, device)
+    return Perceiver(module, env, facets, device)
+
+
+def module_of(data: bytes, path: Path = Path(FILE)) -> Perception:
+    """Build the module of a run, perception or grounding, from the content of its file.
+
+    Raises:
+        UnreadableFileError: the content is damaged or of another format.
+    """
+    return perception_of(data, path, (Perception, Grounding))
+
+
 class PerceivingVectorEnv(TorchReachVectorEnv):
-    """Training environments whose facet is the one that a perception module names.
+    """Training environments whose facet is the row that a perception module selects.
 
     Args:
         config: the task.
@@ -98,7 +146,7 @@ class PerceivingVectorEnv(TorchReachVectorEnv):
         self, config: EnvConfig, num_envs: int, perception: Perception, **options: Any
     ) -> None:
         super().__init__(config, num_envs, **options)
-        self._perceive = Perceiver(perception, config, self.facets, self.device)
+        self._perceive = perceiver(perception, config, self.facets, self.device)
         self._rows = torch.zeros(num_envs, dtype=torch.int64, device=self.device)
 
     @property
@@ -151,7 +199,7 @@ class PerceivingVectorEnv(TorchReachVectorEnv):
 
 
 class PerceivingAgent(PolicyAgent):
-    """Policy agent that is told what its perception module names in the first image.
+    """Policy agent that is told what its module names, or finds, in the first image.
 
     Args:
         perception: the module.
@@ -166,7 +214,7 @@ class PerceivingAgent(PolicyAgent):
     def start(self, env: Any) -> None:
         """As `PolicyAgent.start`; the next image is the first of every episode."""
         super().start(env)
-        self._perceive = Perceiver(self.perception, env.config, env.facets)
+        self._perceive = perceiver(self.perception, env.config, env.facets)
         self._asks = env.config.choice is not None
         self.rows: Tensor | None = None
 
@@ -222,4 +270,4 @@ def stored_perception(folder: RunFolder) -> bytes:
 
 def describe_module(data: bytes) -> dict[str, Any]:
     """Return what provenance says about a perception module: digest, purpose and accuracy."""
-    return {"digest": digest(data), **to_dict(perception_of(data, Path(FILE)).seen)}
+    return {"digest": digest(data), **to_dict(module_of(data).seen)}

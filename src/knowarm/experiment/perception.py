@@ -3,10 +3,10 @@
 import hashlib
 import json
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from safetensors.torch import load, save
@@ -19,8 +19,6 @@ from knowarm.reading import UnreadableFileError, one_line, reading
 from knowarm.seeding import torch_generator
 from knowarm.world.config import EnvConfig
 from knowarm.world.scene import list_facets, scene_of
-
-FORMAT = "knowarm-perception-1"
 
 ABOUT = "knowarm"
 """Key of the file's metadata."""
@@ -124,6 +122,9 @@ class Perception(nn.Module):
         seen: as given.
     """
 
+    FORMAT: ClassVar[str] = "knowarm-perception-1"
+    """Format of the file."""
+
     def __init__(self, seen: Seen, *, seed: int = 0) -> None:
         super().__init__()
         self.seen = seen
@@ -146,11 +147,23 @@ class Perception(nn.Module):
 
     def forward(self, images: Tensor) -> Tensor:
         """Score the facets in images (n, H, W, 3) uint8: (n, F) float32, softmax over facets."""
+        return self.names(self.features(images))
+
+    def features(self, images: Tensor) -> Tensor:
+        """Compute the features of images (n, H, W, 3) uint8, by place: (n, C, h, w) float32."""
         x = images.permute(0, 3, 1, 2).float() / 255 - 0.5
         for layer in self.layers:
             x = torch.relu(layer(x))
-        objects, colours = self.objects(x).flatten(2), self.colours(x).flatten(2)
-        return torch.logsumexp(objects[:, self._object] + colours[:, self._colour], dim=2)
+        return x
+
+    def names(self, features: Tensor) -> Tensor:
+        """Score the facets by `features`: (n, F) float32."""
+        objects, colours = self.objects(features).flatten(2), self.colours(features).flatten(2)
+        # The sum over places of exp(object + colour) of all pairs is a product of two matrices.
+        most = [scores.amax((1, 2), keepdim=True) for scores in (objects, colours)]
+        sums = (objects - most[0]).exp() @ (colours - most[1]).exp().transpose(1, 2)
+        scores = sums.clamp(min=torch.finfo(sums.dtype).tiny).log() + most[0] + most[1]
+        return scores[:, self._object, self._colour]
 
     def named(self, images: Tensor) -> Tensor:
         """Return the facets named in images, the surest first: (n, visible objects) int64."""
@@ -161,11 +174,28 @@ class Perception(nn.Module):
         self._object, self._colour = function(self._object), function(self._colour)
         return self
 
+    def describe(self) -> dict[str, Any]:
+        """Return what the file says beside the parameters."""
+        return {"format": self.FORMAT, "seen": to_dict(self.seen)}
+
     def to_bytes(self) -> bytes:
         """Return the content of the module's file."""
         tensors = {name: value.contiguous().cpu() for name, value in self.state_dict().items()}
         # One entry: safetensors writes several in an order that varies.
-        return save(tensors, {ABOUT: json.dumps({"format": FORMAT, "seen": to_dict(self.seen)})})
+        return save(tensors, {ABOUT: json.dumps(self.describe())})
+
+    @classmethod
+    def build(cls, about: dict[str, Any], tensors: Mapping[str, Tensor]) -> "Perception":
+        """Build a module from what its file says; the parameters are loaded afterwards.
+
+        Args:
+            about: the result of `describe`.
+            tensors: the parameters.
+
+        Raises:
+            ValueError: what it says makes no module.
+        """
+        return cls(seen_of(about))
 
 
 def digest(data: bytes) -> str:
@@ -205,12 +235,15 @@ def read_module(path: Path) -> bytes:
         return path.read_bytes()
 
 
-def perception_of(data: bytes, path: Path) -> Perception:
+def perception_of(
+    data: bytes, path: Path, kinds: Sequence[type[Perception]] = (Perception,)
+) -> Perception:
     """Build a perception module from the content of its file.
 
     Args:
         data: the content.
         path: the file, for messages.
+        kinds: classes that the file may hold.
 
     Raises:
         UnreadableFileError: the content is damaged or of another format.
@@ -220,26 +253,38 @@ def perception_of(data: bytes, path: Path) -> Perception:
         (length,) = struct.unpack_from("<Q", data)
         metadata = json.loads(data[8 : 8 + length]).get("__metadata__") or {}
         about = json.loads(metadata.get(ABOUT, "{}"))
-        if about.get("format") != FORMAT:
+        kind = next((each for each in kinds if about.get("format") == each.FORMAT), None)
+        if kind is None:
+            expects = " or ".join(repr(each.FORMAT) for each in kinds)
             raise UnreadableFileError(
                 f"{path} holds no perception module (format {about.get('format')!r}, expected "
-                f"{FORMAT!r}). {AGAIN}"
+                f"{expects}). {AGAIN}"
             )
-        try:
-            seen = from_dict(Seen, about["seen"])
-        except UserError as error:
-            raise ValueError(one_line(error)) from error
-        if not seen.facets or len(set(seen.facets)) != len(seen.facets):
-            raise ValueError("it names no facets, or one twice")
         with torch.device("meta"):  # sizes are compared before memory is allocated
-            expected = {n: tuple(v.shape) for n, v in Perception(seen).state_dict().items()}
+            module = kind.build(about, tensors)
+            expected = {n: tuple(v.shape) for n, v in module.state_dict().items()}
         if {name: tuple(value.shape) for name, value in tensors.items()} != expected:
             raise ValueError("its arrays do not fit the facets that it names")
         if not all(v.is_floating_point() and v.isfinite().all() for v in tensors.values()):
             raise ValueError("it contains non-finite values")
-        perception = Perception(seen)
+        perception = kind.build(about, tensors)
         perception.load_state_dict(tensors)
     return perception.eval().requires_grad_(False)
+
+
+def seen_of(about: dict[str, Any]) -> Seen:
+    """Read from the `Perception.describe` of a file what a module was made for.
+
+    Raises:
+        ValueError: it cannot be.
+    """
+    try:
+        seen = from_dict(Seen, about["seen"])
+    except UserError as error:
+        raise ValueError(one_line(error)) from error
+    if not seen.facets or len(set(seen.facets)) != len(seen.facets):
+        raise ValueError("it names no facets, or one twice")
+    return seen
 
 
 def check_fits(seen: Seen, env: EnvConfig, facets: Sequence[tuple[str, str]]) -> None:

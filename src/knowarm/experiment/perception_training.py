@@ -14,6 +14,7 @@ from knowarm.seeding import derive_seed, torch_generator
 from knowarm.world.choice_source import choice_table
 from knowarm.world.config import EnvConfig
 from knowarm.world.held_out import HeldOut
+from knowarm.world.scene import Scene
 from knowarm.world.vector_env import ReachVectorEnv
 from knowarm.world.visual_randomization import VisualRandomization
 
@@ -101,6 +102,7 @@ def draw_pictures(env: EnvConfig, seen: Seen, count: int, seed: int) -> Pictures
         seed: of the episodes.
     """
     world = ReachVectorEnv(env, min(ENVS, count))
+    numbers = facet_numbers(world.scene, seen)
     images, facets, queries = [], [], []
     start: int | None = seed
     try:
@@ -110,7 +112,7 @@ def draw_pictures(env: EnvConfig, seen: Seen, count: int, seed: int) -> Pictures
             objects = infos.get("objects", infos["target"][:, None])
             colours = infos.get("object_colours", infos["colour"][:, None])
             images.append(torch.from_numpy(found[:kept]))
-            facets.append(_facets(world, seen, objects[:kept], colours[:kept]))
+            facets.append(numbers[objects[:kept], colours[:kept]])
             queries.append(np.asarray(infos.get("query", np.zeros(len(found), np.int64)))[:kept])
     finally:
         world.close()
@@ -121,18 +123,15 @@ def draw_pictures(env: EnvConfig, seen: Seen, count: int, seed: int) -> Pictures
     )
 
 
-def _facets(
-    world: ReachVectorEnv, seen: Seen, objects: np.ndarray, colours: np.ndarray
-) -> np.ndarray:
-    """Return the facets of objects (n, m) in their colours (n, m), (n, m) int64."""
-    scene = world.scene
+def facet_numbers(scene: Scene, seen: Seen) -> np.ndarray:
+    """Return the facet of each target in each of its colours, (targets, colours) int64."""
     most = max(map(len, scene.colour_names))
     table = np.zeros((len(scene.targets), most), np.int64)
     for number, (target, names) in enumerate(zip(scene.targets, scene.colour_names, strict=True)):
         for colour, name in enumerate(names):
             if (target.name, name) in seen.facets:
                 table[number, colour] = seen.facets.index((target.name, name))
-    return table[objects, colours]
+    return table
 
 
 def _fit(

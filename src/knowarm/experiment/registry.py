@@ -128,5 +128,6 @@ def _config(
         env=env,
         knowledge=knowledge,
         policy=dataclasses.replace(agent.policy, **algorithm.policy),
+        grounding=agent.grounding,
         algorithm=algorithm.config,
     )

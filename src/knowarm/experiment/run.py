@@ -1,18 +1,24 @@
 """Training of one experiment in its run folder, from the start or resumed."""
 
-import signal
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from dataclasses import replace as replace_fields
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 from knowarm.config import replace, to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.algorithms import ALGORITHMS, TrainerInputs
-from knowarm.experiment.build import SEED_DERIVATION, EnvFactory, InterimFactory, Parts, build
+from knowarm.experiment.build import (
+    SEED_DERIVATION,
+    EnvFactory,
+    InterimFactory,
+    Parts,
+    build,
+    slots_of,
+)
 from knowarm.experiment.config import ExperimentConfig
+from knowarm.experiment.grounding_training import train_grounding
 from knowarm.experiment.logs import Mirror, RunLogs, TrainingProgress
 from knowarm.experiment.migration import FORMAT, migrate_checkpoints
 from knowarm.experiment.perceived import FILE, describe_module, perception_for, stored_perception
@@ -109,6 +115,8 @@ def _perception(
                 "without perception, or pass another runs folder or seed to start a new run."
             )
         data, path = stored, resumed.path / FILE
+    if config.grounding is not None and given is None:
+        return data  # trained with the run where there is none yet
     perception = perception_for(config.knowledge, data, path or Path(FILE))
     if perception is not None:
         check_fits(
@@ -139,6 +147,12 @@ def _train_locked(
     with TrainingProgress(f"{config.name}/{config.seed}", config.total_steps) as progress:
         for line in announcements(parts):
             progress.line(line)
+        if config.grounding is not None and module is None:
+            folder.write_json("config.json", {"format": FORMAT, **to_dict(config)})  # can resume
+            module = _train_grounding(config, parts, progress.line, should_stop)
+            if module is None:
+                stopped = TrainingResult(step=0, reason="stopped", best_return=None, best_step=None)
+                return Run(folder, stopped)
         logs = RunLogs(folder, progress, mirrors)
         trainer = _make_trainer(config, parts, policy, module, folder, logs, should_stop)
         if not (resume and folder.has_checkpoint):
@@ -162,6 +176,26 @@ def _train_locked(
             progress.line(f"learned, as stop_when defines it, at step {step:,}")
             result = replace_fields(result, reason="finished")
     return Run(folder, result)
+
+
+def _train_grounding(
+    config: ExperimentConfig,
+    parts: Parts,
+    report: Callable[[str], None],
+    should_stop: Callable[[], bool],
+) -> bytes | None:
+    """Train the grounding network of a run; return the content of its file, None if stopped."""
+    assert config.grounding is not None
+    network = train_grounding(
+        config.env,
+        parts.table,
+        slots_of(parts.embedding),
+        config.grounding,
+        seed=config.seed,
+        report=report,
+        should_stop=should_stop,
+    )
+    return None if network is None else network.to_bytes()
 
 
 def announcements(parts: Parts) -> list[str]:
@@ -289,41 +323,3 @@ def _make_trainer(
         },
     )
     return ALGORITHMS[config.algorithm.name].make_trainer(inputs)
-
-
-class StopRequest:
-    """Signal handler that turns the first Ctrl-C (or SIGTERM) into a request to save and stop.
-
-    A second one raises KeyboardInterrupt. A terminal that closes (SIGHUP, sent once or several
-    times) requests to save and stop, too. Use it as a context manager in the main thread and pass
-    it as ``should_stop``: calling it returns whether a signal arrived.
-    """
-
-    def __init__(self) -> None:
-        self._stop = False
-        self._previous: dict[signal.Signals, Any] = {}
-
-    def __call__(self) -> bool:
-        """Return whether a stop was requested."""
-        return self._stop
-
-    def __enter__(self) -> "StopRequest":
-        """Install the handlers."""
-        for name in ("SIGINT", "SIGTERM", "SIGHUP"):
-            number = getattr(signal, name, None)
-            if number is None:
-                continue  # Windows has no SIGHUP
-            if name == "SIGHUP" and signal.getsignal(number) is signal.SIG_IGN:
-                continue  # nohup
-            self._previous[number] = signal.signal(number, self._on_signal)
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        """Restore the previous handlers."""
-        for number, handler in self._previous.items():
-            signal.signal(number, handler)
-
-    def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        if self._stop and number in (signal.SIGINT, signal.SIGTERM):
-            raise KeyboardInterrupt
-        self._stop = True

@@ -4,8 +4,8 @@ Layout of ``runs/<experiment>/<seed>/``::
 
     config.json            the resolved ExperimentConfig
     provenance.json        versions, commit, machine, policy sizes, parameter counts, knowledge
-    knowledge.safetensors  the policy's knowledge table (F, K), one row per facet
-    perception.safetensors the perception module, for agents that are told what it names
+    knowledge.safetensors  the knowledge table (F, K), one row per facet or query
+    perception.safetensors the perception module or grounding network, for agents that have one
     metrics.csv            one row per update (PPO) or log interval (A3C)
     evaluations.csv        one row per interim evaluation
     tensorboard/           the same curves for TensorBoard

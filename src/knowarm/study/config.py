@@ -30,7 +30,7 @@ SHIPPED = {path.stem: path for path in sorted((Path(__file__).parent / "shipped"
 """The TOML file of every shipped study, by name."""
 
 PACKED = "manifest.json"
-"""File that marks the folder of an unpacked study, whose runs cannot go on."""
+"""File that marks the folder of an unpacked study, in which unfinished runs cannot go on."""
 
 
 @dataclass(frozen=True, kw_only=True)

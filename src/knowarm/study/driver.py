@@ -65,6 +65,7 @@ def run_study(
     try:
         with lock_folder(out, remedy="Wait until it ends, or stop it: knowarm study stop."):
             write_study(study, out)
+            (out / PACKED).unlink(missing_ok=True)  # runs that start from now on can be resumed
             (out / STOP).unlink(missing_ok=True)
             _Driver(study, out, executor, on_status).run(should_stop)
     finally:
@@ -83,13 +84,21 @@ def check_folder(study: StudyConfig, out: Path) -> None:
     """
     for name in study.mirrors:
         check_mirror(name)
-    if (out / PACKED).exists():
-        raise UserError(
-            f"{out} is an unpacked study, which lacks what resuming needs: choose another folder."
-        )
     if (out / FILE).exists() and (other := read_study(out).name) != study.name:
         raise UserError(
             f"{out} holds the study {other!r}, not {study.name!r}: choose another folder."
+        )
+    if (out / PACKED).exists() and (
+        begun := [
+            f"{each.experiment}/{each.seed}"
+            for each in study_status(study, out)
+            if each.state not in ("waiting", "done")
+        ]
+    ):
+        raise UserError(
+            f"{out} is an unpacked study, which lacks what resuming {', '.join(begun[:3])} needs: "
+            f"remove the folders of unfinished runs ({len(begun)}) to start these again, or choose "
+            "another folder."
         )
     missing = 0
     for config in study.runs():

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Literal
 
 from knowarm.errors import UserError, unknown_name
+from knowarm.experiment.perceived import FILE as PERCEPTION
 from knowarm.experiment.run import run_path
 from knowarm.experiment.run_lock import lock_folder
 from knowarm.study.config import FILE, PACKED
@@ -38,12 +39,12 @@ RUN_FILES = (
 )
 """Patterns of the files of a run that every pack holds."""
 
-PART_FILES: dict[Part, str] = {
-    "policies": "checkpoints/best/*",
-    "steps": "evaluation/*/steps.parquet",
-    "films": "evaluation/*/films/*",
+PART_FILES: dict[Part, tuple[str, ...]] = {
+    "policies": ("checkpoints/best/*", PERCEPTION),
+    "steps": ("evaluation/*/steps.parquet",),
+    "films": ("evaluation/*/films/*",),
 }
-"""Pattern of the files of a run that belong to a part."""
+"""Patterns of the files of a run that belong to a part."""
 
 
 def pack_study(out: Path, file: Path, *, leave_out: Collection[Part] = ()) -> int:
@@ -66,7 +67,10 @@ def pack_study(out: Path, file: Path, *, leave_out: Collection[Part] = ()) -> in
     if not file.name.endswith(SUFFIX):
         raise UserError(f"A pack is a {SUFFIX} file, got {file}.")
     study = open_study(out)
-    patterns = [*RUN_FILES, *(each for name, each in PART_FILES.items() if name not in leave_out)]
+    patterns = [
+        *RUN_FILES,
+        *(each for name, files in PART_FILES.items() if name not in leave_out for each in files),
+    ]
     with lock_folder(out, remedy="Stop it before packing: knowarm study stop."):
         paths = [out / FILE] + [
             path

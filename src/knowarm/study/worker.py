@@ -16,9 +16,10 @@ import psutil
 
 from knowarm.errors import UserError
 from knowarm.experiment.evaluate import evaluate
-from knowarm.experiment.run import StopRequest, run_path, train
+from knowarm.experiment.run import run_path, train
 from knowarm.experiment.run_folder import RunFolder, write_json
 from knowarm.experiment.run_lock import FolderInUseError, lock_folder
+from knowarm.experiment.stop_request import StopRequest
 from knowarm.study.config import read_study
 from knowarm.study.executors import RunKey
 from knowarm.study.mirrors import open_mirror

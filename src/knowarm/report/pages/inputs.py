@@ -122,7 +122,9 @@ def _kind_of_input(task: Task) -> Verdict:
 
 def _privileged_uses(group: Group) -> list[str]:
     """List what the training used the simulator's state for, besides the reward."""
-    return privileged_uses(group.runs[0].config["algorithm"])
+    config = group.runs[0].config
+    grounding = ["grounding"] if config.get("grounding") else []
+    return [*privileged_uses(config["algorithm"]), *grounding]
 
 
 def _overview(task: Task) -> Table:
