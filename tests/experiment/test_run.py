@@ -178,7 +178,9 @@ def test_every_agent_can_be_built(name, task):
     rows = 6 if task == "reach" else len(choice_table(config.env).queries)
     if config.knowledge.scope == "perceived":  # a row per facet in both tasks
         rows = len(parts.facets)
-    assert parts.table.shape == (rows, parts.policy_shape.knowledge_dim) or config.policy.wide
+    assert parts.table.shape == (rows, parts.embedding.dim) or config.policy.wide
+    told = parts.new_policy(0).knowledge_table
+    assert told.shape[1] == parts.policy_shape.knowledge_dim or config.policy.wide
     assert np.isfinite(parts.table).all()
     assert parts.new_policy(0).parameter_counts()["total"] > 0
 

@@ -10,6 +10,17 @@ NAMES = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, nam
 hangup = pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="Windows has no SIGHUP")
 
 
+@pytest.fixture(autouse=True)
+def default_hangup():
+    """Handle SIGHUP as by default: under nohup it is ignored."""
+    if not hasattr(signal, "SIGHUP"):
+        yield
+        return
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_a_signal_asks_to_stop(name):
     before = signal.getsignal(getattr(signal, name))

@@ -201,6 +201,19 @@ def test_mjcf_that_would_take_gigabytes_is_refused(tmp_path, asset, message):
 
 
 @pytest.mark.parametrize("included", [False, True])
+def test_a_height_field_is_refused_before_mujoco_reserves_its_memory(
+    tmp_path, monkeypatch, included
+):
+    path, other = tmp_path / "a.xml", tmp_path / "b.xml"
+    field = "<hfield name='h'\n ncol = '50000' size='1 1 1 1' nrow='50000'/>"
+    path.write_text(f"<mujoco><asset>{field}</asset></mujoco>")
+    other.write_text('<mujoco><include file="a.xml"/></mujoco>')
+    monkeypatch.setattr("mujoco.MjSpec", None)
+    with pytest.raises(UserError, match="height field has 2,500,000,000"):
+        read_mjcf(other if included else path, "Robot 'own'")
+
+
+@pytest.mark.parametrize("included", [False, True])
 def test_mjcf_with_millions_of_copies_is_refused(tmp_path, included):
     copies = '<body><geom size="1"/></body>'
     for _ in range(4):

@@ -1,5 +1,6 @@
 """Attachment of a robot's or target's MJCF file to the ``MjSpec`` of a scene."""
 
+import math
 import re
 from collections.abc import Iterable
 from contextlib import suppress
@@ -43,7 +44,7 @@ def read_mjcf(path: Path, owner: str) -> mujoco.MjSpec:
     if not is_file:
         raise UserError(f"{owner}: mjcf is {str(path)!r}, and there is no such file.")
     try:
-        _check_repetitions(path, owner)
+        _check_text(path, owner)
         spec = mujoco.MjSpec.from_file(str(path))
         _check_sizes(spec, path, owner)
         spec.compile()
@@ -58,11 +59,12 @@ def read_mjcf(path: Path, owner: str) -> mujoco.MjSpec:
     return spec
 
 
-def _check_repetitions(path: Path, owner: str, depth: int = 0) -> None:
-    """Refuse elements that repeat others very often, while MuJoCo has not yet expanded them.
+def _check_text(path: Path, owner: str, depth: int = 0) -> None:
+    """Refuse what takes gigabytes while MuJoCo reads it: repetitions and height fields.
 
     Raises:
-        UserError: a ``count`` is too large, or files include each other too deeply.
+        UserError: a ``count`` or a height field is too large, or files include each other too
+            deeply.
     """
     with reading(path, "Give the path of an MJCF file."):
         text = path.read_bytes()
@@ -75,12 +77,16 @@ def _check_repetitions(path: Path, owner: str, depth: int = 0) -> None:
             f"{owner}: mjcf {str(path)!r} repeats elements {total:,} times, and at most "
             f"{MAX_COPIES:,} copies are read. Reduce the attributes count."
         )
+    for found in re.finditer(rb"<hfield\s[^>]*", text):
+        sides = re.findall(rb"\b(?:nrow|ncol)\s*=\s*[\"']\s*(\d+)", found[0])
+        if (size := math.prod(map(int, sides))) > MAX_PIXELS:
+            raise _too_large(owner, path, "a height field", size)
     for found in re.finditer(rb"<include\s[^>]*file\s*=\s*[\"']([^\"']*)[\"']", text):
         included = path.parent / found[1].decode(errors="replace")
         if depth > MAX_INCLUDES:
             raise UserError(f"{owner}: mjcf {str(path)!r} includes files too deeply.")
         if included.is_file():
-            _check_repetitions(included, owner, depth + 1)
+            _check_text(included, owner, depth + 1)
 
 
 def _check_sizes(spec: mujoco.MjSpec, path: Path, owner: str) -> None:
@@ -105,10 +111,14 @@ def _check_sizes(spec: mujoco.MjSpec, path: Path, owner: str) -> None:
     }
     for name, size in sizes.items():
         if size > MAX_PIXELS:
-            raise UserError(
-                f"{owner}: mjcf {str(path)!r}: {name} has {size:,} elements, and at most "
-                f"{MAX_PIXELS:,} are read. Reduce its size."
-            )
+            raise _too_large(owner, path, name, size)
+
+
+def _too_large(owner: str, path: Path, name: str, size: int) -> UserError:
+    return UserError(
+        f"{owner}: mjcf {str(path)!r}: {name} has {size:,} elements, and at most "
+        f"{MAX_PIXELS:,} are read. Reduce its size."
+    )
 
 
 def attach_robot(spec: mujoco.MjSpec, robot: Robot) -> None:
