@@ -21,6 +21,13 @@ def test_all_learners_are_in_one_table() -> None:
     assert sum(shares) <= 1.05
 
 
+@pytest.mark.parametrize("agent", ["target-perceived", "subgraph"])
+def test_agents_with_a_network_beside_the_policy_are_refused(agent: str) -> None:
+    config = LearnBenchConfig(experiment=f"irb120-choose-{agent}-ppo")
+    with pytest.raises(UserError, match="choose an agent without one"):
+        bench_learn(config)
+
+
 def test_sizes_out_of_range_are_refused() -> None:
     with pytest.raises(UserError, match="cores must be at least 1, got 0"):
         LearnBenchConfig(cores=0)

@@ -8,13 +8,12 @@ from typing import Any, cast
 import torch
 
 from knowarm.bench.clock import PartClock
-from knowarm.bench.time_to_success import time_to_success
+from knowarm.bench.time_to_success import refuse_module, time_to_success
 from knowarm.bench.world import measure_raycaster
 from knowarm.cores import processor
 from knowarm.errors import UserError
 from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.build import EnvFactory, Parts, build
-from knowarm.experiment.perceived import perception_for
 from knowarm.experiment.registry import DEFAULT_EXPERIMENT, experiment_config
 from knowarm.learn import A3CConfig, Hooks, Metrics, PPOConfig, PPOTrainer, TorchVectorEnv
 from knowarm.learn.a3c import A3CTrainer
@@ -80,10 +79,10 @@ def bench_learn(config: LearnBenchConfig | None = None) -> dict[str, Any]:
         `time_to_success`.
 
     Raises:
-        UserError: the experiment needs a perception module.
+        UserError: the agent has a perception module or a grounding network.
     """
     config = config or LearnBenchConfig()
-    perception_for(experiment_config(config.experiment).knowledge, None)
+    refuse_module(experiment_config(config.experiment))
     torch.set_num_threads(config.cores)
     rows = [
         raycaster_row(config),

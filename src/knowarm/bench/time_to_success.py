@@ -5,10 +5,10 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, cast
 
+from knowarm.errors import UserError
 from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.build import InterimFactory, build
 from knowarm.experiment.config import ExperimentConfig, InterimConfig
-from knowarm.experiment.perceived import perception_for
 from knowarm.experiment.registry import experiment_config, experiment_name
 from knowarm.learn import Hooks, Metrics, PPOConfig, PPOTrainer
 from knowarm.policy import Policy
@@ -64,8 +64,21 @@ class SuccessClock:
 
 def interim_evaluation(experiment: ExperimentConfig, seed: int) -> Callable[[Policy], Metrics]:
     """Return the function that plays the interim evaluation of the benchmark."""
-    perception_for(experiment.knowledge, None)  # refuses agents that need a module
+    refuse_module(experiment)
     return InterimFactory(experiment.env, INTERIM, seed)()
+
+
+def refuse_module(experiment: ExperimentConfig) -> None:
+    """Refuse agents that the benchmarks cannot train.
+
+    Raises:
+        UserError: the agent has a perception module or a grounding network.
+    """
+    if experiment.has_module:
+        raise UserError(
+            f"{experiment.name} has a perception module or a grounding network beside its policy, "
+            "which benchmarks do not train: choose an agent without one, such as bm or mask."
+        )
 
 
 def with_algorithm(experiment: ExperimentConfig, algorithm: str) -> ExperimentConfig:
