@@ -1,3 +1,4 @@
+import json
 import os
 import signal
 import subprocess
@@ -7,7 +8,7 @@ import pytest
 
 from knowarm.errors import UserError
 from knowarm.experiment.run import train
-from knowarm.experiment.run_lock import lock_folder
+from knowarm.experiment.run_lock import HOLDER, lock_folder
 from tests.experiment.test_run import short
 
 HOLD = """
@@ -64,6 +65,13 @@ def test_the_lock_is_released_after_an_error(tmp_path):
     for _ in range(2):
         with pytest.raises(KeyError), lock_folder(tmp_path / "run", remedy=""):
             raise KeyError
+
+
+def test_the_name_of_the_holder_is_replaced_as_a_whole(tmp_path):
+    (tmp_path / HOLDER).write_text("before")
+    with (tmp_path / HOLDER).open() as reader, lock_folder(tmp_path, remedy=""):
+        assert reader.read() == "before"
+        assert json.loads((tmp_path / HOLDER).read_text())["pid"] == os.getpid()
 
 
 @pytest.mark.parametrize("resume", [False, True])

@@ -11,13 +11,13 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from knowarm.errors import UserError
+from knowarm.experiment.run_folder import write_json
 
 LOCK = ".lock"
 """File that the kernel locks; it stays, unlocked, when the process ends."""
 
 HOLDER = ".lock.json"
 """Who holds the lock; only for messages, because it outlives a killed process."""
-
 
 SECONDS = 1.0
 """How long to wait for the lock: `is_locked` holds it for a moment."""
@@ -80,13 +80,7 @@ def _name_holder(path: Path) -> None:
         "host": socket.gethostname(),
         "since": datetime.now(UTC).isoformat(timespec="seconds"),
     }
-    try:
-        (path / HOLDER).write_text(json.dumps(holder) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise UserError(
-            f"Cannot write to the output folder {path}: {error.strerror or error}. Free disk "
-            "space or pass another folder."
-        ) from error
+    write_json(path / HOLDER, holder)
 
 
 def _holder(path: Path) -> str:
