@@ -146,7 +146,7 @@ parity() {
   mapfile -t tests < <(grep -rlE 'mark\.cuda|tests\.devices|tests\.world\.faces' "$here/tests" --include='test_*.py' | grep -v '/bench/' | sort)
   # Without a GPU the same comparisons run on the CPU device.
   [ "$DEVICE" = cuda ] || chosen='not cuda'
-  [ -z "$TINY" ] || chosen="$chosen and not slow"
+  [ -z "$TINY" ] || { chosen="$chosen and not slow" tests=("$here/tests/learn/test_device.py"); }
   timeout "$LIMIT_S" "$PYTHON" -m pytest -q -p no:cacheprovider -m "$chosen" "${tests[@]}" 2>&1 |
     tee "$WORK/parity.txt" || fail "the parity tests failed; nothing is measured. See $OUT/parity.txt."
   if [ "$DEVICE" = cuda ] && ! { tail -1 "$WORK/parity.txt" | grep -q ' passed' && ! tail -1 "$WORK/parity.txt" | grep -q skipped; }; then

@@ -36,11 +36,38 @@ assert "fma" in ptx()
 """
 
 
+OPTIMIZERS = """
+import sys
+import torch
+from knowarm.learn.optimizer import Adam, Muon
+
+def trained(kind):
+    matrix = torch.arange(6.0).reshape(2, 3).requires_grad_()
+    optimizer = kind([matrix], lr=0.1)
+    for scale in (1, -2, 3):
+        optimizer.zero_grad()
+        (scale * matrix.square()).sum().backward()
+        optimizer.step()
+    optimizer.load_state_dict(optimizer.state_dict())
+    return matrix.detach()
+
+matrices = trained(Adam), trained(Muon)
+assert "torch._dynamo" not in sys.modules
+for matrix, kind in zip(matrices, (torch.optim.Adam, torch.optim.Muon)):
+    assert torch.equal(matrix, trained(kind)), kind
+assert "torch._dynamo" in sys.modules
+"""
+
+
 def load(path: Path) -> ModuleType:
     spec = importlib.util.spec_from_file_location(path.stem, path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+def test_optimizers_do_not_import_the_compiler() -> None:
+    subprocess.run([sys.executable, "-c", OPTIMIZERS], check=True)
 
 
 def test_numba_caches_a_function_under_its_key(tmp_path: Path) -> None:

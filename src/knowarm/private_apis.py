@@ -4,6 +4,7 @@ tests/test_private_apis.py fails where a new version of a library lacks one of t
 """
 
 import atexit
+import inspect
 import multiprocessing.process
 import os
 import sys
@@ -15,11 +16,16 @@ from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from types import CellType, FunctionType
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import numpy as np
 
 from knowarm.errors import UserError
+
+if TYPE_CHECKING:  # takes a second to import, and the command line imports this module
+    from torch.optim import Optimizer
+
+    OptimizerT = TypeVar("OptimizerT", bound=Optimizer)
 
 
 def cpu_has_bfloat16() -> bool:
@@ -31,6 +37,28 @@ def cpu_has_bfloat16() -> bool:
     import torch  # takes a second to import, and the command line imports this module
 
     return bool(torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported())
+
+
+def without_compiler(optimizer: "type[OptimizerT]") -> "type[OptimizerT]":
+    """Return an optimizer that does not import PyTorch's compiler.
+
+    Reason: `torch.optim` imports the compiler, a third of the time in which a training starts, only
+    to mark what it should not compile, and no option prevents it. The mark of a method is looked up
+    before the import: with the method itself as its mark, the method is called as it is.
+
+    Args:
+        optimizer: a class of `torch.optim`.
+
+    Returns:
+        A subclass with the same steps and state.
+    """
+    from torch import no_grad
+
+    for name in ("add_param_group", "load_state_dict", "state_dict", "zero_grad"):
+        method = inspect.unwrap(getattr(optimizer, name))
+        method.__dynamo_disable = method
+    step = no_grad()(inspect.unwrap(optimizer.step))
+    return type(optimizer.__name__, (optimizer,), {"step": step})
 
 
 def key_numba_cache(function: Callable[..., Any], key: str) -> Callable[..., Any]:

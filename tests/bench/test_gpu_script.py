@@ -30,10 +30,18 @@ def gpu_sh(folder: Path, *arguments: str, **settings: str) -> subprocess.Complet
     )
 
 
-@pytest.mark.slow
-def test_every_stage_runs_on_the_cpu_device(tmp_path: Path) -> None:
+@pytest.fixture
+def warp_cache() -> dict[str, str]:
+    """Return the setting for Warp's own cache, so that other tests' kernels need no compilation."""
+    warp = pytest.importorskip("warp")
     pytest.importorskip("mujoco_warp")
-    done = gpu_sh(tmp_path)
+    warp.init()
+    return {"WARP_CACHE_PATH": warp.config.kernel_cache_dir}
+
+
+@pytest.mark.slow
+def test_every_stage_runs_on_the_cpu_device(tmp_path: Path, warp_cache: dict[str, str]) -> None:
+    done = gpu_sh(tmp_path, **warp_cache)
     assert done.returncode == 0, done.stdout + done.stderr
     out = tmp_path / "out"
     curve = {"metrics.csv", "evaluations.csv", "config.json", "provenance.json"}
@@ -49,7 +57,7 @@ def test_every_stage_runs_on_the_cpu_device(tmp_path: Path) -> None:
     assert re.search(r"\d+ passed", (out / "parity.txt").read_text())
     assert done.stdout.count("80 of 80 steps") == 1
 
-    again = gpu_sh(tmp_path, STAGES="bench train")
+    again = gpu_sh(tmp_path, STAGES="bench train", **warp_cache)
     assert again.returncode == 0, again.stdout + again.stderr
     assert "Trained for" not in again.stdout
     assert json.loads((out / "gpu.json").read_text()) == result
@@ -71,14 +79,13 @@ wait $!
 
 
 @pytest.mark.slow
-def test_a_stopped_training_is_resumed(tmp_path: Path) -> None:
-    pytest.importorskip("mujoco_warp")
+def test_a_stopped_training_is_resumed(tmp_path: Path, warp_cache: dict[str, str]) -> None:
     programs = tmp_path / "programs"
     programs.mkdir()
     (programs / "timeout").write_text(TIMEOUT)
     (programs / "timeout").chmod(0o755)
     sizes = "--total-steps 1000000 --checkpoint-every-steps 1000000"
-    stop = {"PATH": f"{programs}:{os.environ['PATH']}", "RUN": "irb120-full-ppo/0"}
+    stop = {"PATH": f"{programs}:{os.environ['PATH']}", "RUN": "irb120-full-ppo/0"} | warp_cache
     options = {"BENCH_OPTIONS": "--no-training", "TRAIN_OPTIONS": sizes}
     stopped = gpu_sh(tmp_path, STAGES="bench train", **options, **stop)
     assert stopped.returncode == 1, stopped.stdout + stopped.stderr

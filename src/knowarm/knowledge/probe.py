@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import spearmanr
+import scipy
 
 from knowarm.knowledge.config import KnowledgeConfig
 from knowarm.knowledge.embedding import scene_embedding
@@ -228,4 +228,4 @@ def query_agreement(
     pairs = np.triu_indices(len(facts), 1)
     if not len(pairs[0]) or np.ptp(cosine[pairs]) < 1e-6:
         return None
-    return float(spearmanr(cosine[pairs], (both / either)[pairs]).statistic)
+    return float(scipy.stats.spearmanr(cosine[pairs], (both / either)[pairs]).statistic)

@@ -5,8 +5,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components
+import scipy
 
 from knowarm.knowledge.graph import KnowledgeGraph
 from knowarm.knowledge.terms import label_of, local_name
@@ -46,8 +45,10 @@ def graph_statistics(graph: KnowledgeGraph, hubs: int = 10) -> GraphStatistics:
     size = len(graph.names)
     degree = np.bincount(graph.heads, minlength=size) + np.bincount(graph.tails, minlength=size)
     own = degree[graph.nodes]
-    edges = csr_matrix((np.ones(len(graph), bool), (graph.heads, graph.tails)), (size, size))
-    _, part = connected_components(edges, directed=False)
+    edges = scipy.sparse.csr_matrix(
+        (np.ones(len(graph), bool), (graph.heads, graph.tails)), (size, size)
+    )
+    _, part = scipy.sparse.csgraph.connected_components(edges, directed=False)
     inside = len(np.unique(part[graph.nodes])) if size else 0
     order = graph.nodes[np.lexsort((graph.nodes, -own))][:hubs]
     counts = np.bincount(graph.relations, minlength=len(graph.relation_names))
@@ -80,8 +81,10 @@ def _cycles(graph: KnowledgeGraph, most: int = 10) -> tuple[tuple[str, tuple[str
         reverse = np.isin(tails * size + heads, heads * size + tails)
         if reverse.mean() > 0.5 and len(heads) > 2:
             continue
-        edges = csr_matrix((np.ones(len(heads), bool), (heads, tails)), (size, size))
-        _, part = connected_components(edges, directed=True, connection="strong")
+        edges = scipy.sparse.csr_matrix((np.ones(len(heads), bool), (heads, tails)), (size, size))
+        _, part = scipy.sparse.csgraph.connected_components(
+            edges, directed=True, connection="strong"
+        )
         together = np.flatnonzero(np.bincount(part) > 1)
         groups = [np.flatnonzero(part == group) for group in together[:most]]
         groups += [np.array([node]) for node in np.unique(heads[heads == tails])[:most]]

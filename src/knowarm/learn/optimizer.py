@@ -5,9 +5,12 @@ from collections.abc import Mapping
 import numpy as np
 import torch
 from torch import nn
-from torch.optim import Adam, Muon
 
 from knowarm.learn.config import PPOConfig
+from knowarm.private_apis import without_compiler
+
+Adam = without_compiler(torch.optim.Adam)
+Muon = without_compiler(torch.optim.Muon)
 
 MUON_PARAMETERS = ("fc.weight", "memory.weight_ih", "memory.weight_hh")
 """Matrices that Muon updates: those of the hidden layers."""

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from knowarm.errors import UserError
 from knowarm.learn.config import PPOConfig
 from knowarm.learn.environment import PrivilegedVectorEnv
+from knowarm.learn.optimizer import Adam
 from knowarm.seeding import torch_generator
 
 AUXILIARY_QUANTITIES = (
@@ -110,9 +111,7 @@ class StateCritic:
             nn.init.orthogonal_(layer.weight, gain, generator=weights)
             nn.init.zeros_(layer.bias)
         self.network.to(device)
-        self._optimizer = torch.optim.Adam(
-            self.network.parameters(), lr=CRITIC_LEARNING_RATE, fused=True
-        )
+        self._optimizer = Adam(self.network.parameters(), lr=CRITIC_LEARNING_RATE, fused=True)
         self._generator = torch_generator(seed, "minibatches", 1, device=device)
 
     @torch.no_grad()

@@ -10,8 +10,8 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from knowarm.config import from_dict
 from knowarm.errors import UserError, unknown_name
@@ -229,7 +229,7 @@ def _home(scene: Scene, ignore_roll: bool) -> tuple[NDArray[np.float64], str]:
     solver = InverseKinematics(scene, ignore_roll=ignore_roll)
     grasps = solver.solve(position, matrix, np.tile(scene.home, (len(position), 1))).joints
     middle = (grasps.max(axis=0) + grasps.min(axis=0)) / 2
-    share = qmc.Halton(scene.num_joints, scramble=False).random(HOME_CANDIDATES)
+    share = scipy.stats.qmc.Halton(scene.num_joints, scramble=False).random(HOME_CANDIDATES)
     poses = middle + HOME_OFFSET_RAD * (2 * share - 1)
     slack = 0.1 * (scene.joint_upper - scene.joint_lower)
     poses = np.clip(poses, scene.joint_lower + slack, scene.joint_upper - slack)

@@ -4,8 +4,8 @@ import math
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from knowarm.errors import UserError
 from knowarm.world.backends.mujoco import MujocoSimulator
@@ -30,7 +30,7 @@ DISTANCE_M = 0.03
 
 def _samples(scene: Scene, count: int) -> NDArray[np.float64]:
     """Spread joint angles over their ranges, (count, J)."""
-    share = qmc.Halton(scene.num_joints, scramble=False).random(count)
+    share = scipy.stats.qmc.Halton(scene.num_joints, scramble=False).random(count)
     return np.asarray(scene.joint_lower + share * (scene.joint_upper - scene.joint_lower))
 
 

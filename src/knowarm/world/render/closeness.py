@@ -2,8 +2,8 @@
 
 import mujoco
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 STATES = 512
 """States of the joints that are tried."""
@@ -36,7 +36,8 @@ def closest_depths(
     limited = model.jnt_limited[joints].astype(np.bool_)[:, None]
     ranges = np.where(limited, model.jnt_range[joints], [-np.pi, np.pi])
     count = STATES if len(joints) else 1
-    share = qmc.Halton(max(1, len(joints)), scramble=False).random(count)[:, : len(joints)]
+    halton = scipy.stats.qmc.Halton(max(1, len(joints)), scramble=False)
+    share = halton.random(count)[:, : len(joints)]
     values = ranges[:, 0] + share * (ranges[:, 1] - ranges[:, 0])
     data = mujoco.MjData(model)
     eye, rotation = view[:3].astype(np.float64), view[3:].reshape(3, 3).astype(np.float64)

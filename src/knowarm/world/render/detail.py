@@ -16,10 +16,8 @@ from typing import NamedTuple
 
 import fast_simplification
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from knowarm.world.render.deviation import Surface, deviation
 
@@ -158,8 +156,8 @@ def _parts(whole: Part) -> list[Part]:
         return []
     edges = np.concatenate([faces[:, :2], faces[:, 1:]])
     ones = np.ones(len(edges), dtype=np.int8)
-    graph = coo_array((ones, (edges[:, 0], edges[:, 1])), shape=(len(vertices),) * 2)
-    label = connected_components(graph, directed=False)[1][faces[:, 0]]
+    graph = scipy.sparse.coo_array((ones, (edges[:, 0], edges[:, 1])), shape=(len(vertices),) * 2)
+    label = scipy.sparse.csgraph.connected_components(graph, directed=False)[1][faces[:, 0]]
     label, size = np.unique(label, return_inverse=True, return_counts=True)[1:]
     label = np.where(size[label] > FEWEST, label, -1)
     order = np.argsort(label, kind="stable")
@@ -268,7 +266,7 @@ def _normals(full: Mesh, corners: NDArray[np.float64]) -> NDArray[np.float32]:
     inside = 0.85 * corners + 0.15 * corners.mean(axis=1, keepdims=True)
     points = full.vertex[full.face].reshape(-1, 3)
     count = min(NEIGHBOURS, len(points))
-    near = cKDTree(points).query(inside, k=count)[1].reshape(*inside.shape[:2], count)
+    near = scipy.spatial.cKDTree(points).query(inside, k=count)[1].reshape(*inside.shape[:2], count)
     normals = full.normal.reshape(-1, 3)[near].astype(np.float64)
     cosine = np.einsum("tcki,ti->tck", normals, own)
     is_wall = (cosine.max(axis=(1, 2)) > CREASE_COSINE) & (cosine.min(axis=(1, 2)) < -CREASE_COSINE)

@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
+import scipy
 from numba import njit
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from knowarm.world.render.numeric import cached_njit
 
@@ -33,7 +33,7 @@ class Surface:
         points = np.concatenate([used, self.centre])
         chosen = np.linspace(0, len(points) - 1, min(SAMPLES, len(points))).astype(np.intp)
         self.points = np.ascontiguousarray(points[chosen], dtype=np.float64)
-        self._tree = cKDTree(used)
+        self._tree = scipy.spatial.cKDTree(used)
 
     def farthest(self, points: NDArray[np.float64], limit: float) -> float:
         """Return the largest distance of points (n, 3) to this surface [m].
