@@ -44,7 +44,7 @@ def test_runs_are_sorted_into_tasks_and_agents(tmp_path):
     paths = study(tmp_path)
     paths += write_study(tmp_path / "runs", TRUTH, seeds=1, robot="tiago", size=LIGHT)
     found = collect(paths)
-    titles = [f"{robot_title(name)} · fixed colours · PPO" for name in ("irb120", "tiago")]
+    titles = [f"{robot_title(name)} · fixed colours · ppo" for name in ("irb120", "tiago")]
     assert [task.title for task in found.tasks] == sorted(titles)
     assert {task.name for task in found.tasks} == {
         "irb120-fixed-colours-ppo",
@@ -66,6 +66,14 @@ def test_tasks_of_one_name_are_told_apart_by_what_differs(tmp_path):
         "mpi_rad 0.1",
         "mpi_rad 0.2",
     ]
+
+
+def test_algorithms_of_one_trainer_are_told_apart(tmp_path):
+    for algorithm in ("ppo", "fast", "a3c-tuned"):
+        write_run(tmp_path / f"irb120-full-{algorithm}" / "0", "full", 0, 0.5, size=LIGHT)
+    found = collect([tmp_path])
+    assert [task.title.split(" · ")[-1] for task in found.tasks] == ["a3c-tuned", "fast", "ppo"]
+    assert not found.problems
 
 
 def test_agents_of_one_name_are_told_apart_by_what_differs(tmp_path):

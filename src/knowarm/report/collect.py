@@ -173,7 +173,7 @@ def _titles(tasks: list[list[Run]]) -> list[tuple[str, str]]:
     for runs in tasks:
         robot, colours = (str(runs[0].env.get(name)) for name in ("robot", "colours"))
         title = ROBOTS[robot].title if robot in ROBOTS else robot
-        rest = [COLOURS.get(colours, COLOURS["fixed"]), runs[0].algorithm.upper()]
+        rest = [COLOURS.get(colours, COLOURS["fixed"]), runs[0].algorithm]
         if choice := runs[0].env.get("choice"):
             rest.insert(0, f"choice of {choice.get('objects')}")
         short.append((" · ".join([robot, *rest]), " · ".join([title, *rest])))
