@@ -7,14 +7,18 @@ import numpy as np
 import pytest
 
 from knowarm.errors import UserError
+from knowarm.world.agents import OracleAgent
 from knowarm.world.config import EnvConfig
 from knowarm.world.description_file import read_robot
 from knowarm.world.draft import draft_robot, read_overrides
 from knowarm.world.draft_gripper import find_gripper
+from knowarm.world.episodes import evaluation_episodes
+from knowarm.world.play import play
 from knowarm.world.robot_check import check_robot
 from knowarm.world.robots import ROBOTS
 from knowarm.world.scene import load_scene
 from knowarm.world.scene_image import SIDE, write_scene_image
+from knowarm.world.vector_env import ReachVectorEnv
 from tests.world.helpers import EXAMPLES
 
 SHIPPED = ROBOTS["irb120"].robot
@@ -93,11 +97,30 @@ def test_draft_of_a_six_joint_arm_passes_all_checks(tmp_path: Path) -> None:
     assert robot.joints == SHIPPED.joints
     failed = [check for check in check_robot(file, ["mug", "bottle"]) if not check.ok]
     assert failed == []
+    scene = load_scene(str(file), ("mug", "bottle"))
+    half_range = np.median(scene.joint_upper - scene.joint_lower) / 2
+    assert robot.start_fraction == min(0.15, round(0.4 / half_range, 3))
+    env = ReachVectorEnv(EnvConfig(robot=str(file), targets=("mug", "bottle")), 50)
+    results = play(OracleAgent(), env, evaluation_episodes(scene, env.config, 50, seed=1))
+    assert results.success.mean() >= 0.9
+    assert 12 <= np.median(results.length) <= 30  # of 50
     image = tmp_path / "arm.png"
-    write_scene_image(load_scene(str(file), ("mug", "bottle")), EnvConfig(robot=str(file)), image)
+    write_scene_image(scene, EnvConfig(robot=str(file)), image)
     from PIL import Image
 
     assert Image.open(image).size == (2 * SIDE, SIDE)
+
+
+@pytest.mark.slow
+def test_friction_asks_for_faster_servos(tmp_path: Path) -> None:
+    spec = mujoco.MjSpec.from_file(str(SHIPPED.mjcf))
+    for joint in spec.joints:
+        joint.frictionloss = 3.0
+    (tmp_path / "arm.xml").write_text(spec.to_xml())
+    rubbed, free = (
+        draft_robot(path, ["mug"], {}).robot for path in (tmp_path / "arm.xml", SHIPPED.mjcf)
+    )
+    assert rubbed.servo_frequency_hz > 1.2 * free.servo_frequency_hz
 
 
 @pytest.mark.slow

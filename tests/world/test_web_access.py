@@ -4,14 +4,23 @@ import http.client
 import socket
 import subprocess
 import sys
+from contextlib import nullcontext
 from email.message import Message
+from unittest.mock import Mock
 
 import pytest
 
 from knowarm.errors import UserError
+from knowarm.world import watch as watching
+from knowarm.world.agents import RandomAgent
+from knowarm.world.compose import CONTROL_PERIOD_S
+from knowarm.world.config import EnvConfig
+from knowarm.world.episodes import evaluation_episodes
+from knowarm.world.vector_env import ReachVectorEnv
 from knowarm.world.web_access import COOKIE, WebAccess
 
 pytest.importorskip("mujoco.studio.web.web_server", exc_type=ImportError)
+from mujoco.studio import launch_web
 from websockets.sync.client import connect  # installed with mujoco-studio
 
 
@@ -87,6 +96,34 @@ def status(port, path="/", **values):
     answer = connection.getresponse().status
     connection.close()
     return answer
+
+
+def test_an_episode_begins_once_a_browser_is_there(monkeypatch):
+    made, shown = [], []
+
+    class Access(WebAccess):
+        def __init__(self, *given):
+            super().__init__(*given)
+            made.append(self)
+
+        def bind(self, *given):
+            return None
+
+    def show(viewer, seconds):
+        shown.append(seconds)
+        if len(shown) == 5:
+            made[0].connected.set()
+        return len(shown) < 8
+
+    monkeypatch.setattr(watching, "WAIT_S", 7.0)  # differs from a step's time
+    monkeypatch.setattr(watching, "WebAccess", Access)
+    monkeypatch.setattr(watching, "_show", show)
+    monkeypatch.setattr(watching, "guarded_web_viewer", lambda *guards: nullcontext())
+    monkeypatch.setattr(launch_web, "launch", lambda config: nullcontext(Mock()))
+    env = ReachVectorEnv(EnvConfig(dynamics="kinematic"), 1)
+    episodes = evaluation_episodes(env.scene, env.config, 1, seed=0)
+    watching.watch(RandomAgent(), env, episodes, open_browser=False)
+    assert shown == 5 * [watching.WAIT_S] + 3 * [CONTROL_PERIOD_S]
 
 
 @pytest.mark.slow

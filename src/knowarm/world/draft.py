@@ -35,11 +35,14 @@ HOME_OFFSET_RAD, HOME_CANDIDATES = 1.3, 600
 HOME_ANGLE_DEG = (55.0, 130.0)
 """Wanted angle between the start pose and every grasp [deg]."""
 
-MPI_RAD = 0.05
-"""MPI of a drafted robot [rad]."""
+TRAVEL_RAD = 1.75
+"""Wanted largest travel of a joint from the start pose to a grasp [rad]."""
+
+STEPS = 25
+"""Steps that the farthest grasp should take: half an episode, as for the shipped robots."""
 
 START_RAD = 0.4
-"""Largest offset of a joint at the start of an episode: as of the shipped robots [rad]."""
+"""Largest offset of a joint of median range at the start: as of the shipped robots [rad]."""
 
 STOP_RAD, MAX_SERVO_HZ = 0.01, 10.0
 """Wanted distance from its target at which friction stops a joint, and highest servo frequency:
@@ -144,7 +147,6 @@ def draft_robot(path: Path, targets: Sequence[str], overrides: Mapping[str, Any]
     values |= overrides
     joints = values["joints"]
     values.setdefault("home", _rest(model, joints))
-    values.setdefault("mpi_rad", MPI_RAD)
     # A scene in which everything is visible, to compute with.
     wide = {
         "rectangle_centre_m": [0.0, 0.0],
@@ -156,6 +158,8 @@ def draft_robot(path: Path, targets: Sequence[str], overrides: Mapping[str, Any]
     }
     start = _robot(path, values | wide)
     scene = build_scene(start, find_targets(targets))
+    half_range = np.median(scene.joint_upper - scene.joint_lower) / 2
+    values.setdefault("start_fraction", min(Robot.start_fraction, round(START_RAD / half_range, 3)))
     reach = reach_m(scene)
     how["reach"] = f"{reach:.2f} m from the base, at the height of the grasps"
     angle, roll, yaws, cells = reach_table(scene, reach)
@@ -183,12 +187,14 @@ def draft_robot(path: Path, targets: Sequence[str], overrides: Mapping[str, Any]
         _robot(path, values | {k: wide[k] for k in wide if "camera" in k}), find_targets(targets)
     )
     if "home" not in overrides:
-        home, text = _home(scene, roll)
+        home, travel, text = _home(scene, roll)
         values["home"], how["home"] = _numbers(home), text
+        values.setdefault("mpi_rad", round(travel / STEPS, 3))
         scene = build_scene(
             _robot(path, values | {k: wide[k] for k in wide if "camera" in k}),
             find_targets(targets),
         )
+    values.setdefault("servo_frequency_hz", _servo_frequency_hz(scene))
     values = _camera(scene) | values
     how["camera"] = "right in front and above, so that it shows rectangle, targets and arm"
     return Draft(
@@ -220,8 +226,12 @@ def _numbers(values: Any) -> list[float]:
     return [round(float(value), 4) for value in values]
 
 
-def _home(scene: Scene, ignore_roll: bool) -> tuple[NDArray[np.float64], str]:
-    """Find a start pose above the support and turned away from every grasp, yet near in joints."""
+def _home(scene: Scene, ignore_roll: bool) -> tuple[NDArray[np.float64], float, str]:
+    """Find a start pose above the support and turned away from every grasp, yet near in joints.
+
+    Returns:
+        The pose, the largest travel of a joint to a grasp [rad or m], and a description.
+    """
     x, y = scene.robot.rectangle_centre_m
     support = scene.robot.support_height_m
     position = np.array([x, y, support]) + scene.grasp_position
@@ -259,7 +269,7 @@ def _home(scene: Scene, ignore_roll: bool) -> tuple[NDArray[np.float64], str]:
         + 10.0 * (place[:, 0] < 0.2 * reach)
         + 0.1 * np.maximum(low - angles.min(axis=0), 0)
         + 0.1 * np.maximum(angles.max(axis=0) - high, 0)
-        + 5.0 * np.maximum(travel / scene.robot.mpi_rad - 35, 0) / 10
+        + 10.0 * np.maximum(travel - TRAVEL_RAD, 0)
         + 10.0 * np.maximum(0.3 - distances.min(axis=0) / reach, 0)
         + 10.0 * np.maximum(distances.max(axis=0) / reach - 1, 0)
         + np.abs(place[:, 1]) / reach
@@ -270,10 +280,10 @@ def _home(scene: Scene, ignore_roll: bool) -> tuple[NDArray[np.float64], str]:
         f"to {angles[:, best].max():.0f} degrees and {distances[:, best].min():.2f} m from the "
         f"grasps at the rectangle's middle"
     )
-    return poses[best], text
+    return poses[best], float(travel[best]), text
 
 
-def servo_frequency_hz(scene: Scene) -> float:
+def _servo_frequency_hz(scene: Scene) -> float:
     """Return a natural frequency at which damping and friction do not delay the servos.
 
     With inertia m, damping d and friction f of a joint at home, a servo of frequency w follows with
