@@ -142,3 +142,9 @@ ALGORITHMS: dict[str, Algorithm] = {
     ),
 }
 """Every algorithm by name; the first is the demo's."""
+
+
+def algorithm_of(experiment: str) -> str | None:
+    """Return the algorithm with whose name that of an experiment ends; None if there is none."""
+    ends = [name for name in ALGORITHMS if experiment.endswith(f"-{name}")]
+    return max(ends, key=len, default=None)

@@ -9,7 +9,7 @@ from typing import Any, get_args
 import numpy as np
 
 from knowarm.experiment.agents import AGENTS
-from knowarm.experiment.algorithms import ALGORITHMS
+from knowarm.experiment.algorithms import algorithm_of
 from knowarm.experiment.evaluation_files import read_table
 from knowarm.knowledge.config import Detail
 from knowarm.report.format import palette
@@ -131,13 +131,9 @@ class Run:
 
     @property
     def algorithm(self) -> str:
-        """Name of the learning algorithm, with which the name of a registered experiment ends.
-
-        Otherwise the trainer's name, which algorithms such as `ppo` and `fast` share.
-        """
-        experiment = str(self.config.get("name"))
-        ends = [name for name in ALGORITHMS if experiment.endswith(f"-{name}")]
-        return max(ends, key=len, default=str(self.config["algorithm"].get("name", "?")))
+        """Name of the learning algorithm, or of its trainer for experiments of other names."""
+        name = algorithm_of(str(self.config.get("name")))
+        return name or str(self.config["algorithm"].get("name", "?"))
 
     @property
     def knowledge(self) -> Mapping[str, Any]:
