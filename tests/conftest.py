@@ -22,10 +22,21 @@ def pytest_addoption(parser):
     )
 
 
+def seconds(item):
+    """Return how long a test takes, as far as its mark says."""
+    mark = item.get_closest_marker("slow")
+    return mark.args[0] if mark and mark.args else 0
+
+
 def pytest_collection_modifyitems(config, items):
-    """Shuffle modules and tests; tests of a module stay together for the sake of its fixtures."""
+    """Start the longest tests first: the last one to start would keep one process busy alone.
+
+    With a seed, shuffle modules and tests instead; tests of a module stay together for the sake of
+    its fixtures.
+    """
     seed = config.getoption("--order-seed")
     if seed is None:
+        items.sort(key=seconds, reverse=True)
         return
     modules = {}
     for item in items:

@@ -39,7 +39,7 @@ def warp_cache() -> dict[str, str]:
     return {"WARP_CACHE_PATH": warp.config.kernel_cache_dir}
 
 
-@pytest.mark.slow
+@pytest.mark.slow(40)
 def test_every_stage_runs_on_the_cpu_device(tmp_path: Path, warp_cache: dict[str, str]) -> None:
     done = gpu_sh(tmp_path, **warp_cache)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -78,7 +78,7 @@ wait $!
 """
 
 
-@pytest.mark.slow
+@pytest.mark.slow(30)
 def test_a_stopped_training_is_resumed(tmp_path: Path, warp_cache: dict[str, str]) -> None:
     programs = tmp_path / "programs"
     programs.mkdir()

@@ -101,7 +101,7 @@ def results(out: Path) -> dict[str, object]:
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.slow(140)
 @pytest.mark.skipif(not Path("/dev/shm").is_dir(), reason="needs /proc and /dev/shm")
 def test_twenty_kills_change_nothing(tmp_path):
     study = tmp_path / "study.toml"

@@ -149,6 +149,7 @@ def wait_until(condition, timeout_s: float = 300.0) -> None:
         time.sleep(0.2)
 
 
+@pytest.mark.slow(50)
 @pytest.mark.skipif(" " in sys.executable, reason="Ray cannot start from a path with a space")
 def test_a_study_survives_the_loss_of_a_node_and_of_its_driver(tmp_path, cluster):
     study = tmp_path / "study.toml"
