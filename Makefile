@@ -5,8 +5,6 @@ PY := $(VENV)/bin/python
 PIP := $(PY) -m pip --disable-pip-version-check install --quiet
 # Pinned exactly: a looser requirement may install gigabytes of GPU packages on a CPU machine.
 TORCH := torch==2.13.0
-# Twice as many processes as two cores: many tests wait for programs that they start.
-PARALLEL := -n 4 --dist worksteal
 # Only comparisons with MuJoCo's own renderer use OpenGL; EGL needs no display.
 export MUJOCO_GL ?= egl
 
@@ -36,7 +34,7 @@ best: $(VENV)/.runtime ## train and evaluate the best recipe so far in runs/best
 	$(PY) -m knowarm evaluate runs/best/$(BEST)/0
 
 test: $(VENV)/.dev ## set up .venv, run all tests
-	OMP_NUM_THREADS=1 $(PY) -m pytest $(PARALLEL) --durations 25
+	$(PY) -m pytest -n 2 --dist worksteal --durations 25
 
 check: format-check lint types fast-tests ## format, lint, types and fast tests: what every commit must pass
 
@@ -55,7 +53,7 @@ types: $(VENV)/.dev ## run mypy
 	$(PY) -m mypy
 
 fast-tests: $(VENV)/.dev ## run the fast tests
-	OMP_NUM_THREADS=1 $(PY) -m pytest -q $(PARALLEL) -m "not slow and not browser and not opengl"
+	$(PY) -m pytest -q -n 2 --dist worksteal -m "not slow and not browser and not opengl"
 
 torture: $(VENV)/.dev ## kill, damage, stop and starve it for an hour or more: docs/reliability.md
 	$(PY) -m tests.robustness.torture
