@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from knowarm.errors import UserError
 from knowarm.world.attach import read_mjcf
 from knowarm.world.render import Raycaster
+from knowarm.world.render.scenery import read_scenery
 from tests.world.render.raycast_scenes import CAMERA, random_states, torus
 from tests.world.render.test_geometry import agreement
 
@@ -71,6 +72,23 @@ def test_mesh_shared_by_many_geoms_is_stored_once() -> None:
     assert len(caster.scenery.meshes.face) == 24 * 12 * 2
     assert len(np.unique(caster.scenery.meshes.span, axis=0)) == 1
     resembles(model)
+
+
+def test_a_mesh_shown_twice_at_one_place_is_drawn_once() -> None:
+    geom = 'mesh="a" rgba=".2 .5 .9 1"'
+    other = '/><geom type="mesh" contype="0" conaffinity="0" mass="1" '
+    once, twice, coloured, apart = (
+        model_of('name="a"', geoms)
+        for geoms in (
+            geom,
+            geom + other + geom,
+            geom + other + geom.replace(".9", ".1"),
+            geom + other + geom + ' pos="0 0 .1"',
+        )
+    )
+    counts = [len(read_scenery(m, (0,)).moving) for m in (once, twice, coloured, apart)]
+    assert counts == [1, 1, 2, 2]
+    np.testing.assert_array_equal(draw(once, None), draw(twice, None))
 
 
 def test_meshes_of_hidden_groups_are_not_stored() -> None:

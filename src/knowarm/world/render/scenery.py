@@ -96,6 +96,7 @@ def read_scenery(
                 "cylinder, box and mesh: draw it with renderer='opengl', or put it in a "
                 "geom group that is not drawn."
             )
+    drawn = _without_twins(model, drawn)
     fixed = np.array([_is_fixed(model, b) for b in model.geom_bodyid], dtype=np.bool_)
     emission = np.zeros(model.ngeom, dtype=np.float32)
     has_material = model.geom_matid >= 0
@@ -179,6 +180,27 @@ def read_lamps(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.float32
         lamps[2] = model.light_diffuse[i]
         lamps[3] = -data.light_xdir[i]
     return lamps
+
+
+def _without_twins(model: mujoco.MjModel, drawn: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Leave out geoms that show the same mesh at the same place in the same colour as another.
+
+    Converted models often show each mesh once to be seen and once to collide.
+    """
+    is_mesh = model.geom_type[drawn] == MESH
+    place = np.column_stack(
+        [
+            np.where(is_mesh, -1, drawn),  # other geoms have no twins
+            model.geom_bodyid[drawn],
+            model.geom_dataid[drawn],
+            model.geom_matid[drawn],
+            model.geom_pos[drawn],
+            model.geom_quat[drawn],
+            model.geom_rgba[drawn],
+        ]
+    )
+    _, first = np.unique(place, axis=0, return_index=True)
+    return drawn[np.sort(first)]
 
 
 def _is_fixed(model: mujoco.MjModel, body: int) -> bool:
