@@ -44,7 +44,8 @@ def without_compiler(optimizer: "type[OptimizerT]") -> "type[OptimizerT]":
 
     Reason: `torch.optim` imports the compiler, a third of the time in which a training starts, only
     to mark what it should not compile, and no option prevents it. The mark of a method is looked up
-    before the import: with the method itself as its mark, the method is called as it is.
+    before the import: with the method itself as its mark, the method is called as it is. The marks
+    are on PyTorch's own methods, so they hold for all optimizers of the process.
 
     Args:
         optimizer: a class of `torch.optim`.

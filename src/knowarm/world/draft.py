@@ -190,6 +190,7 @@ def draft_robot(path: Path, targets: Sequence[str], overrides: Mapping[str, Any]
         home, travel, text = _home(scene, roll)
         values["home"], how["home"] = _numbers(home), text
         values.setdefault("mpi_rad", round(travel / STEPS, 3))
+        how["actions"] = f"{travel / values['mpi_rad']:.0f} steps of mpi_rad to the farthest grasp"
         scene = build_scene(
             _robot(path, values | {k: wide[k] for k in wide if "camera" in k}),
             find_targets(targets),
