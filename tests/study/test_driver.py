@@ -98,6 +98,21 @@ def test_a_killed_worker_is_started_again_a_few_times(tmp_path, executors):
     assert status.detail.startswith("its process was killed by signal 9, 3 times since step 0")
 
 
+def test_a_run_that_another_worker_began_meanwhile_is_resumed(tmp_path, executors, monkeypatch):
+    resumed = []
+
+    def begin_elsewhere_first(config, *arguments, **options):
+        resumed.append(options["resume"])
+        if len(resumed) == 1:
+            train(config, *arguments, resume=False, should_stop=lambda: True)
+        return train(config, *arguments, **options)
+
+    monkeypatch.setattr("knowarm.study.worker.train", begin_elsewhere_first)
+    (status,) = run_study(tiny(seeds=(0,)), tmp_path)
+    assert status.state == "done", status.detail
+    assert resumed == [False, True]
+
+
 def test_longest_runs_start_first(tmp_path, executors):
     longer = OverridesFor(experiments="tiago-*", fields={"total_steps": 100})
     study = tiny(seeds=(0,), experiments=("irb120-bm-ppo", "tiago-bm-ppo"), overrides_for=(longer,))

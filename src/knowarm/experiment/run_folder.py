@@ -44,6 +44,10 @@ log = logging.getLogger("knowarm.experiment")
 PACKAGES = ("knowarm", "torch", "mujoco", "numpy", "numba", "gymnasium", "safetensors")
 
 
+class RunExistsError(UserError):
+    """A folder in which a new run is to start already holds one."""
+
+
 @dataclass(frozen=True)
 class RunFolder:
     """The files of one run.
@@ -59,13 +63,13 @@ class RunFolder:
         """Make a new, empty run folder and check that it can be written to.
 
         Raises:
-            UserError: the folder already holds a run, or cannot be written to.
+            RunExistsError: the folder already holds a run.
+            UserError: the folder cannot be written to.
         """
         folder = cls(path)
         if folder.config_path.exists():
-            raise UserError(
-                f"{path} already holds a run. Pass resume=True to continue it, or another seed or "
-                "runs folder to start a new one."
+            raise RunExistsError(
+                f"{path} already holds a run. Pass resume=True to continue it, or another seed."
             )
         try:
             path.mkdir(parents=True, exist_ok=True)

@@ -11,13 +11,14 @@ import time
 import traceback
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import psutil
 
 from knowarm.errors import UserError
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.run import run_path, train
-from knowarm.experiment.run_folder import RunFolder, write_json
+from knowarm.experiment.run_folder import RunExistsError, RunFolder, write_json
 from knowarm.experiment.run_lock import FolderInUseError, lock_folder
 from knowarm.experiment.stop_request import StopRequest
 from knowarm.study.config import read_study
@@ -55,13 +56,14 @@ def work(out: Path, key: RunKey, started: float | None = None) -> None:
         is_started = folder.config_path.exists()
         if not (is_started and is_trained(folder, config)):
             with StopRequest() as is_asked:
-                run = train(
-                    config,
-                    out,
-                    resume=is_started,
-                    should_stop=lambda: is_asked() or stop.exists(),
-                    mirrors=[open_mirror(n, config, path, study.name) for n in study.mirrors],
-                )
+                options: dict[str, Any] = {
+                    "should_stop": lambda: is_asked() or stop.exists(),
+                    "mirrors": [open_mirror(n, config, path, study.name) for n in study.mirrors],
+                }
+                try:
+                    run = train(config, out, resume=is_started, **options)
+                except RunExistsError:  # begun meanwhile by the worker of a driver that was killed
+                    run = train(config, out, resume=True, **options)
             if run.result.reason == "stopped":
                 return
         with lock_folder(path, remedy="Wait until it ends."):
