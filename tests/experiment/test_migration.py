@@ -87,6 +87,12 @@ def test_provenance_separates_the_policy_s_choices_from_its_shape():
     assert {**policy["config"], **policy["shape"]} == values["network"]
 
 
+@pytest.mark.parametrize("config", [True, [1], "full", None])
+def test_damaged_knowledge_in_provenance_is_left_alone(config):
+    values = {"knowledge": {"config": config}}
+    assert migrate_provenance(values) == values
+
+
 @pytest.mark.parametrize("version", [1, 2])
 @pytest.mark.parametrize(
     ("env", "task"),

@@ -85,6 +85,28 @@ def test_a_kill_between_the_renames_leaves_the_previous(store):
     assert store.load().facts["step"] == 2
 
 
+@pytest.mark.parametrize("save", ["save", "save_best"])
+def test_a_rename_that_fails_leaves_the_one_before(store, monkeypatch, save):
+    getattr(store, save)(made(1))
+    name = "latest" if save == "save" else "best"
+    rename = module.Path.rename
+
+    def fail(path, target):
+        if path.name.endswith("-being-written"):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return rename(path, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(module.Path, "rename", fail)
+        for step in (2, 3):
+            with pytest.raises(UserError, match=f"step {step} .*intact"):
+                getattr(store, save)(made(step))
+            assert read_checkpoint(store.folder / name).facts["step"] == 1
+    getattr(store, save)(made(4))
+    assert read_checkpoint(store.folder / name).facts["step"] == 4
+    assert not [path for path in store.folder.iterdir() if path.name.startswith(".")]
+
+
 def test_a_kill_between_the_renames_leaves_the_best_before(store, monkeypatch):
     store.save_best(made(1))
     rename = module.Path.rename

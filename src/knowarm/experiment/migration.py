@@ -109,7 +109,8 @@ def migrate_provenance(values: Mapping[str, Any]) -> dict[str, Any]:
     migrated = dict(values)
     if isinstance(network := migrated.pop("network", None), Mapping):
         migrated["policy"] = _split(network)
-    if isinstance(knowledge := values.get("knowledge"), Mapping) and "config" in knowledge:
+    knowledge = values.get("knowledge")
+    if isinstance(knowledge, Mapping) and isinstance(knowledge.get("config"), Mapping):
         migrated["knowledge"] = {**knowledge, "config": migrate_source(knowledge["config"])}
     return migrated
 

@@ -58,16 +58,18 @@ class CheckpointStore:
         """Save a checkpoint as ``latest``; the former latest becomes ``previous``.
 
         One of the two is complete at every moment: the new one is written to a temporary folder
-        and renamed once it is on disk.
+        and renamed once it is on disk. `read_checkpoint` reads ``previous`` where ``latest`` is
+        missing, because the process ended, or the disk failed, between two renames.
 
         Raises:
             UserError: the disk is full or not writable; the former checkpoint is unchanged.
         """
-        self._replace("latest", checkpoint, keep="previous")
+        self._replace("latest", checkpoint)
 
     def save_best(self, checkpoint: Checkpoint) -> None:
         """Save a checkpoint as ``best``; raises as `save`."""
-        self._replace("best", checkpoint, keep=None)
+        self._replace("best", checkpoint)
+        shutil.rmtree(_former(self.folder / "best"), ignore_errors=True)
 
     def load(self) -> Checkpoint:
         """Return the latest intact checkpoint.
@@ -91,23 +93,18 @@ class CheckpointStore:
         """Return the checkpoint of the best policy; raises as `load`."""
         return read_checkpoint(self.folder / "best", self.description)
 
-    def _replace(self, name: str, checkpoint: Checkpoint, keep: str | None) -> None:
-        temporary = self.folder / f".{name}-being-written"
+    def _replace(self, name: str, checkpoint: Checkpoint) -> None:
+        temporary, path = self.folder / f".{name}-being-written", self.folder / name
         try:
             shutil.rmtree(temporary, ignore_errors=True)
             temporary.mkdir(parents=True)
             self._write(temporary, checkpoint)
-            if keep is not None and (self.folder / name).exists():
-                shutil.rmtree(self.folder / keep, ignore_errors=True)
-                (self.folder / name).rename(self.folder / keep)
-            elif (self.folder / name).exists():
-                # A folder cannot be renamed onto a non-empty one: first move the former best away.
-                aside = _aside(self.folder / name)
-                shutil.rmtree(aside, ignore_errors=True)
-                (self.folder / name).rename(aside)
-            temporary.rename(self.folder / name)
+            if path.exists():
+                # A folder cannot be renamed onto a non-empty one: first move the former one away.
+                shutil.rmtree(_former(path), ignore_errors=True)
+                path.rename(_former(path))
+            temporary.rename(path)
             _sync(self.folder)
-            shutil.rmtree(_aside(self.folder / name), ignore_errors=True)
         except OSError as error:
             shutil.rmtree(temporary, ignore_errors=True)
             raise UserError(
@@ -145,9 +142,8 @@ def read_checkpoint(folder: Path, description: Mapping[str, Any] | None = None) 
         UserError: there is no such folder, or the checkpoint belongs to another run; the
             message shows both descriptions.
     """
-    if not folder.is_dir() and _aside(folder).is_dir():
-        # The process ended between two renames; the former checkpoint is complete.
-        folder = _aside(folder)
+    if not folder.is_dir() and _former(folder).is_dir():
+        folder = _former(folder)  # saving ended between two renames
     if not folder.is_dir():
         raise UserError(f"There is no checkpoint in {folder}.")
     file, remedy = folder / "meta.json", "The checkpoint is incomplete: restore it or delete it."
@@ -169,9 +165,9 @@ def read_checkpoint(folder: Path, description: Mapping[str, Any] | None = None) 
     return Checkpoint(**parts, facts=facts)
 
 
-def _aside(folder: Path) -> Path:
+def _former(folder: Path) -> Path:
     """Return where a checkpoint is kept while it is being replaced."""
-    return folder.with_name(f".{folder.name}-old")
+    return folder.with_name("previous" if folder.name == "latest" else f".{folder.name}-old")
 
 
 def policy_arrays(policy: nn.Module) -> Arrays:
