@@ -1,8 +1,10 @@
 """Grounding without an arm: the object that a query means, found in the first images of splits.
 
 Trains the grounding network of each agent, as `knowarm train` does before the first step, and
-prints how often the place that it finds is nearest to the wanted object. No reinforcement learning
-is involved, so what an agent's knowledge is worth on splits S1 to S5 is known in minutes.
+prints how often the grasp point that it predicts is nearest to the wanted object's, and how far,
+then, the predicted grasp frame is from the true one (medians, position and z axis). No
+reinforcement learning is involved, so what an agent's knowledge is worth on splits S1 to S5 is
+known in minutes.
 
     python benchmarks/grounding.py --agents subgraph query-words query-onehot subgraph-shuffled
 """
@@ -10,13 +12,15 @@ is involved, so what an agent's knowledge is worth on splits S1 to S5 is known i
 import argparse
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import torch
 
 from knowarm.experiment.build import build, slots_of
+from knowarm.experiment.first_images import Starts, draw_first_images
 from knowarm.experiment.graph_queries import retold
-from knowarm.experiment.grounding import Grounding, centres
-from knowarm.experiment.grounding_training import Starts, draw_starts, train_grounding
+from knowarm.experiment.grounding import Grounding
+from knowarm.experiment.grounding_training import train_grounding
 from knowarm.experiment.registry import experiment_config
 from knowarm.knowledge.query_splits import SPLITS
 from knowarm.seeding import derive_seed
@@ -32,14 +36,18 @@ def with_split(env: EnvConfig, split: str) -> EnvConfig:
     return replace(env, choice=replace(env.choice, queries=queries))
 
 
-def share_right(network: Grounding, starts: Starts) -> float:
-    """Return the share of starts whose place is nearest to the wanted object."""
+@torch.no_grad()
+def measure(network: Grounding, starts: Starts) -> str:
+    """Describe the share of right objects, and the errors of their grasp frames."""
     parts = zip(starts.images.split(256), starts.queries.split(256), strict=True)
-    with torch.no_grad():
-        places = torch.cat([network.places(*part) for part in parts])
-    point = centres(starts.images.shape[1])[places]
-    nearest = (starts.pixels - point[:, None]).square().sum(2).argmin(1)
-    return float((nearest == 0).float().mean())
+    frame = torch.cat([network.found(*part) for part in parts])
+    position = frame[:, :3] * network.position_std + network.position_mean
+    distance = (starts.grasp_position - position[:, None]).norm(dim=2)
+    right = distance.argmin(1) == 0
+    away = 100 * distance[right, 0].median()
+    cosine = torch.cosine_similarity(frame[right, 6:], starts.grasp_axes[right, 0, 3:])
+    angle = cosine.clamp(-1, 1).acos().rad2deg().median()
+    return f"{100 * right.float().mean():.1f} % ({away:.1f} cm, {angle:.1f} degrees)"
 
 
 def main() -> None:
@@ -47,12 +55,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--agents", nargs="+", default=AGENTS)
     parser.add_argument("--robot", default="irb120")
-    parser.add_argument("--images", type=int, help="training images; default: the agent's")
-    parser.add_argument("--epochs", type=int, help="passes over them; default: the agent's")
+    parser.add_argument(
+        "--images", type=int, help="training images per round; default: the agent's"
+    )
+    parser.add_argument("--rounds", type=int, help="rounds; default: the agent's")
     parser.add_argument("--test-images", type=int, default=1_000)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
+    parser.add_argument("--out", type=Path, help="file for the last network")
     arguments = parser.parse_args()
-    given = {name: getattr(arguments, name) for name in ("images", "epochs")}
+    given = {name: getattr(arguments, name) for name in ("images", "rounds")}
     given = {name: value for name, value in given.items() if value is not None}
     for seed in arguments.seeds:
         for agent in arguments.agents:
@@ -64,16 +75,18 @@ def main() -> None:
                 config.env, parts.table, slots_of(parts.embedding), config.grounding, seed=seed
             )
             assert network is not None
+            if arguments.out is not None:
+                arguments.out.write_bytes(network.to_bytes())
             seconds, shares = time.process_time() - begin, []
             for number, split in enumerate(SPLITS, 1):
                 env = with_split(config.env, split)
-                starts = draw_starts(
+                starts = draw_first_images(
                     env, network.seen, arguments.test_images, derive_seed(0, "perception", number)
                 )
                 if split == "S5":
                     network.knowledge = torch.from_numpy(retold(config, env))
-                shares.append(f"{split} {100 * share_right(network, starts):.1f}")
-            print(f"{agent}, seed {seed}: {', '.join(shares)} %, {seconds:.0f} s", flush=True)
+                shares.append(f"{split} {measure(network, starts)}")
+            print(f"{agent}, seed {seed}: {', '.join(shares)}, {seconds:.0f} s", flush=True)
 
 
 if __name__ == "__main__":

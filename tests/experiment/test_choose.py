@@ -18,7 +18,7 @@ from knowarm.experiment.run import train
 from knowarm.world.agents import OracleAgent
 from knowarm.world.config import choice_env_config
 
-TINY = {"images": 64, "epochs": 1, "batch": 32}
+TINY = {"images": 64, "rounds": 1, "batch": 32}
 SMALL = {"dynamics": "kinematic", "choice": {"queries": {"pairs": "none"}}}
 
 
@@ -103,8 +103,8 @@ def test_an_evaluation_on_the_edited_graph_counts_the_old_answers(tmp_path: Path
     network = trained.agent.perception  # type: ignore[attr-defined]
     before = network.knowledge.clone()
     seen = []
-    places = network.places
-    network.places = lambda *images: seen.append(network.knowledge.clone()) or places(*images)
+    found = network.found
+    network.found = lambda *images: seen.append(network.knowledge.clone()) or found(*images)
     result = evaluate(trained, episodes=8, blind_episodes=0, split="S5")
     assert (network.knowledge == before).all()
     assert all((table != before).any() for table in seen)

@@ -11,10 +11,11 @@ import torch
 from knowarm.cli.main import main
 from knowarm.cli.perception import parse
 from knowarm.errors import UserError
-from knowarm.experiment import perception_training
+from knowarm.experiment import first_images, perception_training
 from knowarm.experiment.agents import controls_of
 from knowarm.experiment.build import EnvFactory, build, load_agent
 from knowarm.experiment.evaluate import evaluate
+from knowarm.experiment.first_images import draw_first_images
 from knowarm.experiment.perceived import (
     FILE,
     Perceiver,
@@ -31,7 +32,6 @@ from knowarm.experiment.perception import (
 )
 from knowarm.experiment.perception_training import (
     answers_of,
-    draw_pictures,
     train_perception,
     training_env,
 )
@@ -94,18 +94,18 @@ def test_the_same_seed_gives_the_same_bytes():
 def test_labels_are_the_visible_objects():
     env = env_of(CHOOSE)
     seen = train_perception(env, replace(TINY, images=1)).seen
-    pictures = draw_pictures(env, seen, 6, 3)
+    starts = draw_first_images(env, seen, 6, 3)
     world = ReachVectorEnv(env, 6)
     images, infos = world.reset(seed=3)
-    assert (pictures.images.numpy() == images).all()
-    assert (pictures.queries.numpy() == infos["query"]).all()
-    for row, facets in enumerate(pictures.facets.tolist()):
+    assert (starts.images.numpy() == images).all()
+    assert (starts.queries.numpy() == infos["query"]).all()
+    for row, facets in enumerate(starts.facets.tolist()):
         names = [seen.facets[i][0] for i in facets]
         assert names == [world.scene.targets[i].name for i in infos["objects"][row]]
         assert seen.facets[facets[0]] == world.facets[infos["facet"][row]]
     answers = answers_of(env, seen.facets)
-    assert answers[pictures.queries, pictures.facets[:, 0]].all()
-    assert not answers[pictures.queries[:, None], pictures.facets[:, 1:]].any()
+    assert answers[starts.queries, starts.facets[:, 0]].all()
+    assert not answers[starts.queries[:, None], starts.facets[:, 1:]].any()
 
 
 def test_held_out_colours_are_not_trained_on_and_tested_apart():
@@ -113,7 +113,9 @@ def test_held_out_colours_are_not_trained_on_and_tested_apart():
     env = training_env(env_of(REACH), held)
     perception = train_perception(env_of(REACH), held)
     seen = perception.seen
-    shown = {seen.facets[i][1] for i in draw_pictures(env, seen, 60, 0).facets.unique().tolist()}
+    shown = {
+        seen.facets[i][1] for i in draw_first_images(env, seen, 60, 0).facets.unique().tolist()
+    }
     assert shown == {"red", "yellow", "brown"}
     assert "held-out colours" in seen.accuracy
     assert seen.config.held_out_colours == held.held_out_colours
@@ -241,7 +243,7 @@ def test_the_policy_gets_nothing_privileged(files, name, monkeypatch):
         agent.act(images)
         learner = PerceivingVectorEnv(env, 6, read_perception(files[name]))
         learner.reset(seed=2)
-        return agent.rows, learner.facet_ids
+        return agent.told, learner.facet_ids
 
     rows, learned = played()
     assert torch.equal(rows, learned)
@@ -249,8 +251,8 @@ def test_the_policy_gets_nothing_privileged(files, name, monkeypatch):
     def refuse(*arguments, **options):
         raise AssertionError("labels were read")
 
-    monkeypatch.setattr(perception_training, "facet_numbers", refuse)
-    monkeypatch.setattr(perception_training, "draw_pictures", refuse)
+    monkeypatch.setattr(first_images, "facet_numbers", refuse)
+    monkeypatch.setattr(perception_training, "draw_first_images", refuse)
     true = world.task.facet_ids.copy()
     if name == REACH:  # in the choice task these are the queries, which the agent is told
         monkeypatch.setattr(type(world), "facet_ids", property(refuse))
@@ -292,7 +294,7 @@ def test_an_episode_keeps_its_row_until_the_next_begins(files):
     other.reset(seed=9)
     other.set_state(state)
     assert torch.equal(other.facet_ids, world.facet_ids)
-    with pytest.raises(UserError, match="perceived rows"):
+    with pytest.raises(UserError, match="what a module saw"):
         other.set_state({name: value for name, value in state.items() if name != "perceived"})
 
 

@@ -47,7 +47,7 @@ class MetaEnv:
 def meta_device(monkeypatch):
     """Replace what the meta device lacks: generators, autocast, and the check of facets."""
     monkeypatch.setattr(Policy, "_autocast", lambda policy: contextlib.nullcontext())
-    monkeypatch.setattr(Policy, "check_facets", lambda policy, highest: None)
+    monkeypatch.setattr(Policy, "check_facets", lambda policy, facet: None)
     monkeypatch.setattr(ImageEncoder, "pixel_type", lambda encoder: torch.float32)
     monkeypatch.setattr(module, "sample", lambda logits, generator: logits.argmax(-1))
     monkeypatch.setattr(torch, "Generator", CpuGenerator)

@@ -180,8 +180,21 @@ def test_the_knowledge_table_is_copied_checked_and_part_of_no_checkpoint():
     with pytest.raises(UserError, match=r"\(facets, 12\), got \(5, 11\)"):
         make_policy("before_lstm", table=TABLE[:, 1:])
     with pytest.raises(UserError, match="5 rows and the environment has facet 5"):
-        policy.check_facets(FACETS)
-    make_policy("none", table=None).check_facets(FACETS)
+        policy.check_facets(torch.tensor([0, FACETS]))
+    with pytest.raises(UserError, match="expects rows of the policy's table"):
+        policy.check_facets(torch.zeros(2, K))
+    make_policy("none", table=None).check_facets(torch.tensor([FACETS]))
+
+
+def test_without_a_table_the_facets_are_the_knowledge():
+    policy, bare = make_policy("before_lstm"), make_policy("before_lstm", table=None)
+    assert policy.facet_spec == ((), torch.int64)
+    assert bare.facet_spec == ((K,), torch.float32)
+    image, facet, start = inputs()
+    state, knowledge = policy.initial_state(B), torch.from_numpy(TABLE)[facet]
+    bare.check_facets(knowledge[0])
+    expected = policy.unroll(image, facet, state, start)[0]
+    assert torch.equal(bare.unroll(image, knowledge, state, start)[0], expected)
 
 
 def test_a_spec_builds_the_same_structure_with_the_same_knowledge():

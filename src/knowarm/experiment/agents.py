@@ -208,7 +208,8 @@ AGENTS: dict[str, Agent] = {
     "mask": Agent(
         about="upper bound of the choice task: the image marks the object that is meant",
         role="privileged",
-        knowledge=KnowledgeConfig(detail="none"),
+        knowledge=replace(QUERY, source=Zeros()),
+        **_GROUNDED,
         marked=True,
         colour="c-gold",
     ),

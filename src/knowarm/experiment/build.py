@@ -11,7 +11,7 @@ import torch
 from knowarm.config import from_dict
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig, InterimConfig
-from knowarm.experiment.grounding import Grounding, place_table
+from knowarm.experiment.grounding import FRAME, Grounding
 from knowarm.experiment.perceived import (
     FILE,
     PerceivingAgent,
@@ -83,14 +83,13 @@ class Parts:
     policy_config: PolicyConfig
     policy_shape: PolicyShape
     facets: tuple[tuple[str, str], ...]
-    places: np.ndarray | None = None
-    """With a grounding network, what the policy is told instead of the knowledge: (P, 2)
-    float32."""
+    grounded: bool = False
+    """Whether the policy is told what a grounding network finds instead of a row of the table."""
 
     def new_policy(self, seed: int) -> Policy:
         """Initialize a policy; the same seed gives the same weights."""
-        told = self.table if self.places is None else self.places
-        return Policy(self.policy_config, self.policy_shape, told, seed=seed)
+        table = None if self.grounded else self.table
+        return Policy(self.policy_config, self.policy_shape, table, seed=seed)
 
 
 def build(config: ExperimentConfig) -> Parts:
@@ -110,15 +109,13 @@ def build(config: ExperimentConfig) -> Parts:
     else:
         embedding = scene_embedding(config.knowledge, env.facets, run_seed=config.seed)
         table = embedding.table(env.facets)
-    places = None
-    if config.grounding is not None:
-        places = place_table(config.env.image_size)
+    grounded = config.grounding is not None
     shape = PolicyShape(
         joints=env.scene.num_joints,
         levels=len(ACTION_LEVELS),
         image_size=config.env.image_size,
-        knowledge_dim=embedding.dim if places is None else places.shape[1],
-        knowledge_slots=slots_of(embedding) if places is None else 1,
+        knowledge_dim=FRAME if grounded else embedding.dim,
+        knowledge_slots=1 if grounded else slots_of(embedding),
     )
     policy = config.policy if embedding.dim else replace(config.policy, fusion="none")
     if config.knowledge.source.encoder != policy.knowledge_encoder == "identity":
@@ -128,7 +125,7 @@ def build(config: ExperimentConfig) -> Parts:
         )
     if policy.wide:
         table = table[:, :0]
-    return Parts(embedding, table, policy, shape, env.facets, places)
+    return Parts(embedding, table, policy, shape, env.facets, grounded)
 
 
 def slots_of(embedding: SceneEmbedding) -> int:
@@ -272,8 +269,7 @@ def load_agent(
         if choices.wide and checkpoint:
             choices = _sizes_of_checkpoint(choices, checkpoint.policy)
         shape = from_dict(PolicyShape, stored["shape"], where="policy.shape")
-        told = place_table(config.env.image_size) if config.grounding else table
-        policy = Policy(choices, shape, told, seed=config.seed)
+        policy = Policy(choices, shape, None if config.grounding else table, seed=config.seed)
     step = 0
     if checkpoint:
         step = int(checkpoint.facts["step"])

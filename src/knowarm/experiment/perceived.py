@@ -1,11 +1,11 @@
-"""Perceived knowledge: each episode's row of the knowledge table, named from its first image.
+"""Perceived knowledge: what a policy is told about an episode, read from its first image.
 
 Nothing of the simulator's labels is read here. Of the environment it takes the images and, where
 episodes ask, the query.
 """
 
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -13,7 +13,7 @@ from torch import Tensor
 
 from knowarm.config import to_dict
 from knowarm.errors import UserError
-from knowarm.experiment.grounding import Grounding
+from knowarm.experiment.grounding import FRAME, Grounding
 from knowarm.experiment.perception import (
     Perception,
     check_fits,
@@ -30,6 +30,9 @@ from knowarm.world.torch_env import TorchReachVectorEnv
 
 FILE = "perception.safetensors"
 """Name of the module's file in a run folder."""
+
+Spec = tuple[tuple[int, ...], torch.dtype]
+"""Shape and dtype of what is told about one episode."""
 
 BATCH = 256
 """Most images that are named at once."""
@@ -50,6 +53,8 @@ class Perceiver:
     Raises:
         UserError: the module was made for something else.
     """
+
+    TOLD: ClassVar[Spec] = ((), torch.int64)
 
     def __init__(
         self,
@@ -86,16 +91,18 @@ class Perceiver:
 
 
 class Grounder:
-    """Selects the place that a grounding network finds for the query.
+    """Predicts the grasp frame of what the query means.
 
     Args:
         grounding: the network.
         env: the task.
-        device: of images and rows.
+        device: of images and queries.
 
     Raises:
         UserError: the network was made for something else.
     """
+
+    TOLD: ClassVar[Spec] = ((FRAME,), torch.float32)
 
     def __init__(
         self, grounding: Grounding, env: EnvConfig, device: torch.device | str = "cpu"
@@ -105,10 +112,10 @@ class Grounder:
 
     @torch.inference_mode()
     def __call__(self, images: Tensor, queries: Tensor | None) -> Tensor:
-        """Find what the queries (n,) int64 of n images mean: (n,) int64, rows of `place_table`."""
+        """Find what the queries (n,) int64 of n images mean: (n, 9); see `Grounding.found`."""
         assert queries is not None
         parts = zip(images.split(BATCH), queries.split(BATCH), strict=True)
-        return torch.cat([self._grounding.places(*part) for part in parts])
+        return torch.cat([self._grounding.found(*part) for part in parts])
 
 
 def perceiver(
@@ -117,7 +124,7 @@ def perceiver(
     facets: tuple[tuple[str, str], ...],
     device: torch.device | str = "cpu",
 ) -> Perceiver | Grounder:
-    """Return what selects rows by a module; arguments as `Perceiver`."""
+    """Return what a module tells a policy by; arguments as `Perceiver`."""
     if isinstance(module, Grounding):
         return Grounder(module, env, device)
     return Perceiver(module, env, facets, device)
@@ -133,7 +140,10 @@ def module_of(data: bytes, path: Path = Path(FILE)) -> Perception:
 
 
 class PerceivingVectorEnv(TorchReachVectorEnv):
-    """Training environments whose facet is the row that a perception module selects.
+    """Training environments whose facet is what a module sees.
+
+    That is the row of the knowledge table that a perception module selects, or the grasp frame that
+    a grounding network predicts.
 
     Args:
         config: the task.
@@ -147,12 +157,13 @@ class PerceivingVectorEnv(TorchReachVectorEnv):
     ) -> None:
         super().__init__(config, num_envs, **options)
         self._perceive = perceiver(perception, config, self.facets, self.device)
-        self._rows = torch.zeros(num_envs, dtype=torch.int64, device=self.device)
+        shape, dtype = self._perceive.TOLD
+        self._told = torch.zeros((num_envs, *shape), dtype=dtype, device=self.device)
 
     @property
     def facet_ids(self) -> Tensor:
-        """Row of the knowledge table for each current episode, as perceived, (n,) int64."""
-        return self._rows
+        """What is told about each current episode: (n,) int64 rows, or (n, 9) float32."""
+        return self._told
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
@@ -171,31 +182,33 @@ class PerceivingVectorEnv(TorchReachVectorEnv):
         return result
 
     def get_state(self) -> dict[str, np.ndarray]:
-        """As `TorchReachVectorEnv.get_state`, with the rows."""
-        return super().get_state() | {"perceived": self._rows.cpu().numpy().copy()}
+        """As `TorchReachVectorEnv.get_state`, with what is told."""
+        return super().get_state() | {"perceived": self._told.cpu().numpy().copy()}
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
         """As `TorchReachVectorEnv.set_state`."""
         state = dict(state)
-        if "perceived" not in state or state["perceived"].shape != (self.num_envs,):
+        if "perceived" not in state or state["perceived"].shape != self._told.shape:
             raise UserError(
-                "The state holds no perceived rows of this number of environments: it belongs to "
-                "another kind of environment."
+                "The state does not hold what a module saw in this number of environments: it "
+                "belongs to another kind of environment."
             )
-        self._rows = torch.from_numpy(np.array(state.pop("perceived"))).to(self.device)
+        self._told = torch.from_numpy(np.array(state.pop("perceived"))).to(self.device)
         super().set_state(state)
 
     def _look(self, images: Tensor, fresh: Tensor) -> None:
-        """Name what the environments of a mask (n,) show; the others keep their rows."""
+        """Look at the environments of a mask (n,); what is told about the others stays."""
         queries = super().facet_ids if self.config.choice is not None else None
         if self._on_host:  # few episodes end in one step
             ids = fresh.nonzero().squeeze(1)
             if len(ids):
-                rows = self._rows.clone()
-                rows[ids] = self._perceive(images[ids], None if queries is None else queries[ids])
-                self._rows = rows
+                told = self._told.clone()
+                told[ids] = self._perceive(images[ids], None if queries is None else queries[ids])
+                self._told = told
         else:  # on a GPU nothing waits for the device
-            self._rows = torch.where(fresh, self._perceive(images, queries), self._rows)
+            new = self._perceive(images, queries)
+            where = fresh.view(-1, *[1] * (new.ndim - 1))
+            self._told = torch.where(where, new, self._told)
 
 
 class PerceivingAgent(PolicyAgent):
@@ -216,14 +229,14 @@ class PerceivingAgent(PolicyAgent):
         super().start(env)
         self._perceive = perceiver(self.perception, env.config, env.facets)
         self._asks = env.config.choice is not None
-        self.rows: Tensor | None = None
+        self.told: Tensor | None = None
 
-    def rows_for(self, observations: np.ndarray) -> Tensor:
-        """Return the row of the knowledge table of each episode, (n,) int64."""
-        if self.rows is None:
+    def facets_for(self, observations: np.ndarray) -> Tensor:
+        """As `PolicyAgent.facets_for`, as seen in the first image."""
+        if self.told is None:
             queries = torch.as_tensor(self._env.facet_ids) if self._asks else None
-            self.rows = self._perceive(torch.as_tensor(observations), queries).clone()
-        return self.rows
+            self.told = self._perceive(torch.as_tensor(observations), queries).clone()
+        return self.told
 
 
 def perception_for(

@@ -26,9 +26,6 @@ ABOUT = "knowarm"
 AGAIN = "Restore the file, or make one with `knowarm perception train EXPERIMENT --out FILE`."
 """Remedy for a damaged file."""
 
-CHANNELS = ((3, 16, 5, 2), (16, 32, 3, 2), (32, 64, 3, 2), (64, 64, 3, 1))
-"""Inputs, outputs, kernel and stride of each convolution."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class PerceptionConfig:
@@ -125,6 +122,9 @@ class Perception(nn.Module):
     FORMAT: ClassVar[str] = "knowarm-perception-1"
     """Format of the file."""
 
+    CONVOLUTIONS: ClassVar = ((3, 16, 5, 2), (16, 32, 3, 2), (32, 64, 3, 2), (64, 64, 3, 1))
+    """Inputs, outputs, kernel and stride of each convolution."""
+
     def __init__(self, seen: Seen, *, seed: int = 0) -> None:
         super().__init__()
         self.seen = seen
@@ -134,10 +134,10 @@ class Perception(nn.Module):
         self._colour = torch.tensor([colours.index(colour) for _, colour in seen.facets])
         self.layers = nn.ModuleList(
             nn.Conv2d(inputs, outputs, kernel, stride, padding=kernel // 2)
-            for inputs, outputs, kernel, stride in CHANNELS
+            for inputs, outputs, kernel, stride in self.CONVOLUTIONS
         )
-        self.objects = nn.Conv2d(CHANNELS[-1][1], len(objects), 1)
-        self.colours = nn.Conv2d(CHANNELS[-1][1], len(colours), 1)
+        self.objects = nn.Conv2d(self.CONVOLUTIONS[-1][1], len(objects), 1)
+        self.colours = nn.Conv2d(self.CONVOLUTIONS[-1][1], len(colours), 1)
         if not self.objects.weight.is_meta:
             generator = torch_generator(seed, "perception")
             for layer in self.layers:

@@ -2,24 +2,18 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from knowarm.errors import UserError
+from knowarm.experiment.first_images import Starts, draw_first_images
 from knowarm.experiment.perception import Perception, PerceptionConfig, Seen
 from knowarm.seeding import derive_seed, torch_generator
 from knowarm.world.choice_source import choice_table
 from knowarm.world.config import EnvConfig
 from knowarm.world.held_out import HeldOut
-from knowarm.world.scene import Scene
-from knowarm.world.vector_env import ReachVectorEnv
 from knowarm.world.visual_randomization import VisualRandomization
-
-ENVS = 256
-"""Images drawn at once."""
 
 TEST_BATCH = 256
 """Images that are named at once."""
@@ -34,19 +28,6 @@ HELD_OUT, COLOURS, RANDOMIZED = "new images", "held-out colours", "visual random
 
 IMAGES, TESTS = 0, 1
 """Numbers of the streams of training images and of those of the tests."""
-
-
-class Pictures(NamedTuple):
-    """First images of N episodes, and what the simulator knows about them."""
-
-    images: Tensor
-    """(N, H, W, 3) uint8."""
-
-    facets: Tensor
-    """Facets of the visible objects, the wanted one first, (N, m) int64."""
-
-    queries: Tensor
-    """Number of the query, (N,) int64; 0 in reaching."""
 
 
 def train_perception(
@@ -73,7 +54,7 @@ def train_perception(
     seen = Seen.of(env, replace(config, held_out_colours=held_out))
     perception = Perception(seen, seed=config.seed)
     seed = derive_seed(config.seed, "perception", IMAGES)
-    _fit(perception, draw_pictures(env, seen, config.images, seed), config, report)
+    _fit(perception, draw_first_images(env, seen, config.images, seed), config, report)
     perception.eval().requires_grad_(False)
     perception.seen = replace(seen, accuracy=measure(perception, env))
     return perception
@@ -92,56 +73,14 @@ def training_env(env: EnvConfig, config: PerceptionConfig) -> EnvConfig:
     return replace(env, held_out=HeldOut(colours=config.held_out_colours, places=places))
 
 
-def draw_pictures(env: EnvConfig, seen: Seen, count: int, seed: int) -> Pictures:
-    """Draw the first images of episodes, with their labels.
-
-    Args:
-        env: the task.
-        seen: the facets, in their order.
-        count: N.
-        seed: of the episodes.
-    """
-    world = ReachVectorEnv(env, min(ENVS, count))
-    numbers = facet_numbers(world.scene, seen)
-    images, facets, queries = [], [], []
-    start: int | None = seed
-    try:
-        for first in range(0, count, world.num_envs):
-            found, infos = world.reset(seed=start)
-            start, kept = None, min(world.num_envs, count - first)
-            objects = infos.get("objects", infos["target"][:, None])
-            colours = infos.get("object_colours", infos["colour"][:, None])
-            images.append(torch.from_numpy(found[:kept]))
-            facets.append(numbers[objects[:kept], colours[:kept]])
-            queries.append(np.asarray(infos.get("query", np.zeros(len(found), np.int64)))[:kept])
-    finally:
-        world.close()
-    return Pictures(
-        torch.cat(images),
-        torch.from_numpy(np.concatenate(facets)),
-        torch.from_numpy(np.concatenate(queries).astype(np.int64)),
-    )
-
-
-def facet_numbers(scene: Scene, seen: Seen) -> np.ndarray:
-    """Return the facet of each target in each of its colours, (targets, colours) int64."""
-    most = max(map(len, scene.colour_names))
-    table = np.zeros((len(scene.targets), most), np.int64)
-    for number, (target, names) in enumerate(zip(scene.targets, scene.colour_names, strict=True)):
-        for colour, name in enumerate(names):
-            if (target.name, name) in seen.facets:
-                table[number, colour] = seen.facets.index((target.name, name))
-    return table
-
-
 def _fit(
     perception: Perception,
-    pictures: Pictures,
+    starts: Starts,
     config: PerceptionConfig,
     report: Callable[[int, float], None],
 ) -> None:
     """Maximize the likelihood of the visible facets, with equal shares of a softmax."""
-    count = len(pictures.images)
+    count = len(starts.images)
     batches = -(-count // config.batch)
     optimizer = torch.optim.Adam(perception.parameters(), config.learning_rate)
     schedule = torch.optim.lr_scheduler.OneCycleLR(
@@ -151,8 +90,8 @@ def _fit(
     for epoch in range(1, config.epochs + 1):
         total = 0.0
         for ids in torch.randperm(count, generator=generator).split(config.batch):
-            likelihood = perception(pictures.images[ids]).log_softmax(dim=1)
-            loss = -likelihood.gather(1, pictures.facets[ids]).mean()
+            likelihood = perception(starts.images[ids]).log_softmax(dim=1)
+            loss = -likelihood.gather(1, starts.facets[ids]).mean()
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
@@ -177,8 +116,8 @@ def measure(perception: Perception, env: EnvConfig) -> dict[str, dict[str, float
     found = {}
     for number, (name, tested) in enumerate(_tests(env)):
         seed = derive_seed(config.seed, "perception", TESTS, number)
-        pictures = draw_pictures(tested, perception.seen, config.test_images, seed)
-        found[name] = shares(perception, pictures, tested)
+        starts = draw_first_images(tested, perception.seen, config.test_images, seed)
+        found[name] = shares(perception, starts, tested)
     return found
 
 
@@ -191,25 +130,25 @@ def _tests(env: EnvConfig) -> Iterator[tuple[str, EnvConfig]]:
 
 
 @torch.inference_mode()
-def shares(perception: Perception, pictures: Pictures, env: EnvConfig) -> dict[str, float]:
+def shares(perception: Perception, starts: Starts, env: EnvConfig) -> dict[str, float]:
     """Return the shares that were named rightly, as in `measure`.
 
     Args:
         perception: the module.
-        pictures: what is named.
-        env: the task of the pictures.
+        starts: images to name.
+        env: the task of the images.
     """
-    scores = torch.cat([perception(part) for part in pictures.images.split(TEST_BATCH)])
+    scores = torch.cat([perception(part) for part in starts.images.split(TEST_BATCH)])
     facets = perception.seen.facets
-    count = pictures.facets.shape[1]
+    count = starts.facets.shape[1]
     named = scores.topk(count, dim=1).indices
     objects = list(dict.fromkeys(name for name, _ in facets))
     owner = torch.tensor([objects.index(name) for name, _ in facets])
     colours = list(dict.fromkeys(colour for _, colour in facets))
     colour = torch.tensor([colours.index(name) for _, name in facets])
     # Each visible object is compared with every named facet: (N, m, m).
-    same = owner[pictures.facets][:, :, None] == owner[named][:, None]
-    alike = colour[pictures.facets][:, :, None] == colour[named][:, None]
+    same = owner[starts.facets][:, :, None] == owner[named][:, None]
+    alike = colour[starts.facets][:, :, None] == colour[named][:, None]
     found, both = same.any(2), (same & alike).any(2)
     found_shares = {
         "objects": float(found.float().mean()),
@@ -217,9 +156,9 @@ def shares(perception: Perception, pictures: Pictures, env: EnvConfig) -> dict[s
         "both": float(both.float().mean()),
     }
     if env.choice is not None:
-        answers = torch.from_numpy(answers_of(env, facets))[pictures.queries]
+        answers = torch.from_numpy(answers_of(env, facets))[starts.queries]
         told = scores.masked_fill(~answers, -torch.inf).argmax(1)
-        found_shares["told"] = float((told == pictures.facets[:, 0]).float().mean())
+        found_shares["told"] = float((told == starts.facets[:, 0]).float().mean())
     return found_shares
 
 

@@ -97,7 +97,7 @@ class Collector:
                 ImmediateFinalValues(policy) if on_cpu else DeferredFinalValues(policy, env)
             )
         self._final_values = final_values
-        policy.check_facets(int(env.facet_ids.max()))
+        policy.check_facets(env.facet_ids)
 
     @property
     def environment_s(self) -> float:
@@ -259,7 +259,8 @@ class DeferredFinalValues:
         count, device = env.num_envs, env.device
         self._cut = torch.zeros(count, dtype=torch.bool, device=device)
         self._time = torch.zeros(count, dtype=torch.int64, device=device)
-        self._facet = torch.zeros(count, dtype=torch.int64, device=device)
+        facet_shape, dtype = policy.facet_spec
+        self._facet = torch.zeros((count, *facet_shape), dtype=dtype, device=device)
         shape = (count, *policy.encoder.patch_shape)
         self._patches = torch.zeros(shape, dtype=torch.uint8, device=device)
         self._state: State = policy.initial_state(count)
@@ -275,7 +276,8 @@ class DeferredFinalValues:
         column = cut[:, None]
         patches = self._policy.patches(image)
         self._patches = torch.where(column[..., None], patches, self._patches)
-        self._facet = torch.where(cut, rollout.facet[t], self._facet)
+        new = rollout.facet[t]
+        self._facet = torch.where(cut.view(-1, *[1] * (new.ndim - 1)), new, self._facet)
         self._time = torch.where(cut, t, self._time)
         h, c = (torch.where(column, new, old) for new, old in zip(state, self._state, strict=True))
         self._state = (h, c)

@@ -43,7 +43,10 @@ class TorchVectorEnv(Protocol):
 
     @property
     def facet_ids(self) -> Tensor:
-        """Facet (row of the knowledge table) of each running episode, (n,) int64."""
+        """Row of the knowledge table of each running episode, (n,) int64.
+
+        Or, for a policy without table, the knowledge itself, (n, K) float32.
+        """
         ...
 
     def reset(

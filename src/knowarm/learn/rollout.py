@@ -17,7 +17,7 @@ class Rollout:
     patches: Tensor
     """(T, B, S, L) uint8: patches of the images; see `Policy.patches`."""
     facet: Tensor
-    """(T, B) int64: row of the knowledge table."""
+    """(T, B) int64: row of the knowledge table; or (T, B, K) float32: the knowledge."""
     episode_start: Tensor
     """(T, B) bool: the image is the first of its episode."""
     action: Tensor
@@ -91,9 +91,10 @@ def rollout_specs(steps: int, batch: int, policy: Policy) -> TensorSpecs:
         policy: determines the sizes of patches, actions and state.
     """
     table, state = (steps, batch), (batch, policy.hidden_size)
+    facet_shape, facet_dtype = policy.facet_spec
     return {
         "patches": ((*table, *policy.encoder.patch_shape), torch.uint8),
-        "facet": (table, torch.int64),
+        "facet": ((*table, *facet_shape), facet_dtype),
         "episode_start": (table, torch.bool),
         "action": ((*table, policy.shape.joints), torch.int64),
         "log_probability": (table, torch.float32),

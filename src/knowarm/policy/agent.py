@@ -16,7 +16,7 @@ class FacetEnv(Protocol):
 
     @property
     def facet_ids(self) -> Any:
-        """Facet of each running episode, (n,) int64, array or tensor."""
+        """Row of the knowledge table, (n,) int64, or knowledge, (n, K); array or tensor."""
         ...
 
 
@@ -46,8 +46,8 @@ class PolicyAgent:
         self._state = self.policy.initial_state(env.num_envs)
         self._episode_start = torch.ones(env.num_envs, dtype=torch.bool)
 
-    def rows_for(self, observations: np.ndarray) -> torch.Tensor:
-        """Return the row of the knowledge table of each episode, (n,) int64."""
+    def facets_for(self, observations: np.ndarray) -> torch.Tensor:
+        """Return row (n,) int64, or knowledge (n, K) float32, of each episode."""
         return torch.as_tensor(self._env.facet_ids)
 
     @torch.inference_mode()
@@ -60,7 +60,7 @@ class PolicyAgent:
         Returns:
             (n, J) int64 levels.
         """
-        facet = self.rows_for(observations)
+        facet = self.facets_for(observations)
         image = torch.as_tensor(observations)
         logits, _, self._state = self.policy.step(image, facet, self._state, self._episode_start)
         self._episode_start = torch.zeros_like(self._episode_start)

@@ -124,17 +124,31 @@ class Policy(nn.Module):
         """
         return self.encoder.patches(image)
 
-    def check_facets(self, highest: int) -> None:
-        """Check that the knowledge table has a row for every facet of an environment.
+    @property
+    def facet_spec(self) -> tuple[tuple[int, ...], torch.dtype]:
+        """Shape and dtype of a facet: a row of the table; without a table the knowledge, (K,)."""
+        if self.uses_knowledge and not len(self.knowledge_table):
+            return (self.shape.knowledge_dim,), torch.float32
+        return (), torch.int64
+
+    def check_facets(self, facet: Tensor) -> None:
+        """Check that the knowledge of the facets of an environment is known.
 
         Args:
-            highest: largest facet id that occurs.
+            facet: (B,) int64, row of the knowledge table, or (B, K) float32, the knowledge.
 
         Raises:
-            UserError: it has not.
+            UserError: the table lacks a row, or is missing where one is needed.
         """
+        shape, dtype = self.facet_spec
+        if self.uses_knowledge and (facet.shape[1:], facet.dtype) != (shape, dtype):
+            needs = f"vectors of {shape[0]} numbers" if shape else "rows of the policy's table"
+            raise UserError(
+                f"The environment's facets are {tuple(facet.shape)} {facet.dtype}, and the policy "
+                f"expects {needs}: build both from the same experiment."
+            )
         rows = len(self.knowledge_table)
-        if self.uses_knowledge and highest >= rows:
+        if self.uses_knowledge and not shape and (highest := int(facet.max())) >= rows:
             raise UserError(
                 f"The policy's knowledge table has {rows} rows and the environment has facet "
                 f"{highest}; build the table from the facets of this environment."
@@ -147,7 +161,7 @@ class Policy(nn.Module):
 
         Args:
             image: (B, H, W, 3) uint8, or their patches (B, S, L) uint8.
-            facet: (B,) int64, row of the knowledge table.
+            facet: (B,) int64, row of the knowledge table, or (B, K) float32, the knowledge.
             state: (h, c) after the previous step, (B, H) each.
             episode_start: (B,) bool, true where the image is the first of an episode; the
                 state is reset there.
@@ -183,7 +197,7 @@ class Policy(nn.Module):
 
         Args:
             image: (T, B, H, W, 3) uint8, or their patches (T, B, S, L) uint8.
-            facet: (T, B) int64, row of the knowledge table.
+            facet: (T, B) int64, row of the knowledge table, or (T, B, K) float32, the knowledge.
             state: (h, c) before the first step, (B, H) each.
             episode_start: (T, B) bool.
 
@@ -222,10 +236,10 @@ class Policy(nn.Module):
         return PolicySpec(self.config, self.shape, self.knowledge_table.cpu().numpy())
 
     def _knowledge(self, facet: Tensor) -> Tensor:
-        """Look up the knowledge of facets: (...) -> (..., K)."""
+        """Look up the knowledge of facets: (...) -> (..., K); knowledge itself is returned."""
         if not self.uses_knowledge:
             return self.knowledge_table.new_empty((*facet.shape, 0))
-        return self.knowledge_table[facet]
+        return facet if facet.is_floating_point() else self.knowledge_table[facet]
 
     def _autocast(self) -> torch.autocast:
         """Return a context in which products and convolutions have the policy's precision."""
