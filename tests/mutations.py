@@ -192,8 +192,8 @@ POLICY = [
     (
         "knowledge of the first facet only",
         "policy/policy.py",
-        "return self.knowledge_table[facet]",
-        "return self.knowledge_table[facet * 0]",
+        "else self.knowledge_table[facet]",
+        "else self.knowledge_table[facet * 0]",
         REFERENCE,
     ),
     (
