@@ -223,7 +223,7 @@ def test_a_real_run_is_reported(tmp_path):
         "irb120-choose-query-words-fast",
         tmp_path / "runs",
         total_steps=400,
-        grounding={"images": 64, "epochs": 1},
+        grounding={"images": 64, "rounds": 1},
         env={"dynamics": "kinematic", "choice": {"queries": {"pairs": "none"}}},
         algorithm={"num_envs": 8, "rollout_steps": 25, "minibatches": 2, "processes": 1},
         interim={"every_steps": 200, "episodes": 4},

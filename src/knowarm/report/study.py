@@ -154,8 +154,7 @@ class Run:
     @property
     def steps_done(self) -> float:
         """Environment steps of the run's last log row."""
-        ends = [curve["step"][-1] for curve in (self.interim, self.metrics) if curve]
-        return float(max(ends, default=0))
+        return float(max((c["step"][-1] for c in (self.interim, self.metrics) if c), default=0))
 
     @cached_property
     def best_step(self) -> float | None:
@@ -299,6 +298,7 @@ class Task:
     def subjects(self) -> tuple[Group, ...]:
         """The agents whose knowledge is tested: of each role and scope that with most detail."""
         told = [g for g in self.groups if g.runs[0].knowledge.get("detail") != "none"]
+        told = [g for g in told if g.runs[0].knowledge.get("source", {}).get("kind") != "zeros"]
         groups = [g for role in ("knowledge", "privileged") for g in told if g.role == role]
         first: dict[tuple[str | None, str], Group] = {}
         for group in sorted(groups, key=lambda group: -group.runs[0].detail):
