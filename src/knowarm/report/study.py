@@ -12,6 +12,7 @@ from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.algorithms import algorithm_of
 from knowarm.experiment.evaluation_files import read_table
 from knowarm.knowledge.config import Detail
+from knowarm.knowledge.vectors.placebos import Zeros
 from knowarm.report.format import palette
 from knowarm.statistics import Interval, bootstrap
 
@@ -22,7 +23,6 @@ ROLES = ("baseline", "knowledge", "privileged", "capacity_control", "content_con
 """Roles of agents, in the order in which a report lists them."""
 
 DETAILS = get_args(Detail)
-
 CONTROLS = ("capacity_control", "content_control")
 
 
@@ -298,7 +298,7 @@ class Task:
     def subjects(self) -> tuple[Group, ...]:
         """The agents whose knowledge is tested: of each role and scope that with most detail."""
         told = [g for g in self.groups if g.runs[0].knowledge.get("detail") != "none"]
-        told = [g for g in told if g.runs[0].knowledge.get("source", {}).get("kind") != "zeros"]
+        told = [g for g in told if g.runs[0].knowledge.get("source", {}).get("kind") != Zeros.kind]
         groups = [g for role in ("knowledge", "privileged") for g in told if g.role == role]
         first: dict[tuple[str | None, str], Group] = {}
         for group in sorted(groups, key=lambda group: -group.runs[0].detail):
