@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
+from numpy.typing import NDArray
 from stable_baselines3.common import env_checker
 
 from knowarm.errors import UserError
@@ -30,6 +31,9 @@ from knowarm.world.vector_env import ReachVectorEnv
 
 STREAMS = np.arange(200, dtype=np.uint64)
 NUMBERS = STREAMS % np.uint64(7)
+SECOND_TRY = 26
+"""Step at which an agent that tries objects goes to the next one: half of an episode."""
+
 METRICS = ("distance", "chosen", "is_choice_correct", "query", "objects", "object_positions")
 
 
@@ -42,14 +46,34 @@ class PickingAgent(OracleAgent):
 
     def start(self, env: ReachVectorEnv) -> None:
         super().start(env)
+        count = env.task.objects.shape[1]
+        self._go_to(np.random.default_rng(self._seed).integers(count, size=env.num_envs))
+
+    def _go_to(self, pick: NDArray[np.int64]) -> None:
+        """Move to one of the visible objects of each episode, the wanted one being 0."""
+        env = self._env
         task, rows = env.task, np.arange(env.num_envs)
-        pick = np.random.default_rng(self._seed).integers(task.objects.shape[1], size=env.num_envs)
         target = task.objects[rows, pick]
         position = np.concatenate([task.position[:, None], task.other_position], axis=1)
         grasp = target_places(env.scene, position[rows, pick]) + task.grasp_offset[target]
         matrix = env.scene.grasp_matrix[target].reshape(-1, 9)
         solver = InverseKinematics(env.scene, seed=self._seed)
         self._reach = solver.solve(grasp, matrix, env.joint_positions)
+
+
+class TryingAgent(PickingAgent):
+    """Moves to another object first, and to the wanted one after that."""
+
+    def start(self, env: ReachVectorEnv) -> None:
+        super().start(env)
+        self._go_to(np.ones(env.num_envs, dtype=np.int64))
+        self._step = 0
+
+    def act(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:
+        self._step += 1
+        if self._step == SECOND_TRY:
+            self._go_to(np.zeros(self._env.num_envs, dtype=np.int64))
+        return super().act(observations)
 
 
 def played(agent: OracleAgent, config: EnvConfig, count: int) -> EpisodeResults:
@@ -70,6 +94,27 @@ def test_an_agent_that_does_not_know_the_query_stays_at_chance() -> None:
     correct = (result.chosen == result.target).mean()
     assert abs(correct - chance) < 3 * np.sqrt(chance * (1 - chance) / count)
     assert result.success.mean() < 0.4
+
+
+def test_whoever_reaches_another_object_gets_no_second_try() -> None:
+    result = played(TryingAgent(), small(), 100)
+    at_another = result.chosen != result.target
+    assert at_another.mean() > 0.8
+    assert (result.length[at_another] < SECOND_TRY).mean() > 0.9
+    assert not result.success[at_another].any()
+
+
+def test_larger_thresholds_of_training_do_not_hold_for_other_objects() -> None:
+    config = small()
+    env = ReachVectorEnv(config, 100)
+    episodes = evaluation_episodes(env.scene, config, 100, seed=1)
+    results = []
+    for factor in (1.0, 3.0):
+        env.task.threshold_factor = factor
+        results.append(play(TryingAgent(), env, episodes))
+    at_another = ~results[0].success & ~results[1].success
+    assert at_another.mean() > 0.5
+    assert (results[0].length == results[1].length)[at_another].all()
 
 
 @pytest.mark.parametrize("robot", MAIN_ROBOTS)
@@ -162,6 +207,24 @@ def test_torch_draws_the_same_episodes_and_shows_the_same_images() -> None:
     assert (images == torch_images.numpy()).all()
     for name in METRICS:
         assert (infos[name] == torch_infos[name].numpy()).all(), name
+
+
+def test_episodes_end_at_other_objects_on_tensors_too() -> None:
+    config = small()
+    arrays, tensors = ReachVectorEnv(config, 20), TorchReachVectorEnv(config, 20)
+    arrays.reset(seed=5)
+    tensors.reset(seed=5)
+    agent = TryingAgent()
+    agent.start(arrays)
+    wrong = 0
+    for _ in range(SECOND_TRY):
+        actions = agent.act(np.empty(0, np.uint8))
+        _, _, terminated, _, infos = arrays.step(actions)
+        _, _, torch_terminated, _, _ = tensors.step(torch.as_tensor(actions))
+        assert (terminated == torch_terminated.numpy()).all()
+        if terminated.any():
+            wrong += (terminated & ~infos["final_info"]["is_success"]).sum()
+    assert wrong
 
 
 def test_an_episode_is_the_same_to_the_byte_at_any_number_of_environments() -> None:

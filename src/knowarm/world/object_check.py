@@ -19,6 +19,7 @@ from knowarm.world.robot_check import (
     MIN_REACHABLE,
     Check,
     check_result,
+    is_reachable,
 )
 from knowarm.world.scene import Scene, scene_of, target_places
 
@@ -65,12 +66,12 @@ def _check_reach(scene: Scene, config: EnvConfig, k: int, places: NDArray[np.flo
     matrix = np.repeat(scene.grasp_matrix[k].reshape(1, 9), len(places), axis=0)
     start = np.repeat(scene.home[None], len(places), axis=0)
     solution = InverseKinematics(scene).solve(grasp, matrix, start)
-    reached = solution.within(config.success_distance_m, config.success_angle_deg)
+    reached = is_reachable(solution, start, scene, config)
     x, y = places[~reached].mean(axis=0) if not reached.all() else (0.0, 0.0)
     return check_result(
         f"reach of {scene.targets[k].name}",
         bool(reached.mean() >= MIN_REACHABLE),
-        f"{reached.sum()} of {len(places)} positions reachable without contact",
+        f"{reached.sum()} of {len(places)} positions reachable in time and without contact",
         f"Not reached: positions around x {x:.2f}, y {y:.2f} m: move or shrink "
         "choice_half_size_m, turn the object with target_yaws_deg, or raise its grasp.",
     )

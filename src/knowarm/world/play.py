@@ -35,7 +35,7 @@ class PlayedStep:
     """Reward of the step, (n,)."""
 
     terminated: NDArray[np.bool_]
-    """Whether the target is reached, (n,)."""
+    """Whether the target is reached, or with several objects another one, (n,)."""
 
     infos: dict[str, Any]
     """Infos of the environment."""
@@ -75,7 +75,7 @@ class EpisodeResults:
     """Sum of the rewards."""
 
     length: NDArray[np.int64]
-    """Steps until success or the time limit."""
+    """Steps until the episode ended."""
 
     distance: NDArray[np.float64]
     """Gripper to grasp point at the end [m]."""
@@ -193,14 +193,14 @@ def play(
                     "distance": infos["distance"][ids],
                     "angle": infos["angle"][ids],
                     "reward": moment.reward[ids],
-                    "terminated": moment.terminated[ids],
+                    "success": infos["is_success"][ids],
                     "chosen": infos.get("chosen", infos["target"])[ids],
                 }
             )
     columns = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
     order = np.lexsort((columns["step"], columns["episode"]))
     columns = {name: column[order] for name, column in columns.items()}
-    terminated, chosen = columns.pop("terminated"), columns.pop("chosen")
+    success, chosen = columns.pop("success"), columns.pop("chosen")
     steps = StepTable(**columns)
     length = np.bincount(steps.episode, minlength=count)
     last = np.cumsum(length) - 1
@@ -209,7 +209,7 @@ def play(
         length=length,
         distance=steps.distance[last],
         angle=steps.angle[last],
-        success=terminated[last],
+        success=success[last],
         target=episodes.target,
         colour=episodes.colour,
         facet=np.concatenate(facets),

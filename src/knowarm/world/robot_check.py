@@ -5,14 +5,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from knowarm.errors import UserError
 from knowarm.world.appearance import TargetColours, resting_colours
 from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import evaluation_episodes
-from knowarm.world.ik import InverseKinematics
+from knowarm.world.ik import IKSolution, InverseKinematics
 from knowarm.world.render.renderer import make_renderer
-from knowarm.world.tasks.reach import ACTION_LEVELS
+from knowarm.world.scene import Scene
+from knowarm.world.tasks.reach import ACTION_LEVELS, joint_increments
 from knowarm.world.vector_env import ReachVectorEnv
 
 MJCF_SUFFIXES = (".xml", ".mjcf")
@@ -23,6 +25,9 @@ SAMPLES = 100
 
 MIN_REACHABLE = 0.99
 """Least fraction of target positions with a solution of the inverse kinematics."""
+
+MOVING_SHARE = 0.9
+"""Share of the time limit in which a solution has to be reached; servos lag behind."""
 
 MIN_PIXELS = 12
 """Least number of pixels that show a target, in 95 % of the episodes."""
@@ -143,7 +148,7 @@ def _check_reach(env: ReachVectorEnv) -> Check:
     env.reset(options={"episodes": episodes})
     solver = InverseKinematics(env.scene, ignore_roll=env.config.ignore_roll)
     solution = solver.solve(env.grasp_position, env.grasp_matrix, env.joint_positions)
-    reached = solution.within(env.config.success_distance_m, env.config.success_angle_deg)
+    reached = is_reachable(solution, env.joint_positions, env.scene, env.config)
     share = float(reached.mean())
     remedy = ""
     if share < MIN_REACHABLE:
@@ -159,9 +164,22 @@ def _check_reach(env: ReachVectorEnv) -> Check:
     return check_result(
         f"reach of {env.scene.targets[0].name}",
         share >= MIN_REACHABLE,
-        f"{100 * share:.0f} % of {SAMPLES} positions reachable without contact",
+        f"{100 * share:.0f} % of {SAMPLES} positions reachable in time and without contact",
         remedy,
     )
+
+
+def is_reachable(
+    solution: IKSolution, start: NDArray[np.float64], scene: Scene, config: EnvConfig
+) -> NDArray[np.bool_]:
+    """Return which solutions an episode can reach from joint angles (n, J) within its limits.
+
+    These are the thresholds of success, no contact, and `MOVING_SHARE` of the steps.
+    """
+    largest = joint_increments(scene.robot, config).max()
+    steps = np.abs(solution.joints - start).max(axis=1) / largest
+    reached = solution.within(config.success_distance_m, config.success_angle_deg)
+    return np.asarray(reached & (steps <= MOVING_SHARE * config.max_episode_steps))
 
 
 def _check_visible(env: ReachVectorEnv) -> list[Check]:

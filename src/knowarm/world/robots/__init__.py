@@ -77,8 +77,8 @@ _TIAGO = Robot(
     # the paper's 20 x 25 cm rectangle
     rectangle_centre_m=(0.70, -0.08),
     rectangle_half_size_m=(0.10, 0.125),
-    choice_centre_m=(0.68, 0.0),
-    choice_half_size_m=(0.09, 0.23),
+    choice_centre_m=(0.735, 0.0),
+    choice_half_size_m=(0.08, 0.23),
     target_yaw_deg=-165.0,
     target_yaws_deg={"cereal_box": -135.0},
     turned_grasps=("mug",),

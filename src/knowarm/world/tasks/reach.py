@@ -22,7 +22,7 @@ from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import Episodes, EpisodeSource
 from knowarm.world.robot import Robot
 from knowarm.world.scene import Scene, list_facets, target_places
-from knowarm.world.tasks.choose import check_objects, choice_metrics, target_positions
+from knowarm.world.tasks import choose
 from knowarm.world.tasks.reward import is_success, measure, reward_terms
 
 ACTION_LEVELS = (0.0, 1.0, -1.0, 0.1, -0.1, 0.01, -0.01)
@@ -69,7 +69,7 @@ class Outcome(NamedTuple):
     """Sum of the reward's terms, in the simulator's precision."""
 
     terminated: Array
-    """Whether the target is reached, bool."""
+    """Whether the target is reached, or with several objects another one, bool."""
 
     truncated: Array
     """Whether the time limit ends the episode, bool; never where ``terminated``."""
@@ -112,6 +112,7 @@ class ReachTask:
         success: whether both are below their thresholds, (n,) bool.
         thresholds: of distance and angle, (2,) [m, deg].
         grasp_offset: grasp point of each target relative to its position, (K, 3) [m].
+        grasp_rotation: rotation from each target's grasp frame to world, row-major, (K, 9).
     """
 
     distance: Array
@@ -136,13 +137,11 @@ class ReachTask:
         self._state_names = _STATE if config.choice is None else (*_STATE, *_SEVERAL)
         self._increments = place(joint_increments(scene.robot, config).astype(real))
         self._home = place(scene.home)
-        self._limits = place(scene.joint_lower), place(scene.joint_upper)
-        self._rounded_limits = (
-            place(scene.joint_lower.astype(real)),
-            place(scene.joint_upper.astype(real)),
-        )
+        limits = scene.joint_lower, scene.joint_upper
+        self._limits = tuple(place(limit) for limit in limits)
+        self._rounded_limits = tuple(place(limit.astype(real)) for limit in limits)
         self.grasp_offset = place(scene.grasp_position)
-        self._grasp_rotation = place(scene.grasp_matrix.reshape(-1, 9).astype(real))
+        self.grasp_rotation = place(scene.grasp_matrix.reshape(-1, 9).astype(real))
 
         self.streams = place(np.random.SeedSequence().generate_state(n, np.uint64))
         self.next_episode = place(np.zeros(n, dtype=np.uint64))
@@ -219,7 +218,7 @@ class ReachTask:
             self.start_next(selection)
         elif len(episodes) == len(ids):
             self._appearance.check(episodes)
-            check_objects(episodes, self.others.shape[1] + 1)
+            choose.check_objects(episodes, self.others.shape[1] + 1)
             rows = (getattr(episodes, field.name) for field in fields(episodes))
             self._start(selection, Episodes(*(self._arrays.spread(r, ids, n) for r in rows)))
         else:
@@ -248,8 +247,9 @@ class ReachTask:
         """Compute reward, success and time limit in the current state."""
         terms = reward_terms(self.distance, self.angle, self.success)
         reward = terms["success"] + terms["distance"] + terms["angle"]
-        truncated = (self.steps >= self.config.max_episode_steps) & ~self.success
-        return Outcome(reward, self.success, truncated)
+        terminated = self.success | choose.is_mistaken(self) if self.queries else self.success
+        truncated = (self.steps >= self.config.max_episode_steps) & ~terminated
+        return Outcome(reward, terminated, truncated)
 
     def metrics(self) -> dict[str, Array]:
         """Return the infos of the current state, without masks, (n, ...) each."""
@@ -261,7 +261,7 @@ class ReachTask:
             "facet": self.facet,
             "is_success": self.success,
         }
-        return infos if self.config.choice is None else infos | choice_metrics(self)
+        return infos if self.config.choice is None else infos | choose.choice_metrics(self)
 
     def get_state(self) -> dict[str, NDArray[Any]]:
         """Copy all that determines the following steps to the host."""
@@ -281,7 +281,7 @@ class ReachTask:
         self.simulator.set_state(
             state["simulation"],
             self.joint_targets,
-            target_positions(self, self._all),
+            choose.target_positions(self, self._all),
             self.shown.distractor_position,
         )
         self._measure()
@@ -309,7 +309,7 @@ class ReachTask:
         self.simulator.reset(
             selection,
             selection.take(self.joint_targets),
-            target_positions(self, selection),
+            choose.target_positions(self, selection),
             distractors,
         )
         self._measure()
@@ -321,7 +321,7 @@ class ReachTask:
         grasp = target_places(self.scene, position) + self.grasp_offset[target]
         grasp = xp.astype(grasp, self.grasp_position.dtype, copy=False)
         self.grasp_position = selection.update(self.grasp_position, grasp)
-        self.grasp_matrix = selection.update(self.grasp_matrix, self._grasp_rotation[target])
+        self.grasp_matrix = selection.update(self.grasp_matrix, self.grasp_rotation[target])
         colours = xp.concat([self.colour[:, None], self.other_colour], axis=1)
         shown = self._appearance(
             selection.take(self.objects),
