@@ -122,9 +122,10 @@ class _Task:
         network, places = self._network, place_of(starts.pixels[rows], self._size)
         with torch.autocast("cpu", torch.bfloat16, enabled=self._low):
             features = network.features(starts.images[rows])
+            keys = network.keys(features)
         features = features.float()
         wanted = network.wanted(network.knowledge[queries])
-        scores = network.keys(features) @ wanted.T  # (n, P, q)
+        scores = keys.float() @ wanted.T  # (n, P, q)
         facets = starts.facets[rows]
         answers = self._satisfies[queries][:, facets].transpose(0, 1)  # (n, q, m)
         askable = self._askable[queries][:, facets].transpose(0, 1)
