@@ -6,6 +6,9 @@ import re
 
 import pytest
 
+# Two test processes share two cores; more threads would wait for each other. Before torch is read.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 REMEDIES = {
     "Chromium": ("apt-get install chromium", r"chromium"),
     "WordNet": ("apt-get install wordnet-base", r"wordnet"),

@@ -67,6 +67,18 @@ def test_a_run_folder_tells_all(tmp_path):
         train(short(), tmp_path)
 
 
+@pytest.mark.parametrize("name", ["irb120-full-ppo", "irb120-full-fast"])
+def test_the_number_of_cores_changes_no_byte(tmp_path, name):
+    files = []
+    for threads in (1, 3):
+        torch.set_num_threads(threads)
+        run = train(short(name), tmp_path / str(threads))
+        paths = [*run.folder.checkpoints.rglob("*.safetensors"), run.folder.evaluations_path]
+        files.append({path.relative_to(run.folder.path): path.read_bytes() for path in paths})
+    assert len(files[0]) > 3
+    assert files[0] == files[1]
+
+
 def test_stop_and_resume_give_the_same_bytes(tmp_path):
     whole = train(short(), tmp_path / "whole")
     asked = []

@@ -20,6 +20,7 @@ from tests.robustness.storms import (
     random_steps,
     stop_children,
 )
+from tests.robustness.study_storm import kill_study
 
 Result = tuple[int, list[str]]
 
@@ -41,6 +42,7 @@ CAMPAIGNS: dict[str, tuple[int, Callable[[int, int], Result]]] = {
     "kill -9, PPO with helpers": (25, lambda n, seed: kill_storm("ppo with helpers", n, seed)),
     "kill -9, A3C": (25, lambda n, seed: kill_storm("a3c", n, seed)),
     "kill -9, evaluation": (20, kill_evaluations),
+    "kill -9, study": (20, kill_study),
     "mutations of files": (20_000, mutations),
     "injected file errors": (500, inject_file_errors),
     "stopped child processes": (40, stop_children),

@@ -15,7 +15,7 @@ import pytest
 
 from knowarm.study.driver import open_study
 from knowarm.study.status import study_status
-from tests.study.test_faults import results
+from tests.robustness.study_storm import results
 
 pytest.importorskip("ray")
 pytestmark = pytest.mark.slow
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.slow
 STUDY = """
 name = "cluster"
 experiments = ["irb120-bm-ppo"]
-seeds = [0, 1, 2, 3]
+seeds = [0, 1, 2]
 
 [overrides]
 total_steps = 1600

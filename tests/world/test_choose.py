@@ -97,7 +97,7 @@ def test_an_agent_that_does_not_know_the_query_stays_at_chance() -> None:
 
 
 def test_whoever_reaches_another_object_gets_no_second_try() -> None:
-    result = played(TryingAgent(), small(), 100)
+    result = played(TryingAgent(), small(), 40)
     at_another = result.chosen != result.target
     assert at_another.mean() > 0.8
     assert (result.length[at_another] < SECOND_TRY).mean() > 0.9
@@ -106,8 +106,8 @@ def test_whoever_reaches_another_object_gets_no_second_try() -> None:
 
 def test_larger_thresholds_of_training_do_not_hold_for_other_objects() -> None:
     config = small()
-    env = ReachVectorEnv(config, 100)
-    episodes = evaluation_episodes(env.scene, config, 100, seed=1)
+    env = ReachVectorEnv(config, 30)
+    episodes = evaluation_episodes(env.scene, config, 30, seed=1)
     results = []
     for factor in (1.0, 3.0):
         env.task.threshold_factor = factor

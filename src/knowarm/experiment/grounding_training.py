@@ -1,6 +1,7 @@
 """Training of a grounding network on images of the simulator."""
 
 from collections.abc import Callable
+from contextlib import closing
 
 import numpy as np
 import torch
@@ -11,6 +12,7 @@ from knowarm.experiment.grounding import Grounding, GroundingConfig, place_of
 from knowarm.experiment.perception import PerceptionConfig, Seen
 from knowarm.learn.device import resolve_precision
 from knowarm.seeding import derive_seed, torch_generator
+from knowarm.threads import torch_threads
 from knowarm.world.choice_source import choice_table
 from knowarm.world.config import EnvConfig
 
@@ -67,9 +69,7 @@ def train_grounding(
         optimizer, config.learning_rate, total_steps=max(2, steps)
     )
     generator = torch_generator(seed, "perception", IMAGES)
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)  # the same sums on every machine
-    try:
+    with torch_threads(1), closing(first_images):
         for number in range(1, config.rounds + 1):
             if should_stop():
                 return None
@@ -87,9 +87,6 @@ def train_grounding(
             report(
                 f"grounding, round {number} of {config.rounds}: loss {total / config.images:.3f}"
             )
-    finally:
-        first_images.close()
-        torch.set_num_threads(threads)
     network.eval().requires_grad_(False)
     return network
 

@@ -15,6 +15,7 @@ from knowarm.learn.minibatch import Targets, TrainingNetwork, add_gradient, targ
 from knowarm.learn.rollout import Rollout, rollout_specs
 from knowarm.learn.shared_tensors import zeros
 from knowarm.policy import MatmulPrecision, State
+from knowarm.threads import torch_threads
 
 
 class Learner:
@@ -66,13 +67,8 @@ class Learner:
     @contextmanager
     def running(self) -> Iterator[None]:
         """Use one PyTorch thread, and on a GPU the precision, until the context ends."""
-        before = torch.get_num_threads()
-        torch.set_num_threads(1)
-        try:
-            with tf32_products(self._precision, self._device):
-                yield
-        finally:
-            torch.set_num_threads(before)
+        with torch_threads(1), tf32_products(self._precision, self._device):
+            yield
 
     def infer(self, rollout: Rollout, t: int, image: Tensor, state: State) -> tuple[Tensor, State]:
         """Run the policy for step t, as `infer_step`; the next call may overwrite the state."""

@@ -10,6 +10,7 @@ from knowarm.learn.losses import PPOLossTerms, ppo_loss
 from knowarm.learn.rollout import Rollout
 from knowarm.learn.shared_tensors import TensorSpecs
 from knowarm.policy import Policy
+from knowarm.policy.encoder import orthogonal
 from knowarm.seeding import torch_generator
 
 
@@ -41,8 +42,7 @@ class TrainingNetwork(nn.Module):
         self.head: nn.Linear | None = None
         if auxiliary_targets:
             self.head = nn.Linear(policy.fc.out_features, auxiliary_targets)
-            nn.init.orthogonal_(self.head.weight, generator=torch_generator(seed, "weights", 2))
-            nn.init.zeros_(self.head.bias)
+            orthogonal(self.head, 1.0, torch_generator(seed, "weights", 2))
             self.head.to(policy.fc.weight.device)
 
     def parameters_by_name(self) -> dict[str, nn.Parameter]:

@@ -14,6 +14,7 @@ from knowarm.errors import UserError
 from knowarm.learn.config import PPOConfig
 from knowarm.learn.environment import PrivilegedVectorEnv
 from knowarm.learn.optimizer import Adam
+from knowarm.policy.encoder import orthogonal
 from knowarm.seeding import torch_generator
 
 AUXILIARY_QUANTITIES = (
@@ -108,8 +109,7 @@ class StateCritic:
         # The small last layer makes the first values nearly zero.
         layers = [layer for layer in self.network if isinstance(layer, nn.Linear)]
         for layer, gain in zip(layers, (2**0.5, 2**0.5, 0.01), strict=True):
-            nn.init.orthogonal_(layer.weight, gain, generator=weights)
-            nn.init.zeros_(layer.bias)
+            orthogonal(layer, gain, weights)
         self.network.to(device)
         self._optimizer = Adam(self.network.parameters(), lr=CRITIC_LEARNING_RATE, fused=True)
         self._generator = torch_generator(seed, "minibatches", 1, device=device)

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from knowarm.errors import UserError
 from knowarm.policy.config import PolicyConfig, PolicyShape, layer_widths
-from knowarm.policy.encoder import RELU_GAIN, ImageEncoder, orthogonal
+from knowarm.policy.encoder import RELU_GAIN, ImageEncoder, orthogonal, orthogonal_
 from knowarm.policy.fusion import FUSIONS
 from knowarm.policy.lstm import MaskedLSTM, State
 from knowarm.seeding import torch_generator
@@ -108,7 +108,7 @@ class Policy(nn.Module):
         orthogonal(self.fc, RELU_GAIN if rectified else 1.0, generator)
         orthogonal(self.memory, 1.0, generator)
         for head in self.actor.weight.data.split(self.shape.levels):
-            nn.init.orthogonal_(head, self.config.actor_gain, generator=generator)
+            orthogonal_(head, self.config.actor_gain, generator)
         nn.init.zeros_(self.actor.bias)
         orthogonal(self.critic, 1.0, generator)
 

@@ -68,9 +68,7 @@ def main(side: int, count: int) -> None:
             every_second = np.arange(count) % 2 == 0
             for options in (
                 {},
-                {"geom_rgba": rgba},
-                {"views": views},
-                {"lamps": lamps},
+                {"geom_rgba": rgba, "views": views, "lamps": lamps},
                 {"wanted": every_second},
             ):
                 wanted = options.get("wanted", np.ones(count, dtype=np.bool_))

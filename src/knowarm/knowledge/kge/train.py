@@ -11,6 +11,7 @@ from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.kge.models import MODELS, KgeModel
 from knowarm.knowledge.kge.rank import rank, reciprocal
+from knowarm.threads import torch_threads
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,13 +78,9 @@ def train(
         valid = None
     if known is None:
         known = triples if valid is None else np.concatenate([triples, valid])
-    threads = torch.get_num_threads()
-    torch.set_num_threads(config.threads)
-    try:
+    with torch_threads(config.threads):
         model = new_model(config, entities, relations)
         return _loop(model, config, triples, valid, known, on_epoch)
-    finally:
-        torch.set_num_threads(threads)
 
 
 def _loop(

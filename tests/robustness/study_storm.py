@@ -1,0 +1,153 @@
+"""Campaign against a running study: kill -9 of its driver, its workers and their helpers."""
+
+import os
+import random
+import subprocess
+import sys
+import tempfile
+import time
+import uuid
+from pathlib import Path
+
+import psutil
+
+from knowarm.experiment.run_folder import read_csv
+from knowarm.study.driver import open_study
+from knowarm.study.status import study_status
+from tests.robustness.storms import GONE_S
+
+MARK = "KNOWARM_FAULT_TEST"
+STUDY = """
+name = "faults"
+experiments = ["irb120-bm-ppo", "irb120-full-ppo"]
+seeds = SEEDS
+
+[overrides]
+total_steps = 1200
+checkpoint_every_steps = 60
+interim = {every_steps = 300, episodes = 2}
+algorithm = {num_envs = 4, rollout_steps = 5, minibatches = 2, processes = 1}
+
+[[overrides_for]]  # helper processes
+experiments = "irb120-full-ppo"
+fields.total_steps = 6400
+fields.checkpoint_every_steps = 300
+fields.algorithm = {num_envs = 32, processes = 2}
+
+[[evaluations]]
+episodes = 3
+blind_episodes = 0
+
+[where]
+kind = "local"
+at_once = 2
+retries = 100
+"""
+
+
+def _start(study: Path, out: Path, mark: str) -> subprocess.Popen:
+    return subprocess.Popen(
+        [sys.executable, "-m", "knowarm", "study", "run", str(study), "--out", str(out)],
+        env={**os.environ, MARK: mark},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+
+
+def _alive(mark: str) -> list[psutil.Process]:
+    """Return the processes that descend from a marked driver, whoever their parent is now."""
+    found = []
+    for process in psutil.process_iter():
+        try:
+            if process.environ().get(MARK) == mark and process.status() != psutil.STATUS_ZOMBIE:
+                found.append(process)
+        except psutil.Error:
+            continue
+    return found
+
+
+def _shared_memory() -> set[str]:
+    return {path.name for path in Path("/dev/shm").iterdir() if "plasma" not in path.name}
+
+
+def _victim(kind: str, driver: int, mark: str, draws: random.Random) -> psutil.Process | None:
+    """Return a random process: the driver, a worker, or a helper of a worker."""
+    if kind == "driver":
+        return psutil.Process(driver)
+    workers = psutil.Process(driver).children()
+    if kind == "worker":
+        return draws.choice(workers) if workers else None
+    helpers = [child for worker in workers for child in worker.children(recursive=True)]
+    return draws.choice(helpers) if helpers else None
+
+
+def results(out: Path) -> dict[str, object]:
+    """Return what a study measured and learned: bytes of every file, and curves without times."""
+    patterns = (
+        "checkpoints/*/*.safetensors",
+        "evaluation/**/*.*",
+        "evaluations.csv",
+        "config.json",
+    )
+    found: dict[str, object] = {}
+    for run in sorted(path.parent for path in out.glob("*/*/config.json")):
+        for pattern in patterns:
+            for path in run.glob(pattern):
+                found[path.relative_to(out).as_posix()] = path.read_bytes()
+        rows = read_csv(run / "metrics.csv")
+        found[f"{run.relative_to(out)} metrics"] = [
+            {name: value for name, value in row.items() if not name.endswith("_s")} for row in rows
+        ]
+    return found
+
+
+def kill_study(kills: int, seed: int) -> tuple[int, list[str]]:
+    """Kill processes of a study at random moments, and compare it with an undisturbed one.
+
+    The study has two experiments, one of them with helper processes, and a training seed for six
+    kills.
+
+    Returns:
+        The number of kills, and what differed or stayed behind.
+    """
+    draws = random.Random(seed)
+    kinds = [("worker", "driver", "helper")[i % 3] for i in range(kills)]
+    draws.shuffle(kinds)
+    mark, shared = uuid.uuid4().hex, _shared_memory()
+    killed, failures = 0, []
+    with tempfile.TemporaryDirectory() as folder:
+        study, disturbed, calm = (Path(folder) / name for name in ("s.toml", "disturbed", "calm"))
+        study.write_text(STUDY.replace("SEEDS", str(list(range(-(-kills // 6))))))
+        driver = _start(study, disturbed, mark)
+        while kinds and driver.poll() is None:
+            time.sleep(draws.uniform(0.3, 3))
+            try:
+                chosen = _victim(kinds[-1], driver.pid, mark, draws)
+                if chosen is None:
+                    kinds.insert(0, kinds.pop())  # there is none at this moment
+                    continue
+                chosen.kill()
+            except psutil.NoSuchProcess:
+                continue
+            killed += 1
+            if kinds.pop() == "driver":
+                driver.wait()
+                driver = _start(study, disturbed, mark)
+        if kinds:
+            failures.append(f"the study ended after {killed} of {kills} kills")
+        if driver.wait() != 0:
+            states = study_status(open_study(disturbed), disturbed)
+            failures.append(f"the study failed: {[each.detail for each in states]}")
+        if {each.state for each in study_status(open_study(disturbed), disturbed)} != {"done"}:
+            failures.append("the study is not done")
+        if _start(study, calm, mark).wait() != 0:
+            failures.append("the undisturbed study failed")
+        expected, found = results(calm), results(disturbed)
+        failures += [f"{name} differs" for name in expected if expected[name] != found.get(name)]
+        failures += [f"{name} is left over" for name in found.keys() - expected.keys()]
+    end = time.monotonic() + GONE_S
+    while (_alive(mark) or _shared_memory() - shared) and time.monotonic() < end:
+        time.sleep(0.2)
+    failures += [f"process {process.pid} lives on" for process in _alive(mark)]
+    failures += [f"/dev/shm/{name} is left over" for name in _shared_memory() - shared]
+    return killed, failures
