@@ -34,6 +34,7 @@ EVERYBODY = {
     "compiling",
     "private_apis",
     "seeding",
+    "threads",
     "reading",
     "__version__",
 }
