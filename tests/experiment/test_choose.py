@@ -9,6 +9,7 @@ import pytest
 from knowarm.config import from_dict, to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS
+from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.build import build, load_agent
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.evaluate import evaluate
@@ -51,6 +52,16 @@ def test_the_knowledge_table_has_a_row_per_query() -> None:
     assert told.table.shape == (49, 50)
     assert nothing.table.shape == (49, 0)
     assert len(np.unique(told.table, axis=0)) == 49
+
+
+def test_an_algorithm_may_have_other_settings_in_the_choice_task(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    choice = {"total_steps": 7, "algorithm": {"gamma": 0.5}}
+    monkeypatch.setitem(ALGORITHMS, "fast", replace(ALGORITHMS["fast"], choice=choice))
+    reach, choose = (experiment_config(f"irb120-{name}-fast") for name in ("bm", "choose-bm"))
+    assert (choose.total_steps, choose.algorithm) == (7, replace(reach.algorithm, gamma=0.5))
+    assert reach.total_steps == ALGORITHMS["fast"].total_steps
 
 
 def test_training_and_evaluation_report_the_choice(tmp_path: Path) -> None:

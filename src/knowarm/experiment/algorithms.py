@@ -63,6 +63,8 @@ class Algorithm:
     """Environment steps of an experiment, over all environments."""
     policy: Mapping[str, Any] = field(default_factory=dict)
     """Fields of the policy's config that have other values under this algorithm."""
+    choice: Mapping[str, Any] = field(default_factory=dict)
+    """Fields of experiments of the choice task that have other values."""
 
 
 def _make_ppo(inputs: TrainerInputs) -> Trainer:
@@ -100,6 +102,8 @@ ALGORITHMS: dict[str, Algorithm] = {
         make_trainer=_make_ppo,
         total_steps=1_500_000,
         policy={"pixel_shift": 0.5, "pixel_scale": 4.0},
+        # Without it, grasps of which few objects are examples are learned late.
+        choice={"total_steps": 2_000_000, "algorithm": {"progress_coef": 1.0}},
     ),
     "ppo": Algorithm(
         about="recurrent proximal policy optimization; on CPU or GPU",

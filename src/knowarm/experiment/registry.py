@@ -120,7 +120,7 @@ def _config(
         env = choice_env_config(robot, choice=choice)
         if knowledge.scope == "perceived":  # described by the graph that is asked
             knowledge = dataclasses.replace(knowledge, graph=QUERY.graph, aliases=QUERY.aliases)
-    return ExperimentConfig(
+    config = ExperimentConfig(
         name=name,
         agent=agent_name,
         role=agent.role,
@@ -131,3 +131,4 @@ def _config(
         grounding=agent.grounding,
         algorithm=algorithm.config,
     )
+    return replace(config, algorithm.choice) if task == "choose" else config
