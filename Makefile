@@ -58,7 +58,7 @@ fast-tests: $(VENV)/.dev ## run the fast tests
 torture: $(VENV)/.dev ## kill, damage, stop and starve it for an hour or more: docs/reliability.md
 	$(PY) -m tests.robustness.torture
 
-mutate: $(VENV)/.dev ## apply 40 deliberate mistakes, one after the other: the tests must notice 38
+mutate: $(VENV)/.dev ## apply deliberate mistakes, one after the other: the tests must notice nearly all
 	$(PY) -m tests.mutate
 
 bench: $(VENV)/.runtime ## measure the speed of this machine: simulation, then training

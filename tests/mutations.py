@@ -1,4 +1,4 @@
-"""Forty mutations of the package that its tests must notice: data of `tests.mutate`."""
+"""Mutations of the package that its tests must notice: data of `tests.mutate`."""
 
 from dataclasses import dataclass
 
@@ -32,6 +32,13 @@ RETURNS = "tests/learn/test_returns.py"
 VERDICTS = "tests/report/test_verdicts.py"
 
 WORLD = [
+    (
+        "a second try at the objects",
+        "world/tasks/choose.py",
+        "reached & (nearest != 0)",
+        "reached & (nearest < 0)",
+        "tests/world/test_choose.py::test_whoever_reaches_another_object_gets_no_second_try",
+    ),
     (
         "reward of success",
         "world/tasks/reward.py",
