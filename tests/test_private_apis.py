@@ -179,3 +179,22 @@ def test_the_web_viewer_has_the_functions_that_are_replaced():
     with private_apis.guarded_web_viewer(*[lambda *given: None] * 4):
         assert web_server.serve is not before
     assert web_server.serve is before
+
+
+ENDING = """
+import atexit, threading, time
+from concurrent.futures import ThreadPoolExecutor
+from knowarm.private_apis import end_process
+
+atexit.register(print, "registered")
+pool = ThreadPoolExecutor(2)
+pool.submit(time.sleep, 0).result()
+threading.Thread(target=lambda: (time.sleep(0.2), print("thread"))).start()
+end_process(3)
+"""
+
+
+def test_a_process_ends_with_a_pool_of_threads_after_its_other_threads():
+    done = subprocess.run([sys.executable, "-c", ENDING], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (3, "")
+    assert done.stdout.split() == ["thread", "registered"]

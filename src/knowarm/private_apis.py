@@ -96,14 +96,12 @@ def end_process(code: int) -> NoReturn:
 
     Reason: at a normal exit the interpreter collects PyTorch's objects, which takes a second, and
     20 seconds on a busy machine, where a training must end soon after SIGTERM. Functions registered
-    with ``atexit`` are still called, by a private function.
+    with ``atexit`` are still called, and pools of threads ended, by private functions.
 
     Args:
         code: exit code.
     """
-    for thread in threading.enumerate():
-        if not thread.daemon and thread is not threading.current_thread():
-            thread.join()
+    threading._shutdown()  # type: ignore[attr-defined]
     atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError, AttributeError):  # closed, or nobody reads it
