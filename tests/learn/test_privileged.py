@@ -194,6 +194,22 @@ def test_muon_updates_the_hidden_matrices_and_adam_the_rest():
     assert set(kinds) == set(parameters)
 
 
+def test_a_second_thread_updates_to_the_same_bytes():
+    results = []
+    for processes in (1, 2):
+        parameters = TrainingNetwork(toy_policy(), 0).parameters_by_name()
+        config = dataclasses.replace(CONFIG, optimizer="muon")
+        optimizer = PolicyOptimizer(parameters, config, processes)
+        for _ in range(2):
+            for parameter in parameters.values():
+                parameter.grad = parameter.detach().sin()
+            optimizer.step()
+        state = {name: value.tobytes() for name, value in optimizer.get_state().items()}
+        weights = {name: p.detach().numpy().tobytes() for name, p in parameters.items()}
+        results.append((state, weights))
+    assert results[0] == results[1]
+
+
 def test_an_environment_without_privileged_state_is_refused():
     env = toy_env(8, recall=False, length=5)
     for name, option in OPTIONS.items():

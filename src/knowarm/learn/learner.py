@@ -32,8 +32,10 @@ class Learner:
         rollout: written by `infer` and the collector, read by `compute_gradient`.
         targets: read by `compute_gradient`.
         gradient: (P,) float32, written by `compute_gradient`.
+        processes: number of processes that share the work.
     """
 
+    processes = 1
     rollout: Rollout
     targets: Targets
     gradient: Tensor

@@ -1,6 +1,7 @@
 """Optimizer of PPO: Adam, or Muon for the hidden layers' matrices and Adam for the rest."""
 
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import torch
@@ -22,25 +23,30 @@ class PolicyOptimizer:
     Args:
         parameters: by name.
         config: optimizer and its hyperparameters.
+        processes: processes that wait for the step. With several, their cores are free, and a
+            second thread updates a matrix; the bytes stay the same.
     """
 
-    def __init__(self, parameters: Mapping[str, nn.Parameter], config: PPOConfig) -> None:
+    def __init__(
+        self, parameters: Mapping[str, nn.Parameter], config: PPOConfig, processes: int = 1
+    ) -> None:
         self._parameters = parameters
         matrices = [parameters[name] for name in MUON_PARAMETERS if config.optimizer == "muon"]
         others = [p for p in parameters.values() if not any(p is matrix for matrix in matrices)]
         self._optimizers: list[torch.optim.Optimizer] = [
             Adam(others, lr=config.learning_rate, eps=config.adam_eps, fused=True)
         ]
-        if matrices:
-            # This scale gives updates of the size of Adam's, so that both share a learning rate.
-            self._optimizers.append(
-                Muon(
-                    matrices,
-                    lr=config.learning_rate,
-                    weight_decay=0.0,
-                    adjust_lr_fn="match_rms_adamw",
-                )
+        # This scale gives updates of the size of Adam's, so that both share a learning rate.
+        self._optimizers += [
+            Muon(
+                [matrix],
+                lr=config.learning_rate,
+                weight_decay=0.0,
+                adjust_lr_fn="match_rms_adamw",
             )
+            for matrix in matrices
+        ]
+        self._pool = ThreadPoolExecutor(1) if matrices and processes > 1 else None
 
     def set_learning_rate(self, rate: float) -> None:
         """Set the learning rate of the following steps."""
@@ -50,8 +56,14 @@ class PolicyOptimizer:
 
     def step(self) -> None:
         """Update the parameters from their gradients."""
-        for optimizer in self._optimizers:
+        *most, last = self._optimizers
+        updated = None if self._pool is None else self._pool.submit(last.step)
+        for optimizer in most:
             optimizer.step()
+        if updated is None:
+            last.step()
+        else:
+            updated.result()
 
     def get_state(self) -> dict[str, np.ndarray]:
         """Return the state as arrays named ``<parameter>/<quantity>``."""

@@ -88,7 +88,9 @@ class PPOTrainer(Trainer):
             env, policy, seed=seed, final_values=others, curriculum=self._curriculum
         )
         self._minibatch_generator = torch_generator(seed, "minibatches", device=self._device)
-        self._optimizer = PolicyOptimizer(network.parameters_by_name(), config)
+        self._optimizer = PolicyOptimizer(
+            network.parameters_by_name(), config, self._learner.processes
+        )
         self._guard = FiniteGuard(self.failure_folder)
         self._health = HealthMonitor(policy.shape.joints, policy.shape.levels, config.gamma)
 
