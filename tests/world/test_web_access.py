@@ -128,7 +128,7 @@ def test_an_episode_begins_once_a_browser_is_there(monkeypatch):
 
 @pytest.mark.slow
 def test_the_viewer():
-    command = [sys.executable, "-m", "knowarm", "view", "--agent", "random", "--episodes", "1"]
+    command = [sys.executable, "-m", "knowarm", "view", "--agent", "oracle", "--episodes", "1"]
     options = ["--no-browser", "--dynamics", "kinematic", "--targets", "mug"]
     viewer = subprocess.Popen([*command, *options], stdout=subprocess.PIPE, text=True)
     try:
