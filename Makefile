@@ -34,7 +34,7 @@ best: $(VENV)/.runtime ## train and evaluate the best recipe so far in runs/best
 	$(PY) -m knowarm evaluate runs/best/$(BEST)/0
 
 test: $(VENV)/.dev ## set up .venv, run all tests
-	$(PY) -m pytest -n 3 --dist worksteal --durations 25
+	$(PY) -m pytest -n 2 --dist worksteal --durations 25
 
 check: format-check lint types fast-tests ## format, lint, types and fast tests: what every commit must pass
 
