@@ -77,10 +77,15 @@ _TIAGO = Robot(
     # the paper's 20 x 25 cm rectangle
     rectangle_centre_m=(0.70, -0.08),
     rectangle_half_size_m=(0.10, 0.125),
-    choice_centre_m=(0.735, 0.0),
+    choice_centre_m=(0.745, 0.0),
     choice_half_size_m=(0.08, 0.23),
     target_yaw_deg=-165.0,
-    target_yaws_deg={"cereal_box": -135.0},
+    target_yaws_deg={
+        "cereal_box": -135.0,
+        "book": -145.0,
+        "flashlight": -145.0,
+        "pitcher": -145.0,
+    },
     turned_grasps=("mug",),
     camera_position_m=(1.35, -0.95, 1.50),
     camera_look_at_m=(0.66, -0.06, 0.78),
