@@ -151,10 +151,9 @@ class Collector:
             self._final_values.add(rollout, t, truncated & ~terminated, self._state, infos)
             self._start = terminated | truncated
             if privileged is not None:
-                following = env.privileged_state
-                final = infos["final_privileged_state"]
-                privileged.next_state[t] = torch.where(self._start[:, None], final, following)
-                privileged.state[t + 1 : t + 2] = following
+                privileged.next_state[t] = infos["final_privileged_state"]
+                if t + 1 < steps:
+                    privileged.state[t + 1] = env.privileged_state
             success = infos.get("final_info", {}).get("is_success", terminated)
             self.statistics.add(reward, self._start, success)
             if until_episode_end and bool(self._start.any()):

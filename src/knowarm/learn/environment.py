@@ -84,7 +84,7 @@ class PrivilegedVectorEnv(TorchVectorEnv, Protocol):
     """A vector environment whose simulator's state can be used in training.
 
     With ``report_privileged_state``, infos contain ``final_privileged_state``, (n, D) float32: the
-    state before the resets of the step.
+    state of every environment before the resets of the step.
 
     Attributes:
         privileged_columns: names of the D columns; see
