@@ -9,6 +9,7 @@ All train the same task with networks, epochs and minibatches of the same size, 
 import os
 import time
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,8 @@ from torch import Tensor, nn
 from knowarm.bench.learn import (
     LearnBenchConfig,
     Row,
-    a3c_row,
+    a3c_rows,
+    in_turns,
     ppo_row,
     raycaster_row,
     success_rows,
@@ -51,9 +53,6 @@ from knowarm.world.vector_env import ReachVectorEnv
 class CompareLearnConfig(LearnBenchConfig):
     """Settings of the comparison."""
 
-    turns: int = 3
-    """How often KnowArm's and sb3-contrib's PPO are measured alternately; the median counts."""
-
     opengl: bool = True
     """Also train on single environments with MuJoCo's OpenGL renderer (needs EGL or OSMesa)."""
 
@@ -75,16 +74,10 @@ def compare_learn(config: CompareLearnConfig) -> dict[str, Any]:
     # The processes of the single environments read it when they start.
     os.environ.setdefault("MUJOCO_GL", "egl")
     torch.set_num_threads(config.cores)
-    # Alternately and more than once, since the speed of a machine varies with time.
-    turns = [(ppo_row(config), sb3_row(config, opengl=False)) for _ in range(config.turns)]
-    ppo, sb3 = (_median(rows) for rows in zip(*turns, strict=True))
-    rows = [
-        raycaster_row(config),
-        ppo,
-        a3c_row(config, "a3c", workers=17, envs_per_worker=1),
-        a3c_row(config, "a3c-batched", workers=config.cores, envs_per_worker=128),
-        sb3,
-    ]
+    ppo, sb3 = in_turns(
+        [partial(ppo_row, config), partial(sb3_row, config, opengl=False)], config.turns
+    )
+    rows = [raycaster_row(config), ppo, *a3c_rows(config), sb3]
     if config.opengl:
         rows.append(sb3_row(config, opengl=True))
     speed = {row["name"]: row["steps_per_s"] for row in rows}
@@ -96,11 +89,6 @@ def compare_learn(config: CompareLearnConfig) -> dict[str, Any]:
         "ratio_vs_sb3": speed["ppo"] / speed["sb3"],
         "ratio_vs_sb3_opengl": speed["ppo"] / speed["sb3-opengl"] if config.opengl else None,
     }
-
-
-def _median(rows: tuple[Row, ...]) -> Row:
-    """Return the row of median speed."""
-    return sorted(rows, key=lambda row: row["steps_per_s"])[len(rows) // 2]
 
 
 def sb3_row(config: CompareLearnConfig, *, opengl: bool) -> Row:

@@ -30,7 +30,8 @@ def test_a_recurrent_policy_of_sb3_has_as_many_parameters() -> None:
 
 
 @pytest.mark.slow
-def test_learners_are_compared_in_one_table() -> None:
+def test_learners_are_compared_in_one_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("knowarm.bench.learn.A3C_WORKERS", 2)
     pytest.importorskip("sb3_contrib")
     from benchmarks.compare_learn import CompareLearnConfig, compare_learn
 

@@ -2,13 +2,14 @@
 
 import pytest
 
-from knowarm.bench.learn import LearnBenchConfig, bench_learn
+from knowarm.bench.learn import LearnBenchConfig, bench_learn, in_turns
 from knowarm.errors import UserError
 
 
 @pytest.mark.slow
-def test_all_learners_are_in_one_table() -> None:
-    result = bench_learn(LearnBenchConfig(cores=1, seconds=0.1))
+def test_all_learners_are_in_one_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("knowarm.bench.learn.A3C_WORKERS", 2)
+    result = bench_learn(LearnBenchConfig(cores=1, seconds=0.1, turns=1))
     rows = {row["name"]: row for row in result["rows"]}
     assert set(rows) == {"raycaster", "fast", "ppo", "a3c", "a3c-batched"}
     assert all(row["steps_per_s"] > 0 for row in rows.values())
@@ -26,6 +27,15 @@ def test_agents_with_a_network_beside_the_policy_are_refused(agent: str) -> None
     config = LearnBenchConfig(experiment=f"irb120-choose-{agent}-ppo")
     with pytest.raises(UserError, match="choose an agent without one"):
         bench_learn(config)
+
+
+def test_configurations_take_turns_and_the_median_counts() -> None:
+    speeds = iter([1.0, 5.0, 3.0, 4.0, 2.0, 9.0])
+    measures = [lambda name=name: {"name": name, "steps_per_s": next(speeds)} for name in "ab"]
+    assert in_turns(measures, 3) == [
+        {"name": "a", "steps_per_s": 2.0},
+        {"name": "b", "steps_per_s": 5.0},
+    ]
 
 
 def test_sizes_out_of_range_are_refused() -> None:

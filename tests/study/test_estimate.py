@@ -1,6 +1,8 @@
 import pytest
 
+import knowarm.study.estimate
 from knowarm.errors import UserError
+from knowarm.experiment.config import EvaluationConfig
 from knowarm.study.estimate import estimate
 from knowarm.study.executors import Local
 from tests.study.tiny import OVERRIDES, tiny
@@ -15,6 +17,27 @@ def test_the_cost_of_a_study_is_measured_and_nothing_is_written(tmp_path):
     assert found.core_hours == row.core_hours > 2 * 80 / row.steps_per_s / 3600 > 0
     assert found.hours == found.core_hours
     assert not (tmp_path / "out").exists()
+
+
+def test_what_blind_agents_play_and_their_search_cost_too(tmp_path, monkeypatch):
+    asked = []
+
+    def measure(config, cores, *, search):
+        asked.append(search)
+        return {"steps_per_s": 1e9, "episodes_per_s": 1.0, "search_s": 100.0, "start_s": 0.0}
+
+    monkeypatch.setattr(knowarm.study.estimate, "measure", measure)
+    evaluations = (
+        EvaluationConfig(episodes=10, blind_episodes=0),
+        EvaluationConfig(label="b", episodes=10, blind_episodes=20),
+    )
+    hours = []
+    for some in (evaluations[:1], evaluations):
+        found = estimate(tiny(evaluations=some, where=Local(at_once=1)), tmp_path / "out")
+        hours.append(found.core_hours * 3600 / found.rows[0].runs)
+    assert asked == [False, True]
+    # Open-loop, blind and frozen agent play the ten episodes, too.
+    assert hours == pytest.approx([10, 10 + 4 * 10 + 100], abs=1e-3)
 
 
 def test_an_experiment_that_cannot_be_trained_is_named(tmp_path):

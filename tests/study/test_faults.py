@@ -8,4 +8,5 @@ from tests.robustness.study_storm import kill_study
 @pytest.mark.slow(60)
 @pytest.mark.skipif(not Path("/dev/shm").is_dir(), reason="needs /proc and /dev/shm")
 def test_kills_change_nothing():
-    assert kill_study(4, seed=0) == (4, [])
+    # Of a driver, a worker and a helper; `make torture` takes twenty.
+    assert kill_study(3, seed=0) == (3, [])

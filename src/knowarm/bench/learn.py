@@ -1,8 +1,9 @@
 """Benchmark of training on this machine's CPU: PPO and A3C (`knowarm bench learn`)."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, cast
 
 import torch
@@ -26,7 +27,10 @@ PPOS = [name for name, entry in ALGORITHMS.items() if isinstance(entry.config, P
 """Algorithms that are a configuration of PPO."""
 
 PPO, A3C = PPOConfig().name, A3CConfig().name
-"""Names of the rows; the paper's A3C has 17 workers with one environment each."""
+"""Names of the rows; the paper's A3C has many workers with one environment each."""
+
+A3C_WORKERS = A3CConfig().workers
+"""Workers of the paper's A3C."""
 
 A3C_BATCHED = f"{A3C}-batched"
 """Name of the row of A3C with many environments per worker."""
@@ -49,7 +53,10 @@ class LearnBenchConfig:
     """Processes and threads of each learner."""
 
     seconds: float = 15.0
-    """Minimum measuring time per row [s]."""
+    """Minimum measuring time per row and turn [s]."""
+
+    turns: int = 3
+    """How often the configurations of PPO are measured in turn; the median counts."""
 
     success_steps: int = 0
     """Also train until 80 % success, for at most so many environment steps; 0: do not."""
@@ -60,6 +67,8 @@ class LearnBenchConfig:
     def __post_init__(self) -> None:
         if self.cores < 1:
             raise UserError(f"cores must be at least 1, got {self.cores}.")
+        if self.turns < 1:
+            raise UserError(f"turns must be at least 1, got {self.turns}.")
         if self.success_steps < 0:
             raise UserError(f"success_steps must be 0 or more, got {self.success_steps}.")
 
@@ -75,7 +84,7 @@ def bench_learn(config: LearnBenchConfig | None = None) -> dict[str, Any]:
         ``rows`` with name, envs, steps_per_s and shares of the time (the row of the ray caster
         counts frames of one core), ``steps_per_s`` of PPO, ``ratio_<name>`` of each other
         configuration of PPO over PPO, ``ratio_a3c_batched`` (A3C with many environments per worker
-        over the paper's 17 workers of one), the machine, and ``success`` with the rows of
+        over the paper's workers of one), the machine, and ``success`` with the rows of
         `time_to_success`.
 
     Raises:
@@ -86,11 +95,19 @@ def bench_learn(config: LearnBenchConfig | None = None) -> dict[str, Any]:
     torch.set_num_threads(config.cores)
     rows = [
         raycaster_row(config),
-        *(ppo_row(config, name) for name in PPOS),
-        a3c_row(config, A3C, workers=17, envs_per_worker=1),
-        a3c_row(config, A3C_BATCHED, workers=config.cores, envs_per_worker=128),
+        *in_turns([partial(ppo_row, config, name) for name in PPOS], config.turns),
+        *a3c_rows(config),
     ]
     return summarize_rows(config, rows) | {"success": success_rows(config)}
+
+
+def in_turns(measures: Sequence[Callable[[], Row]], turns: int) -> list[Row]:
+    """Measure in turn, since the speed of a machine varies, and return each row of median speed."""
+    taken = [[measure() for measure in measures] for _ in range(turns)]
+    return [
+        sorted(rows, key=lambda row: row["steps_per_s"])[len(rows) // 2]
+        for rows in zip(*taken, strict=True)
+    ]
 
 
 def success_rows(config: LearnBenchConfig) -> list[Row]:
@@ -213,6 +230,14 @@ def train_ppo(
         "share_update": share("learn_s"),
         "precision": trainer.matmul_precision,
     }
+
+
+def a3c_rows(config: LearnBenchConfig) -> list[Row]:
+    """Measure A3C as in the paper, and with many environments per worker."""
+    return [
+        a3c_row(config, A3C, workers=A3C_WORKERS, envs_per_worker=1),
+        a3c_row(config, A3C_BATCHED, workers=config.cores, envs_per_worker=128),
+    ]
 
 
 def a3c_row(config: LearnBenchConfig, name: str, *, workers: int, envs_per_worker: int) -> Row:

@@ -4,11 +4,24 @@ from typing import Any
 
 import numpy as np
 
+from knowarm.experiment.config import EvaluationConfig
 from knowarm.statistics import Interval, share_difference, wilson
 from knowarm.world.agents import BLIND_AGENTS, AgentProtocol
+from knowarm.world.agents.open_loop import search_open_loop
+from knowarm.world.config import EnvConfig
 from knowarm.world.episodes import Episodes
 from knowarm.world.play import play
 from knowarm.world.vector_env import ReachVectorEnv
+
+
+def count_blind_episodes(config: EvaluationConfig) -> int:
+    """Count the episodes that all blind agents play in an evaluation."""
+    return len(BLIND_AGENTS) * min(config.blind_episodes, config.episodes)
+
+
+def prepare_blind_agents(env: EnvConfig) -> None:
+    """Search for the open-loop agent of a task, which takes longer than its episodes."""
+    search_open_loop(env)
 
 
 def blind_numbers(

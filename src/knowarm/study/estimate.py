@@ -18,6 +18,7 @@ from typing import Any
 from knowarm.config import from_dict, replace, to_dict
 from knowarm.cores import limited_to
 from knowarm.errors import UserError
+from knowarm.experiment.blind import count_blind_episodes, prepare_blind_agents
 from knowarm.experiment.build import load_agent
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.evaluate import evaluate
@@ -70,22 +71,22 @@ def estimate(study: StudyConfig, out: Path) -> Estimate:
     executor.close()
     statuses = [each for each in study_status(study, out) if each.state != "done"]
     configs = {each.experiment: study.run(*each.run) for each in statuses}
+    searches = sum(each.blind_episodes > 0 for each in study.evaluations)
+
+    def measured(config: ExperimentConfig) -> dict[str, float]:
+        return measure(config, study.where.cores, search=searches > 0)
+
     with ThreadPoolExecutor(min(slots, os.cpu_count() or 1)) as pool:
-        measured = dict(
-            zip(
-                configs,
-                pool.map(lambda each: measure(each, study.where.cores), configs.values()),
-                strict=True,
-            )
-        )
-    episodes = sum(evaluation.episodes for evaluation in study.evaluations)
+        speeds = dict(zip(configs, pool.map(measured, configs.values()), strict=True))
+    episodes = sum(each.episodes + count_blind_episodes(each) for each in study.evaluations)
     rows = []
-    for name, speed in measured.items():
+    for name, speed in speeds.items():
         runs = [each for each in statuses if each.experiment == name]
         seconds = sum(
             speed["start_s"]
             + each.steps_left / speed["steps_per_s"]
             + episodes / speed["episodes_per_s"]
+            + searches * speed["search_s"]
             for each in runs
         )
         hours = seconds * study.where.cores / 3600
@@ -108,18 +109,24 @@ def estimate(study: StudyConfig, out: Path) -> Estimate:
     )
 
 
-def measure(config: ExperimentConfig, cores: int) -> dict[str, float]:
+def measure(config: ExperimentConfig, cores: int, *, search: bool = False) -> dict[str, float]:
     """Measure an experiment in a process of its own.
 
+    Args:
+        config: the experiment.
+        cores: of a run.
+        search: whether blind agents are prepared.
+
     Returns:
-        ``steps_per_s`` of training, ``episodes_per_s`` of evaluation, ``start_s`` of the process.
+        ``steps_per_s`` of training, ``episodes_per_s`` of evaluation, ``search_s`` of
+        `prepare_blind_agents`, ``start_s`` of the process.
 
     Raises:
         UserError: it cannot be trained.
     """
     begin = time.perf_counter()
     done = subprocess.run(
-        [sys.executable, "-m", "knowarm.study.estimate"],
+        [sys.executable, "-m", "knowarm.study.estimate", *(["search"] if search else [])],
         input=json.dumps(to_dict(config)),
         capture_output=True,
         text=True,
@@ -156,7 +163,7 @@ class _Clock:
         return (self.rows[-1][1] - first[1]) / (self.rows[-1][0] - first[0])
 
 
-def _measure_here(config: ExperimentConfig) -> dict[str, float]:
+def _measure_here(config: ExperimentConfig, *, search: bool) -> dict[str, float]:
     """Train for a few seconds and evaluate once, in this process."""
     clock = _Clock(time.perf_counter())
     never: dict[str, Any] = {"checkpoint_every_steps": NEVER, "interim": {"every_steps": NEVER}}
@@ -164,14 +171,19 @@ def _measure_here(config: ExperimentConfig) -> dict[str, float]:
         config = replace(config, never)
         run = train(config, folder, should_stop=clock.is_enough, mirrors=[clock])
         trained, start = load_agent(run.folder.path, which="latest"), time.perf_counter()
-        evaluate(trained, episodes=EPISODES, record_films=0)
+        evaluate(trained, episodes=EPISODES, record_films=0, blind_episodes=0)
+        evaluated = time.perf_counter()
+        if search:
+            prepare_blind_agents(config.env)
         end = time.perf_counter()
     return {
         "steps_per_s": clock.steps_per_s(),
-        "episodes_per_s": EPISODES / (end - start),
+        "episodes_per_s": EPISODES / (evaluated - start),
+        "search_s": end - evaluated,
         "busy_s": end - clock.begin,
     }
 
 
 if __name__ == "__main__":
-    print(json.dumps(_measure_here(from_dict(ExperimentConfig, json.load(sys.stdin)))))
+    config = from_dict(ExperimentConfig, json.load(sys.stdin))
+    print(json.dumps(_measure_here(config, search="search" in sys.argv)))
