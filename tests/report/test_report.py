@@ -9,7 +9,9 @@ import pytest
 
 from knowarm.errors import UserError
 from knowarm.report import write_report
-from knowarm.report.write import _csv
+from knowarm.report.blocks import Column, cells
+from knowarm.report.write import _cell, _csv
+from knowarm.statistics import Interval
 from tests.report.synthetic_study import Size, Truth, robot_title, write_study
 
 
@@ -152,6 +154,13 @@ def test_files_of_others_are_not_overwritten(tmp_path):
     with pytest.raises(UserError, match="is not part of an earlier report"):
         write_report(runs, tmp_path / "report.html")
     assert table.read_text() == "mine"
+
+
+def test_a_number_without_an_interval_is_shown_alone():
+    column = Column("success", "success", "percent", interval=True)
+    several = _cell(column, cells("success", Interval(0.5, 0.25, 0.75)), Path())
+    assert several == '50.0 % <span class="ci">25.0 % to 75.0 %</span>'.replace(" %", "\u202f%")
+    assert "to" not in _cell(column, cells("success", Interval(0.5, 0.5, 0.5)), Path())
 
 
 @pytest.mark.parametrize("text", ['=HYPERLINK("http://x")', "+1", "-x", "@x", "\tx", "\rx"])

@@ -195,9 +195,8 @@ class Finding:
     def verdict(self) -> Verdict:
         """Return the finding in words, with the intervals that it follows from."""
         name, split = self.subject.name, self.subject.split
-        where = f"{self.task.title}, {split} ({SPLITS[split]})"
         reasons = tuple(self._reasons())
-        words = f"{where}: {self._words(name)}"
+        words = f"{split} ({SPLITS[split]}): {self._words(name)}"
         return Verdict(
             sentence=words, reasons=reasons, tone=TONES.get(self.kind, "open"), kind=self.kind
         )

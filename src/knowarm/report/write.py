@@ -222,7 +222,7 @@ def _render(study: Study, pages: Sequence[Page], out: Path) -> str:
 
 
 def _cell(column: Column, row: Row, start: Path) -> Markup:
-    """Return one formatted cell, with its interval in smaller type."""
+    """Return one formatted cell, with its interval in smaller type where there is one."""
     value = row.get(column.key)
     if column.format == "path" and isinstance(value, Path):
         path = _relative(value, start)
@@ -230,7 +230,8 @@ def _cell(column: Column, row: Row, start: Path) -> Markup:
     form = FORMATS[column.format]
     shown = form(value)
     low, high = row.get(f"{column.key}_low"), row.get(f"{column.key}_high")
-    if not column.interval or low is None or high is None or shown == MISSING:
+    has_interval = column.interval and low is not None and high is not None and low < high
+    if not has_interval or shown == MISSING:
         return escape(shown)
     return Markup('{} <span class="ci">{} to {}</span>').format(shown, form(low), form(high))
 
