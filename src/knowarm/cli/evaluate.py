@@ -61,6 +61,10 @@ class Evaluate:
         write_json_table(self.json, result.summary)
 
 
+MOST_FACETS = 30
+"""Pairs of target and colour up to which each gets a row; ``summary.json`` has all of them."""
+
+
 def is_scripted(agent: str) -> bool:
     """Tell whether an agent argument names a scripted agent; otherwise it is a run folder.
 
@@ -73,10 +77,10 @@ def is_scripted(agent: str) -> bool:
 
 
 def _print(summary: dict[str, Any]) -> None:
-    """Print the results by target and, if colours vary, by target and colour."""
+    """Print the results by target and, where they vary and are few, by target and colour."""
     title = f"{summary['agent']}: {summary['label']}"
     _print_groups(title, {"all": summary, **summary["per_target"]})
-    if len(summary["per_facet"]) > len(summary["per_target"]):
+    if len(summary["per_target"]) < len(summary["per_facet"]) <= MOST_FACETS:
         _print_groups("By target and colour", summary["per_facet"])
     if "choice_chance" in summary:
         chance = 100 * summary["choice_chance"]
