@@ -1,16 +1,24 @@
 import dataclasses
 
+import numpy as np
 import pytest
 
 from knowarm.experiment import demo as module
 from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.demo import demo, demo_experiments
 from knowarm.report import write_report
+from knowarm.world.agents import open_loop
+
+
+def stand_still(config, budget, seed):
+    """In place of a search that takes 13 seconds."""
+    return np.full((config.max_episode_steps, 7), 3)
 
 
 @pytest.mark.slow
 def test_the_demo_trains_evaluates_and_resumes(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "EVALUATION", dataclasses.replace(module.EVALUATION, episodes=4))
+    monkeypatch.setattr(open_loop, "search_open_loop", stand_still)
     stops = iter([False, True])
     assert demo(tmp_path, steps=3200, should_stop=lambda: next(stops, True)) is None
     paths = demo(tmp_path, steps=3200, should_stop=lambda: False)

@@ -14,9 +14,6 @@ from knowarm.svg import curve, drawing, element, hover, label, text_width
 ROW = 34
 """Height of a row of a dot chart [px]."""
 
-NAME_PX = 7.0
-"""Width of a letter of a row's name, at least on average [px]."""
-
 SHADES = ("s0", "s1", "s2", "s3", "s4", "s5", "s6", "s7")
 """Palette classes of the parts of a bar."""
 
@@ -86,7 +83,7 @@ def dot_chart(
         width: width of the drawing [px].
         left: space for the names, more if one of them needs it [px].
     """
-    left = max([left, *(NAME_PX * len(dot.name) + 14 for dot in dots)])
+    left = max([left, *(text_width(dot.name) + 14 for dot in dots)])
     box = Box(width=width, height=ROW * len(dots) + 52, left=left, right=24, top=8, bottom=44)
     values = [0.0] if zero else []
     for dot in dots:
