@@ -34,10 +34,10 @@ def test_what_blind_agents_play_and_their_search_cost_too(tmp_path, monkeypatch)
     hours = []
     for some in (evaluations[:1], evaluations):
         found = estimate(tiny(evaluations=some, where=Local(at_once=1)), tmp_path / "out")
-        hours.append(found.core_hours * 3600 / found.rows[0].runs)
+        hours.append(found.core_hours * 3600)
     assert asked == [False, True]
-    # Open-loop, blind and frozen agent play the ten episodes, too.
-    assert hours == pytest.approx([10, 10 + 4 * 10 + 100], abs=1e-3)
+    # Two runs; open-loop, blind and frozen agent play the ten episodes, too.
+    assert hours == pytest.approx([2 * 10, 2 * (10 + 4 * 10) + 100], abs=1e-3)
 
 
 def test_an_experiment_that_cannot_be_trained_is_named(tmp_path):

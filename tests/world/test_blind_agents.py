@@ -1,5 +1,7 @@
 """Agents without eyes: the open-loop search scores lists as the environment plays them."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -68,10 +70,25 @@ def test_the_score_equals_the_kinematic_environment(robot, ignore_roll):
     np.testing.assert_array_equal(solved, result.success)
 
 
-def test_the_search_is_reproducible_and_beats_standing_still():
+@pytest.fixture
+def cached(tmp_path, monkeypatch):
+    """A cache of its own, and a function that lists the lists in it after forgetting the rest."""
+    monkeypatch.setenv("KNOWARM_CACHE", str(tmp_path))
+    search_open_loop.cache_clear()
+
+    def files():
+        search_open_loop.cache_clear()
+        return sorted(tmp_path.glob("open-loop/*"))
+
+    yield files
+    search_open_loop.cache_clear()
+
+
+def test_the_search_is_reproducible_and_beats_standing_still(cached):
     config = EnvConfig(robot="tiago-near", success_distance_m=0.10, success_angle_deg=17.0)
     actions = search_open_loop(config, 600, 3)
-    search_open_loop.cache_clear()
+    for file in cached():
+        file.unlink()
     np.testing.assert_array_equal(actions, search_open_loop(config, 600, 3))
     assert actions.shape == (50, 7)
     env = ReachVectorEnv(EnvConfig(robot="tiago-near", image_size=4), 100)
@@ -80,6 +97,25 @@ def test_the_search_is_reproducible_and_beats_standing_still():
     blind = play(OpenLoopAgent(3, 600), ReachVectorEnv(config, 100), episodes).success.mean()
     still = play(ListAgent(np.zeros_like(actions)), ReachVectorEnv(config, 100), episodes)
     assert blind > 0.3 > still.success.mean()
+
+
+def test_a_list_is_read_from_the_cache_where_the_task_is_the_same(cached):
+    config = EnvConfig(targets=("mug",))
+    found = search_open_loop(config, 30)
+    (file,) = cached()
+    mine = 6 - found
+    np.savez(file, actions=mine)
+    np.testing.assert_array_equal(search_open_loop(config, 30), mine)
+    assert cached() == [file]
+    for change in ({"success_distance_m": 0.09}, {"targets": ("bottle",)}, {"mpi_rad": 0.06}):
+        search_open_loop(dataclasses.replace(config, **change), 30)
+    search_open_loop(config, 31)
+    search_open_loop(config, 30, 1)
+    assert len(cached()) == 6
+    for damaged in (mine[:-1], mine + 7, mine.astype(np.int32)):
+        np.savez(file, actions=damaged)
+        np.testing.assert_array_equal(search_open_loop(config, 30), found)
+        search_open_loop.cache_clear()
 
 
 def test_a_blind_agent_sees_black_and_a_frozen_one_the_first_image():

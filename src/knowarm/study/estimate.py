@@ -86,9 +86,9 @@ def estimate(study: StudyConfig, out: Path) -> Estimate:
             speed["start_s"]
             + each.steps_left / speed["steps_per_s"]
             + episodes / speed["episodes_per_s"]
-            + searches * speed["search_s"]
             for each in runs
         )
+        seconds += searches * speed["search_s"]  # the next run finds the lists
         hours = seconds * study.where.cores / 3600
         rows.append(
             ExperimentCost(

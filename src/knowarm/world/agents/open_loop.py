@@ -7,11 +7,13 @@ before its score says anything about vision.
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.world.agents.open_loop_score import OpenLoopScore, grasp_transforms
+from knowarm.world.cache import cache_file, read_arrays, write_arrays
 from knowarm.world.config import EnvConfig
 from knowarm.world.draws import derive
 from knowarm.world.episodes import draw_episodes
@@ -21,7 +23,7 @@ from knowarm.world.tasks.reach import ACTION_LEVELS
 from knowarm.world.vector_env import ReachVectorEnv
 
 BUDGET = 20_000
-"""Candidates that a search scores: 13 s on one core."""
+"""Candidates that a search scores: 13 s on one core with three targets."""
 
 SEARCH_EPISODES = 1_000
 """Episodes on which candidates are scored."""
@@ -40,6 +42,9 @@ MEMORY = 40
 
 LEVEL_ODDS = np.array([0.25, 0.3, 0.3, 0.05, 0.05, 0.025, 0.025])
 """How often a mutation draws each action: rarely the small ones, which hardly move the arm."""
+
+REVISION = 1
+"""Part of the cache's key; to be increased with every change of the results."""
 
 Actions = NDArray[np.int64]
 """A list of actions: indices into ``ACTION_LEVELS``, (T, J)."""
@@ -73,6 +78,8 @@ class OpenLoopAgent:
 def search_open_loop(config: EnvConfig, budget: int = BUDGET, seed: int = 0) -> Actions:
     """Search for the fixed list of actions that solves most episodes of a task.
 
+    The list is kept in the user's cache, where the next search of the same task finds it.
+
     A third of the budget builds tours through joint angles that grasp the targets at anchor places:
     a beam search over the number of steps, which keeps the best tours for each set of targets that
     they solve. The rest improves the best tour of each set by hill climbing; after each round the
@@ -90,8 +97,30 @@ def search_open_loop(config: EnvConfig, budget: int = BUDGET, seed: int = 0) -> 
     streams = np.full(SEARCH_EPISODES, derive(seed, "open-loop episodes"), dtype=np.uint64)
     indices = np.arange(SEARCH_EPISODES, dtype=np.uint64)
     score = OpenLoopScore(scene, config, draw_episodes(scene, config, streams, indices))
+    goal = _anchor_goals(score)
+    file = cache_file("open-loop", REVISION, budget, seed, goal, *score.depends_on())
+    stored: NDArray[Any] | None = (read_arrays(file) or {}).get("actions")
+    if stored is not None and _is_list(stored, score):
+        return stored
+    found = _search(score, _waypoints(score, goal, seed), budget, seed)
+    write_arrays(file, {"actions": found})
+    return found
+
+
+def _is_list(actions: NDArray[Any], score: OpenLoopScore) -> bool:
+    """Tell whether an array is a list of actions for the task."""
+    shape = (score.config.max_episode_steps, len(score.scene.robot.joints))
+    if actions.shape != shape or actions.dtype != np.int64:
+        return False
+    return bool((actions >= 0).all() and (actions < len(ACTION_LEVELS)).all())
+
+
+def _search(
+    score: OpenLoopScore, waypoints: NDArray[np.float64], budget: int, seed: int
+) -> Actions:
+    """Build tours through the waypoints and improve them; see `search_open_loop`."""
     generator = np.random.default_rng(derive(seed, "open-loop mutations"))
-    tours, spent = _search_tours(score, _waypoints(score, seed), budget // 3)
+    tours, spent = _search_tours(score, waypoints, budget // 3)
     climbs = [_Climb(score, tour) for tour in tours]
     rounds = max(1, math.ceil(math.log2(len(climbs))))
     for left in range(rounds, 0, -1):
@@ -104,24 +133,29 @@ def search_open_loop(config: EnvConfig, budget: int = BUDGET, seed: int = 0) -> 
     return climbs[0].best
 
 
-def _waypoints(score: OpenLoopScore, seed: int) -> NDArray[np.float64]:
-    """Joint angles (W, J) that grasp each target at each anchor.
-
-    The inverse kinematics takes the solution nearest to the mean start, and also the one nearest
-    to a grasp of each target, which makes the way between two targets short.
-    """
+def _anchor_goals(score: OpenLoopScore) -> NDArray[np.float64]:
+    """Grasp frames of each target at each anchor as transforms to world, (K A, 3, 4)."""
     scene, robot = score.scene, score.scene.robot
     grid = np.stack(np.meshgrid(ANCHORS, ANCHORS), axis=-1).reshape(-1, 2)
     places = np.array(robot.rectangle_centre_m) + grid * np.array(robot.rectangle_half_size_m)
     kinds = len(scene.targets)
     target = np.repeat(np.arange(kinds), len(places))
-    goal = grasp_transforms(scene, target, np.tile(places, (kinds, 1)))
+    return grasp_transforms(scene, target, np.tile(places, (kinds, 1)))
+
+
+def _waypoints(score: OpenLoopScore, goal: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
+    """Joint angles (W, J) that grasp each target at each anchor.
+
+    The inverse kinematics takes the solution nearest to the mean start, and also the one nearest
+    to a grasp of each target, which makes the way between two targets short.
+    """
     position, matrix = goal[..., 3].copy(), goal[..., :3].reshape(-1, 9).copy()
-    solver = InverseKinematics(scene, seed=seed)
+    solver = InverseKinematics(score.scene, seed=seed)
     middle = score.start.mean(axis=0)
-    near_start = solver.solve(position, matrix, np.tile(middle, (len(target), 1)))
-    grasps = near_start.joints[len(places) // 2 :: len(places)]
-    near_grasps = [solver.solve(position, matrix, np.tile(g, (len(target), 1))) for g in grasps]
+    near_start = solver.solve(position, matrix, np.tile(middle, (len(goal), 1)))
+    anchors = len(ANCHORS) ** 2
+    grasps = near_start.joints[anchors // 2 :: anchors]
+    near_grasps = [solver.solve(position, matrix, np.tile(g, (len(goal), 1))) for g in grasps]
     found = (near_start, *near_grasps)
     rows = np.concatenate([each.joints[each.within(0.03, 10.0)] for each in found])
     _, first = np.unique(np.round(rows, 1), axis=0, return_index=True)

@@ -40,6 +40,20 @@ class OpenLoopScore:
         self._goal = np.ascontiguousarray(goal)
         self._cosine = float(np.cos(np.radians(config.success_angle_deg)))
 
+    def depends_on(self) -> tuple[object, ...]:
+        """Return all that the score of a list of actions follows from: arrays and numbers."""
+        config, scene = self.config, self.scene
+        arrays = (scene.joint_lower, scene.joint_upper, self.increments, self._links, self._slides)
+        thresholds = (config.success_distance_m, config.success_angle_deg, config.ignore_roll)
+        return (
+            *arrays,
+            self.start,
+            self.target,
+            self._goal,
+            thresholds,
+            config.max_episode_steps,
+        )
+
     def first_success(
         self,
         actions: NDArray[np.int64],

@@ -6,19 +6,15 @@ of them. Each connected part of a mesh is simplified by quadric edge collapses (
 measured after the fact and not estimated.
 """
 
-import hashlib
-import os
-import zipfile
-from contextlib import suppress
 from importlib.metadata import version
-from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import fast_simplification
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from knowarm.world.cache import cache_file, read_arrays, write_arrays
 from knowarm.world.render.deviation import Surface, deviation
 
 FEWEST = 32
@@ -56,14 +52,6 @@ class Mesh(NamedTuple):
     """Unit normals at each triangle's corners, (T, 3, 3)."""
 
 
-def cache_folder() -> Path:
-    """Return the folder of simplified meshes: ``KNOWARM_CACHE``, or one in the user's cache."""
-    if folder := os.environ.get("KNOWARM_CACHE"):
-        return Path(folder) / "meshes"
-    root = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
-    return Path(root or Path.home() / ".cache") / "knowarm" / "meshes"
-
-
 def simplified(mesh: Mesh, tolerance_m: float) -> Mesh:
     """Simplify a mesh, or read the result from the cache.
 
@@ -77,24 +65,19 @@ def simplified(mesh: Mesh, tolerance_m: float) -> Mesh:
     if len(mesh.face) <= FEWEST or not tolerance_m > 0:
         return mesh
     tolerance_m = float(2 ** (np.floor(2 * np.log2(tolerance_m)) / 2))
-    key = hashlib.sha256(f"{REVISION} {version('fast-simplification')} {tolerance_m}".encode())
-    for array in mesh:
-        key.update(np.ascontiguousarray(array).tobytes())
-    file = cache_folder() / f"{key.hexdigest()[:32]}.npz"
-    found = _read(file)
+    file = cache_file("meshes", REVISION, version("fast-simplification"), tolerance_m, *mesh)
+    found = _sound_mesh(read_arrays(file))
     if found is None:
         found = simplify(mesh, tolerance_m)
-        _write(file, found)
+        write_arrays(file, found._asdict())
     return found
 
 
-def _read(file: Path) -> Mesh | None:
-    """Read a mesh from the cache; None if there is no sound file."""
-    try:
-        with np.load(file, allow_pickle=False) as arrays:
-            mesh = Mesh(*(arrays[name] for name in Mesh._fields))
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+def _sound_mesh(arrays: dict[str, Any] | None) -> Mesh | None:
+    """Return the mesh of a file of the cache; None if there is no sound one."""
+    if arrays is None or arrays.keys() != set(Mesh._fields):
         return None
+    mesh = Mesh(**arrays)
     sound = (
         [a.dtype for a in mesh] == [np.float32, np.int32, np.float32]
         and mesh.vertex.ndim == mesh.face.ndim == 2
@@ -104,16 +87,6 @@ def _read(file: Path) -> Mesh | None:
         and 0 <= mesh.face.min() <= mesh.face.max() < len(mesh.vertex)
     )
     return mesh if sound else None
-
-
-def _write(file: Path, mesh: Mesh) -> None:
-    """Write a mesh to the cache; a folder that cannot be written is no error."""
-    with suppress(OSError):
-        file.parent.mkdir(parents=True, exist_ok=True)
-        part = file.with_suffix(f".{os.getpid()}.part")
-        with part.open("wb") as stream:
-            np.savez(stream, **mesh._asdict())
-        part.replace(file)
 
 
 def simplify(mesh: Mesh, tolerance_m: float) -> Mesh:

@@ -1,0 +1,51 @@
+"""Cache of arrays that take long to compute: files named by a digest of what they follow from."""
+
+import hashlib
+import os
+import zipfile
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def cache_file(kind: str, *parts: object) -> Path:
+    """Return the file of a result: in ``KNOWARM_CACHE``, or else in the user's cache folder.
+
+    Args:
+        kind: name of a subfolder.
+        parts: all that the result follows from: arrays, and values whose ``repr`` tells them apart.
+    """
+    digest = hashlib.sha256()
+    for part in parts:
+        if isinstance(part, np.ndarray):
+            digest.update(f"{part.dtype}{part.shape}".encode())
+            digest.update(np.ascontiguousarray(part).tobytes())
+        else:
+            digest.update(f"{part!r};".encode())
+    folder = os.environ.get("KNOWARM_CACHE")
+    if not folder:
+        root = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
+        folder = str(Path(root or Path.home() / ".cache") / "knowarm")
+    return Path(folder) / kind / f"{digest.hexdigest()[:32]}.npz"
+
+
+def read_arrays(file: Path) -> dict[str, NDArray[np.generic]] | None:
+    """Read a result; None if there is no whole file. Callers check names, types and shapes."""
+    try:
+        with np.load(file, allow_pickle=False) as arrays:
+            return dict(arrays)
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+        return None
+
+
+def write_arrays(file: Path, arrays: Mapping[str, NDArray[np.generic]]) -> None:
+    """Store a result; a folder that cannot be written is no error."""
+    with suppress(OSError):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        part = file.with_suffix(f".{os.getpid()}.part")
+        with part.open("wb") as stream:
+            np.savez(stream, **arrays)  # type: ignore[arg-type]
+        part.replace(file)
