@@ -15,6 +15,8 @@ from knowarm.report.diagrams import (
     stacked_bars,
 )
 from knowarm.report.format import palette, slugs
+from knowarm.report.pages.inputs import _vector
+from knowarm.report.study import Run
 from knowarm.statistics import Interval
 
 XS = np.array([0.0, 1.0, 2.0, 3.0])
@@ -77,6 +79,15 @@ def test_long_names_of_rows_fit():
     root = ElementTree.fromstring(dot_chart([dot], "name", Axis(title="x"), left=20))
     (text,) = (each for each in root.iter() if each.text == name)
     assert float(text.get("x")) > 6.5 * len(name)
+
+
+def test_of_many_slots_the_first_are_shown(tmp_path):
+    matrix = np.arange(60.0).reshape(30, 2)
+    run = Run(tmp_path, *[{}] * 5)
+    figure = _vector("subgraph", "subgraph", run, {"slots": ["one"]}, matrix)
+    assert "30 slots of 2" in figure.caption
+    assert "shown are the first 24" in figure.caption
+    assert [row["value"] for row in figure.table.rows] == list(range(48))
 
 
 @pytest.mark.parametrize("name", drawings())

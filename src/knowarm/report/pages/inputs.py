@@ -49,6 +49,9 @@ PRIVILEGED_TRAINING = (
     "training and in every evaluation."
 )
 
+MOST_SLOTS = 24
+"""Slots of a knowledge vector that the page shows; the run folder has all of them."""
+
 
 def input_blocks(task: Task) -> list[Block]:
     """Show the graph, the sentences, the vector, and how many parameters receive it."""
@@ -254,6 +257,9 @@ def _vector(name: str, stem: str, run: Run, known: Mapping[str, Any], matrix: np
         names = [f"row {i + 1}" for i in range(len(matrix))]
     norm = float(np.linalg.norm(matrix.astype(np.float64)))
     shape = f"{matrix.size} numbers, {len(matrix)} slots of {matrix.shape[1]}, norm {norm:.2f}"
+    if len(matrix) > MOST_SLOTS:  # one row per query: the page would grow to 20 MB
+        shape += f"; shown are the first {MOST_SLOTS}"
+        matrix, names = matrix[:MOST_SLOTS], names[:MOST_SLOTS]
     return Figure(
         title=f"Knowledge vector: {name}",
         caption=f"{shape}. Orange above zero, blue below, pale near zero.",
