@@ -14,6 +14,9 @@ from knowarm.experiment.evaluate import evaluate
 from knowarm.world.agents import BLIND_AGENTS, SCRIPTED_AGENTS
 from knowarm.world.config import EnvConfig
 
+MOST_FACETS = 30
+"""Pairs of target and colour up to which each gets a row; ``summary.json`` has all of them."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluate:
@@ -59,10 +62,6 @@ class Evaluate:
         if result.folder is not None and self.save:
             print(f"Saved in {result.write()}")
         write_json_table(self.json, result.summary)
-
-
-MOST_FACETS = 30
-"""Pairs of target and colour up to which each gets a row; ``summary.json`` has all of them."""
 
 
 def is_scripted(agent: str) -> bool:

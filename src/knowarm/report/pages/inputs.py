@@ -30,6 +30,9 @@ from knowarm.report.study import CONTROLS, Group, Run, Task
 MOST_VECTORS = 4
 """Distinct knowledge vectors that are drawn; the table lists all."""
 
+MOST_SLOTS = 24
+"""Slots of a knowledge vector that the page shows; the run folder has all of them."""
+
 CONSTANT = (
     "{agents}: every episode has the same vector. For the network such an input is a bias with "
     "its own learning rate and additional capacity; it cannot tell episodes apart. {controls}"
@@ -48,9 +51,6 @@ PRIVILEGED_TRAINING = (
     "{agents}: training used the simulator's state. The policy receives the image alone, in "
     "training and in every evaluation."
 )
-
-MOST_SLOTS = 24
-"""Slots of a knowledge vector that the page shows; the run folder has all of them."""
 
 
 def input_blocks(task: Task) -> list[Block]:
