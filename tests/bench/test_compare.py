@@ -31,10 +31,12 @@ def test_a_recurrent_policy_of_sb3_has_as_many_parameters() -> None:
 
 @pytest.mark.slow
 def test_learners_are_compared_in_one_table(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("knowarm.bench.learn.A3C_WORKERS", 2)
     pytest.importorskip("sb3_contrib")
     from benchmarks.compare_learn import CompareLearnConfig, compare_learn
 
+    # They are measured as in `bench learn`.
+    a3c = [{"name": name, "steps_per_s": 1.0} for name in ("a3c", "a3c-batched")]
+    monkeypatch.setattr("benchmarks.compare_learn.a3c_rows", lambda config: a3c)
     result = compare_learn(CompareLearnConfig(cores=1, seconds=0.1, turns=1, opengl=False))
     rows = {row["name"]: row for row in result["rows"]}
     assert set(rows) == {"raycaster", "ppo", "a3c", "a3c-batched", "sb3"}

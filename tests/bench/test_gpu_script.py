@@ -63,6 +63,9 @@ def test_every_stage_runs_on_the_cpu_device(tmp_path: Path, warp_cache: dict[str
     assert json.loads((out / "gpu.json").read_text()) == result
 
 
+BENCH = {"machine": {"gpu": None}, "rows": [], "ceilings": {}}
+"""Result of the stage `bench` without a row."""
+
 TIMEOUT = """#!/usr/bin/env bash
 # In place of timeout: sends SIGTERM to a training once it has logged two more rows of metrics.
 while [[ $1 == --* ]]; do shift; done
@@ -86,8 +89,9 @@ def test_a_stopped_training_is_resumed(tmp_path: Path, warp_cache: dict[str, str
     (programs / "timeout").chmod(0o755)
     sizes = "--total-steps 1000000 --checkpoint-every-steps 1000000"
     stop = {"PATH": f"{programs}:{os.environ['PATH']}", "RUN": "irb120-full-ppo/0"} | warp_cache
-    options = {"BENCH_OPTIONS": "--no-training", "TRAIN_OPTIONS": sizes}
-    stopped = gpu_sh(tmp_path, STAGES="bench train", **options, **stop)
+    (tmp_path / "work").mkdir()
+    (tmp_path / "work" / "gpu.json").write_text(json.dumps(BENCH))
+    stopped = gpu_sh(tmp_path, STAGES="train", TRAIN_OPTIONS=sizes, **stop)
     assert stopped.returncode == 1, stopped.stdout + stopped.stderr
     assert "call again with STAGES=train" in stopped.stderr, stopped.stdout + stopped.stderr
     json_path = tmp_path / "out" / "gpu.json"

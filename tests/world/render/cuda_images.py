@@ -67,7 +67,6 @@ def main(side: int, count: int) -> None:
             lamps[-1, 3] = [0, 0, 1]
             every_second = np.arange(count) % 2 == 0
             for options in (
-                {},
                 {"geom_rgba": rgba, "views": views, "lamps": lamps},
                 {"wanted": every_second},
             ):
