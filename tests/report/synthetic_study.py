@@ -1,7 +1,7 @@
 """Synthetic studies: run folders as trainings with a known truth could have left them."""
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from knowarm.experiment.evaluation_files import (
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.knowledge import KnowledgeConfig, SceneEmbedding, query_embedding, scene_embedding
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
+from knowarm.report.study import Study
 from knowarm.world.agents import BLIND_AGENTS
 from knowarm.world.robots import ROBOTS
 
@@ -105,7 +106,7 @@ def write_study(
     for agent, mean in truth.success.items():
         for number in range(seeds):
             path = folder / f"{robot}-{colours}-{agent}-ppo" / str(number)
-            level = float(np.clip(generator.normal(mean, truth.spread), 0.01, 0.99))
+            level = _level(mean, truth, generator)
             env = env_of(robot, colours)
             write_run(
                 path,
@@ -120,6 +121,32 @@ def write_study(
             )
             paths.append(path)
     return paths
+
+
+def redraw(study: Study, truth: Truth, *, seed: int, size: Size) -> Study:
+    """Return a study of one task with other successes, as ``write_study`` draws them.
+
+    It takes no files, of which many studies would leave too many.
+    """
+    generator = np.random.default_rng(seed)
+    (task,) = study.tasks
+    groups = {group.agent: group for group in task.groups}
+    for agent, mean in truth.success.items():
+        runs = []
+        for run in groups[agent].runs:
+            level = _level(mean, truth, generator)
+            interim = run.interim | {"success": _interim_success(level, generator, size)}
+            share = generator.binomial(size.episodes, level) / size.episodes
+            (evaluation,) = run.evaluations.values()
+            evaluation = replace(evaluation, summary=evaluation.summary | {"success": share})
+            runs.append(replace(run, interim=interim, evaluations={LABEL: evaluation}))
+        groups[agent] = replace(groups[agent], runs=tuple(runs))
+    return replace(study, tasks=(replace(task, groups=tuple(groups.values())),))
+
+
+def _level(mean: float, truth: Truth, generator: np.random.Generator) -> float:
+    """Draw the success of one training."""
+    return float(np.clip(generator.normal(mean, truth.spread), 0.01, 0.99))
 
 
 def write_run(
@@ -211,12 +238,20 @@ def _provenance(
     }
 
 
+def _interim_steps(size: Size) -> np.ndarray:
+    return np.linspace(size.total_steps / size.points, size.total_steps, size.points).round()
+
+
+def _interim_success(success: float, generator: np.random.Generator, size: Size) -> np.ndarray:
+    share = success / (1 + np.exp(-8 * (_interim_steps(size) / size.total_steps - 0.4)))
+    return np.clip(share + generator.normal(0, 0.03, size.points), 0, 1)
+
+
 def _write_curves(
     folder: RunFolder, success: float, generator: np.random.Generator, size: Size
 ) -> None:
-    ends = np.linspace(size.total_steps / size.points, size.total_steps, size.points).round()
-    share = success / (1 + np.exp(-8 * (ends / size.total_steps - 0.4)))
-    share = np.clip(share + generator.normal(0, 0.03, size.points), 0, 1)
+    ends = _interim_steps(size)
+    share = _interim_success(success, generator, size)
     lines = ["step,wall_time_s,return_mean,return_std,length_mean,success,accuracy,best"]
     metrics = ["step,wall_time_s,steps_per_s,episodes,return_mean,policy_loss,entropy"]
     best = -np.inf

@@ -10,9 +10,10 @@ from knowarm.report.blocks import Verdict
 from knowarm.report.claims import claims, scores
 from knowarm.report.collect import collect
 from knowarm.report.pages import inputs
+from knowarm.report.study import Study
 from knowarm.report.verdict import finding, findings
 from knowarm.statistics import holm, welch
-from tests.report.synthetic_study import Size, Truth, write_study
+from tests.report.synthetic_study import Size, Truth, redraw, write_study
 
 LIGHT = Size(points=12, tables=False)
 
@@ -26,7 +27,10 @@ def found(
     folder: Path, success: dict[str, float], seeds: int, seed: int = 0, spread: float = 0.05
 ) -> dict[str, Verdict]:
     truth = Truth(success=success, spread=spread)
-    study = collect(write_study(folder, truth, seeds=seeds, seed=seed, size=LIGHT))
+    return decide(collect(write_study(folder, truth, seeds=seeds, seed=seed, size=LIGHT)))
+
+
+def decide(study: Study) -> dict[str, Verdict]:
     decided = claims(study)
     return {name: finding(study.tasks[0], decided, name) for name in ("success", "speed")}
 
@@ -245,13 +249,27 @@ def test_an_adjusted_p_is_never_below_the_plain_one(tmp_path):
                 assert interval.low > 0 or interval.high < 0
 
 
-@pytest.mark.slow
+def test_a_study_is_drawn_as_one_is_written(tmp_path):
+    truth = Truth(success=REAL)
+    first, second = (
+        collect(write_study(tmp_path / str(i), truth, seeds=3, seed=i, size=LIGHT)) for i in (0, 1)
+    )
+    (drawn,), (task,) = redraw(first, truth, seed=1, size=LIGHT).tasks, second.tasks
+    for one, other in zip(drawn.groups, task.groups, strict=True):
+        for outcome in ("success", "speed"):
+            found, wanted = (
+                scores(of, group, outcome) for of, group in ((drawn, one), (task, other))
+            )
+            np.testing.assert_allclose(found, wanted, atol=1e-4)
+
+
 @pytest.mark.parametrize("seeds", [3, 5])
 def test_without_any_effect_at_most_one_study_in_twenty_claims_one(tmp_path, seeds):
     quiet = {"no advantage", "too few seeds"}
-    loud = 0
+    truth, loud = Truth(success=NOTHING), 0
+    study = collect(write_study(tmp_path, truth, seeds=seeds, size=LIGHT))
     for number in range(200):
-        results = found(tmp_path / str(number), NOTHING, seeds, seed=1_000 * seeds + number)
+        results = decide(redraw(study, truth, seed=1_000 * seeds + number, size=LIGHT))
         loud += any(each.kind not in quiet for each in results.values())
     assert loud <= 10
 
