@@ -32,6 +32,7 @@ algorithm = {num_envs = 4, rollout_steps = 5, minibatches = 2, processes = 1}
 experiments = "irb120-full-ppo"
 fields.total_steps = 6400
 fields.checkpoint_every_steps = 300
+fields.interim.every_steps = 1600
 fields.algorithm = {num_envs = 32, processes = 2}
 
 [[evaluations]]

@@ -6,7 +6,7 @@ import pytest
 
 from tests.world.helpers import MakeEnv
 
-STEPS = 50_000  # a robot; `make torture` takes a million
+STEPS = 25_000  # a robot; `make torture` takes a million
 MAX_GROWTH_MIB = 30
 
 
