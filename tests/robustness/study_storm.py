@@ -71,15 +71,38 @@ def _shared_memory() -> set[str]:
     return {path.name for path in Path("/dev/shm").iterdir() if "plasma" not in path.name}
 
 
-def _victim(kind: str, driver: int, mark: str, draws: random.Random) -> psutil.Process | None:
-    """Return a random process: the driver, a worker, or a helper of a worker."""
+def _metrics_bytes(out: Path, worker: psutil.Process) -> int:
+    """Return the size of the metrics of the run that a worker trains."""
+    path = out.joinpath(*worker.cmdline()[-2:]) / "metrics.csv"  # experiment, seed
+    return path.stat().st_size if path.exists() else 0
+
+
+def _victim(
+    kind: str, driver: int, out: Path, known: dict[int, int], draws: random.Random
+) -> psutil.Process | None:
+    """Return a random process: the driver, a worker, or a helper of a worker.
+
+    Args:
+        kind: "driver", "worker" or "helper".
+        driver: process id of the driver.
+        out: folder of the study.
+        known: size of the metrics when a helper was last killed, by process id of its worker. A
+            helper is chosen only after progress: three lost ones without end a training by design.
+        draws: generator of the choice.
+    """
     if kind == "driver":
         return psutil.Process(driver)
     workers = psutil.Process(driver).children()
     if kind == "worker":
         return draws.choice(workers) if workers else None
-    helpers = [child for worker in workers for child in worker.children(recursive=True)]
-    return draws.choice(helpers) if helpers else None
+    sizes = {worker: _metrics_bytes(out, worker) for worker in workers}
+    workers = [worker for worker, size in sizes.items() if known.get(worker.pid) != size]
+    helpers = {child: worker for worker in workers for child in worker.children(recursive=True)}
+    if not helpers:
+        return None
+    chosen = draws.choice(list(helpers))
+    known[helpers[chosen].pid] = sizes[helpers[chosen]]
+    return chosen
 
 
 def results(out: Path) -> dict[str, object]:
@@ -115,7 +138,7 @@ def kill_study(kills: int, seed: int) -> tuple[int, list[str]]:
     kinds = [("worker", "driver", "helper")[i % 3] for i in range(kills)]
     draws.shuffle(kinds)
     mark, shared = uuid.uuid4().hex, _shared_memory()
-    killed, failures = 0, []
+    killed, known, failures = 0, {}, []
     with tempfile.TemporaryDirectory() as folder:
         study, disturbed, calm = (Path(folder) / name for name in ("s.toml", "disturbed", "calm"))
         study.write_text(STUDY.replace("SEEDS", str(list(range(-(-kills // 6))))))
@@ -123,7 +146,7 @@ def kill_study(kills: int, seed: int) -> tuple[int, list[str]]:
         while kinds and driver.poll() is None:
             time.sleep(draws.uniform(0.3, 3))
             try:
-                chosen = _victim(kinds[-1], driver.pid, mark, draws)
+                chosen = _victim(kinds[-1], driver.pid, disturbed, known, draws)
                 if chosen is None:
                     kinds.insert(0, kinds.pop())  # there is none at this moment
                     continue
@@ -141,11 +164,12 @@ def kill_study(kills: int, seed: int) -> tuple[int, list[str]]:
             failures.append(f"the study failed: {[each.detail for each in states]}")
         if {each.state for each in study_status(open_study(disturbed), disturbed)} != {"done"}:
             failures.append("the study is not done")
-        if _start(study, calm, mark).wait() != 0:
+        elif _start(study, calm, mark).wait() != 0:
             failures.append("the undisturbed study failed")
-        expected, found = results(calm), results(disturbed)
-        failures += [f"{name} differs" for name in expected if expected[name] != found.get(name)]
-        failures += [f"{name} is left over" for name in found.keys() - expected.keys()]
+        else:
+            wanted, found = results(calm), results(disturbed)
+            failures += [f"{name} differs" for name in wanted if wanted[name] != found.get(name)]
+            failures += [f"{name} is left over" for name in found.keys() - wanted.keys()]
     end = time.monotonic() + GONE_S
     while (_alive(mark) or _shared_memory() - shared) and time.monotonic() < end:
         time.sleep(0.2)
