@@ -58,16 +58,18 @@ fast-tests: $(VENV)/.dev ## run the fast tests
 torture: $(VENV)/.dev ## kill, damage, stop and starve it for an hour or more: docs/reliability.md
 	$(PY) -m tests.robustness.torture
 
-mutate: $(VENV)/.dev ## apply deliberate mistakes, one after the other: the tests must notice nearly all
-	$(PY) -m tests.mutate
+# All of [tool.mutmut] in pyproject.toml, or a part: make mutate MUTANTS='knowarm.learn.returns*'
+MUTANTS :=
+mutate: $(VENV)/.dev ## change the numeric modules in small ways, one by one: do the tests notice?
+	$(VENV)/bin/mutmut run $(foreach each,$(MUTANTS),'$(each)')
+	$(VENV)/bin/mutmut results
 
-bench: $(VENV)/.runtime ## measure the speed of this machine: simulation, then training
-	$(PY) -m knowarm bench world --json runs/bench/world.json
-	$(PY) -m knowarm bench learn --json runs/bench/learn.json
+bench: $(VENV)/.runtime ## measure the speed of this machine: simulation, images, training
+	$(PY) -m knowarm bench --json runs/bench/speed.json
 
-bench-compare: $(VENV)/.dev ## the same, compared with Gymnasium + OpenGL, MuJoCo Warp and sb3-contrib
-	$(PY) benchmarks/compare_world.py --json runs/bench/compare-world.json
-	$(PY) benchmarks/compare_learn.py --json runs/bench/compare-learn.json
+bench-compare: $(VENV)/.dev ## compare the speed with Gymnasium + OpenGL, MuJoCo Warp and sb3-contrib
+	$(PY) -m benchmarks.compare_world --json runs/bench/compare-world.json
+	$(PY) -m benchmarks.compare_learn --json runs/bench/compare-learn.json
 
 clean: ## remove the environment and caches
-	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache build dist
+	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache build dist mutants

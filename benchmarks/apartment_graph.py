@@ -1,11 +1,11 @@
-"""The household graph goes in; a larger one of made-up apartments, an OpenKE folder, comes out.
+"""Generator of a larger household graph of made-up apartments, written as an OpenKE folder.
 
 Every object kind of the shipped graph gets several instances in apartments with people. What an
 instance is made of, used for and grasped at follows from its kind; where it stands, who owns it and
 what it stands next to are drawn at random, and inverse and symmetric relations repeat it: so a
 held-out fact can often, but not always, be inferred.
 
-    python benchmarks/apartment_graph.py --out runs/apartment
+    python -m benchmarks.apartment_graph --out runs/apartment
 """
 
 import argparse
@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from knowarm.knowledge import KnowledgeGraph, graph_of, household
-from knowarm.knowledge.formats.openke import write_openke
-from knowarm.knowledge.kge.split import split_graph
+from knowarm.knowledge.kge.split import Split, split_graph
 
 INHERITED = ("isMadeOf", "hasShape", "usedFor", "graspedAt", "approachedFrom", "hasSize")
 PEOPLE = ("ana", "ben", "chen", "dora", "emil", "fay")
@@ -57,12 +56,25 @@ def apartment_graph(instances: int = 5, seed: int = 0) -> KnowledgeGraph:
             ]
             placed.setdefault(place, []).append(thing)
     for place, things in sorted(placed.items()):
-        room, home = place.rsplit("_", 1)
+        room, apartment = place.rsplit("_", 1)
         triples.append((place, "isInstanceOf", room))
-        triples.append((place, "isPartOf", f"apartment_{home}"))
+        triples.append((place, "isPartOf", f"apartment_{apartment}"))
         for left, right in pairwise(things):
             triples += [(left, "isNextTo", right), (right, "isNextTo", left)]
     return graph_of(triples)
+
+
+def write_openke(split: Split, folder: Path) -> None:
+    """Write the folder that `read_openke_split` reads."""
+
+    def write(name: str, lines: list[str]) -> None:
+        (folder / f"{name}2id.txt").write_text("\n".join([str(len(lines)), *lines]) + "\n")
+
+    folder.mkdir(parents=True, exist_ok=True)
+    for kind, names in (("entity", split.graph.names), ("relation", split.graph.relation_names)):
+        write(kind, [f"{name}\t{i}" for i, name in enumerate(names)])
+    for part in ("train", "valid", "test"):
+        write(part, [f"{h} {t} {r}" for h, r, t in getattr(split, part).tolist()])
 
 
 def main() -> None:

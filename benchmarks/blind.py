@@ -1,6 +1,6 @@
-"""Table of docs/world.md: how far agents get with and without eyes, on both thresholds.
+"""Success of agents with and without vision, at both thresholds.
 
-python benchmarks/blind.py [RUN ...] [--episodes 1000] [--json FILE]
+python -m benchmarks.blind [RUN ...] [--episodes 1000] [--json FILE]
 
 Without runs: the agents that need no training, on the main robots. With runs: the trained agent of
 each run folder, on black images and with the first image only, on the robot it was trained on.
@@ -11,12 +11,12 @@ import argparse
 import json
 from pathlib import Path
 
-from knowarm.experiment.build import load_agent
 from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.evaluate import evaluate
+from knowarm.experiment.load import load_agent
 from knowarm.world.agents import BLIND_AGENTS, SCRIPTED_AGENTS
 from knowarm.world.config import EnvConfig
-from knowarm.world.robots import MAIN_ROBOTS
+from knowarm.world.robots import ROBOTS
 
 THRESHOLDS = ((0.10, 17.0), (0.05, 15.0))
 """Post-training evaluation and training: distance [m] and angle [deg]."""
@@ -58,7 +58,7 @@ def rows_of_run(path: Path, episodes: int) -> list[dict]:
     label = f"{trained.config.agent}, seed {trained.config.seed}"
     rows = [{"robot": trained.config.env.robot, "agent": f"{label}: {name}"} for name in names]
     for thresholds in THRESHOLDS:
-        found = evaluate(trained, config=evaluation(episodes, thresholds)).summary
+        found = evaluate(trained, config=evaluation(episodes, thresholds), write=False).summary
         for row, name in zip(rows, names, strict=True):
             row |= cells(found if name == "trained" else found["blind_agents"][name], thresholds)
     for row in rows:
@@ -92,7 +92,7 @@ def main() -> None:
     print("|---" * 4 + "|")
     for path in arguments.runs:
         rows += rows_of_run(path, arguments.episodes)
-    for robot in () if arguments.runs else MAIN_ROBOTS:
+    for robot in () if arguments.runs else ROBOTS:
         rows += rows_of_robot(robot, arguments.episodes)
     if arguments.json:
         arguments.json.write_text(json.dumps(rows, indent=2))

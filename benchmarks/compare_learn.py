@@ -1,7 +1,7 @@
 """Comparison of training speed: KnowArm's PPO and A3C with sb3-contrib's RecurrentPPO.
 
     pip install 'knowarm[bench]'
-    python benchmarks/compare_learn.py --json runs/bench/compare-learn.json
+    python -m benchmarks.compare_learn --json runs/bench/compare-learn.json
 
 All train the same task with networks, epochs and minibatches of the same size, in one run.
 """
@@ -10,43 +10,46 @@ import os
 import time
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
 import tyro
 from gymnasium import spaces
 from sb3_contrib import RecurrentPPO
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv
 from torch import Tensor, nn
 
-from knowarm.bench.learn import (
+from benchmarks.learn import (
     LearnBenchConfig,
     Row,
     a3c_rows,
     in_turns,
     ppo_row,
+    print_learn,
     raycaster_row,
     success_rows,
     summarize_rows,
 )
-from knowarm.bench.time_to_success import INTERIM, SuccessClock
-from knowarm.cli.bench import print_learn
+from benchmarks.time_to_success import INTERIM, SuccessClock
 from knowarm.cli.tables import check_json_path, write_json_table
 from knowarm.experiment.build import build
 from knowarm.experiment.registry import experiment_config
 from knowarm.learn import PPOConfig
 from knowarm.learn.sb3_vec_env import SB3VecEnv
 from knowarm.policy import Policy
+from knowarm.world.agents.play import play
 from knowarm.world.config import EnvConfig
-from knowarm.world.episodes import evaluation_episodes
-from knowarm.world.knowledge_observation import KnowledgeObservation, VectorKnowledgeObservation
-from knowarm.world.play import play
-from knowarm.world.single_env import ReachEnv
-from knowarm.world.vector_env import ReachVectorEnv
+from knowarm.world.envs.knowledge_observation import (
+    KnowledgeObservation,
+    VectorKnowledgeObservation,
+)
+from knowarm.world.envs.single_env import ReachEnv
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.tasks.episodes import evaluation_episodes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,9 +61,6 @@ class CompareLearnConfig(LearnBenchConfig):
 
     opengl_envs: int = 8
     """Number of these environments; more do not increase their speed."""
-
-    json: Path | None = None
-    """Also write the table to this JSON file."""
 
 
 def compare_learn(config: CompareLearnConfig) -> dict[str, Any]:
@@ -136,17 +136,18 @@ def sb3_success_row(config: CompareLearnConfig) -> Row:
 class SB3Agent:
     """Plays episodes with a model of sb3-contrib and keeps its recurrent state."""
 
-    def __init__(self, model: RecurrentPPO, table: np.ndarray) -> None:
+    def __init__(self, model: BaseAlgorithm, table: np.ndarray) -> None:
         self._model, self._table = model, table
 
     def start(self, env: ReachVectorEnv) -> None:
-        self._env, self._state = env, None
+        self._env = env
+        self._state: tuple[np.ndarray, ...] | None = None
         self._episode_start = np.ones(env.num_envs, dtype=bool)
 
     def act(self, observations: np.ndarray) -> np.ndarray:
         """Choose the most probable actions, (n, H, W, 3) uint8 -> (n, J)."""
-        actions, self._state = self._model.predict(
-            {"image": observations, "knowledge": self._table[self._env.facet_ids]},
+        actions, self._state = cast(RecurrentPPO, self._model).predict(
+            {"image": observations, "knowledge": self._table[self._env.knowledge_input]},
             self._state,
             self._episode_start,
             deterministic=True,
@@ -167,9 +168,7 @@ class SuccessCallback(BaseCallback):
     def __init__(self, config: EnvConfig, table: np.ndarray, most_steps: int) -> None:
         super().__init__()
         self._env = ReachVectorEnv(config, INTERIM.episodes)
-        self._episodes = evaluation_episodes(
-            self._env.scene, config, INTERIM.episodes, INTERIM.seed
-        )
+        self._episodes = evaluation_episodes(config, INTERIM.episodes, INTERIM.seed)
         self._table, self._next = table, 0
         self.clock = SuccessClock(most_steps)
 

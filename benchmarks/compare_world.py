@@ -1,7 +1,7 @@
 """Comparison of simulation with images: KnowArm, Gymnasium with OpenGL, MuJoCo Warp's ray caster.
 
     pip install 'knowarm[bench]'
-    python benchmarks/compare_world.py --json runs/bench/compare-world.json
+    python -m benchmarks.compare_world --json runs/bench/compare-world.json
 
 All are measured in one run, with the same number of threads or processes each.
 """
@@ -11,7 +11,6 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -21,19 +20,14 @@ import tyro
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode
 from numpy.typing import NDArray
 
-from knowarm.bench.world import (
-    Speed,
-    WorldBenchConfig,
-    bench_world,
-    env_configs,
-    measure_steps,
-)
+from benchmarks.world import WorldBenchConfig, bench_world, env_configs
 from knowarm.cli.tables import check_json_path, print_table, write_json_table
 from knowarm.errors import UserError
+from knowarm.experiment.speed import Speed, measure_steps
 from knowarm.world import env_id
 from knowarm.world.config import EnvConfig
-from knowarm.world.scene import Scene
-from knowarm.world.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.scene.scene import Scene
 
 FAR_BELOW_M = -100.0
 """Height at which hidden geoms are placed [m]: MuJoCo Warp ignores the alpha of a geom."""
@@ -51,9 +45,6 @@ class CompareWorldConfig(WorldBenchConfig):
 
     mjwarp: bool = True
     """Measure MuJoCo Warp's ray caster (needs the packages mujoco-warp and warp-lang)."""
-
-    json: Path | None = None
-    """Also write the tables to this JSON file."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -109,7 +100,7 @@ def _async_worker(config: EnvConfig, bench: WorldBenchConfig) -> Speed:
         "renderer": "opengl",
         "targets": config.targets,
         "colours": config.colours,
-        "choice": config.choice,
+        "task": config.task,
     }
     env = AsyncVectorEnv(
         [lambda: gymnasium.make(gym_id, disable_env_checker=True, **options)] * bench.workers,
@@ -230,7 +221,7 @@ def main() -> None:
     config = tyro.cli(CompareWorldConfig, description=__doc__)
     check_json_path(config.json)
     result = compare_world(config)
-    # CPU times are in the JSON only: with them the table would be too wide for a terminal.
+    # CPU times are in the JSON only.
     rows = [{k: v for k, v in row.items() if "cpu" not in k} for row in result["rows"]]
     title = f"Environment steps/s with images, {config.workers} threads or processes each"
     print_table(title, list(rows[0]), [list(row.values()) for row in rows])

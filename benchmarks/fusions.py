@@ -4,20 +4,23 @@ Images are starts of episodes of the choice task, with the arm in them. The poli
 image and query, regresses where the wanted object stands, and is right if that is nearest to the
 wanted one of the objects shown. No reinforcement learning is involved, so a fusion takes a minute.
 
-    python benchmarks/fusions.py --fusions before_lstm film similarity
+    python -m benchmarks.fusions --fusions before_lstm film similarity
 """
 
 import argparse
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from knowarm.experiment.build import build
+from knowarm.experiment.graph_queries import GraphQueries
 from knowarm.experiment.registry import experiment_config
 from knowarm.policy import Policy, PolicyConfig
-from knowarm.world.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.tasks.choose.choose import Choose
 
 BATCH, LEARNING_RATE, TEST_IMAGES = 256, 1.5e-3, 2048
 
@@ -36,7 +39,9 @@ class Starts:
 
 def draw_starts(env: ReachVectorEnv, count: int) -> Starts:
     """Draw at least ``count`` starts."""
-    images, queries, positions = [], [], []
+    images: list[np.ndarray] = []
+    queries: list[np.ndarray] = []
+    positions: list[np.ndarray] = []
     observation, infos = env.reset(seed=0)
     while len(images) * env.num_envs < count:
         images.append(observation)
@@ -90,9 +95,10 @@ def main() -> None:
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     config = experiment_config(arguments.experiment)
-    choice = config.env.choice
-    choice = replace(choice, queries=replace(choice.queries, pairs=arguments.pairs))
-    env_config = replace(config.env, image_size=arguments.size, choice=choice)
+    task = cast(Choose, config.env.task)
+    queries = replace(cast(GraphQueries, task.queries), pairs=arguments.pairs)
+    task = replace(task, queries=queries)
+    env_config = replace(config.env, image_size=arguments.size, task=task)
     parts = build(replace(config, env=env_config))
     env = ReachVectorEnv(env_config, 512, 1)
     starts = draw_starts(env, arguments.images + TEST_IMAGES)

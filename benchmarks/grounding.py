@@ -6,7 +6,7 @@ then, the predicted grasp frame is from the true one (medians, position and z ax
 reinforcement learning is involved, so what an agent's knowledge is worth on splits S1 to S5 is
 known in minutes.
 
-    python benchmarks/grounding.py --agents subgraph query-words query-onehot subgraph-shuffled
+    python -m benchmarks.grounding --agents subgraph query-words query-onehot subgraph-shuffled
 """
 
 import argparse
@@ -17,12 +17,12 @@ from pathlib import Path
 import torch
 
 from knowarm.experiment.build import build, slots_of
-from knowarm.experiment.first_images import Starts, draw_first_images
-from knowarm.experiment.graph_queries import retold
-from knowarm.experiment.grounding import Grounding
-from knowarm.experiment.grounding_training import train_grounding
+from knowarm.experiment.edited_graph import edited_knowledge_table
 from knowarm.experiment.registry import experiment_config
-from knowarm.knowledge.query_splits import SPLITS
+from knowarm.knowledge.queries.splits import SPLITS
+from knowarm.perception.grounding import GroundingNetwork
+from knowarm.perception.images import LabelledImages, sample_images
+from knowarm.perception.training import train_grounding
 from knowarm.seeding import derive_seed
 from knowarm.world.config import EnvConfig
 
@@ -31,21 +31,19 @@ AGENTS = ["subgraph", "query-words", "query-onehot", "subgraph-shuffled"]
 
 def with_split(env: EnvConfig, split: str) -> EnvConfig:
     """Return the task that asks the questions of a split."""
-    assert env.choice is not None
-    queries = replace(env.choice.queries, split=split)
-    return replace(env, choice=replace(env.choice, queries=queries))
+    return replace(env, task=env.task.for_split(split, None))
 
 
 @torch.no_grad()
-def measure(network: Grounding, starts: Starts) -> str:
+def measure(network: GroundingNetwork, labels: LabelledImages) -> str:
     """Describe the share of right objects, and the errors of their grasp frames."""
-    parts = zip(starts.images.split(256), starts.queries.split(256), strict=True)
-    frame = torch.cat([network.found(*part) for part in parts])
+    parts = zip(labels.images.split(256), labels.queries.split(256), strict=True)
+    frame = torch.cat([network(*part) for part in parts])
     position = frame[:, :3] * network.position_std + network.position_mean
-    distance = (starts.grasp_position - position[:, None]).norm(dim=2)
+    distance = (labels.grasp_position - position[:, None]).norm(dim=2)
     right = distance.argmin(1) == 0
     away = 100 * distance[right, 0].median()
-    cosine = torch.cosine_similarity(frame[right, 6:], starts.grasp_axes[right, 0, 3:])
+    cosine = torch.cosine_similarity(frame[right, 6:], labels.grasp_axes[right, 0, 3:])
     angle = cosine.clamp(-1, 1).acos().rad2deg().median()
     return f"{100 * right.float().mean():.1f} % ({away:.1f} cm, {angle:.1f} degrees)"
 
@@ -76,16 +74,16 @@ def main() -> None:
             )
             assert network is not None
             if arguments.out is not None:
-                arguments.out.write_bytes(network.to_bytes())
+                network.write(arguments.out)
             seconds, shares = time.process_time() - begin, []
             for number, split in enumerate(SPLITS, 1):
                 env = with_split(config.env, split)
-                starts = draw_first_images(
-                    env, network.seen, arguments.test_images, derive_seed(0, "perception", number)
+                labels = sample_images(
+                    env, network.spec, arguments.test_images, derive_seed(0, "perception", number)
                 )
                 if split == "S5":
-                    network.knowledge = torch.from_numpy(retold(config, env))
-                shares.append(f"{split} {measure(network, starts)}")
+                    network.knowledge = torch.from_numpy(edited_knowledge_table(config, env))
+                shares.append(f"{split} {measure(network, labels)}")
             print(f"{agent}, seed {seed}: {', '.join(shares)}, {seconds:.0f} s", flush=True)
 
 

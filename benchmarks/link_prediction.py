@@ -1,10 +1,10 @@
-"""A made-up graph goes in; link prediction of our five models beside PyKEEN's comes out.
+"""Link prediction of KnowArm's embedding models and of PyKEEN's, on a made-up graph.
 
-Both sides get the same split, 50 numbers an entity, and stop early on the validation triples.
+Both use the same split and 50 numbers per entity, and stop early on the validation triples.
 PyKEEN runs with its defaults (sampled negatives, its loss, Adam at .001), for which it needs more
 epochs; ANALOGY, which it lacks, is a custom interaction there.
 
-    python benchmarks/link_prediction.py --json runs/bench/link_prediction.json
+    python -m benchmarks.link_prediction --json runs/bench/link_prediction.json
 """
 
 import argparse
@@ -12,17 +12,17 @@ import gc
 import json
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
-from apartment_graph import apartment_graph
 
+from benchmarks.apartment_graph import apartment_graph
 from knowarm.cli.tables import print_table
 from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.kge.models import MODELS
-from knowarm.knowledge.kge.rank import rank
 from knowarm.knowledge.kge.split import Split, split_graph
-from knowarm.knowledge.kge.train import train
+from knowarm.knowledge.kge.train import rank, train
 
 DIM = 50
 
@@ -67,8 +67,8 @@ def theirs(name: str, split: Split, seed: int, epochs: int) -> dict[str, float]:
             return (hs * rs * ts).sum(-1) + real.sum(-1)
 
     training = factory(split.train)
-    model: dict[str, object] = {"model": name, "model_kwargs": {"embedding_dim": DIM}}
-    if name in ("complex", "rotate"):
+    model: dict[str, Any] = {"model": name, "model_kwargs": {"embedding_dim": DIM}}
+    if name == "complex":
         model["model_kwargs"] = {"embedding_dim": DIM // 2}  # complex numbers
     if name == "analogy":
         interaction = AnalogyInteraction()

@@ -3,7 +3,7 @@
 Robots are named or TOML descriptions. Steps of the environment and drawing are timed in turns with
 the first robot of the list, so that other load on the machine affects both alike:
 
-    python benchmarks/mesh_detail.py irb120 panda my_arm.toml --json runs/bench/mesh-detail.json
+    python -m benchmarks.mesh_detail irb120 panda my_arm.toml --json runs/bench/mesh-detail.json
 """
 
 import argparse
@@ -14,14 +14,14 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from knowarm.bench.images import ssim, stray_share
-from knowarm.bench.world import measure_steps
+from benchmarks.images import ssim, stray_share
 from knowarm.cli.tables import check_json_path, print_table, write_json_table
+from knowarm.experiment.speed import measure_steps
 from knowarm.world.config import EnvConfig
+from knowarm.world.envs.vector_env import ReachVectorEnv
 from knowarm.world.render import Raycaster
-from knowarm.world.render.renderer import MESH_ERROR_PX
-from knowarm.world.scene import Scene, load_scene
-from knowarm.world.vector_env import ReachVectorEnv
+from knowarm.world.render.renderer import MESH_TRIANGLE_PX
+from knowarm.world.scene.scene import Scene, load_scene
 
 TARGETS = ("mug", "bottle", "cereal_box")
 
@@ -44,11 +44,11 @@ def compare(robot: str, states: int, side: int) -> dict[str, Any]:
     scene = load_scene(robot, TARGETS)
     poses = random_poses(scene, states)
     shown: dict[str, Any] = {}
-    for name, error in (("full", None), ("simple", MESH_ERROR_PX)):
+    for name, size in (("full", None), ("simple", MESH_TRIANGLE_PX)):
         caster = Raycaster(
-            scene.model, scene.camera, side, side, antialiasing=True, mesh_error_px=error
+            scene.model, scene.camera, side, side, antialiasing=True, mesh_triangle_px=size
         )
-        edges = Raycaster(scene.model, scene.camera, side, side, mesh_error_px=error)
+        edges = Raycaster(scene.model, scene.camera, side, side, mesh_triangle_px=size)
         geom = edges.trace(*poses).geom
         own = np.array([body > 0 for body in scene.model.geom_bodyid])
         span = caster.scenery.meshes.span[

@@ -1,34 +1,37 @@
 """Solvability of each task: reachability, oracle, random agent and servo error.
 
-python benchmarks/oracle.py --episodes 300 --json oracle.json
+python -m benchmarks.oracle --episodes 300 --json oracle.json
 """
 
 import argparse
 import json
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
+from knowarm.world.agents.ik import InverseKinematics
+from knowarm.world.agents.play import play
 from knowarm.world.agents.scripted import OracleAgent, RandomAgent
 from knowarm.world.config import EnvConfig
-from knowarm.world.episodes import evaluation_episodes
-from knowarm.world.ik import InverseKinematics
+from knowarm.world.envs.vector_env import ReachVectorEnv
 from knowarm.world.objects import TARGETS
-from knowarm.world.play import play
-from knowarm.world.robots import MAIN_ROBOTS
-from knowarm.world.vector_env import ReachVectorEnv
+from knowarm.world.robots import ROBOTS
+from knowarm.world.tasks.episodes import evaluation_episodes
 
 SEED = 7
 
+Dynamics = Literal["dynamic", "kinematic"]
 
-def task_row(robot: str, target: str, dynamics: str, episodes: int) -> dict:
+
+def task_row(robot: str, target: str, dynamics: Dynamics, episodes: int) -> dict:
     """Measure reachability and the success of oracle and random agent."""
     config = EnvConfig(robot=robot, targets=(target,), dynamics=dynamics, image_size=8)
     env = ReachVectorEnv(config, episodes)
-    fixed = evaluation_episodes(env.scene, config, episodes, SEED)
+    fixed = evaluation_episodes(config, episodes, SEED)
     env.reset(options={"episodes": fixed})
     solution = InverseKinematics(env.scene).solve(
-        env.grasp_position, env.grasp_matrix, env.joint_positions
+        env.goal_position, env.goal_matrix, env.joint_positions
     )
     oracle = play(OracleAgent(), env, fixed)
     random = play(RandomAgent(SEED), env, fixed)
@@ -46,10 +49,10 @@ def task_row(robot: str, target: str, dynamics: str, episodes: int) -> dict:
     }
 
 
-def tracking_row(robot: str, dynamics: str, episodes: int) -> dict:
+def tracking_row(robot: str, dynamics: Dynamics, episodes: int) -> dict:
     """Measure the distance of joints from their targets after actions of a random agent [rad]."""
     env = ReachVectorEnv(EnvConfig(robot=robot, dynamics=dynamics, image_size=8), episodes)
-    env.reset(options={"episodes": evaluation_episodes(env.scene, env.config, episodes, SEED)})
+    env.reset(options={"episodes": evaluation_episodes(env.config, episodes, SEED)})
     agent = RandomAgent(SEED)
     agent.start(env)
     no_env = np.zeros(episodes, dtype=np.bool_)
@@ -73,7 +76,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     tasks, tracking = [], []
-    for robot in MAIN_ROBOTS:
+    for robot in ROBOTS:
         for dynamics in ("dynamic", "kinematic"):
             for target in TARGETS:
                 tasks.append(task_row(robot, target, dynamics, arguments.episodes))

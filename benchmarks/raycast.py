@@ -3,7 +3,7 @@
 One thread draws; its CPU time is measured, the best of several repetitions, to reduce the influence
 of other load on the machine. Pin it to a core for less variation:
 
-    taskset -c 0 python benchmarks/raycast.py --json runs/bench/raycast.json
+    taskset -c 0 python -m benchmarks.raycast --json runs/bench/raycast.json
 """
 
 import argparse
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from knowarm.cli.tables import check_json_path, print_table, write_json_table
 from knowarm.world.render import Raycaster
-from knowarm.world.scene import load_scene
+from knowarm.world.scene.scene import load_scene
 
 SECONDS = 0.4
 """Least thread time spent per measurement."""

@@ -1,12 +1,12 @@
-"""Word vectors go in; how alike they make what people call alike comes out.
+"""Agreement of word vectors with similarities as people see them.
 
 Household triplets (in this folder, written for this project): is the first word nearer to the
-second than to the third? Similarity sets that you bring, such as WordSim353, SimLex999 or MEN, are
-files of `word word score` lines; for them the rank correlation with people's scores is given.
-Reading time is that of a made-up file of 400,000 words x 50 for the words of the shipped graph.
+second than to the third? Similarity sets, such as WordSim353, SimLex999 or MEN, are files of
+`word word score` lines; the rank correlation with their scores is printed. Reading time is that of
+a made-up file of 400,000 words x 50 for the words of the shipped graph.
 
-    python benchmarks/word_vectors.py --similarity EN-WS-353-ALL.txt EN-SIMLEX-999.txt
-    python benchmarks/word_vectors.py --vectors glove.6B.50d.txt
+    python -m benchmarks.word_vectors --similarity EN-WS-353-ALL.txt EN-SIMLEX-999.txt
+    python -m benchmarks.word_vectors --vectors glove.6B.50d.txt
 """
 
 import argparse
@@ -20,10 +20,8 @@ from scipy.stats import spearmanr
 
 from knowarm.cli.tables import print_table
 from knowarm.knowledge import household
-from knowarm.knowledge.sentence import graph_parts
-from knowarm.knowledge.vectors.glove import read_word_vectors
-from knowarm.knowledge.vectors.word_forms import all_forms
-from knowarm.knowledge.vectors.words import WordTable, shipped_vectors
+from knowarm.knowledge.slots import graph_parts
+from knowarm.knowledge.vectors.words import WordTable, all_forms, read_word_vectors, shipped_vectors
 
 TRIPLETS = Path(__file__).parent / "household_triplets.tsv"
 WORDS, DIM = 400_000, 50

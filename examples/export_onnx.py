@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 import onnxruntime
 
-from knowarm.experiment.build import load_agent
+from knowarm.experiment.load import load_agent
 from knowarm.policy.onnx_export import export_onnx
-from knowarm.world.episodes import evaluation_episodes
-from knowarm.world.play import play
-from knowarm.world.vector_env import ReachVectorEnv
+from knowarm.world.agents.play import play
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.tasks.episodes import evaluation_episodes
 
 
 class OnnxAgent:
-    """Plays an exported policy; an agent like any other of `knowarm.world.play`."""
+    """Plays an exported policy; an agent like any other of `knowarm.world.agents.play`."""
 
     def __init__(self, path: Path, knowledge: np.ndarray) -> None:
         self.session = onnxruntime.InferenceSession(path)
@@ -33,7 +33,7 @@ class OnnxAgent:
     def act(self, observations: np.ndarray) -> np.ndarray:
         inputs = {
             "image": observations,
-            "knowledge": self.knowledge[self.env.facet_ids],
+            "knowledge": self.knowledge[self.env.knowledge_input],
             "h": self.h,
             "c": self.c,
             "episode_start": self.first,
@@ -53,8 +53,10 @@ def main() -> None:
     trained = load_agent(arguments.run)
     export_onnx(trained.policy, arguments.output)
     env = ReachVectorEnv(trained.config.env, arguments.episodes)
-    episodes = evaluation_episodes(env.scene, trained.config.env, arguments.episodes, 0)
-    theirs = play(OnnxAgent(arguments.output, trained.knowledge), env, episodes)
+    episodes = evaluation_episodes(trained.config.env, arguments.episodes, 0)
+    theirs = play(
+        OnnxAgent(arguments.output, trained.policy.knowledge_table.numpy()), env, episodes
+    )
     ours = play(trained.agent, env, episodes)
     print(f"{arguments.output}: mean return {theirs.episode_return.mean():.2f} with ONNX Runtime,")
     print(f"{ours.episode_return.mean():.2f} with PyTorch, on the same {len(episodes)} episodes")

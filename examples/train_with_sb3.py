@@ -16,9 +16,12 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from knowarm.experiment.build import build
 from knowarm.experiment.registry import experiment_config
 from knowarm.learn.sb3_vec_env import SB3VecEnv
-from knowarm.world.knowledge_observation import KnowledgeObservation, VectorKnowledgeObservation
-from knowarm.world.single_env import ReachEnv
-from knowarm.world.vector_env import ReachVectorEnv
+from knowarm.world.envs.knowledge_observation import (
+    KnowledgeObservation,
+    VectorKnowledgeObservation,
+)
+from knowarm.world.envs.single_env import ReachEnv
+from knowarm.world.envs.vector_env import ReachVectorEnv
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""WordNet's glosses in; the shipped word vectors `wordnet-gloss-50` out.
+"""Build the shipped word vectors `wordnet-gloss-50` from WordNet's glosses.
 
 PPMI-SVD: every synset of Debian's `wordnet-base` gives one document, its words followed by its
 gloss and examples. Words that stand at most ten words apart are counted, and the counts become

@@ -1,4 +1,4 @@
-"""Draw how the agents of a study learned to choose and to reach, as one file for docs/choose.md.
+"""Draw how the agents of a study learned to choose and to reach, for docs/results/choose.md.
 
 cd docs/results && knowarm study unpack choose.tar.gz && cd ../..
 python scripts/draw_choose_curves.py docs/results/choose docs/images/choose-curves.svg
@@ -33,10 +33,8 @@ def main() -> None:
         (drawing,) = (panel.svg for panel in figure.panels if panel.only == "large")
         parts.append(element("g", drawing, transform=f"translate({i * BOX.width} {LEGEND})"))
     size = f"0 0 {2 * BOX.width} {BOX.height + LEGEND}"
-    picture = element(
-        "svg", *parts, viewBox=size, class_="light", xmlns="http://www.w3.org/2000/svg"
-    )
-    Path(sys.argv[2]).write_text(picture + "\n", encoding="utf-8")
+    image = element("svg", *parts, viewBox=size, class_="light", xmlns="http://www.w3.org/2000/svg")
+    Path(sys.argv[2]).write_text(image + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Draw starts of episodes of the choice task, large and as the policy sees them.
+"""Draw starts of episodes of the choose task, large and as the policy sees them.
 
 python scripts/draw_choose_images.py docs/images/choose.png
 """
@@ -8,9 +8,10 @@ import sys
 import numpy as np
 from PIL import Image
 
-from knowarm.world.config import choice_env_config
-from knowarm.world.robots import MAIN_ROBOTS
-from knowarm.world.vector_env import ReachVectorEnv
+from knowarm.world.config import EnvConfig
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.robots import ROBOTS
+from knowarm.world.tasks.choose.choose import Choose
 
 SIDE, COLUMNS = 200, 6
 
@@ -21,10 +22,10 @@ def enlarged(image: np.ndarray, filter: Image.Resampling) -> np.ndarray:
 
 
 def main() -> None:
-    """Draw a row of large and a row of small images a robot, a column an episode."""
+    """Draw a row of large and a row of small images per robot, and a column per episode."""
     rows = []
-    for robot in MAIN_ROBOTS:
-        env = ReachVectorEnv(choice_env_config(robot), COLUMNS)
+    for robot in ROBOTS:
+        env = ReachVectorEnv(EnvConfig(robot=robot, task=Choose()), COLUMNS)
         small, _ = env.reset(seed=0)
         rows.append([enlarged(image, Image.Resampling.LANCZOS) for image in env.render()])
         rows.append([enlarged(image, Image.Resampling.NEAREST) for image in small])

@@ -9,8 +9,8 @@ import numpy as np
 from PIL import Image
 
 from knowarm.world.config import EnvConfig
-from knowarm.world.robots import MAIN_ROBOTS
-from knowarm.world.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.robots import ROBOTS
 
 SIDE = 240
 
@@ -21,9 +21,9 @@ def enlarged(image: np.ndarray, filter: Image.Resampling) -> np.ndarray:
 
 
 def main() -> None:
-    """Draw a row of large and a row of small images a robot, a column a colour."""
+    """Draw a row of large and a row of small images per robot, and a column per colour."""
     rows = []
-    for robot in MAIN_ROBOTS:
+    for robot in ROBOTS:
         env = ReachVectorEnv(EnvConfig(robot=robot, colours="randomized"), 60)
         small, infos = env.reset(seed=3)
         large = env.render()

@@ -3,6 +3,9 @@
 import os
 import random
 import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -17,6 +20,36 @@ REMEDIES = {
 }
 """What tests need beside the Python packages of the extra ``dev``: remedy, and pattern of the
 reason with which they are skipped."""
+
+
+@pytest.fixture(scope="session")
+def reach_run(tmp_path_factory):
+    """The run of ``short()``, trained once per test process; copy it before changing anything."""
+    from knowarm.experiment.run import train
+    from tests.tiny import short
+
+    return train(short(), tmp_path_factory.mktemp("reach"))
+
+
+@pytest.fixture(scope="session")
+def choose_run(tmp_path_factory):
+    """A run of the choose task, like `reach_run`."""
+    from knowarm.experiment.run import train
+    from tests.tiny import CHOOSE, CHOOSE_NAME
+
+    return train(CHOOSE_NAME, tmp_path_factory.mktemp("choose"), **CHOOSE)
+
+
+@pytest.fixture
+def copy_of(tmp_path):
+    """Copies runs: ``copy_of(run)`` is the folder of a copy below ``tmp_path / "copy"``."""
+
+    def copy(run):
+        path = run.folder.path
+        place = tmp_path / "copy" / path.parent.name / path.name
+        return replace(run.folder, path=Path(shutil.copytree(path, place)))
+
+    return copy
 
 
 def pytest_addoption(parser):

@@ -6,22 +6,20 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import gymnasium
 import numpy as np
 import pytest
 import torch
 
 import knowarm
 from knowarm.experiment.evaluation_files import read_film
-from knowarm.study.executors import EXECUTORS, ExecutorEntry
-from tests.study.tiny import Inline, InlineExecutor
+from knowarm.reading import read_json
+from tests.study.tiny import InlineExecutor
+from tests.tiny import TINY
 
 SOURCE = Path(knowarm.__file__).parent
-ZOO = SOURCE.parents[1] / "zoo" / "irb120-full-ppo"
-TINY = {
-    "total_steps": 40,
-    "interim": {"every_steps": 40, "episodes": 2},
-    "algorithm": {"num_envs": 4, "rollout_steps": 5, "minibatches": 2, "processes": 1},
-}
+ZOO = SOURCE.parents[1] / "zoo" / "irb120-full-fast"
+CHOOSE = "irb120-choose-subgraph-fast"
 EXAMPLES = {}
 
 
@@ -97,14 +95,17 @@ def test_train(run):
 @example("evaluate", "EvaluationResult", "EvaluationConfig")
 def test_evaluate(run):
     config = knowarm.EvaluationConfig(episodes=4, num_envs=4, record_films=1, blind_episodes=0)
-    result = knowarm.evaluate(run.folder.path, config=config)
+    result = knowarm.evaluate(run, config=config)
     assert isinstance(result, knowarm.EvaluationResult)
     assert len(result.episodes["return"]) == 4
-    folder = result.write()
-    assert folder == run.folder.path / "evaluation" / "post-training-greedy"
+    folder = run.folder.path / "evaluation" / "post-training-greedy"
+    assert result.folder == folder
+    assert repr(result).startswith("EvaluationResult(irb120-full-ppo/0, post-training-greedy: 4 ")
+    assert len(repr(result)) < 120
     assert read_film(folder / "films" / "0.webp").shape[1:] == (64, 64, 3)
-    again = knowarm.evaluate(run.folder.path, config=config, episodes=2, record_films=0)
+    again = knowarm.evaluate(run.folder.path, config=config, episodes=2, write=False)
     assert again.summary["episodes"] == 2
+    assert read_json(folder / "summary.json")["episodes"] == 4
     with pytest.raises(knowarm.UserError, match="'episodes'"):
         knowarm.evaluate(run.folder.path, episode=2)
 
@@ -114,9 +115,34 @@ def test_load_agent():
     trained = knowarm.load_agent(ZOO)
     assert isinstance(trained, knowarm.TrainedAgent)
     assert isinstance(trained.agent, knowarm.PolicyAgent)
-    result = knowarm.evaluate(trained, episodes=4, num_envs=4, record_films=0, blind_episodes=0)
-    assert result.summary["agent"] == "irb120-full-ppo/0"
+    config = knowarm.EvaluationConfig(episodes=4, num_envs=4, record_films=0, blind_episodes=0)
+    result = knowarm.evaluate(trained, config=config, write=False)
+    assert result.summary["agent"] == "irb120-full-fast/0"
     assert result.summary["success"] > 0
+
+
+def test_a_trained_agent_plays_an_environment_of_gymnasium():
+    trained = knowarm.load_agent(ZOO)
+    env = gymnasium.make("knowarm/IRB120Reach-v0")
+    successes = 0
+    for seed in range(8):
+        image, info = env.reset(seed=seed)
+        state, ended = None, False
+        while not ended:
+            action, state = trained.act(image, state, info)
+            image, _, terminated, truncated, info = env.step(action)
+            ended = terminated or truncated
+        successes += info["is_success"]
+    assert successes >= 6
+    envs = knowarm.make("irb120", num_envs=8)  # plays the same episodes at once
+    images, _ = envs.reset(seed=0)
+    actions, state = trained.act(images)
+    assert actions.shape == (8, 6)
+    chooser = knowarm.load_agent(ZOO.parent / CHOOSE)
+    image, info = gymnasium.make("knowarm/IRB120Choose-v0").reset(seed=0)
+    assert chooser.act(image, info=info)[0].shape == (6,)
+    with pytest.raises(knowarm.UserError, match="info 'query'"):
+        chooser.act(image)
 
 
 @example("write_report")
@@ -148,6 +174,76 @@ def test_make():
     tensors = knowarm.make("irb120", num_envs=2, device="cpu")
     assert isinstance(tensors, knowarm.TorchReachVectorEnv)
     assert isinstance(tensors.reset(seed=0)[0], torch.Tensor)
+
+
+@example("ReachEnv", "Episodes", "evaluation_episodes", "play", "OracleAgent")
+def test_play():
+    config = knowarm.EnvConfig(image_size=8, dynamics="kinematic")
+    episodes = knowarm.evaluation_episodes(config, 6, seed=0)
+    assert isinstance(episodes, knowarm.Episodes)
+    result = knowarm.play(knowarm.OracleAgent(), knowarm.ReachVectorEnv(config, 3), episodes)
+    assert result.success.all()
+    single = knowarm.make("irb120", image_size=8)
+    assert isinstance(single, knowarm.ReachEnv)
+    assert single.reset(options={"episodes": episodes[:1]})[0].shape == (8, 8, 3)
+
+
+@example("Task", "Reach", "Choose", "TASKS", "register_task", "NameQueries", "GraphQueries")
+def test_tasks():
+    assert {"reach", "choose"} <= set(knowarm.TASKS)
+    assert knowarm.register_task("knowarm.world.tasks.reach:Reach") is knowarm.Reach
+    assert issubclass(knowarm.Choose, knowarm.Task)
+    env = knowarm.make("irb120", task="choose", num_envs=2, image_size=8)
+    assert env.config.task == knowarm.Choose(queries=knowarm.NameQueries())
+    asked = knowarm.Choose(objects=3, queries=knowarm.GraphQueries())
+    env = knowarm.make("tiago", task=asked, num_envs=2, image_size=8)
+    assert env.reset(seed=0)[1]["objects"].shape == (2, 3)
+
+
+@example("Query", "QuestionTable", "parse_query", "query_embedding")
+def test_queries():
+    query = knowarm.parse_query("usedFor drinking and hasColor blue")
+    assert query == knowarm.Query.of(("usedFor", "drinking"), ("hasColor", "blue"))
+    vectors = knowarm.query_embedding(knowarm.experiment_config(CHOOSE).knowledge, [query])
+    assert vectors.table([query]).shape[0] == 1
+    table = knowarm.NameQueries().table((("mug", "red"), ("bottle", "blue")), objects=2)
+    assert isinstance(table, knowarm.QuestionTable)
+
+
+@example("KnowledgeObservation", "VectorKnowledgeObservation", "SB3VecEnv", "NumpyToTorch")
+def test_wrappers():
+    table = np.arange(6, dtype=np.float32).reshape(3, 2)
+    single = knowarm.KnowledgeObservation(knowarm.make("irb120", image_size=8), table)
+    assert set(single.reset(seed=0)[0]) == {"image", "knowledge"}
+    vector = knowarm.VectorKnowledgeObservation(knowarm.make("irb120", 2, image_size=8), table)
+    assert knowarm.SB3VecEnv(vector, seed=0).reset()["knowledge"].shape == (2, 2)
+    adapted = knowarm.NumpyToTorch(knowarm.make("irb120", 2, image_size=8))
+    assert adapted.reset(seed=0)[0].shape == (2, 8, 8, 3)
+
+
+@example("VisualRandomization", "HeldOut")
+def test_what_varies_and_what_is_held_out():
+    looks = knowarm.VisualRandomization(light=0.3, distractors=2)
+    held_out = knowarm.HeldOut(colours=("blue", "purple", "light_blue"))
+    env = knowarm.make(
+        "irb120",
+        num_envs=2,
+        image_size=8,
+        colours="randomized",
+        randomization=looks,
+        held_out=held_out,
+    )
+    assert (env.reset(seed=0)[1]["colour"] == 0).all()
+
+
+@example("train_classifier", "FacetClassifier", "PerceptionConfig", "GroundingConfig")
+def test_perception():
+    config = knowarm.PerceptionConfig(images=64, epochs=1, test_images=32, batch=32)
+    classifier = knowarm.train_classifier(knowarm.EnvConfig(), config)
+    assert isinstance(classifier, knowarm.FacetClassifier)
+    assert set(classifier.spec.accuracy) == {"new images", "visual randomization"}
+    grounding = knowarm.experiment_config(CHOOSE).grounding
+    assert isinstance(grounding, knowarm.GroundingConfig)
 
 
 @example("EnvConfig", "ROBOTS", "TARGETS")
@@ -190,7 +286,7 @@ def test_algorithms():
     assert isinstance(knowarm.ALGORITHMS["ppo"], knowarm.Algorithm)
     assert knowarm.ALGORITHMS["ppo"].config == knowarm.PPOConfig()
     assert knowarm.A3CConfig(workers=2).workers == 2
-    with pytest.raises(knowarm.UserError, match="gamma must lie between 0 and 1"):
+    with pytest.raises(knowarm.UserError, match="gamma must be between 0 and 1"):
         knowarm.PPOConfig(gamma=1.5)
 
 
@@ -214,15 +310,13 @@ def test_user_error():
 
 @example("StudyConfig", "read_study", "run_study")
 def test_run_a_study(tmp_path, monkeypatch):
-    entry = ExecutorEntry(about="in this process", default=Inline(), make=InlineExecutor)
-    monkeypatch.setitem(EXECUTORS, "inline", entry)
+    monkeypatch.setattr("knowarm.study.driver.LocalExecutor", InlineExecutor)
     study = knowarm.StudyConfig(
         name="mine",
         experiments=("irb120-bm-ppo",),
         seeds=(0,),
         overrides=TINY,
         evaluations=(),
-        where=Inline(),
     )
     (status,) = knowarm.run_study(study, tmp_path)
     assert status.state == "done"

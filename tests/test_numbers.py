@@ -8,10 +8,10 @@ from knowarm.cli.main import main
 from knowarm.errors import UserError
 from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.registry import experiment_config
-from knowarm.learn.config import A3CConfig, PPOConfig
+from knowarm.learn.algorithms import A3CConfig, PPOConfig
 from knowarm.world.config import EnvConfig
-from knowarm.world.description_file import read_robot
 from knowarm.world.robots import DEFAULT_ROBOT, ROBOTS
+from knowarm.world.robots.description_file import read_robot
 
 NOT_FINITE = [float("nan"), float("inf"), float("-inf")]
 

@@ -19,23 +19,19 @@ from knowarm.experiment.algorithms import TrainerInputs
 from knowarm.knowledge.vectors import SOURCES, VectorSource
 from knowarm.knowledge.vectors.source import Found
 from knowarm.learn import Checkpoint, Trainer, TrainingResult
+from knowarm.learn.algorithms import AlgorithmConfig
 from knowarm.learn.checkpoint import policy_arrays
-from knowarm.learn.config import AlgorithmConfig
 from knowarm.policy.fusion import FUSIONS, Fusion
-from knowarm.report.claims import claims
 from knowarm.report.collect import collect
-from knowarm.report.verdict import finding
+from knowarm.report.verdicts.claims import claims
+from knowarm.report.verdicts.knowledge import finding
 from knowarm.world import env_id, register_environments
 from knowarm.world.robots import RobotEntry
-from knowarm.world.scene import find_robot, find_targets
+from knowarm.world.scene.scene import find_robot, find_targets
 from tests.report.synthetic_study import Size, Truth, write_study
+from tests.tiny import TINY
 
 OWN = Path(__file__).parents[1] / "examples" / "own_robot"
-TINY = {
-    "total_steps": 40,
-    "interim": {"every_steps": 40, "episodes": 2},
-    "algorithm": {"num_envs": 4, "rollout_steps": 5, "minibatches": 2, "processes": 1},
-}
 
 
 @pytest.fixture
@@ -64,7 +60,7 @@ def train_and_evaluate(name, folder, **overrides):
 
 def test_a_robot(monkeypatch, listed, tmp_path):
     robot = find_robot(str(OWN / "scara.toml"))
-    monkeypatch.setitem(knowarm.ROBOTS, "toy", RobotEntry(env_id="ToyReach-v0", robot=robot))
+    monkeypatch.setitem(knowarm.ROBOTS, "toy", RobotEntry(gym_name="Toy", robot=robot))
     register_environments()
     assert "toy" in listed()["robots"]
     assert knowarm.make(env_id("toy"), num_envs=2).reset(seed=0)[0].shape == (2, 64, 64, 3)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 
+from knowarm.learn.algorithms import PPOConfig
 from knowarm.learn.collector import Collector
-from knowarm.learn.config import PPOConfig
 from knowarm.learn.ppo import PPOTrainer
 from knowarm.policy import Policy
 from knowarm.seeding import Purpose, derive_seed, seed_sequence, torch_generator

@@ -1,159 +1,169 @@
-"""Structure of the source tree: imports go one way, and registries own their names."""
+"""Structure of the source: imports, registries, random state, names and lengths of modules."""
 
 import ast
-from pathlib import Path
-
-import pytest
+import re
+import tomllib
+from collections import defaultdict
 
 from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.world.robots import ROBOTS
+from tests.source_tree import ROOT, edges, files, imported, modules, package
 
-SOURCE = Path(__file__).parent.parent / "src" / "knowarm"
-MAY_IMPORT = {
+BELOW = {
+    "": set(),
     "knowledge": set(),
     "world": set(),
     "policy": set(),
-    "learn": {"policy"},
     "statistics": set(),
-    "experiment": {"knowledge", "world", "policy", "learn", "statistics"},
-    "study": {"learn", "experiment"},
-    "report": {"knowledge", "world", "policy", "learn", "experiment", "statistics"},
-    "bench": {"knowledge", "world", "policy", "learn", "experiment", "statistics", "report"}
-    | {"study"},
-    "cli": {"knowledge", "world", "policy", "learn", "experiment", "statistics", "report", "bench"}
-    | {"study"},
+    "learn": {"policy"},
+    "perception": {"world", "policy", "learn"},
+    "experiment": {"knowledge", "world", "policy", "statistics", "learn", "perception"},
+    "study": {"world", "learn", "experiment"},
+    "report": {"knowledge", "world", "policy", "statistics", "learn", "experiment"},
 }
-"""Packages that each package may import, beside itself and the modules of `EVERYBODY`."""
-
-EVERYBODY = {
-    "errors",
-    "config",
-    "cores",
-    "svg",
-    "compiling",
-    "private_apis",
-    "seeding",
-    "threads",
-    "reading",
-    "__version__",
-}
-"""Modules at the root that every package may import."""
-
-MODULES = sorted(path for path in SOURCE.rglob("*.py") if path.parent != SOURCE)
-ALL_MODULES = sorted(SOURCE.rglob("*.py"))
+"""Packages that each package may import, beside itself and the root's modules; `cli` may all."""
 
 REGISTRIES = {
-    "world/robots": set(ROBOTS),
+    "world/robots/": set(ROBOTS),
     "experiment/agents.py": set(AGENTS),
     "experiment/algorithms.py": set(ALGORITHMS),
-    "learn/config.py": set(ALGORITHMS),
+    "learn/algorithms.py": set(ALGORITHMS),
 }
 """Files (or folders) that own names: the registries, and the algorithms' literal tags."""
 
 OTHER_MEANINGS = {
-    # The episode's object: a column of evaluations and a key of infos.
-    "": {"target"},
-    # Kinds of the sources of knowledge vectors: some agents are named after theirs.
-    "knowledge": {"analogy", "zeros", "random", "shuffled", "onehot", "wrong-object", "learned"}
-    # Values of KnowledgeConfig.detail.
-    | {"partial", "full"},
-    # Values of KnowledgeConfig.detail, as arguments of the knowledge commands, and a command.
-    "cli/knowledge": {"partial", "full", "subgraph"},
-    # Value of EnvConfig.mesh_detail.
-    "world/config.py": {"full"},
-    "world/scene_image.py": {"full"},
-    # A scripted agent that draws its actions.
-    "world/agents": {"random"},
-    # Value of PolicyConfig.knowledge_encoder, which format 1 derived from the knowledge's source.
-    "policy": {"learned"},
-    "experiment/migration.py": {"learned"},
-    # Field of PolicyConfig.
-    "experiment/run.py": {"wide"},
+    "target": "",  # column of evaluations: the episode's object
+    "full": "knowledge/",  # KnowledgeConfig.detail
+    "partial": "knowledge/",
+    "learned": "policy/",  # PolicyConfig.knowledge_encoder
+    "wide": "experiment/run.py",  # field of PolicyConfig
 }
-"""Words in files or folders that equal the name of an agent but mean something else there."""
+"""Names of agents that mean something else in a place."""
+
+MOST_LINES = 350
+
+NUMPY_RANDOM = {"Generator", "BitGenerator", "SeedSequence", "PCG64", "Philox", "default_rng"}
+TORCH_DRAWS = {"rand", "randn", "randint", "randperm", "multinomial", "bernoulli", "normal"}
+TORCH_SEEDS = {"torch.manual_seed", "torch.seed", "torch.set_rng_state", "torch.random.manual_seed"}
 
 
-def imported_parts(path: Path) -> set[str]:
-    """Return the parts of knowarm that a module imports anywhere, also inside functions."""
-    parts = set()
-    for node in ast.walk(ast.parse(path.read_text())):
-        names = []
-        if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            names = [f"{node.module}.{alias.name}" for alias in node.names]
-        parts |= {name.split(".")[1] for name in names if name.startswith("knowarm.")}
-    return parts
+def listed(offenders):
+    """Return a message with one offender per line."""
+    return "\n".join([f"{len(offenders)} offenders:", *offenders])
 
 
-def string_constants(path: Path) -> set[str]:
-    """Return the string constants of a module, without docstrings."""
-    tree = ast.parse(path.read_text())
-    statements = {
-        id(node.value)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
-    }
-    return {
-        node.value
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Constant)
-        and isinstance(node.value, str)
-        and id(node) not in statements
-    }
+def test_packages_import_one_way():
+    """Also: the modules at the root import no package."""
+    known = {package(path) for path in modules()}
+    assert known == {*BELOW, "cli"}, "Name a new package in BELOW, with what it may import."
+    offenders = [
+        f"{path} imports {target}"
+        for path, tree in modules().items()
+        if path not in ("__init__.py", "__main__.py") and package(path) != "cli"
+        for target in sorted(edges(path, tree))
+        if package(target) not in {"", package(path), *BELOW[package(path)]}
+    ]
+    assert not offenders, listed(offenders)
 
 
-def lies_in(path: Path, place: str) -> bool:
-    return path.relative_to(SOURCE).as_posix().startswith(place)
+def test_only_the_command_line_parses_arguments():
+    offenders = [
+        f"{path} imports {name}"
+        for path, tree in modules().items()
+        for name in imported(path, tree)
+        if name.split(".")[0] in ("argparse", "tyro") and package(path) != "cli"
+    ]
+    assert not offenders, listed(offenders)
 
 
-def relative(path: Path) -> str:
-    return str(path.relative_to(SOURCE))
+def selectors(tree):
+    """Yield the string constants that are compared or matched with something, or index it."""
+    for node in ast.walk(tree):
+        parts = []
+        if isinstance(node, ast.Compare):
+            parts = [node.left, *node.comparators]
+        elif isinstance(node, ast.Subscript) and ast.unparse(node.value) != "Literal":
+            parts = [node.slice]
+        elif isinstance(node, ast.MatchValue):
+            parts = [node.value]
+        for part in parts:
+            several = isinstance(part, ast.Tuple | ast.List | ast.Set)
+            for each in part.elts if several else [part]:
+                if isinstance(each, ast.Constant) and isinstance(each.value, str):
+                    yield node.lineno, each.value
 
 
-def test_every_folder_is_known():
-    assert {path.relative_to(SOURCE).parts[0] for path in MODULES} <= set(MAY_IMPORT)
+def test_no_code_depends_on_the_name_of_a_robot_agent_or_algorithm():
+    """Their registries' entries say by fields what other code must know about them."""
+    everything = set().union(*REGISTRIES.values())
+    offenders = [
+        f"{path}:{line}: {word!r}"
+        for path, tree in modules().items()
+        for line, word in selectors(tree)
+        if word in everything
+        and not any(path.startswith(owner) and word in own for owner, own in REGISTRIES.items())
+        and not (word in OTHER_MEANINGS and path.startswith(OTHER_MEANINGS[word]))
+    ]
+    assert not offenders, listed(offenders)
 
 
-@pytest.mark.parametrize("path", MODULES, ids=relative)
-def test_imports_go_one_way(path):
-    part = path.relative_to(SOURCE).parts[0]
-    assert imported_parts(path) <= MAY_IMPORT[part] | EVERYBODY | {part}
+def global_draws(tree):
+    """Yield the calls that use or seed a global random state."""
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Call):
+            continue
+        called = ast.unparse(node.func)
+        start, _, last = called.rpartition(".")
+        given = any(keyword.arg == "generator" for keyword in node.keywords)
+        if (
+            (start == "random" and last != "Random")
+            or (start in ("np.random", "numpy.random") and last not in NUMPY_RANDOM)
+            or called in TORCH_SEEDS
+            or (start == "torch" and last.removesuffix("_like") in TORCH_DRAWS and not given)
+            or (last in ("exponential_", "normal_", "uniform_", "random_") and not given)
+        ):
+            yield node.lineno, called
 
 
-@pytest.mark.parametrize("path", MODULES, ids=relative)
-def test_only_the_command_line_parses_arguments(path):
-    parsers = {"argparse", "tyro"}
-    tree = ast.parse(path.read_text())
-    names = {
-        (alias.name if isinstance(node, ast.Import) else node.module or "").split(".")[0]
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Import | ast.ImportFrom)
-        for alias in node.names
-    }
-    assert not names & parsers or path.relative_to(SOURCE).parts[0] == "cli"
+def test_every_random_number_comes_from_an_explicit_generator():
+    offenders = [
+        f"{path}:{line}: {called}"
+        for path, tree in modules().items()
+        for line, called in global_draws(tree)
+    ]
+    assert not offenders, listed(offenders)
 
 
-@pytest.mark.parametrize("path", ALL_MODULES, ids=relative)
-def test_every_module_has_a_docstring(path):
-    assert ast.get_docstring(ast.parse(path.read_text()))
-
-
-@pytest.mark.parametrize("path", ALL_MODULES, ids=relative)
-def test_names_of_registries_occur_in_their_registry_only(path):
-    refused = {
-        name
-        for names in REGISTRIES.values()
-        for name in names
-        if not any(lies_in(path, owner) for owner, owned in REGISTRIES.items() if name in owned)
-    }
-    for place, words in OTHER_MEANINGS.items():
-        if lies_in(path, place):
-            refused -= words
-    assert sorted(string_constants(path) & refused) == []
+def test_no_class_name_occurs_twice():
+    places = defaultdict(list)
+    for path, tree in modules().items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ClassDef):
+                places[node.name].append(path)
+    offenders = [f"{name}: {', '.join(at)}" for name, at in places.items() if len(at) > 1]
+    assert not offenders, listed(offenders)
 
 
 def test_modules_are_of_a_readable_length():
-    lines = {relative(path): len(path.read_text().splitlines()) for path in ALL_MODULES}
-    assert {name: count for name, count in lines.items() if count > 350} == {}
+    lines = {path: len(text.splitlines()) for path, text in files("src").items()}
+    offenders = [f"{path}: {count}" for path, count in lines.items() if count > MOST_LINES]
+    assert not offenders, listed(offenders)
+
+
+def test_only_tasks_know_which_task_it_is():
+    offenders = [
+        f"{path}:{number}: {line.strip()}"
+        for path, text in files("src").items()
+        if not path.startswith("src/knowarm/world/tasks/")
+        for number, line in enumerate(text.splitlines(), 1)
+        if re.search(r"config\.choice|env\.queries", line)
+    ]
+    assert not offenders, listed(offenders)
+
+
+def test_mutation_testing_names_files_that_exist():
+    options = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["mutmut"]
+    tests = options["pytest_add_cli_args_test_selection"]
+    offenders = [path for path in (*options["only_mutate"], *tests) if not [*ROOT.glob(path)]]
+    assert not offenders, listed(offenders)

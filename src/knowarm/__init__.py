@@ -11,18 +11,21 @@ Train the paper's agent and its baseline, evaluate both on the same episodes, an
 
     import knowarm
 
-    for name in ("irb120-full-fast", "irb120-bm-fast"):
-        run = knowarm.train(name, runs="runs")
-        knowarm.evaluate(run.folder.path, episodes=1000).write()
-    knowarm.write_report(["runs"], "runs/report.html")
+    if __name__ == "__main__":
+        for name in ("irb120-full-fast", "irb120-bm-fast"):
+            run = knowarm.train(name, runs="runs")
+            knowarm.evaluate(run, episodes=1000)
+        knowarm.write_report(["runs"], "runs/report.html")
 
 Use one part alone::
 
     env = knowarm.make("irb120", num_envs=64)           # a Gymnasium vector environment
+    env = knowarm.make("irb120", task="choose", num_envs=64)
     graph = knowarm.read_graph("kitchen.ttl")           # RDF, ConceptNet, OpenKE or a table
     config = knowarm.KnowledgeConfig(detail="full")
     vector = knowarm.scene_embedding(config, [("mug", "red"), ("bottle", "yellow")]).vector
     trained = knowarm.load_agent("zoo/irb120-full-fast")  # an agent, its policy and its config
+    action, state = trained.act(image)                  # in any environment, step by step
 
 Experiments
     train               train a named experiment or a config, or resume a run
@@ -40,21 +43,42 @@ Studies
     StudyConfig         experiments, seeds, overrides, evaluations
 World
     make                make an environment: single or vector, NumPy or torch
-    EnvConfig           robot, targets, colours, dynamics and thresholds of the task
+    EnvConfig           robot, task, objects, colours, dynamics and thresholds
+    ReachEnv            single environment (Gymnasium)
     ReachVectorEnv      vector environment on NumPy arrays (Gymnasium)
-    TorchReachVectorEnv vector environment on torch tensors, on CPU or GPU
+    TorchReachVectorEnv vector environment on torch tensors
+    VisualRandomization, HeldOut    what varies in the image; colours and places held out
+    KnowledgeObservation, VectorKnowledgeObservation    wrappers: Dict(image, knowledge)
+    evaluation_episodes draw a fixed list of episodes
+    Episodes            start conditions of episodes
+    play                play a list of episodes with an agent
+    OracleAgent         moves to the true goal by inverse kinematics
+Tasks
+    Task                base of tasks; derive your own from it
+    Reach, Choose       reach one object; reach the object that answers a question
+    TASKS, register_task    tasks by name; add one of your own module
+    NameQueries, GraphQueries    questions from names, or answered by a graph
+    Query, QuestionTable    conditions on an object; questions and the objects that answer them
 Knowledge
     read_graph          read a graph from a file
     KnowledgeGraph      triples, entities and relations
     KnowledgeConfig     from a graph to the knowledge vector
     scene_embedding     compute the knowledge vector of a scene
-    SceneEmbedding      the vector with its slots, coverage and sentences
+    query_embedding     compute the knowledge vectors of queries
+    SceneEmbedding      vectors with their slots, coverage and sentences
+    parse_query         read a query such as "usedFor drinking and hasColor blue"
+Perception
+    train_classifier    train a network that names objects and colours in an image
+    FacetClassifier     that network
+    PerceptionConfig, GroundingConfig    training of networks that name, or locate, objects
 Policy and learning
     Policy              the recurrent network
     PolicyConfig        choices of the network: fusion, sizes, preprocessing
     PolicyShape         its input and output sizes
     PolicyAgent         plays episodes with a policy
     PPOConfig, A3CConfig    hyperparameters of the algorithms
+    NumpyToTorch        adapter of any NumPy vector environment for the trainers
+    SB3VecEnv           adapter of a vector environment for Stable-Baselines3 (extra "sb3")
 Registries: to extend KnowArm, add an entry (see CONTRIBUTING.md)
     AGENTS, Agent       knowledge, policy and role of each agent
     ALGORITHMS, Algorithm    config and trainer of each learning algorithm

@@ -6,11 +6,8 @@ import os
 import shutil
 import tempfile
 
-from numba import config, njit
-
-__all__ = ["njit"]
-
-log = logging.getLogger("knowarm")
+from numba import config
+from numba import njit as njit
 
 
 def _probe() -> None:
@@ -18,11 +15,7 @@ def _probe() -> None:
 
 
 def provide_cache() -> None:
-    """Make a temporary folder for compiled kernels if Numba finds none that can be written to.
-
-    It looks beside the package, then in the user's cache folder. Without either, it would refuse to
-    compile at all.
-    """
+    """Make a temporary folder for compiled kernels if Numba finds none, and would not compile."""
     try:
         njit(cache=True)(_probe)
     except RuntimeError:
@@ -30,7 +23,7 @@ def provide_cache() -> None:
         atexit.register(shutil.rmtree, folder, ignore_errors=True)
         # Child processes read the variable; this process has read it already.
         config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"] = folder  # type: ignore[attr-defined]
-        log.warning(
+        logging.getLogger("knowarm").warning(
             "Neither the package's folder nor the user's cache folder can be written to, so every "
             "start compiles all kernels. Set NUMBA_CACHE_DIR to a folder of your own."
         )

@@ -10,21 +10,16 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 from knowarm.errors import UserError, unknown_name
 
 T = TypeVar("T")
+_TYPES, _REMEDY = "knowarm.config.types", "knowarm.config.remedy"
 
-_TYPES = "knowarm.config.types"
 
-
-def registered(config_types: Callable[[], Iterable[type]]) -> dict[str, Any]:
+def registered(config_types: Callable[[], Iterable[type]], remedy: str = "") -> dict[str, Any]:
     """Return the metadata of a dataclass field whose value is one of several registered configs.
 
-    The field is annotated with a common base class, and the types are looked up whenever a config
-    is read, so that an entry added to the registry can be read at once. As in a union, a literal
-    field ``kind`` or ``name`` tells the types apart in JSON.
-
-    Args:
-        config_types: returns the dataclasses that are registered now.
+    The types are looked up whenever a config is read. As in a union, a literal field ``kind`` or
+    ``name`` tells them apart in JSON.
     """
-    return {_TYPES: config_types}
+    return {_TYPES: config_types, _REMEDY: remedy}
 
 
 MAX_SEED = 2**63 - 1
@@ -32,15 +27,7 @@ MAX_SEED = 2**63 - 1
 
 
 def check_numbers(config: Any, *, where: str = "") -> None:
-    """Check that every number in a (nested) config is finite, and seeds fit into 63 bits.
-
-    Args:
-        config: a dataclass, or a value of one of its fields.
-        where: its name, for error messages.
-
-    Raises:
-        UserError: a number is NaN or infinite, or a seed is out of range.
-    """
+    """Check that every number in a (nested) config is finite, and seeds fit into 63 bits."""
     if dataclasses.is_dataclass(config):
         prefix = where or type(config).__name__
         for field in dataclasses.fields(config):
@@ -55,6 +42,30 @@ def check_numbers(config: Any, *, where: str = "") -> None:
         raise UserError(f"{where} must be a finite number, got {config}.")
     elif isinstance(config, int) and where.endswith(".seed") and not 0 <= config <= MAX_SEED:
         raise UserError(f"{where} must lie between 0 and 2**63 - 1, got {config}.")
+
+
+def at_least(config: Any, least: float, *names: str, where: str = "") -> None:
+    """Check that fields of a config, where they are not None, are numbers of at least ``least``."""
+    _check(config, names, where, f"at least {least}", lambda value: value >= least)
+
+
+def above_zero(config: Any, *names: str, where: str = "") -> None:
+    """Check that fields of a config, where they are not None, are larger than 0."""
+    _check(config, names, where, "larger than 0", lambda value: value > 0)
+
+
+def fraction(config: Any, *names: str, where: str = "") -> None:
+    """Check that fields of a config lie between 0 and 1."""
+    _check(config, names, where, "between 0 and 1", lambda value: 0 <= value <= 1)
+
+
+def _check(
+    config: Any, names: tuple[str, ...], where: str, allowed: str, test: Callable[[Any], bool]
+) -> None:
+    for name in names:
+        value = getattr(config, name)
+        if value is not None and not test(value):
+            raise UserError(f"{where}{name} must be {allowed}, got {value}.")
 
 
 def to_dict(config: Any) -> dict[str, Any]:
@@ -72,7 +83,7 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def replace(config: T, overrides: Mapping[str, Any], *, where: str = "") -> T:
+def override(config: T, overrides: Mapping[str, Any], *, where: str = "") -> T:
     """Copy a config with some fields changed and all types checked.
 
     Args:
@@ -80,9 +91,6 @@ def replace(config: T, overrides: Mapping[str, Any], *, where: str = "") -> T:
         overrides: new values by field name. A nested config takes a config, or a mapping of those
             of its fields that change: ``{"algorithm": {"num_envs": 64}}``.
         where: dotted path of ``config`` in the whole config, for error messages.
-
-    Raises:
-        UserError: an unknown field or a value of another type than the field's.
     """
     values = to_dict(config)
     for name, new in overrides.items():
@@ -91,7 +99,7 @@ def replace(config: T, overrides: Mapping[str, Any], *, where: str = "") -> T:
             tags = [field for field, _ in _tags(type(current))]
             same_type = all(new.get(tag) in (None, getattr(current, tag)) for tag in tags)
             path = f"{where}.{name}" if where else name
-            new = to_dict(replace(current, new, where=path)) if same_type else new
+            new = to_dict(override(current, new, where=path)) if same_type else new
         values[name] = _plain(new)
     return from_dict(type(config), values, where=where)
 
@@ -103,22 +111,15 @@ def from_dict(cls: type[T], values: Mapping[str, Any], *, where: str = "") -> T:
         cls: the dataclass to build.
         values: one value per field; fields with a default may be missing.
         where: dotted path of ``values`` in the whole config, for error messages.
-
-    Raises:
-        UserError: an unknown field (with the nearest names), a missing one, or a value of
-            another type than the field's.
     """
+    kind = cls.__name__
     if not isinstance(values, Mapping):
-        raise UserError(
-            f"{where or cls.__name__} must hold fields of {cls.__name__}, got {values!r}."
-        )
+        raise UserError(f"{where or kind} must hold fields of {kind}, got {values!r}.")
     hints = typing.get_type_hints(cls)
-    fields = {
-        field.name: field for field in dataclasses.fields(typing.cast(Any, cls)) if field.init
-    }
+    fields = {each.name: each for each in dataclasses.fields(typing.cast(Any, cls)) if each.init}
     for name in values:
         if name not in fields:
-            raise unknown_name(f"field of {where or cls.__name__}", name, fields)
+            raise unknown_name(f"field of {where or kind}", name, fields)
     arguments = {}
     for name, field in fields.items():
         path = f"{where}.{name}" if where else name
@@ -126,9 +127,15 @@ def from_dict(cls: type[T], values: Mapping[str, Any], *, where: str = "") -> T:
             hint = hints[name]
             if _TYPES in field.metadata:
                 hint = Union[tuple(field.metadata[_TYPES]())]  # noqa: UP007 (built at run time)
-            arguments[name] = _typed(hint, values[name], path)
+            try:
+                arguments[name] = _typed(hint, values[name], path)
+            except UserError as error:
+                remedy = field.metadata.get(_REMEDY, "")
+                if not remedy or "kind" not in str(error):
+                    raise
+                raise UserError(f"{error} {remedy}") from None
         elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
-            raise UserError(f"Field {path!r} is missing; {cls.__name__} requires it.")
+            raise UserError(f"Field {path!r} is missing; {kind} requires it.")
     return cls(**arguments)
 
 
@@ -137,8 +144,6 @@ def _typed(hint: Any, value: Any, path: str) -> Any:
     origin, args = get_origin(hint), get_args(hint)
     if hint is Any:
         return value
-    if origin is typing.Annotated:
-        return _typed(args[0], value, path)
     if origin in (Union, types.UnionType):
         return _union(args, value, path)
     if origin is Literal:
@@ -153,10 +158,7 @@ def _typed(hint: Any, value: Any, path: str) -> Any:
         inner = [args[0]] * len(value) if args[-1] is Ellipsis else list(args)
         if len(inner) != len(value):
             raise UserError(f"{path} must hold {len(inner)} values, got {len(value)}: {value!r}.")
-        return tuple(
-            _typed(kind, item, f"{path}[{i}]")
-            for i, (kind, item) in enumerate(zip(inner, value, strict=True))
-        )
+        return tuple(_typed(inner[i], item, f"{path}[{i}]") for i, item in enumerate(value))
     if origin in (dict, Mapping) or (isinstance(origin, type) and issubclass(origin, Mapping)):
         if not isinstance(value, Mapping):
             raise UserError(f"{path} must map names to values, got {value!r}.")

@@ -2,6 +2,8 @@
 
 import os
 import platform
+import re
+from contextlib import suppress
 from pathlib import Path
 
 LIMIT = "KNOWARM_CORES"
@@ -24,10 +26,7 @@ def limited_to(cores: int) -> dict[str, str]:
 
 def processor() -> str:
     """Return the model name of the processor, or the architecture where there is no model name."""
-    try:
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    except OSError:
-        pass
+    with suppress(OSError):
+        if found := re.search(r"model name\s*:(.*)", Path("/proc/cpuinfo").read_text()):
+            return found[1].strip()
     return platform.processor() or platform.machine()

@@ -1,7 +1,7 @@
-"""Reading of stored files: every defect becomes one kind of error, with place and remedy."""
+"""Reading and writing of stored files: every defect is one kind of error, with its remedy."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -23,16 +23,9 @@ class UnreadableFileError(UserError):
 def reading(path: Path, remedy: str) -> Iterator[None]:
     """Turn whatever damaged content raises in a ``with`` block into an `UnreadableFileError`.
 
-    The libraries that decode files raise many types of errors, most of them undocumented, and
-    those written in Rust panics that are no `Exception`. Put only the decoding of one file into the
-    block, so that no mistake of the program is taken for a damaged file.
-
-    Args:
-        path: the file, for the message.
-        remedy: what to do, a sentence.
-
-    Raises:
-        UnreadableFileError: the block raised anything but a `UserError` or an interrupt.
+    The libraries that decode files raise many types of errors, and those written in Rust panics
+    that are no `Exception`. Put only the decoding of one file into the block, so that no mistake of
+    the program is taken for a damaged file. `remedy` is a sentence.
     """
     try:
         yield
@@ -42,11 +35,20 @@ def reading(path: Path, remedy: str) -> Iterator[None]:
         reason = error.strerror or one_line(error)
         raise UnreadableFileError(f"Cannot read {path}: {reason}. {remedy}") from error
     except BaseException as error:
-        if isinstance(error, Exception) or type(error).__name__ == "PanicException":
-            raise UnreadableFileError(
-                f"{path} is damaged or of another format: {one_line(error)}. {remedy}"
-            ) from error
-        raise
+        if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
+            raise
+        reason = f"is damaged or of another format: {one_line(error)}"
+        raise UnreadableFileError(f"{path} {reason}. {remedy}") from error
+
+
+@contextmanager
+def writing(path: Path, remedy: str = "") -> Iterator[None]:
+    """Turn an `OSError` while a file is written into a `UserError` with a remedy."""
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or error
+        raise UserError(f"Cannot write {path}: {reason}. {remedy}".rstrip()) from error
 
 
 def one_line(error: BaseException) -> str:
@@ -57,11 +59,7 @@ def one_line(error: BaseException) -> str:
 
 
 def read_text(path: Path, *, remedy: str, most: int = MAX_JSON) -> str:
-    """Read a UTF-8 text file of at most ``most`` bytes.
-
-    Raises:
-        UnreadableFileError: it is missing, larger, or not UTF-8.
-    """
+    """Read a UTF-8 text file of at most ``most`` bytes."""
     with reading(path, remedy):
         with path.open("rb") as file:
             data = file.read(most + 1)
@@ -73,30 +71,28 @@ def read_text(path: Path, *, remedy: str, most: int = MAX_JSON) -> str:
 def read_json(
     path: Path, *, remedy: str = "Restore the file, or give another one."
 ) -> dict[str, Any]:
-    """Read a JSON object.
-
-    Raises:
-        UnreadableFileError: the file is missing, not JSON, nested too deeply, or no object.
-    """
+    """Read a JSON object."""
     text = read_text(path, remedy=remedy)
     try:
         values = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise UnreadableFileError(
-            f"{path} is not valid JSON: {one_line(error)}. {remedy}"
-        ) from error
+        reason = f"is not valid JSON: {one_line(error)}"
+        raise UnreadableFileError(f"{path} {reason}. {remedy}") from error
     if not isinstance(values, dict):
-        raise UnreadableFileError(
-            f"{path} must hold a JSON object, got {type(values).__name__}. {remedy}"
-        )
+        got = type(values).__name__
+        raise UnreadableFileError(f"{path} must hold a JSON object, got {got}. {remedy}")
     return values
 
 
 def read_arrays(path: Path, *, remedy: str) -> dict[str, np.ndarray]:
-    """Read the arrays of a safetensors file by name.
-
-    Raises:
-        UnreadableFileError: the file is missing, incomplete, or no safetensors file.
-    """
+    """Read the arrays of a safetensors file by name."""
     with reading(path, remedy):
         return load(path.read_bytes())
+
+
+def write_json(path: Path, values: Mapping[str, Any]) -> None:
+    """Write a JSON object through a temporary file, so that readers never see a part of it."""
+    temporary = path.with_name(path.name + ".tmp")
+    with writing(path):
+        temporary.write_text(json.dumps(values, indent=2) + "\n", encoding="utf-8")
+        temporary.replace(path)

@@ -13,52 +13,31 @@ if TYPE_CHECKING:
     import torch
 
 Purpose = Literal[
-    "weights",
-    "episodes",
-    "actions",
-    "minibatches",
-    "placebos",
-    "interim_actions",
-    "splits",
-    "perception",
+    "weights",  # initial weights of the policy
+    "episodes",  # the environments' streams; A3C: worker, number of its restarts
+    "actions",  # sampled actions of training; A3C: worker, number of its restarts
+    "minibatches",  # order of the environments in PPO's passes
+    "placebos",  # random vectors and shuffled graphs; the knowledge's seed, number of the draw
+    "interim_actions",  # sampled actions of interim evaluations
+    "splits",  # what the splits of a choose task hold out; number of the split
+    "perception",  # weights and images of a perception module; number of the images and of the test
 ]
-"""What random numbers are drawn for. The position of a purpose is part of its stream: append new
-purposes at the end.
-
-- ``weights``: initial weights of the policy;
-- ``episodes``: the environments' streams; A3C: worker, number of its restarts;
-- ``actions``: sampled actions of training; A3C: worker, number of its restarts;
-- ``minibatches``: order of the environments in PPO's passes;
-- ``placebos``: random vectors and shuffled graphs; the knowledge's seed, number of the draw;
-- ``interim_actions``: sampled actions of interim evaluations;
-- ``splits``: what the splits of a choice task hold out; number of the split;
-- ``perception``: weights and images of a perception module; number of the images and of the test.
+"""What random numbers are drawn for, with the meaning of the indices. The position of a purpose is
+part of its stream: append new purposes at the end.
 """
 
 _PURPOSES: tuple[Purpose, ...] = get_args(Purpose)
 
 
 def seed_sequence(seed: int, purpose: Purpose, *indices: int) -> np.random.SeedSequence:
-    """Return the seed sequence of a stream.
-
-    Args:
-        seed: of the run, 0 or more.
-        purpose: what the numbers are for.
-        indices: numbers that tell streams of one purpose apart, 0 or more.
-    """
+    """Return the seed sequence of a run's stream; indices tell those of one purpose apart."""
     return np.random.SeedSequence(seed, spawn_key=(_PURPOSES.index(purpose), *indices))
 
 
 def derive_seed(seed: int, purpose: Purpose, *indices: int) -> int:
     """Derive an integer in [0, 2**63) from a stream, for libraries that take an integer.
 
-    Args:
-        seed: of the run.
-        purpose: what the numbers are for.
-        indices: see `seed_sequence`.
-
-    Returns:
-        An integer whose lowest 32 bits are independent of those of other streams, too.
+    Its lowest 32 bits are independent of those of other streams, too.
     """
     (word,) = seed_sequence(seed, purpose, *indices).generate_state(1, np.uint64)
     return int(word) % 2**63
@@ -67,14 +46,7 @@ def derive_seed(seed: int, purpose: Purpose, *indices: int) -> int:
 def torch_generator(
     seed: int, purpose: Purpose, *indices: int, device: "torch.device | str" = "cpu"
 ) -> "torch.Generator":
-    """Create a PyTorch generator at the start of a stream; its seed is the same on every device.
-
-    Args:
-        seed: of the run.
-        purpose: what the numbers are for.
-        indices: see `seed_sequence`.
-        device: of the generator.
-    """
+    """Create a PyTorch generator at the start of a stream; its seed is the same on every device."""
     import torch  # takes a second to import
 
     return torch.Generator(device).manual_seed(derive_seed(seed, purpose, *indices))

@@ -8,11 +8,8 @@ _NOT_XML = dict.fromkeys(
 )
 """Characters that XML cannot hold, not even escaped."""
 
-Point = tuple[float, float]
-"""x and y [px]; y points down."""
-
-FONT = "Helvetica, Arial, sans-serif"
-"""Font of `document`; inline drawings take the font of their page."""
+Point = tuple[float, float]  # x and y [px]; y points down
+FONT = "Helvetica, Arial, sans-serif"  # of `document`; inline drawings have that of their page
 
 
 def escape(text: str, *, quote: bool = False) -> str:
@@ -21,13 +18,10 @@ def escape(text: str, *, quote: bool = False) -> str:
 
 
 def element(tag: str, *children: str, **attributes: object) -> str:
-    """Return one element.
+    """Return one element around markup, which is not escaped; use `label` for text.
 
-    Args:
-        tag: name of the element.
-        children: markup, not escaped; use `label` for text.
-        attributes: values are escaped. ``class_`` becomes ``class``, underscores become hyphens,
-            floats are rounded to two decimals, and None leaves the attribute out.
+    Values of attributes are escaped. ``class_`` becomes ``class``, underscores become hyphens,
+    floats are rounded to two decimals, and None leaves the attribute out.
     """
     shown = "".join(
         f' {name.rstrip("_").replace("_", "-")}="{escape(number(value), quote=True)}"'
@@ -63,13 +57,8 @@ def curve(
 ) -> str:
     """Return a cubic curve that leaves and arrives horizontally.
 
-    Args:
-        start: first point.
-        end: last point.
-        children: markup, such as `hover`.
-        bend: how far the curve swings out to the right of `start` [px], for points above each
-            other; None draws an S through the middle.
-        attributes: attributes of the element.
+    ``bend`` is how far the curve swings out to the right of ``start`` [px], for points above each
+    other; None draws an S through the middle.
     """
     (x0, y0), (x1, y1) = start, end
     middle = number((x0 + x1) / 2 if bend is None else x0 + bend)
@@ -80,51 +69,24 @@ def curve(
 def drawing(width: float, height: float, name: str, *children: str, **attributes: object) -> str:
     """Return an inline ``<svg>`` element that takes its colours from the page's style sheet.
 
-    Args:
-        width: width [px].
-        height: height [px].
-        name: text alternative for screen readers.
-        children: markup.
-        attributes: further attributes of the element.
+    Width and height are in pixels; ``name`` is the text alternative for screen readers.
     """
-    return element(
-        "svg",
-        *children,
-        viewBox=f"0 0 {number(width)} {number(height)}",
-        width=width,
-        height=height,
-        role="img",
-        aria_label=name,
-        **attributes,
-    )
+    view = {"viewBox": f"0 0 {number(width)} {number(height)}", "width": width, "height": height}
+    return element("svg", *children, **view, role="img", aria_label=name, **attributes)
 
 
 def document(width: float, height: float, name: str, *children: str, description: str = "") -> str:
     """Return the text of a standalone SVG file with a white background.
 
-    Args:
-        width: width [px].
-        height: height [px].
-        name: title of the file, read by screen readers.
-        children: markup; colours are given as attributes.
-        description: longer text alternative; "" leaves it out.
+    ``name`` is its title; ``description`` is a longer text alternative, "" leaves it out.
     """
     head = [element("title", escape(name))]
     if description:
         head.append(element("desc", escape(description)))
     background = element("rect", width="100%", height="100%", fill="#ffffff")
-    return (
-        drawing(
-            width,
-            height,
-            name,
-            *(f"\n{part}" for part in (*head, background, *children, "")),
-            xmlns="http://www.w3.org/2000/svg",
-            font_family=FONT,
-            font_size=13,
-        )
-        + "\n"
-    )
+    parts = [f"\n{part}" for part in (*head, background, *children, "")]
+    form = {"xmlns": "http://www.w3.org/2000/svg", "font_family": FONT, "font_size": 13}
+    return drawing(width, height, name, *parts, **form) + "\n"
 
 
 def text_width(words: str, font_size: float = 13) -> float:

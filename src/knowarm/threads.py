@@ -8,10 +8,7 @@ import torch
 
 @contextmanager
 def torch_threads(count: int) -> Iterator[None]:
-    """Let PyTorch use so many threads until the context ends.
-
-    Their number decides how sums are rounded, so what must not depend on the machine uses one.
-    """
+    """Let PyTorch use so many threads in a context: their number decides how sums are rounded."""
     before = torch.get_num_threads()
     torch.set_num_threads(count)
     try:

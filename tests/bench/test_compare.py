@@ -8,8 +8,8 @@ from knowarm.experiment.build import build
 from knowarm.experiment.registry import experiment_config
 from knowarm.learn import PPOConfig
 from knowarm.world.config import EnvConfig
-from knowarm.world.knowledge_observation import VectorKnowledgeObservation
-from knowarm.world.vector_env import ReachVectorEnv
+from knowarm.world.envs.knowledge_observation import VectorKnowledgeObservation
+from knowarm.world.envs.vector_env import ReachVectorEnv
 
 
 def test_a_recurrent_policy_of_sb3_has_as_many_parameters() -> None:
@@ -34,7 +34,7 @@ def test_learners_are_compared_in_one_table(monkeypatch: pytest.MonkeyPatch) -> 
     pytest.importorskip("sb3_contrib")
     from benchmarks.compare_learn import CompareLearnConfig, compare_learn
 
-    # They are measured as in `bench learn`.
+    # They are measured as in `benchmarks/learn.py`.
     a3c = [{"name": name, "steps_per_s": 1.0} for name in ("a3c", "a3c-batched")]
     monkeypatch.setattr("benchmarks.compare_learn.a3c_rows", lambda config: a3c)
     result = compare_learn(CompareLearnConfig(cores=1, seconds=0.1, turns=1, opengl=False))

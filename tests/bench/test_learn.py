@@ -1,14 +1,14 @@
-"""Tests of ``bench learn`` with tiny sizes."""
+"""Tests of ``benchmarks/learn.py`` with tiny sizes."""
 
 import pytest
 
-from knowarm.bench.learn import LearnBenchConfig, bench_learn, in_turns
+from benchmarks.learn import LearnBenchConfig, bench_learn, in_turns
 from knowarm.errors import UserError
 
 
 @pytest.mark.slow
 def test_all_learners_are_in_one_table(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("knowarm.bench.learn.A3C_WORKERS", 2)
+    monkeypatch.setattr("benchmarks.learn.A3C_WORKERS", 2)
     result = bench_learn(LearnBenchConfig(cores=1, seconds=0.1, turns=1))
     rows = {row["name"]: row for row in result["rows"]}
     assert set(rows) == {"raycaster", "fast", "ppo", "a3c", "a3c-batched"}

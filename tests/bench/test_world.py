@@ -1,8 +1,8 @@
-"""Tests of ``bench world`` with tiny sizes."""
+"""Tests of ``benchmarks/world.py`` with tiny sizes."""
 
 import pytest
 
-from knowarm.bench.world import WorldBenchConfig, bench_world
+from benchmarks.world import WorldBenchConfig, bench_world
 from knowarm.errors import UserError
 
 TINY = {"num_envs": 4, "seconds": 0.05, "robots": ("irb120",), "image_size": 16}

@@ -6,7 +6,7 @@ import pytest
 
 from knowarm.cli.doctor import Doctor
 from knowarm.errors import UserError
-from knowarm.world.description_file import read_robot
+from knowarm.world.robots.description_file import read_robot
 from tests.world.helpers import EXAMPLES
 
 
@@ -14,7 +14,7 @@ from tests.world.helpers import EXAMPLES
     ("options", "words"),
     [
         ({"set": ("home=[0]",)}, "--set needs --robot"),
-        ({"choose": True, "image": Path("a.png")}, "--image needs no --choose"),
+        ({"task": "choose", "image": Path("a.png")}, "--image needs no --task"),
         ({"robot": "irb120", "write": Path("a.toml")}, "--write needs --robot with an MJCF file"),
         ({"robot": "arm.xml", "write": Path("a.txt")}, "--write must name a .toml file"),
         ({"robot": "missing.xml"}, "no such file"),

@@ -41,7 +41,9 @@ def test_subgraph(capsys, tmp_path):
     code, text, _ = run(capsys, "subgraph", "--objects", "mug", "--out", out)
     assert code == 0
     assert "ceramic" in text
-    code, text, _ = run(capsys, "subgraph", out, "--sparql", "SELECT ?c WHERE {:mug :hasColor ?c}")
+    code, text, _ = run(
+        capsys, "subgraph", "--graph", out, "--sparql", "SELECT ?c WHERE {:mug :hasColor ?c}"
+    )
     assert code == 0
     assert "blue" in text
     assert "red" in text
@@ -52,7 +54,7 @@ def test_subgraph(capsys, tmp_path):
     assert ["mug", "isA", "y"] in json.loads(found.read_text())["facts"]
     code, *_ = run(capsys, "subgraph", "--minus", out, "--json", found)
     assert json.loads(found.read_text())["triples"] == len(household()) - 15
-    code, *_ = run(capsys, "subgraph", out, "--union", HOUSEHOLD, "--json", found)
+    code, *_ = run(capsys, "subgraph", "--graph", out, "--union", HOUSEHOLD, "--json", found)
     assert json.loads(found.read_text())["triples"] == len(household())
     code, text, _ = run(capsys, "subgraph", "--statistics", "--json", found)
     assert code == 0
@@ -131,7 +133,7 @@ def test_draw(capsys, tmp_path):
         (("show", "--source"), "--source needs a name"),
         (("show", "--graph", "none.ttl"), "no graph file none.ttl"),
         (("show", "--json", "/proc/none/x.json"), "Cannot write the JSON file"),
-        (("subgraph", "none.ttl"), "no graph file none.ttl"),
+        (("subgraph", "--graph", "none.ttl"), "no graph file none.ttl"),
         (("subgraph", "--out", "a.xml"), "graphs are written as"),
         (("embed", "--out", "a.txt"), "vectors are written as"),
         (("fit", "--model", "analog"), "Did you mean 'analogy'"),
@@ -173,7 +175,7 @@ def test_queries(capsys, tmp_path):
     assert "all conditions are equally similar" in text
     code, _, error = run(capsys, "queries", "--agent", "full")
     assert code == 2
-    assert "Unknown agent that is told queries 'full'" in error
+    assert "Unknown agent with knowledge of queries 'full'" in error
     code, _, error = run(capsys, "queries", "--ask", "usedFor lerning")
     assert code == 2
     assert "Did you mean 'learning'" in error
@@ -183,31 +185,32 @@ def test_queries_of_a_graph_of_the_user(capsys, tmp_path):
     graph = tmp_path / "mine.csv"
     uses = zip("abcdef", "uuvvww", strict=True)
     graph.write_text("".join(f"{name},usedFor,{use}\n" for name, use in uses))
-    code, text, _ = run(capsys, "queries", graph, "--colours", "red", "blue", "green")
+    code, text, _ = run(capsys, "queries", "--graph", graph, "--colours", "red", "blue", "green")
     assert code == 0
     assert "No S3 (objects that training never showed): 5 of the 6 objects" in text
-    code, _, error = run(capsys, "queries", graph, "--split", "S4")
+    code, _, error = run(capsys, "queries", "--graph", graph, "--split", "S4")
     assert code == 2
     assert "S4" in error
     assert "of the objects whose values can be held out, 0 can stand" in error
-    code, _, error = run(capsys, "queries", graph, "--objects", "a", "x")
+    code, _, error = run(capsys, "queries", "--graph", graph, "--objects", "a", "x")
     assert code == 2
     assert "says nothing about the object 'x'" in error
 
 
 def test_the_example_of_an_own_graph(capsys, tmp_path):
-    """The page prints the file, and its commands show what the page says."""
+    """The commands show what the tutorial says."""
     example = ROOT / "examples" / "own_graph" / "tidy.csv"
-    assert example.read_text() in (ROOT / "docs" / "choose.md").read_text()
+    tutorial = (ROOT / "docs" / "tutorials" / "own-graph.md").read_text()
+    assert "89 queries: 17 of one condition" in tutorial
     out = tmp_path / "queries.json"
-    code, text, _ = run(capsys, "queries", example, "--json", out)
+    code, text, _ = run(capsys, "queries", "--graph", example, "--json", out)
     assert code == 0
     assert "89 queries: 17 of one condition" in text
     assert set(json.loads(out.read_text())["empty"]) == {"S3"}
     edited = tmp_path / "edited.csv"
     changed = ("book,ownedBy,grandmother", "book,ownedBy,grandfather")
     edited.write_text(example.read_text().replace(*changed))
-    run(capsys, "queries", example, "--edited", edited, "--split", "S5", "--json", out)
+    run(capsys, "queries", "--graph", example, "--edited", edited, "--split", "S5", "--json", out)
     questions = json.loads(out.read_text())["questions"]
     assert set(map(tuple, questions.values())) == {("book",)}
     assert all(query.startswith("ownedBy grandfather") for query in questions)

@@ -1,6 +1,7 @@
 """Tests of the command line: help, names and errors of every command."""
 
 import json
+import os
 import shlex
 import subprocess
 import sys
@@ -80,7 +81,7 @@ def test_mistakes_end_in_one_line_and_code_2(capsys, tmp_path, monkeypatch, argu
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["train", "irb120-bm-ppo", "--env.mpi-rad", "0"], "mpi_rad must be greater than 0"),
+        (["train", "irb120-bm-ppo", "--env.mpi-rad", "0"], "mpi_rad must be larger than 0"),
         (["train", "irb120-bm-ppo", "--algorithm.minibatches", "3"], "must divide num_envs"),
         (["evaluate", "zero", "--episodes", "0"], "episodes must be at least 1"),
         (["evaluate", "zero", "--episodes", "many"], "many"),
@@ -94,6 +95,37 @@ def test_wrong_values_name_the_option_and_end_with_code_2(capsys, arguments, wor
     error = " ".join(capsys.readouterr().err.split())
     assert words in error
     assert "Traceback" not in error
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["train", "irb120-bm-ppo", "--env.targets", "mug", "--env.targets", "bottle"],
+        ["train", "irb120-bm-ppo", "--env.targets", "mug", "--env.targets=bottle"],
+        ["knowledge", "show", "--source", "zeros", "--source", "random"],
+    ],
+)
+def test_an_option_that_is_given_twice_is_refused(capsys, arguments):
+    code, _, err = run(capsys, *arguments)
+    assert code == 2
+    assert "is given twice" in err
+
+
+def test_integers_may_be_written_as_floats(capsys):
+    options = ["--total-steps", "1e5", "--algorithm.epochs=2"]
+    config = parse_train(["irb120-bm-ppo", *options]).config
+    assert (config.total_steps, config.algorithm.epochs) == (100_000, 2)
+    with pytest.raises(SystemExit):
+        parse_train(["irb120-bm-ppo", "--total-steps", "1.5e0"])
+    assert "1.5e0" in capsys.readouterr().err
+
+
+def test_characters_that_the_output_lacks_are_replaced(tmp_path):
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0"}
+    command = [sys.executable, "-m", "knowarm", "evaluate", "oracle", "--episodes", "2"]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert " ? " in done.stdout
 
 
 def test_an_unwritable_runs_folder_is_found_before_training(capsys, tmp_path):

@@ -14,7 +14,7 @@ def test_a_scripted_agent_is_drawn_as_a_strip(
     assert main(["view", *arguments]) == 0
     assert "2 of 2 episodes reached their target" in capsys.readouterr().out
     with Image.open(path) as strip:
-        assert strip.height == 2 * 276 + 8
+        assert strip.height == 2 * 304 + 8
 
 
 @pytest.mark.parametrize(

@@ -4,24 +4,14 @@ import numpy as np
 import pytest
 import torch
 
-from knowarm.config import to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS, controls_of
-from knowarm.experiment.build import build, load_agent
-from knowarm.experiment.registry import experiment_config, experiment_names
-from knowarm.experiment.run_folder import RunFolder
+from knowarm.experiment.names import experiment_names
+from knowarm.experiment.registry import experiment_config
 from knowarm.knowledge import query_embedding, scene_embedding
-from knowarm.learn.checkpoint import Checkpoint, CheckpointStore, policy_arrays
-from knowarm.policy import Policy, PolicyConfig, PolicyShape
-
-FACETS = [
-    ("mug", "red"),
-    ("mug", "blue"),
-    ("bottle", "yellow"),
-    ("bottle", "purple"),
-    ("cereal_box", "brown"),
-    ("cereal_box", "light_blue"),
-]
+from knowarm.policy import Policy, PolicyShape
+from knowarm.questions import Query
+from tests.tiny import FACETS
 
 
 def parameters(agent: str, facets: list[tuple[str, str]]) -> dict[str, int]:
@@ -64,7 +54,11 @@ def test_controls_have_the_scope_width_norm_and_parameters_of_their_subject(
         assert len(np.unique(control.matrix, axis=0)) == len(facets)
 
 
-QUERIES = ["usedFor drinking", "hasColor blue", "contains tea and hasColor red"]
+QUERIES = [
+    Query.of(("usedFor", "drinking")),
+    Query.of(("hasColor", "blue")),
+    Query.of(("contains", "tea"), ("hasColor", "red")),
+]
 
 
 @pytest.mark.parametrize(
@@ -75,7 +69,7 @@ QUERIES = ["usedFor drinking", "hasColor blue", "contains tea and hasColor red"]
         ("query-analogy", ["query-onehot", "query-random"]),
     ],
 )
-def test_controls_of_what_is_told_about_the_query(subject, content):
+def test_controls_of_knowledge_of_the_query(subject, content):
     assert controls_of(subject, "capacity_control") == ["query-zeros"]
     assert controls_of(subject, "content_control") == content
     assert AGENTS[subject].role == "knowledge"
@@ -89,37 +83,15 @@ def test_controls_of_what_is_told_about_the_query(subject, content):
             assert not np.allclose(control.matrix, real.matrix, atol=1e-3)
 
 
-def test_agents_that_are_told_a_query_are_not_offered_for_reaching():
+def test_agents_with_knowledge_of_a_query_are_not_offered_for_reaching():
     told = [name for name in experiment_names() if "subgraph" in name or "query" in name]
     assert told
     assert all("-choose-" in name for name in told)
-    with pytest.raises(UserError, match="Unknown agent of the experiment 'subgraph'"):
+    with pytest.raises(UserError, match="'subgraph' has no experiment of the task 'reach'"):
         experiment_config("irb120-subgraph-ppo")
-    config = experiment_config("irb120-full-ppo", knowledge={"scope": "query"})
-    with pytest.raises(UserError, match="this task asks for nothing"):
-        build(config)
+    with pytest.raises(UserError, match="describes nothing in the task 'reach'"):
+        experiment_config("irb120-full-ppo", knowledge={"scope": "query"})
 
 
 def test_an_agent_of_the_user_has_no_registered_controls():
     assert controls_of("mine", "content_control") == []
-
-
-def test_a_capacity_control_of_an_earlier_version_can_be_loaded(tmp_path):
-    """Its run stored only that the network is wide, and its checkpoint has 202 features."""
-    config = experiment_config("irb120-wide-ppo")
-    parts = build(config)
-    trained = Policy(
-        PolicyConfig(fusion="none", hidden=278, features=202), parts.policy_shape, seed=5
-    )
-    folder = RunFolder.create(tmp_path / "run")
-    folder.write_json("config.json", {"format": 3, **to_dict(config)})
-    choices, shape = to_dict(config.policy), to_dict(parts.policy_shape)
-    assert choices["wide"]
-    folder.write_json("provenance.json", {"policy": {"config": choices, "shape": shape}})
-    folder.write_knowledge(parts.table)
-    store = CheckpointStore(folder.checkpoints, {})
-    store.save(Checkpoint(policy=policy_arrays(trained), facts={"step": 7}))
-    loaded = load_agent(folder.path, which="latest")
-    assert loaded.step == 7
-    assert loaded.policy.parameter_counts()["total"] == 794_167
-    assert torch.equal(loaded.policy.fc.weight, trained.fc.weight)

@@ -1,17 +1,7 @@
 """Registered algorithms: the numbers that the paper states, and what stored runs meant."""
 
-from typing import Any, cast
-
-import pytest
-
-from knowarm.config import from_dict
-from knowarm.experiment import algorithms
-from knowarm.experiment.algorithms import ALGORITHMS, TrainerInputs
-from knowarm.experiment.config import ExperimentConfig
-from knowarm.experiment.migration import migrate_config, migrate_description
 from knowarm.experiment.registry import experiment_config
-from knowarm.learn import PPOConfig
-from knowarm.learn.config import privileged_uses
+from knowarm.learn.algorithms import privileged_uses
 
 
 def test_a3c_has_the_papers_numbers():
@@ -38,7 +28,7 @@ def test_a3c_follows_its_lineage_where_the_paper_is_silent():
 
 
 def test_fast_has_the_measured_settings():
-    """The settings of the curves in docs/learning.md."""
+    """The settings of the curves in docs/results/learning.md."""
     config = experiment_config("irb120-full-fast")
     fast = config.algorithm
     assert config.total_steps == 1_500_000
@@ -56,7 +46,7 @@ def test_plain_ppo_uses_no_privileged_state():
 
 
 def test_the_tuned_a3c_has_the_measured_settings():
-    """The settings of the curve in docs/lab-notes.md."""
+    """The settings of the curves in docs/results/a3c.md."""
     config = experiment_config("irb120-full-a3c-tuned")
     a3c = config.algorithm
     assert (a3c.workers, a3c.envs_per_worker, a3c.rollout_steps) == (2, 128, 10)
@@ -69,50 +59,3 @@ def test_the_tuned_a3c_has_the_measured_settings():
     assert not a3c.rollout_ends_with_episode
     assert (config.policy.pixel_shift, config.policy.pixel_scale) == (0.5, 4)
     assert config.policy.fc_activation == "relu"
-
-
-def test_stored_a3c_runs_keep_their_meaning():
-    before = {
-        "format": 1,
-        "name": "x",
-        "agent": "bm",
-        "knowledge": {"detail": "none"},
-        "network": {"fusion": "none"},
-        "algorithm": {"name": "a3c", "value_weight": 0.5, "rmsprop_epsilon": 1e-5},
-    }
-    for stored in (before, {**migrate_config(before)}):
-        if stored["format"] > 1:  # as an earlier version wrote it
-            kept = ("name", "vf_coef", "rmsprop_eps")
-            stored["algorithm"] = {name: stored["algorithm"][name] for name in kept}
-        values = {k: v for k, v in migrate_config(stored).items() if k != "format"}
-        config = from_dict(ExperimentConfig, values)
-        assert (config.algorithm.vf_coef, config.algorithm.rmsprop_eps) == (0.5, 1e-5)
-        assert config.algorithm.bootstrap_at_time_limit
-        assert not config.algorithm.rollout_ends_with_episode
-        assert config.policy.fc_activation == "relu"
-    description = migrate_description({"policy.config.fusion": "none", "seed": 0}, "irb120")
-    assert description["policy.config.fc_activation"] == "relu"
-    later = {**description, "policy.config.fc_activation": "none"}
-    assert migrate_description(later, "irb120") == later
-
-
-@pytest.mark.parametrize(("cores", "threads"), [(16, 8), (2, 2)])
-def test_on_a_gpu_the_evaluator_has_up_to_eight_threads(
-    cores: int, threads: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made: list[dict[str, Any]] = []
-    monkeypatch.setattr(algorithms, "available_cores", lambda: cores)
-    monkeypatch.setattr(algorithms, "PPOTrainer", lambda *_, **options: made.append(options))
-    for device in ("cuda", "cpu"):
-        inputs = TrainerInputs(
-            config=PPOConfig(device=device),
-            policy=cast(Any, None),
-            make_env=cast(Any, lambda num_envs, device: None),
-            make_evaluate=cast(Any, lambda: "evaluate"),
-            options={"seed": 3},
-        )
-        ALGORITHMS["ppo"].make_trainer(inputs)
-    on_gpu, on_cpu = made
-    assert on_gpu.keys() == {"seed", "make_evaluate", "evaluator_threads"}
-    assert on_gpu["evaluator_threads"] == threads
-    assert on_cpu == {"seed": 3, "evaluate": "evaluate"}

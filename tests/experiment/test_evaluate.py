@@ -5,10 +5,11 @@ import numpy as np
 import pytest
 
 from knowarm.errors import UserError
-from knowarm.experiment.build import load_agent
 from knowarm.experiment.config import EvaluationConfig
-from knowarm.experiment.evaluate import evaluate, summarize
+from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.evaluation_files import read_film, read_table
+from knowarm.experiment.load import load_agent
+from knowarm.experiment.summary import summarize
 from knowarm.statistics import wilson
 from knowarm.world.agents import (
     BLIND_AGENTS,
@@ -19,9 +20,9 @@ from knowarm.world.agents import (
     ZeroAgent,
 )
 from knowarm.world.config import EnvConfig
-from knowarm.world.held_out import HeldOut
+from knowarm.world.tasks.held_out import HeldOut
 
-ZOO = Path(__file__).parents[2] / "zoo" / "tiago-full-ppo"
+ZOO = Path(__file__).parents[2] / "zoo" / "tiago-full-fast"
 ENV = EnvConfig(image_size=32, max_episode_steps=12, dynamics="kinematic")
 SMALL = EvaluationConfig(
     episodes=24, num_envs=10, record_films=2, distance_m=0.4, angle_deg=80.0, wide_angle_deg=80.0
@@ -198,7 +199,7 @@ def test_blind_agents_stand_beside_a_trained_one(monkeypatch):
     monkeypatch.setitem(BLIND_AGENTS, "open-loop", quick)
     trained = load_agent(ZOO)
     config = EvaluationConfig(episodes=40, blind_episodes=20, num_envs=20, record_films=0)
-    summary = evaluate(trained, config=config).summary
+    summary = evaluate(trained, config=config, write=False).summary
     blind = summary["blind_agents"]
     assert list(blind) == list(BLIND_AGENTS)
     for numbers in blind.values():
@@ -214,7 +215,7 @@ def test_blind_agents_stand_beside_a_trained_one(monkeypatch):
         seed=config.seed,
     )
     assert alone.summary["success"] == blind["blind"]["success"]
-    without = evaluate(trained, config=replace(config, blind_episodes=0)).summary
+    without = evaluate(trained, config=replace(config, blind_episodes=0), write=False).summary
     assert without == {
         **{key: value for key, value in summary.items() if key in without},
         "config": {**summary["config"], "blind_episodes": 0},
@@ -223,7 +224,7 @@ def test_blind_agents_stand_beside_a_trained_one(monkeypatch):
 
 def test_untrained_and_scripted_agents_are_evaluated_alone():
     config = EvaluationConfig(episodes=4, num_envs=4, record_films=0)
-    untrained = evaluate(load_agent(ZOO, which="untrained"), config=config)
+    untrained = evaluate(load_agent(ZOO, which="untrained"), config=config, write=False)
     scripted = evaluate(ZeroAgent(), ENV, config)
     assert "blind_agents" not in untrained.summary
     assert "blind_agents" not in scripted.summary

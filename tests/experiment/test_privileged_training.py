@@ -6,33 +6,25 @@ import shutil
 import numpy as np
 import pytest
 
-from knowarm.experiment.build import load_agent
-from knowarm.experiment.config import EvaluationConfig, InterimConfig
+from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.evaluate import evaluate
+from knowarm.experiment.load import load_agent
 from knowarm.experiment.registry import experiment_config
 from knowarm.experiment.run import train
+from knowarm.learn.algorithms import privileged_uses
 from knowarm.learn.checkpoint import CheckpointStore, read_checkpoint
-from knowarm.learn.config import privileged_uses
-from knowarm.world import torch_env
+from knowarm.world.envs import torch_env
 from knowarm.world.tasks import privileged
+from tests.tiny import TINY
 
 EVALUATION = EvaluationConfig(episodes=6, num_envs=6, record_films=0, blind_episodes=0)
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """Train an agent that is told the target, with randomized colours, for a few updates."""
-    config = experiment_config("irb120-target+-dr-fast")
-    algorithm = dataclasses.replace(
-        config.algorithm, num_envs=4, rollout_steps=5, minibatches=2, processes=1
-    )
-    assert privileged_uses(vars(algorithm)) == ["critic", "auxiliary loss"]
-    config = dataclasses.replace(
-        config,
-        algorithm=algorithm,
-        total_steps=80,
-        interim=InterimConfig(every_steps=80, episodes=2),
-    )
+    """Train an agent with knowledge of the target, with randomized colours, for a few updates."""
+    config = experiment_config("irb120-target+-dr-fast", **TINY)
+    assert privileged_uses(vars(config.algorithm)) == ["critic", "auxiliary loss"]
     return train(config, tmp_path_factory.mktemp("runs")).folder
 
 

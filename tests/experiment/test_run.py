@@ -8,19 +8,24 @@ import torch
 from knowarm.config import from_dict, to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS
-from knowarm.experiment.build import build, load_agent
-from knowarm.experiment.config import ExperimentConfig, InterimConfig, StopWhen
-from knowarm.experiment.registry import (
-    experiment_config,
-    experiment_name,
-    experiment_names,
-    tasks_of,
-)
+from knowarm.experiment.build import Parts, build
+from knowarm.experiment.config import ExperimentConfig, StopWhen
+from knowarm.experiment.csv_log import read_csv
+from knowarm.experiment.load import load_agent
+from knowarm.experiment.names import ExperimentName, experiment_names, tasks_of
+from knowarm.experiment.registry import experiment_config
 from knowarm.experiment.run import train
-from knowarm.experiment.run_folder import RunFolder, read_csv
-from knowarm.learn.checkpoint import read_checkpoint
-from knowarm.learn.config import A3CConfig, PPOConfig
-from knowarm.world.choice_source import choice_table
+from knowarm.experiment.run_folder import RunFolder
+from knowarm.learn.algorithms import A3CConfig, PPOConfig
+from knowarm.learn.checkpoint import (
+    Checkpoint,
+    CheckpointStore,
+    policy_arrays,
+    read_checkpoint,
+)
+from knowarm.world.scene import scene
+from knowarm.world.setting import questions_of
+from tests.tiny import short
 
 
 @pytest.fixture(autouse=True)
@@ -31,28 +36,14 @@ def one_thread():
     torch.set_num_threads(before)
 
 
-def short(name: str = "irb120-full-ppo", **changes) -> ExperimentConfig:
-    config = experiment_config(name)
-    algorithm = dataclasses.replace(
-        config.algorithm, num_envs=4, rollout_steps=5, minibatches=2, processes=1
-    )
-    values = {
-        "total_steps": 160,
-        "checkpoint_every_steps": 40,
-        "interim": InterimConfig(every_steps=80, episodes=2),
-        "algorithm": algorithm,
-    }
-    return dataclasses.replace(config, **{**values, **changes})
-
-
 def curve(folder: RunFolder) -> list[dict[str, str]]:
     rows = read_csv(folder.metrics_path)
     # Names that end in _s are times and rates of the clock.
     return [{n: value for n, value in row.items() if not n.endswith("_s")} for row in rows]
 
 
-def test_a_run_folder_tells_all(tmp_path):
-    run = train(short(), tmp_path)
+def test_a_run_folder_tells_all(reach_run):
+    run = reach_run
     assert run.result.step == 160
     assert run.folder.experiment() == short()
     assert [int(row["step"]) for row in read_csv(run.folder.evaluations_path)] == [0, 80, 160]
@@ -64,7 +55,7 @@ def test_a_run_folder_tells_all(tmp_path):
     assert run.folder.knowledge().shape == (3, 150)
     assert any(run.folder.tensorboard.iterdir())
     with pytest.raises(UserError, match="resume=True"):
-        train(short(), tmp_path)
+        train(short(), run.folder.path.parents[1])
 
 
 @pytest.mark.parametrize("name", ["irb120-full-ppo", "irb120-full-fast"])
@@ -79,9 +70,8 @@ def test_the_number_of_cores_changes_no_byte(tmp_path, name):
     assert files[0] == files[1]
 
 
-def test_stop_and_resume_give_the_same_bytes(tmp_path):
-    whole = train(short(), tmp_path / "whole")
-    asked = []
+def test_stop_and_resume_give_the_same_bytes(reach_run, tmp_path):
+    whole, asked = reach_run, []
 
     def after_four_updates() -> bool:
         asked.append(0)
@@ -101,13 +91,11 @@ def test_stop_and_resume_give_the_same_bytes(tmp_path):
     )
 
 
-def test_a_stop_before_the_first_update_evaluates_once(tmp_path):
-    whole = train(short(), tmp_path / "whole")
-    assert train(short(), tmp_path / "part", should_stop=lambda: True).result.step == 0
-    resumed = train(short(), tmp_path / "part", resume=True)
-    assert (
-        whole.folder.evaluations_path.read_bytes() == resumed.folder.evaluations_path.read_bytes()
-    )
+def test_a_stop_before_the_first_update_evaluates_once(reach_run, tmp_path):
+    assert train(short(), tmp_path, should_stop=lambda: True).result.step == 0
+    resumed = train(short(total_steps=20), tmp_path, resume=True)
+    rows = read_csv(resumed.folder.evaluations_path)
+    assert rows == read_csv(reach_run.folder.evaluations_path)[:1]
 
 
 @pytest.mark.parametrize("stop_after", [None, 2])
@@ -132,12 +120,12 @@ def test_the_rule_of_an_early_end_counts_consecutive_evaluations():
             StopWhen(**wrong)
 
 
-def test_another_config_is_not_resumed(tmp_path):
-    train(short(total_steps=20), tmp_path)
+def test_another_config_is_not_resumed(reach_run, copy_of):
+    runs = copy_of(reach_run).path.parents[1]
     changed = dataclasses.replace(short(), policy=dataclasses.replace(short().policy, features=64))
     with pytest.raises(UserError, match=r"policy\.features: 128 \| 64"):
-        train(changed, tmp_path, resume=True)
-    assert train(short(total_steps=40), tmp_path, resume=True).result.step == 40
+        train(changed, runs, resume=True)
+    assert train(short(total_steps=180), runs, resume=True).result.step == 180
 
 
 def test_nothing_to_resume_is_said(tmp_path):
@@ -145,8 +133,8 @@ def test_nothing_to_resume_is_said(tmp_path):
         train(short(), tmp_path, resume=True)
 
 
-def test_the_trained_agent_is_the_one_that_was_saved(tmp_path):
-    folder = train(short(), tmp_path).folder
+def test_the_trained_agent_is_the_one_that_was_saved(reach_run):
+    folder = reach_run.folder
     latest, untrained = (load_agent(folder.path, which=which) for which in ("latest", "untrained"))
     assert latest.step == 160
     assert untrained.step == 0
@@ -156,19 +144,18 @@ def test_the_trained_agent_is_the_one_that_was_saved(tmp_path):
     assert not torch.equal(latest.policy.critic.weight, untrained.policy.critic.weight)
 
 
-def test_a_truncated_checkpoint_is_refused(tmp_path):
-    folder = train(short(total_steps=20), tmp_path).folder
+def test_a_truncated_checkpoint_is_refused(reach_run, copy_of):
+    folder = copy_of(reach_run)
     file = folder.checkpoints / "best" / "policy.safetensors"
     file.write_bytes(file.read_bytes()[:1000])
     with pytest.raises(UserError, match="damaged"):
         load_agent(folder.path)
 
 
-def test_a_checkpoint_of_another_network_is_refused(tmp_path):
-    bm = train(short("irb120-bm-ppo", total_steps=20), tmp_path).folder
-    full = train(short("irb120-full-ppo", total_steps=20), tmp_path).folder
-    for part in (full.checkpoints / "best").iterdir():
-        part.write_bytes((bm.checkpoints / "best" / part.name).read_bytes())
+def test_a_checkpoint_of_another_network_is_refused(reach_run, copy_of):
+    full = copy_of(reach_run)
+    other = policy_arrays(build(short("irb120-bm-ppo")).new_policy(0))
+    CheckpointStore(full.checkpoints, {}).save_best(Checkpoint(policy=other, facts={"step": 1}))
     with pytest.raises(UserError, match=r"memory\.weight_hh"):
         load_agent(full.path)
 
@@ -185,9 +172,9 @@ SLOW = {"analogy"}  # trains a graph embedding
     ],
 )
 def test_every_agent_can_be_built(name, task):
-    config = experiment_config(experiment_name("irb120", name, "ppo", "randomized", task))
+    config = experiment_config(str(ExperimentName("irb120", task, name, "randomized", "ppo")))
     parts = build(config)
-    rows = 6 if task == "reach" else len(choice_table(config.env).queries)
+    rows = 6 if task == "reach" else len(questions_of(config.env).queries)
     if config.knowledge.scope == "perceived":  # a row per facet in both tasks
         rows = len(parts.facets)
     assert parts.table.shape == (rows, parts.embedding.dim) or config.policy.wide
@@ -224,34 +211,20 @@ def test_names_say_what_they_are():
     assert all(name == experiment_config(name).name for name in experiment_names())
 
 
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        ("irb12-full-ppo", "Did you mean 'irb120'"),
-        ("irb120-ful-ppo", "Did you mean 'full'"),
-        ("irb120-full-pp", "irb120-full-ppo"),
-    ],
-)
-def test_unknown_names_offer_the_nearest(name, message):
-    with pytest.raises(UserError, match=message):
-        experiment_config(name)
-
-
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
 def test_a_missing_gpu_is_named_and_leaves_no_run(tmp_path):
     algorithm = dataclasses.replace(short().algorithm, device="cuda", processes=None)
     with pytest.raises(UserError, match="device 'cuda'"):
         train(short(algorithm=algorithm), tmp_path)
-    train(short(total_steps=20), tmp_path)
+    assert list(tmp_path.rglob("config.json")) == []
 
 
-def test_a_run_that_ended_before_its_first_checkpoint_begins_anew(tmp_path):
-    whole = train(short(), tmp_path / "whole")
-    cut = train(short(), tmp_path / "cut")
-    shutil.rmtree(cut.folder.checkpoints)
-    again = train(short(), tmp_path / "cut", resume=True)
-    assert curve(again.folder) == curve(whole.folder)
-    evaluations = [read_csv(run.folder.evaluations_path) for run in (again, whole)]
+def test_a_run_that_ended_before_its_first_checkpoint_starts_again(reach_run, copy_of):
+    cut = copy_of(reach_run)
+    shutil.rmtree(cut.checkpoints)
+    again = train(short(), cut.path.parents[1], resume=True)
+    assert curve(again.folder) == curve(reach_run.folder)
+    evaluations = [read_csv(run.folder.evaluations_path) for run in (again, reach_run)]
     assert evaluations[0] == evaluations[1]
 
 
@@ -264,18 +237,6 @@ def test_training_seeds_share_neither_actions_nor_minibatches(tmp_path):
         assert not np.array_equal(states[0][name], states[1][name]), name
 
 
-def test_the_untrained_policy_of_an_earlier_version_is_drawn_as_it_was(tmp_path):
-    folder = train(short(total_steps=20), tmp_path).folder
-    provenance = folder.provenance()
-    del provenance["seed_derivation"]
-    folder.write_json("provenance.json", provenance)
-    policy = load_agent(folder.path, which="untrained").policy
-    expected = build(short()).new_policy(0)
-    assert not torch.equal(policy.critic.weight, expected.critic.weight)
-    expected.reset_parameters(torch.Generator().manual_seed(0))
-    assert torch.equal(policy.critic.weight, expected.critic.weight)
-
-
 def test_each_training_seed_draws_its_own_placebo_and_keeps_it(tmp_path):
     config = short("irb120-random-ppo", total_steps=20)
     tables = [build(dataclasses.replace(config, seed=seed)).table for seed in range(2)]
@@ -286,3 +247,19 @@ def test_each_training_seed_draws_its_own_placebo_and_keeps_it(tmp_path):
     folder.write_knowledge(tables[1])
     resumed = train(dataclasses.replace(config, total_steps=40), tmp_path, resume=True)
     np.testing.assert_array_equal(load_agent(resumed.folder.path).policy.knowledge_table, tables[1])
+
+
+def test_the_policy_is_built_once(tmp_path, monkeypatch):
+    made, new_policy = [], Parts.new_policy
+    monkeypatch.setattr(
+        Parts, "new_policy", lambda parts, seed: made.append(seed) or new_policy(parts, seed)
+    )
+    train(short(total_steps=20, seed=3), tmp_path)
+    assert made == [3]
+
+
+@pytest.mark.parametrize("name", ["irb120-full-fast", "irb120-choose-query-words-fast"])
+def test_building_needs_no_simulator(monkeypatch, name):
+    monkeypatch.setattr(scene, "build_scene", None)
+    scene.load_scene.cache_clear()
+    assert build(experiment_config(name)).policy_shape.joints == 6

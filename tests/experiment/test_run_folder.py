@@ -5,15 +5,17 @@ import numpy as np
 import pytest
 
 from knowarm.errors import UserError
-from knowarm.experiment.run_folder import CsvLog, RunFolder, read_csv, write_json
+from knowarm.experiment.csv_log import CsvLog, read_csv
+from knowarm.experiment.run_folder import RunFolder
+from knowarm.reading import write_json
 
 
 def test_a_run_folder_is_created_once(tmp_path):
     folder = RunFolder.create(tmp_path / "x" / "0")
-    folder.write_json("config.json", {"format": 3})
+    folder.write_json("config.json", {"format": 1})
     with pytest.raises(UserError, match="resume=True"):
         RunFolder.create(folder.path)
-    assert RunFolder.open(folder.path).config() == {"format": 3}
+    assert RunFolder.open(folder.path).config() == {"format": 1}
 
 
 def test_what_is_no_run_folder_is_refused(tmp_path):

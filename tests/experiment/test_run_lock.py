@@ -9,7 +9,7 @@ import pytest
 from knowarm.errors import UserError
 from knowarm.experiment.run import train
 from knowarm.experiment.run_lock import HOLDER, lock_folder
-from tests.experiment.test_run import short
+from tests.tiny import short
 
 HOLD = """
 import sys
@@ -75,15 +75,12 @@ def test_the_name_of_the_holder_is_replaced_as_a_whole(tmp_path):
 
 
 @pytest.mark.parametrize("resume", [False, True])
-def test_two_trainings_do_not_share_a_run_folder(tmp_path, resume):
-    if resume:
-        path = train(short(total_steps=20), tmp_path).folder.path
-    else:
-        path = tmp_path / short().name / "0"
+def test_two_trainings_do_not_share_a_run_folder(tmp_path, resume, reach_run, copy_of):
+    path = copy_of(reach_run).path if resume else tmp_path / short().name / "0"
     process = start_holder(path)
     before = {file: file.read_bytes() for file in path.rglob("*") if file.is_file()}
     with pytest.raises(UserError, match=rf"is in use by process {process.pid}"):
-        train(short(total_steps=20), tmp_path, resume=resume)
+        train(short(), path.parents[1], resume=resume)
     assert {file: file.read_bytes() for file in path.rglob("*") if file.is_file()} == before
     process.communicate()
 

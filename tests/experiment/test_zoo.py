@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from knowarm.experiment.build import load_agent
 from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.evaluate import evaluate
+from knowarm.experiment.load import load_agent
 
 ZOO = Path(__file__).parents[2] / "zoo"
 AGENTS = sorted(path.name for path in ZOO.iterdir() if path.is_dir())
@@ -20,8 +20,8 @@ JUDGED = EvaluationConfig(
 def test_a_shipped_policy_reaches_its_targets(name):
     trained = load_agent(ZOO / name)
     assert trained.config.name == name
-    summary = evaluate(trained, config=JUDGED).summary
-    if trained.config.env.choice:
+    summary = evaluate(trained, config=JUDGED, write=False).summary
+    if trained.config.env.task.kind == "choose":
         assert summary["choice"] >= 0.9
         assert summary["success"] >= 0.8
     else:

@@ -1,4 +1,4 @@
-"""Facets of the choice task, shared by the tests of queries."""
+"""Facets of the choose task, shared by the tests of queries."""
 
 from knowarm.knowledge.formats import shipped_graph
 
@@ -10,4 +10,4 @@ OBJECTS = sorted(
 COLOURS = ["red", "orange", "yellow", "green", "cyan", "blue", "purple", "pink", "brown"]
 
 CHOICE = [(name, colour) for name in OBJECTS for colour in COLOURS]
-"""Facets of the choice task."""
+"""Facets of the choose task."""

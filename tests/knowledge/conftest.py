@@ -1,6 +1,6 @@
 import pytest
 
-from tests.knowledge.helpers import FACETS
+from tests.tiny import FACETS
 
 
 @pytest.fixture

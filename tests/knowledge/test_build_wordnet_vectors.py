@@ -9,7 +9,7 @@ import pytest
 from safetensors.numpy import load_file
 
 from knowarm.knowledge import household
-from knowarm.knowledge.sentence import graph_parts
+from knowarm.knowledge.slots import graph_parts
 from knowarm.knowledge.vectors.source import Coverage
 from knowarm.knowledge.vectors.words import DATA, SHIPPED, WordLookup, shipped_vectors
 

@@ -7,16 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from knowarm.config import to_dict
 from knowarm.errors import UserError
 from knowarm.knowledge import (
     FULL,
     KnowledgeConfig,
-    migrate_source,
     scene_embedding,
     scene_sentences,
+    scene_subgraph,
 )
-from knowarm.knowledge.scene import scene_subgraph
 from knowarm.knowledge.vectors.placebos import RandomVectors, ShuffledGraph, WrongObject
 from knowarm.knowledge.vectors.words import WordVectors
 from tests.knowledge.helpers import KNOWLEDGE
@@ -108,7 +106,7 @@ def test_placebos_are_drawn_anew_per_training_seed_and_draw(facets, kind):
     # Few objects have as many colours as those of the task: two draws of them can be equal.
     assert len(set(drawn)) >= (4 if kind is WrongObject else len(drawn))
     assert vector(1, 2) == drawn[5]
-    # Without a number all training seeds share one placebo, as in earlier versions.
+    # Without a number all training seeds share one placebo.
     assert vector(None, 1) == vector(None, 2) != vector(None, 1, seed=1)
     with pytest.raises(UserError, match="draw must be 0 or more"):
         kind(draw=-1)
@@ -117,15 +115,6 @@ def test_placebos_are_drawn_anew_per_training_seed_and_draw(facets, kind):
 def test_real_vectors_do_not_depend_on_the_training_seed(facets):
     vectors = [scene_embedding(FULL, facets, run_seed=seed).vector for seed in range(2)]
     np.testing.assert_array_equal(*vectors)
-
-
-def test_the_placebos_of_earlier_versions_are_the_same_for_all_training_seeds():
-    for source in ("random", {"kind": "random"}):
-        stored = migrate_source({"detail": "full", "source": source})
-        assert stored["source"]["draw"] is None
-    drawn = {"detail": "full", "source": to_dict(RandomVectors(draw=3))}
-    assert migrate_source(drawn) == drawn
-    assert migrate_source({"source": {"kind": "onehot"}}) == {"source": {"kind": "onehot"}}
 
 
 def test_wrong_objects_are_not_in_the_task(facets):
@@ -162,7 +151,8 @@ def test_errors_name_what_is_known(facets):
 def test_the_same_bytes_in_any_process(facets):
     code = (
         "import hashlib; from knowarm.knowledge import *; "
-        "from tests.knowledge.helpers import FACETS, KNOWLEDGE\n"
+        "from tests.knowledge.helpers import KNOWLEDGE\n"
+        "from tests.tiny import FACETS\n"
         "for n in ('full', 'full+', 'shuffled', 'wrong-object', 'random'):\n"
         "    e = scene_embedding(KNOWLEDGE[n], FACETS)\n"
         "    print(n, hashlib.sha256(e.vector.tobytes()).hexdigest(), e.sentences[0])\n"

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 
 from knowarm.knowledge import KnowledgeGraph, gamma, graph_of, read_graph, sentence
-from knowarm.knowledge.builder import difference, union
 from knowarm.knowledge.formats import write_graph
-from knowarm.knowledge.terms import literal
+from knowarm.knowledge.graph.builder import difference, union
+from knowarm.knowledge.graph.terms import literal
 
 WORD = st.text(
     st.characters(

@@ -1,4 +1,3 @@
-import numpy as np
 import pytest
 import torch
 
@@ -34,20 +33,6 @@ def test_scores_by_hand():
     # two scalars, then one complex pair 3+4i, relation 2+1i, tail 1-1i
     value = 1 * 3 * 2 + 2 * 1 * 0 + ((3 + 4j) * (2 + 1j) * (1 + 1j)).real
     assert score(model_with("analogy", [h, t], [3.0, 1.0, 2.0, 1.0])) == pytest.approx(value)
-    quarter = np.pi / 2
-    value = -(abs((1 + 3j) * 1j - (2 + 1j)) + abs((2 + 4j) - (0 - 1j)))
-    assert score(model_with("rotate", [h, t], [quarter, 0.0])) == pytest.approx(value, rel=1e-5)
-
-
-@pytest.mark.parametrize("name", MODELS)
-def test_single_scores_are_those_of_the_table(name):
-    model = new_model(KgeConfig(model=name, dim=DIM), 7, 3)
-    head, relation, tail = torch.tensor([0, 3, 6]), torch.tensor([0, 5, 2]), torch.tensor([1, 3, 0])
-    table = model(head, relation)
-    assert table.shape == (3, 7)
-    torch.testing.assert_close(model.score(head, relation, tail), table[range(3), tail])
-    assert model.relation_vectors().shape == (6, DIM)
-    assert model.entity.shape == (7, DIM)
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -86,7 +71,7 @@ def test_bad_configs():
         new_model(KgeConfig(model="transe", dim=2), 3, 1)
 
 
-PYKEEN = {"transe": "TransE", "distmult": "DistMult", "complex": "ComplEx", "rotate": "RotatE"}
+PYKEEN = {"transe": "TransE", "distmult": "DistMult", "complex": "ComplEx"}
 
 
 @pytest.mark.parametrize("name", PYKEEN)
@@ -106,14 +91,7 @@ def test_scores_agree_with_pykeen(name):
         theirs = modules.TransEInteraction(p=1)(h, r, t)
     elif name == "distmult":
         theirs = modules.DistMultInteraction()(h, r, t)
-    elif name == "complex":
-        theirs = modules.ComplExInteraction()(as_complex(h), as_complex(r), as_complex(t))
     else:
-        turn = torch.polar(torch.ones_like(r), r)
-        # PyKEEN takes the Euclidean norm over the complex numbers, RotatE's authors the sum
-        difference = as_complex(h) * turn - as_complex(t)
-        theirs = -difference.abs().sum(dim=-1)
-        euclidean = modules.RotatEInteraction()(as_complex(h), turn, as_complex(t))
-        torch.testing.assert_close(euclidean, -difference.abs().square().sum(dim=-1).sqrt())
+        theirs = modules.ComplExInteraction()(as_complex(h), as_complex(r), as_complex(t))
     ours = model(torch.tensor([0]), torch.tensor([0]))[0].detach()
     torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=1e-5)

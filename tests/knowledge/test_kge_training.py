@@ -11,10 +11,9 @@ from knowarm.errors import UserError
 from knowarm.knowledge import KnowledgeConfig, graph_of, household, scene_embedding
 from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.kge.models import MODELS, KgeModel
-from knowarm.knowledge.kge.rank import LinkPrediction, rank, reciprocal
 from knowarm.knowledge.kge.split import all_triples, split_graph
 from knowarm.knowledge.kge.store import load_model, save_model
-from knowarm.knowledge.kge.train import new_model, train
+from knowarm.knowledge.kge.train import LinkPrediction, new_model, rank, reciprocal, train
 from knowarm.knowledge.vectors.graph_embedding import GraphEmbedding
 from tests.knowledge.helpers import KNOWLEDGE
 
@@ -143,9 +142,9 @@ def test_threads_are_given_back():
 
 def test_a_stored_model_is_the_same_and_serves_as_vectors(tmp_path, facets):
     graph = household()
-    config = KgeConfig(model="rotate", dim=12, epochs=2)
+    config = KgeConfig(model="complex", dim=12, epochs=2)
     done = train(config, all_triples(graph), len(graph.names), len(graph.relation_names))
-    path = tmp_path / "rotate.safetensors"
+    path = tmp_path / "complex.safetensors"
     save_model(done.model, config, graph, path)
     stored = load_model(path)
     assert stored.config == config

@@ -2,7 +2,7 @@ import pytest
 
 from knowarm.errors import UserError
 from knowarm.knowledge import read_graph
-from knowarm.knowledge.terms import literal, name_of_iri
+from knowarm.knowledge.graph.terms import literal, name_of_iri
 
 HARD = r"""# a comment
 <http://a.org/x> <http://a.org/p> <http://a.org/y> .
@@ -76,7 +76,7 @@ def test_packed_files_and_windows_line_ends(tmp_path):
         file.write("<http://a> <http://b> <http://c> .\r\n" * 2)
     assert len(read_graph(path)) == 1
     path.write_bytes(path.read_bytes()[:20])
-    with pytest.raises(UserError, match="cannot be read or decompressed"):
+    with pytest.raises(UserError, match="is damaged or of another format"):
         read_graph(path)
 
 

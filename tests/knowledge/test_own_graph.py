@@ -4,8 +4,8 @@ import pytest
 
 from knowarm.errors import UserError
 from knowarm.knowledge import KnowledgeConfig, graph_of, read_graph, scene_embedding
-from knowarm.knowledge.facets import graph_facets
 from knowarm.knowledge.probe import probe
+from knowarm.knowledge.slots import graph_facets
 
 TURTLE = """
 @prefix home: <http://example.org/home#> .

@@ -4,8 +4,9 @@ import pytest
 from knowarm.errors import UserError
 from knowarm.knowledge import graph_of
 from knowarm.knowledge.formats import shipped_graph
-from knowarm.knowledge.queries import Condition, Query, QueryGraph
-from knowarm.knowledge.sparql import sparql
+from knowarm.knowledge.graph.sparql import sparql
+from knowarm.knowledge.queries.queries import QueryGraph, parse_query
+from knowarm.questions import Condition
 from tests.knowledge.choice import CHOICE, COLOURS, OBJECTS
 
 GRAPH = graph_of(
@@ -87,7 +88,7 @@ def test_a_relation_may_have_two_words():
         ("usedfor drinking", r"relation of the query 'usedfor'\. Did you mean 'usedFor'\?"),
         ("usedFor drinkin", r"value of usedFor in a query 'drinkin'\. Did you mean 'drinking'"),
         ("hasColor green", r"value of hasColor in a query 'green'\. .*Available: blue, red"),
-        ("usedFor mug", "names the object 'mug'.*never for its name"),
+        ("usedFor mug", "names the object 'mug'.*never its name"),
         ("usedFor", "needs a relation and a value"),
         (
             "usedFor drinking and usedFor salt and pepper",
@@ -138,4 +139,4 @@ def test_the_shipped_graph_has_something_to_ask_about_every_object(shipped):
     assert facts.any(1).all()
     assert (facts.sum(0) >= 2).all()
     assert all(shipped.answers([query]).sum() >= 2 * len(COLOURS) for query in single[:40])
-    assert all(Query.parse(query.name) == query for query in shipped.queries("all"))
+    assert all(parse_query(query.name) == query for query in shipped.queries("all"))

@@ -6,8 +6,8 @@ import pytest
 from knowarm.errors import UserError
 from knowarm.knowledge import QUERY, KnowledgeConfig, graph_of, query_embedding, write_graph
 from knowarm.knowledge.formats import shipped_graph
-from knowarm.knowledge.queries import Condition
-from knowarm.knowledge.query_splits import query_splits
+from knowarm.knowledge.queries.queries import parse_query
+from knowarm.knowledge.queries.splits import query_splits
 from knowarm.knowledge.vectors import GraphEmbedding
 from knowarm.knowledge.vectors.placebos import (
     Learned,
@@ -17,9 +17,18 @@ from knowarm.knowledge.vectors.placebos import (
     WrongObject,
     Zeros,
 )
+from knowarm.questions import Condition, Query
 from tests.knowledge.choice import CHOICE
 
-ASKED = ["usedFor drinking", "hasColor blue", "usedFor drinking and hasColor blue", "contains tea"]
+ASKED = [
+    parse_query(text)
+    for text in (
+        "usedFor drinking",
+        "hasColor blue",
+        "usedFor drinking and hasColor blue",
+        "contains tea",
+    )
+]
 PAPER = KnowledgeConfig(detail="full", scope="query", graph="objects", direction="both")
 
 
@@ -99,9 +108,9 @@ def test_an_edited_graph_changes_the_vectors_of_what_was_edited_only():
     after = query_embedding(QUERY, test.queries, graph=splits.edited, trained_on=train)
     moved = np.linalg.norm(before.matrix - after.matrix[: len(before.matrix)], axis=1)
     asked = {
-        Condition(*query.split(" "))
+        query.conditions[0]
         for query, row in zip(test.queries, test.askable, strict=True)
-        if row.any() and " and " not in query
+        if row.any() and len(query.conditions) == 1
     }
     for slot, distance in zip(before.slots, moved, strict=True):
         assert (distance > 0.1) == (slot in asked), slot
@@ -109,7 +118,7 @@ def test_an_edited_graph_changes_the_vectors_of_what_was_edited_only():
 
 def test_codes_keep_their_numbers_when_an_edited_graph_adds_queries():
     config = replace(QUERY, source=OneHot())
-    more = ["usedFor sorting screws", "contains tea"]
+    more = [parse_query("usedFor sorting screws"), parse_query("contains tea")]
     before = query_embedding(config, ASKED).table(ASKED)
     after = query_embedding(config, more, trained_on=ASKED).table(more)
     assert (after[1] == before[3]).all()
@@ -120,12 +129,13 @@ def test_a_graph_of_the_user(tmp_path):
     graph = graph_of([("mug", "used for", "drinking"), ("screwdriver", "used for", "repairs")])
     write_graph(graph, tmp_path / "mine.csv")
     config = replace(PAPER, graph=str(tmp_path / "mine.csv"))
-    embedding = query_embedding(config, ["used for drinking", "hasColor blue"])
+    asked = [Query.of(("used for", "drinking")), Query.of(("hasColor", "blue"))]
+    embedding = query_embedding(config, asked)
     assert embedding.sentences == ("used for drinking mug used for drinking", "has color blue")
     with pytest.raises(UserError, match=r"describes none of the 2 conditions.*'contains tea'"):
-        query_embedding(config, ["contains tea", "hasColor blue"])
+        query_embedding(config, [Query.of(("contains", "tea")), asked[1]])
 
 
 def test_another_scope_is_refused():
-    with pytest.raises(UserError, match="asks queries, which knowledge of scope 'scene'"):
+    with pytest.raises(UserError, match="has queries, which knowledge of scope 'scene'"):
         query_embedding(KnowledgeConfig(detail="full"), ASKED)

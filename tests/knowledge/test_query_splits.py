@@ -3,11 +3,10 @@ import pytest
 
 from knowarm.errors import UserError
 from knowarm.knowledge import graph_of
-from knowarm.knowledge.builder import difference, union
 from knowarm.knowledge.formats import shipped_graph
-from knowarm.knowledge.queries import Query
-from knowarm.knowledge.query_splits import SPLITS, query_splits
-from knowarm.world.choice import ChoiceTable
+from knowarm.knowledge.graph.builder import difference, union
+from knowarm.knowledge.queries.splits import SPLITS, query_splits
+from knowarm.questions import Query
 from tests.knowledge.choice import CHOICE, OBJECTS
 
 GRAPH = shipped_graph("objects")
@@ -24,15 +23,13 @@ def questions(table):
 
 
 def conditions_of(pairs):
-    return {(c, name) for text, name in pairs for c in Query.parse(text).conditions}
+    return {(c, name) for query, name in pairs for c in query.conditions}
 
 
-def test_every_table_is_a_choice_table_with_enough_distractors(splits):
+def test_every_table_has_enough_distractors(splits):
     assert set(splits.tests) == set(SPLITS)
     for table in (splits.train, *splits.tests.values()):
-        choice = ChoiceTable(**vars(table))
-        choice.check_objects(4)
-        assert choice.askable.any()
+        table.check_objects(4)
 
 
 def test_tests_ask_what_training_does_not(splits):
@@ -48,8 +45,8 @@ def test_tests_ask_what_training_does_not(splits):
 
 def test_s2_pairs_are_new_though_both_parts_are_known(splits):
     train = conditions_of(questions(splits.train))
-    for text, name in questions(splits.test("S2")):
-        parts = Query.parse(text).conditions
+    for query, name in questions(splits.test("S2")):
+        parts = query.conditions
         assert any((c, name) not in train for c in parts)
         assert all(any(c == known for known, _ in train) for c in parts)
         assert any(name == known for _, known in train)
@@ -75,15 +72,17 @@ def test_s4_values_are_new_and_linked_to_values_of_training(splits):
     assert held
     assert not held & train
     assert all(any(frozenset((value, known)) in links for known in train) for value in held)
-    for text, _ in questions(splits.test("S4")):
-        assert {c.value for c in Query.parse(text).conditions} & held
+    for query, _ in questions(splits.test("S4")):
+        assert {c.value for c in query.conditions} & held
 
 
 def test_s5_asks_queries_of_training_whose_answer_changed(splits):
     asked = {c for c, _ in conditions_of(questions(splits.train))}
     test = splits.test("S5")
     assert {c for c, _ in conditions_of(questions(test))} <= asked
-    single = [q for q in np.flatnonzero(test.askable.any(1)) if " and " not in test.queries[q]]
+    single = [
+        q for q in np.flatnonzero(test.askable.any(1)) if len(test.queries[q].conditions) == 1
+    ]
     assert len(single) >= 4
     before = dict(zip(splits.train.queries, splits.train.satisfies, strict=True))
     for query in single:
@@ -154,9 +153,9 @@ def test_an_edited_graph_of_the_user_is_a_test():
     new = graph_of([("mug", "usedFor", "repairing"), ("mug", "usedFor", "sorting screws")])
     splits = query_splits(GRAPH, CHOICE, hold_out=[], edited=union(difference(GRAPH, old), new))
     asked = questions(splits.test("S5"))
-    assert ("usedFor repairing", "mug") in asked
+    assert (Query.of(("usedFor", "repairing")), "mug") in asked
     assert {name for _, name in asked} == {"mug"}
-    assert "usedFor sorting screws" in splits.test("S5").queries
+    assert Query.of(("usedFor", "sorting screws")) in splits.test("S5").queries
     assert splits.test("S5").queries[: len(splits.train.queries)] == splits.train.queries
     unchanged = query_splits(GRAPH, CHOICE, edited=GRAPH)
     with pytest.raises(UserError, match=r"S5 .* is empty: the edited graph gives no query"):

@@ -112,12 +112,12 @@ OPENKE = {
     ("name", "text", "message"),
     [
         ("entity2id.txt", "mug\t0\n", "line 1: the first line must be the number"),
-        ("entity2id.txt", "2\nmug\t0\nmug\t1\n", "line 3: the name 'mug' is already in line 2"),
-        ("entity2id.txt", "3\nmug\t0\ncup\t1\n", "announces 3 names"),
+        ("entity2id.txt", "2\nmug\t0\nmug\t1\n", "not as many different names"),
+        ("entity2id.txt", "3\nmug\t0\ncup\t1\n", "number of lines that follow, 2, got '3'"),
         ("entity2id.txt", "2\nmug\t0\ncup one\n", "line 3: expected `name<tab>id`"),
         ("train2id.txt", "1\n0 1\n", "line 2: expected three ids"),
-        ("train2id.txt", "1\n0 7 0\n", "line 2: tail id 7 is not among the 2"),
-        ("train2id.txt", "2\n0 1 0\n", "announces 2 triples, but 1 follow"),
+        ("train2id.txt", "1\n0 7 0\n", "line 2: '0 7 0' holds an id that is not among the 2"),
+        ("train2id.txt", "2\n0 1 0\n", "number of lines that follow, 1, got '2'"),
     ],
 )
 def test_malformed_openke_files(tmp_path, name, text, message):

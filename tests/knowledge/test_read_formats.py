@@ -5,10 +5,11 @@ import pytest
 from knowarm.errors import UserError
 from knowarm.knowledge import graph_of, household, read_graph
 from knowarm.knowledge.formats import write_graph
-from knowarm.knowledge.formats.conceptnet import read_conceptnet
-from knowarm.knowledge.formats.openke import read_openke_split, write_openke
+from knowarm.knowledge.formats.openke import read_openke_split
+from knowarm.knowledge.formats.tables import read_conceptnet
+from knowarm.knowledge.graph.sparql import sparql
 from knowarm.knowledge.kge.split import split_graph
-from knowarm.knowledge.sparql import sparql
+from tests.knowledge.helpers import write_openke
 
 OWL = """<?xml version="1.0"?>
 <rdf:RDF xmlns="http://a.org/home#" xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"
@@ -95,10 +96,6 @@ def test_conceptnet_is_filtered_while_it_is_read(tmp_path):
     assert set(read_conceptnet(path, relations=["UsedFor"])) == {used}
     assert set(read_conceptnet(path, languages=["de"])) == {("tasse", "IsA", "gefäß")}
     assert len(read_conceptnet(path, min_weight=0)) == 3
-    cache = tmp_path / "mug.nt"
-    first = read_conceptnet(path, cache=cache)
-    path.unlink()
-    assert read_conceptnet(path, cache=cache) == first
 
 
 def test_sparql():

@@ -6,9 +6,8 @@ import pytest
 
 from knowarm.config import from_dict, to_dict
 from knowarm.errors import UserError
-from knowarm.knowledge import KnowledgeConfig, graph_of, scene_embedding, sentence
-from knowarm.knowledge.scene import scene_sentences
-from knowarm.knowledge.sentence import SentenceConfig, sentence_parts
+from knowarm.knowledge import KnowledgeConfig, graph_of, scene_embedding, scene_sentences, sentence
+from knowarm.knowledge.slots import sentence_parts
 from knowarm.knowledge.vectors.encoder import SentenceEncoder
 from tests.knowledge.helpers import KNOWLEDGE
 
@@ -26,9 +25,9 @@ def test_the_papers_form():
 
 
 def test_options():
-    short = SentenceConfig(relation_words=False)
+    short = KnowledgeConfig(detail="full", relation_words=False)
     assert sentence(MUG, short) == "mug light blue mug drinking cup mug ceramic"
-    once = SentenceConfig(head_once=True, templates={"isMadeOf": "of", "isA": ""})
+    once = KnowledgeConfig(detail="full", head_once=True, templates={"isMadeOf": "of", "isA": ""})
     assert sentence(MUG, once) == "mug has color light blue drinking cup of ceramic"
 
 

@@ -1,4 +1,4 @@
-"""Sources: configs by kind, stored files of run format 1, and a new embedding in one entry."""
+"""Sources: configs by kind, short names, and a new embedding in one entry."""
 
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -8,11 +8,11 @@ import pytest
 
 from knowarm.config import from_dict, to_dict
 from knowarm.errors import UserError
-from knowarm.knowledge import FULL, SOURCES, KnowledgeConfig, migrate_source, scene_embedding
+from knowarm.knowledge import FULL, SOURCES, KnowledgeConfig, scene_embedding
 from knowarm.knowledge.vectors import source_named
 from knowarm.knowledge.vectors.encoder import SentenceEncoder
 from knowarm.knowledge.vectors.graph_embedding import GraphEmbedding
-from knowarm.knowledge.vectors.placebos import Learned, OneHot, RandomVectors, Zeros
+from knowarm.knowledge.vectors.placebos import OneHot, Placebo, RandomVectors, Zeros
 from knowarm.knowledge.vectors.source import Found, VectorSource
 from knowarm.knowledge.vectors.words import WordVectors
 
@@ -28,7 +28,7 @@ def test_kinds_are_the_keys_of_the_registry(kind):
         ("wordnet-gloss-50", WordVectors()),
         ("vectors/glove.6B.50d.txt", WordVectors(file="vectors/glove.6B.50d.txt")),
         ("v.zip", WordVectors(file="v.zip")),
-        ("rotate", GraphEmbedding(model="rotate")),
+        ("complex", GraphEmbedding(model="complex")),
         ("fits/m.safetensors", GraphEmbedding(file="fits/m.safetensors")),
         ("sentence-transformers:/models/x", SentenceEncoder(model="/models/x")),
         ("zeros", Zeros()),
@@ -37,19 +37,6 @@ def test_kinds_are_the_keys_of_the_registry(kind):
 )
 def test_short_names(name, source):
     assert source_named(name) == source
-
-
-def test_format_1_is_migrated():
-    stored = to_dict(KnowledgeConfig(detail="full"))
-    for name, matches, source in (
-        ("wordnet-gloss-50", "wordnet-gloss-50", WordVectors()),
-        ("onehot", "analogy", OneHot(matches=GraphEmbedding())),
-        ("learned", "wordnet-gloss-50", Learned()),
-        ("glove.6B.50d.txt", "wordnet-gloss-50", WordVectors(file="glove.6B.50d.txt")),
-    ):
-        migrated = migrate_source({**stored, "source": name, "matches": matches})
-        assert from_dict(KnowledgeConfig, migrated) == replace(FULL, source=source)
-    assert migrate_source(stored) == stored
 
 
 def test_wrong_values_are_refused():
@@ -100,3 +87,22 @@ def test_a_new_embedding_is_one_class_and_one_entry(monkeypatch, facets):
     assert source_named("lengths") == Lengths()
     placebo = replace(config, source=RandomVectors(matches=Lengths()))
     assert scene_embedding(placebo, facets).matrix.shape == (6, 8)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NextFacet(Placebo):
+    """A toy placebo: every slot describes the next one's facet."""
+
+    kind: Literal["next-facet"] = "next-facet"
+
+    def change_facets(self, facets, graph, colour_relation, seed):
+        return [*facets[1:], facets[0]]
+
+
+def test_a_new_placebo_changes_one_step_and_copies_the_real_lengths(facets):
+    real = scene_embedding(FULL, facets)
+    false = scene_embedding(replace(FULL, source=NextFacet()), facets)
+    assert false.slots == real.slots
+    assert false.sentences == (*real.sentences[1:], real.sentences[0])
+    lengths = np.linalg.norm(real.matrix, axis=1)
+    np.testing.assert_allclose(np.linalg.norm(false.matrix, axis=1), lengths, rtol=1e-5)

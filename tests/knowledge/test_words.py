@@ -6,11 +6,14 @@ import pytest
 
 from knowarm.errors import UserError
 from knowarm.knowledge import KnowledgeConfig, graph_of, scene_embedding
-from knowarm.knowledge.sentence import Part
-from knowarm.knowledge.vectors.glove import read_word_vectors
-from knowarm.knowledge.vectors.source import Coverage
-from knowarm.knowledge.vectors.word_forms import all_forms, word_forms
-from knowarm.knowledge.vectors.words import WordLookup, WordVectors
+from knowarm.knowledge.vectors.source import Coverage, SentencePart
+from knowarm.knowledge.vectors.words import (
+    WordLookup,
+    WordVectors,
+    all_forms,
+    read_word_vectors,
+    word_forms,
+)
 
 LINES = [
     "the 1 0 0",
@@ -32,7 +35,7 @@ def vectors(tmp_path):
 
 def find(source, label):
     coverage = Coverage()
-    return source.find(Part(label, label, False), coverage), coverage
+    return source.find(SentencePart(label, label, False), coverage), coverage
 
 
 def test_the_text_format(vectors, tmp_path):
@@ -65,7 +68,7 @@ def test_the_text_format(vectors, tmp_path):
         ("a 1.5 2.5\nb 1.5 2.5\nc 1.5 2.5 3.5\n", "line 3: has 3 numbers, the lines before 2"),
         ("a 1 2\nb 1 nan\n", "line 2: the vector of 'b' contains a non-finite value"),
         ("a 1 2\nb inf 2\n", "line 2: the vector of 'b' contains a non-finite value"),
-        ("a 1 2\nb 1 two\n", "line 2: 'two' in the vector of 'b' is no number"),
+        ("a 1 2\nb 1 two\n", "line 2: the vector of 'b' contains a non-finite value or text"),
         ("hello\nworld\n", "line 1: expected a word and its numbers"),
     ],
 )
@@ -91,7 +94,7 @@ def test_other_files(tmp_path):
         read_word_vectors(huge)
     broken = tmp_path / "v.zip"
     broken.write_bytes(b"PK not a zip")
-    with pytest.raises(UserError, match="cannot be read or decompressed"):
+    with pytest.raises(UserError, match="is damaged or of another format"):
         read_word_vectors(broken)
 
 

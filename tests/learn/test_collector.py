@@ -1,27 +1,25 @@
-"""Rollouts: contents, continuation, and the two ways to value final observations."""
+"""Rollouts: contents, continuation, and the values of final observations."""
 
 import numpy as np
 import pytest
 import torch
 
 from knowarm.errors import UserError
-from knowarm.learn.collector import Collector, DeferredFinalValues
+from knowarm.learn.collector import Collector
+from knowarm.learn.parallel.shared_tensors import zeros
 from knowarm.learn.rollout import Rollout, rollout_specs
-from knowarm.learn.shared_tensors import zeros
 from tests.learn.toys import informed_toy_policy, toy_env, toy_policy
 
 COUNT, STEPS = 8, 12
 
 
-def collect(rollouts, *, deferred, recall, length):
+def collect(rollouts, *, recall, length, **options):
     """Collect some rollouts with an untrained policy; return collector and copies of them."""
     policy, env = (
         toy_policy(features=16),
         toy_env(COUNT, recall=recall, length=length, staggered=True),
     )
-    env.max_episode_steps = length
-    final_values = DeferredFinalValues(policy, env) if deferred else None
-    collector = Collector(env, policy, seed=3, final_values=final_values)
+    collector = Collector(env, policy, seed=3, **options)
     rollout = Rollout(**zeros(rollout_specs(STEPS, COUNT, policy)))
     collected = []
     for _ in range(rollouts):
@@ -30,25 +28,18 @@ def collect(rollouts, *, deferred, recall, length):
     return collector, collected
 
 
-@pytest.mark.parametrize("recall", [False, True])
-@pytest.mark.parametrize("length", [5, 12, 20])
-def test_final_observations_have_the_same_values_now_and_later(recall, length):
-    (_, now), (_, later) = (
-        collect(3, deferred=deferred, recall=recall, length=length) for deferred in (False, True)
-    )
-    for one, other in zip(now, later, strict=True):
-        for name, tensor in one.items():
-            # Values of final observations are computed in other batches, which round differently.
-            tolerance = 1e-6 if name == "final_value" else 0.0
-            torch.testing.assert_close(tensor, other[name], rtol=0, atol=tolerance)
-
-
-@pytest.mark.parametrize("deferred", [False, True])
-def test_every_truncated_step_and_no_other_has_a_final_value(deferred):
-    _, rollouts = collect(2, deferred=deferred, recall=False, length=5)
+def test_every_truncated_step_and_no_other_has_a_final_value():
+    _, rollouts = collect(2, recall=False, length=5)
     for rollout in rollouts:
         assert torch.equal(rollout["final_value"] != 0, rollout["truncated"])
         assert rollout["truncated"].sum() > COUNT
+
+
+def test_final_observations_have_no_value_where_none_is_wanted():
+    _, rollouts = collect(2, recall=False, length=5, final_values=False)
+    for rollout in rollouts:
+        assert rollout["truncated"].any()
+        assert not rollout["final_value"].any()
 
 
 def test_a_rollout_holds_what_the_policy_computed():
@@ -67,9 +58,9 @@ def test_a_rollout_holds_what_the_policy_computed():
 
 
 def test_a_restored_collector_continues_identically():
-    first, _ = collect(2, deferred=False, recall=False, length=5)
+    first, _ = collect(2, recall=False, length=5)
     first.statistics.take()
-    second, _ = collect(0, deferred=False, recall=False, length=5)
+    second, _ = collect(0, recall=False, length=5)
     second.set_state({name: np.array(value) for name, value in first.get_state().items()})
     rollouts = [Rollout(**zeros(rollout_specs(STEPS, COUNT, first.policy))) for _ in range(2)]
     for collector, rollout in zip((first, second), rollouts, strict=True):
@@ -82,7 +73,7 @@ def test_a_restored_collector_continues_identically():
 
 def test_a_facet_without_knowledge_is_rejected():
     env = toy_env(COUNT, recall=False, length=5)
-    env.env.facet_ids[3] = 2
+    env.env.knowledge_input[3] = 2
     policy = informed_toy_policy(np.ones((2, 4), np.float32))
     with pytest.raises(UserError, match="2 rows and the environment has facet 2"):
         Collector(env, policy, seed=0)
@@ -99,7 +90,7 @@ class Recorder:
 
     def reset(self, *, seed=None, options=None):
         result = self.env.reset(seed=seed, options=options)
-        self._shown = result[0], self.env.facet_ids.clone()
+        self._shown = result[0], self.env.knowledge_input.clone()
         return result
 
     def step(self, actions):
@@ -107,22 +98,19 @@ class Recorder:
         result = self.env.step(actions)
         final = result[4].get("final_obs", torch.zeros_like(image)).clone()
         self.steps.append((image, facet, actions.clone(), *result[1:4], final))
-        self._shown = result[0].clone(), self.env.facet_ids.clone()
+        self._shown = result[0].clone(), self.env.knowledge_input.clone()
         return result
 
 
-@pytest.mark.parametrize("deferred", [False, True])
 @pytest.mark.parametrize("recall", [False, True])
 @torch.no_grad()
-def test_a_rollout_pairs_each_image_with_its_facet_state_and_final_value(deferred, recall):
+def test_a_rollout_pairs_each_image_with_its_facet_state_and_final_value(recall):
     """The same rollout, written as plain loops over what the environments returned."""
     table = np.random.default_rng(0).standard_normal((4, 6)).astype(np.float32)
     policy = informed_toy_policy(table)
     env = toy_env(COUNT, recall=recall, length=5, staggered=True, facets=4)
-    env.max_episode_steps = 5
     recorder = Recorder(env)
-    final_values = DeferredFinalValues(policy, env) if deferred else None
-    collector = Collector(recorder, policy, seed=3, final_values=final_values)
+    collector = Collector(recorder, policy, seed=3)
     rollout = Rollout(**zeros(rollout_specs(STEPS, COUNT, policy)))
     state, start = policy.initial_state(COUNT), torch.ones(COUNT, dtype=torch.bool)
     expected_value = None

@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from knowarm.errors import UserError
 from knowarm.learn import NumpyToTorch, PPOTrainer
-from knowarm.learn.config import PPOConfig
+from knowarm.learn.algorithms import PPOConfig
 from tests.learn.toys import JOINTS, LEVELS, SIDE, toy_env, toy_policy
 
 
@@ -41,7 +41,7 @@ def test_an_ordinary_gymnasium_vector_environment_is_adapted():
     env = NumpyToTorch(vector())
     image, _ = env.reset(seed=0)
     assert (image.dtype, image.shape) == (torch.uint8, (8, SIDE, SIDE, 3))
-    assert env.facet_ids.tolist() == [0] * 8
+    assert env.knowledge_input.tolist() == [0] * 8
     for step in (1, 2, 3):
         image, reward, terminated, truncated, infos = env.step(torch.zeros(8, JOINTS, dtype=int))
         assert reward.tolist() == [1.0] * 8

@@ -1,25 +1,22 @@
-import pytest
 import torch
 
 from knowarm.learn.episode_statistics import EpisodeStatistics
-from tests.devices import DEVICES
 
 
-def statistics_and_add(device):
+def statistics_and_add():
     """Create statistics of two environments, and a function that adds a step to them."""
-    statistics = EpisodeStatistics(2, torch.device(device))
+    statistics = EpisodeStatistics(2, torch.device("cpu"))
 
     def add(reward, done=(False, False), success=(False, False)):
         kinds = (torch.float64, torch.bool, torch.bool)
         values = zip((reward, done, success), kinds, strict=True)
-        statistics.add(*(torch.tensor(value, dtype=kind, device=device) for value, kind in values))
+        statistics.add(*(torch.tensor(value, dtype=kind) for value, kind in values))
 
     return statistics, add
 
 
-@pytest.mark.parametrize("device", DEVICES)
-def test_returns_and_lengths_of_whole_episodes(device):
-    statistics, add = statistics_and_add(device)
+def test_returns_and_lengths_of_whole_episodes():
+    statistics, add = statistics_and_add()
     add([1.0, 2.0])
     add([1.0, 5.0], done=[False, True], success=[True, True])
     add([1.0, 4.0], done=[True, False])
@@ -33,12 +30,11 @@ def test_returns_and_lengths_of_whole_episodes(device):
     assert statistics.take().summary() == {"episodes": 0}
 
 
-@pytest.mark.parametrize("device", DEVICES)
-def test_running_sums_survive_a_stop(device):
-    first, add = statistics_and_add(device)
+def test_running_sums_survive_a_stop():
+    first, add = statistics_and_add()
     add([1.0, 2.0])
     first.take()
-    second, add = statistics_and_add(device)
+    second, add = statistics_and_add()
     second.set_state(first.get_state())
     add([1.0, 2.0], done=[True, True])
     assert second.take().episode_return.tolist() == [2.0, 4.0]

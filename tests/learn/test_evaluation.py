@@ -2,12 +2,10 @@
 
 import numpy as np
 import pytest
-import torch
 
-from knowarm.cores import available_cores
-from knowarm.learn import CheckpointStore, PPOConfig, PPOTrainer
+from knowarm.learn import CheckpointStore, PPOConfig, PPOTrainer, read_checkpoint
 from knowarm.learn.evaluation import MAX_PENDING, BackgroundEvaluations, InlineEvaluations
-from knowarm.learn.flat_parameters import flatten_parameters
+from knowarm.learn.parallel.flat_parameters import flatten_parameters
 from tests.learn.toys import toy_env, toy_policy
 
 CONFIG = PPOConfig(
@@ -39,14 +37,6 @@ def make_fail():
     return fail
 
 
-def count_threads(policy):
-    return {"torch": torch.get_num_threads(), "cores": available_cores()}
-
-
-def make_count_threads():
-    return count_threads
-
-
 def make_compare_policies():
     """Return an evaluation that tells how many policies, and sets of parameters, it was given."""
     policies, values = [], []
@@ -68,20 +58,8 @@ def take_all(evaluations):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("threads", [None, 1, 3])
-def test_the_evaluator_uses_the_given_threads(threads):
-    spec = toy_policy().spec()
-    evaluations = BackgroundEvaluations(spec, make_count_threads, threads=threads)
-    evaluations.submit(0, flatten_parameters(toy_policy()))
-    (completed,) = take_all(evaluations)
-    evaluations.close()
-    expected = available_cores() if threads is None else min(threads, available_cores())
-    assert completed.results == {"torch": threads or 1, "cores": expected}
-
-
-@pytest.mark.slow
 def test_the_evaluator_reuses_one_policy():
-    evaluations = BackgroundEvaluations(toy_policy().spec(), make_compare_policies)
+    evaluations = BackgroundEvaluations(toy_policy(), make_compare_policies)
     for step in range(3):
         evaluations.submit(step, flatten_parameters(toy_policy(seed=step)))
     completed = take_all(evaluations)
@@ -94,8 +72,8 @@ def test_the_evaluator_reuses_one_policy():
 def test_background_evaluations_equal_inline_ones():
     results = []
     for evaluations in (
-        InlineEvaluations(toy_policy().spec(), squared_norm),
-        BackgroundEvaluations(toy_policy().spec(), make_squared_norm),
+        InlineEvaluations(toy_policy(), squared_norm),
+        BackgroundEvaluations(toy_policy(), make_squared_norm),
     ):
         for step in range(MAX_PENDING + 3):
             evaluations.submit(step, flatten_parameters(toy_policy(seed=step)))
@@ -122,7 +100,9 @@ def test_training_with_background_evaluations_keeps_the_same_best_policy(tmp_pat
             CONFIG, toy_policy(), env, seed=3, evaluate_every=96, checkpoints=store, **options
         )
         trainer.train(96 * 4)
-        best.append((trainer.best.step, store.load_best().facts["return_mean"]))
+        best.append(
+            (trainer.best.step, read_checkpoint(store.folder / "best").facts["return_mean"])
+        )
     assert best[0] == pytest.approx(best[1])
 
 
@@ -135,9 +115,9 @@ def test_training_with_background_evaluations_keeps_the_same_best_policy(tmp_pat
     ],
 )
 def test_an_evaluator_that_always_fails_stops_training(make, message):
-    evaluations = BackgroundEvaluations(toy_policy().spec(), make)
+    evaluations = BackgroundEvaluations(toy_policy(), make)
     evaluations.submit(0, flatten_parameters(toy_policy()))
     with pytest.raises(RuntimeError, match=message):
         take_all(evaluations)
-    assert evaluations.restarts == 2
+    assert evaluations.process.restarts == 2
     evaluations.close()

@@ -6,12 +6,11 @@ import torch
 from safetensors.torch import load_file
 
 from knowarm.errors import UserError
-from knowarm.learn.checkpoint import CheckpointStore
-from knowarm.learn.config import PPOConfig
+from knowarm.learn.algorithms import PPOConfig
+from knowarm.learn.checkpoint import CheckpointStore, read_checkpoint
 from knowarm.learn.guards import NotFiniteError
 from knowarm.learn.ppo import PPOTrainer
 from tests.learn.toys import (
-    ToyEnv,
     informed_toy_policy,
     recorder,
     success_rate,
@@ -110,7 +109,7 @@ def test_the_best_policy_is_kept(tmp_path):
         (1280, False),
         (1920, False),
     ]
-    best = CheckpointStore(tmp_path, {"policy": "small"}).load_best()
+    best = read_checkpoint(tmp_path / "best")
     assert best.facts["step"] == 640
 
 
@@ -175,7 +174,7 @@ def test_invalid_configs_are_rejected():
 
 def test_a_table_with_too_few_rows_is_rejected():
     env = toy_env(32, recall=True, length=7)
-    env.env.facet_ids = env.facet_ids.numpy() + 2
+    env.env.knowledge_input = env.knowledge_input.numpy() + 2
     policy = informed_toy_policy(np.zeros((1, 4), np.float32))
     with pytest.raises(UserError, match="1 rows and the environment has facet 2"):
         PPOTrainer(SMALL, policy, env, seed=0)
@@ -190,31 +189,21 @@ def test_an_environment_of_another_size_or_device_is_rejected():
         PPOTrainer(config, toy_policy(), env, seed=0)
 
 
-def test_a_full_gpu_memory_is_reported_with_the_remedy():
-    class Full(ToyEnv):
-        def step(self, actions):
-            raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB.")
-
-    trainer, _ = build(None)
-    trainer._collector.env.env.__class__ = Full
-    with pytest.raises(
-        UserError, match=r"memory was full at step 0 with 32 environments.*2\.00 GiB"
-    ):
-        trainer.train(320)
-
-
-def test_a_gradient_that_is_not_finite_stays_out_of_the_parameters_on_a_gpu():
+def test_a_gradient_that_is_not_finite_stays_out_of_the_parameters(monkeypatch):
     trainer, policy = build(None)
     trainer.train(320)
-    trainer._device = torch.device("meta")  # takes the path of a GPU, without synchronization
     before = {name: tensor.clone() for name, tensor in policy.state_dict().items()}
-    loss = trainer._learner.compute_gradient(torch.arange(4))
-    trainer._learner.gradient[3] = float("nan")
-    norm = trainer._gradient_step(loss)
-    assert all(torch.isfinite(tensor).all() for tensor in policy.state_dict().values())
-    assert any(not torch.equal(t, before[n]) for n, t in policy.state_dict().items())
-    with pytest.raises(NotFiniteError, match="the gradient's norm"):
-        trainer._guard.check_updates([loss], [norm], 96, trainer._learner.rollout)
+    compute = trainer._learner.compute_gradient
+
+    def poisoned(env_ids):
+        loss = compute(env_ids)
+        trainer._learner.gradient[3] = float("nan")
+        return loss
+
+    monkeypatch.setattr(trainer._learner, "compute_gradient", poisoned)
+    with pytest.raises(NotFiniteError, match=r"the gradient of encoder\.conv1\.weight"):
+        trainer._learn()
+    assert all(torch.equal(t, before[n]) for n, t in policy.state_dict().items())
 
 
 def test_a_constructor_changes_no_setting_of_the_process(monkeypatch):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from knowarm.learn.config import PPOConfig
+from knowarm.learn.algorithms import PPOConfig
 from knowarm.learn.ppo import PPOTrainer
 from tests.learn.toys import informed_toy_policy, recorder, toy_env
 

@@ -8,9 +8,9 @@ import torch
 
 from knowarm.errors import UserError
 from knowarm.learn import PPOConfig, PPOTrainer
-from knowarm.learn.data_parallel import make_learner
 from knowarm.learn.minibatch import TrainingNetwork
 from knowarm.learn.optimizer import MUON_PARAMETERS, PolicyOptimizer
+from knowarm.learn.parallel.data_parallel import make_learner
 from knowarm.learn.privileged import (
     AUXILIARY_QUANTITIES,
     RunningNormalizer,
@@ -19,8 +19,8 @@ from knowarm.learn.privileged import (
 )
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.world.config import EnvConfig
+from knowarm.world.envs.torch_env import TorchReachVectorEnv
 from knowarm.world.tasks.privileged import privileged_columns
-from knowarm.world.torch_env import TorchReachVectorEnv
 from tests.learn.toys import fill_with_noise, informed_toy_policy, toy_env, toy_policy
 
 CPU = torch.device("cpu")
@@ -128,11 +128,11 @@ def test_progress_is_the_decrease_of_distance_and_angle():
 
 def test_thresholds_shrink_to_the_tasks_while_training_succeeds():
     trainer = build(threshold_factor=1.05, threshold_success=0.5)
-    curriculum, task = trainer._curriculum, trainer._collector.env.task
+    curriculum, env = trainer._curriculum, trainer._collector.env
     factors = []
     for success in (0.4, 0.6, 0.7, 0.9, 1.0):
         curriculum.update(success)
-        factors.append(task.threshold_factor)
+        factors.append(env.threshold_factor)
     assert factors == pytest.approx([1.05, 1.03, 1.01, 1.0, 1.0])
 
 

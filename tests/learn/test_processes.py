@@ -1,49 +1,20 @@
-import contextlib
 import logging
 import multiprocessing
 import os
 import signal
-import subprocess
-import sys
-import time
 
 import psutil
 import pytest
 import torch
 
-from knowarm.learn import processes
+from knowarm.learn.algorithms import PPOConfig
 from knowarm.learn.checkpoint import CheckpointStore
-from knowarm.learn.config import PPOConfig
-from knowarm.learn.data_parallel import make_learner
 from knowarm.learn.minibatch import TrainingNetwork
-from knowarm.learn.processes import ChildProcess, prepare_child_process, process_context
+from knowarm.learn.parallel.data_parallel import make_learner
+from knowarm.learn.parallel.processes import ChildProcess, process_context
 from tests.learn.a3c.test_stop import UPDATE, build
 from tests.learn.test_data_parallel import noisy_learner
 from tests.learn.toys import toy_policy
-
-FOLDERS = """
-from knowarm.learn.processes import _temporary_folder
-
-print(_temporary_folder())
-"""
-
-
-def test_the_folders_of_killed_processes_are_removed(tmp_path):
-    unused = next(pid for pid in range(2**22 - 1, 0, -1) if not psutil.pid_exists(pid))
-    killed, used = tmp_path / f"knowarm-{unused}-abc", tmp_path / f"knowarm-{os.getpid()}-abc"
-    others = tmp_path / "knowarm-notes"
-    for folder in (killed, used, others):
-        folder.mkdir()
-        (folder / "socket").touch()
-    done = subprocess.run(
-        [sys.executable, "-c", FOLDERS],
-        env={**os.environ, "TMPDIR": str(tmp_path), "PYTHONPATH": os.pathsep.join(sys.path)},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert done.stdout.startswith(str(tmp_path))
-    assert sorted(tmp_path.iterdir()) == sorted([used, others])  # its own is gone as well
 
 
 def test_fewer_processes_than_asked_for_are_said(caplog):
@@ -54,47 +25,34 @@ def test_fewer_processes_than_asked_for_are_said(caplog):
 
 
 def send_one(connection):
-    with contextlib.suppress(BrokenPipeError):  # of a start that was given up
-        connection.send(1)
-
-
-@pytest.mark.skipif(
-    "forkserver" not in multiprocessing.get_all_start_methods(), reason="no fork server here"
-)
-@pytest.mark.parametrize("kills", [1, 2])
-def test_a_fork_server_killed_while_it_starts_a_process_is_replaced(kills, monkeypatch, caplog):
-    from multiprocessing import forkserver
-
-    read, killed = forkserver.read_signed, []
-
-    def kill_and_read(sentinel):
-        if len(killed) < kills:
-            server = psutil.Process(forkserver._forkserver._forkserver_pid)
-            killed.append(server.pid)
-            server.kill()
-            while server.status() != psutil.STATUS_ZOMBIE:
-                time.sleep(0.01)
-            raise EOFError("unexpected EOF")
-        return read(sentinel)
-
-    monkeypatch.setattr(forkserver, "read_signed", kill_and_read)
-    monkeypatch.setattr(processes, "START_ATTEMPTS", 2)
-    context = process_context()
-    if kills == 2:
-        with pytest.raises(EOFError):
-            ChildProcess.start(context, "helper", send_one)
-    else:
-        child = ChildProcess.start(context, "helper", send_one)
-        assert child.connection.recv() == 1
-        child.stop()
-        assert "The fork server ended while starting the helper" in caplog.text
-    assert len(set(killed)) == kills
+    connection.send(1)
 
 
 def answer(connection):
-    prepare_child_process()
     connection.send("ready")
     connection.send(connection.recv())
+
+
+def test_a_process_is_started_although_the_fork_server_ended_meanwhile(monkeypatch):
+    context = process_context()
+    start, attempts = context.Process.start, []
+
+    def start_second_time(process):
+        attempts.append(process)
+        if len(attempts) == 1:
+            raise EOFError("unexpected EOF")
+        start(process)
+
+    monkeypatch.setattr(context.Process, "start", start_second_time)
+    child = ChildProcess.start(context, "helper", send_one)
+    assert child.connection.recv() == 1
+    child.stop()
+    assert len(attempts) == 2
+    monkeypatch.setattr(
+        context.Process, "start", lambda process: start_second_time(attempts.clear())
+    )
+    with pytest.raises(EOFError):
+        ChildProcess.start(context, "helper", send_one)
 
 
 @pytest.mark.skipif(

@@ -8,7 +8,7 @@ import pytest
 from knowarm.learn import CheckpointStore, Hooks, PPOConfig, PPOTrainer
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.world.config import EnvConfig
-from knowarm.world.torch_env import TorchReachVectorEnv
+from knowarm.world.envs.torch_env import TorchReachVectorEnv
 
 CONFIG = PPOConfig(num_envs=4, rollout_steps=6, minibatches=2, processes=1)
 FAST = replace(

@@ -8,9 +8,12 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from knowarm.learn.sb3_vec_env import SB3VecEnv
 from knowarm.world.config import EnvConfig
-from knowarm.world.knowledge_observation import KnowledgeObservation, VectorKnowledgeObservation
-from knowarm.world.single_env import ReachEnv
-from knowarm.world.vector_env import ReachVectorEnv
+from knowarm.world.envs.knowledge_observation import (
+    KnowledgeObservation,
+    VectorKnowledgeObservation,
+)
+from knowarm.world.envs.single_env import ReachEnv
+from knowarm.world.envs.vector_env import ReachVectorEnv
 
 TABLE = np.random.default_rng(0).standard_normal((3, 5)).astype(np.float32)
 SHORT = {"dynamics": "kinematic", "max_episode_steps": 6}
@@ -21,19 +24,19 @@ def vectorized(n=4):
     return SB3VecEnv(VectorKnowledgeObservation(env, TABLE), seed=7)
 
 
-def test_episodes_ends_are_told_as_stable_baselines_wants_them():
+def test_ends_of_episodes_are_marked_as_stable_baselines_wants_them():
     env, plain = vectorized(), ReachVectorEnv(EnvConfig(**SHORT), 4)
     observation = env.reset()
     expected, _ = plain.reset(seed=7)
     np.testing.assert_array_equal(observation["image"], expected)
-    np.testing.assert_array_equal(observation["knowledge"], TABLE[plain.facet_ids])
+    np.testing.assert_array_equal(observation["knowledge"], TABLE[plain.knowledge_input])
     still = np.zeros((4, 6), np.int64)
     for _ in range(5):
         _, _, done, infos = env.step(still)
         before, *_ = plain.step(still)
         assert not done.any()
         assert infos == [{}] * 4
-    facets = plain.facet_ids
+    facets = plain.knowledge_input
     _, rewards, done, infos = env.step(still)
     _, _, _, _, plain_infos = plain.step(still)
     assert done.all()

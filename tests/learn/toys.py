@@ -30,7 +30,7 @@ class ToyEnv:
     def __init__(self, num_envs, *, recall, length, staggered=False, facets=1):
         self.num_envs, self.recall, self.length = num_envs, recall, length
         self.staggered, self.facets = staggered, facets
-        self.facet_ids = np.zeros(num_envs, np.int64)
+        self.knowledge_input = np.zeros(num_envs, np.int64)
 
     def reset(self, *, seed=None, options=None):
         self._seed = seed
@@ -65,13 +65,13 @@ class ToyEnv:
             "cue": self._cue.copy(),
             "draws": np.array(self._draws),
             "seed": np.array(self._seed),
-            "facets": np.array(self.facet_ids),
+            "facets": np.array(self.knowledge_input),
         }
 
     def set_state(self, state):
         self._clock, self._cue = state["clock"].copy(), state["cue"].copy()
         self._draws, self._seed = np.array(state["draws"]), int(state["seed"])
-        self.facet_ids = state["facets"].copy()
+        self.knowledge_input = state["facets"].copy()
 
     def close(self):
         pass
@@ -85,7 +85,7 @@ class ToyEnv:
         if self.facets > 1:
             random = np.random.default_rng((self._seed, int(self._draws), 1))
             drawn = random.integers(0, self.facets, self.num_envs)
-            self.facet_ids = np.where(where, drawn, self.facet_ids)
+            self.knowledge_input = np.where(where, drawn, self.knowledge_input)
 
     def _look(self, final=False):
         image = np.zeros((self.num_envs, SIDE, SIDE, 3), np.uint8)

@@ -24,14 +24,14 @@ def test_onnx_runtime_takes_the_same_actions(tmp_path, fusion):
     with torch.no_grad():
         expected, values, _ = policy.unroll(
             torch.from_numpy(image),
-            torch.from_numpy(Still.facet_ids).expand(T, B),
+            torch.from_numpy(Still.knowledge_input).expand(T, B),
             policy.initial_state(B),
             torch.tensor([[True] * B] + [[False] * B] * (T - 1)),
         )
     for t in range(T):
         given = {
             "image": image[t],
-            "knowledge": TABLE[Still.facet_ids],
+            "knowledge": TABLE[Still.knowledge_input],
             "h": h,
             "c": c,
             "episode_start": np.full(B, t == 0),

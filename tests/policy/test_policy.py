@@ -242,14 +242,6 @@ def test_the_capacity_control_has_the_same_encoder_and_as_many_parameters(joints
     assert Policy(control.resolved_config, shape).parameter_counts() == others
 
 
-def test_a_capacity_control_of_earlier_versions_is_built_from_its_stored_sizes():
-    """It had an LSTM of 278 and 202 visual features, which run folders store."""
-    stored = PolicyConfig(fusion="none", hidden=278, features=202)
-    policy = Policy(stored, PolicyShape(joints=6, knowledge_dim=150))
-    assert policy.parameter_counts()["total"] == 794_167
-    assert policy.resolved_config == stored
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -270,7 +262,7 @@ class Still:
     """Stands in for a vector environment: three running episodes of facets 0, 1, 1."""
 
     num_envs = B
-    facet_ids = np.array([0, 1, 1])
+    knowledge_input = np.array([0, 1, 1])
 
 
 def test_the_agent_remembers_until_the_next_start_and_reads_its_facets_row():
@@ -338,18 +330,3 @@ def test_the_activation_after_the_fully_connected_layer(activation):
     gain = 2.0 if activation == "relu" else 1.0
     product = policy.fc.weight @ policy.fc.weight.T
     torch.testing.assert_close(product, gain * torch.eye(16), rtol=0, atol=1e-5)
-
-
-def test_the_first_convolution_over_blocks_is_the_one_over_patches(monkeypatch):
-    """On a GPU four patches are multiplied at once."""
-    torch.manual_seed(0)
-    encoder = ImageEncoder(24, pixel_shift=0.5, pixel_scale=4.0)
-    patches = encoder.patches(torch.randint(256, (3, 24, 24, 3), dtype=torch.uint8))
-    results = []
-    for blocks in (False, True):
-        monkeypatch.setattr(encoder, "_multiplies_blocks", lambda given, answer=blocks: answer)
-        features = encoder(patches)
-        parameters = list(encoder.parameters())
-        results.append([features, *torch.autograd.grad(features.square().sum(), parameters)])
-    for one, other in zip(*results, strict=True):
-        torch.testing.assert_close(one, other, rtol=1e-4, atol=1e-4 * float(other.abs().max()))

@@ -11,18 +11,20 @@ import torch
 
 from knowarm.config import to_dict
 from knowarm.experiment.agents import AGENTS
-from knowarm.experiment.evaluate import summarize
+from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.evaluation_files import (
-    CHOICE_COLUMNS,
     EPISODE_COLUMNS,
+    TASK_COLUMNS,
     step_columns,
     write_film,
     write_table,
 )
 from knowarm.experiment.run_folder import RunFolder
+from knowarm.experiment.summary import summarize
 from knowarm.knowledge import KnowledgeConfig, SceneEmbedding, query_embedding, scene_embedding
+from knowarm.knowledge.queries.queries import parse_query
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
-from knowarm.report.study import Study
+from knowarm.report.model import StudyData
 from knowarm.world.agents import BLIND_AGENTS
 from knowarm.world.robots import ROBOTS
 
@@ -38,7 +40,8 @@ FACETS = {
     ],
 }
 QUERIES = {"usedFor drinking": "mug", "hasPart handle": "bottle", "hasColor brown": "cereal_box"}
-"""Queries of the choice task, and the object that each means."""
+ASKED = [parse_query(text) for text in QUERIES]
+"""Queries of the choose task, and the object that each means."""
 JOINTS = {"irb120": 6, "tiago": 7}
 LABEL = "post-training-greedy"
 
@@ -85,9 +88,10 @@ def env_of(robot: str = "irb120", colours: str = "fixed") -> dict[str, Any]:
 
 
 def choice_env(*, marked: bool = False) -> dict[str, Any]:
-    """The choice task, as ``config.json`` has it."""
+    """The choose task, as ``config.json`` has it."""
     queries = {"kind": "graph", "graph": "objects", "split": "train"}
-    return env_of() | {"choice": {"objects": 4, "queries": queries, "marked": marked}}
+    task = {"kind": "choose", "objects": 4, "queries": queries, "marked": marked}
+    return env_of() | {"task": task}
 
 
 def write_study(
@@ -123,7 +127,7 @@ def write_study(
     return paths
 
 
-def redraw(study: Study, truth: Truth, *, seed: int, size: Size) -> Study:
+def redraw(study: StudyData, truth: Truth, *, seed: int, size: Size) -> StudyData:
     """Return a study of one task with other successes, as ``write_study`` draws them.
 
     It takes no files, of which many studies would leave too many.
@@ -173,14 +177,15 @@ def write_run(
     folder.write_json(
         "config.json",
         {
-            "format": 3,
+            "format": 1,
             "name": path.parent.name,
             "agent": agent,
+            "algorithm_name": algorithm,
             "seed": seed,
             "env": env,
             "knowledge": to_dict(known),
             "policy": {"fusion": "before_lstm", "wide": policy_of(agent).wide},
-            "algorithm": {"name": algorithm, "learning_rate": 1e-3},
+            "algorithm": to_dict(ALGORITHMS[algorithm].config),
             "total_steps": size.total_steps,
         }
         | ({"role": role} if role else {}),
@@ -192,7 +197,7 @@ def write_run(
         provenance[part] = provenance[part] | values
     folder.write_json("provenance.json", provenance)
     if size.tables:
-        table = embedding.table(list(QUERIES) if known.scope == "query" else facets)
+        table = embedding.table(ASKED if known.scope == "query" else facets)
         folder.write_knowledge(table[:, :0] if policy_of(agent).wide else table)
     write_evaluation(path / "evaluation" / LABEL, agent, success, env, generator, size)
     return path
@@ -201,7 +206,7 @@ def write_run(
 @lru_cache
 def _embedding(agent: str, colours: str) -> SceneEmbedding:
     if knowledge_of(agent).scope == "query":
-        return query_embedding(knowledge_of(agent), list(QUERIES))
+        return query_embedding(knowledge_of(agent), ASKED)
     return scene_embedding(knowledge_of(agent), FACETS[colours])
 
 
@@ -286,7 +291,7 @@ def write_evaluation(
         "wide_angle_deg": 20.0,
         "actions": "greedy",
     } | size.evaluation
-    known = {"format": 2, "agent": agent, "label": folder.name, "config": config, "env": env}
+    known = {"format": 1, "agent": agent, "label": folder.name, "config": config, "env": env}
     if not size.tables:
         share = generator.binomial(size.episodes, success) / size.episodes
         flat = {"success": share, "accuracy": share, "return_mean": 140 * share - 40}
@@ -316,7 +321,7 @@ def write_choice(
     old: float = 0.5,
     size: Size = Size(),
 ) -> None:
-    """Write one evaluation folder of the choice task.
+    """Write one evaluation folder of the choose task.
 
     Args:
         folder: the folder.
@@ -332,8 +337,8 @@ def write_choice(
     count, env = size.episodes, choice_env()
     config = {"episodes": count, "seed": 1_000_003, "seeds": 1, "split": split}
     config |= {"distance_m": 0.05, "angle_deg": 15.0, "wide_angle_deg": 20.0, "actions": "greedy"}
-    known = {"format": 2, "agent": agent, "label": folder.name, "config": config, "env": env}
-    known |= {"choice_chance": 1 / env["choice"]["objects"]}
+    known = {"format": 1, "agent": agent, "label": folder.name, "config": config, "env": env}
+    known |= {"choice_chance": 1 / env["task"]["objects"]}
     if not size.tables:
         share = generator.binomial(count, choice) / count
         flat = {"success": share * reach, "accuracy": share * reach, "return_mean": 140 * share}
@@ -353,7 +358,7 @@ def write_choice(
     }
     if split == "S5":
         columns["chose_old_answer"] = ~correct & (generator.random(count) < old)
-    further = {name: each for name, each in CHOICE_COLUMNS.items() if name in columns}
+    further = {name: each for name, each in TASK_COLUMNS.items() if name in columns}
     write_table(folder / "episodes.parquet", columns, EPISODE_COLUMNS | further)
     for number in range(size.films):
         write_film(folder / "films" / f"{number}.webp", _images(int(columns["length"][number])))

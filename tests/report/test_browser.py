@@ -180,7 +180,7 @@ def test_sixty_runs_make_a_page_of_bounded_size(open_page, tmp_path):
     assert len(runs) == 60
     out = write_report(runs, tmp_path / "report.html")
     # Seconds depend on who else uses the machine: what makes a page slow is its size, and that
-    # nothing but drawing happens before it has loaded. docs/evidence.md has the time measured.
+    # nothing but drawing happens before it has loaded.
     assert out.stat().st_size < 6_000_000
     page = open_page(out)
     page.wait_for_function("() => performance.timing.loadEventEnd > 0")

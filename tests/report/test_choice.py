@@ -9,13 +9,14 @@ import pytest
 
 from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.evaluate import evaluate
-from knowarm.experiment.run import train
 from knowarm.report import write_report
 from knowarm.report.blocks import Films, flat
-from knowarm.report.choice import Finding, asked_splits, choice_findings, choice_summary, query_type
-from knowarm.report.collect import collect
+from knowarm.report.collect import collect, split_groups
+from knowarm.report.model import StudyData
 from knowarm.report.pages import behaviour, build_pages
-from knowarm.report.study import Study
+from knowarm.report.read import query_type
+from knowarm.report.verdicts.claims import Finding
+from knowarm.report.verdicts.query import query_findings, query_summary
 from tests.report.synthetic_study import Size, choice_env, write_choice, write_run
 
 LIGHT = Size(points=8, episodes=400, tables=False)
@@ -31,14 +32,14 @@ def study_of(
     size: Size = LIGHT,
     reach: float = 0.8,
     old: float = 0.5,
-) -> Study:
+) -> StudyData:
     """Collect a study in which each agent chooses rightly with a probability per split."""
     generator = np.random.default_rng(0)
     paths = []
     for agent, splits in choices.items():
         for seed in range(seeds):
             path = folder / f"irb120-choose-{agent}-fast" / str(seed)
-            env = choice_env(marked=agent in AGENTS and AGENTS[agent].marked)
+            env = choice_env(marked=agent == "mask")
             write_run(path, agent, seed, 0.5, env=env, generator=generator, size=size)
             shutil.rmtree(path / "evaluation")  # of a task that does not ask
             for split, choice in splits.items():
@@ -53,8 +54,8 @@ def on(split: str, choices: dict[str, float]) -> dict[str, dict[str, float]]:
     return {agent: {split: choice} for agent, choice in choices.items()}
 
 
-def only(study: Study) -> Finding:
-    (finding,) = choice_findings(study)
+def only(study: StudyData) -> Finding:
+    (finding,) = query_findings(study)
     return finding
 
 
@@ -71,13 +72,13 @@ def test_a_query_is_understood_if_every_control_is_beaten(tmp_path):
     assert verdict.tone == "good"
     assert named(verdict.sentence) == set(EVERY)
     assert "S2 (pairs of condition and object that training never asked)" in verdict.sentence
-    assert len(verdict.reasons) == len(CONTROLS) + 1
+    assert len(verdict.reasons) == 1 + len(CONTROLS) + 1
 
 
 def test_a_code_that_is_as_good_refutes_the_meaning(tmp_path):
     finding = only(study_of(tmp_path, on("S1", EVERY | {"query-onehot": 0.9})))
     assert finding.kind == "not above the best control"
-    assert finding.controls[0].name == "query-onehot"
+    assert finding.claims[0].against == "query-onehot"
     words = finding.verdict().sentence
     assert "not significantly more often than query-onehot" in words
     assert "better than query-random, subgraph-shuffled" in words
@@ -114,12 +115,12 @@ def test_unseen_objects_fail_beside_splits_that_are_understood(tmp_path):
         agent: {"S1": choice, "S3": 0.2 if agent == "subgraph" else 0.25}
         for agent, choice in EVERY.items()
     }
-    findings = choice_findings(study_of(tmp_path, choices))
-    assert [(f.subject.split, f.kind) for f in findings] == [
+    findings = query_findings(study_of(tmp_path, choices))
+    assert [(f.outcome, f.kind) for f in findings] == [
         ("S1", "understood"),
         ("S3", "not above chance"),
     ]
-    (summary,) = choice_summary(findings)
+    (summary,) = query_summary(findings)
     assert summary.sentence.endswith("subgraph: understood on S1; not above chance on S3.")
 
 
@@ -133,7 +134,7 @@ def test_controls_are_those_of_the_registry(tmp_path):
     """A shuffled graph is no control of an agent that does not read the graph."""
     choices = {"bm": 0.25, "query-words": 0.6, "subgraph-shuffled": 0.9, "query-onehot": 0.3}
     finding = only(study_of(tmp_path, on("S4", choices)))
-    assert {each.name for each in finding.controls} == {"bm", "query-onehot"}
+    assert {claim.against for claim in finding.claims if claim.second} == {"bm", "query-onehot"}
     assert finding.kind == "understood"
 
 
@@ -145,14 +146,14 @@ def test_noise_is_hardly_ever_understood(tmp_path):
             agent: {split: 0.5 + generator.normal(0, 0.02) for split in ("S1", "S2", "S3")}
             for agent in ("bm", "query-onehot", "subgraph")
         }
-        findings = choice_findings(study_of(tmp_path / str(number), choices))
+        findings = query_findings(study_of(tmp_path / str(number), choices))
         loud += any(each.kind == "understood" for each in findings)
     assert loud <= 1
 
 
 def test_numbers_are_corrected_for_chance(tmp_path):
     study = study_of(tmp_path, on("S1", {"bm": 0.25, "subgraph": 0.95}), reach=0.9)
-    bm, told = asked_splits(study.tasks[0])["S1"]
+    bm, told = split_groups(study.tasks[0])["S1"]
     assert told.level("choice_corrected").estimate == pytest.approx(
         (told.level("choice").estimate - 0.25) / 0.75
     )
@@ -163,19 +164,19 @@ def test_numbers_are_corrected_for_chance(tmp_path):
 
 def test_the_rate_of_switching_counts_the_new_among_both_answers(tmp_path):
     study = study_of(tmp_path, on("S5", {"subgraph": 0.6}), seeds=1, old=1.0)
-    (asked,) = asked_splits(study.tasks[0])["S5"]
+    (asked,) = split_groups(study.tasks[0])["S5"]
     assert asked.level("switched").estimate == pytest.approx(asked.level("choice").estimate)
     never = study_of(tmp_path / "never", on("S5", {"subgraph": 0.6}), seeds=1, old=0.0)
-    (asked,) = asked_splits(never.tasks[0])["S5"]
+    (asked,) = split_groups(never.tasks[0])["S5"]
     assert asked.level("switched").estimate == 1
 
 
 def test_the_upper_bound_is_shown_in_the_same_task(tmp_path):
     study = study_of(tmp_path, on("S1", EVERY | {"mask": 0.99}))
     (task,) = study.tasks
-    assert "mask" in {each.name for each in asked_splits(task)["S1"]}
+    assert "mask" in {each.name for each in split_groups(task)["S1"]}
     assert [group.name for group in task.subjects] == ["subgraph"]
-    assert "choice of 4" in task.title
+    assert "choose among 4" in task.title
     assert only(study).kind == "understood"
 
 
@@ -218,20 +219,12 @@ def test_a_study_that_asks_nothing_has_no_such_page(tmp_path):
     assert "query" not in {page.name for page in build_pages(collect([tmp_path]))}
 
 
-def test_a_real_run_is_reported(tmp_path):
-    run = train(
-        "irb120-choose-query-words-fast",
-        tmp_path / "runs",
-        total_steps=400,
-        grounding={"images": 64, "rounds": 1},
-        env={"dynamics": "kinematic", "choice": {"queries": {"pairs": "none"}}},
-        algorithm={"num_envs": 8, "rollout_steps": 25, "minibatches": 2, "processes": 1},
-        interim={"every_steps": 200, "episodes": 4},
-    )
+def test_a_real_run_is_reported(choose_run, copy_of, tmp_path):
+    run = copy_of(choose_run).path
     for split in ("S1", "S5"):
         config = {"episodes": 8, "blind_episodes": 0, "record_films": 2}
-        evaluate(run.folder.path, split=split, **config).write()
-    page = write_report([tmp_path / "runs"], tmp_path / "report.html")
+        evaluate(run, split=split, **config)
+    page = write_report([run], tmp_path / "report.html")
     written = page.read_text()
     assert "Was the query understood?" in written
     assert "asked for “" in written

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from knowarm.errors import UserError
+from knowarm.experiment.evaluation_files import EPISODE_COLUMNS, read_table, write_table
 from knowarm.report import write_report
 from knowarm.report.collect import collect
+from knowarm.report.read import read_evaluation
 from tests.report.synthetic_study import (
     LABEL,
     Size,
@@ -23,7 +25,7 @@ from tests.report.synthetic_study import (
 )
 
 LIGHT = Size(points=8, tables=False)
-DAMAGED = '{"format": 3, "agent": "full", "seed": 0, "env": {}, "algorithm": "ppo"}'
+DAMAGED = '{"format": 1, "agent": "full", "seed": 0, "env": {}, "algorithm": "ppo"}'
 TRUTH = Truth(success={"bm": 0.5, "full": 0.6})
 
 
@@ -53,6 +55,13 @@ def test_runs_are_sorted_into_tasks_and_agents(tmp_path):
     assert [(g.name, len(g.runs)) for g in found.tasks[0].groups] == [("bm", 2), ("full", 2)]
 
 
+def test_the_algorithm_is_that_of_the_config_whatever_the_name(tmp_path):
+    path = write_run(tmp_path / "kitchen" / "0", "full", 0, 0.5, size=LIGHT)
+    for given, shown in (("fast", "fast"), ("a3c", "ppo"), ("", "ppo")):  # its trainer is PPO
+        edit(path / "config.json", algorithm_name=given)
+        assert collect([path]).tasks[0].title.endswith(f"· {shown}")
+
+
 def test_a_folder_of_runs_is_searched_and_counts_once(tmp_path):
     study(tmp_path)
     assert len(collect([tmp_path, tmp_path / "runs"]).runs) == 4
@@ -70,7 +79,8 @@ def test_tasks_of_one_name_are_told_apart_by_what_differs(tmp_path):
 
 def test_algorithms_of_one_trainer_are_told_apart(tmp_path):
     for algorithm in ("ppo", "fast", "a3c-tuned"):
-        write_run(tmp_path / f"irb120-full-{algorithm}" / "0", "full", 0, 0.5, size=LIGHT)
+        path = tmp_path / f"kitchen-{algorithm[0]}" / "0"  # the name says nothing
+        write_run(path, "full", 0, 0.5, size=LIGHT, algorithm=algorithm)
     found = collect([tmp_path])
     assert [task.title.split(" · ")[-1] for task in found.tasks] == ["a3c-tuned", "fast", "ppo"]
     assert not found.problems
@@ -282,3 +292,70 @@ def test_held_out_colours_are_shown_beside_and_never_instead(tmp_path):
     rows = tables["elsewhere-irb120-fixed-colours-ppo"]["rows"]
     assert [(row["agent"], row["seeds"]) for row in rows] == [("bm", 3), ("full", 3)]
     assert rows[0]["difference_low"] < rows[0]["difference"] < rows[0]["difference_high"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"seed": "0"}, "damaged: seed is '0'"),
+        ({"env": {"robot": ["irb120"]}}, "damaged: env.robot is"),
+        ({"total_steps": float("nan")}, "damaged: total_steps is 'nan'"),
+        ({"knowledge": []}, "damaged: knowledge is '[]'"),
+        ({"agent": None}, "config.json lacks agent"),
+    ],
+)
+def test_a_damaged_value_of_a_config_is_named_and_the_run_left_out(tmp_path, changes, reason):
+    paths = study(tmp_path)
+    edit(paths[0] / "config.json", **changes)
+    found = collect(paths)
+    assert len(found.runs) == 3
+    assert f"{reason}" in named(found, paths[0])
+    assert "left out" in named(found, paths[0])
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"success": float("inf")}, "success is 'inf'"),
+        ({"accuracy": None}, "lacks accuracy"),
+        ({"per_target": {"mug": {"success": "x"}}}, "per_target.mug.success is 'x'"),
+        ({"choice_chance": 1}, "missing 'choice'"),
+    ],
+)
+def test_a_damaged_value_of_a_summary_is_named(tmp_path, changes, reason):
+    paths = study(tmp_path)
+    folder = paths[0] / "evaluation" / LABEL
+    edit(folder / "summary.json", **changes)
+    found = collect(paths)
+    assert reason in named(found, folder)
+    assert len(found.runs) == 4
+
+
+@pytest.mark.parametrize("cell", ["inf", "1e308", "-1"])
+def test_a_step_that_is_none_is_a_damaged_row(tmp_path, cell):
+    paths = study(tmp_path)
+    path = paths[0] / "evaluations.csv"
+    lines = path.read_text().splitlines()
+    lines[2] = ",".join([cell, *lines[2].split(",")[1:]])
+    path.write_text("\n".join(lines) + "\n")
+    assert "1 damaged rows" in named(collect(paths), path)
+
+
+def test_a_table_without_a_column_is_refused(tmp_path):
+    paths = write_study(tmp_path / "runs", TRUTH, seeds=1, size=Size(points=5, episodes=9))
+    folder = paths[0] / "evaluation" / LABEL
+    columns = read_table(folder / "episodes.parquet")
+    kept = {name: each for name, each in EPISODE_COLUMNS.items() if name != "facet"}
+    write_table(folder / "episodes.parquet", columns, kept)
+    with pytest.raises(UserError, match="lacks values of facet"):
+        read_evaluation(folder).episodes()
+
+
+def test_a_column_without_any_number_is_left_out(tmp_path):
+    paths = study(tmp_path)
+    for path in paths:
+        rows = [line.split(",") for line in (path / "evaluations.csv").read_text().splitlines()]
+        rows = [rows[0], *([*row[:2], "", *row[3:]] for row in rows[1:])]
+        (path / "evaluations.csv").write_text("".join(",".join(row) + "\n" for row in rows))
+    assert "return_mean" not in collect(paths).runs[0].interim
+    assert write_report(paths, tmp_path / "report.html").exists()

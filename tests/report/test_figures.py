@@ -5,7 +5,16 @@ import numpy as np
 import pytest
 
 from knowarm.report import format
-from knowarm.report.charts import Axis, Scale, Series, fit, histograms, line_chart
+from knowarm.report.charts import (
+    POINTS_AXIS,
+    SUCCESS_AXIS,
+    Axis,
+    Scale,
+    Series,
+    fit,
+    histograms,
+    line_chart,
+)
 from knowarm.report.diagrams import (
     Dot,
     confusion_map,
@@ -15,9 +24,10 @@ from knowarm.report.diagrams import (
     stacked_bars,
 )
 from knowarm.report.format import palette, slugs
+from knowarm.report.model import RunData
 from knowarm.report.pages.inputs import _vector
-from knowarm.report.study import Run
 from knowarm.statistics import Interval
+from knowarm.svg import text_width
 
 XS = np.array([0.0, 1.0, 2.0, 3.0])
 
@@ -33,6 +43,34 @@ XS = np.array([0.0, 1.0, 2.0, 3.0])
 )
 def test_ticks_are_round_and_inside(low, high, ticks):
     assert Scale(low, high, 0, 100).ticks(4) == pytest.approx(ticks)
+
+
+@pytest.mark.parametrize(
+    ("axis", "ticks", "labels"),
+    [
+        (Axis(title="x", decimals=1), [-0.75, -0.5, 0], ["−0.75", "−0.50", "0.00"]),
+        (Axis(title="x", decimals=1), [1.5, 2.0], ["1.5", "2.0"]),
+        (SUCCESS_AXIS, [0, 0.25], ["0\u202f%", "25\u202f%"]),
+        (POINTS_AXIS, [-0.025, 0.05], ["−2.5", "+5.0"]),
+    ],
+)
+def test_tick_labels_are_not_rounded_to_other_values(axis, ticks, labels):
+    assert axis.labels(ticks) == labels
+
+
+def test_the_last_tick_label_fits_the_drawing():
+    line = Series(name="a", colour="c-blue", x=np.array([0, 1.0]), y=np.array([0, 1.0]))
+    root = ElementTree.fromstring(line_chart([line], "name", SUCCESS_AXIS, SUCCESS_AXIS))
+    last = max(float(t.get("x")) for t in root.iter("text") if t.text == "100\u202f%")
+    assert last + text_width("100 %", 11) / 2 <= float(root.get("width"))
+
+
+def test_stairs_hold_each_value_until_the_next():
+    line = Series(name="a", colour="c-blue", x=XS, y=XS, stairs=True)
+    markup = line_chart([line], "name", Axis(title="x"), Axis(title="y"))
+    points = re.search(r'<path d="M([^"]*)" class="line"', markup)[1].split("L")
+    assert len(points) == 7
+    assert points[0].split()[1] == points[1].split()[1]
 
 
 def test_a_scale_holds_what_it_was_fitted_to():
@@ -83,7 +121,7 @@ def test_long_names_of_rows_fit():
 
 def test_of_many_slots_the_first_are_shown(tmp_path):
     matrix = np.arange(60.0).reshape(30, 2)
-    run = Run(tmp_path, *[{}] * 5)
+    run = RunData(tmp_path, *[{}] * 5)
     figure = _vector("subgraph", "subgraph", run, {"slots": ["one"]}, matrix)
     assert "30 slots of 2" in figure.caption
     assert "shown are the first 24" in figure.caption

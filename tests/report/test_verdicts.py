@@ -1,19 +1,22 @@
 """Verdicts on studies whose truth is known."""
 
+import json
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from knowarm.report.blocks import Verdict
-from knowarm.report.claims import claims, scores
+from knowarm.report.blocks import Tiles, Verdict
 from knowarm.report.collect import collect
-from knowarm.report.pages import inputs
-from knowarm.report.study import Study
-from knowarm.report.verdict import finding, findings
-from knowarm.statistics import holm, welch
-from tests.report.synthetic_study import Size, Truth, redraw, write_study
+from knowarm.report.model import StudyData, TaskData
+from knowarm.report.pages import build_pages, inputs
+from knowarm.report.pages.paper import paper_blocks
+from knowarm.report.verdicts.claims import claims, scores
+from knowarm.report.verdicts.knowledge import finding, findings
+from knowarm.report.verdicts.learning import learning_verdict, vision_verdict
+from knowarm.statistics import holm, share_difference, welch, wilson
+from tests.report.synthetic_study import LABEL, Size, Truth, redraw, write_run, write_study
 
 LIGHT = Size(points=12, tables=False)
 
@@ -30,9 +33,9 @@ def found(
     return decide(collect(write_study(folder, truth, seeds=seeds, seed=seed, size=LIGHT)))
 
 
-def decide(study: Study) -> dict[str, Verdict]:
+def decide(study: StudyData) -> dict[str, Verdict]:
     decided = claims(study)
-    return {name: finding(study.tasks[0], decided, name) for name in ("success", "speed")}
+    return {name: finding(study.tasks[0], decided, name).verdict() for name in ("success", "speed")}
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -87,7 +90,7 @@ def test_a_verdict_names_the_control_that_is_missing(tmp_path, agents, kind):
 def decided(folder: Path, success: dict[str, float], **truth) -> list[Verdict]:
     """Findings on success of every subject of one study of six seeds."""
     study = collect(write_study(folder, Truth(success=success, **truth), seeds=6, size=LIGHT))
-    return findings(study.tasks[0], claims(study))
+    return [each.verdict() for each in findings(study.tasks[0], claims(study))]
 
 
 def words(found: Verdict) -> set[str]:
@@ -164,7 +167,7 @@ def test_all_controls_of_a_privileged_agent_have_to_be_beaten(tmp_path):
         ("random", {"knowledge": {"norm": 9.0}}, "norm 9 instead of"),
         ("random", {"knowledge": {"dim": None}}, "knowledge width unknown"),
         ("random", {"parameter_counts": {"total": 900_000}}, "parameters 900,000 instead of"),
-        # 202 visual features: the capacity control of earlier versions
+        # 202 visual features
         ("wide", {"parameter_counts": {"image": 246_186}}, "parameters of the image encoder"),
     ],
 )
@@ -304,8 +307,8 @@ def test_curves_are_compared_as_far_as_every_agent_has_a_run(tmp_path):
     assert scores(task, full, "speed")[0] <= short.interim["success"].max()
 
 
-def test_the_inputs_page_says_who_is_told_the_query(monkeypatch):
-    """Its controls are the content controls that are told a query as well."""
+def test_the_inputs_page_says_which_agents_receive_the_query(monkeypatch):
+    """Its controls are the content controls that receive a query as well."""
     known = {"bm": {}, "asked": {"constant": False}, "codes": {"constant": False}}
     roles = {"bm": "baseline", "asked": "knowledge", "codes": "content_control"}
     groups = [
@@ -319,5 +322,77 @@ def test_the_inputs_page_says_who_is_told_the_query(monkeypatch):
     verdict = inputs._kind_of_input(SimpleNamespace(groups=groups, title="Choose"))
     assert verdict.sentence == "Choose: the knowledge vector describes the query of the episode."
     assert verdict.reasons == [
-        "asked, codes: the vector describes what the episode asks for. Compare with codes."
+        "asked, codes: the vector describes the query of the episode. Compare with codes."
     ]
+
+
+def evaluated(
+    folder: Path, success: dict[str, list[float]], untrained: float, blind: float | None = None
+) -> TaskData:
+    """Collect a task whose evaluations have just these numbers, of 100 episodes each."""
+
+    def numbers(share: float) -> dict:
+        ends = wilson(round(share * 100), 100)
+        found = {"success": share, "success_low": ends.low, "success_high": ends.high}
+        if blind is not None:
+            gap = share_difference(ends, wilson(round(blind * 100), 100))
+            found |= {"needs_eyes": share - blind}
+            found |= {"needs_eyes_low": gap.low, "needs_eyes_high": gap.high}
+        return found
+
+    for agent, shares in success.items():
+        for seed, share in enumerate(shares):
+            path = write_run(folder / agent / str(seed), agent, seed, share, size=LIGHT)
+            summary = path / "evaluation" / LABEL / "summary.json"
+            values = json.loads(summary.read_text())
+            summary.write_text(json.dumps(values | numbers(share)))
+            other = path / "evaluation" / f"{LABEL}-untrained"
+            other.mkdir()
+            values |= numbers(untrained) | {"return_mean": -90.0}
+            (other / "summary.json").write_text(json.dumps(values))
+    (task,) = collect([folder]).tasks
+    return task
+
+
+@pytest.mark.parametrize(
+    ("success", "untrained", "blind", "said"),
+    [
+        (0.9, 0.0, 0.2, "training succeeded: bm and full succeeded clearly more often than"),
+        (0.01, 0.0, None, "training did not succeed"),
+        (0.3, 0.0, 0.33, "training did not succeed"),
+        (0.9, 0.88, None, "training did not succeed"),
+    ],
+)
+def test_training_succeeded_only_with_clearly_more_success(
+    tmp_path, success, untrained, blind, said
+):
+    task = evaluated(tmp_path, {"bm": [success] * 2, "full": [success] * 2}, untrained, blind)
+    verdict = learning_verdict(task)
+    assert said in verdict.sentence
+    assert ("without vision" in verdict.sentence) == (blind is not None)
+
+
+def test_success_below_that_without_vision_is_not_called_a_part_of_it(tmp_path):
+    task = evaluated(tmp_path, {"bm": [0.0, 0.01], "full": [0.9, 0.95]}, 0.0, 0.3)
+    verdict = vision_verdict(task)
+    assert "the success of full depends on vision; for bm this is not shown." in verdict.sentence
+    assert "bm: success 0.5\u202f%; the better of a fixed list" in verdict.reasons[0]
+    assert "difference \u221229.5 points" in verdict.reasons[0]
+
+
+def test_equal_seeds_have_no_interval(tmp_path):
+    task = evaluated(tmp_path, {"bm": [0.5] * 3, "full": [0.9] * 3}, 0.0, 0.2)
+    study = StudyData((task,))
+    pages = build_pages(study)
+    tiles = next(block for block in pages[0].blocks if isinstance(block, Tiles))
+    assert "no interval" in tiles.tiles[0].detail
+    claim = next(claim for claim in claims(study) if claim.outcome == "success")
+    assert "full against bm: +40.0 points (no interval" in claim.sentence()
+    assert "no interval" in vision_verdict(task).reasons[0]
+
+
+@pytest.mark.parametrize("success", [0.0, 0.9])
+def test_learning_time_is_saved_only_by_agents_that_learned(tmp_path, success):
+    task = evaluated(tmp_path, {"bm": [0.9] * 2, "full": [success] * 2}, 0.0)
+    rows = paper_blocks(StudyData((task,)))[0].table.rows
+    assert (rows[1]["agent"], rows[1]["saved"] is not None) == ("full", success > 0.5)

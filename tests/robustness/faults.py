@@ -11,9 +11,10 @@ import numpy as np
 import torch
 
 from knowarm.errors import UserError
+from knowarm.experiment.csv_log import CsvLog
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.run import train
-from knowarm.experiment.run_folder import CsvLog, RunFolder
+from knowarm.experiment.run_folder import RunFolder
 from knowarm.learn.checkpoint import Checkpoint, CheckpointStore, read_checkpoint
 from knowarm.report import write_report
 from tests.robustness.storms import STEPS, storm_config
@@ -78,7 +79,7 @@ def inject_file_errors(tries: int, seed: int) -> tuple[int, list[str]]:
             write_report([run.path], folder / "report" / "report.html")
 
         def evaluated(number: int) -> None:
-            evaluate(run.path, episodes=2, blind_episodes=0, label="faults").write()
+            evaluate(run.path, episodes=2, blind_episodes=0, label="faults")
 
         def training(number: int) -> None:
             train(

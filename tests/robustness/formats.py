@@ -19,42 +19,36 @@ import numpy as np
 
 from knowarm.cli.train import parse_train
 from knowarm.errors import UserError
-from knowarm.experiment.build import load_agent
+from knowarm.experiment.csv_log import CsvLog
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.evaluation_files import read_film, read_table
-from knowarm.experiment.migration import migrate_checkpoints
-from knowarm.experiment.perceived import FILE
-from knowarm.experiment.perception import PerceptionConfig, read_perception, write_perception
-from knowarm.experiment.perception_training import train_perception
+from knowarm.experiment.load import load_agent
 from knowarm.experiment.registry import experiment_config
 from knowarm.experiment.run import train
-from knowarm.experiment.run_folder import CsvLog, RunFolder
+from knowarm.experiment.run_folder import RunFolder
+from knowarm.experiment.run_module import FILE
 from knowarm.knowledge import household, read_graph
 from knowarm.knowledge.formats import write_graph
-from knowarm.knowledge.formats.openke import write_openke
+from knowarm.knowledge.graph.sparql import EXAMPLE, sparql
 from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.kge.split import all_triples, split_graph
 from knowarm.knowledge.kge.store import save_model
 from knowarm.knowledge.kge.train import train as train_embedding
-from knowarm.knowledge.sparql import EXAMPLE, sparql
-from knowarm.knowledge.vectors.glove import read_word_vectors
 from knowarm.knowledge.vectors.graph_embedding import stored_lookup
+from knowarm.knowledge.vectors.words import read_word_vectors
 from knowarm.learn.checkpoint import read_checkpoint
+from knowarm.perception.classifier import FacetClassifier
+from knowarm.perception.config import PerceptionConfig
+from knowarm.perception.training import train_classifier
 from knowarm.report import write_report
 from knowarm.report.collect import collect
-from knowarm.world.attach import read_mjcf
-from knowarm.world.description_file import read_robot, read_target
 from knowarm.world.objects import TARGETS
 from knowarm.world.robots import ROBOTS
-from tests.experiment.test_run import short
+from knowarm.world.robots.description_file import read_robot, read_target
+from knowarm.world.scene.attach import read_mjcf
+from tests.knowledge.helpers import write_openke
 from tests.robustness.mutator import mutate
-
-SHORT_PERCEIVED = {
-    "total_steps": 8,
-    "algorithm": {"num_envs": 4, "rollout_steps": 2, "minibatches": 1, "processes": 1},
-    "interim": {"every_steps": 8, "episodes": 1},
-}
-"""The shortest training of an agent that perceives."""
+from tests.tiny import TINY, short
 
 STALL_S = 60
 """Time after which reading one file counts as a failure; only where the system has timers [s]."""
@@ -255,7 +249,7 @@ def _run(folder: Path) -> list[Format]:
     config = short(total_steps=40, checkpoint_every_steps=20)
     run = train(config, folder, policy={"features": 8}).folder
     values = {"episodes": 2, "record_films": 1, "blind_episodes": 0}
-    evaluated = evaluate(run.path, **values, label="two").write()
+    evaluated = evaluate(run.path, **values, label="two").folder
 
     def reported(path: Path) -> None:
         write_report([run.path], folder / "report.html")
@@ -270,7 +264,6 @@ def _run(folder: Path) -> list[Format]:
         load_agent(run.path, which="latest")
 
     def checkpoint(path: Path) -> None:
-        migrate_checkpoints(run.checkpoints, config.env.robot)
         read_checkpoint(path.parent)
 
     latest = run.checkpoints / "latest"
@@ -300,10 +293,10 @@ def _perception(folder: Path) -> list[Format]:
     config = experiment_config("irb120-target-perceived-fast", env={"image_size": 20})
     path = folder / "module.safetensors"
     training = PerceptionConfig(images=8, epochs=1, test_images=2)
-    write_perception(train_perception(config.env, training), path)
-    run = train(config, folder, perception=path, **SHORT_PERCEIVED).folder
+    train_classifier(config.env, training).write(path)
+    run = train(config, folder, perception=path, **TINY).folder
     return [
-        Format("perception module", path, read_perception),
+        Format("perception module", path, FacetClassifier.read),
         Format("perception.safetensors of a run", run.path / FILE, lambda _: load_agent(run.path)),
     ]
 

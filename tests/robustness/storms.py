@@ -1,16 +1,13 @@
-"""Campaigns against running programs: kill -9, stopped child processes, random steps."""
+"""Campaigns against running programs: kill -9 and random steps."""
 
 import dataclasses
 import hashlib
-import itertools
 import multiprocessing
 import os
-import signal
 import subprocess
 import sys
 import tempfile
 import time
-from functools import partial
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
@@ -19,20 +16,17 @@ import psutil
 import torch
 
 from knowarm.experiment.config import InterimConfig
+from knowarm.experiment.csv_log import read_csv
 from knowarm.experiment.registry import experiment_config
 from knowarm.experiment.run import train
-from knowarm.experiment.run_folder import RunFolder, read_csv
+from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.run_lock import lock_folder
-from knowarm.learn import Hooks
-from knowarm.learn.a3c import A3CTrainer
 from knowarm.learn.checkpoint import read_checkpoint
 from knowarm.report import write_report
 from knowarm.world.config import EnvConfig
-from knowarm.world.vector_env import ReachVectorEnv
-from tests.experiment.test_run import short
-from tests.learn.a3c.test_trainer import FAST, Make, make_play
-from tests.learn.test_data_parallel import noisy_learner
-from tests.learn.toys import toy_policy
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from tests.learn.a3c.test_trainer import FAST
+from tests.tiny import short
 
 GONE_S = 120
 """Time that child processes of a killed trainer have to disappear [s]."""
@@ -173,7 +167,7 @@ import sys
 from knowarm.experiment.evaluate import evaluate
 
 while True:
-    evaluate(sys.argv[1], episodes=2, record_films=1, blind_episodes=0, label="storm").write()
+    evaluate(sys.argv[1], episodes=2, record_films=1, blind_episodes=0, label="storm")
     print("written", flush=True)
 """
 
@@ -199,41 +193,6 @@ def kill_evaluations(kills: int, seed: int) -> tuple[int, list[str]]:
             except Exception as error:
                 failures.append(f"evaluation {number}: {type(error).__name__}: {error}")
     return kills, failures
-
-
-def stop_children(tries: int, seed: int) -> tuple[int, list[str]]:
-    """Stop worker, evaluator and helper processes (SIGSTOP); training must go on."""
-    random, failures = np.random.default_rng(seed), []
-    learner, env_ids = noisy_learner(2), torch.arange(16)
-    with learner.running():
-        expected = learner.compute_gradient(env_ids).vector()
-        for number in range(tries // 2):
-            os.kill(learner._workers[0].process.pid, signal.SIGSTOP)
-            if not torch.equal(learner.compute_gradient(env_ids).vector(), expected):
-                failures.append(f"helper {number}: another gradient")
-    stopped: list[int] = []
-    rows = itertools.count()
-
-    def stop_one(row: dict) -> None:
-        if next(rows) % 3 == 0:
-            children = [*trainer._pool.workers, trainer._evaluations._child]
-            child = children[int(random.integers(len(children)))]
-            os.kill(child.process.pid, signal.SIGSTOP)
-            stopped.append(child.process.pid)
-
-    trainer = A3CTrainer(
-        FAST,
-        toy_policy(features=8),
-        Make(False, 5),
-        seed=0,
-        make_evaluate=partial(make_play, False, 5),
-        evaluate_every=2000,
-        hooks=Hooks(on_metrics=stop_one, should_stop=lambda: len(stopped) >= tries - tries // 2),
-    )
-    trainer.train(10**9)
-    if trainer.restarts or trainer._evaluations.restarts:
-        failures.append("a stopped process was restarted instead of continued")
-    return tries // 2 + len(stopped), failures
 
 
 def random_steps(robot: str, steps: int, seed: int) -> tuple[int, list[str]]:

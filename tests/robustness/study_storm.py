@@ -11,7 +11,7 @@ from pathlib import Path
 
 import psutil
 
-from knowarm.experiment.run_folder import read_csv
+from knowarm.experiment.csv_log import read_csv
 from knowarm.study.driver import open_study
 from knowarm.study.status import study_status
 from tests.robustness.storms import GONE_S

@@ -1,12 +1,7 @@
-"""Files and queries from others: no network, and limits on size, depth and time."""
+"""Files and queries from others: no network, and limits on size."""
 
-import bz2
-import gzip
 import http.server
 import io
-import lzma
-import subprocess
-import sys
 import threading
 import zipfile
 
@@ -14,8 +9,7 @@ import pytest
 
 from knowarm.errors import UserError
 from knowarm.knowledge import household, read_graph
-from knowarm.knowledge.sparql import sparql
-from knowarm.world.attach import read_mjcf
+from knowarm.knowledge.graph.sparql import sparql
 
 RDF = '<rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#" xmlns="http://x/">'
 
@@ -81,47 +75,14 @@ def test_a_json_ld_context_is_not_fetched(server, tmp_path):
     assert requests == []
 
 
-ENDLESS = """
-from knowarm.errors import UserError
-from knowarm.knowledge import household
-from knowarm.knowledge.sparql import sparql
-
-try:
-    sparql(household(), "SELECT (COUNT(*) AS ?n) { ?a ?b ?c . ?d ?e ?f . ?g ?h ?i . ?j ?k ?l }",
-           timeout_s=0.1)
-except UserError as error:
-    print(error)
-"""
-
-
-def test_a_query_that_takes_for_ever_ends_and_so_does_the_process():
-    done = subprocess.run([sys.executable, "-c", ENDLESS], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert "no answer after 0.1 s" in done.stdout
-
-
-def test_deeply_nested_xml_is_refused(tmp_path):
-    path = tmp_path / "a.rdf"
-    path.write_text(RDF + "<a>" * 200_000 + "</a>" * 200_000 + "</rdf:RDF>")
-    with pytest.raises(UserError, match="nested more than 200 deep"):
-        read_graph(path)
-
-
-@pytest.mark.parametrize(
-    ("entity", "message"),
-    [
-        ("".join(f'<!ENTITY e{i + 1} "{f"&e{i};" * 10}">' for i in range(12)), "refers to others"),
-        (f'<!ENTITY e12 "{"x" * 100_000}">', "longer than 1000 letters"),
-        ('<!ENTITY e12 SYSTEM "file:///etc/hostname">', "lies in another document"),
-    ],
-)
-def test_entities_of_entities_are_refused(tmp_path, entity, message):
-    path = tmp_path / "a.rdf"
+def test_entities_in_other_documents_are_not_read(tmp_path):
+    path, other = tmp_path / "a.rdf", tmp_path / "secret.txt"
+    other.write_text("secret")
     path.write_text(
-        f'<!DOCTYPE x [<!ENTITY e0 "y">{entity}]>{RDF}<rdf:Description rdf:about="http://a/">'
-        "<b>&e12;</b></rdf:Description></rdf:RDF>"
+        f'<!DOCTYPE x [<!ENTITY e SYSTEM "{other.as_uri()}">]>{RDF}'
+        '<rdf:Description rdf:about="http://a/"><b>&e;</b></rdf:Description></rdf:RDF>'
     )
-    with pytest.raises(UserError, match=message):
+    with pytest.raises(UserError, match="not well-formed"):
         read_graph(path)
 
 
@@ -134,33 +95,11 @@ def test_entities_for_namespaces_are_read(tmp_path):
     assert list(read_graph(path)) == [("http://n/mug", "http://x/isA", "http://n/cup")]
 
 
-@pytest.mark.parametrize("text", ['<http://a> <http://b> """' + "x" * 2**23, "# comment\n" * 2**20])
-def test_megabytes_without_a_statement_are_refused(tmp_path, text):
-    path = tmp_path / "a.ttl"
-    path.write_text(text)
-    with pytest.raises(UserError, match="4 MiB in a row hold no complete statement"):
-        read_graph(path)
-
-
 def zipped(data):
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("a.tsv", data)
     return file.getvalue()
-
-
-@pytest.mark.parametrize(
-    ("suffix", "compress"),
-    [("gz", gzip.compress), ("bz2", bz2.compress), ("xz", lzma.compress), ("zip", zipped)],
-)
-def test_files_that_decompress_to_far_more_than_their_size_are_refused(
-    tmp_path, monkeypatch, suffix, compress
-):
-    monkeypatch.setattr("knowarm.knowledge.formats.lines.MAX_SMALL", 2**20)
-    path = tmp_path / f"a.tsv.{suffix}"
-    path.write_bytes(compress(b"\n" * 2**21))
-    with pytest.raises(UserError, match="250 times its compressed size"):
-        read_graph(path)
 
 
 @pytest.mark.parametrize("method", ["encrypted", "unknown"])
@@ -174,7 +113,7 @@ def test_zip_files_that_cannot_be_decompressed(tmp_path, method):
         data[8] = data[central + 10] = 97
     path = tmp_path / "a.tsv.zip"
     path.write_bytes(data)
-    with pytest.raises(UserError, match="cannot be read or decompressed"):
+    with pytest.raises(UserError, match="is damaged or of another format"):
         read_graph(path)
 
 
@@ -183,43 +122,3 @@ def test_ids_are_ascii_digits(tmp_path):
         (tmp_path / f"{name}2id.txt").write_text(text, encoding="utf-8")
     with pytest.raises(UserError, match="expected `name<tab>id`"):
         read_graph(tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("asset", "message"),
-    [
-        ('<texture name="t" type="2d" builtin="flat" width="50000" height="50000"/>', "texture"),
-        ('<texture name="t" type="cube" builtin="flat" width="50000"/>', "texture"),
-        ('<hfield name="h" nrow="50000" ncol="50000" size="1 1 1 1"/>', "height field"),
-    ],
-)
-def test_mjcf_that_would_take_gigabytes_is_refused(tmp_path, asset, message):
-    path = tmp_path / "a.xml"
-    path.write_text(f"<mujoco><asset>{asset}</asset></mujoco>")
-    with pytest.raises(UserError, match=message):
-        read_mjcf(path, "Robot 'own'")
-
-
-@pytest.mark.parametrize("included", [False, True])
-def test_a_height_field_is_refused_before_mujoco_reserves_its_memory(
-    tmp_path, monkeypatch, included
-):
-    path, other = tmp_path / "a.xml", tmp_path / "b.xml"
-    field = "<hfield name='h'\n ncol = '50000' size='1 1 1 1' nrow='50000'/>"
-    path.write_text(f"<mujoco><asset>{field}</asset></mujoco>")
-    other.write_text('<mujoco><include file="a.xml"/></mujoco>')
-    monkeypatch.setattr("mujoco.MjSpec", None)
-    with pytest.raises(UserError, match="height field has 2,500,000,000"):
-        read_mjcf(other if included else path, "Robot 'own'")
-
-
-@pytest.mark.parametrize("included", [False, True])
-def test_mjcf_with_millions_of_copies_is_refused(tmp_path, included):
-    copies = '<body><geom size="1"/></body>'
-    for _ in range(4):
-        copies = f'<replicate count="1000" offset="1 0 0">{copies}</replicate>'
-    path, other = tmp_path / "a.xml", tmp_path / "b.xml"
-    path.write_text(f"<mujoco><worldbody>{copies}</worldbody></mujoco>")
-    other.write_text('<mujoco><include file="a.xml"/></mujoco>')
-    with pytest.raises(UserError, match="at most 10,000 copies"):
-        read_mjcf(other if included else path, "Robot 'own'")

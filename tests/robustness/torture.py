@@ -18,7 +18,6 @@ from tests.robustness.storms import (
     kill_evaluations,
     kill_storm,
     random_steps,
-    stop_children,
 )
 from tests.robustness.study_storm import kill_study
 
@@ -45,7 +44,6 @@ CAMPAIGNS: dict[str, tuple[int, Callable[[int, int], Result]]] = {
     "kill -9, study": (20, kill_study),
     "mutations of files": (20_000, mutations),
     "injected file errors": (500, inject_file_errors),
-    "stopped child processes": (40, stop_children),
     **{
         f"random steps, {robot}": (
             1_000_000,

@@ -1,3 +1,4 @@
+import dataclasses
 import json
 
 import pytest
@@ -5,9 +6,17 @@ import pytest
 from knowarm.config import from_dict, to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS, controls_of
-from knowarm.knowledge.query_splits import SPLITS
-from knowarm.study.config import SHIPPED, StudyConfig, controls, read_study, write_study
-from knowarm.study.executors import Local
+from knowarm.experiment.names import ExperimentName
+from knowarm.knowledge.queries.splits import SPLITS
+from knowarm.study.config import (
+    SHIPPED,
+    ExperimentGrid,
+    StudyConfig,
+    controls,
+    read_study,
+    write_study,
+)
+from knowarm.study.executor import Where
 from tests.study.tiny import TOML
 
 
@@ -54,6 +63,22 @@ def test_controls_match_the_agents_of_a_study():
     assert read_study("controls") == read_study("controls", of="paper")
 
 
+def test_controls_of_a_study_of_choosing_have_its_task(tmp_path):
+    control = read_study("controls", of="choose")
+    assert "irb120-choose-query-random-fast" in control.cells()
+    assert {ExperimentName.parse(cell).task for cell in control.cells()} == {"choose"}
+    assert {run.env for run in control.runs()} <= {run.env for run in read_study("choose").runs()}
+
+
+def test_a_grid_has_a_task(tmp_path):
+    grid = ExperimentGrid(
+        robots=("irb120",), agents=("bm", "subgraph"), algorithms=("fast",), task="choose"
+    )
+    assert grid.experiments() == ["irb120-choose-bm-fast", "irb120-choose-subgraph-fast"]
+    with pytest.raises(UserError, match=r"task 'chose'.*Did you mean 'choose'"):
+        dataclasses.replace(grid, task="chose").experiments()
+
+
 def test_overrides_of_some_experiments_come_last(tmp_path):
     study = read(
         tmp_path,
@@ -62,10 +87,10 @@ def test_overrides_of_some_experiments_come_last(tmp_path):
         + "fields.stop_when = {success = 0.9}\n",
     )
     steps = {run.env.robot: run.total_steps for run in study.runs()}
-    assert steps == {"irb120": 80, "tiago": 100}
+    assert steps == {"irb120": 40, "tiago": 100}
     assert study.run("tiago-bm-ppo", 1).stop_when.success == 0.9
     assert study.run("tiago-bm-ppo", 1).algorithm.num_envs == 4
-    assert study.where == Local()
+    assert study.where == Where()
 
 
 @pytest.mark.parametrize(

@@ -8,12 +8,11 @@ from knowarm.experiment.run_lock import lock_folder
 from knowarm.study import driver
 from knowarm.study.config import OverridesFor
 from knowarm.study.driver import request_stop, retry, run_study
-from knowarm.study.executors import EXECUTORS, ExecutorEntry, Local
-from knowarm.study.executors.local import LocalExecutor
-from knowarm.study.executors.ray import Ray, RayExecutor
+from knowarm.study.executor import LocalExecutor, Where
 from knowarm.study.status import FAILURE, study_status, totals
 from knowarm.study.worker import STOP
-from tests.study.tiny import OVERRIDES, Inline, InlineExecutor, tiny
+from tests.study.tiny import InlineExecutor, tiny
+from tests.tiny import STUDY
 
 
 @pytest.fixture
@@ -26,8 +25,7 @@ def executors(monkeypatch):
         return made[-1]
 
     make.dies = False
-    entry = ExecutorEntry(about="in this process", default=Inline(), make=make)
-    monkeypatch.setitem(EXECUTORS, "inline", entry)
+    monkeypatch.setattr(driver, "LocalExecutor", make)
     monkeypatch.setattr(driver, "POLL_S", 0.0)
     monkeypatch.setattr(driver, "STATUS_S", 0.0)
     made.append(make)
@@ -45,7 +43,7 @@ def test_a_study_trains_and_evaluates_every_run_once(tmp_path, executors):
     done = run_study(study, tmp_path, on_status=lambda all: seen.append([a.state for a in all]))
     assert seen[0] == ["waiting", "waiting"]
     assert [each.state for each in done] == ["done", "done"]
-    assert [each.step for each in done] == [80, 80]
+    assert [each.step for each in done] == [40, 40]
     assert totals(done, 1)["core_hours_left"] == 0
     assert totals(done, 1)["core_hours"] > 0
     before = (tmp_path / "irb120-bm-ppo" / "0" / "config.json").stat().st_mtime_ns
@@ -90,9 +88,9 @@ def test_an_error_fails_its_run_only_and_retry_resumes_it(tmp_path, executors, m
 
 def test_a_killed_worker_is_started_again_a_few_times(tmp_path, executors):
     executors[0].dies = True
-    study = tiny(seeds=(0,), where=Inline(retries=3))
+    study = tiny(seeds=(0,), where=Where(retries=3))
     assert run_study(study, tmp_path / "enough")[0].state == "done"
-    study = tiny(seeds=(0,), where=Inline(retries=2))
+    study = tiny(seeds=(0,), where=Where(retries=2))
     (status,) = run_study(study, tmp_path / "few")
     assert status.state == "failed"
     assert status.detail.startswith("its process was killed by signal 9, 3 times since step 0")
@@ -124,8 +122,8 @@ def test_other_studies_and_changed_runs_are_refused(tmp_path, executors):
     run_study(tiny(seeds=(0,)), tmp_path)
     with pytest.raises(UserError, match="holds the study 'tiny', not 'other'"):
         run_study(tiny(name="other"), tmp_path)
-    changed = tiny(overrides={**OVERRIDES, "total_steps": 100})
-    with pytest.raises(UserError, match=r"bm-ppo/0 has another config.*total_steps: 80 \| 100"):
+    changed = tiny(overrides={**STUDY, "total_steps": 100})
+    with pytest.raises(UserError, match=r"bm-ppo/0 has another config.*total_steps: 40 \| 100"):
         run_study(changed, tmp_path)
     assert len(run_study(tiny(seeds=(0, 1)), tmp_path)) == 2  # more seeds are no other study
 
@@ -161,13 +159,7 @@ def test_too_little_disk_space_is_refused(tmp_path, executors, monkeypatch):
 @pytest.mark.parametrize("needs", [{"cores": 10_000}, {"memory_gib": 1e6}, {"gpus": 100}])
 def test_a_machine_that_is_too_small_is_refused(tmp_path, needs):
     with pytest.raises(UserError, match=rf"where\.{next(iter(needs))}"):
-        LocalExecutor(Local(**needs), tmp_path)
-
-
-def test_an_address_that_does_not_answer_is_refused(tmp_path):
-    pytest.importorskip("ray")
-    with pytest.raises(UserError, match="No Ray cluster answers at localhost:1 "):
-        RayExecutor(Ray(address="localhost:1"), tmp_path)
+        LocalExecutor(Where(**needs), tmp_path)
 
 
 def test_the_reason_of_a_failure_is_in_the_run_folder(tmp_path, executors, monkeypatch):

@@ -1,47 +1,69 @@
 import pytest
 
 import knowarm.study.estimate
+from knowarm.cli.main import main
 from knowarm.errors import UserError
 from knowarm.experiment.config import EvaluationConfig
 from knowarm.study.estimate import estimate
-from knowarm.study.executors import Local
-from tests.study.tiny import OVERRIDES, tiny
+from knowarm.study.executor import Where
+from tests.study.tiny import TOML, tiny
+from tests.tiny import STUDY
 
 
-def test_the_cost_of_a_study_is_measured_and_nothing_is_written(tmp_path):
-    study = tiny(where=Local(at_once=1))
-    found = estimate(study, tmp_path / "out")
-    (row,) = found.rows
-    assert (row.experiment, row.runs, found.slots) == ("irb120-bm-ppo", 2, 1)
-    # At least two trainings of 80 steps.
-    assert found.core_hours == row.core_hours > 2 * 80 / row.steps_per_s / 3600 > 0
-    assert found.hours == found.core_hours
+@pytest.fixture
+def measured(monkeypatch):
+    """The configs that were measured; all take 100 steps/s."""
+    configs = []
+
+    def measure(config, cores):
+        configs.append(config)
+        return 100.0
+
+    monkeypatch.setattr(knowarm.study.estimate, "measure", measure)
+    return configs
+
+
+def test_training_is_measured_and_nothing_is_written(tmp_path, monkeypatch):
+    monkeypatch.setattr(knowarm.study.estimate, "SECONDS", 0.1)
+    found = estimate(tiny(where=Where(at_once=1)), tmp_path / "out")
+    assert (len(found.statuses), found.slots, found.steps) == (2, 1, 2 * 40)
+    assert found.steps_per_s > 0
     assert not (tmp_path / "out").exists()
 
 
-def test_what_blind_agents_play_and_their_search_cost_too(tmp_path, monkeypatch):
-    asked = []
-
-    def measure(config, cores, *, search):
-        asked.append(search)
-        return {"steps_per_s": 1e9, "episodes_per_s": 1.0, "search_s": 100.0, "start_s": 0.0}
-
-    monkeypatch.setattr(knowarm.study.estimate, "measure", measure)
+def test_steps_of_training_and_evaluations_are_added_up(tmp_path, measured):
     evaluations = (
         EvaluationConfig(episodes=10, blind_episodes=0),
         EvaluationConfig(label="b", episodes=10, blind_episodes=20),
     )
-    hours = []
-    for some in (evaluations[:1], evaluations):
-        found = estimate(tiny(evaluations=some, where=Local(at_once=1)), tmp_path / "out")
-        hours.append(found.core_hours * 3600)
-    assert asked == [False, True]
-    # Two runs; open-loop, blind and frozen agent play the ten episodes, too.
-    assert hours == pytest.approx([2 * 10, 2 * (10 + 4 * 10) + 100], abs=1e-3)
+    study = tiny(evaluations=evaluations, where=Where(at_once=2, cores=1))
+    found = estimate(study, tmp_path / "out")
+    assert [config.seed for config in measured] == [0, 0]  # one experiment, in both slots
+    # Open-loop, blind and frozen agents play the ten episodes, too.
+    assert found.evaluation_steps == 2 * (10 + 4 * 10) * 50
+    assert found.core_hours == pytest.approx((2 * 40 + found.evaluation_steps) / 100 / 3600)
+    assert found.hours == pytest.approx(found.core_hours / 2)
+
+
+def test_a_dry_run_lists_the_runs(tmp_path, measured, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.toml").write_text(TOML)
+    assert main(["study", "run", "mine.toml", "--dry-run", "--at-once", "1"]) == 0
+    out = capsys.readouterr().out
+    assert [word for word in out.split() if word[:1].isalnum()].count("irb120-bm-ppo") == 1
+    assert "80 steps of training" in out
+    assert "Nothing was started." in out
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.toml"]
+
+
+def test_a_finished_study_costs_nothing(finished, measured, inline):
+    study = tiny()
+    found = estimate(study, finished)
+    assert (found.statuses, found.core_hours, measured) == ([], 0, [])
 
 
 def test_an_experiment_that_cannot_be_trained_is_named(tmp_path):
-    algorithm = {**OVERRIDES["algorithm"], "device": "cuda", "processes": None}
-    study = tiny(overrides={**OVERRIDES, "algorithm": algorithm}, where=Local(at_once=1))
+    algorithm = {**STUDY["algorithm"], "device": "cuda", "processes": None}
+    study = tiny(overrides={**STUDY, "algorithm": algorithm}, where=Where(at_once=1))
     with pytest.raises(UserError, match=r"irb120-bm-ppo cannot be trained: .*cuda"):
         estimate(study, tmp_path)

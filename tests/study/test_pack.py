@@ -1,5 +1,9 @@
 import gzip
+import hashlib
+import io
+import json
 import shutil
+import tarfile
 
 import pytest
 
@@ -102,6 +106,51 @@ def test_a_damaged_pack_is_refused(finished, tmp_path, pack):
         assert not (tmp_path / name).exists()
     with pytest.raises(UserError, match="exists"):
         unpack_study(pack, finished)
+
+
+def write_pack(file, members, **manifest):
+    """Write a pack of (member, content) whose manifest fits, except where ``manifest`` differs."""
+    values = {
+        "format": 1,
+        "bytes": {member.name: len(data) for member, data in members},
+        "sha256": {member.name: hashlib.sha256(data).hexdigest() for member, data in members},
+    }
+    text = json.dumps(values | manifest).encode()
+    with tarfile.open(file, "w:gz") as archive:
+        for member, data in [(tarfile.TarInfo("manifest.json"), text), *members]:
+            member.size = len(data)
+            archive.addfile(member, io.BytesIO(data))
+
+
+def link(name: str, to: str) -> tarfile.TarInfo:
+    member = tarfile.TarInfo(name)
+    member.type, member.linkname = tarfile.SYMTYPE, to
+    return member
+
+
+@pytest.mark.parametrize(
+    ("members", "manifest", "words"),
+    [
+        ([(tarfile.TarInfo("../outside"), b"x")], {}, "outside"),
+        ([(tarfile.TarInfo("/tmp/knowarm-outside"), b"x")], {}, ""),
+        ([(link("a", "/etc/passwd"), b"")], {}, "a is no regular file"),
+        ([(tarfile.TarInfo("a"), b"x")], {"sha256": {}, "bytes": {}}, "not one of the manifest's"),
+        ([(tarfile.TarInfo("a"), b"x"), (tarfile.TarInfo("a"), b"x")], {}, "not one of"),
+        ([(tarfile.TarInfo("a"), b"xx")], {"bytes": {"a": 1}}, "a is larger than its manifest"),
+        ([(tarfile.TarInfo("a"), b"xx")], {"bytes": {"a": "1"}}, ""),
+        ([(tarfile.TarInfo("a"), b"x")], {"sha256": {"a": "0"}}, "a is missing or was changed"),
+        ([], {"sha256": {"a": "0"}, "bytes": {"a": 1}}, "a is missing or was changed"),
+        ([], {"sha256": []}, "manifest.json, or an empty one"),
+        ([(tarfile.TarInfo("a"), b"x")], {"bytes": None}, ""),
+    ],
+)
+def test_packs_of_strangers_write_only_what_their_manifest_states(
+    tmp_path, members, manifest, words
+):
+    write_pack(tmp_path / "hostile.tar.gz", members, **manifest)
+    with pytest.raises(UserError, match=f"no intact pack.*{words}"):
+        unpack_study(tmp_path / "hostile.tar.gz", tmp_path / "in" / "out")
+    assert [path.name for path in tmp_path.rglob("*")] == ["hostile.tar.gz", "in"]
 
 
 def test_what_cannot_be_packed_is_refused(finished, tmp_path):

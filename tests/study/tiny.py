@@ -2,28 +2,21 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
 
 from knowarm.experiment.config import EvaluationConfig
 from knowarm.study.config import StudyConfig
-from knowarm.study.executors import Ended, Where
+from knowarm.study.executor import Ended, Where
 from knowarm.study.worker import work
-
-OVERRIDES = {
-    "total_steps": 80,
-    "checkpoint_every_steps": 20,
-    "interim": {"every_steps": 40, "episodes": 2},
-    "algorithm": {"num_envs": 4, "rollout_steps": 5, "minibatches": 2, "processes": 1},
-}
+from tests.tiny import STUDY
 
 TOML = """
 name = "tiny"
 experiments = ["irb120-bm-ppo"]
 seeds = [0, 1]
 [overrides]
-total_steps = 80
+total_steps = 40
 checkpoint_every_steps = 20
-interim = {every_steps = 40, episodes = 2}
+interim = {every_steps = 20, episodes = 2}
 algorithm = {num_envs = 4, rollout_steps = 5, minibatches = 2, processes = 1}
 [[evaluations]]
 episodes = 2
@@ -32,16 +25,11 @@ blind_episodes = 0
 """
 
 
-@dataclass(frozen=True, kw_only=True)
-class Inline(Where):
-    kind: Literal["inline"] = "inline"
-
-
 @dataclass
 class InlineExecutor:
     """Works on one run at a time in this process; ``deaths`` are ends before any work."""
 
-    where: Inline
+    where: Where
     out: Path
     slots: int = 1
     started: list = field(default_factory=list)
@@ -73,8 +61,7 @@ def tiny(**changes) -> StudyConfig:
         "name": "tiny",
         "experiments": ("irb120-bm-ppo",),
         "seeds": (0, 1),
-        "overrides": OVERRIDES,
+        "overrides": STUDY,
         "evaluations": (EvaluationConfig(episodes=2, record_films=1, blind_episodes=0),),
-        "where": Inline(),
     }
     return StudyConfig(**{**values, **changes})

@@ -10,9 +10,8 @@ import pytest
 import torch
 
 from knowarm.world.config import EnvConfig
-from knowarm.world.torch_env import TorchReachVectorEnv
-from knowarm.world.vector_env import ReachVectorEnv
-from tests.devices import DEVICES
+from knowarm.world.envs.torch_env import TorchReachVectorEnv
+from knowarm.world.envs.vector_env import ReachVectorEnv
 
 COUNT = 6
 EPISODE_STEPS = 12
@@ -26,13 +25,11 @@ class Face:
     Attributes:
         name: its name in test ids.
         create: builds n environments of a config.
-        exact: whether poses are float64, so that all results equal those of the NumPy face.
         device: where actions have to be; None for NumPy.
     """
 
     name: str
     create: Callable[[EnvConfig, int], Any]
-    exact: bool
     device: str | None = None
 
     def make(self, count: int = COUNT, **options: Any) -> Any:
@@ -50,31 +47,15 @@ def small_config(**options: Any) -> EnvConfig:
     return EnvConfig(**defaults | options)
 
 
-def _warp(device: str) -> Callable[[EnvConfig, int], Any]:
-    return lambda config, n: TorchReachVectorEnv(config, n, device=device, simulator="warp")
+NUMPY = Face("numpy", lambda config, n: ReachVectorEnv(config, n, 1))
+TORCH = Face("torch", lambda config, n: TorchReachVectorEnv(config, n, num_threads=1), "cpu")
 
-
-NUMPY = Face("numpy", lambda config, n: ReachVectorEnv(config, n, 1), exact=True)
-TORCH = Face(
-    "torch-mujoco",
-    lambda config, n: TorchReachVectorEnv(config, n, num_threads=1),
-    exact=True,
-    device="cpu",
-)
-WARP = Face("torch-warp", _warp("cpu"), exact=False, device="cpu")
-CUDA = Face("cuda", _warp("cuda"), exact=False, device="cuda")
-
-FACES = [
-    pytest.param(NUMPY, id=NUMPY.name),
-    pytest.param(TORCH, id=TORCH.name),
-    pytest.param(WARP, id=WARP.name),
-    pytest.param(CUDA, id=CUDA.name, marks=DEVICES[1].marks),
-]
+FACES = [pytest.param(face, id=face.name) for face in (NUMPY, TORCH)]
 
 
 @cache
 def shared_env(face: Face, robot: str) -> Any:
-    """Return an environment that tests share, since Warp's take long to build; reset it first."""
+    """Return an environment that tests share; reset it first."""
     return face.make(robot=robot)
 
 
@@ -88,15 +69,8 @@ def random_actions(env: Any, generator: np.random.Generator) -> np.ndarray:
     return generator.integers(7, size=env.action_space.shape)
 
 
-def images_agree(face: Face, images: Any, expected: np.ndarray) -> bool:
-    """Compare images; in float32 an edge may fall on the other side of a sample's ray."""
-    differ = (host(images) != expected).any(axis=-1)
-    return not differ.any() if face.exact else bool(differ.mean() < 0.01)
-
-
-def check_infos(face: Face, infos: dict, expected: dict, where: np.ndarray) -> None:
+def check_infos(infos: dict, expected: dict, where: np.ndarray) -> None:
     """Assert that infos agree in the rows ``where``, (n,) bool."""
     for name in METRICS:
-        got, want = host(infos[name])[where], expected[name][where]
-        assert got == pytest.approx(want, abs=0 if face.exact else 2e-4), name
+        assert (host(infos[name])[where] == host(expected[name])[where]).all(), name
         assert (host(infos[f"_{name}"]) == expected[f"_{name}"]).all(), name

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from knowarm.world.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ReachVectorEnv
 
 MakeEnv = Callable[..., ReachVectorEnv]
 

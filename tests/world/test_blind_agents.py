@@ -8,11 +8,11 @@ import pytest
 from knowarm.world.agents import BlindAgent, FrozenAgent, OpenLoopAgent
 from knowarm.world.agents.open_loop import search_open_loop
 from knowarm.world.agents.open_loop_score import OpenLoopScore
+from knowarm.world.agents.play import play
 from knowarm.world.config import EnvConfig
-from knowarm.world.episodes import evaluation_episodes
-from knowarm.world.play import play
-from knowarm.world.robots import MAIN_ROBOTS
-from knowarm.world.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.robots import ROBOTS
+from knowarm.world.tasks.episodes import evaluation_episodes
 from tests.world.helpers import EXAMPLES
 
 SCARA = str(EXAMPLES / "scara.toml")  # with a slide
@@ -47,13 +47,13 @@ def loose(robot: str, **fields) -> EnvConfig:
 
 
 @pytest.mark.parametrize("ignore_roll", [False, True])
-@pytest.mark.parametrize("robot", [*MAIN_ROBOTS, "tiago-near", SCARA])
+@pytest.mark.parametrize("robot", [*ROBOTS, SCARA])
 def test_the_score_equals_the_kinematic_environment(robot, ignore_roll):
     targets = ("bottle",) if robot == SCARA else EnvConfig().targets
     config = loose(robot, ignore_roll=ignore_roll, targets=targets, mpi_rad=0.08)
     env = ReachVectorEnv(config, 60)
-    episodes = evaluation_episodes(env.scene, config, 60, 0)
-    score = OpenLoopScore(env.scene, config, episodes)
+    episodes = evaluation_episodes(config, 60, 0)
+    score = OpenLoopScore(config, episodes)
     actions = np.random.default_rng(1).choice([0, 1, 1, 2, 3], size=(50, env.scene.num_joints))
     result = play(ListAgent(actions), env, episodes)
     first = score.first_success(actions)
@@ -85,15 +85,15 @@ def cached(tmp_path, monkeypatch):
 
 
 def test_the_search_is_reproducible_and_beats_standing_still(cached):
-    config = EnvConfig(robot="tiago-near", success_distance_m=0.10, success_angle_deg=17.0)
+    config = EnvConfig(robot="tiago", success_distance_m=0.10, success_angle_deg=17.0)
     actions = search_open_loop(config, 600, 3)
     for file in cached():
         file.unlink()
     np.testing.assert_array_equal(actions, search_open_loop(config, 600, 3))
     assert actions.shape == (50, 7)
-    env = ReachVectorEnv(EnvConfig(robot="tiago-near", image_size=4), 100)
+    env = ReachVectorEnv(EnvConfig(robot="tiago", image_size=4), 100)
     env.config = config
-    episodes = evaluation_episodes(env.scene, config, 100, 0)
+    episodes = evaluation_episodes(config, 100, 0)
     blind = play(OpenLoopAgent(3, 600), ReachVectorEnv(config, 100), episodes).success.mean()
     still = play(ListAgent(np.zeros_like(actions)), ReachVectorEnv(config, 100), episodes)
     assert blind > 0.3 > still.success.mean()
@@ -120,7 +120,7 @@ def test_a_list_is_read_from_the_cache_where_the_task_is_the_same(cached):
 
 def test_a_blind_agent_sees_black_and_a_frozen_one_the_first_image():
     env = ReachVectorEnv(loose("irb120", max_episode_steps=3), 2)
-    episodes = evaluation_episodes(env.scene, env.config, 2, 0)
+    episodes = evaluation_episodes(env.config, 2, 0)
     blind, frozen, seeing = (ListAgent(np.ones((3, 6), dtype=np.int64)) for _ in range(3))
     for _ in range(2):  # a second start forgets the first images
         play(BlindAgent(blind), env, episodes)

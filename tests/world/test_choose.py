@@ -1,7 +1,7 @@
-"""Choice task: layouts, balance, infos, and agents that know or do not know the query."""
+"""Choose task: layouts, balance, infos, and agents that know or do not know the query."""
 
 import warnings
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -13,32 +13,39 @@ from numpy.typing import NDArray
 from stable_baselines3.common import env_checker
 
 from knowarm.errors import UserError
-from knowarm.world import choice_env_id
+from knowarm.world import env_id
+from knowarm.world.agents.ik import InverseKinematics
+from knowarm.world.agents.play import EpisodeResults, play
 from knowarm.world.agents.scripted import OracleAgent
-from knowarm.world.choice_config import ChoiceConfig, NameQueries
-from knowarm.world.choice_source import arrange
-from knowarm.world.config import EnvConfig, choice_env_config
-from knowarm.world.episodes import EpisodeSource, evaluation_episodes
-from knowarm.world.ik import InverseKinematics
-from knowarm.world.knowledge_observation import KnowledgeObservation
-from knowarm.world.layouts import support
-from knowarm.world.play import EpisodeResults, play
+from knowarm.world.config import EnvConfig
+from knowarm.world.envs.knowledge_observation import KnowledgeObservation
+from knowarm.world.envs.torch_env import TorchReachVectorEnv
+from knowarm.world.envs.vector_env import ReachVectorEnv
 from knowarm.world.render.cpu import Raycaster
-from knowarm.world.robots import MAIN_ROBOTS
-from knowarm.world.scene import scene_of, target_places
-from knowarm.world.torch_env import TorchReachVectorEnv
-from knowarm.world.vector_env import ReachVectorEnv
+from knowarm.world.robots import ROBOTS
+from knowarm.world.setting import scene_of, setting_of
+from knowarm.world.tasks.choose.choose import Choose
+from knowarm.world.tasks.choose.layouts import support
+from knowarm.world.tasks.choose.queries import NameQueries
+from knowarm.world.tasks.choose.source import Arrangements, arrange
+from knowarm.world.tasks.episodes import EpisodeSource, evaluation_episodes
 
 STREAMS = np.arange(200, dtype=np.uint64)
 NUMBERS = STREAMS % np.uint64(7)
 SECOND_TRY = 26
 """Step at which an agent that tries objects goes to the next one: half of an episode."""
 
-METRICS = ("distance", "chosen", "is_choice_correct", "query", "objects", "object_positions")
+METRICS = ("distance", "reached_object", "is_right_object", "query", "objects", "object_positions")
 
 
 def small(robot: str = "irb120", **options: Any) -> EnvConfig:
-    return choice_env_config(robot, **({"image_size": 8, "dynamics": "kinematic"} | options))
+    defaults: dict[str, Any] = {"task": Choose(), "image_size": 8, "dynamics": "kinematic"}
+    return EnvConfig(robot=robot, **(defaults | options))
+
+
+def arranged(config: EnvConfig) -> Arrangements:
+    assert isinstance(config.task, Choose)
+    return arrange(setting_of(config), config.task.queries, config.task.objects)
 
 
 class PickingAgent(OracleAgent):
@@ -46,16 +53,15 @@ class PickingAgent(OracleAgent):
 
     def start(self, env: ReachVectorEnv) -> None:
         super().start(env)
-        count = env.task.objects.shape[1]
+        count = env.running.objects.shape[1]
         self._go_to(np.random.default_rng(self._seed).integers(count, size=env.num_envs))
 
     def _go_to(self, pick: NDArray[np.int64]) -> None:
         """Move to one of the visible objects of each episode, the wanted one being 0."""
         env = self._env
-        task, rows = env.task, np.arange(env.num_envs)
-        target = task.objects[rows, pick]
-        position = np.concatenate([task.position[:, None], task.other_position], axis=1)
-        grasp = target_places(env.scene, position[rows, pick]) + task.grasp_offset[target]
+        rows = np.arange(env.num_envs)
+        target = env.running.objects[rows, pick]
+        grasp = env.running.grasp_positions()[rows, pick]
         matrix = env.scene.grasp_matrix[target].reshape(-1, 9)
         solver = InverseKinematics(env.scene, seed=self._seed)
         self._reach = solver.solve(grasp, matrix, env.joint_positions)
@@ -78,27 +84,27 @@ class TryingAgent(PickingAgent):
 
 def played(agent: OracleAgent, config: EnvConfig, count: int) -> EpisodeResults:
     env = ReachVectorEnv(config, count)
-    return play(agent, env, evaluation_episodes(env.scene, config, count, seed=1))
+    return play(agent, env, evaluation_episodes(config, count, seed=1))
 
 
-@pytest.mark.parametrize("robot", MAIN_ROBOTS)
+@pytest.mark.parametrize("robot", ROBOTS)
 def test_the_oracle_reaches_the_object_of_the_query(robot: str) -> None:
     result = played(OracleAgent(), small(robot), 60)
-    assert (result.chosen == result.target).mean() >= 0.98
+    assert result.infos["is_right_object"].mean() >= 0.98
     assert result.success.mean() >= 0.97
 
 
 def test_an_agent_that_does_not_know_the_query_stays_at_chance() -> None:
     count, chance = 160, 0.25
     result = played(PickingAgent(), small(), count)
-    correct = (result.chosen == result.target).mean()
+    correct = result.infos["is_right_object"].mean()
     assert abs(correct - chance) < 3 * np.sqrt(chance * (1 - chance) / count)
     assert result.success.mean() < 0.4
 
 
 def test_whoever_reaches_another_object_gets_no_second_try() -> None:
     result = played(TryingAgent(), small(), 40)
-    at_another = result.chosen != result.target
+    at_another = ~result.infos["is_right_object"]
     assert at_another.mean() > 0.8
     assert (result.length[at_another] < SECOND_TRY).mean() > 0.9
     assert not result.success[at_another].any()
@@ -107,23 +113,22 @@ def test_whoever_reaches_another_object_gets_no_second_try() -> None:
 def test_larger_thresholds_of_training_do_not_hold_for_other_objects() -> None:
     config = small()
     env = ReachVectorEnv(config, 30)
-    episodes = evaluation_episodes(env.scene, config, 30, seed=1)
+    episodes = evaluation_episodes(config, 30, seed=1)
     results = []
     for factor in (1.0, 3.0):
-        env.task.threshold_factor = factor
+        env.running.threshold_factor = factor
         results.append(play(TryingAgent(), env, episodes))
     at_another = ~results[0].success & ~results[1].success
     assert at_another.mean() > 0.5
     assert (results[0].length == results[1].length)[at_another].all()
 
 
-@pytest.mark.parametrize("robot", MAIN_ROBOTS)
+@pytest.mark.parametrize("robot", ROBOTS)
 def test_objects_do_not_overlap_and_stay_in_the_rectangle(robot: str) -> None:
     config = small(robot)
     scene = scene_of(config)
-    e = EpisodeSource(scene, config)(STREAMS, NUMBERS)
-    position = np.concatenate([e.position[:, None], e.other_position], axis=1)
-    objects = np.concatenate([e.target[:, None], e.others], axis=1)
+    episodes = EpisodeSource(config)(STREAMS, NUMBERS)
+    position, objects = episodes.positions, episodes.objects
     inside = np.abs(position - scene.robot.rectangle_centre_m) <= scene.robot.rectangle_half_size_m
     assert inside.all()
     assert (np.sort(objects)[:, 1:] != np.sort(objects)[:, :-1]).all(), "all different"
@@ -138,12 +143,12 @@ def test_objects_do_not_overlap_and_stay_in_the_rectangle(robot: str) -> None:
             assert apart.any(axis=1).all()
 
 
-@pytest.mark.parametrize("robot", MAIN_ROBOTS)
+@pytest.mark.parametrize("robot", ROBOTS)
 def test_most_of_every_object_is_visible_beside_the_others(robot: str) -> None:
     count = 40
     env = ReachVectorEnv(small(robot), count)
     env.reset(seed=0)
-    scene, task = env.scene, env.task
+    scene, running = env.scene, env.running
     raycaster = Raycaster(scene.model, scene.camera, 64, 64)
     poses = env.simulation.geom_position, env.simulation.geom_matrix
     rgba = env.geom_rgba
@@ -151,7 +156,7 @@ def test_most_of_every_object_is_visible_beside_the_others(robot: str) -> None:
     owner = np.append(scene.geom_target, -1)  # -1, no geom, belongs to no target
     shares = []
     for j in range(4):
-        own = task.objects[:, j]
+        own = running.objects[:, j]
         alone = rgba.copy()
         alone[..., 3] = np.where(
             (scene.geom_target >= 0) & (scene.geom_target != own[:, None]), 0, alone[..., 3]
@@ -164,16 +169,16 @@ def test_most_of_every_object_is_visible_beside_the_others(robot: str) -> None:
 
 
 def test_only_the_query_tells_which_object_is_meant() -> None:
-    found = arrange(small())
-    chosen, table = found.compositions, found.table
+    found = arranged(small())
+    chosen, table = found.sets, found.table
     assert chosen.balanced
     sets, number = np.unique(chosen.facets, axis=0, return_inverse=True)
     asked = np.zeros(sets.shape, dtype=int)
-    np.add.at(asked, (number.reshape(-1), chosen.wanted), 1)
+    np.add.at(asked, (number.reshape(-1), chosen.goal), 1)
     assert (asked == asked[:, :1]).all(), "each object of a set is asked for equally often"
     satisfied = table.satisfies[chosen.query[:, None], chosen.facets]
     assert (satisfied.sum(axis=1) == 1).all(), "exactly one object satisfies the query"
-    assert satisfied[np.arange(len(chosen)), chosen.wanted].all()
+    assert satisfied[np.arange(len(chosen)), chosen.goal].all()
     assert np.bincount(chosen.query, minlength=len(table.queries)).min() > 0
 
 
@@ -185,22 +190,16 @@ def test_a_split_that_asks_for_few_facets_draws_the_question_first() -> None:
             askable[:, 1:] = False
             return replace(table, askable=askable)
 
-    found = arrange(small(choice=ChoiceConfig(queries=OneAnswer())))
-    chosen = found.compositions
+    found = arranged(small(task=Choose(queries=OneAnswer())))
+    chosen = found.sets
     assert not chosen.balanced
-    assert (chosen.facets[np.arange(len(chosen)), chosen.wanted] == 0).all()
+    assert (chosen.facets[np.arange(len(chosen)), chosen.goal] == 0).all()
     satisfied = found.table.satisfies[chosen.query[:, None], chosen.facets]
     assert (satisfied.sum(axis=1) == 1).all()
 
 
-def test_torch_draws_the_same_episodes_and_shows_the_same_images() -> None:
+def test_tensors_show_the_same_images() -> None:
     config = small(image_size=32)
-    scene = scene_of(config)
-    episodes = EpisodeSource(scene, config)(STREAMS, NUMBERS)
-    streams, numbers = (torch.as_tensor(x.view(np.int64)) for x in (STREAMS, NUMBERS))
-    drawn = EpisodeSource(scene, config, torch.as_tensor)(streams, numbers)
-    for field in fields(episodes):
-        assert (getattr(episodes, field.name) == getattr(drawn, field.name).numpy()).all()
     arrays, tensors = ReachVectorEnv(config, 3), TorchReachVectorEnv(config, 3)
     images, infos = arrays.reset(seed=5)
     torch_images, torch_infos = tensors.reset(seed=5)
@@ -249,24 +248,24 @@ def test_an_episode_is_the_same_to_the_byte_at_any_number_of_environments() -> N
     }
 
 
-@pytest.mark.parametrize("robot", MAIN_ROBOTS)
+@pytest.mark.parametrize("robot", ROBOTS)
 def test_the_checkers_pass_without_a_warning(robot: str) -> None:
-    name = choice_env_id(robot)
-    assert name is not None
+    name = env_id(robot, "choose")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         env = gymnasium.make(name, render_mode="rgb_array")
         check_env(env.unwrapped)
-        queries = env.unwrapped.queries  # type: ignore[attr-defined]
-        env_checker.check_env(KnowledgeObservation(env, np.eye(len(queries))))
+        config = env.unwrapped.config  # type: ignore[attr-defined]
+        rows = config.task.knowledge_rows(setting_of(config).facets)
+        env_checker.check_env(KnowledgeObservation(env, np.eye(len(rows))))
     envs = gymnasium.make_vec(name, num_envs=2)
     assert envs.reset(seed=0)[1]["objects"].shape == (2, 4)
 
 
 def test_marked_objects_show_the_answer() -> None:
-    env = ReachVectorEnv(small(choice=ChoiceConfig(marked=True)), 4)
+    env = ReachVectorEnv(small(task=Choose(marked=True)), 4)
     env.reset(seed=0)
-    wanted = env.scene.geom_target == env.task.target[:, None]
+    wanted = env.scene.geom_target == env.running.target[:, None]
     assert (env.geom_rgba[wanted] == [1, 0, 1, 1]).all()
     others = (env.geom_rgba[..., 3] > 0) & (env.scene.geom_target >= 0) & ~wanted
     assert (np.ptp(env.geom_rgba[others][:, :3], axis=1) == 0).all(), "grey"
@@ -275,7 +274,7 @@ def test_marked_objects_show_the_answer() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"choice": ChoiceConfig(objects=3), "targets": ("mug", "jar")}, "names 2"),
+        ({"task": Choose(objects=3), "targets": ("mug", "jar")}, "names 2"),
         ({"targets": ("mug",) * 4}, "twice"),
     ],
 )
@@ -286,18 +285,18 @@ def test_configs_that_do_not_fit_are_refused(options: dict[str, Any], message: s
 
 def test_numbers_of_objects_outside_two_to_six_are_refused() -> None:
     with pytest.raises(UserError, match="2 to 6, got 1"):
-        ChoiceConfig(objects=1)
+        Choose(objects=1)
 
 
 def test_episodes_of_another_number_of_objects_are_refused() -> None:
     env = ReachVectorEnv(small(), 2)
-    other = small(choice=ChoiceConfig(objects=3))
-    episodes = evaluation_episodes(env.scene, other, 2, seed=0)
-    with pytest.raises(UserError, match="show 3 objects, and this environment shows 4"):
+    other = small(task=Choose(objects=3))
+    episodes = evaluation_episodes(other, 2, seed=0)
+    with pytest.raises(UserError, match="hold 3 objects, and this environment has 4"):
         env.reset(options={"episodes": episodes})
 
 
 def test_too_many_objects_for_the_rectangle_are_refused() -> None:
     large = ("pan", "watering_can", "teapot", "kettle", "basket", "toolbox")
     with pytest.raises(UserError, match="6 objects do not fit the rectangle"):
-        arrange(small("tiago", targets=large, choice=ChoiceConfig(objects=6)))
+        arranged(small("tiago", targets=large, task=Choose(objects=6)))

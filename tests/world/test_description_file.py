@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from knowarm.errors import UserError
+from knowarm.world.agents.play import play
 from knowarm.world.agents.scripted import OracleAgent
-from knowarm.world.description_file import read_robot, read_target
-from knowarm.world.episodes import evaluation_episodes
-from knowarm.world.play import play
+from knowarm.world.robots.description_file import read_robot, read_target
+from knowarm.world.tasks.episodes import evaluation_episodes
 from tests.world.helpers import EXAMPLES, MakeEnv, write_robot
 
 
@@ -23,7 +23,7 @@ def test_example_robot_and_target_can_be_solved(
         colours="randomized",
     )
     assert env.facets[2:] == (("bowl", "green"), ("bowl", "orange"))
-    episodes = evaluation_episodes(env.scene, env.config, 60, seed=1)
+    episodes = evaluation_episodes(env.config, 60, seed=1)
     assert set(episodes.target) == {0, 1}
     assert play(OracleAgent(), env, episodes).success.mean() >= 0.97
 
@@ -56,5 +56,5 @@ def test_an_arm_with_meshes_from_a_package_can_be_solved(make_env: MakeEnv) -> N
     pytest.importorskip("dm_control")
     env = make_env(40, robot=str(EXAMPLES / "jaco.toml"), targets=("bottle",))
     assert np.isin(7, env.scene.model.geom_type), "it has meshes"
-    episodes = evaluation_episodes(env.scene, env.config, 40, seed=1)
+    episodes = evaluation_episodes(env.config, 40, seed=1)
     assert play(OracleAgent(), env, episodes).success.mean() >= 0.97

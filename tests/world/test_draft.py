@@ -8,17 +8,17 @@ import pytest
 
 from knowarm.errors import UserError
 from knowarm.world.agents import OracleAgent
+from knowarm.world.agents.play import play
 from knowarm.world.config import EnvConfig
-from knowarm.world.description_file import read_robot
-from knowarm.world.draft import draft_robot, read_overrides
-from knowarm.world.draft_gripper import find_gripper
-from knowarm.world.episodes import evaluation_episodes
-from knowarm.world.play import play
-from knowarm.world.robot_check import check_robot
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.own_robot.draft import draft_robot, read_overrides
+from knowarm.world.own_robot.draft_gripper import find_gripper
+from knowarm.world.own_robot.robot_check import check_robot
+from knowarm.world.own_robot.scene_image import SIDE, write_scene_image
 from knowarm.world.robots import ROBOTS
-from knowarm.world.scene import load_scene
-from knowarm.world.scene_image import SIDE, write_scene_image
-from knowarm.world.vector_env import ReachVectorEnv
+from knowarm.world.robots.description_file import read_robot
+from knowarm.world.scene.scene import load_scene
+from knowarm.world.tasks.episodes import evaluation_episodes
 from tests.world.helpers import EXAMPLES
 
 SHIPPED = ROBOTS["irb120"].robot
@@ -101,7 +101,7 @@ def test_draft_of_a_six_joint_arm_passes_all_checks(tmp_path: Path) -> None:
     half_range = np.median(scene.joint_upper - scene.joint_lower) / 2
     assert robot.start_fraction == min(0.15, round(0.4 / half_range, 3))
     env = ReachVectorEnv(EnvConfig(robot=str(file), targets=("mug", "bottle")), 50)
-    results = play(OracleAgent(), env, evaluation_episodes(scene, env.config, 50, seed=1))
+    results = play(OracleAgent(), env, evaluation_episodes(env.config, 50, seed=1))
     assert results.success.mean() >= 0.9
     assert 12 <= np.median(results.length) <= 30  # of 50
     image = tmp_path / "arm.png"

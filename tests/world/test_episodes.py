@@ -2,23 +2,21 @@ import numpy as np
 import pytest
 
 from knowarm.world.config import EnvConfig
-from knowarm.world.episodes import Episodes, draw_episodes, evaluation_episodes
-from knowarm.world.robots import MAIN_ROBOTS
-from knowarm.world.scene import Scene, load_scene
-
-TARGETS = ("mug", "bottle", "cereal_box")
+from knowarm.world.robots import ROBOTS
+from knowarm.world.setting import scene_of
+from knowarm.world.tasks.episodes import Episodes, draw_episodes, evaluation_episodes
 
 
-def draw(scene: Scene, config: EnvConfig, count: int, stream: int = 5) -> Episodes:
+def draw(config: EnvConfig, count: int, stream: int = 5) -> Episodes:
     return draw_episodes(
-        scene, config, np.full(count, stream, np.uint64), np.arange(count, dtype=np.uint64)
+        config, np.full(count, stream, np.uint64), np.arange(count, dtype=np.uint64)
     )
 
 
-@pytest.mark.parametrize("robot", MAIN_ROBOTS)
+@pytest.mark.parametrize("robot", ROBOTS)
 def test_episodes_fill_the_paper_s_ranges(robot: str) -> None:
-    scene = load_scene(robot, TARGETS)
-    episodes = draw(scene, EnvConfig(robot=robot, colours="randomized"), 4000)
+    config = EnvConfig(robot=robot, colours="randomized")
+    scene, episodes = scene_of(config), draw(config, 4000)
     centre = np.array(scene.robot.rectangle_centre_m)
     half = np.array(scene.robot.rectangle_half_size_m)
     offset = (episodes.position - centre) / half
@@ -39,23 +37,20 @@ def test_episodes_fill_the_paper_s_ranges(robot: str) -> None:
 
 
 def test_fixed_colours_are_the_first() -> None:
-    scene = load_scene("irb120", TARGETS)
-    assert (draw(scene, EnvConfig(), 100).colour == 0).all()
+    assert (draw(EnvConfig(), 100).colour == 0).all()
 
 
 def test_a_longer_evaluation_list_begins_with_the_shorter() -> None:
-    scene = load_scene("irb120", TARGETS)
-    short = evaluation_episodes(scene, EnvConfig(), 10, 3)
-    long = evaluation_episodes(scene, EnvConfig(), 25, 3)
+    short = evaluation_episodes(EnvConfig(), 10, 3)
+    long = evaluation_episodes(EnvConfig(), 25, 3)
     assert (long[:10].position == short.position).all()
     assert (long[:10].joint_offsets == short.joint_offsets).all()
-    other = evaluation_episodes(scene, EnvConfig(), 10, 4)
+    other = evaluation_episodes(EnvConfig(), 10, 4)
     assert (other.position != short.position).all()
 
 
 def test_episodes_are_picked_like_an_array() -> None:
-    scene = load_scene("irb120", TARGETS)
-    episodes = draw(scene, EnvConfig(), 12)
+    episodes = draw(EnvConfig(), 12)
     mug = episodes[episodes.target == 0]
     assert len(mug) == (episodes.target == 0).sum()
     assert (episodes[np.array([3, 1])].position == episodes.position[[3, 1]]).all()

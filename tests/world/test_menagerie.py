@@ -8,10 +8,10 @@ import pytest
 import knowarm
 from knowarm.cli.list import List
 from knowarm.errors import UserError
-from knowarm.world.description_file import read_robot
-from knowarm.world.menagerie import KNOWN_ARMS, known_arms
 from knowarm.world.robots import ROBOTS
-from knowarm.world.scene import find_robot
+from knowarm.world.robots.description_file import read_robot
+from knowarm.world.robots.menagerie import KNOWN_ARMS, known_arms
+from knowarm.world.scene.scene import find_robot
 
 
 @pytest.fixture

@@ -1,13 +1,13 @@
-"""Checks of the objects of the choice task."""
+"""Checks of the objects of the choose task."""
 
 from pathlib import Path
 
-from knowarm.world.object_check import check_objects
+from knowarm.world.own_robot.object_check import check_objects
 from tests.world.helpers import EXAMPLES
 
 
 def test_objects_that_can_be_reached_and_told_apart_pass() -> None:
-    checks = check_objects("irb120", ["mug", "can", "book", "bell"])
+    checks = check_objects("irb120", "choose", ["mug", "can", "book", "bell"])
     assert [check for check in checks if not check.ok] == []
     assert {"reach of mug", "book in the image", "any two objects differ"} <= {
         check.name for check in checks
@@ -23,12 +23,14 @@ def test_two_objects_of_one_shape_are_named(tmp_path: Path) -> None:
             "\n".join([f'name = "{name}"', f'mjcf = "{mjcf}"', *lines])
         )
     files = [str(tmp_path / f"{name}.toml") for name in ("one", "other")]
-    checks = {check.name: check for check in check_objects("irb120", [*files, "can", "bell"])}
+    checks = {
+        check.name: check for check in check_objects("irb120", "choose", [*files, "can", "bell"])
+    }
     assert not checks["any two objects differ"].ok
     assert "one and other" in checks["any two objects differ"].found
 
 
 def test_a_scene_that_cannot_be_built_is_the_only_check() -> None:
-    (check,) = check_objects("irb120", ["mug", "mugg", "can", "bell"])
+    (check,) = check_objects("irb120", "choose", ["mug", "mugg", "can", "bell"])
     assert not check.ok
     assert "mugg" in check.found

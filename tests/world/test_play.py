@@ -1,19 +1,19 @@
 import numpy as np
 import pytest
 
+from knowarm.world.agents.play import play
 from knowarm.world.agents.scripted import OracleAgent, RandomAgent, ZeroAgent
 from knowarm.world.config import EnvConfig
-from knowarm.world.episodes import evaluation_episodes
-from knowarm.world.play import play
-from knowarm.world.robots import MAIN_ROBOTS
+from knowarm.world.robots import ROBOTS
+from knowarm.world.tasks.episodes import evaluation_episodes
 from tests.world.helpers import MakeEnv
 
 
 @pytest.mark.parametrize("target", EnvConfig().targets)
-@pytest.mark.parametrize("robot", MAIN_ROBOTS)
+@pytest.mark.parametrize("robot", ROBOTS)
 def test_the_oracle_solves_every_task(robot: str, target: str, make_env: MakeEnv) -> None:
     env = make_env(40, robot=robot, targets=(target,), image_size=8, num_threads=0)
-    result = play(OracleAgent(), env, evaluation_episodes(env.scene, env.config, 40, seed=1))
+    result = play(OracleAgent(), env, evaluation_episodes(env.config, 40, seed=1))
     assert result.success.mean() >= 0.97
     assert (result.distance[result.success] < 0.05).all()
     assert (result.angle[result.success] < 15).all()
@@ -21,7 +21,7 @@ def test_the_oracle_solves_every_task(robot: str, target: str, make_env: MakeEnv
 
 def test_a_random_agent_does_not(make_env: MakeEnv) -> None:
     env = make_env(60, image_size=8)
-    episodes = evaluation_episodes(env.scene, env.config, 60, seed=1)
+    episodes = evaluation_episodes(env.config, 60, seed=1)
     result = play(RandomAgent(0), env, episodes)
     assert result.success.mean() < 0.05
     assert (result.length[~result.success] == 50).all()
@@ -32,11 +32,14 @@ def test_chunks_of_any_size_give_the_same_result(make_env: MakeEnv) -> None:
     results = []
     for num_envs in (3, 7, 10):
         env = make_env(num_envs, colours="randomized")
-        episodes = evaluation_episodes(env.scene, env.config, 10, seed=2)
+        episodes = evaluation_episodes(env.config, 10, seed=2)
         results.append(play(OracleAgent(), env, episodes, record_images=4))
     for other in results[1:]:
-        for name in ("episode_return", "length", "distance", "success", "facet"):
+        for name in ("episode_return", "length", "distance", "success"):
             assert (getattr(results[0], name) == getattr(other, name)).all()
+        assert results[0].infos.keys() == other.infos.keys()
+        for name, values in other.infos.items():
+            assert (results[0].infos[name] == values).all(), name
         assert (results[0].steps.joint_positions == other.steps.joint_positions).all()
         for one, two in zip(results[0].images, other.images, strict=True):
             assert (one == two).all()
@@ -44,7 +47,7 @@ def test_chunks_of_any_size_give_the_same_result(make_env: MakeEnv) -> None:
 
 def test_the_step_table_holds_every_step_of_every_episode(make_env: MakeEnv) -> None:
     env = make_env(4)
-    episodes = evaluation_episodes(env.scene, env.config, 6, seed=3)
+    episodes = evaluation_episodes(env.config, 6, seed=3)
     result = play(OracleAgent(), env, episodes, record_images=2)
     steps = result.steps
     assert (np.bincount(steps.episode) == result.length).all()
@@ -58,7 +61,7 @@ def test_the_step_table_holds_every_step_of_every_episode(make_env: MakeEnv) -> 
 
 def test_zero_stays_at_the_start(make_env: MakeEnv) -> None:
     env = make_env(2, max_episode_steps=5)
-    episodes = evaluation_episodes(env.scene, env.config, 2, seed=3)
+    episodes = evaluation_episodes(env.config, 2, seed=3)
     result = play(ZeroAgent(), env, episodes)
     assert result.steps.joint_positions == pytest.approx(
         np.repeat(env.scene.home + episodes.joint_offsets, 5, axis=0), abs=1e-6

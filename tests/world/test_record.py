@@ -7,17 +7,18 @@ from PIL import Image
 
 from knowarm.errors import UserError
 from knowarm.world.agents.scripted import OracleAgent
-from knowarm.world.config import choice_env_config
-from knowarm.world.episodes import evaluation_episodes
-from knowarm.world.record import record_episode, write_strip, write_video
-from knowarm.world.vector_env import ReachVectorEnv
+from knowarm.world.config import EnvConfig
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.tasks.choose.choose import Choose
+from knowarm.world.tasks.episodes import evaluation_episodes
+from knowarm.world.viewing.record import record_episode, write_strip, write_video
 from tests.world.helpers import MakeEnv
 
 
 @pytest.fixture
 def films(make_env: MakeEnv) -> list:
     env = make_env(1, image_size=32)
-    episodes = evaluation_episodes(env.scene, env.config, 2, seed=0)
+    episodes = evaluation_episodes(env.config, 2, seed=0)
     return [record_episode(OracleAgent(), env, episodes[i : i + 1]) for i in range(2)]
 
 
@@ -35,9 +36,10 @@ def test_a_strip_has_a_row_an_episode(films: list, tmp_path: Path) -> None:
     write_strip(tmp_path / "new" / "strip.png", films, columns=4)
     with Image.open(tmp_path / "new" / "strip.png") as strip:
         image = np.asarray(strip)
-    assert image.shape == (2 * (240 + 36) + 8, 4 * 248 + 8, 3)
+    assert image.shape == (2 * (28 + 240 + 36) + 8, 4 * 248 + 8, 3)
     for row in range(2):
-        top = 8 + row * 276
+        top = 8 + row * 304 + 28
+        assert image[top - 28 : top, 8:248].min() < 100, "its goal"
         assert image[top : top + 240, 8:248].std() > 10, "a image"
         assert image[top + 240 : top + 268, 8:248].min() < 100, "its caption"
 
@@ -63,11 +65,12 @@ def test_an_unwritable_or_unknown_file_is_named(films: list, tmp_path: Path) -> 
 
 
 def test_a_strip_shows_the_query_above_its_row(tmp_path: Path) -> None:
-    env = ReachVectorEnv(choice_env_config(image_size=16, dynamics="kinematic"), 1)
-    episodes = evaluation_episodes(env.scene, env.config, 1, seed=1)
+    env = ReachVectorEnv(EnvConfig(task=Choose(), image_size=16, dynamics="kinematic"), 1)
+    episodes = evaluation_episodes(env.config, 1, seed=1)
     frames = record_episode(OracleAgent(), env, episodes)
-    assert frames[0].wanted.startswith(env.queries[int(episodes.query[0])])
+    rows = env.config.task.knowledge_rows(env.facets)
+    assert frames[0].goal.startswith(f"{rows[int(episodes.question[0])]}: the ")
     write_strip(tmp_path / "with.png", [frames])
-    write_strip(tmp_path / "without.png", [[replace(frame, wanted="") for frame in frames]])
+    write_strip(tmp_path / "without.png", [[replace(frame, goal="") for frame in frames]])
     heights = [Image.open(tmp_path / f"{name}.png").height for name in ("with", "without")]
     assert heights[0] > heights[1]

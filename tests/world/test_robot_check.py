@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from knowarm.world.robot_check import check_robot
+from knowarm.world.own_robot.robot_check import check_robot
 from tests.world.helpers import EXAMPLES, write_robot
 
 

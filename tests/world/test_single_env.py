@@ -10,10 +10,13 @@ from gymnasium.vector import AutoresetMode
 
 from knowarm.errors import UserError
 from knowarm.world import env_id
-from knowarm.world.knowledge_observation import KnowledgeObservation, VectorKnowledgeObservation
+from knowarm.world.envs.knowledge_observation import (
+    KnowledgeObservation,
+    VectorKnowledgeObservation,
+)
+from knowarm.world.envs.single_env import ReachEnv
+from knowarm.world.envs.vector_env import ReachVectorEnv
 from knowarm.world.robots import ROBOTS
-from knowarm.world.single_env import ReachEnv
-from knowarm.world.vector_env import ReachVectorEnv
 
 
 @pytest.mark.parametrize("env_id", [env_id(robot) for robot in ROBOTS])
@@ -72,7 +75,9 @@ def test_knowledge_of_the_running_episode_stands_beside_the_image() -> None:
         observation, info = env.reset(seed=seed)
         assert env.observation_space.contains(observation)
         assert (observation["knowledge"] == table[info["facet"]]).all()
-    with pytest.raises(UserError, match=r"one row for each of the 3 facets \(mug/red, "):
+    with pytest.raises(
+        UserError, match=r"one row for each of the 3 values of the info 'facet' \(mug/red, "
+    ):
         KnowledgeObservation(gymnasium.make("knowarm/IRB120Reach-v0"), table)
 
 

@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 
 from knowarm.world.agents import OracleAgent
+from knowarm.world.agents.play import play
 from knowarm.world.config import EnvConfig
-from knowarm.world.episodes import evaluation_episodes
-from knowarm.world.play import play
-from knowarm.world.robots import MAIN_ROBOTS
-from knowarm.world.scene import Scene, load_scene, project
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.robots import ROBOTS
+from knowarm.world.scene.scene import Scene, load_scene, project
+from knowarm.world.tasks.episodes import evaluation_episodes
 from knowarm.world.tasks.reward import measure
-from knowarm.world.vector_env import ReachVectorEnv
 
 TARGETS = EnvConfig().targets
 
@@ -39,11 +39,11 @@ def collisions(model: mujoco.MjModel, scene: Scene, poses: np.ndarray) -> list[s
     return found
 
 
-@pytest.mark.parametrize("robot", MAIN_ROBOTS)
+@pytest.mark.parametrize("robot", ROBOTS)
 def test_the_start_is_far_from_every_grasp_and_the_oracle_needs_half_the_episode(robot):
     config = EnvConfig(robot=robot)
     env = ReachVectorEnv(config, 100)
-    episodes = evaluation_episodes(env.scene, config, 300, seed=5)
+    episodes = evaluation_episodes(config, 300, seed=5)
     for first in range(0, 300, 100):
         _, infos = env.reset(options={"episodes": episodes[first : first + 100]})
         assert infos["angle"].min() > 55  # degrees; success requires less than 15
@@ -53,7 +53,7 @@ def test_the_start_is_far_from_every_grasp_and_the_oracle_needs_half_the_episode
         assert 20 <= np.median(results.length[episodes.target == k]) <= 25
 
 
-@pytest.mark.parametrize("robot", MAIN_ROBOTS)
+@pytest.mark.parametrize("robot", ROBOTS)
 def test_no_start_collides(robot):
     scene = load_scene(robot, TARGETS)
     model = scene.model
@@ -76,7 +76,7 @@ def test_no_start_collides(robot):
         assert pairs <= allowed
 
 
-@pytest.mark.parametrize("robot", MAIN_ROBOTS)
+@pytest.mark.parametrize("robot", ROBOTS)
 def test_the_gripper_starts_in_the_image(robot):
     scene = load_scene(robot, TARGETS)
     data = mujoco.MjData(scene.model)

@@ -4,9 +4,9 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from knowarm.errors import UserError
-from knowarm.world.robots import MAIN_ROBOTS
-from knowarm.world.tasks.reach import ACTION_LEVELS
-from knowarm.world.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.robots import ROBOTS
+from knowarm.world.tasks.running import ACTION_LEVELS
 from tests.world.helpers import MakeEnv
 
 ALL_MODES = (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED)
@@ -17,7 +17,7 @@ def random_actions(env: ReachVectorEnv, generator: np.random.Generator) -> np.nd
 
 
 @pytest.mark.parametrize("dynamics", ["dynamic", "kinematic"])
-@pytest.mark.parametrize("robot", MAIN_ROBOTS)
+@pytest.mark.parametrize("robot", ROBOTS)
 def test_steps_give_what_the_spaces_promise(robot: str, dynamics: str, make_env: MakeEnv) -> None:
     env = make_env(robot=robot, dynamics=dynamics, image_size=64)
     observations, infos = env.reset(seed=1)
@@ -35,7 +35,7 @@ def test_steps_give_what_the_spaces_promise(robot: str, dynamics: str, make_env:
         previous = observations
 
 
-@pytest.mark.parametrize("robot", MAIN_ROBOTS)
+@pytest.mark.parametrize("robot", ROBOTS)
 def test_servos_follow_their_targets(robot: str, make_env: MakeEnv) -> None:
     env = make_env(8, robot=robot)
     env.reset(seed=0)
@@ -85,9 +85,9 @@ def test_facets_list_targets_with_their_possible_colours(make_env: MakeEnv) -> N
     env = make_env(40, colours="randomized")
     assert env.facets[2:4] == (("bottle", "yellow"), ("bottle", "purple"))
     _, infos = env.reset(seed=0)
-    assert set(env.facet_ids) == set(range(6))
-    assert (infos["facet"] == env.facet_ids).all()
-    assert (env.facet_ids == infos["target"] * 2 + infos["colour"]).all()
+    assert set(env.knowledge_input) == set(range(6))
+    assert (infos["facet"] == env.knowledge_input).all()
+    assert (env.knowledge_input == infos["target"] * 2 + infos["colour"]).all()
 
 
 def test_the_target_is_shown_in_its_colour_and_the_others_are_hidden(make_env: MakeEnv) -> None:

@@ -4,10 +4,10 @@ from scipy.spatial.transform import Rotation
 
 from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig
-from knowarm.world.episodes import draw_episodes, evaluation_episodes
-from knowarm.world.held_out import HeldOut
-from knowarm.world.scene import load_scene
-from knowarm.world.visual_randomization import VisualRandomization, rotations
+from knowarm.world.scene.looks import VisualRandomization, rotations
+from knowarm.world.scene.scene import load_scene
+from knowarm.world.tasks.episodes import draw_episodes, evaluation_episodes
+from knowarm.world.tasks.held_out import HeldOut
 from tests.world.helpers import MakeEnv
 
 TARGETS = ("mug", "bottle", "cereal_box")
@@ -74,7 +74,7 @@ def test_distractors_keep_away_from_the_target(make_env: MakeEnv) -> None:
     env.reset(seed=0)
     places = env.simulation.geom_position[:, env.scene.distractor_geoms, :2]
     target = (
-        env.grasp_position[:, None, :2] - env.scene.grasp_position[env.task.target][:, None, :2]
+        env.goal_position[:, None, :2] - env.scene.grasp_position[env.running.target][:, None, :2]
     )
     assert np.linalg.norm(places - target, axis=-1).min() > 0.139
 
@@ -98,7 +98,7 @@ def test_episodes_of_another_look_are_refused(make_env: MakeEnv) -> None:
     env = make_env(2, randomization=EVERYTHING)
     plain = make_env(2)
     with pytest.raises(UserError, match="draw them with its config"):
-        env.reset(options={"episodes": evaluation_episodes(plain.scene, plain.config, 2, 0)})
+        env.reset(options={"episodes": evaluation_episodes(plain.config, 2, 0)})
 
 
 def test_held_out_places_and_colours_are_never_mixed() -> None:
@@ -109,7 +109,7 @@ def test_held_out_places_and_colours_are_never_mixed() -> None:
         held_out = HeldOut(colours=("blue", "yellow"), places=(0.0, 1.0, -0.5, 1.0), play=play)
         config = EnvConfig(colours="randomized", held_out=held_out)
         keys = np.full(3000, 7, np.uint64), np.arange(3000, dtype=np.uint64)
-        episodes = draw_episodes(scene, config, *keys)
+        episodes = draw_episodes(config, *keys)
         offset = (episodes.position - centre) / half
         inside = (offset[:, 0] > 0) & (offset[:, 1] > -0.5)
         assert (inside == (play == "held_out")).all()

@@ -1,37 +1,37 @@
 """``knowarm doctor``: checks of this installation or a robot, and drafts of descriptions."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
-from knowarm.cli.tables import FilePath, check_json_path, print_table, write_json_table
+from knowarm.cli.tables import FilePath, TableCommand, print_table
 from knowarm.errors import UserError
 from knowarm.experiment.installation_check import check_installation
 from knowarm.world.config import EnvConfig
-from knowarm.world.description_file import SUFFIX
-from knowarm.world.draft import draft_robot, read_overrides
-from knowarm.world.object_check import check_objects
-from knowarm.world.objects import CHOICE_TARGETS
-from knowarm.world.robot_check import MJCF_SUFFIXES, Check, check_robot
+from knowarm.world.own_robot.draft import draft_robot, read_overrides
+from knowarm.world.own_robot.object_check import check_objects
+from knowarm.world.own_robot.robot_check import MJCF_SUFFIXES, Check, check_robot
+from knowarm.world.own_robot.scene_image import write_scene_image
 from knowarm.world.robots import DEFAULT_ROBOT
-from knowarm.world.scene import load_scene
-from knowarm.world.scene_image import write_scene_image
+from knowarm.world.robots.description_file import SUFFIX
+from knowarm.world.scene.scene import load_scene
 
 
 @dataclass(frozen=True, kw_only=True)
-class Doctor:
+class Doctor(TableCommand):
     """Check this installation, or a robot of your own with its target objects."""
 
     robot: Annotated[str | None, tyro.conf.arg(metavar="ROBOT", help_behavior_hint="")] = None
     """Robot to check instead of the installation: a name, TOML description or MJCF file."""
     targets: tuple[str, ...] = ()
     """Objects the robot should reach, by name or TOML file. Default: those of the task."""
-    choose: bool = False
-    """Check the objects of the choice task: whether this robot reaches them where several stand,
-    and whether any two of them, and any two colours, can be told apart in the image."""
+    task: str | None = None
+    """Check the objects of a task such as "choose": whether this robot reaches them where the task
+    places them, and whether any two of them, and any two colours, differ in the image."""
     set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FIELD=VALUE")] = ()
     """Fields of the description that are given instead of drafted, in TOML's notation, such as
     'home=[0.0, 1.5]' (MJCF file only)."""
@@ -41,48 +41,43 @@ class Doctor:
     """Draw the robot at its start, with the rectangle of the targets, to this PNG file."""
     runs: Path = Path("runs")
     """Output folder of training runs, checked for free disk space."""
-    json: FilePath = None
-    """Also write the checks to this JSON file."""
 
-    def run(self) -> None:
-        """Run the checks and print them.
+    def run(self) -> Mapping[str, Any]:
+        """Run the checks, print and write them; failed ones end in a `UserError`."""
+        values = super().run()
+        if failed := [check for check in values["checks"] if not check["ok"]]:
+            remedies = " ".join(f"{check['name']}: {check['remedy']}" for check in failed)
+            raise UserError(f"{len(failed)} of {len(values['checks'])} checks failed. {remedies}")
+        return values
 
-        Raises:
-            UserError: at least one check failed.
-        """
-        check_json_path(self.json)
-        if self.choose:
-            self._refuse("no --choose", set=self.set, write=self.write, image=self.image)
+    def result(self) -> dict[str, Any]:
+        """Run the checks and print them."""
+        if self.task is not None:
+            self._refuse("no --task", "set", "write", "image")
             robot = self.robot or DEFAULT_ROBOT
-            targets = self.targets or CHOICE_TARGETS
-            checks, what = check_objects(robot, targets), f"objects of robot {robot}"
+            checks = check_objects(robot, self.task, self.targets)
+            what = f"objects of robot {robot}"
         elif self.robot is None:
-            self._refuse("--robot", set=self.set, write=self.write, image=self.image)
+            self._refuse("--robot", "set", "write", "image")
             checks, what = check_installation(self.runs), "installation"
         else:
             targets = self.targets or EnvConfig().targets
             checks, what = self._check_robot(self.robot, targets), f"robot {self.robot}"
         rows = [["ok" if c.ok else "FAILED", c.name, c.found] for c in checks]
         print_table(f"Checks of the {what}", ["result", "check", "found"], rows)
-        write_json_table(self.json, {"what": what, "checks": [vars(check) for check in checks]})
-        failed = [check for check in checks if not check.ok]
-        if failed:
-            remedies = " ".join(f"{check.name}: {check.remedy}" for check in failed)
-            raise UserError(f"{len(failed)} of {len(checks)} checks failed. {remedies}")
+        return {"what": what, "checks": [vars(check) for check in checks]}
 
     def _check_robot(self, robot: str, targets: tuple[str, ...]) -> list[Check]:
         """Check a description, after drafting it where the robot is a bare MJCF file."""
         if not robot.endswith(MJCF_SUFFIXES):
-            self._refuse("--robot with an MJCF file", set=self.set, write=self.write)
+            self._refuse("--robot with an MJCF file", "set", "write")
             self._draw(robot, targets)
             return check_robot(robot, targets)
-        if self.write is not None and (self.write.suffix != SUFFIX or self.write.exists()):
-            raise UserError(
-                f"--write must name a {SUFFIX} file that does not exist, got {str(self.write)!r}."
-            )
+        if (new := self.write) is not None and (new.suffix != SUFFIX or new.exists()):
+            raise UserError(f"--write must name a {SUFFIX} file that does not exist, got {new}.")
         draft = draft_robot(Path(robot), targets, read_overrides(self.set))
-        rows = [[topic, text] for topic, text in draft.how.items()]
-        print_table(f"Draft of a description of {robot}", ["topic", "choice"], rows)
+        title = f"Draft of a description of {robot}"
+        print_table(title, ["topic", "choice"], list(draft.how.items()))
         print(draft.toml(self.write))
         if task := draft.task_options():
             print(f"The arm can do the task with an easier orientation; train it with {task}\n")
@@ -90,12 +85,8 @@ class Doctor:
             file = self.write or Path(folder) / f"{Path(robot).stem}{SUFFIX}"
             file.write_text(draft.toml(file))
             self._draw(str(file), targets)
-            return check_robot(
-                file,
-                targets,
-                angle_deg=draft.success_angle_deg,
-                ignore_roll=draft.ignore_roll,
-            )
+            angle, roll = draft.success_angle_deg, draft.ignore_roll
+            return check_robot(file, targets, angle_deg=angle, ignore_roll=roll)
 
     def _draw(self, robot: str, targets: tuple[str, ...]) -> None:
         """Write the image if one is wanted."""
@@ -104,12 +95,8 @@ class Doctor:
             write_scene_image(load_scene(robot, targets), config, self.image)
             print(f"Wrote {self.image}")
 
-    def _refuse(self, needed: str, **options: object) -> None:
-        """Refuse options that need another command line.
-
-        Raises:
-            UserError: one of them was given.
-        """
-        for name, value in options.items():
-            if value:
+    def _refuse(self, needed: str, *options: str) -> None:
+        """Refuse options that need another command line."""
+        for name in options:
+            if getattr(self, name):
                 raise UserError(f"--{name} needs {needed}.")

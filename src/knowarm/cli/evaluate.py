@@ -6,20 +6,19 @@ from typing import Annotated, Any
 
 import tyro
 
-from knowarm.cli.tables import FilePath, check_json_path, print_table, write_json_table
+from knowarm.cli.tables import FilePath, TableCommand, print_table
 from knowarm.errors import UserError, unknown_name
-from knowarm.experiment.build import Which, load_agent
 from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.evaluate import evaluate
+from knowarm.experiment.load import Which, load_agent
 from knowarm.world.agents import BLIND_AGENTS, SCRIPTED_AGENTS
 from knowarm.world.config import EnvConfig
 
-MOST_FACETS = 30
-"""Pairs of target and colour up to which each gets a row; ``summary.json`` has all of them."""
+MOST_FACETS = 30  # pairs of target and colour up to which each gets a row
 
 
 @dataclass(frozen=True, kw_only=True)
-class Evaluate:
+class Evaluate(TableCommand):
     """Evaluate an agent on the episodes of the paper's post-training evaluation."""
 
     agent: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="AGENT")]
@@ -36,40 +35,30 @@ class Evaluate:
     """Environment of a scripted agent; a run is evaluated in its own."""
     save: bool = True
     """Save the evaluation in the run folder, where `knowarm report` reads it."""
-    json: FilePath = None
-    """Also write the table to this JSON file."""
 
-    def run(self) -> None:
+    def result(self) -> dict[str, Any]:
         """Evaluate, print and save."""
-        check_json_path(self.json)
         if is_scripted(self.agent):
             if self.perception is not None:
                 raise UserError("A scripted agent perceives nothing: leave out --perception.")
             agent = SCRIPTED_AGENTS[self.agent].make(self.evaluation.seed)
             result = evaluate(agent, self.env, self.evaluation, agent_name=self.agent)
         elif self.env != EnvConfig():
-            raise UserError(
-                "A run is evaluated in the environment it was trained in: leave out the --env "
-                "options."
-            )
+            raise UserError("A run has its own environment: leave out the --env options.")
         else:
-            greedy, seed = self.evaluation.actions == "greedy", self.evaluation.seed
-            trained = load_agent(
-                self.agent, which=self.which, greedy=greedy, seed=seed, perception=self.perception
-            )
-            result = evaluate(trained, config=self.evaluation)
+            how = self.evaluation
+            options: dict[str, Any] = {"which": self.which, "perception": self.perception}
+            greedy = how.actions == "greedy"
+            trained = load_agent(self.agent, greedy=greedy, seed=how.seed, **options)
+            result = evaluate(trained, config=how, write=self.save)
         _print(result.summary)
         if result.folder is not None and self.save:
-            print(f"Saved in {result.write()}")
-        write_json_table(self.json, result.summary)
+            print(f"Saved in {result.folder}")
+        return result.summary
 
 
 def is_scripted(agent: str) -> bool:
-    """Tell whether an agent argument names a scripted agent; otherwise it is a run folder.
-
-    Raises:
-        UserError: it is neither a scripted agent nor looks like a folder.
-    """
+    """Tell whether an agent argument names a scripted agent; otherwise it is a run folder."""
     if agent not in SCRIPTED_AGENTS and "/" not in agent and not Path(agent).exists():
         raise unknown_name("agent or run folder", agent, SCRIPTED_AGENTS)
     return agent in SCRIPTED_AGENTS
@@ -82,23 +71,28 @@ def _print(summary: dict[str, Any]) -> None:
     if len(summary["per_target"]) < len(summary["per_facet"]) <= MOST_FACETS:
         _print_groups("By target and colour", summary["per_facet"])
     if "choice_chance" in summary:
-        chance = 100 * summary["choice_chance"]
+        chance, reached = 100 * summary["choice_chance"], 100 * summary["success_if_chosen"]
         print(
             f"Chose the wanted object in {_share(summary, 'choice')} % of the episodes (chance "
-            f"{chance:.0f} %), and reached it in {100 * summary['success_if_chosen']:.1f} % of "
-            "those.\n"
+            f"{chance:.0f} %), and reached it in {reached:.1f} % of those.\n"
         )
     if "chose_old_answer" in summary:
         old = 100 * summary["chose_old_answer"]
         print(f"Chose what the query meant before the graph was edited in {old:.1f} %.\n")
     if "blind_agents" in summary:
-        _print_blind(summary)
-    criteria = summary["config"]
+        rows = [
+            [name, numbers["episodes"], _share(numbers, "success"), _share(numbers, "difference")]
+            for name, numbers in summary["blind_agents"].items()
+        ]
+        titles = ["blind agent", "episodes", "success %", "agent minus this %"]
+        print_table("Blind agents, on the first of these episodes", titles, rows)
+        for name, entry in BLIND_AGENTS.items():
+            print(f"{name}: {entry.about}.")
+        print(f"Success that depends on vision: {_share(summary, 'needs_eyes')} points.\n")
     print(
-        f"accuracy: distance <= {criteria['distance_m']} m. success: also angle <= "
-        f"{criteria['angle_deg']} deg. success wide: angle <= {criteria['wide_angle_deg']} deg.\n"
-        "failure m: final distance of failed episodes. [95 % Wilson interval]; mean ± standard "
-        "deviation."
+        "accuracy: distance <= {distance_m} m. success: also angle <= {angle_deg} deg. success "
+        "wide: angle <= {wide_angle_deg} deg.\nfailure m: final distance of failed episodes. "
+        "[95 % Wilson interval]; mean ± standard deviation.".format(**summary["config"])
     )
 
 
@@ -108,23 +102,9 @@ def _print_groups(title: str, groups: dict[str, dict[str, Any]]) -> None:
     for name, group in groups.items():
         shares = [_share(group, share) for share in ("accuracy", "success", "success_wide")]
         means = [("return", 1), ("length", 1), ("failure_distance", 3)]
-        spreads = [_spread(group, *mean) for mean in means]
-        rows.append([name, group["episodes"], *shares, *spreads])
-    shares = ["accuracy %", "success %", "success wide %"]
-    print_table(title, ["target", "episodes", *shares, "return", "steps", "failure m"], rows)
-
-
-def _print_blind(summary: dict[str, Any]) -> None:
-    """Print the blind agents and how much of the success needs eyes."""
-    rows = [
-        [name, numbers["episodes"], _share(numbers, "success"), _share(numbers, "difference")]
-        for name, numbers in summary["blind_agents"].items()
-    ]
-    titles = ["blind agent", "episodes", "success %", "agent minus this %"]
-    print_table("Without eyes, on the first of these episodes", titles, rows)
-    for name, entry in BLIND_AGENTS.items():
-        print(f"{name}: {entry.about}.")
-    print(f"Success that needs eyes: {_share(summary, 'needs_eyes')} points.\n")
+        rows.append([name, group["episodes"], *shares, *(_spread(group, *each) for each in means)])
+    columns = ["target", "episodes", "accuracy %", "success %", "success wide %"]
+    print_table(title, [*columns, "return", "steps", "failure m"], rows)
 
 
 def _share(group: dict[str, Any], name: str) -> str:

@@ -2,19 +2,19 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
-from knowarm.cli.tables import FilePath, check_json_path
-from knowarm.experiment.build import Which, load_agent
+from knowarm.cli.tables import TableCommand
+from knowarm.experiment.load import Which, load_agent
 from knowarm.policy.onnx_export import INPUTS, OUTPUTS, export_onnx
 from knowarm.reading import read_json
 from knowarm.report import write_report
 
 
 @dataclass(frozen=True, kw_only=True)
-class Report:
+class Report(TableCommand):
     """Write one self-contained HTML report, and its numbers as JSON and CSV."""
 
     runs: Annotated[
@@ -25,20 +25,15 @@ class Report:
     """Run folders, or folders that contain them at any depth."""
     out: Path = Path("runs/report.html")
     """HTML file; the JSON and CSV files are written to the same folder."""
-    json: FilePath = None
-    """Also copy the report's JSON to this file."""
 
-    def run(self) -> None:
-        """Write the report."""
-        check_json_path(self.json)
+    def result(self) -> dict[str, Any]:
+        """Write the report and return its numbers."""
         path = write_report(self.runs, self.out)
         values = read_json(path.with_suffix(".json"))
         for problem in values["problems"]:
             print(f"Note: {', '.join(map(str, problem.values()))}")
         print(f"Wrote {path}: open it in a browser.")
-        if self.json is not None:
-            self.json.write_bytes(path.with_suffix(".json").read_bytes())
-            print(f"Wrote {self.json}")
+        return values
 
 
 @dataclass(frozen=True, kw_only=True)

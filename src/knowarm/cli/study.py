@@ -1,4 +1,4 @@
-"""``knowarm study``: tables of runs, on this machine or a cluster."""
+"""``knowarm study``: tables of runs."""
 
 import sys
 from dataclasses import asdict, dataclass, replace
@@ -6,29 +6,32 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from rich.console import Console
 
-from knowarm.cli.study_table import StudyProgress, status_table, summary_line
-from knowarm.cli.tables import FilePath, check_json_path, print_table, write_json_table
-from knowarm.config import replace as replace_fields
-from knowarm.errors import UserError, unknown_name
+from knowarm.cli.study_table import print_status, study_progress, summary_line
+from knowarm.cli.tables import FilePath, TableCommand, print_table
+from knowarm.errors import UserError
 from knowarm.experiment.stop_request import StopRequest
 from knowarm.report import write_report
 from knowarm.study.config import FILE, SHIPPED, StudyConfig, read_study
 from knowarm.study.driver import check_folder, open_study, request_stop, retry, run_study
-from knowarm.study.estimate import estimate
-from knowarm.study.executors import EXECUTORS
+from knowarm.study.estimate import SECONDS, estimate
 from knowarm.study.pack import SUFFIX, Part, pack_study, unpack_study
-from knowarm.study.status import RunStatus, study_status, totals
+from knowarm.study.status import study_status, totals
 
-Source = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="STUDY")]
-Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
-Option = Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
 Number = Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")]
+START_S = 10.0  # time of the first updates of a training, which are not measured
 
 
 @dataclass(frozen=True, kw_only=True)
-class Show:
+class FolderCommand:
+    """Command on the folder of a study."""
+
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
+    """Folder of the study."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudyShow:
     """Print a study: its TOML file and its runs."""
 
     study: Annotated[
@@ -41,34 +44,27 @@ class Show:
     def run(self) -> None:
         """Print it."""
         if self.study is None:
-            rows = [
-                [name, len(read_study(name).runs()), read_study(name).about] for name in SHIPPED
-            ]
+            studies = [read_study(name) for name in SHIPPED]
+            rows = [[study.name, len(study.runs()), study.about] for study in studies]
             print_table("Studies", ["study", "runs", "about"], rows)
             return
         study = read_study(self.study, of=self.of)
         file = SHIPPED.get(self.study, Path(self.study))
         if file.is_file():
             print(file.read_text())
-        experiments = {config.name: config for config in study.runs()}
-        print_table(
-            f"Study {study.name}: {len(study.runs())} runs, seeds "
-            f"{', '.join(map(str, study.seeds))}",
-            ["experiment", "steps"],
-            [[name, config.total_steps] for name, config in experiments.items()],
-        )
-        for evaluation in study.evaluations:
-            print(
-                f"Evaluated on {evaluation.episodes:,} episodes of {evaluation.seeds} evaluation "
-                f"seeds: {evaluation.folder}"
-            )
+        steps = {config.name: config.total_steps for config in study.runs()}
+        seeds = ", ".join(map(str, study.seeds))
+        title = f"Study {study.name}: {len(study.runs())} runs, seeds {seeds}"
+        print_table(title, ["experiment", "steps"], steps.items())
+        for each in study.evaluations:
+            print(f"Evaluated on {each.episodes:,} episodes of {each.seeds} seeds: {each.folder}")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Run:
+class StudyRun:
     """Train and evaluate every run of a study; the same command continues after any end."""
 
-    study: Source
+    study: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="STUDY")]
     """Name of a shipped study, TOML file or folder of a study."""
     out: FilePath = None
     """Folder of the study. Default: runs/NAME, or the given folder."""
@@ -76,147 +72,108 @@ class Run:
     """For the controls: the study whose agents they control."""
     seeds: Annotated[tuple[int, ...], tyro.conf.arg(metavar="SEED...", help_behavior_hint="")] = ()
     """Training seeds instead of the study's."""
-    where: Option = None
-    """What executes the runs. Default: as in the study."""
     at_once: Number = None
     """Runs at once on this machine. Default: as many as its cores and memory hold."""
     cores: Number = None
     """Cores of each run."""
-    address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT", help_behavior_hint="")] = None
-    """Head node of a Ray cluster, for --where ray. Default: a cluster on this machine."""
-    mirrors: Annotated[
-        tuple[str, ...], tyro.conf.arg(metavar="NAME...", help_behavior_hint="")
-    ] = ()
-    """Tracking services that receive the curves as well: wandb, mlflow."""
     dry_run: bool = False
-    """Only estimate the cost, from a short measurement of every experiment on this machine."""
+    """Only list the runs and estimate their cost, from one short measurement on this machine."""
 
     def run(self) -> None:
         """Run the study, or estimate its cost."""
-        study = self._study()
+        study = read_study(self.study, of=self.of)
+        chosen: dict[str, Any] = {"at_once": self.at_once, "cores": self.cores}
+        where = replace(study.where, **{k: v for k, v in chosen.items() if v is not None})
+        study = replace(study, where=where, seeds=self.seeds or study.seeds)
         is_folder = (Path(self.study) / FILE).is_file()
         out = self.out or (Path(self.study) if is_folder else Path("runs") / study.name)
         if self.dry_run:
             _print_estimate(study, out)
             return
-        with StopRequest() as should_stop, StudyProgress(study) as progress:
+        with StopRequest() as should_stop, study_progress(study) as progress:
             statuses = run_study(study, out, should_stop=should_stop, on_status=progress)
-        failed = [each for each in statuses if each.state == "failed"]
-        for each in failed:
-            print(f"{each.experiment}/{each.seed} failed: {each.detail}")
+        for each in (failed := [each for each in statuses if each.state == "failed"]):
+            print(f"{each.name} failed: {each.detail}")
         if any(each.step for each in statuses):
             print(f"Wrote {write_report([out], out / 'report.html')}: open it in a browser.")
-        if failed:
-            print(f"Let them resume with: knowarm study retry {out}, then the same command.")
         if all(each.state == "done" for each in statuses):
             print(f"Complete: {out}")
             return
-        if not failed:
-            print("Stopped and saved. Run the same command again to continue.")
+        again = f"Let them resume with: knowarm study retry {out}, then the same command."
+        print(again if failed else "Stopped and saved. Run the same command again to continue.")
         sys.exit(1)
-
-    def _study(self) -> StudyConfig:
-        study = read_study(self.study, of=self.of)
-        if self.seeds:
-            study = replace(study, seeds=self.seeds)
-        if self.mirrors:
-            study = replace(study, mirrors=self.mirrors)
-        where = study.where
-        if self.where is not None and self.where != where.kind:
-            if self.where not in EXECUTORS:
-                raise unknown_name("executor", self.where, EXECUTORS)
-            where = EXECUTORS[self.where].default
-        chosen: dict[str, Any] = {
-            "at_once": self.at_once,
-            "cores": self.cores,
-            "address": self.address,
-        }
-        chosen = {name: value for name, value in chosen.items() if value is not None}
-        return replace(study, where=replace_fields(where, chosen, where="where"))
 
 
 def _print_estimate(study: StudyConfig, out: Path) -> None:
-    """Measure and print what a study will cost."""
+    """Print the runs that a study will make, and what they will cost."""
     check_folder(study, out)
-    print(f"Measuring {len(study.cells())} experiments ...", flush=True)
+    seconds = f"{SECONDS + START_S:.0f} s"
+    print(f"Measuring training for about {seconds} ...", file=sys.stderr, flush=True)
     found = estimate(study, out)
-    print_table(
-        f"Study {study.name}, estimated on this machine",
-        ["experiment", "runs to go", "steps/s", "core hours"],
-        [[row.experiment, row.runs, row.steps_per_s, row.core_hours] for row in found.rows],
-    )
+    steps: dict[str, list[int]] = {}
+    for each in found.statuses:
+        steps.setdefault(each.experiment, []).append(each.steps_left)
+    rows = [[name, len(left), sum(left)] for name, left in steps.items()]
+    print_table(f"Study {study.name}: to do", ["experiment", "runs", "steps"], rows)
+    if rows:
+        print(
+            f"{found.steps:,} steps of training and at most {found.evaluation_steps:,} of "
+            f"evaluation, at {found.steps_per_s:,.0f} steps/s (measured: {rows[0][0]}; others "
+            "differ):"
+        )
     print(
-        f"{found.core_hours:.2f} core hours; {found.hours:.2f} hours with {found.slots} runs at "
-        f"once; up to {found.disk_gib:.1f} GiB. Nothing was started."
+        f"about {found.core_hours:.2f} core hours; {found.hours:.2f} hours with {found.slots} runs "
+        f"at once; up to {found.disk_gib:.1f} GiB. Nothing was started."
     )
 
 
 @dataclass(frozen=True, kw_only=True)
-class Status:
+class Status(FolderCommand, TableCommand):
     """Show the state of every run of a study."""
 
-    folder: Folder
-    """Folder of the study."""
-    json: FilePath = None
-    """Also write the states to this JSON file."""
-
-    def run(self) -> None:
+    def result(self) -> dict[str, Any]:
         """Print the table and the reasons of failures."""
-        check_json_path(self.json)
         study = open_study(self.folder)
         statuses = study_status(study, self.folder)
-        Console(highlight=False).print(status_table(study, statuses))
+        print_status(study, statuses)
         for each in statuses:
             if each.detail and each.state in ("failed", "stalled"):
-                print(f"{each.experiment}/{each.seed} {each.state}: {each.detail}")
+                print(f"{each.name} {each.state}: {each.detail}")
         values = {"study": study.name, **totals(statuses, study.where.cores)}
-        write_json_table(self.json, values | {"runs": [asdict(each) for each in statuses]})
+        return values | {"runs": [asdict(each) for each in statuses]}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Retry:
+class Retry(FolderCommand):
     """Let failed runs resume."""
 
-    folder: Folder
-    """Folder of the study."""
-    runs: Annotated[
-        tuple[str, ...],
-        tyro.conf.Positional,
-        tyro.conf.arg(metavar="[RUN...]", help_behavior_hint=""),
+    runs: tyro.conf.Positional[
+        Annotated[tuple[str, ...], tyro.conf.arg(metavar="[RUN...]", help_behavior_hint="")]
     ] = ()
     """EXPERIMENT/SEED or EXPERIMENT. Default: every failed run."""
 
     def run(self) -> None:
         """Forget the failures."""
-        cleared = retry(self.folder, self.runs)
-        for name in cleared:
+        for name in (cleared := retry(self.folder, self.runs)):
             print(f"{name} will resume.")
-        print(
-            f"Continue with: knowarm study run {self.folder}" if cleared else "No run has failed."
-        )
+        again = f"Continue with: knowarm study run {self.folder}"
+        print(again if cleared else "No run has failed.")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stop:
+class Stop(FolderCommand):
     """Ask a running study to save its runs and end."""
-
-    folder: Folder
-    """Folder of the study."""
 
     def run(self) -> None:
         """Leave the request in the folder."""
-        if request_stop(self.folder):
-            print("Asked to stop: running trainings save a checkpoint and end.")
-        else:
-            print(f"Nothing is running in {self.folder}.")
+        asked = "Asked to stop: running trainings save a checkpoint and end."
+        print(asked if request_stop(self.folder) else f"Nothing is running in {self.folder}.")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pack:
+class Pack(FolderCommand):
     """Write a study to one file to archive or share."""
 
-    folder: Folder
-    """Folder of the study."""
     out: FilePath = None
     """The file. Default: DIR.tar.gz."""
     leave_out: tuple[Part, ...] = ()
@@ -245,11 +202,9 @@ class Unpack:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Report:
+class StudyReport(FolderCommand):
     """Write the report of a study, also of one that is not complete, and list what is missing."""
 
-    folder: Folder
-    """Folder of the study."""
     out: FilePath = None
     """HTML file. Default: report.html in the folder of the study."""
 
@@ -257,23 +212,23 @@ class Report:
         """Write the report."""
         study = open_study(self.folder)
         statuses = study_status(study, self.folder)
-        missing: list[RunStatus] = [each for each in statuses if each.state != "done"]
         if all(each.state == "waiting" for each in statuses):
             raise UserError(f"No run of {self.folder} has started: there is nothing to report.")
         path = write_report([self.folder], self.out or self.folder / "report.html")
-        for each in missing:
-            share = f"{each.step:,} of {each.total_steps:,} steps"
-            print(f"Missing: {each.experiment}/{each.seed} is {each.state} ({share})")
+        for each in statuses:
+            if each.state != "done":
+                share = f"{each.step:,} of {each.total_steps:,} steps"
+                print(f"Missing: {each.name} is {each.state} ({share})")
         print(f"Wrote {path}. {summary_line(study, statuses)}")
 
 
 COMMANDS: dict[str, type] = {
-    "show": Show,
-    "run": Run,
+    "show": StudyShow,
+    "run": StudyRun,
     "status": Status,
     "retry": Retry,
     "stop": Stop,
-    "report": Report,
+    "report": StudyReport,
     "pack": Pack,
     "unpack": Unpack,
 }

@@ -1,75 +1,73 @@
 """Live table of a study's runs: cells and seeds on a terminal, plain lines elsewhere."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
-from rich.console import Console
+from rich.console import Console, Group
 from rich.live import Live
 from rich.table import Table
+from rich.text import Text
 
+from knowarm.cli.tables import lay_out, make_console
 from knowarm.study.config import StudyConfig
+from knowarm.study.driver import OnStatus
+from knowarm.study.executor import RunKey
 from knowarm.study.status import RunStatus, seconds_left, totals
 
-EVERY_S = 60.0
-"""Time between two plain lines without a change [s]."""
-
+EVERY_S = 60.0  # time between two plain lines without a change
 STYLES = {"running": "cyan", "failed": "red", "stalled": "yellow", "done": "green"}
 
 
-class StudyProgress:
-    """Display of a running study; use it as a context manager and call it with every status."""
+@contextmanager
+def study_progress(study: StudyConfig) -> Iterator[OnStatus]:
+    """Display a running study: as a table on a terminal, else as a line per change."""
+    console = Console(highlight=False)
+    if console.is_terminal:
+        with Live(console=console, auto_refresh=False) as live:
+            yield lambda statuses: live.update(
+                Group(*status_tables(study, statuses, console.width)), refresh=True
+            )
+        return
+    states: dict[RunKey, str] = {}
+    last_line = -EVERY_S
 
-    def __init__(self, study: StudyConfig) -> None:
-        self._study = study
-        self._console = Console(highlight=False)
-        self._live: Live | None = None
-        self._states: dict[object, str] = {}
-        self._last_line = -EVERY_S
-
-    def __enter__(self) -> "StudyProgress":
-        """Start the display."""
-        if self._console.is_terminal:
-            self._live = Live(console=self._console, auto_refresh=False)
-            self._live.start()
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        """Leave the last table on the terminal."""
-        if self._live is not None:
-            self._live.stop()
-
-    def __call__(self, statuses: Sequence[RunStatus]) -> None:
-        """Show the status of all runs."""
-        if self._live is not None:
-            self._live.update(status_table(self._study, statuses), refresh=True)
-            return
-        changed = [each for each in statuses if self._states.get(each.run) != each.state]
+    def show(statuses: Sequence[RunStatus]) -> None:
+        nonlocal last_line
+        changed = [each for each in statuses if states.get(each.run) != each.state]
         for each in changed:
-            if self._states.get(each.run) or each.state != "waiting":
+            if each.run in states or each.state != "waiting":
                 detail = f": {each.detail}" if each.detail else ""
-                print(f"{each.experiment}/{each.seed} {each.state}{detail}", flush=True)
-        self._states = {each.run: each.state for each in statuses}
-        if changed or time.monotonic() - self._last_line >= EVERY_S:
-            self._last_line = time.monotonic()
-            print(summary_line(self._study, statuses), flush=True)
+                print(f"{each.name} {each.state}{detail}", flush=True)
+        states.update({each.run: each.state for each in statuses})
+        if changed or time.monotonic() - last_line >= EVERY_S:
+            last_line = time.monotonic()
+            print(summary_line(study, statuses), flush=True)
+
+    yield show
 
 
-def status_table(study: StudyConfig, statuses: Sequence[RunStatus]) -> Table:
-    """Return one row per experiment and one column per seed."""
-    table = Table(
-        title=f"Study {study.name}", caption=summary_line(study, statuses), title_justify="left"
-    )
-    table.add_column("experiment", overflow="fold")
-    for seed in study.seeds:
-        table.add_column(f"seed {seed}", overflow="fold")
+def print_status(study: StudyConfig, statuses: Sequence[RunStatus]) -> None:
+    """Print the status of all runs."""
+    console = make_console()
+    for table in status_tables(study, statuses, console.width):
+        console.print(table, crop=False, soft_wrap=isinstance(table, Text))
+
+
+def status_tables(
+    study: StudyConfig, statuses: Sequence[RunStatus], room: int
+) -> list[Table | Text]:
+    """Return title, table and summary: one row per experiment and one column per seed."""
     left = seconds_left(statuses)
-    for cell in study.cells():
-        runs = {each.seed: each for each in statuses if each.experiment == cell}
-        table.add_row(cell, *(_cell(runs[seed], left) for seed in study.seeds))
-    return table
+    found = {each.run: each for each in statuses}
+    seeds = study.seeds
+    rows = [[Text(cell), *(_cell(found[cell, s], left) for s in seeds)] for cell in study.cells()]
+    tables = lay_out(["experiment", *(f"seed {seed}" for seed in study.seeds)], rows, room)
+    title = Text(f"Study {study.name}", style="bold")
+    return [title, *tables, Text(summary_line(study, statuses))]
 
 
-def _cell(status: RunStatus, left: dict[tuple[str, int], float]) -> str:
+def _cell(status: RunStatus, left: dict[RunKey, float]) -> Text:
     words: list[str] = [status.state]
     if status.state not in ("waiting", "done", "trained"):
         words.append(f"{100 * status.step / status.total_steps:.0f} %")
@@ -80,16 +78,12 @@ def _cell(status: RunStatus, left: dict[tuple[str, int], float]) -> str:
             words.append(f"{status.steps_per_s:,.0f}/s")
         if status.run in left:
             words.append(f"{left[status.run] / 60:.0f} min left")
-    style = STYLES.get(status.state)
-    text = " · ".join(words)
-    return f"[{style}]{text}[/]" if style else text
+    return Text(" · ".join(words), style=STYLES.get(status.state, ""))
 
 
 def summary_line(study: StudyConfig, statuses: Sequence[RunStatus]) -> str:
     """Return the number of runs per state, and the cost so far and to go."""
-    numbers = totals(statuses, study.where.cores)
-    states = ", ".join(f"{count} {state}" for state, count in numbers["states"].items())
-    to_go = numbers["core_hours_left"]
+    counts, spent, to_go = totals(statuses, study.where.cores).values()
+    states = ", ".join(f"{count} {state}" for state, count in counts.items())
     rest = "" if to_go is None else f", {to_go:.2f} to go"
-    spent = f"{numbers['core_hours']:.2f}"
-    return f"{len(statuses)} runs: {states}. Core hours of training: {spent}{rest}."
+    return f"{len(statuses)} runs: {states}. Core hours of training: {spent:.2f}{rest}."

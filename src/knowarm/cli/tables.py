@@ -1,48 +1,118 @@
 """Tables for the terminal, and the same values as JSON files."""
 
 import json
+import os
+import sys
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
+from rich.cells import cell_len
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from knowarm.errors import UserError
 
 FilePath = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
 """Type of an optional file argument, such as ``--json``."""
+UNLIMITED = 10_000  # width of tables that no terminal shows
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableCommand:
+    """Command that prints a result and writes the same values to a JSON file."""
+
+    json: FilePath = None
+    """Also write the result to this JSON file."""
+
+    def run(self) -> Mapping[str, Any]:
+        """Run the command; a file that cannot be written is found before the work begins."""
+        check_json_path(self.json)
+        values = self.result()
+        write_json_table(self.json, values)
+        return values
+
+    def result(self) -> Mapping[str, Any]:
+        """Do the work, print the result and return its values."""
+        raise NotImplementedError
 
 
 def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """Print a table; numbers are right-aligned, floats below 1,000 have three decimals."""
-    rows = [list(row) for row in rows]
-    table = Table(title=title, title_justify="left", title_style="bold")
-    for i, name in enumerate(columns):
-        numeric = bool(rows) and all(isinstance(row[i], int | float) for row in rows)
-        table.add_column(name, justify="right" if numeric else "left", overflow="fold")
-    for row in rows:
-        table.add_row(*[_cell(value) for value in row])
-    Console(highlight=False).print(table)
+    """Print a table; numbers are right-aligned, floats below 1,000 have three decimals.
+
+    Cells wrap between words only. Columns for which the terminal is too narrow follow in further
+    tables, each with the first column. Without a terminal a table is as wide as its content.
+    """
+    console = make_console()
+    console.print(Text(title, style="bold"), soft_wrap=True)
+    for table in lay_out(columns, [list(row) for row in rows], console.width):
+        console.print(table, crop=False)
+
+
+def lay_out(columns: Sequence[str], rows: Sequence[Sequence[Any]], room: int) -> list[Table]:
+    """Return tables of at most ``room`` characters that show all columns; see `print_table`."""
+    cells = [[each if isinstance(each, Text) else Text(_cell(each)) for each in r] for r in rows]
+    texts = [[name, *(row[i].plain for row in cells)] for i, name in enumerate(columns)]
+    words = [max(cell_len(word) for text in t for word in text.split() or [""]) for t in texts]
+    lines = [max(map(cell_len, column)) for column in texts]
+    tables = []
+    for block in _blocks(words, room):
+        widths = _widths([words[i] for i in block], [lines[i] for i in block], room)
+        table = Table(width=_total(widths))
+        for i, width in zip(block, widths, strict=True):
+            numeric = rows and all(isinstance(row[i], int | float) for row in rows)
+            table.add_column(Text(columns[i]), justify="right" if numeric else "left", width=width)
+        for row in cells:
+            table.add_row(*(row[i] for i in block))
+        tables.append(table)
+    return tables
+
+
+def _blocks(words: Sequence[int], room: int) -> list[list[int]]:
+    """Split columns, whose longest words are given, into as few tables as possible."""
+    others = range(1, len(words))
+    for count in range(1, len(words)):
+        size = -(-len(others) // count)
+        blocks = [[0, *others[i : i + size]] for i in range(0, len(others), size)]
+        if size == 1 or all(_total([words[i] for i in block]) <= room for block in blocks):
+            return blocks
+    return [[0]]
+
+
+def _total(widths: Sequence[int]) -> int:
+    """Return the width of a table with frame and padding."""
+    return sum(widths) + 3 * len(widths) + 1
+
+
+def _widths(least: Sequence[int], most: Sequence[int], room: int) -> list[int]:
+    """Share the room among columns, those with the shortest lines first."""
+    widths, spare = list(least), room - _total(least)
+    order = sorted(range(len(least)), key=lambda i: most[i] - least[i])
+    for left, i in zip(range(len(order), 0, -1), order, strict=True):
+        more = max(0, min(most[i] - least[i], spare // left))
+        widths[i], spare = widths[i] + more, spare - more
+    return widths
+
+
+def make_console() -> Console:
+    """Return a console as wide as the terminal, or as ``COLUMNS`` says, or without limit."""
+    is_limited = sys.stdout.isatty() or "COLUMNS" in os.environ
+    return Console(highlight=False, width=None if is_limited else UNLIMITED)
 
 
 def _cell(value: Any) -> str:
     if isinstance(value, bool) or value is None:
         return {True: "yes", False: "no", None: "-"}[value]
-    if isinstance(value, int):
-        return f"{value:,}"
     if isinstance(value, float):
         return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:,.3f}"
-    return str(value)
+    return f"{value:,}" if isinstance(value, int) else str(value)
 
 
 def check_json_path(path: Path | None) -> None:
-    """Check that a JSON file can be written, before the work whose result it will hold.
-
-    Raises:
-        UserError: the folder of the file cannot be created or written to.
-    """
+    """Check that a JSON file can be written, before the work whose result it will hold."""
     if path is None:
         return
     try:
@@ -52,13 +122,12 @@ def check_json_path(path: Path | None) -> None:
         if is_new:
             path.unlink()
     except OSError as error:
-        raise UserError(
-            f"Cannot write the JSON file {path}: {error.strerror}. Choose another path for --json."
-        ) from error
+        problem = f"Cannot write the JSON file {path}: {error.strerror}"
+        raise UserError(f"{problem}. Choose another path for --json.") from error
 
 
 def write_json_table(path: Path | None, values: Mapping[str, Any]) -> None:
-    """Write the values of a printed table to a JSON file, if there is a path."""
+    """Write the values of tables to a JSON file; None writes nothing."""
     if path is not None:
         path.write_text(json.dumps(values, indent=2) + "\n")
         print(f"Wrote {path}")

@@ -1,22 +1,29 @@
-"""``knowarm train`` and ``knowarm demo``: training runs."""
+"""``knowarm train``, ``demo`` and ``perception train``: training."""
 
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
-from knowarm.cli.knowledge.options import take_source
-from knowarm.cli.tables import FilePath
+from knowarm.cli.arguments import parse_options, take_experiment, take_option, take_source
+from knowarm.cli.tables import FilePath, TableCommand, print_table
+from knowarm.config import to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.demo import STEPS, demo
-from knowarm.experiment.registry import DEFAULT_EXPERIMENT, experiment_config, experiment_names
+from knowarm.experiment.names import DEFAULT_EXPERIMENT, ExperimentName
+from knowarm.experiment.registry import experiment_config
 from knowarm.experiment.run import run_path, train
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.stop_request import StopRequest
+from knowarm.perception.config import PerceptionConfig
+from knowarm.perception.training import train_classifier
 from knowarm.report import write_report
+from knowarm.world.config import EnvConfig
+from knowarm.world.tasks import task_type
 
 USAGE = f"""usage: knowarm train EXPERIMENT [OPTIONS]
 
@@ -37,18 +44,13 @@ class Train:
     resume: bool = False
     """Resume the run from its latest checkpoint, with the options it was started with."""
     perception: FilePath = None
-    """Perception module of `knowarm perception train`, for agents told what is perceived."""
+    """Perception module of `knowarm perception train`, for agents with perceived knowledge."""
 
     def run(self) -> None:
         """Train until the last step or Ctrl-C."""
+        options: dict[str, Any] = {"resume": self.resume, "perception": self.perception}
         with StopRequest() as should_stop:
-            run = train(
-                self.config,
-                self.runs,
-                resume=self.resume,
-                should_stop=should_stop,
-                perception=self.perception,
-            )
+            run = train(self.config, self.runs, should_stop=should_stop, **options)
         where, result = run.folder.path, run.result
         if result.reason == "stopped":
             again = f"knowarm train {self.config.name} --seed {self.config.seed} --resume"
@@ -56,29 +58,18 @@ class Train:
             print(f"Stopped at step {result.step:,} and saved. Resume with: {again}")
             return
         print(f"Trained for {result.step:,} steps: {where}")
-        if result.best_return is not None:
-            print(
-                f"Best interim evaluation: return {result.best_return:.1f} at step "
-                f"{result.best_step:,}"
-            )
+        if (best := result.best_return) is not None:
+            print(f"Best interim evaluation: return {best:.1f} at step {result.best_step:,}")
         print(f"Evaluate it with: knowarm evaluate {where}")
 
 
 def parse_train(arguments: list[str]) -> Train:
-    """Parse the arguments of ``train``.
-
-    The experiment's name is read first: the other arguments override the values of that
-    experiment, or with ``--resume`` the values stored in the run folder.
-    """
-    if not arguments or arguments[0] in ("-h", "--help"):
-        print(USAGE)
-        sys.exit(0)
-    name, *rest = arguments
-    if name.startswith("-"):
-        raise UserError(
-            f"The first argument must be the name of an experiment, got {name}. There are "
-            f"{len(experiment_names())}; `knowarm list` explains their names."
-        )
+    """Parse the options over the values of the experiment, or those of the run to resume."""
+    name, rest = take_experiment(arguments, USAGE)
+    rest, task = take_option(rest, "--env.task", "package.module:Name")
+    if task is not None:
+        kind = task_type(task).kind_of()
+        name = str(replace(ExperimentName.parse(name), task=kind))
     command = _parse_options(name, rest, experiment_config(name))
     if command.resume:
         stored = RunFolder.open(run_path(command.runs, command.config)).experiment()
@@ -91,13 +82,9 @@ def _parse_options(name: str, arguments: list[str], config: ExperimentConfig) ->
     arguments, source = take_source(arguments, "--knowledge.source")
     if source is not None:
         config = replace(config, knowledge=replace(config.knowledge, source=source))
-    return tyro.cli(
-        Train,
-        prog=f"knowarm train {name}",
-        args=arguments,
-        default=Train(config=config),
-        config=(tyro.conf.AvoidSubcommands,),  # the experiment fixes the algorithm
-    )
+    fixed = (tyro.conf.AvoidSubcommands,)  # the experiment fixes the algorithm
+    default = Train(config=config)
+    return parse_options(Train, f"knowarm train {name}", arguments, default=default, config=fixed)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,3 +105,54 @@ class Demo:
         else:
             path = write_report(runs, self.out / "report.html")
             print(f"Wrote {path}: open it in a browser.")
+
+
+PERCEPTION_USAGE = """usage: knowarm perception train EXPERIMENT --out FILE [OPTIONS]
+
+Train a module that names the visible objects and their colours in the images of an experiment.
+`knowarm train EXPERIMENT --perception FILE` trains an agent of scope "perceived" with it.
+
+  knowarm perception train irb120-target-perceived-dr-fast --help"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainPerception(TableCommand):
+    """Train a module that names the visible objects and their colours, and print its accuracy."""
+
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
+    """File of the module, FILE.safetensors."""
+    training: Annotated[PerceptionConfig, tyro.conf.OmitArgPrefixes] = field(
+        default_factory=PerceptionConfig
+    )
+    """Images, epochs and seed."""
+    env: EnvConfig = field(default_factory=EnvConfig)
+    """The task; its defaults are the experiment's."""
+
+    def result(self) -> dict[str, Any]:
+        """Train, print and write."""
+        if self.out.suffix != ".safetensors":
+            raise UserError(f"--out {self.out}: perception modules are written as .safetensors.")
+        report = partial(print, file=sys.stderr, flush=True)
+        classifier = train_classifier(self.env, self.training, report=report)
+        accuracy = classifier.spec.accuracy
+        columns = ("objects", "colours", "both")
+        rows = [[name, *(100 * test[key] for key in columns)] for name, test in accuracy.items()]
+        title = f"Named correctly in {self.training.test_images:,} images"
+        print_table(title, ["test", "objects %", "their colours %", "both %"], rows)
+        for name, test in accuracy.items():
+            if "answer" in test:
+                print(f"Queries answered correctly, {name}: {100 * test['answer']:.1f} %")
+        classifier.write(self.out)
+        print(f"Wrote {self.out}")
+        return to_dict(classifier.spec)
+
+
+def parse_train_perception(arguments: list[str]) -> TrainPerception:
+    """Train a module for the images of an experiment, and print its accuracy."""
+    name, rest = take_experiment(arguments, PERCEPTION_USAGE)
+    default = TrainPerception(out=tyro.MISSING, env=experiment_config(name).env)
+    return parse_options(TrainPerception, f"knowarm perception train {name}", rest, default=default)
+
+
+PERCEPTION = {"train": parse_train_perception}
+"""Commands of the group `knowarm perception`, by name."""

@@ -1,9 +1,10 @@
 """Registry of agents: the knowledge and the policy network of each, and its role in a study."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Literal
 
-from knowarm.experiment.grounding import GroundingConfig
 from knowarm.knowledge import FULL, FULL_PLUS, QUERY, KnowledgeConfig
 from knowarm.knowledge.vectors import GraphEmbedding
 from knowarm.knowledge.vectors.placebos import (
@@ -15,10 +16,11 @@ from knowarm.knowledge.vectors.placebos import (
     WrongObject,
     Zeros,
 )
+from knowarm.perception.config import GroundingConfig
 from knowarm.policy.config import PolicyConfig
 
 Role = Literal["baseline", "knowledge", "capacity_control", "content_control", "privileged"]
-"""What an agent is for in a comparison:
+"""Purpose of an agent in a comparison:
 
 - ``baseline``: no knowledge vector;
 - ``knowledge``: a vector computed from the graph;
@@ -35,86 +37,78 @@ class Agent:
     about: str
     """One line for ``knowarm list``."""
     role: Role
-    """What the agent is for in a comparison; reports and their verdicts depend on it."""
+    """Purpose in a comparison; reports and their verdicts depend on it."""
     knowledge: KnowledgeConfig
     """From the graph to the knowledge vector."""
     policy: PolicyConfig = field(default_factory=PolicyConfig)
     """Choices of the policy network."""
     grounding: GroundingConfig | None = None
     """Network that finds what the query means (`ExperimentConfig.grounding`)."""
-    marked: bool = False
-    """Whether the image marks the object that is meant (choice task only)."""
+    task: Mapping[str, Any] = field(default_factory=dict)
+    """Fields of the task that have other values; only tasks with these fields have the agent."""
+    tasks: tuple[str, ...] = ()
+    """Tasks in which the agent is an experiment; empty for all that its knowledge fits."""
     colour: str | None = None
     """Class of the report's palette that draws the agent in every chart (``c-blue``); None takes
     a spare one."""
 
 
-def _control(about: str, knowledge: KnowledgeConfig, source: Placebo, **fields: Any) -> Agent:
-    """Return a content control: the knowledge of a subject with other content.
+def _agent(role: Role, about: str, knowledge: KnowledgeConfig, **fields: Any) -> Agent:
+    return Agent(role=role, about=about, knowledge=knowledge, **fields)
 
-    All choices but the source stay, so that scope, width, number of slots and norm are equal.
-    """
-    return Agent(
-        about=f"control of {about}",
-        role="content_control",
-        knowledge=replace(knowledge, source=source),
-        **fields,
-    )
+
+_subject, _privileged = partial(_agent, "knowledge"), partial(_agent, "privileged")
+
+
+def _control(about: str, knowledge: KnowledgeConfig, source: Placebo, **fields: Any) -> Agent:
+    """Return a content control: all choices but the source stay, so that the shape is equal."""
+    about, knowledge = f"control of {about}", replace(knowledge, source=source)
+    return _agent("content_control", about, knowledge, **fields)
+
+
+def _zeros(about: str, knowledge: KnowledgeConfig, **fields: Any) -> Agent:
+    """Return a capacity control whose vector is zero."""
+    about = f"control of {about}, all zeros"
+    return _agent("capacity_control", about, replace(knowledge, source=Zeros()), **fields)
+
+
+def _fused(fusion: str, about: str) -> Agent:
+    """Return `full` with another fusion and the baseline's LSTM size."""
+    return _subject(about, FULL, policy=replace(_FIXED, fusion=fusion))
 
 
 _TARGET = replace(FULL, scope="target")
 _TARGET_PLUS = replace(FULL_PLUS, scope="target")
 _PERCEIVED = replace(FULL_PLUS, scope="perceived")
 _QUERY_WORDS = replace(QUERY, hops=0, colour_share=None)
-_GROUNDED: dict[str, Any] = {
-    "policy": PolicyConfig(hidden="fixed"),
-    "grounding": GroundingConfig(),
-}
-"""Choices of the agents that are told a query: a network finds in the image what it means."""
+_ANALOGY = GraphEmbedding(model="analogy")
+_FIXED = PolicyConfig(hidden="fixed")
+_GROUNDED: dict[str, Any] = {"policy": _FIXED, "grounding": GroundingConfig()}
+"""Choices of agents with knowledge of the query: a network locates its object in the image."""
 
 AGENTS: dict[str, Agent] = {
-    "bm": Agent(
-        about="baseline: no knowledge (paper)",
-        role="baseline",
-        knowledge=KnowledgeConfig(detail="none"),
+    "bm": _agent(
+        "baseline",
+        "baseline: no knowledge (paper)",
+        KnowledgeConfig(detail="none"),
         colour="c-orange",
     ),
-    "full": Agent(
-        about="object types and colours (paper)", role="knowledge", knowledge=FULL, colour="c-blue"
+    "full": _subject("object types and colours (paper)", FULL, colour="c-blue"),
+    "partial": _subject(
+        "object types only (paper)", KnowledgeConfig(detail="partial"), colour="c-green"
     ),
-    "partial": Agent(
-        about="object types only (paper)",
-        role="knowledge",
-        knowledge=KnowledgeConfig(detail="partial"),
-        colour="c-green",
+    "full+": _subject(
+        "as full, with an embedding that keeps facets apart", FULL_PLUS, colour="c-navy"
     ),
-    "full+": Agent(
-        about="as full, with an embedding that keeps facets apart",
-        role="knowledge",
-        knowledge=FULL_PLUS,
-        colour="c-navy",
+    "analogy": _subject(
+        "as full, from ANALOGY embeddings (the paper's first choice)",
+        replace(FULL, source=_ANALOGY, relation_words=False),
     ),
-    "analogy": Agent(
-        about="as full, from ANALOGY embeddings (the paper's first choice)",
-        role="knowledge",
-        knowledge=replace(FULL, source=GraphEmbedding(model="analogy"), relation_words=False),
+    "target": _privileged(
+        "the slot of the episode's own object and colour (privileged)", _TARGET, colour="c-gold"
     ),
-    "target": Agent(
-        about="the slot of the episode's own object and colour (privileged)",
-        role="privileged",
-        knowledge=_TARGET,
-        colour="c-gold",
-    ),
-    "target+": Agent(
-        about="as target, with the embedding of full+ (privileged)",
-        role="privileged",
-        knowledge=_TARGET_PLUS,
-    ),
-    "target-zeros": Agent(
-        about="control of target and target+: their shape, all zeros",
-        role="capacity_control",
-        knowledge=replace(_TARGET, source=Zeros()),
-    ),
+    "target+": _privileged("as target, with the embedding of full+ (privileged)", _TARGET_PLUS),
+    "target-zeros": _zeros("target and target+: their shape", _TARGET),
     "target-random": _control("target: one random vector per facet", _TARGET, RandomVectors()),
     "target-shuffled": _control(
         "target: from a graph with permuted tails", _TARGET, ShuffledGraph()
@@ -123,28 +117,20 @@ AGENTS: dict[str, Agent] = {
     "target-random+": _control("target+, as target-random", _TARGET_PLUS, RandomVectors()),
     "target-shuffled+": _control("target+, as target-shuffled", _TARGET_PLUS, ShuffledGraph()),
     "target-onehot+": _control("target+, as target-onehot", _TARGET_PLUS, OneHot()),
-    "target-perceived": Agent(
-        about="the slot of the object and colour that a perception module names in the image",
-        role="knowledge",
-        knowledge=_PERCEIVED,
+    "target-perceived": _subject(
+        "the slot of the object and colour that a perception module names in the image", _PERCEIVED
     ),
-    "target-perceived-zeros": Agent(
-        about="control of target-perceived: its shape, all zeros",
-        role="capacity_control",
-        knowledge=replace(_PERCEIVED, source=Zeros()),
-    ),
+    "target-perceived-zeros": _zeros("target-perceived: its shape", _PERCEIVED),
     "target-perceived-onehot": _control(
-        "target-perceived: the index of what was named, no meaning", _PERCEIVED, OneHot()
+        "target-perceived: the index of what was named, no meaning",
+        _PERCEIVED,
+        OneHot(),
+        tasks=("reach",),  # fewer numbers than the choose task has facets
     ),
     "target-perceived-random": _control(
         "target-perceived: one random vector per facet", _PERCEIVED, RandomVectors()
     ),
-    "zeros": Agent(
-        about="control of full and full+: their shape, all zeros",
-        role="capacity_control",
-        knowledge=replace(FULL, source=Zeros()),
-        colour="c-grey",
-    ),
+    "zeros": _zeros("full and full+: their shape", FULL, colour="c-grey"),
     "random": _control(
         "full: its shape and norm, random", FULL, RandomVectors(), colour="c-purple"
     ),
@@ -156,111 +142,71 @@ AGENTS: dict[str, Agent] = {
     "shuffled+": _control("full+, as shuffled", FULL_PLUS, ShuffledGraph()),
     "onehot+": _control("full+, as onehot", FULL_PLUS, OneHot()),
     "wrong-object": _control("full: each slot describes another object", FULL, WrongObject()),
-    "learned": Agent(
-        about="control: the vector is learned with the policy",
-        role="content_control",
-        knowledge=replace(FULL, source=Learned()),
+    "learned": _agent(
+        "content_control",
+        "control: the vector is learned with the policy",
+        replace(FULL, source=Learned()),
         policy=PolicyConfig(knowledge_encoder="learned"),
     ),
-    "wide": Agent(
-        about="control: no knowledge, full's parameter count in a larger LSTM",
-        role="capacity_control",
-        knowledge=FULL,
+    "wide": _agent(
+        "capacity_control",
+        "control: no knowledge, full's parameter count in a larger LSTM",
+        FULL,
         policy=PolicyConfig(wide=True),
         colour="c-brown",
     ),
-    "full-fixed": Agent(
-        about="full with the baseline's LSTM size",
-        role="knowledge",
-        knowledge=FULL,
-        policy=PolicyConfig(hidden="fixed"),
-    ),
-    "full-before-fc": Agent(
-        about="full, concatenated before the fully connected layer",
-        role="knowledge",
-        knowledge=FULL,
+    "full-fixed": _fused("before_lstm", "full with the baseline's LSTM size"),
+    "full-before-fc": _subject(
+        "full, concatenated before the fully connected layer",
+        FULL,
         policy=PolicyConfig(fusion="before_fc"),
     ),
-    "full-after-lstm": Agent(
-        about="full, concatenated after the LSTM",
-        role="knowledge",
-        knowledge=FULL,
-        policy=PolicyConfig(fusion="after_lstm", hidden="fixed"),
-    ),
-    "full-film": Agent(
-        about="full, scaling and shifting the convolution features",
-        role="knowledge",
-        knowledge=FULL,
-        policy=PolicyConfig(fusion="film", hidden="fixed"),
-    ),
-    "full-attention": Agent(
-        about="full, with attention over its slots",
-        role="knowledge",
-        knowledge=FULL,
-        policy=PolicyConfig(fusion="attention", hidden="fixed"),
-    ),
-    "full-critic": Agent(
-        about="full, for the critic only",
-        role="knowledge",
-        knowledge=FULL,
-        policy=PolicyConfig(fusion="critic", hidden="fixed"),
-    ),
-    "mask": Agent(
-        about="upper bound of the choice task: the image marks the object that is meant",
-        role="privileged",
-        knowledge=replace(QUERY, source=Zeros()),
+    "full-after-lstm": _fused("after_lstm", "full, concatenated after the LSTM"),
+    "full-film": _fused("film", "full, scaling and shifting the convolution features"),
+    "full-attention": _fused("attention", "full, with attention over its slots"),
+    "full-critic": _fused("critic", "full, for the critic only"),
+    "mask": _privileged(
+        "upper bound of the choose task: the image marks the wanted object",
+        replace(QUERY, source=Zeros()),
         **_GROUNDED,
-        marked=True,
+        task={"marked": True},
         colour="c-gold",
     ),
-    "subgraph": Agent(
-        about="the subgraph around the values of the query",
-        role="knowledge",
-        knowledge=QUERY,
-        **_GROUNDED,
-        colour="c-blue",
+    "subgraph": _subject(
+        "the subgraph around the values of the query", QUERY, **_GROUNDED, colour="c-blue"
     ),
-    "subgraph-before-lstm": Agent(
-        about="as subgraph, concatenated before the LSTM as in the paper",
-        role="knowledge",
-        knowledge=QUERY,
+    "subgraph-before-lstm": _subject(
+        "as subgraph, concatenated before the LSTM as in the paper", QUERY
     ),
-    "subgraph-similarity": Agent(
-        about="as subgraph, fused by similarity without a grounding network",
-        role="knowledge",
-        knowledge=QUERY,
+    "subgraph-similarity": _subject(
+        "as subgraph, fused by similarity without a grounding network",
+        QUERY,
         policy=PolicyConfig(fusion="similarity", hidden="fixed"),
     ),
-    "query-words": Agent(
-        about="the word vectors of the query, without the graph",
-        role="knowledge",
-        knowledge=_QUERY_WORDS,
+    "query-words": _subject(
+        "the word vectors of the query, without the graph",
+        _QUERY_WORDS,
         **_GROUNDED,
         colour="c-green",
     ),
-    "query-analogy": Agent(
-        about="ANALOGY embeddings of the values of the query",
-        role="knowledge",
-        knowledge=replace(_QUERY_WORDS, source=GraphEmbedding(model="analogy"), centring=False),
+    "query-analogy": _subject(
+        "ANALOGY embeddings of the values of the query",
+        replace(_QUERY_WORDS, source=_ANALOGY, centring=False),
         **_GROUNDED,
         colour="c-navy",
     ),
-    "query-zeros": Agent(
-        about="control of the agents that are told the query: their shape, all zeros",
-        role="capacity_control",
-        knowledge=replace(QUERY, source=Zeros()),
-        **_GROUNDED,
-        colour="c-grey",
+    "query-zeros": _zeros(
+        "agents with knowledge of the query: their shape", QUERY, **_GROUNDED, colour="c-grey"
     ),
     "query-onehot": _control(
-        "the agents that are told the query: the index of each condition",
+        "agents with knowledge of the query: the index of each condition",
         QUERY,
         OneHot(),
         **_GROUNDED,
         colour="c-teal",
     ),
     "query-random": _control(
-        "the agents that are told the query: one random vector per condition",
+        "agents with knowledge of the query: one random vector per condition",
         QUERY,
         RandomVectors(),
         **_GROUNDED,
@@ -283,29 +229,24 @@ def first_of_role(role: Role) -> str:
 
 
 def controls_of(subject: str, role: Role) -> list[str]:
-    """Return the registered controls that match an agent in everything but their purpose.
+    """Return the registered controls of a role that match a registered agent but for their purpose.
 
     A content control has the subject's knowledge but for the source, and the same network; one
     whose numbers depend on no description fits every subject with its scope and slots. A capacity
     control has its scope, slots and width, or no knowledge and as many parameters.
-
-    Args:
-        subject: name of a registered agent; others have no registered controls.
-        role: of the controls.
     """
     if (agent := AGENTS.get(subject)) is None:
         return []
 
     def matches(control: Agent) -> bool:
-        if replace(control.policy, wide=False) != agent.policy:
-            return False
-        if control.grounding != agent.grounding:
+        policy = replace(control.policy, wide=False)
+        if policy != agent.policy or control.grounding != agent.grounding:
             return False
         own, other = agent.knowledge, control.knowledge
-        if role == "content_control" and replace(other, source=own.source) == own:
-            return True
         fields = ["scope", "detail", "dim"]
         if role == "content_control":
+            if replace(other, source=own.source) == own:
+                return True
             if not other.source.content_free or own.slot_norm is None:
                 return False
             fields += ["slot_norm"]

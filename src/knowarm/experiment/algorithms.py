@@ -2,9 +2,8 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol, cast
+from typing import Any, NamedTuple, cast
 
-from knowarm.cores import available_cores
 from knowarm.learn import (
     A3CConfig,
     A3CTrainer,
@@ -14,34 +13,20 @@ from knowarm.learn import (
     TorchVectorEnv,
     Trainer,
 )
-from knowarm.learn.config import AlgorithmConfig
+from knowarm.learn.algorithms import AlgorithmConfig
 from knowarm.policy import Policy
 
-EVALUATOR_THREADS = 8
-"""Most threads that play the interim episodes of a training on a GPU; forty episodes keep no more
-busy, and the training itself uses one."""
 
-
-class MakeEnv(Protocol):
-    """Picklable factory of training environments."""
-
-    def __call__(
-        self, num_envs: int, num_threads: int = 0, *, device: str = "cpu"
-    ) -> TorchVectorEnv:
-        """Make ``num_envs`` environments on a device, with ``num_threads`` threads (0: all)."""
-        ...
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrainerInputs:
+class TrainerInputs(NamedTuple):
     """Everything a trainer is built from."""
 
     config: AlgorithmConfig
     """Hyperparameters, of the type of ``Algorithm.config``."""
     policy: Policy
     """The policy to train in place."""
-    make_env: MakeEnv
-    """Makes the training environments."""
+    make_env: Callable[..., TorchVectorEnv]
+    """Makes the training environments from num_envs, num_threads (0: all) and ``device``;
+    picklable."""
     make_evaluate: MakeEvaluate
     """Makes the interim evaluation."""
     options: Mapping[str, Any]
@@ -55,28 +40,21 @@ class Algorithm:
     about: str
     """One line for ``knowarm list``."""
     config: AlgorithmConfig
-    """Default hyperparameters; their literal ``name`` is the registry's name of the trainer.
-    Another entry may hold other values of the same config, under a name of its own."""
+    """Default hyperparameters; their literal ``name`` is the registry's name of the trainer."""
     make_trainer: Callable[[TrainerInputs], Trainer]
     """Builds a trainer."""
     total_steps: int
     """Environment steps of an experiment, over all environments."""
     policy: Mapping[str, Any] = field(default_factory=dict)
     """Fields of the policy's config that have other values under this algorithm."""
-    choice: Mapping[str, Any] = field(default_factory=dict)
-    """Fields of experiments of the choice task that have other values."""
+    by_task: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Fields of the experiments of single tasks that have other values, by task."""
 
 
 def _make_ppo(inputs: TrainerInputs) -> Trainer:
     config = cast(PPOConfig, inputs.config)
     env = inputs.make_env(config.num_envs, device=config.device)
-    options = dict(inputs.options)
-    if config.device == "cpu":
-        options["evaluate"] = inputs.make_evaluate()
-    else:
-        # The interim episodes are played on the CPU: on a GPU they would take as long as training.
-        options["make_evaluate"] = inputs.make_evaluate
-        options["evaluator_threads"] = min(EVALUATOR_THREADS, available_cores())
+    options = {"evaluate": inputs.make_evaluate(), **inputs.options}
     return PPOTrainer(config, inputs.policy, env, **options)
 
 
@@ -103,17 +81,17 @@ ALGORITHMS: dict[str, Algorithm] = {
         total_steps=1_500_000,
         policy={"pixel_shift": 0.5, "pixel_scale": 4.0},
         # Without it, grasps of which few objects are examples are learned late.
-        choice={"total_steps": 2_000_000, "algorithm": {"progress_coef": 1.0}},
+        by_task={"choose": {"total_steps": 2_000_000, "algorithm": {"progress_coef": 1.0}}},
     ),
     "ppo": Algorithm(
-        about="recurrent proximal policy optimization; on CPU or GPU",
+        about="recurrent proximal policy optimization",
         config=PPOConfig(),
         make_trainer=_make_ppo,
         total_steps=10_000_000,
         policy={"pixel_shift": 0.5, "pixel_scale": 4.0},
     ),
     "a3c": Algorithm(
-        about="asynchronous advantage actor-critic with the paper's numbers; on CPU",
+        about="asynchronous advantage actor-critic with the paper's numbers",
         config=A3CConfig(),
         make_trainer=_make_a3c,
         total_steps=70_000_000,
@@ -148,7 +126,8 @@ ALGORITHMS: dict[str, Algorithm] = {
 """Every algorithm by name; the first is the demo's."""
 
 
-def algorithm_of(experiment: str) -> str | None:
-    """Return the algorithm with whose name that of an experiment ends; None if there is none."""
-    ends = [name for name in ALGORITHMS if experiment.endswith(f"-{name}")]
-    return max(ends, key=len, default=None)
+def algorithm_of(config: Mapping[str, Any]) -> str:
+    """Return the name of the algorithm of a stored experiment, or of its trainer if it has none."""
+    trainer = str(config["algorithm"].get("name", "?"))
+    entry = ALGORITHMS.get(name := str(config.get("algorithm_name")))
+    return name if entry and entry.config.name == trainer else trainer

@@ -1,4 +1,4 @@
-"""Blind agents beside a trained one: how much of its success needs eyes."""
+"""Blind baselines beside a trained agent: how much of its success depends on vision."""
 
 from typing import Any
 
@@ -7,21 +7,14 @@ import numpy as np
 from knowarm.experiment.config import EvaluationConfig
 from knowarm.statistics import Interval, share_difference, wilson
 from knowarm.world.agents import BLIND_AGENTS, AgentProtocol
-from knowarm.world.agents.open_loop import search_open_loop
-from knowarm.world.config import EnvConfig
-from knowarm.world.episodes import Episodes
-from knowarm.world.play import play
-from knowarm.world.vector_env import ReachVectorEnv
+from knowarm.world.agents.play import play
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.tasks.episodes import Episodes
 
 
 def count_blind_episodes(config: EvaluationConfig) -> int:
     """Count the episodes that all blind agents play in an evaluation."""
     return len(BLIND_AGENTS) * min(config.blind_episodes, config.episodes)
-
-
-def prepare_blind_agents(env: EnvConfig) -> None:
-    """Search for the open-loop agent of a task, which takes longer than its episodes."""
-    search_open_loop(env)
 
 
 def blind_numbers(
@@ -32,21 +25,11 @@ def blind_numbers(
     count: int,
     seed: int,
 ) -> dict[str, Any]:
-    """Play the first of an agent's episodes with the blind agents, and subtract their success.
+    """Play the first ``count`` of an agent's N episodes with the blind agents, and compare.
 
-    Args:
-        agent: the evaluated agent, as `BlindAgent` and `FrozenAgent` play it.
-        success: which of its episodes it solved, (N,) bool.
-        env: the environment, with the evaluation's thresholds.
-        episodes: the N episodes it played.
-        count: number of episodes that each blind agent plays.
-        seed: of the search for the open-loop agent.
-
-    Returns:
-        ``blind_agents``: for each name in `BLIND_AGENTS` the number of ``episodes``, ``success``
-        and ``difference``, the agent's success over all its episodes minus this one.
-        ``needs_eyes``: the smallest difference to an agent that sees nothing. Rates and
-        differences have 95 % intervals. Nothing without episodes.
+    ``success`` (N,) bool is the agent's. Returns ``blind_agents``, by name the ``episodes``,
+    ``success`` and ``difference``, the agent's success over all episodes minus this one, and
+    ``needs_eyes``, the smallest difference to an agent that sees nothing; 95 % intervals.
     """
     if not count:
         return {}

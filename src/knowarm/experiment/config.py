@@ -4,14 +4,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Literal
 
-from knowarm.config import check_numbers, registered
+from knowarm.config import above_zero, at_least, check_numbers, registered
 from knowarm.errors import UserError
 from knowarm.experiment.agents import Role
 from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.graph_queries import GraphQueries as GraphQueries  # registers itself
-from knowarm.experiment.grounding import GroundingConfig
 from knowarm.knowledge.config import KnowledgeConfig
-from knowarm.learn.config import AlgorithmConfig, PPOConfig
+from knowarm.learn.algorithms import AlgorithmConfig, PPOConfig
+from knowarm.perception.config import GroundingConfig
 from knowarm.policy.config import PolicyConfig
 from knowarm.world.config import EnvConfig
 
@@ -22,20 +22,15 @@ class InterimConfig:
 
     every_steps: int = 50_000
     """Environment steps between two interim evaluations."""
-
     episodes: int = 40
     """Episodes per evaluation; always the same ones."""
-
     greedy: bool = True
     """Take the most probable action instead of sampling one."""
-
     seed: int = 20_250_714
     """Seed of the episodes; the same for every experiment, so that curves are comparable."""
 
     def __post_init__(self) -> None:
-        for name in ("every_steps", "episodes"):
-            if getattr(self, name) < 1:
-                raise UserError(f"interim.{name} must be at least 1, got {getattr(self, name)}.")
+        at_least(self, 1, "every_steps", "episodes", where="interim.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,22 +39,16 @@ class StopWhen:
 
     success: float
     """Success of interim evaluations that counts as learned, 0 to 1."""
-
     evaluations: int = 3
     """Consecutive interim evaluations with at least that success that end the training."""
 
     def __post_init__(self) -> None:
         if not 0 < self.success <= 1:
             raise UserError(f"stop_when.success must lie above 0 and up to 1, got {self.success}.")
-        if self.evaluations < 1:
-            raise UserError(f"stop_when.evaluations must be at least 1, got {self.evaluations}.")
+        at_least(self, 1, "evaluations", where="stop_when.")
 
     def met_at(self, curve: Iterable[tuple[int, float]]) -> int | None:
-        """Return the step at which the rule ended training, or None.
-
-        Args:
-            curve: step and success of every interim evaluation, in order.
-        """
+        """Return the step at which a curve of step and success meets the rule, or None."""
         count = 0
         for step, success in curve:
             count = count + 1 if success >= self.success else 0
@@ -70,69 +59,56 @@ class StopWhen:
 
 @dataclass(frozen=True, kw_only=True)
 class ExperimentConfig:
-    """One training run: environment, knowledge, policy network and learning algorithm.
-
-    Raises:
-        UserError: a value out of its range.
-    """
+    """One training run: environment, knowledge, policy network and learning algorithm."""
 
     name: str
     """Name of the experiment; its runs are stored in ``<runs>/<name>/<seed>/``."""
-
     agent: str
     """Name of the agent in tables and reports."""
-
+    algorithm_name: str = ""
+    """Name of the algorithm in tables and reports, as in `knowarm list`; ``algorithm`` has its
+    hyperparameters. Empty: the name of its trainer."""
     role: Role = "knowledge"
-    """What the agent is for in a comparison of agents: see `knowarm.experiment.agents.Role`."""
-
+    """Purpose of the agent in a comparison: see `knowarm.experiment.agents.Role`."""
     seed: int = 0
     """Seed of initial weights, episodes, actions and minibatches."""
-
     total_steps: int = 10_000_000
     """Environment steps to train for, over all environments (the paper: 70 million)."""
-
     checkpoint_every_steps: int = 200_000
     """Environment steps between two checkpoints: the most that a crash can lose."""
-
     env: EnvConfig = field(default_factory=EnvConfig)
     """Robot, targets, colours, dynamics and success thresholds."""
-
     knowledge: KnowledgeConfig
     """From the graph to the agent's knowledge vector."""
-
     policy: PolicyConfig = field(default_factory=PolicyConfig)
     """Choices of the policy network."""
-
     grounding: GroundingConfig | None = None
-    """Train, before the first step, a network that finds in the first image of an episode what the
-    query means, and tell the policy this place instead of the query's vector; for tasks that ask
-    and knowledge of scope "query". None: the policy gets the vector."""
-
+    """Train first a network that locates the object that answers the query in an episode's first
+    image; the policy receives its grasp frame instead of the query's vector. Needs knowledge of
+    scope "query". None: the policy receives the vector."""
     algorithm: AlgorithmConfig = field(
         default_factory=PPOConfig,
         metadata=registered(lambda: [type(entry.config) for entry in ALGORITHMS.values()]),
     )
     """The learning algorithm and its hyperparameters."""
-
     interim: InterimConfig = field(default_factory=InterimConfig)
     """The evaluation at regular intervals during training."""
-
     stop_when: StopWhen | None = None
     """End training before ``total_steps`` once this rule is met; None trains all steps."""
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        for name in ("total_steps", "checkpoint_every_steps"):
-            if getattr(self, name) < 1:
-                raise UserError(f"{name} must be at least 1, got {getattr(self, name)}.")
-        if self.seed < 0:
-            raise UserError(f"seed must be 0 or more, got {self.seed}.")
-        asks = self.env.choice is not None and self.knowledge.scope == "query"
-        if self.grounding is not None and not (asks and self.knowledge.detail != "none"):
+        at_least(self, 1, "total_steps", "checkpoint_every_steps")
+        scope, task = self.knowledge.scope, self.env.task
+        if self.knowledge.detail != "none" and scope not in task.scopes:
             raise UserError(
-                "grounding finds what a query means: it needs the choice task and knowledge of "
-                f"scope 'query', got {self.knowledge.scope!r} in "
-                f"{'the choice task' if self.env.choice else 'reaching'}. Leave grounding None."
+                f"Knowledge of scope {scope!r} describes nothing in the task {task.kind!r}; its "
+                f"scopes are {', '.join(sorted(task.scopes))}. Take another agent or task."
+            )
+        if self.grounding is not None and (scope != "query" or self.knowledge.detail == "none"):
+            raise UserError(
+                "grounding locates the object that answers a query: it needs knowledge of scope "
+                f"'query', got {scope!r} with detail {self.knowledge.detail!r}. Leave it None."
             )
 
     @property
@@ -143,75 +119,52 @@ class ExperimentConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluationConfig:
-    """Settings of a post-training evaluation (paper section 4.2.4).
-
-    Raises:
-        UserError: a number out of its range, or episodes that the seeds do not divide.
-    """
+    """Settings of a post-training evaluation (paper section 4.2.4)."""
 
     episodes: int = 1000
     """Total number of episodes."""
-
     seed: int = 1_000_003
     """Seed of the fixed episodes; far from training seeds, so that none was trained on."""
-
     seeds: int = 1
     """Number of seeds that the episodes are drawn from in equal shares: ``seed``, ``seed`` + 1,
     and so on; the paper's analysis of variance takes 30 seeds of 100 episodes."""
-
     distance_m: float = 0.10
     """Largest distance of a success [m]."""
-
     angle_deg: float = 17.0
     """Largest angle of a success [deg]; the paper's section 4. Its section 3 says 20."""
-
     wide_angle_deg: float = 20.0
     """Largest angle of ``success_wide`` [deg], reported as well."""
-
     actions: Literal["greedy", "sampled"] = "greedy"
     """Take the most probable action, or sample one."""
-
     held_out: bool = False
     """Play the colours and places that the environment excluded from training."""
-
     split: Literal["train", "S1", "S2", "S3", "S4", "S5"] | None = None
-    """Questions of the choice task: those of this split's test; None takes those of training."""
-
+    """Questions of the choose task: those of this split's test; None takes those of training."""
     edited: str | None = None
     """Path of the edited graph of split S5; None takes the one that swaps values."""
-
     label: str | None = None
     """Name of the folder of the evaluation's files; None takes ``post-training-<actions>``, plus
     ``-held-out`` for held-out episodes, or the split in lower case."""
-
     blind_episodes: int = 200
     """Number of episodes, from the first, that the blind agents play beside a trained one; 0 plays
     none."""
-
     record_steps: bool = True
     """Keep joint angles, action, distance and angle of every step."""
-
     record_films: int = 6
     """Number of episodes, from the first, whose images are kept."""
-
     num_envs: int = 128
     """Episodes played in parallel. It affects the result: another batch size rounds sums
     differently."""
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        for name in ("episodes", "seeds", "num_envs"):
-            if getattr(self, name) < 1:
-                raise UserError(f"{name} must be at least 1, got {getattr(self, name)}.")
+        at_least(self, 1, "episodes", "seeds", "num_envs")
+        at_least(self, 0, "blind_episodes")
+        above_zero(self, "distance_m", "angle_deg", "wide_angle_deg")
         if self.edited is not None and self.split != "S5":
             raise UserError(
                 f"edited is the graph of split S5, got split={self.split!r}; set split to 'S5'."
             )
-        if self.blind_episodes < 0:
-            raise UserError(f"blind_episodes must be at least 0, got {self.blind_episodes}.")
-        for name in ("distance_m", "angle_deg", "wide_angle_deg"):
-            if not getattr(self, name) > 0:
-                raise UserError(f"{name} must be above 0, got {getattr(self, name)}.")
         if self.wide_angle_deg < self.angle_deg:
             raise UserError(
                 f"wide_angle_deg ({self.wide_angle_deg}) must not be below angle_deg "

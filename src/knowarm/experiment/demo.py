@@ -6,33 +6,20 @@ from pathlib import Path
 
 from knowarm.experiment.agents import first_of_role
 from knowarm.experiment.algorithms import ALGORITHMS
-from knowarm.experiment.build import load_agent
 from knowarm.experiment.config import EvaluationConfig, ExperimentConfig, InterimConfig
 from knowarm.experiment.evaluate import evaluate
-from knowarm.experiment.registry import experiment_config, experiment_name
+from knowarm.experiment.load import load_agent
+from knowarm.experiment.registry import experiment_config
 from knowarm.experiment.run import run_path, train
 from knowarm.world.robots import DEMO_ROBOT
 
 STEPS = 500_000
 """Environment steps of each agent: most episodes then succeed, not all."""
-
 EVALUATION = EvaluationConfig(episodes=200, label="demo")
-"""The same 200 episodes for every agent."""
 
 
 def demo(folder: Path, *, steps: int = STEPS, should_stop: Callable[[], bool]) -> list[Path] | None:
-    """Train both agents and evaluate them, trained and untrained.
-
-    Runs in the same folder are resumed; what is already trained is not trained again.
-
-    Args:
-        folder: folder of the runs.
-        steps: environment steps of each agent.
-        should_stop: called between updates; true saves a checkpoint and ends the demo.
-
-    Returns:
-        The run folders, for a report; None when stopped early.
-    """
+    """Train, resume and evaluate both agents; return the run folders, or None if stopped."""
     paths = []
     for config in demo_experiments(steps):
         is_started = (run_path(folder, config) / "config.json").exists()
@@ -40,17 +27,16 @@ def demo(folder: Path, *, steps: int = STEPS, should_stop: Callable[[], bool]) -
         if run.result.reason == "stopped":
             return None
         paths.append(run.folder.path)
-        evaluate(load_agent(run.folder.path), config=EVALUATION).write()
-        evaluate(load_agent(run.folder.path, which="untrained"), config=EVALUATION).write()
+        evaluate(run, config=EVALUATION)
+        evaluate(load_agent(run.folder.path, which="untrained"), config=EVALUATION)
     return paths
 
 
 def demo_experiments(steps: int) -> list[ExperimentConfig]:
     """Return the experiments of the demo: baseline and knowledge, with the first algorithm."""
-    algorithm = next(iter(ALGORITHMS))
     return [
         dataclasses.replace(
-            experiment_config(experiment_name(DEMO_ROBOT, first_of_role(role), algorithm)),
+            experiment_config(f"{DEMO_ROBOT}-{first_of_role(role)}-{next(iter(ALGORITHMS))}"),
             total_steps=steps,
             interim=InterimConfig(every_steps=max(1, steps // 10)),
         )

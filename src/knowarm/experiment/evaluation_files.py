@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -9,7 +10,7 @@ import pyarrow.parquet as pq
 from PIL import Image, ImageSequence
 
 from knowarm.errors import UserError
-from knowarm.reading import reading
+from knowarm.reading import reading, writing
 
 EPISODE_COLUMNS = {
     "episode": ("int32", "index of the episode in the fixed list, from 0"),
@@ -26,13 +27,13 @@ EPISODE_COLUMNS = {
 }
 """Columns of ``episodes.parquet``: type and meaning; one row per episode."""
 
-CHOICE_COLUMNS = {
-    "query": ("string", "what the episode asked for"),
+TASK_COLUMNS = {
+    "query": ("string", "query of the episode"),
     "chosen": ("string", "object whose grasp point was nearest to the gripper at the end"),
-    "choice_correct": ("bool", "whether that is the object that the query means"),
-    "chose_old_answer": ("bool", "whether the query meant it before the graph was edited"),
+    "choice_correct": ("bool", "whether that object answers the query"),
+    "chose_old_answer": ("bool", "whether it answered the query before the graph was edited"),
 }
-"""Further columns where several objects are visible."""
+"""Further columns of tasks with several objects; a task of your own adds others."""
 
 STEP_COLUMNS = {
     "episode": ("int32", "index of the episode in the fixed list, from 0"),
@@ -43,70 +44,54 @@ STEP_COLUMNS = {
 }
 """Columns of ``steps.parquet``, followed by ``joint_<i>_rad`` and ``action_<i>`` per joint."""
 
-FRAME_MS = 120
-"""Display time of each image [ms]."""
-
+FRAME_MS, LAST_MS = 120, 1_200
+"""Display time of each image, and of the last before the animation repeats [ms]."""
 MAX_FRAMES = 10_000
 """Most images of a film that is read; an episode has at most a few hundred steps."""
-
 AGAIN = "Evaluate the run again."
 """Remedy for a damaged file of an evaluation."""
 
-LAST_MS = 1_200
-"""Display time of the last image before the animation repeats [ms]."""
+
+def episode_types(episodes: Mapping[str, np.ndarray]) -> dict[str, tuple[str, str]]:
+    """Return type and meaning of the columns of ``episodes.parquet``, those of the task last."""
+    known = EPISODE_COLUMNS | {n: each for n, each in TASK_COLUMNS.items() if n in episodes}
+    types = {"b": "bool", "i": "int64", "u": "int64", "f": "float64"}
+    return known | {
+        name: (types.get(values.dtype.kind, "string"), "of the task")
+        for name, values in episodes.items()
+        if name not in known
+    }
 
 
 def step_columns(joints: int) -> dict[str, tuple[str, str]]:
     """Return the columns of ``steps.parquet`` for a robot with ``joints`` joints."""
     columns = dict(STEP_COLUMNS)
     for i in range(1, joints + 1):
+        increment = f"chosen increment of joint {i}: 0..6, see ACTION_LEVELS"
         columns[f"joint_{i}_rad"] = ("float32", f"angle of joint {i} [rad]")
-        columns[f"action_{i}"] = (
-            "int8",
-            f"chosen increment of joint {i}: 0..6, see ACTION_LEVELS",
-        )
+        columns[f"action_{i}"] = ("int8", increment)
     return columns
 
 
 def write_table(
     path: Path, columns: Mapping[str, np.ndarray], described: Mapping[str, tuple[str, str]]
 ) -> None:
-    """Write columns to a Parquet file, with the meaning and unit of each as its metadata.
-
-    Args:
-        path: the file.
-        columns: one (n,) array for every name in ``described``.
-        described: type and meaning of each column.
-
-    Raises:
-        UserError: the file cannot be written.
-    """
+    """Write columns, (n,) each, to a Parquet file, with the meaning of each as metadata."""
     types = {"string": pa.dictionary(pa.int32(), pa.string())}
     fields = [
         pa.field(name, types.get(kind) or pa.type_for_alias(kind), metadata={"meaning": meaning})
         for name, (kind, meaning) in described.items()
     ]
     arrays = [pa.array(columns[f.name]).cast(f.type) for f in fields]
+    table = pa.Table.from_arrays(arrays, schema=pa.schema(fields))
     temporary = path.with_name(path.name + ".tmp")
-    try:
-        pq.write_table(
-            pa.Table.from_arrays(arrays, schema=pa.schema(fields)), temporary, compression="zstd"
-        )
+    with writing(path):
+        pq.write_table(table, temporary, compression="zstd")
         temporary.replace(path)
-    except OSError as error:
-        raise UserError(f"Cannot write {path}: {error.strerror or error}.") from error
 
 
 def read_table(path: Path, names: list[str] | None = None) -> dict[str, np.ndarray]:
-    """Read columns of a Parquet file as (n,) arrays.
-
-    Args:
-        path: the file.
-        names: the columns to read; None reads all.
-
-    Raises:
-        UserError: the file is missing, damaged, or lacks a column.
-    """
+    """Read columns of a Parquet file, by default all, as (n,) arrays."""
     with reading(path, AGAIN):
         table = pq.read_table(pa.BufferReader(path.read_bytes()), columns=names)
         missing = set(names or ()) - set(table.column_names)
@@ -116,38 +101,17 @@ def read_table(path: Path, names: list[str] | None = None) -> dict[str, np.ndarr
 
 
 def write_film(path: Path, frames: np.ndarray) -> None:
-    """Write a lossless animated WebP, which browsers play and `read_film` reads back exactly.
-
-    Args:
-        path: the file; its folder is created.
-        frames: (T, H, W, 3) uint8, T at least 1.
-
-    Raises:
-        UserError: the file cannot be written.
-    """
+    """Write images (T, H, W, 3) as a lossless animated WebP, which `read_film` reads."""
     images = [Image.fromarray(frame) for frame in frames]
     durations = [FRAME_MS] * (len(images) - 1) + [LAST_MS]
-    try:
+    options: dict[str, Any] = {"duration": durations, "loop": 0, "lossless": True, "method": 4}
+    with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        images[0].save(
-            path,
-            save_all=True,
-            append_images=images[1:],
-            duration=durations,
-            loop=0,
-            lossless=True,
-            method=4,
-        )
-    except OSError as error:
-        raise UserError(f"Cannot write {path}: {error.strerror or error}.") from error
+        images[0].save(path, save_all=True, append_images=images[1:], **options)
 
 
 def read_film(path: Path) -> np.ndarray:
-    """Read the images of a film written by `write_film`: (T, H, W, 3) uint8.
-
-    Raises:
-        UserError: the file is missing or not an image.
-    """
+    """Read the images of a film written by `write_film`: (T, H, W, 3) uint8."""
     frames: list[np.ndarray] = []
     with reading(path, AGAIN):
         with Image.open(path) as film:

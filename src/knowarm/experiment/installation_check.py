@@ -2,7 +2,6 @@
 
 import os
 import shutil
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,35 +11,23 @@ import torch
 
 from knowarm.errors import UserError
 from knowarm.experiment.build import build
-from knowarm.experiment.registry import DEFAULT_EXPERIMENT, experiment_config
-from knowarm.experiment.run_folder import provenance
+from knowarm.experiment.names import DEFAULT_EXPERIMENT
+from knowarm.experiment.provenance import provenance
+from knowarm.experiment.registry import experiment_config
 from knowarm.world.agents import OracleAgent
 from knowarm.world.config import EnvConfig
-from knowarm.world.robot_check import Check
-from knowarm.world.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.own_robot.robot_check import Check
 
-MIN_MEMORY_GIB = 2.0
-"""Free memory that training needs."""
-
-MIN_DISK_GIB = 1.0
-"""Free disk space that a training run needs."""
+MIN_MEMORY_GIB, MIN_DISK_GIB = 2.0, 1.0
+"""Free memory and disk space that training needs."""
 
 
 def check_installation(runs: Path) -> list[Check]:
-    """Check every part of the installation by using it once.
-
-    Args:
-        runs: output folder of training runs.
-    """
-    return [
-        _checked("versions", _versions),
-        _checked("knowledge", _knowledge),
-        _checked("world", _world),
-        _checked("policy", _policy),
-        _memory(),
-        _disk(runs),
-        _gpu(),
-    ]
+    """Check every part of the installation by using it once; ``runs`` holds run folders."""
+    parts = {"versions": _versions, "knowledge": _knowledge, "world": _world, "policy": _policy}
+    used = [_checked(name, check) for name, check in parts.items()]
+    return [*used, _memory(), _disk(runs), _gpu()]
 
 
 def _checked(name: str, check: Callable[[], str]) -> Check:
@@ -48,12 +35,8 @@ def _checked(name: str, check: Callable[[], str]) -> Check:
     try:
         return Check(name=name, ok=True, found=check())
     except Exception as error:  # whatever is broken is reported, not raised
-        return Check(
-            name=name,
-            ok=False,
-            found=f"{type(error).__name__}: {error}",
-            remedy="Install knowarm in a new virtual environment, see README.md.",
-        )
+        remedy = "Install knowarm in a new virtual environment, see README.md."
+        return Check(name=name, ok=False, found=f"{type(error).__name__}: {error}", remedy=remedy)
 
 
 def _versions() -> str:
@@ -66,13 +49,11 @@ def _versions() -> str:
 
 def _knowledge() -> str:
     parts = build(experiment_config(DEFAULT_EXPERIMENT))
-    coverage = parts.embedding.describe()["coverage"]
-    share = 100 * coverage["share"]
+    share = 100 * parts.embedding.describe()["coverage"]["share"]
     return f"vector of {parts.embedding.dim} numbers, {share:.0f} % of labels covered"
 
 
 def _world() -> str:
-    """Check that the oracle agent approaches the target and that the image is not uniform."""
     env = ReachVectorEnv(EnvConfig(), 4)
     images, infos = env.reset(seed=0)
     agent = OracleAgent(0)
@@ -86,8 +67,7 @@ def _world() -> str:
 
 
 def _policy() -> str:
-    parts = build(experiment_config(DEFAULT_EXPERIMENT))
-    policy = parts.new_policy(0)
+    policy = build(experiment_config(DEFAULT_EXPERIMENT)).new_policy(0)
     image = torch.zeros(1, 64, 64, 3, dtype=torch.uint8)
     facet, start = torch.zeros(1, dtype=torch.int64), torch.ones(1, dtype=torch.bool)
     logits, _, _ = policy.step(image, facet, policy.initial_state(1), start)
@@ -108,9 +88,7 @@ def _memory() -> Check:
 
 def _disk(runs: Path) -> Check:
     """Check the output folder, or its nearest parent that exists."""
-    folder = next(
-        parent for parent in [runs.absolute(), *runs.absolute().parents] if parent.exists()
-    )
+    folder = next(each for each in (runs.absolute(), *runs.absolute().parents) if each.exists())
     free = shutil.disk_usage(folder).free / 2**30
     writable = folder.is_dir() and os.access(folder, os.W_OK)
     return Check(
@@ -122,13 +100,5 @@ def _disk(runs: Path) -> Check:
 
 
 def _gpu() -> Check:
-    """Describe the GPU; training does not need one."""
-    if torch.cuda.is_available():
-        return Check(name="GPU", ok=True, found=torch.cuda.get_device_name())
-    torch_build = "built with CUDA" if torch.version.cuda else "built without CUDA"
-    return Check(
-        name="GPU",
-        ok=True,
-        found=f"none (torch is {torch_build}; Python {sys.version_info.major}."
-        f"{sys.version_info.minor}); training runs on the CPU",
-    )
+    found = torch.cuda.get_device_name() if torch.cuda.is_available() else "none; not needed"
+    return Check(name="GPU", ok=True, found=found)

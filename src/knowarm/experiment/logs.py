@@ -4,15 +4,15 @@ import math
 import sys
 import time
 from collections import deque
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from contextlib import suppress
-from typing import Protocol
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from torch.utils.tensorboard import SummaryWriter
 
-from knowarm.experiment.run_folder import CsvLog, RunFolder, writing
+from knowarm.experiment.csv_log import CsvLog, writing
+from knowarm.experiment.run_folder import RunFolder
 from knowarm.learn.trainer import Metrics
 
 EPISODES_SHOWN = 500
@@ -23,12 +23,7 @@ class TrainingProgress:
     """Progress display of one training; use it as a context manager.
 
     On a terminal: a bar with rate, remaining time and the latest return and success. Elsewhere: a
-    plain line every ``every_s`` seconds, so that log files stay short.
-
-    Args:
-        label: name of the run, at the start of each line.
-        total_steps: environment steps at the end of the training.
-        every_s: time between two plain lines [s].
+    plain line every ``every_s`` seconds.
     """
 
     def __init__(self, label: str, total_steps: int, *, every_s: float = 10.0):
@@ -48,8 +43,7 @@ class TrainingProgress:
             self._bar = Progress(
                 TextColumn("[bold]{task.description}"),
                 BarColumn(),
-                TextColumn("{task.completed:,.0f}/{task.total:,.0f}"),
-                TextColumn("{task.fields[rate]}"),
+                TextColumn("{task.completed:,.0f}/{task.total:,.0f} {task.fields[rate]}"),
                 TimeRemainingColumn(),
                 TextColumn("{task.fields[figures]}"),
                 console=self._console,
@@ -84,17 +78,13 @@ class TrainingProgress:
             self.line(f"{step:,} steps ({share:.1f} %), {speed}{left}, {self._figures}")
 
     def _average(self, count: float, return_mean: float, success: float) -> None:
-        """Average over the latest episodes.
-
-        The episodes of one update are too few: where only some end, they are the ones that
-        succeeded early.
-        """
+        """Average over the latest episodes: those that end in one update succeeded early."""
         self._episodes.append((count, return_mean, success))
         while sum(entry[0] for entry in self._episodes) - self._episodes[0][0] >= EPISODES_SHOWN:
             self._episodes.popleft()
-        total = sum(entry[0] for entry in self._episodes)
-        mean = sum(entry[0] * entry[1] for entry in self._episodes) / total
-        share = sum(entry[0] * entry[2] for entry in self._episodes) / total
+        total = sum(count for count, _, _ in self._episodes)
+        mean = sum(count * value for count, value, _ in self._episodes) / total
+        share = sum(count * value for count, _, value in self._episodes) / total
         self._figures = f"return {mean:.1f} success {100 * share:.0f} %"
 
     def evaluation(self, step: int, results: Mapping[str, float], is_best: bool) -> None:
@@ -114,41 +104,15 @@ class TrainingProgress:
                 print(f"{self._label}: {text}", file=sys.stderr, flush=True)
 
 
-class Mirror(Protocol):
-    """A further place that receives a run's curves, such as a tracking service."""
-
-    def scalars(self, step: int, values: Mapping[str, float]) -> None:
-        """Receive finite values of one step, by name (``train/entropy``)."""
-        ...
-
-    def close(self) -> None:
-        """Send what is pending."""
-        ...
-
-
 class RunLogs:
-    """Writers of metrics and evaluations: CSV, TensorBoard, mirrors and the progress display.
+    """Writers of metrics and evaluations: CSV, TensorBoard and the progress display."""
 
-    Args:
-        folder: the run folder.
-        progress: the display at the terminal.
-        mirrors: further receivers; closed with the logs.
-    """
-
-    def __init__(
-        self, folder: RunFolder, progress: TrainingProgress, mirrors: Sequence[Mirror] = ()
-    ):
+    def __init__(self, folder: RunFolder, progress: TrainingProgress):
         self._folder = folder
-        self._mirrors = mirrors
         self._progress = progress
 
     def open(self, *, keep_to_step: int | None, pending: Collection[int] = ()) -> None:
-        """Open the files.
-
-        Args:
-            keep_to_step: rows of later steps, from an earlier session, are dropped.
-            pending: steps of evaluations that will be played again; their rows are dropped.
-        """
+        """Open the files; drop rows of later steps, and evaluations that will be played again."""
         self._metrics = CsvLog(self._folder.metrics_path, keep_to_step=keep_to_step)
         self._evaluations = CsvLog(
             self._folder.evaluations_path, keep_to_step=keep_to_step, drop_steps=pending
@@ -171,21 +135,12 @@ class RunLogs:
         self._progress.evaluation(step, results, is_best)
 
     def close(self) -> None:
-        """Flush TensorBoard's event file and the mirrors."""
+        """Flush TensorBoard's event file."""
         with writing(self._folder.tensorboard):
             self._tensorboard.close()
-        for mirror in self._mirrors:
-            mirror.close()
 
     def _scalars(self, group: str, row: Metrics) -> None:
-        step = int(row["step"])
-        values = {
-            f"{group}/{name}": value
-            for name, value in row.items()
-            if name != "step" and math.isfinite(value)
-        }
         with writing(self._folder.tensorboard):
-            for name, value in values.items():
-                self._tensorboard.add_scalar(name, value, step)
-        for mirror in self._mirrors:
-            mirror.scalars(step, values)
+            for name, value in row.items():
+                if name != "step" and math.isfinite(value):
+                    self._tensorboard.add_scalar(f"{group}/{name}", value, int(row["step"]))

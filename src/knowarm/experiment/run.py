@@ -1,47 +1,32 @@
 """Training of one experiment in its run folder, from the start or resumed."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from dataclasses import replace as replace_fields
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from knowarm.config import replace, to_dict
+from knowarm.config import override, to_dict
 from knowarm.errors import UserError
-from knowarm.experiment.algorithms import ALGORITHMS, TrainerInputs
-from knowarm.experiment.build import (
-    SEED_DERIVATION,
-    EnvFactory,
-    InterimFactory,
-    Parts,
-    build,
-    slots_of,
-)
+from knowarm.experiment.build import Parts, build, make_trainer, slots_of
 from knowarm.experiment.config import ExperimentConfig
-from knowarm.experiment.grounding_training import train_grounding
-from knowarm.experiment.logs import Mirror, RunLogs, TrainingProgress
-from knowarm.experiment.migration import FORMAT, migrate_checkpoints
-from knowarm.experiment.perceived import FILE, describe_module, perception_for, stored_perception
-from knowarm.experiment.perception import check_fits, read_module
+from knowarm.experiment.csv_log import writing
+from knowarm.experiment.logs import RunLogs, TrainingProgress
+from knowarm.experiment.provenance import provenance
 from knowarm.experiment.registry import experiment_config
-from knowarm.experiment.run_folder import RunFolder, provenance, writing
+from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.run_lock import lock_folder
-from knowarm.learn import CheckpointStore, Hooks, Trainer, TrainingResult
+from knowarm.experiment.run_module import FILE, module_for_training
+from knowarm.learn import CheckpointStore, Hooks, TrainingResult
+from knowarm.perception.module import PerceptionModule, digest
+from knowarm.perception.training import train_grounding
 from knowarm.policy import Policy
-from knowarm.world.scene import list_facets, scene_of
 
 BEFORE_FIRST_STEP = -1
-"""Step before every row of the curves: resuming from it drops them all."""
+"""Resuming from it drops all rows of the curves."""
 
 
-@dataclass(frozen=True)
-class Run:
-    """A training that ended.
-
-    Attributes:
-        folder: its run folder.
-        result: how it ended.
-    """
+class Run(NamedTuple):
+    """A training that ended: its run folder, and how it ended."""
 
     folder: RunFolder
     result: TrainingResult
@@ -58,7 +43,6 @@ def train(
     *,
     resume: bool = False,
     should_stop: Callable[[], bool] = lambda: False,
-    mirrors: Sequence[Mirror] = (),
     perception: Path | str | None = None,
     **overrides: Any,
 ) -> Run:
@@ -71,7 +55,6 @@ def train(
         resume: continue from the run's latest intact checkpoint instead of refusing a folder that
             holds a run; a run that ended before its first checkpoint starts from the beginning.
         should_stop: called between updates; true saves a checkpoint and ends the training.
-        mirrors: further places that receive the curves, beside CSV files and TensorBoard.
         perception: file of the perception module, for knowledge of what is perceived; the run
             folder keeps a copy, with which it resumes.
         **overrides: fields of the config to change; a nested config takes a mapping of its fields,
@@ -86,87 +69,78 @@ def train(
     """
     if isinstance(config, str):
         config = experiment_config(config)
-    config = replace(config, overrides) if overrides else config
+    config = override(config, overrides) if overrides else config
     path = run_path(Path(runs), config)
     if resume:
         _check_same(config, RunFolder.open(path))
-    module = _perception(config, RunFolder(path) if resume else None, perception)
+    module = module_for_training(config, RunFolder(path) if resume else None, perception)
     parts = build(config)
     with lock_folder(path, remedy="Wait until it ends, stop it, or pass another runs folder."):
-        return _train_locked(config, parts, module, path, resume, should_stop, mirrors)
-
-
-def _perception(
-    config: ExperimentConfig, resumed: RunFolder | None, given: Path | str | None
-) -> bytes | None:
-    """Return the content of the perception module of a run; None where none is needed.
-
-    Raises:
-        UserError: none is given where one is needed or the reverse, it does not fit the task, or a
-            resumed run was trained with another one.
-    """
-    data = None if given is None else read_module(Path(given))
-    path = None if given is None else Path(given)
-    if resumed is not None and (resumed.path / FILE).exists():
-        stored = stored_perception(resumed)
-        if data is not None and data != stored:
-            raise UserError(
-                f"{resumed.path} was trained with another perception module than {given}. Resume "
-                "without perception, or pass another runs folder or seed to start a new run."
-            )
-        data, path = stored, resumed.path / FILE
-    if config.grounding is not None and given is None:
-        return data  # trained with the run where there is none yet
-    perception = perception_for(config.knowledge, data, path or Path(FILE))
-    if perception is not None:
-        check_fits(
-            perception.seen, config.env, list_facets(scene_of(config.env), config.env.colours)
-        )
-    return data
+        return _train_locked(config, parts, module, path, resume, should_stop)
 
 
 def _train_locked(
     config: ExperimentConfig,
     parts: Parts,
-    module: bytes | None,
+    module: PerceptionModule | None,
     path: Path,
     resume: bool,
     should_stop: Callable[[], bool],
-    mirrors: Sequence[Mirror],
 ) -> Run:
     """Train in a run folder that no other process writes to; see `train`."""
+    folder = RunFolder.open(path) if resume else RunFolder.create(path)
+    continued = resume and folder.has_checkpoint
     if resume:
-        folder = RunFolder.open(path)
-        folder.write_json("config.json", {"format": FORMAT, **to_dict(config)})
-        migrate_checkpoints(folder.checkpoints, config.env.robot)
-        if folder.has_checkpoint:
-            parts = replace_fields(parts, table=folder.knowledge())
-    else:
-        folder = RunFolder.create(path)
+        folder.write_experiment(config)
+    if continued:
+        parts = replace(parts, table=folder.knowledge())
     policy = parts.new_policy(config.seed)
+
+    def should_end() -> bool:
+        return should_stop() or folder.ended_early_at(config.stop_when) is not None
+
     with TrainingProgress(f"{config.name}/{config.seed}", config.total_steps) as progress:
-        for line in announcements(parts):
+        for line in announcements(parts, policy):
             progress.line(line)
         if config.grounding is not None and module is None:
-            folder.write_json("config.json", {"format": FORMAT, **to_dict(config)})  # can resume
-            module = _train_grounding(config, parts, progress.line, should_stop)
+            folder.write_experiment(config)  # can resume
+            module = train_grounding(
+                config.env,
+                parts.table,
+                slots_of(parts.embedding),
+                config.grounding,
+                seed=config.seed,
+                report=progress.line,
+                should_stop=should_stop,
+            )
             if module is None:
                 stopped = TrainingResult(step=0, reason="stopped", best_return=None, best_step=None)
                 return Run(folder, stopped)
-        logs = RunLogs(folder, progress, mirrors)
-        trainer = _make_trainer(config, parts, policy, module, folder, logs, should_stop)
-        if not (resume and folder.has_checkpoint):
-            # Written after the trainer is built: a config that this machine cannot train leaves
-            # no run behind.
-            _describe(folder, config, parts, module)
+        logs = RunLogs(folder, progress)
+        trainer = make_trainer(
+            config,
+            policy,
+            module,
+            evaluate_every=config.interim.every_steps,
+            hooks=Hooks(
+                on_metrics=logs.metrics, on_evaluation=logs.evaluation, should_stop=should_end
+            ),
+            checkpoints=CheckpointStore(folder.checkpoints, description(config, policy)),
+            checkpoint_every=config.checkpoint_every_steps,
+            failure_folder=folder.path / "failure",
+        )
         keep_to_step = None
-        if resume and folder.has_checkpoint:
+        if continued:
             trainer.resume()
             progress.line(f"resuming at step {trainer.step:,}")
             keep_to_step = trainer.step
-        elif resume:
-            progress.line("no checkpoint yet: starting from the beginning")
-            keep_to_step = BEFORE_FIRST_STEP
+        else:
+            # Written after the trainer is built: a config that this machine cannot train leaves
+            # no run behind.
+            _describe(folder, config, parts, policy, module)
+            if resume:
+                progress.line("no checkpoint yet: starting from the beginning")
+                keep_to_step = BEFORE_FIRST_STEP
         logs.open(keep_to_step=keep_to_step, pending=trainer.pending_evaluations.keys())
         try:
             result = trainer.train(config.total_steps)
@@ -174,33 +148,13 @@ def _train_locked(
             logs.close()
         if (step := folder.ended_early_at(config.stop_when)) is not None:
             progress.line(f"learned, as stop_when defines it, at step {step:,}")
-            result = replace_fields(result, reason="finished")
+            result = replace(result, reason="finished")
     return Run(folder, result)
 
 
-def _train_grounding(
-    config: ExperimentConfig,
-    parts: Parts,
-    report: Callable[[str], None],
-    should_stop: Callable[[], bool],
-) -> bytes | None:
-    """Train the grounding network of a run; return the content of its file, None if stopped."""
-    assert config.grounding is not None
-    network = train_grounding(
-        config.env,
-        parts.table,
-        slots_of(parts.embedding),
-        config.grounding,
-        seed=config.seed,
-        report=report,
-        should_stop=should_stop,
-    )
-    return None if network is None else network.to_bytes()
-
-
-def announcements(parts: Parts) -> list[str]:
+def announcements(parts: Parts, policy: Policy) -> list[str]:
     """Describe the policy network and its knowledge vector in a few lines for the terminal."""
-    counts = parts.new_policy(0).parameter_counts()
+    counts = policy.parameter_counts()
     groups = ", ".join(f"{name} {n:,}" for name, n in counts.items() if name != "total" and n)
     lines = [f"{counts['total']:,} parameters ({groups})"]
     if not parts.table.shape[1]:
@@ -217,10 +171,9 @@ def announcements(parts: Parts) -> list[str]:
     return [*lines, *([embedding.note] if embedding.note else [])]
 
 
-def description(config: ExperimentConfig, parts: Parts) -> dict[str, Any]:
+def description(config: ExperimentConfig, policy: Policy) -> dict[str, Any]:
     """Describe what a checkpoint belongs to, as flat values; others are refused on resuming."""
-    # The capacity control is described by its resolved sizes, as in format 1.
-    choices = to_dict(parts.new_policy(0).resolved_config)
+    choices = to_dict(policy.resolved_config)
     del choices["wide"]
     return {
         "robot": config.env.robot,
@@ -228,42 +181,37 @@ def description(config: ExperimentConfig, parts: Parts) -> dict[str, Any]:
         "algorithm": config.algorithm.name,
         "seed": config.seed,
         **_flat(choices, "policy.config."),
-        **_flat(to_dict(parts.policy_shape), "policy.shape."),
+        **_flat(to_dict(policy.shape), "policy.shape."),
     }
 
 
 def _describe(
-    folder: RunFolder, config: ExperimentConfig, parts: Parts, module: bytes | None
+    folder: RunFolder,
+    config: ExperimentConfig,
+    parts: Parts,
+    policy: Policy,
+    module: PerceptionModule | None,
 ) -> None:
     """Write provenance, knowledge table, perception module and config before the first step."""
-    policy = parts.new_policy(config.seed)
-    folder.write_json(
-        "provenance.json",
-        {
-            **provenance(),
-            "seed_derivation": SEED_DERIVATION,
-            "parameter_counts": policy.parameter_counts(),
-            "policy": {
-                "config": to_dict(policy.resolved_config),
-                "shape": to_dict(parts.policy_shape),
-            },
-            "facets": [list(facet) for facet in parts.facets],
-            "knowledge": parts.embedding.describe(),
-            **({} if module is None else {"perception": describe_module(module)}),
-        },
-    )
+    about = {
+        **provenance(),
+        "parameter_counts": policy.parameter_counts(),
+        "policy": {"config": to_dict(policy.resolved_config), "shape": to_dict(policy.shape)},
+        "facets": [list(facet) for facet in parts.facets],
+        "knowledge": parts.embedding.describe(),
+    }
     if module is not None:
+        data = module.to_bytes()
+        about["perception"] = {"digest": digest(data), **to_dict(module.spec)}
         with writing(folder.path / FILE):
-            (folder.path / FILE).write_bytes(module)
+            (folder.path / FILE).write_bytes(data)
+    folder.write_json("provenance.json", about)
     folder.write_knowledge(parts.table)
-    folder.write_json("config.json", {"format": FORMAT, **to_dict(config)})
+    folder.write_experiment(config)
 
 
 def _check_same(config: ExperimentConfig, folder: RunFolder) -> None:
-    """Refuse to resume with another config than the run's, and list the differing fields.
-
-    Only ``total_steps`` may change, to make a run longer.
-    """
+    """Refuse to resume a run with another config; only ``total_steps`` may differ."""
     different = differences(folder.experiment(), config)
     different.pop("total_steps", None)
     if different:
@@ -276,11 +224,11 @@ def _check_same(config: ExperimentConfig, folder: RunFolder) -> None:
 
 def differences(run: ExperimentConfig, given: ExperimentConfig) -> dict[str, str]:
     """Return the fields in which two configs differ, each with "field: value | value"."""
-    before, now = _flat(to_dict(run)), _flat(to_dict(given))
+    one, other = _flat(to_dict(run)), _flat(to_dict(given))
     return {
-        name: f"{name}: {before.get(name)!r} | {now.get(name)!r}"
-        for name in {**before, **now}
-        if before.get(name) != now.get(name)
+        name: f"{name}: {one.get(name)!r} | {other.get(name)!r}"
+        for name in {**one, **other}
+        if one.get(name) != other.get(name)
     }
 
 
@@ -292,34 +240,3 @@ def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
         else:
             flat[prefix + name] = value
     return flat
-
-
-def _make_trainer(
-    config: ExperimentConfig,
-    parts: Parts,
-    policy: Policy,
-    module: bytes | None,
-    folder: RunFolder,
-    logs: RunLogs,
-    should_stop: Callable[[], bool],
-) -> Trainer:
-
-    def should_end() -> bool:
-        return should_stop() or folder.ended_early_at(config.stop_when) is not None
-
-    hooks = Hooks(on_metrics=logs.metrics, on_evaluation=logs.evaluation, should_stop=should_end)
-    inputs = TrainerInputs(
-        config=config.algorithm,
-        policy=policy,
-        make_env=EnvFactory(config.env, module),
-        make_evaluate=InterimFactory(config.env, config.interim, config.seed, module),
-        options={
-            "seed": config.seed,
-            "evaluate_every": config.interim.every_steps,
-            "hooks": hooks,
-            "checkpoints": CheckpointStore(folder.checkpoints, description(config, parts)),
-            "checkpoint_every": config.checkpoint_every_steps,
-            "failure_folder": folder.path / "failure",
-        },
-    )
-    return ALGORITHMS[config.algorithm.name].make_trainer(inputs)

@@ -11,14 +11,10 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from knowarm.errors import UserError
-from knowarm.experiment.run_folder import write_json
+from knowarm.reading import write_json
 
-LOCK = ".lock"
-"""File that the kernel locks; it stays, unlocked, when the process ends."""
-
-HOLDER = ".lock.json"
-"""Who holds the lock; only for messages, because it outlives a killed process."""
-
+LOCK, HOLDER = ".lock", ".lock.json"
+"""Files that the kernel locks, and that names its holder; both outlive the process."""
 SECONDS = 1.0
 """How long to wait for the lock: `is_locked` holds it for a moment."""
 
@@ -35,26 +31,15 @@ def is_locked(path: Path) -> bool:
     try:
         with lock:
             return False
-    except Timeout:
-        return True
-    except OSError:  # a folder that nobody can write to
-        return False
+    except OSError as error:  # another one: a read-only folder
+        return isinstance(error, Timeout)
 
 
 @contextmanager
 def lock_folder(path: Path, *, remedy: str) -> Iterator[None]:
-    """Hold the lock of a folder inside a ``with`` block; the folder is created if missing.
+    """Hold the lock of a folder, which is created if missing; the error ends with the remedy.
 
-    The kernel releases the lock when the process ends, however it ends, so a killed process leaves
-    nothing to clean up. Child processes do not inherit it.
-
-    Args:
-        path: the folder.
-        remedy: what to do when another process holds the lock, for the error message.
-
-    Raises:
-        FolderInUseError: another process holds the lock.
-        UserError: the folder cannot be written to.
+    The kernel releases the lock when the process ends, however it ends; children do not inherit it.
     """
     lock = FileLock(path / LOCK, timeout=SECONDS)
     try:
@@ -67,20 +52,13 @@ def lock_folder(path: Path, *, remedy: str) -> Iterator[None]:
             f"Cannot write to the output folder {path}: {error.strerror or error}. Pass "
             "another folder, or change its permissions."
         ) from error
+    since = datetime.now(UTC).isoformat(timespec="seconds")
     try:
-        _name_holder(path)
+        holder = {"pid": os.getpid(), "host": socket.gethostname(), "since": since}
+        write_json(path / HOLDER, holder)
         yield
     finally:
         lock.release()
-
-
-def _name_holder(path: Path) -> None:
-    holder = {
-        "pid": os.getpid(),
-        "host": socket.gethostname(),
-        "since": datetime.now(UTC).isoformat(timespec="seconds"),
-    }
-    write_json(path / HOLDER, holder)
 
 
 def _holder(path: Path) -> str:

@@ -6,11 +6,10 @@ from typing import Any
 
 
 class StopRequest:
-    """Signal handler that turns the first Ctrl-C (or SIGTERM) into a request to save and stop.
+    """Context manager in which the first Ctrl-C or SIGTERM requests to save and stop.
 
-    A second one raises KeyboardInterrupt. A terminal that closes (SIGHUP, sent once or several
-    times) requests to save and stop, too. Use it as a context manager in the main thread and pass
-    it as ``should_stop``: calling it returns whether a signal arrived.
+    A second one raises KeyboardInterrupt. A terminal that closes (SIGHUP) requests to stop, too.
+    Pass it as ``should_stop``: calling it returns whether a signal arrived.
     """
 
     def __init__(self) -> None:
@@ -23,12 +22,11 @@ class StopRequest:
 
     def __enter__(self) -> "StopRequest":
         """Install the handlers."""
-        for name in ("SIGINT", "SIGTERM", "SIGHUP"):
-            number = getattr(signal, name, None)
-            if number is None:
-                continue  # Windows has no SIGHUP
-            if name == "SIGHUP" and signal.getsignal(number) is signal.SIG_IGN:
-                continue  # nohup
+        numbers = [signal.SIGINT, signal.SIGTERM]
+        hangup = getattr(signal, "SIGHUP", None)  # Windows has none, and nohup ignores it
+        if hangup is not None and signal.getsignal(hangup) is not signal.SIG_IGN:
+            numbers.append(hangup)
+        for number in numbers:
             self._previous[number] = signal.signal(number, self._on_signal)
         return self
 

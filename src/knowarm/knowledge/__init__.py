@@ -4,23 +4,27 @@ The steps are `read_graph`, `gamma` (the subgraph around the perceived objects),
 labels in order), a vector source (see `knowledge.vectors`) and `scene_embedding`.
 """
 
-from knowarm.knowledge.builder import graph_of
 from knowarm.knowledge.config import FULL, FULL_PLUS, QUERY, KnowledgeConfig
-from knowarm.knowledge.embedding import SceneEmbedding, scene_embedding
-from knowarm.knowledge.facets import Facet
+from knowarm.knowledge.embedding import (
+    Embedding,
+    QueryEmbedding,
+    SceneEmbedding,
+    query_embedding,
+    scene_embedding,
+)
 from knowarm.knowledge.formats import household, read_graph, write_graph
-from knowarm.knowledge.graph import KnowledgeGraph
-from knowarm.knowledge.query_embedding import QueryEmbedding, query_embedding
-from knowarm.knowledge.scene import scene_sentences, scene_subgraph
-from knowarm.knowledge.sentence import sentence
-from knowarm.knowledge.subgraph import gamma
-from knowarm.knowledge.vectors import SOURCES, migrate_source
+from knowarm.knowledge.graph.builder import graph_of
+from knowarm.knowledge.graph.graph import KnowledgeGraph, gamma
+from knowarm.knowledge.slots import scene_sentences, scene_subgraph, sentence
+from knowarm.knowledge.vectors import SOURCES
+from knowarm.knowledge.vectors.source import Facet
 
 __all__ = [
     "FULL",
     "FULL_PLUS",
     "QUERY",
     "SOURCES",
+    "Embedding",
     "Facet",
     "KnowledgeConfig",
     "KnowledgeGraph",
@@ -29,7 +33,6 @@ __all__ = [
     "gamma",
     "graph_of",
     "household",
-    "migrate_source",
     "query_embedding",
     "read_graph",
     "scene_embedding",

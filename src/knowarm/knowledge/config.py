@@ -4,15 +4,13 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from knowarm.config import registered
-from knowarm.knowledge.sentence import SentenceConfig
-from knowarm.knowledge.subgraph import Direction
-from knowarm.knowledge.vectors import SOURCES
-from knowarm.knowledge.vectors.source import OnMissing, Source
+from knowarm.knowledge.graph.graph import Direction
+from knowarm.knowledge.vectors import SOURCES, VectorSource
+from knowarm.knowledge.vectors.source import OnMissing, Pooling
 from knowarm.knowledge.vectors.words import WordVectors
 
 Detail = Literal["none", "partial", "full"]
 Scope = Literal["scene", "target", "query", "perceived"]
-Pooling = Literal["mean", "sif"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,7 +20,7 @@ class KnowledgeConfig:
     detail: Detail
     """What a slot describes: "none" gives no vector (the paper's baseline); "partial" each object
     without its colours; "full" each object with one of its possible colours."""
-    source: Source = field(
+    source: VectorSource = field(
         default_factory=WordVectors, metadata=registered(lambda: SOURCES.values())
     )
     """Where vectors come from: one of the configs in `knowledge.vectors.SOURCES`, which are word
@@ -33,7 +31,7 @@ class KnowledgeConfig:
     scope: Scope = "scene"
     """"scene" gives every episode the same vector of all slots (the paper's). "target" gives the
     slot of the episode's own object and colour: information that no camera saw, so privileged.
-    "query" describes what the episode asks for, in tasks that ask: one slot per condition of the
+    "query" describes the query of the episode, in tasks with queries: one slot per condition of the
     query, from the subgraph around its value (with ``hops`` 0, from its own words). "perceived"
     gives the slot of the object and colour that a perception module names in the image; in tasks
     that ask, of the surest of those that answer the query."""
@@ -78,12 +76,9 @@ class KnowledgeConfig:
     """Seed of graph embeddings and placebos; a placebo with a number of the draw (``source.draw``)
     also depends on the training seed."""
 
-    @property
-    def sentence(self) -> SentenceConfig:
-        """How a subgraph becomes words."""
-        return SentenceConfig(
-            relation_words=self.relation_words, head_once=self.head_once, templates=self.templates
-        )
+    def graph_name(self, name: str) -> str:
+        """Return the graph's name for an object or colour of the task."""
+        return self.entity_names.get(name, name)
 
 
 FULL = KnowledgeConfig(detail="full")

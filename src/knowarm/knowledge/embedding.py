@@ -1,9 +1,10 @@
-"""Scene embedding: slots of numbers that describe the task's objects.
+"""Embeddings of scenes and of queries: graph -> sentences of slots -> vectors -> slots -> table.
 
-Pipeline: graph -> Gamma -> sentence -> vectors -> one slot per facet -> slots concatenated.
+A placebo falsifies one of these steps; see the methods ``change_...`` of `VectorSource`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -11,20 +12,25 @@ import numpy as np
 
 from knowarm.errors import UserError
 from knowarm.knowledge.config import KnowledgeConfig, Scope
-from knowarm.knowledge.facets import Facet, slots_of, with_seen_colours
 from knowarm.knowledge.formats import open_graph
-from knowarm.knowledge.graph import KnowledgeGraph
-from knowarm.knowledge.pooling import centre_of, slot_vector
-from knowarm.knowledge.queries import Condition
-from knowarm.knowledge.scene import Facets, load_graph, slot_subgraphs
-from knowarm.knowledge.sentence import Part, graph_parts, sentence_parts
-from knowarm.knowledge.terms import label_of
-from knowarm.knowledge.vectors.placebos import Placebo
-from knowarm.knowledge.vectors.source import CodeSource, Coverage, Request, VectorSource
+from knowarm.knowledge.graph.graph import KnowledgeGraph
+from knowarm.knowledge.slots import ConditionSlots, Described, FacetSlots, graph_parts, slots_of
+from knowarm.knowledge.vectors.source import (
+    Coverage,
+    Facet,
+    Request,
+    SentencePart,
+    VectorLookup,
+    pool,
+)
+from knowarm.questions import Condition, ObjectColour, Query
+
+Facets = Sequence[ObjectColour]
+"""The task's (object, colour) pairs, in the environment's order."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class SceneEmbedding:
+class Embedding:
     """Slots of numbers with their names and their origin."""
 
     config: KnowledgeConfig
@@ -57,10 +63,8 @@ class SceneEmbedding:
 
     @property
     def dim(self) -> int:
-        """K, the width of the policy's input: S * slot_dim (scene) or slot_dim (one facet's)."""
-        if not self.slots:
-            return 0
-        return self.matrix.size if self.scope == "scene" else self.slot_dim
+        """K, the width of the policy's input."""
+        raise NotImplementedError
 
     @property
     def norm(self) -> float:
@@ -70,33 +74,12 @@ class SceneEmbedding:
     @property
     def constant(self) -> bool:
         """Whether every episode gets the same numbers, which then act as a bias."""
-        return self.dim > 0 and (
-            self.scope == "scene" or bool(np.ptp(self.matrix, axis=0).max() == 0)
-        )
+        raise NotImplementedError
 
     @property
     def privileged(self) -> bool:
         """Whether the numbers identify the target of the episode."""
         return self.dim > 0 and self.scope == "target" and not self.constant
-
-    def table(self, facets: Facets) -> np.ndarray:
-        """Return the knowledge input of the policy for each facet, (F, K) float32.
-
-        Raises:
-            UserError: a facet has no slot (other scopes than "scene").
-        """
-        if not self.slots:
-            return np.zeros((len(facets), 0), np.float32)
-        if self.scope == "scene":
-            return np.tile(self.vector, (len(facets), 1))
-        return np.ascontiguousarray(self.matrix[[self._slot(*facet) for facet in facets]])
-
-    def _slot(self, name: str, colour: str) -> int:
-        wanted = Facet(name, None if self.config.detail == "partial" else colour)
-        if wanted not in self.slots:
-            known = ", ".join(slot.name for slot in self.slots)
-            raise UserError(f"No slot describes {wanted.name!r}. The slots are: {known}.")
-        return self.slots.index(wanted)
 
     def describe(self) -> dict[str, Any]:
         """Return the description that a run folder stores, JSON-able."""
@@ -113,6 +96,84 @@ class SceneEmbedding:
             "privileged": self.privileged,
             "note": self.note,
         }
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneEmbedding(Embedding):
+    """Slots of objects, or of objects with colours."""
+
+    slots: tuple[Facet, ...]
+    """Object and colour of each slot; empty for detail "none"."""
+
+    @property
+    def dim(self) -> int:
+        """K, the width of the policy's input: S * slot_dim (scene) or slot_dim (one facet's)."""
+        if not self.slots:
+            return 0
+        return self.matrix.size if self.scope == "scene" else self.slot_dim
+
+    @property
+    def constant(self) -> bool:
+        """Whether every episode gets the same numbers, which then act as a bias."""
+        scene = self.scope == "scene"
+        return self.dim > 0 and (scene or bool(np.ptp(self.matrix, axis=0).max() == 0))
+
+    def table(self, facets: Facets) -> np.ndarray:
+        """Return the knowledge input of the policy for each facet, (F, K) float32."""
+        if not self.slots:
+            return np.zeros((len(facets), 0), np.float32)
+        if self.scope == "scene":
+            return np.tile(self.vector, (len(facets), 1))
+        return np.ascontiguousarray(self.matrix[[self._slot(*facet) for facet in facets]])
+
+    def _slot(self, name: str, colour: str) -> int:
+        wanted = Facet(name, None if self.config.detail == "partial" else colour)
+        if wanted in self.slots:
+            return self.slots.index(wanted)
+        known = ", ".join(slot.name for slot in self.slots)
+        raise UserError(f"No slot describes {wanted.name!r}. The slots are: {known}.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class QueryEmbedding(Embedding):
+    """Slots of conditions, and the conditions of each query."""
+
+    slots: tuple[Condition, ...]
+    """The condition of each slot; empty for detail "none"."""
+    queries: tuple[Query, ...] = field(repr=False)
+    """Queries whose conditions have a slot."""
+
+    @property
+    def width(self) -> int:
+        """Slots per row: the largest number of conditions in a query."""
+        return max(len(query.conditions) for query in self.queries)
+
+    @property
+    def dim(self) -> int:
+        """K, the width of the policy's input: width * slot_dim."""
+        return self.width * self.slot_dim if self.slots else 0
+
+    @property
+    def constant(self) -> bool:
+        """Whether every query gets the same numbers."""
+        return self.dim > 0 and bool(np.ptp(self.table(self.queries), axis=0).max() == 0)
+
+    def table(self, queries: Sequence[Query]) -> np.ndarray:
+        """Return the knowledge input of the policy for each embedded query, (Q, K) float32.
+
+        Facts fill the slots of a row from the first, colours from the last, so that a colour is
+        found at one place in all queries; the rest is zero.
+        """
+        if not self.slots:
+            return np.zeros((len(queries), 0), np.float32)
+        numbers = {slot: number for number, slot in enumerate(self.slots)}
+        rows = np.zeros((len(queries), self.width, self.slot_dim), np.float32)
+        for row, query in zip(rows, queries, strict=True):
+            facts = [c for c in query.conditions if not c.is_colour]
+            colours = [c for c in query.conditions if c.is_colour]
+            row[: len(facts)] = self.matrix[[numbers[c] for c in facts]]
+            row[len(row) - len(colours) :] = self.matrix[[numbers[c] for c in colours]]
+        return rows.reshape(len(queries), -1)
 
 
 def scene_embedding(
@@ -141,103 +202,102 @@ def scene_embedding(
     """
     if config.scope == "query":
         raise UserError(
-            "scope 'query' describes what an episode asks for, and this task asks for nothing: "
-            "every episode shows one object. Use it in a task that asks queries, or set scope to "
-            "'scene', 'target' or 'perceived'."
+            "scope 'query' describes the query of an episode, but this task has no queries. Use it "
+            "in a task with queries, or set scope to 'scene', 'target' or 'perceived'."
         )
-    slots, stated = slots_of(config, facets), graph
-    if config.scope == "perceived" and slots:
-        stated = with_seen_colours(
-            open_graph(config.graph) if graph is None else graph, slots, config
-        )
-
-    def describe(config: KnowledgeConfig, run_seed: int) -> Described:
-        changed = load_graph(config, run_seed, stated)
-        subgraphs, colours = slot_subgraphs(changed, slots, config, run_seed)
-        sentences = [sentence_parts(each, config.sentence) for each in subgraphs]
-        return Described(changed, sentences, colours, _colours(changed, config))
-
-    matrix, sentences, coverage = slot_matrix(config, len(slots), describe, run_seed)
-    return SceneEmbedding(
-        config=config,
-        slots=slots,
-        matrix=matrix,
-        coverage=coverage,
-        sentences=sentences,
-        note=config.source.note if slots else "",
-    )
+    slots = slots_of(config, facets)
+    done = _embed(config, FacetSlots(slots), graph, run_seed)
+    note = config.source.note if slots else ""
+    return SceneEmbedding(config=config, slots=slots, note=note, **done._asdict())
 
 
-class Described(NamedTuple):
-    """What slots are computed from."""
-
-    graph: KnowledgeGraph
-    """The graph, changed where the source is a placebo that does so."""
-    sentences: list[list[Part]]
-    """The sentence of each slot."""
-    colours: Sequence[str | None]
-    """The graph's name of each slot's colour, or None."""
-    hues: list[Part]
-    """Labels of all colours of the graph."""
-
-
-def slot_matrix(
+def query_embedding(
     config: KnowledgeConfig,
-    count: int,
-    describe: Callable[[KnowledgeConfig, int], Described],
-    run_seed: int,
-) -> tuple[np.ndarray, tuple[str, ...], Coverage]:
-    """Compute slots from their descriptions by the config's source.
+    queries: Sequence[Query],
+    *,
+    run_seed: int = 0,
+    graph: KnowledgeGraph | None = None,
+    trained_on: Sequence[Query] = (),
+) -> QueryEmbedding:
+    """Embed what the graph knows about the queries of a task.
 
     Args:
-        config: the source and how vectors are pooled.
-        count: number of slots, S.
-        describe: returns the descriptions for a config and a training seed.
-        run_seed: seed of the training run, for placebos that are drawn.
+        config: the graph, the source of vectors and the choices between; scope "query".
+        queries: texts of the queries, such as "usedFor drinking and hasColor blue".
+        run_seed: seed of the training run; only placebos that are drawn depend on it.
+        graph: describe the queries by this graph in place of the config's, such as an edited one.
+        trained_on: queries of the training, if these are others: a code that depends on the
+            number of a condition then stays what it was.
 
-    Returns:
-        The slots (S, D) float32, their sentences (empty for placebos without one), and how labels
-        were found.
+    Raises:
+        UserError: another scope, or a label or condition that cannot be found.
+
+    Example:
+        >>> config = KnowledgeConfig(detail="full", scope="query", graph="objects", hops=0)
+        >>> query_embedding(config, [Query.of(("usedFor", "drinking"))]).matrix.shape
+        (1, 50)
     """
-    source, coverage, nothing = config.source, Coverage(), ("",) * count
+    if config.scope != "query" and config.detail != "none":
+        raise UserError(
+            f"This task has queries, which knowledge of scope {config.scope!r} does not describe. "
+            "Set scope to 'query', or detail to 'none' for a policy without knowledge."
+        )
+    every = tuple(dict.fromkeys((*trained_on, *queries)))
+    conditions = tuple(dict.fromkeys(c for query in every for c in query.conditions))
+    slots = conditions if config.detail != "none" else ()
+    done = _embed(config, ConditionSlots(slots), graph, run_seed)
+    note = config.source.note if slots else ""
+    return QueryEmbedding(config=config, slots=slots, note=note, queries=every, **done._asdict())
+
+
+class _Embedded(NamedTuple):
+    """The fields of `Embedding` that are computed."""
+
+    matrix: np.ndarray
+    sentences: tuple[str, ...]
+    coverage: Coverage
+
+
+def _embed(
+    config: KnowledgeConfig,
+    slots: FacetSlots | ConditionSlots,
+    graph: KnowledgeGraph | None,
+    run_seed: int = 0,
+) -> _Embedded:
+    """Compute slots by the config's source, from the config's graph or the given one."""
+    source, coverage = config.source, Coverage()
     if config.colour_share is not None and not 0 <= config.colour_share <= 1:
         raise UserError(f"colour_share is {config.colour_share}; it must lie between 0 and 1.")
-    if not count:
-        return np.zeros((0, config.dim), np.float32), nothing, coverage
-    if isinstance(source, CodeSource):
-        return source.code(count, config.dim), nothing, coverage
-    if not isinstance(source, VectorSource):
-        raise UserError(f"source must be a VectorSource or a CodeSource, got {source!r}.")
-    described = describe(config, run_seed)
-    matrix = _pooled_slots(config, source, described, coverage)
-    changed = source.change_slots(matrix, source.draw_seed(config.seed, run_seed))
-    if changed is not None:
-        return changed, nothing, coverage
-    if isinstance(source, Placebo):
-        real_config = replace(config, source=source.matches)
-        real = _pooled_slots(real_config, source.matches, describe(real_config, 0), Coverage())
-        matrix = _with_lengths(matrix, real)
-    words = tuple(" ".join(part.label for part in parts) for parts in described.sentences)
-    return matrix, words, coverage
+    matrix, sentences = np.zeros((len(slots), config.dim), np.float32), ("",) * len(slots)
+    if not len(slots):
+        return _Embedded(matrix, sentences, coverage)
+    seed = source.draw_seed(config.seed, run_seed)
+    if source.described:
+        graph = open_graph(config.graph) if graph is None else graph
+        graph = slots.complete(graph, config)
+        changed = source.change_graph(graph, seed)
+        described = slots.describe(changed, config, seed)
+        matrix = _vectors(config, changed, described, coverage)
+        if not source.content_free:
+            sentences = tuple(" ".join(p.label for p in parts) for parts in described.sentences)
+    matrix = source.change_vectors(matrix, seed)
+    if source.real is not source and not source.content_free:
+        real = _embed(replace(config, source=source.real), slots, graph).matrix
+        wanted, found = (np.linalg.norm(each, axis=1, keepdims=True) for each in (real, matrix))
+        factor = np.divide(wanted, found, out=np.zeros_like(wanted), where=found > 0)
+        matrix = (matrix * factor).astype(np.float32)
+    return _Embedded(matrix, sentences, coverage)
 
 
-def _with_lengths(matrix: np.ndarray, real: np.ndarray) -> np.ndarray:
-    """Scale each slot of a placebo (S, D) to the length of the real one, so norms are equal."""
-    wanted, found = (np.linalg.norm(each, axis=1, keepdims=True) for each in (real, matrix))
-    factor = np.divide(wanted, found, out=np.zeros_like(wanted), where=found > 0)
-    return (matrix * factor).astype(np.float32)
-
-
-def _pooled_slots(
-    config: KnowledgeConfig, source: VectorSource, described: Described, coverage: Coverage
+def _vectors(
+    config: KnowledgeConfig, graph: KnowledgeGraph, described: Described, coverage: Coverage
 ) -> np.ndarray:
     """Return the slots' vectors, (S, D) float32; record how labels were found."""
-    graph, sentences, colours, hues = described
     everything = graph_parts(graph, relation_words=config.relation_words) if config.centring else []
-    lookup = source.open(
+    lookup = config.source.open(
         Request(
             graph=graph,
-            parts=[*(part for parts in sentences for part in parts), *everything],
+            parts=[*(part for parts in described.sentences for part in parts), *everything],
             dim=config.dim,
             seed=config.seed,
             aliases=config.aliases,
@@ -249,19 +309,37 @@ def _pooled_slots(
             f"{lookup.name} has {lookup.dim} numbers per word, but the config expects "
             f"{config.dim}. Take vectors of {config.dim} numbers or set dim to {lookup.dim}."
         )
-    centre = centre_of(lookup, everything) if config.centring else 0.0
-    hue_centre = centre_of(lookup, hues) if config.centring else 0.0
-    rows = [
-        slot_vector(parts, colour, lookup, config, centre, hue_centre, coverage)
-        for parts, colour in zip(sentences, colours, strict=True)
-    ]
+    centre = _centre(lookup, everything) if config.centring else 0.0
+    hue_centre = _centre(lookup, described.hues) if config.centring else 0.0
+    rows = []
+    for parts, name in zip(described.sentences, described.own, strict=True):
+        own = [p for p in parts if p.name == name] if config.colour_share is not None else []
+        rest = [lookup.find(p, coverage) for p in parts if p not in own]
+        vector = pool(rest, config.pooling, centre)
+        if own and config.colour_share is not None:
+            hue = pool([lookup.find(own[0], coverage)], config.pooling, hue_centre)
+            length = np.linalg.norm(vector)
+            vector = (1 - config.colour_share) * _unit(vector) + config.colour_share * _unit(hue)
+            vector = vector * length
+        rows.append(vector if config.slot_norm is None else _unit(vector) * config.slot_norm)
     return np.array(rows, np.float32)
 
 
-def _colours(graph: KnowledgeGraph, config: KnowledgeConfig) -> list[Part]:
-    """Return the label of every colour in the graph."""
-    if config.detail != "full":
-        return []
-    rows = graph.relations == graph.relation_id(config.colour_relation)
-    names = [graph.names[i] for i in np.unique(graph.tails[rows])]
-    return [Part(name, label_of(name, graph.labels), False) for name in names]
+def _centre(lookup: VectorLookup, parts: Sequence[SentencePart]) -> np.ndarray:
+    """Return the mean vector of labels, (D,) float64; labels that are not found are skipped."""
+    found = []
+    for part in parts:
+        with suppress(UserError):
+            found.append(lookup.find(part, Coverage()).vectors)
+    vectors = np.concatenate([np.empty((0, lookup.dim), np.float32), *found])
+    return vectors.mean(axis=0, dtype=np.float64) if len(vectors) else np.zeros(lookup.dim)
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    length = np.linalg.norm(vector)
+    if length == 0:
+        raise UserError(
+            "A slot's vector is zero, so it cannot be scaled: no word of its sentence is known. "
+            "Give aliases, or set on_missing to 'hash'."
+        )
+    return vector / length

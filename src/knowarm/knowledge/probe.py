@@ -8,21 +8,17 @@ import numpy as np
 import scipy
 
 from knowarm.knowledge.config import KnowledgeConfig
-from knowarm.knowledge.embedding import scene_embedding
-from knowarm.knowledge.facets import Facet
-from knowarm.knowledge.graph import KnowledgeGraph
-from knowarm.knowledge.queries import QueryGraph
-from knowarm.knowledge.query_embedding import query_embedding
-from knowarm.knowledge.scene import load_graph
-from knowarm.knowledge.terms import label_of, local_name
+from knowarm.knowledge.embedding import query_embedding, scene_embedding
+from knowarm.knowledge.formats import open_graph
+from knowarm.knowledge.graph.graph import KnowledgeGraph
+from knowarm.knowledge.graph.terms import label_of, local_name
+from knowarm.knowledge.queries.queries import QueryGraph
 
 NEARLY_SAME = 0.9
 """Cosine at which two facets count as nearly the same."""
-
 RIDGE = 1e-2
 """Penalty of the ridge regression on slots scaled to length 1: differences much below a tenth of a
 slot's length are not used."""
-
 MOST_OTHERS = 600
 """Largest number of facets beyond the task's that a probe is fitted on; more are subsampled."""
 
@@ -55,51 +51,43 @@ class Probe:
     def describe(self) -> dict[str, Any]:
         """Return everything as JSON-able values."""
         cosine = [[None if np.isnan(x) else float(x) for x in row] for row in self.cosine]
-        largest = None if np.isnan(self.largest) else self.largest
         return {
             "slots": list(self.slots),
             "cosine": cosine,
-            "largest_cosine": largest,
+            "largest_cosine": None if np.isnan(self.largest) else self.largest,
             "nearly_same": [list(pair) for pair in self.nearly_same],
             "recovered": self.recovered,
         }
 
 
 def probe(config: KnowledgeConfig, facets: Sequence[tuple[str, str]]) -> Probe:
-    """Fit linear probes to the slots of an embedding.
+    """Fit linear probes to the slots of an embedding of the task's (object, colour) pairs.
 
     Every object of the graph that has a colour is embedded by the same config, one slot per
     colour. A ridge regression to one-hot targets is fitted on all slots but one and predicts
     object and colour of that one. For attributes, all slots of an object are held out, and the
     prediction is the k values with the highest scores, where k values are true.
-
-    Args:
-        config: the embedding.
-        facets: the task's (object, colour) pairs.
     """
     task = scene_embedding(config, facets)
     cosine = _cosine(task.matrix)
     names = tuple(slot.name for slot in task.slots)
     if config.source.placebo or config.detail == "none":
         return Probe(slots=names, cosine=cosine, recovered={})
-    graph = load_graph(config)
-    pairs = _population(graph, facets, config)
-    everything = scene_embedding(config, pairs)
+    graph = open_graph(config.graph)
+    everything = scene_embedding(config, _population(graph, facets, config))
     vectors = everything.matrix.astype(np.float64)
     vectors /= np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
-    slots = [slot for slot in everything.slots if isinstance(slot, Facet)]
+    slots = everything.slots
     in_task = np.array([slot in task.slots for slot in slots])
     objects = np.array([slot.object for slot in slots])
     recovered: dict[str, dict[str, float]] = {}
     if config.detail == "full":
-        named = [config.entity_names.get(slot.colour or "", slot.colour or "") for slot in slots]
-        colours = np.array([label_of(name, graph.labels) for name in named])
-        for asked, answers in (("object", objects), ("colour", colours)):
-            scores = _single(vectors, answers, in_task)
-            if scores:
-                recovered[asked] = scores
+        colours = [label_of(config.graph_name(slot.colour or ""), graph.labels) for slot in slots]
+        recovered["object"] = _single(vectors, objects, in_task)
+        recovered["colour"] = _single(vectors, np.array(colours), in_task)
     recovered |= _attributes(graph, vectors, objects, in_task, config)
-    return Probe(slots=names, cosine=cosine, recovered=recovered)
+    found = {name: scores for name, scores in recovered.items() if scores}
+    return Probe(slots=names, cosine=cosine, recovered=found)
 
 
 def _cosine(matrix: np.ndarray) -> np.ndarray:
@@ -113,17 +101,13 @@ def _population(
     graph: KnowledgeGraph, facets: Sequence[tuple[str, str]], config: KnowledgeConfig
 ) -> list[tuple[str, str]]:
     """Return the task's facets, then those of all other objects that have a colour."""
-    rows = np.flatnonzero(graph.relations == graph.relation_id(config.colour_relation))
-    known = {graph.entity_id(config.entity_names.get(name, name)) for name, _ in facets}
-    others = [
-        (graph.names[graph.heads[row]], graph.names[graph.tails[row]])
-        for row in rows
-        if int(graph.heads[row]) not in known
-    ]
-    if len(others) > MOST_OTHERS:
-        drawn = np.random.default_rng(config.seed).choice(len(others), MOST_OTHERS, replace=False)
-        others = [others[i] for i in np.sort(drawn)]
-    return [*facets, *others]
+    known = [graph.entity_id(config.graph_name(name)) for name, _ in facets]
+    coloured = graph.relations == graph.relation_id(config.colour_relation)
+    rows = np.flatnonzero(coloured & ~np.isin(graph.heads, known))
+    if len(rows) > MOST_OTHERS:
+        rows = np.random.default_rng(config.seed).choice(rows, MOST_OTHERS, replace=False)
+    others = ((graph.heads[row], graph.tails[row]) for row in np.sort(rows))
+    return [*facets, *((graph.names[head], graph.names[tail]) for head, tail in others)]
 
 
 def _predict(vectors: np.ndarray, targets: np.ndarray, held: np.ndarray) -> np.ndarray:
@@ -135,24 +119,23 @@ def _predict(vectors: np.ndarray, targets: np.ndarray, held: np.ndarray) -> np.n
     return (vectors[held] - mean) @ x.T @ np.linalg.solve(gram, y) + centre
 
 
+def _scores(found: np.ndarray, guess: np.ndarray, in_task: np.ndarray) -> dict[str, float]:
+    """Average what was asked of each slot, (S,); NaN where nothing was, {} if not of the task."""
+    if np.isnan(found[in_task]).all():
+        return {}
+    means = {"task": np.nanmean(found[in_task]), "all": np.nanmean(found)}
+    return {name: float(mean) for name, mean in (means | {"guess": np.nanmean(guess)}).items()}
+
+
 def _single(vectors: np.ndarray, answers: np.ndarray, in_task: np.ndarray) -> dict[str, float]:
     """Predict one answer per slot, leaving one slot out; answers that occur once are skipped."""
     classes, index, counts = np.unique(answers, return_inverse=True, return_counts=True)
     targets = np.eye(len(classes))[index]
-    rows = np.flatnonzero(counts[index] > 1)
-    right = {}
-    for row in rows:
-        held = np.zeros(len(vectors), bool)
-        held[row] = True
-        right[int(row)] = int(_predict(vectors, targets, held)[0].argmax()) == index[row]
-    in_rows = [right[int(row)] for row in rows if in_task[row]]
-    if not in_rows:
-        return {}
-    return {
-        "task": float(np.mean(in_rows)),
-        "all": float(np.mean(list(right.values()))),
-        "guess": float(counts.max() / len(answers)),
-    }
+    found = np.full(len(vectors), np.nan)
+    for row in np.flatnonzero(counts[index] > 1):
+        held = np.arange(len(vectors)) == row
+        found[row] = _predict(vectors, targets, held)[0].argmax() == index[row]
+    return _scores(found, counts.max(keepdims=True) / len(answers), in_task)
 
 
 def _attributes(
@@ -164,10 +147,11 @@ def _attributes(
 ) -> dict[str, dict[str, float]]:
     """Predict the values of each relation, leaving out all slots of one object at a time."""
     colour = graph.relation_id(config.colour_relation)
-    ids = np.array([graph.entity_id(config.entity_names.get(name, name)) for name in objects])
+    ids = np.array([graph.entity_id(config.graph_name(name)) for name in objects])
     scores = {}
-    for relation in np.unique(graph.relations[np.isin(graph.heads, ids)]):
-        rows = np.flatnonzero((graph.relations == relation) & np.isin(graph.heads, ids))
+    about = np.isin(graph.heads, ids)
+    for relation in np.unique(graph.relations[about]):
+        rows = np.flatnonzero((graph.relations == relation) & about)
         tails, place, counts = np.unique(graph.tails[rows], return_inverse=True, return_counts=True)
         if relation == colour or (counts > 1).sum() < 2:
             continue
@@ -175,56 +159,37 @@ def _attributes(
         for row, column in zip(rows, place, strict=True):
             true[ids == graph.heads[row], column] = 1.0
         true = true[:, counts > 1]  # a value of a single object cannot be learned from others
-        asked = true.sum(axis=1) > 0
-        found = np.full(len(objects), np.nan)
-        guess = np.full(len(objects), np.nan)
-        for name in np.unique(objects[asked]):
+        found, guess = np.full((2, len(objects)), np.nan)
+        for name in np.unique(objects[true.any(axis=1)]):
             held = objects == name
-            predicted = _predict(vectors, true, held)
             frequent = true[~held].mean(axis=0)
-            for row, score in zip(np.flatnonzero(held), predicted, strict=True):
+            for row, score in zip(np.flatnonzero(held), _predict(vectors, true, held), strict=True):
                 found[row] = _share_found(score, true[row])
                 guess[row] = _share_found(frequent, true[row])
-        if asked[in_task].any():
-            scores[local_name(graph.relation_names[int(relation)])] = {
-                "task": float(np.nanmean(found[in_task])),
-                "all": float(np.nanmean(found)),
-                "guess": float(np.nanmean(guess)),
-            }
+        name = local_name(graph.relation_names[int(relation)])
+        scores[name] = _scores(found, guess, in_task)
     return scores
 
 
 def _share_found(scores: np.ndarray, true: np.ndarray) -> float:
     """Return the share of the k true values that are among the k highest scores."""
     k = int(true.sum())
-    best = np.argsort(-scores, kind="stable")[:k]
-    return float(true[best].sum() / k)
+    return float(true[np.argsort(-scores, kind="stable")[:k]].sum() / k)
 
 
 def query_agreement(
     config: KnowledgeConfig, asked: QueryGraph, *, run_seed: int = 0
 ) -> float | None:
-    """Measure whether conditions with similar answers have similar slots.
+    """Return Spearman's rank correlation of similar answers and similar slots of conditions.
 
-    Args:
-        config: knowledge of scope "query"; its graph is that of ``asked``.
-        asked: the graph with the facets of a task.
-        run_seed: seed of the training run, for placebos that are drawn.
-
-    Returns:
-        Spearman's rank correlation, over all pairs of facts that can be asked, of the cosine of
-        their slots and the share of objects that satisfy both among those that satisfy either.
-        None if all slots are equally similar, as one-hot codes are.
+    Over all pairs of facts, it compares the cosine of their slots with the share of objects that
+    satisfy both among those that satisfy either. None if all slots are equally similar.
     """
     facts = [query for query in asked.queries("none") if not query.conditions[0].is_colour]
-    texts = [query.name for query in facts]
-    cosine = _cosine(query_embedding(config, texts, run_seed=run_seed, graph=asked.graph).matrix)
-    owner = np.array([asked.objects.index(name) for name, _ in asked.facets])
-    holds = np.array(
-        [np.bincount(owner[row], minlength=len(asked.objects)) > 0 for row in asked.answers(facts)]
-    )
-    both = (holds[:, None] & holds).sum(2)
-    either = (holds[:, None] | holds).sum(2)
+    cosine = _cosine(query_embedding(config, facts, run_seed=run_seed, graph=asked.graph).matrix)
+    answers = asked.answers(facts)[:, np.unique(asked.owner, return_index=True)[1]]
+    both = (answers[:, None] & answers).sum(2)
+    either = (answers[:, None] | answers).sum(2)
     pairs = np.triu_indices(len(facts), 1)
     if not len(pairs[0]) or np.ptp(cosine[pairs]) < 1e-6:
         return None

@@ -7,8 +7,8 @@ evaluations, `guards` stop at non-finite values, `checkpoint` saves and resumes.
 """
 
 from knowarm.learn.a3c import A3CTrainer
+from knowarm.learn.algorithms import A3CConfig, PPOConfig
 from knowarm.learn.checkpoint import Checkpoint, CheckpointStore, read_checkpoint
-from knowarm.learn.config import A3CConfig, PPOConfig
 from knowarm.learn.environment import NumpyToTorch, PrivilegedVectorEnv, TorchVectorEnv
 from knowarm.learn.evaluation import Evaluate, MakeEvaluate, Metrics
 from knowarm.learn.ppo import PPOTrainer

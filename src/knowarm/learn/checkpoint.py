@@ -58,8 +58,8 @@ class CheckpointStore:
         """Save a checkpoint as ``latest``; the former latest becomes ``previous``.
 
         One of the two is complete at every moment: the new one is written to a temporary folder
-        and renamed once it is on disk. `read_checkpoint` reads ``previous`` where ``latest`` is
-        missing, because the process ended, or the disk failed, between two renames.
+        and renamed once it is on disk. `read_checkpoint` reads ``previous`` where the process
+        ended between two renames.
 
         Raises:
             UserError: the disk is full or not writable; the former checkpoint is unchanged.
@@ -89,10 +89,6 @@ class CheckpointStore:
             or f"There is no checkpoint in {self.folder}; start the training without resuming."
         )
 
-    def load_best(self) -> Checkpoint:
-        """Return the checkpoint of the best policy; raises as `load`."""
-        return read_checkpoint(self.folder / "best", self.description)
-
     def _replace(self, name: str, checkpoint: Checkpoint) -> None:
         temporary, path = self.folder / f".{name}-being-written", self.folder / name
         try:
@@ -120,12 +116,8 @@ class CheckpointStore:
             data = save_arrays(arrays)
             digests[part] = hashlib.sha256(data).hexdigest()
             _write_file(folder / f"{part}.safetensors", data)
-        meta = {
-            "format": FORMAT,
-            "description": self.description,
-            "facts": checkpoint.facts,
-            "sha256": digests,
-        }
+        meta = {"format": FORMAT, "description": self.description}
+        meta |= {"facts": checkpoint.facts, "sha256": digests}
         _write_file(folder / "meta.json", json.dumps(meta, indent=2).encode())
         _sync(folder)
 
@@ -170,6 +162,11 @@ def _former(folder: Path) -> Path:
     return folder.with_name("previous" if folder.name == "latest" else f".{folder.name}-old")
 
 
+def select(state: Mapping[str, np.ndarray], prefix: str) -> Arrays:
+    """Return the entries whose names start with ``prefix``, without the prefix."""
+    return {k[len(prefix) :]: v for k, v in state.items() if k.startswith(prefix)}
+
+
 def policy_arrays(policy: nn.Module) -> Arrays:
     """Copy the parameters of a policy, by name."""
     return {k: v.detach().cpu().numpy().copy() for k, v in policy.state_dict().items()}
@@ -194,10 +191,9 @@ def _write_file(path: Path, data: bytes) -> None:
 
 def _sync(folder: Path) -> None:
     """Flush renames and new names in a folder to disk."""
-    if os.name == "nt":
-        return  # Windows cannot open folders
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+    if os.name != "nt":  # Windows cannot open folders
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

@@ -3,19 +3,11 @@
 from typing import Any
 
 from knowarm.errors import UserError
-from knowarm.learn.config import ScheduleConfig
+from knowarm.learn.algorithms import ScheduleConfig
 
 
 class ThresholdCurriculum:
-    """Sets the factor of an environment's success thresholds.
-
-    Args:
-        config: initial factor of the thresholds, its decrease and what it depends on.
-        env: has the settable attribute ``threshold_factor``.
-
-    Raises:
-        UserError: the factor is not 1, and the environment has no such attribute.
-    """
+    """Sets the ``threshold_factor`` of an environment: the factor of its success thresholds."""
 
     def __init__(self, config: ScheduleConfig, env: Any) -> None:
         self._config = config

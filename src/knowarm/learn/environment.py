@@ -18,42 +18,29 @@ class TorchVectorEnv(Protocol):
     Where an episode ends, ``step`` returns the first image of the next one, and the infos hold
 
     - ``infos["final_obs"]``: (n, H, W, 3) uint8, the last image of each episode that was
-      truncated, undefined elsewhere. On a GPU always present; on the CPU whenever an episode was
-      truncated.
+      truncated, undefined elsewhere; present whenever an episode was truncated.
     - ``infos["final_info"]["is_success"]``: (n,) bool, defined where an episode ended; optional,
       terminated episodes count as successes without it.
-
-    Attributes:
-        num_envs: n.
-        device: of all tensors.
-        max_episode_steps: no environment is truncated twice within so many steps; 1 always holds.
     """
 
     num_envs: int
+    """n."""
 
     @property
     def device(self) -> torch.device:
         """Device of all tensors."""
-        ...
 
     @property
-    def max_episode_steps(self) -> int:
-        """Smallest number of steps between two truncations of one environment."""
-        ...
-
-    @property
-    def facet_ids(self) -> Tensor:
+    def knowledge_input(self) -> Tensor:
         """Row of the knowledge table of each running episode, (n,) int64.
 
         Or, for a policy without table, the knowledge itself, (n, K) float32.
         """
-        ...
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Tensor, Infos]:
         """Start new episodes; return images (n, H, W, 3) uint8 and infos."""
-        ...
 
     def step(self, actions: Tensor) -> StepResult:
         """Advance every environment by one step.
@@ -65,19 +52,15 @@ class TorchVectorEnv(Protocol):
             Images (n, H, W, 3) uint8, rewards (n,) float32 or float64, terminated (n,) bool,
             truncated (n,) bool, infos.
         """
-        ...
 
     def get_state(self) -> dict[str, np.ndarray]:
         """Return all that `set_state` needs to continue identically."""
-        ...
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
         """Continue from the result of `get_state`."""
-        ...
 
     def close(self) -> None:
         """Release the resources of the environment."""
-        ...
 
 
 class PrivilegedVectorEnv(TorchVectorEnv, Protocol):
@@ -85,20 +68,16 @@ class PrivilegedVectorEnv(TorchVectorEnv, Protocol):
 
     With ``report_privileged_state``, infos contain ``final_privileged_state``, (n, D) float32: the
     state of every environment before the resets of the step.
-
-    Attributes:
-        privileged_columns: names of the D columns; see
-            `knowarm.world.tasks.privileged.privileged_columns`.
-        report_privileged_state: set by the trainer.
     """
 
     privileged_columns: tuple[str, ...]
+    """Names of the D columns; see `knowarm.world.tasks.privileged.privileged_columns`."""
     report_privileged_state: bool
+    """Set by the trainer."""
 
     @property
     def privileged_state(self) -> Tensor:
         """State of each running episode, (n, D) float32."""
-        ...
 
 
 class NumpyToTorch:
@@ -108,16 +87,15 @@ class NumpyToTorch:
 
     Args:
         env: a Gymnasium vector environment with images (n, H, W, 3) uint8 as observations,
-            MultiDiscrete actions and autoreset mode SAME_STEP. Optional members: ``facet_ids``
-            (n,), 0 for every episode without it; ``get_state`` and ``set_state``, without which
-            training cannot write checkpoints.
+            MultiDiscrete actions and autoreset mode SAME_STEP. Optional members:
+            ``knowledge_input`` (n,), 0 for every episode without it; ``get_state`` and
+            ``set_state``, without which training cannot write checkpoints.
 
     Raises:
         UserError: another autoreset mode.
     """
 
     device = torch.device("cpu")
-    max_episode_steps = 1
 
     def __init__(self, env: Any) -> None:
         mode = (getattr(env, "metadata", None) or {}).get("autoreset_mode")
@@ -131,11 +109,11 @@ class NumpyToTorch:
         self.num_envs: int = env.num_envs
 
     @property
-    def facet_ids(self) -> Tensor:
-        """As `TorchVectorEnv.facet_ids`."""
-        if not hasattr(self.env, "facet_ids"):
+    def knowledge_input(self) -> Tensor:
+        """As `TorchVectorEnv.knowledge_input`."""
+        if not hasattr(self.env, "knowledge_input"):
             return torch.zeros(self.num_envs, dtype=torch.int64)
-        return torch.from_numpy(np.asarray(self.env.facet_ids, np.int64))
+        return torch.from_numpy(np.asarray(self.env.knowledge_input, np.int64))
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -156,13 +134,9 @@ class NumpyToTorch:
             final = np.zeros_like(images)
             final[ids] = np.stack([infos["final_obs"][i] for i in ids])
             result["final_obs"] = torch.from_numpy(final)
-        return (
-            torch.from_numpy(images),
-            torch.from_numpy(np.asarray(reward)),
-            torch.from_numpy(terminated),
-            torch.from_numpy(truncated),
-            result,
-        )
+        arrays = (images, np.asarray(reward), terminated, truncated)
+        images, reward, terminated, truncated = map(torch.from_numpy, arrays)
+        return images, reward, terminated, truncated, result
 
     def get_state(self) -> dict[str, np.ndarray]:
         """As `TorchVectorEnv.get_state`."""

@@ -1,6 +1,5 @@
 """Episode statistics: returns, lengths and successes of the episodes that ended."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,25 +30,9 @@ class FinishedEpisodes:
             "success": float(self.success.mean()),
         }
 
-    @classmethod
-    def join(cls, parts: "Sequence[FinishedEpisodes]") -> "FinishedEpisodes":
-        """Concatenate several groups of episodes."""
-        empty = cls(np.zeros(0), np.zeros(0, np.int64), np.zeros(0, bool))
-        parts = [empty, *parts]
-        return cls(
-            np.concatenate([p.episode_return for p in parts]),
-            np.concatenate([p.length for p in parts]),
-            np.concatenate([p.success for p in parts]),
-        )
-
 
 class EpisodeStatistics:
-    """Accumulates rewards and steps of running episodes; never synchronizes with a GPU in `add`.
-
-    Args:
-        num_envs: n.
-        device: of the tensors given to `add`.
-    """
+    """Accumulates rewards and steps of the running episodes of n environments."""
 
     def __init__(self, num_envs: int, device: torch.device) -> None:
         self._return = torch.zeros(num_envs, dtype=torch.float64, device=device)
@@ -65,9 +48,9 @@ class EpisodeStatistics:
         self._length = torch.where(done, 0, self._length)
 
     def take(self) -> FinishedEpisodes:
-        """Return the episodes that ended since the last call; synchronizes with a GPU."""
+        """Return the episodes that ended since the last call."""
         if not self._steps:
-            return FinishedEpisodes.join([])
+            return FinishedEpisodes(np.zeros(0), np.zeros(0, np.int64), np.zeros(0, bool))
         done, returns, lengths, success = (
             torch.stack(column).cpu().numpy() for column in zip(*self._steps, strict=True)
         )

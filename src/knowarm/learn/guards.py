@@ -2,7 +2,7 @@
 
 import logging
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import torch
@@ -40,26 +40,13 @@ class NotFiniteError(UserError):
 
 
 class FiniteGuard:
-    """Stops training at the first non-finite value.
-
-    Args:
-        folder: where the rollout with the value is saved; None saves nothing.
-    """
+    """Stops training at the first non-finite value; ``folder`` receives the rollout with it."""
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
 
     def check(self, terms: Mapping[str, Tensor], step: int, batch: Mapping[str, Tensor]) -> None:
-        """Raise an error if a term is not finite everywhere.
-
-        Args:
-            terms: tensors by their name in the message.
-            step: environment steps so far, for the message.
-            batch: tensors to save.
-
-        Raises:
-            NotFiniteError: naming the first such term.
-        """
+        """Raise a `NotFiniteError` naming the first term that is not finite; save ``batch``."""
         for name, value in terms.items():
             if not bool(torch.isfinite(value).all()):
                 raise NotFiniteError(name, step, self._save(step, batch))
@@ -88,27 +75,10 @@ class FiniteGuard:
             "the value loss": loss.value,
             "the entropy": loss.entropy,
         }
-        gradients = {
-            f"the gradient of {name}": parameter.grad
-            for name, parameter in policy.named_parameters()
-            if parameter.grad is not None
-        }
-        self.check({**terms, **gradients, "the gradient's norm": norm}, step, rollout.tensors())
-
-    def check_updates(
-        self, losses: Sequence[LossTerms], norms: Sequence[Tensor], step: int, rollout: Rollout
-    ) -> None:
-        """Raise an error naming the term if any gradient step of an update was not finite.
-
-        For GPUs, which are not synchronized with between gradient steps.
-        """
-        names = {"the policy loss": "policy", "the value loss": "value", "the entropy": "entropy"}
-        terms = {
-            name: torch.stack([getattr(loss, field).detach() for loss in losses])
-            for name, field in names.items()
-        }
-        terms["the gradient's norm"] = torch.stack(list(norms))
-        self.check(terms, step, rollout.tensors())
+        for name, parameter in policy.named_parameters():
+            if parameter.grad is not None:
+                terms[f"the gradient of {name}"] = parameter.grad
+        self.check({**terms, "the gradient's norm": norm}, step, rollout.tensors())
 
     def _save(self, step: int, batch: Mapping[str, Tensor]) -> Path | None:
         if self._folder is None:
@@ -122,37 +92,33 @@ class FiniteGuard:
 class HealthMonitor:
     """Warns once of a collapsed entropy, and once of values that no return can reach.
 
-    Args:
-        joints: J.
-        levels: A.
-        gamma: discount factor; no return exceeds the largest reward divided by ``1 - gamma``.
+    No return exceeds the largest reward divided by ``1 - gamma``.
     """
 
     def __init__(self, joints: int, levels: int, gamma: float) -> None:
         self._max_entropy = joints * math.log(levels)
         self._gamma = gamma
         self._largest_reward = 0.0
-        self._warned: set[str] = set()
+        self._warned: set[int] = set()
 
     def watch(self, *, step: int, entropy: float, values: Tensor, rewards: Tensor) -> None:
         """Check one update: mean entropy [nat], values and (scaled) rewards of the rollout."""
         self._largest_reward = max(self._largest_reward, float(rewards.abs().max()))
         bound = self._largest_reward / (1 - self._gamma) if self._gamma < 1 else math.inf
         largest = float(values.abs().max())
-        if entropy < 0.02 * self._max_entropy:
-            self._warn(
-                "entropy",
-                f"Step {step}: the entropy fell to {entropy:.3f} of {self._max_entropy:.2f} nat, "
-                "so the policy hardly explores. Increase ent_coef.",
-            )
-        if largest > bound:
-            self._warn(
-                "value",
-                f"Step {step}: a value of {largest:.3g} exceeds the largest possible return "
-                f"({bound:.3g}), so the critic diverges. Decrease learning_rate.",
-            )
-
-    def _warn(self, kind: str, message: str) -> None:
-        if kind not in self._warned:
-            self._warned.add(kind)
-            log.warning(message)
+        warnings = [
+            (
+                entropy < 0.02 * self._max_entropy,
+                f"the entropy fell to {entropy:.3f} of {self._max_entropy:.2f} nat, so the policy "
+                "hardly explores. Increase ent_coef.",
+            ),
+            (
+                largest > bound,
+                f"a value of {largest:.3g} exceeds the largest possible return ({bound:.3g}), so "
+                "the critic diverges. Decrease learning_rate.",
+            ),
+        ]
+        for kind, (is_due, message) in enumerate(warnings):
+            if is_due and kind not in self._warned:
+                self._warned.add(kind)
+                log.warning("Step %d: %s", step, message)

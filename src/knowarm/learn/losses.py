@@ -53,9 +53,7 @@ class PPOLossTerms(LossTerms):
 
     def __add__(self, other: "PPOLossTerms") -> "PPOLossTerms":
         """Add term by term: the weighted terms of a batch's parts give those of the batch."""
-        return PPOLossTerms(
-            **{name: term + getattr(other, name) for name, term in vars(self).items()}
-        )
+        return PPOLossTerms(**{name: t + getattr(other, name) for name, t in vars(self).items()})
 
 
 def a3c_loss(
@@ -104,10 +102,8 @@ def ppo_loss(
     log_p = log_probabilities(logits)
     log_ratio = log_p.gather(-1, actions[..., None]).squeeze(-1).sum(-1) - old_log_probability
     ratio = log_ratio.exp()
-    surrogate = torch.min(
-        ratio * advantages, ratio.clamp(1 - clip_range, 1 + clip_range) * advantages
-    )
-    policy = -surrogate.mean()
+    clipped = ratio.clamp(1 - clip_range, 1 + clip_range)
+    policy = -torch.min(ratio * advantages, clipped * advantages).mean()
     value = 0.5 * (returns - values).square().mean()
     spread = -(log_p.exp() * log_p).sum((-2, -1)).mean()
     with torch.no_grad():

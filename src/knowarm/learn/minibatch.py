@@ -1,14 +1,15 @@
 """Minibatch gradient: PPO's loss and its gradient over some environments of a rollout."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 
-from knowarm.learn.config import PPOConfig
+from knowarm.learn.algorithms import PPOConfig
 from knowarm.learn.losses import PPOLossTerms, ppo_loss
-from knowarm.learn.rollout import Rollout
-from knowarm.learn.shared_tensors import TensorSpecs
+from knowarm.learn.parallel.shared_tensors import TensorSpecs
+from knowarm.learn.rollout import Rollout, rollout_specs
 from knowarm.policy import Policy
 from knowarm.policy.encoder import orthogonal
 from knowarm.seeding import torch_generator
@@ -27,13 +28,7 @@ class Targets:
 
 
 class TrainingNetwork(nn.Module):
-    """The policy and the head of the auxiliary loss, which exists in training only.
-
-    Args:
-        policy: trained in place.
-        auxiliary_targets: K, 0 without a head.
-        seed: of the head's initial weights.
-    """
+    """The policy, and in training only a head that predicts K auxiliary targets (0: no head)."""
 
     def __init__(self, policy: Policy, auxiliary_targets: int, seed: int = 0) -> None:
         super().__init__()
@@ -48,18 +43,27 @@ class TrainingNetwork(nn.Module):
     def parameters_by_name(self) -> dict[str, nn.Parameter]:
         """Return the parameters by name, those of the head after ``auxiliary``."""
         head = self.head.named_parameters() if self.head else ()
-        return {
-            **dict(self.policy.named_parameters()),
-            **{f"auxiliary.{name}": parameter for name, parameter in head},
-        }
+        named = {f"auxiliary.{name}": parameter for name, parameter in head}
+        return {**dict(self.policy.named_parameters()), **named}
 
 
-def target_specs(steps: int, batch: int, auxiliary_targets: int) -> TensorSpecs:
-    """Return shapes and dtypes of the targets of T steps of B environments."""
+def buffer_specs(network: TrainingNetwork, config: PPOConfig) -> TensorSpecs:
+    """Return shapes and dtypes of the tensors of a rollout and its targets."""
+    steps, batch = config.rollout_steps, config.num_envs
     shapes: dict[str, tuple[int, ...]] = {"advantage": (steps, batch), "returns": (steps, batch)}
-    if auxiliary_targets:
-        shapes["auxiliary"] = (steps, batch, auxiliary_targets)
-    return {name: (shape, torch.float32) for name, shape in shapes.items()}
+    if network.auxiliary_targets:
+        shapes["auxiliary"] = (steps, batch, network.auxiliary_targets)
+    targets = {name: (shape, torch.float32) for name, shape in shapes.items()}
+    return {**rollout_specs(steps, batch, network.policy), **targets}
+
+
+def buffers(tensors: Mapping[str, Tensor]) -> tuple[Rollout, Targets]:
+    """Build rollout and targets from tensors by name; others are ignored."""
+    rollout, targets = (
+        {name: tensors[name] for name in kind.__annotations__ if name in tensors}
+        for kind in (Rollout, Targets)
+    )
+    return Rollout(**rollout), Targets(**targets)
 
 
 def add_gradient(
@@ -70,18 +74,10 @@ def add_gradient(
     env_ids: Tensor,
     weight: float = 1.0,
 ) -> PPOLossTerms:
-    """Add the gradient of the loss over some environments to the network's gradients.
+    """Add the gradient of the loss over the environments ``env_ids`` (b,) to those of the network.
 
-    Args:
-        network: its gradients are added to.
-        config: weights of the loss terms.
-        rollout: T steps of B environments.
-        targets: of the rollout.
-        env_ids: (b,) int64, the environments.
-        weight: factor of the loss: b over the number of environments in the whole minibatch.
-
-    Returns:
-        The terms times ``weight``, so that the terms of a minibatch's parts add up to its own.
+    The loss has a factor ``weight``: b over the number of environments in the whole minibatch, so
+    that the returned terms of a minibatch's parts add up to its own.
     """
     h, c = rollout.start_state
     logits, values, _, features = network.policy.unroll_with_features(

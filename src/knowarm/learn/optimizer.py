@@ -7,7 +7,8 @@ import numpy as np
 import torch
 from torch import nn
 
-from knowarm.learn.config import PPOConfig
+from knowarm.learn.algorithms import PPOConfig
+from knowarm.learn.checkpoint import select
 from knowarm.private_apis import without_compiler
 
 Adam = without_compiler(torch.optim.Adam)
@@ -20,11 +21,8 @@ MUON_PARAMETERS = ("fc.weight", "memory.weight_ih", "memory.weight_hh")
 class PolicyOptimizer:
     """One step of all parameters, with a common learning rate.
 
-    Args:
-        parameters: by name.
-        config: optimizer and its hyperparameters.
-        processes: processes that wait for the step. With several, their cores are free, and a
-            second thread updates a matrix; the bytes stay the same.
+    Where several processes wait for the step, their cores are free, and a second thread updates a
+    matrix; the bytes stay the same.
     """
 
     def __init__(
@@ -38,13 +36,8 @@ class PolicyOptimizer:
         ]
         # This scale gives updates of the size of Adam's, so that both share a learning rate.
         self._optimizers += [
-            Muon(
-                [matrix],
-                lr=config.learning_rate,
-                weight_decay=0.0,
-                adjust_lr_fn="match_rms_adamw",
-            )
-            for matrix in matrices
+            Muon([each], lr=config.learning_rate, weight_decay=0.0, adjust_lr_fn="match_rms_adamw")
+            for each in matrices
         ]
         self._pool = ThreadPoolExecutor(1) if matrices and processes > 1 else None
 
@@ -78,12 +71,8 @@ class PolicyOptimizer:
     def set_state(self, state: Mapping[str, np.ndarray]) -> None:
         """Continue from the result of `get_state`."""
         for name, parameter in self._parameters.items():
-            prefix = f"{name}/"
-            values = {
-                key.removeprefix(prefix): torch.from_numpy(value).to(parameter.device)
-                for key, value in state.items()
-                if key.startswith(prefix)
-            }
+            arrays = select(state, f"{name}/").items()
+            values = {key: torch.from_numpy(value).to(parameter.device) for key, value in arrays}
             for optimizer in self._optimizers:
                 if any(parameter is p for p in optimizer.param_groups[0]["params"]):
                     optimizer.state[parameter] = values

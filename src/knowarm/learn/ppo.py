@@ -7,25 +7,34 @@ import torch
 from torch import Tensor
 
 from knowarm.errors import UserError
-from knowarm.learn.checkpoint import Checkpoint, policy_arrays
-from knowarm.learn.collector import Collector, NoFinalValues, select
-from knowarm.learn.config import PPOConfig, privileged_uses
+from knowarm.learn.algorithms import PPOConfig, privileged_uses
+from knowarm.learn.checkpoint import Checkpoint, policy_arrays, select
+from knowarm.learn.collector import Collector
 from knowarm.learn.curriculum import ThresholdCurriculum
-from knowarm.learn.data_parallel import make_learner
 from knowarm.learn.device import resolve_precision
 from knowarm.learn.environment import PrivilegedVectorEnv, TorchVectorEnv
 from knowarm.learn.evaluation import MAX_PENDING, Metrics
-from knowarm.learn.flat_parameters import flatten_parameters
 from knowarm.learn.guards import FiniteGuard, HealthMonitor
 from knowarm.learn.losses import PPOLossTerms
 from knowarm.learn.minibatch import TrainingNetwork
 from knowarm.learn.optimizer import PolicyOptimizer
+from knowarm.learn.parallel.data_parallel import make_learner
+from knowarm.learn.parallel.flat_parameters import flatten_parameters
+from knowarm.learn.parallel.processes import keep_freed_memory
 from knowarm.learn.privileged import PrivilegedLearning
-from knowarm.learn.processes import keep_freed_memory
 from knowarm.learn.returns import advantages
 from knowarm.learn.trainer import StopReason, Trainer, crossed
 from knowarm.policy import Policy
 from knowarm.seeding import torch_generator
+
+LOSS_METRICS = {
+    "policy_loss": "policy",
+    "value_loss": "value",
+    "entropy": "entropy",
+    "approx_kl": "approx_kl",
+    "clip_fraction": "clip_fraction",
+}
+"""Metrics that are means over gradient steps, and their fields of the loss terms."""
 
 
 class PPOTrainer(Trainer):
@@ -51,13 +60,7 @@ class PPOTrainer(Trainer):
     """
 
     def __init__(
-        self,
-        config: PPOConfig,
-        policy: Policy,
-        env: TorchVectorEnv,
-        *,
-        seed: int,
-        **options: Any,
+        self, config: PPOConfig, policy: Policy, env: TorchVectorEnv, *, seed: int, **options: Any
     ) -> None:
         super().__init__(policy, seed=seed, **options)
         if env.num_envs != config.num_envs:
@@ -83,14 +86,16 @@ class PPOTrainer(Trainer):
         network = TrainingNetwork(policy.to(self._device), targets, seed)
         self._head = network.head
         self._learner = make_learner(network, config, self.matmul_precision, self._device)
-        others = NoFinalValues(env) if config.critic == "state" else None
         self._collector = Collector(
-            env, policy, seed=seed, final_values=others, curriculum=self._curriculum
+            env,
+            policy,
+            seed=seed,
+            final_values=config.critic == "image",
+            curriculum=self._curriculum,
         )
         self._minibatch_generator = torch_generator(seed, "minibatches", device=self._device)
-        self._optimizer = PolicyOptimizer(
-            network.parameters_by_name(), config, self._learner.processes
-        )
+        parameters = network.parameters_by_name()
+        self._optimizer = PolicyOptimizer(parameters, config, self._learner.processes)
         self._guard = FiniteGuard(self.failure_folder)
         self._health = HealthMonitor(policy.shape.joints, policy.shape.levels, config.gamma)
 
@@ -101,16 +106,8 @@ class PPOTrainer(Trainer):
 
     def _train(self, total_steps: int) -> StopReason:
         keep_freed_memory()
-        try:
-            with self._learner.running():
-                return self._train_until(total_steps)
-        except torch.OutOfMemoryError as error:
-            raise UserError(
-                f"The GPU's memory was full at step {self.step} with {self.config.num_envs} "
-                f"environments in {self.config.minibatches} minibatches: choose a smaller num_envs "
-                "or rollout_steps, more minibatches, or stop other programs on the GPU. The last "
-                f"checkpoint is intact. ({error})"
-            ) from error
+        with self._learner.running():
+            return self._train_until(total_steps)
 
     def _train_until(self, total_steps: int) -> StopReason:
         begin = time.perf_counter()
@@ -126,14 +123,9 @@ class PPOTrainer(Trainer):
             metrics = self._update(total_steps)
             self.policy.matmul_precision = "float32"
             now = time.perf_counter()
-            self.hooks.on_metrics(
-                {
-                    "step": self.step,
-                    "wall_time_s": now - begin,
-                    "steps_per_s": (self.step - before) / (now - start),
-                    **metrics,
-                }
-            )
+            speed = (self.step - before) / (now - start)
+            times = {"step": self.step, "wall_time_s": now - begin, "steps_per_s": speed}
+            self.hooks.on_metrics({**times, **metrics})
             if crossed(before, self.step, self.evaluate_every):
                 self._submit_evaluation()
             self._take_evaluations()
@@ -142,9 +134,8 @@ class PPOTrainer(Trainer):
         return self._finish(self.save)
 
     def _submit_evaluation(self) -> None:
-        if self._evaluations is not None:
-            self._evaluations.submit(self.step, flatten_parameters(self.policy))
-            self._wait_for_evaluations(leave=MAX_PENDING)
+        self._evaluations.submit(self.step, flatten_parameters(self.policy))
+        self._wait_for_evaluations(leave=MAX_PENDING)
 
     def _checkpoint(self) -> Checkpoint:
         privileged = self._privileged.get_state() if self._privileged else {}
@@ -179,18 +170,16 @@ class PPOTrainer(Trainer):
         environment_s, start = self._collector.environment_s, time.perf_counter()
         record = self._privileged.rollout if self._privileged else None
         self._collector.collect(rollout, self._learner.infer, privileged=record)
-        # Reading the time synchronizes with a GPU, which may still execute launched kernels.
         environment_s = self._collector.environment_s - environment_s
         collected = time.perf_counter()
         self.step += rollout.reward.numel()
         self._guard.check_rollout(rollout, self.policy.knowledge_table, self.step)
         reward = self._set_targets()
         terms, norms = self._learn()
-        self._guard.check_updates(terms, norms, self.step, rollout)
         learned = time.perf_counter()
         means = {
-            name: float(torch.stack([getattr(term, name) for term in terms]).mean())
-            for name in ("policy", "value", "entropy", "approx_kl", "clip_fraction")
+            name: float(torch.stack([getattr(term, field) for term in terms]).mean())
+            for name, field in LOSS_METRICS.items()
         }
         self._health.watch(
             step=self.step, entropy=means["entropy"], values=rollout.value, rewards=reward
@@ -205,11 +194,7 @@ class PPOTrainer(Trainer):
         return {
             **episodes,
             **options,
-            "policy_loss": means["policy"],
-            "value_loss": means["value"],
-            "entropy": means["entropy"],
-            "approx_kl": means["approx_kl"],
-            "clip_fraction": means["clip_fraction"],
+            **means,
             "explained_variance": explained_variance(rollout.value, self._learner.targets.returns),
             "grad_norm": float(torch.stack(norms).mean()),
             "learning_rate": rate,
@@ -253,11 +238,7 @@ class PPOTrainer(Trainer):
         return reward
 
     def _learn(self) -> tuple[list[PPOLossTerms], list[Tensor]]:
-        """Run all epochs over the rollout.
-
-        Returns:
-            Loss terms of every minibatch and gradient norms of every gradient step.
-        """
+        """Run all epochs; return the loss terms and unclipped gradient norms of all minibatches."""
         config, generator = self.config, self._minibatch_generator
         terms: list[PPOLossTerms] = []
         norms: list[Tensor] = []
@@ -265,29 +246,17 @@ class PPOTrainer(Trainer):
             order = torch.randperm(config.num_envs, generator=generator, device=self._device)
             for env_ids in order.chunk(config.minibatches):
                 loss = self._learner.compute_gradient(env_ids)
+                gradient = self._learner.gradient
+                norm = torch.linalg.vector_norm(gradient)
+                self._guard.check_update(self.policy, loss, norm, self.step, self._learner.rollout)
                 terms.append(loss)
                 if config.target_kl is not None and float(loss.approx_kl) > config.target_kl:
                     return terms, norms or [torch.zeros(())]
-                norms.append(self._gradient_step(loss))
+                if norm > config.max_grad_norm:
+                    gradient.mul_(config.max_grad_norm / norm)
+                self._optimizer.step()
+                norms.append(norm)
         return terms, norms
-
-    def _gradient_step(self, loss: PPOLossTerms) -> Tensor:
-        """Clip the gradient and step the optimizer; return the norm before clipping.
-
-        A non-finite gradient never changes the parameters: on the CPU it stops training here; on a
-        GPU, which is not synchronized with, it is replaced by zero and `_update` stops training.
-        """
-        gradient, limit = self._learner.gradient, self.config.max_grad_norm
-        norm = torch.linalg.vector_norm(gradient)
-        if self._device.type == "cpu":
-            self._guard.check_update(self.policy, loss, norm, self.step, self._learner.rollout)
-            if norm > limit:
-                gradient.mul_(limit / norm)
-        else:
-            finite, factor = torch.isfinite(norm + loss.total), (limit / norm).clamp(max=1)
-            gradient.copy_(torch.where(finite, gradient * factor, 0))
-        self._optimizer.step()
-        return norm
 
 
 def explained_variance(values: Tensor, returns: Tensor) -> float:

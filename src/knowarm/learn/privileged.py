@@ -4,14 +4,15 @@ The simulator's state trains the critic and shapes the features of the image; th
 never receives it, so it plays from images alone.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple, cast
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from knowarm.errors import UserError
-from knowarm.learn.config import PPOConfig
+from knowarm.learn.algorithms import PPOConfig
+from knowarm.learn.checkpoint import select
 from knowarm.learn.environment import PrivilegedVectorEnv
 from knowarm.learn.optimizer import Adam
 from knowarm.policy.encoder import orthogonal
@@ -35,8 +36,7 @@ PROGRESS_PER_METRE = 100.0
 PROGRESS_PER_DEGREE = 20.0 / 90.0
 
 
-@dataclass(frozen=True)
-class PrivilegedRollout:
+class PrivilegedRollout(NamedTuple):
     """Privileged states of a rollout, written in place by the collector."""
 
     state: Tensor
@@ -46,12 +46,7 @@ class PrivilegedRollout:
 
 
 class RunningNormalizer:
-    """Standardizes columns by their mean and deviation so far, clipped to +-5.
-
-    Args:
-        columns: D.
-        device: of the values.
-    """
+    """Standardizes columns by their mean and deviation so far, clipped to +-5."""
 
     def __init__(self, columns: int, device: torch.device) -> None:
         self.count = torch.zeros((), dtype=torch.float64, device=device)
@@ -65,11 +60,8 @@ class RunningNormalizer:
         count, mean = len(values), values.mean(0)
         total = self.count + count
         difference = mean - self.mean
-        self.square = (
-            self.square
-            + (values - mean).square().sum(0)
-            + difference.square() * self.count * count / total
-        )
+        between = difference.square() * self.count * count / total
+        self.square = self.square + (values - mean).square().sum(0) + between
         self.mean = self.mean + difference * count / total
         self.count = total
 
@@ -89,13 +81,7 @@ class RunningNormalizer:
 
 
 class StateCritic:
-    """Critic on the privileged state (Pinto et al. 2017): three layers with an Adam of their own.
-
-    Args:
-        columns: D.
-        device: of the states.
-        seed: of the run.
-    """
+    """Critic on the privileged state (Pinto et al. 2017): three layers with their own Adam."""
 
     def __init__(self, columns: int, device: torch.device, seed: int) -> None:
         weights = torch_generator(seed, "weights", 1)
@@ -117,8 +103,7 @@ class StateCritic:
     @torch.no_grad()
     def __call__(self, state: Tensor) -> Tensor:
         """Return the values (...) of standardized states (..., D)."""
-        values: Tensor = self.network(state).squeeze(-1)
-        return values
+        return cast(Tensor, self.network(state).squeeze(-1))
 
     def fit(self, state: Tensor, returns: Tensor) -> None:
         """Regress the returns (N,) on standardized states (N, D)."""
@@ -142,23 +127,14 @@ class StateCritic:
         """Continue from the result of `get_state`."""
         self._generator.set_state(torch.from_numpy(state["generator"].copy()))
         for name, parameter in self.network.named_parameters():
-            prefix = f"{name}/"
-            values = {
-                key.removeprefix(prefix): torch.from_numpy(value.copy()).to(parameter.device)
-                for key, value in state.items()
-                if key.startswith(prefix)
-            }
+            arrays = select(state, f"{name}/").items()
+            values = {k: torch.from_numpy(v.copy()).to(parameter.device) for k, v in arrays}
             parameter.data.copy_(values.pop("value"))
             self._optimizer.state[parameter] = values
 
 
 class PrivilegedLearning:
     """What PPO computes from the privileged states of its rollouts.
-
-    Args:
-        config: which of it is used.
-        env: reports the states.
-        seed: of the run.
 
     Attributes:
         rollout: written by the collector.
@@ -172,9 +148,8 @@ class PrivilegedLearning:
         self.rollout = PrivilegedRollout(
             *(torch.zeros(shape, device=env.device) for _ in ("state", "next_state"))
         )
-        self.critic = (
-            StateCritic(len(columns), env.device, seed) if config.critic == "state" else None
-        )
+        uses_critic = config.critic == "state"
+        self.critic = StateCritic(len(columns), env.device, seed) if uses_critic else None
         self._progress_coef = config.progress_coef
         self._auxiliary = torch.tensor(auxiliary_columns(columns), device=env.device)
         self._distance, self._angle = columns.index("distance/0"), columns.index("angle/0")
@@ -221,10 +196,7 @@ class PrivilegedLearning:
         """Continue from the result of `get_state`."""
         for name, part in (("normalizer", self._normalizer), ("critic", self.critic)):
             if part is not None:
-                prefix = f"{name}/"
-                part.set_state(
-                    {k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)}
-                )
+                part.set_state(select(state, f"{name}/"))
 
 
 def auxiliary_columns(columns: tuple[str, ...]) -> list[int]:
@@ -233,11 +205,7 @@ def auxiliary_columns(columns: tuple[str, ...]) -> list[int]:
 
 
 def privileged_columns_of(env: PrivilegedVectorEnv) -> tuple[str, ...]:
-    """Return the names of the columns of an environment's privileged state.
-
-    Raises:
-        UserError: the environment has none.
-    """
+    """Return the names of the columns of an environment's privileged state."""
     columns: tuple[str, ...] | None = getattr(env, "privileged_columns", None)
     if columns is None:
         raise UserError(

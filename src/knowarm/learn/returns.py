@@ -14,15 +14,8 @@ def next_values(
 ) -> Tensor:
     """Return the value of the state after each step, within the same episode.
 
-    Args:
-        values: V of the observation before each step.
-        last_values: (B,) V of the observation after the last step.
-        final_values: V of the final observation where ``truncated``; not read elsewhere.
-        terminated: the episode ended in a terminal state.
-        truncated: the time limit ended the episode.
-
-    Returns:
-        0 where terminated, ``final_values`` where truncated, else the next row's value.
+    ``final_values`` where truncated, 0 where terminated, else the next row's value;
+    ``last_values`` (B,) follow the last row.
     """
     following = torch.cat((values[1:], last_values[None]))
     following = torch.where(truncated, final_values, following)

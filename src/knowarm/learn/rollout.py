@@ -1,12 +1,12 @@
-"""Rollout buffers: T steps of B environments."""
+"""Rollouts: buffers for T steps of B environments, and inference that writes them."""
 
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from knowarm.learn.parallel.shared_tensors import TensorSpecs
 from knowarm.learn.returns import next_values
-from knowarm.learn.shared_tensors import TensorSpecs
 from knowarm.policy import Policy, State
 
 
@@ -60,9 +60,7 @@ class Rollout:
     def following(self, *, bootstrap_at_time_limit: bool = True) -> Tensor:
         """Return the value after each step within its episode, (T, B); see `next_values`.
 
-        Args:
-            bootstrap_at_time_limit: whether a truncated episode continues with the value of its
-                final observation, or with 0 as a terminated one.
+        A truncated episode continues with the value of its final observation, or with 0.
         """
         ended = self.terminated if bootstrap_at_time_limit else self.done
         return next_values(self.value, self.last_value, self.final_value, ended, self.truncated)
@@ -70,12 +68,7 @@ class Rollout:
     def first(self, steps: int) -> "Rollout":
         """Return a view of the first steps."""
         whole = {"last_value", "start_h", "start_c"}
-        return Rollout(
-            **{
-                name: tensor if name in whole else tensor[:steps]
-                for name, tensor in self.tensors().items()
-            }
-        )
+        return Rollout(**{k: v if k in whole else v[:steps] for k, v in self.tensors().items()})
 
     def tensors(self) -> dict[str, Tensor]:
         """Return all tensors by name."""
@@ -83,13 +76,7 @@ class Rollout:
 
 
 def rollout_specs(steps: int, batch: int, policy: Policy) -> TensorSpecs:
-    """Return shapes and dtypes of a rollout's tensors.
-
-    Args:
-        steps: T.
-        batch: B.
-        policy: determines the sizes of patches, actions and state.
-    """
+    """Return shapes and dtypes of the tensors of a rollout of T steps of B environments."""
     table, state = (steps, batch), (batch, policy.hidden_size)
     facet_shape, facet_dtype = policy.facet_spec
     return {
@@ -107,3 +94,30 @@ def rollout_specs(steps: int, batch: int, policy: Policy) -> TensorSpecs:
         "start_h": (state, torch.float32),
         "start_c": (state, torch.float32),
     }
+
+
+@torch.no_grad()
+def infer_step(
+    policy: Policy,
+    rollout: Rollout,
+    t: int,
+    image: Tensor,
+    state: State,
+    envs: slice = slice(None),
+) -> tuple[Tensor, State]:
+    """Run the policy for step t of the b environments ``envs``.
+
+    ``image`` and ``state`` are those of all environments; ``facet`` and ``episode_start`` of step t
+    are read from the rollout, and ``patches`` and ``value`` written to it. Returns logits (b, J, A)
+    and the next state of these environments.
+    """
+    patches = rollout.patches[t, envs]
+    patches.copy_(policy.patches(image[envs]))
+    logits, values, state = policy.step(
+        patches,
+        rollout.facet[t, envs],
+        (state[0][envs], state[1][envs]),
+        rollout.episode_start[t, envs],
+    )
+    rollout.value[t, envs] = values
+    return logits, state

@@ -10,8 +10,7 @@ from typing import Literal
 import numpy as np
 import torch
 
-from knowarm.learn.checkpoint import Checkpoint, CheckpointStore
-from knowarm.learn.collector import select
+from knowarm.learn.checkpoint import Checkpoint, CheckpointStore, select
 from knowarm.learn.evaluation import (
     MAX_PENDING,
     BackgroundEvaluations,
@@ -21,8 +20,7 @@ from knowarm.learn.evaluation import (
     MakeEvaluate,
     Metrics,
 )
-from knowarm.learn.flat_parameters import unflatten_parameters
-from knowarm.learn.processes import process_context, wait_for_fork_server
+from knowarm.learn.parallel.flat_parameters import unflatten_parameters
 from knowarm.policy import Policy
 
 StopReason = Literal["finished", "stopped"]
@@ -87,7 +85,6 @@ class Trainer(ABC):
             training continues; picklable. Results may arrive after later steps. Checkpoints do
             not wait for them: they hold the parameters of pending evaluations, which are played
             after resuming.
-        evaluator_threads: threads of that process; None for one thread of PyTorch.
         evaluate_every: steps between two interim evaluations; the first precedes training.
         hooks: functions to call.
         checkpoints: where checkpoints are saved; None saves none.
@@ -108,7 +105,6 @@ class Trainer(ABC):
         seed: int,
         evaluate: Evaluate | None = None,
         make_evaluate: MakeEvaluate | None = None,
-        evaluator_threads: int | None = None,
         evaluate_every: int = 50_000,
         hooks: Hooks | None = None,
         checkpoints: CheckpointStore | None = None,
@@ -127,8 +123,7 @@ class Trainer(ABC):
         self.failure_folder = failure_folder
         self._evaluate = evaluate
         self._make_evaluate = make_evaluate
-        self._evaluator_threads = evaluator_threads
-        self._evaluations: Evaluations | None = None
+        self._evaluations: Evaluations = InlineEvaluations(policy, None)
         self._context: BaseContext | None = None
         self._stopping = False
 
@@ -145,33 +140,23 @@ class Trainer(ABC):
 
         Raises:
             NotFiniteError: a loss, gradient or input is not finite.
-            UserError: a checkpoint cannot be written, or the memory of a GPU is full.
+            UserError: a checkpoint cannot be written.
             RuntimeError: a child process exits or fails repeatedly.
         """
         self._stopping = False
-        if self._context is None and self._make_evaluate is not None:
-            self._context = process_context(["knowarm.learn.evaluation"])
-        if self._context is not None and not wait_for_fork_server(self._context, self._should_stop):
-            return self._result("stopped")  # nothing to save that resuming would not find
-        if self._evaluate is not None:
-            self._evaluations = InlineEvaluations(self.policy.spec(), self._evaluate)
-        elif self._make_evaluate is not None:
-            self._evaluations = BackgroundEvaluations(
-                self.policy.spec(), self._make_evaluate, self._context, self._evaluator_threads
-            )
+        self._evaluations = (
+            InlineEvaluations(self.policy, self._evaluate)
+            if self._make_evaluate is None
+            else BackgroundEvaluations(self.policy, self._make_evaluate, self._context)
+        )
         try:
             for step, values in sorted(self.pending_evaluations.items()):
-                assert self._evaluations is not None
                 self._evaluations.submit(step, values)
             self.pending_evaluations = {}
             self._take_evaluations()
             reason = self._train(total_steps)
         finally:
-            if self._evaluations is not None:
-                self._evaluations.close()
-        return self._result(reason)
-
-    def _result(self, reason: StopReason) -> TrainingResult:
+            self._evaluations.close()
         return TrainingResult(
             step=self.step, reason=reason, best_return=self.best.value, best_step=self.best.step
         )
@@ -206,16 +191,11 @@ class Trainer(ABC):
             best = {"best_return": self.best.value, "best_step": self.best.step}
             pending = {
                 f"{_PENDING}{step}": values
-                for step, values in (self._evaluations.pending() if self._evaluations else [])
+                for step, values in self._evaluations.pending()
                 if step <= checkpoint.facts["step"]
             }
-            self.checkpoints.save(
-                replace(
-                    checkpoint,
-                    state={**checkpoint.state, **pending},
-                    facts={**checkpoint.facts, **best},
-                )
-            )
+            state, facts = {**checkpoint.state, **pending}, {**checkpoint.facts, **best}
+            self.checkpoints.save(replace(checkpoint, state=state, facts=facts))
 
     def _should_stop(self) -> bool:
         """Tell whether the hook has asked to stop, now or before."""
@@ -225,17 +205,16 @@ class Trainer(ABC):
     @property
     def _evaluates_start(self) -> bool:
         """Whether the untrained policy is still to be evaluated."""
-        pending = self._evaluations.pending() if self._evaluations is not None else []
-        return self.step == 0 and self.best.step is None and not pending
+        return self.step == 0 and self.best.step is None and not self._evaluations.pending()
 
     @property
     def _evaluator_is_behind(self) -> bool:
-        return self._evaluations is not None and len(self._evaluations.pending()) > MAX_PENDING
+        return len(self._evaluations.pending()) > MAX_PENDING
 
     def _wait_for_evaluations(self, *, leave: int = 0) -> bool:
         """Wait until at most ``leave`` are pending; return whether training was not stopped."""
         self._take_evaluations()
-        while self._evaluations is not None and len(self._evaluations.pending()) > leave:
+        while len(self._evaluations.pending()) > leave:
             if self._should_stop():
                 return False
             self._take_evaluations(timeout_s=_WAIT_S)
@@ -245,7 +224,7 @@ class Trainer(ABC):
         """Save the last checkpoint, wait for pending evaluations, and save their results."""
         self._take_evaluations()
         save()
-        if self._evaluations is None or not self._evaluations.pending():
+        if not self._evaluations.pending():
             return "finished"
         is_complete = self._wait_for_evaluations()
         save()
@@ -253,8 +232,6 @@ class Trainer(ABC):
 
     def _take_evaluations(self, *, timeout_s: float = 0.0) -> None:
         """Report completed evaluations to the hooks and save the best policy."""
-        if self._evaluations is None:
-            return
         for done in self._evaluations.completed(timeout_s=timeout_s):
             is_best = self.best.update(done.step, done.results["return_mean"])
             if is_best and self.checkpoints is not None:

@@ -9,11 +9,7 @@ from torch import Tensor
 
 
 def sample(logits: Tensor, generator: torch.Generator) -> Tensor:
-    """Draw one level per joint from softmax(logits), by the Gumbel-max trick.
-
-    Returns:
-        int64 (..., J).
-    """
+    """Draw one level per joint from softmax(logits), by the Gumbel-max trick: int64 (..., J)."""
     noise = torch.empty_like(logits).exponential_(generator=generator)
     return (logits - noise.log()).argmax(-1)
 

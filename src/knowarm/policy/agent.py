@@ -4,9 +4,10 @@ from typing import Any, Protocol
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from knowarm.policy.actions import greedy, sample
-from knowarm.policy.policy import Policy
+from knowarm.policy.policy import Policy, State
 
 
 class FacetEnv(Protocol):
@@ -15,9 +16,8 @@ class FacetEnv(Protocol):
     num_envs: int
 
     @property
-    def facet_ids(self) -> Any:
+    def knowledge_input(self) -> Any:
         """Row of the knowledge table, (n,) int64, or knowledge, (n, K); array or tensor."""
-        ...
 
 
 class PolicyAgent:
@@ -46,25 +46,28 @@ class PolicyAgent:
         self._state = self.policy.initial_state(env.num_envs)
         self._episode_start = torch.ones(env.num_envs, dtype=torch.bool)
 
-    def facets_for(self, observations: np.ndarray) -> torch.Tensor:
+    def knowledge_input(self, observations: np.ndarray) -> torch.Tensor:
         """Return row (n,) int64, or knowledge (n, K) float32, of each episode."""
-        return torch.as_tensor(self._env.facet_ids)
+        return torch.as_tensor(self._env.knowledge_input)
 
     @torch.inference_mode()
-    def act(self, observations: np.ndarray) -> np.ndarray:
-        """Choose actions.
+    def choose(
+        self, images: Tensor, knowledge: Tensor, state: State, episode_start: Tensor
+    ) -> tuple[np.ndarray, State]:
+        """Choose the actions of one step; return levels (n, J) int64 and the next recurrent state.
 
-        Args:
-            observations: (n, H, W, 3) uint8.
-
-        Returns:
-            (n, J) int64 levels.
+        ``images`` are (n, H, W, 3) uint8, ``knowledge`` is as `knowledge_input` returns it, and
+        ``episode_start`` (n,) bool tells whether the step is the first of its episode.
         """
-        facet = self.facets_for(observations)
-        image = torch.as_tensor(observations)
-        logits, _, self._state = self.policy.step(image, facet, self._state, self._episode_start)
-        self._episode_start = torch.zeros_like(self._episode_start)
+        logits, _, state = self.policy.step(images, knowledge, state, episode_start)
         if self.greedy:
-            return greedy(logits).numpy()
+            return greedy(logits).numpy(), state
         assert self.generator is not None
-        return sample(logits, self.generator).numpy()
+        return sample(logits, self.generator).numpy(), state
+
+    def act(self, observations: np.ndarray) -> np.ndarray:
+        """Choose actions, (n, J) int64 levels, for images (n, H, W, 3) uint8."""
+        knowledge, images = self.knowledge_input(observations), torch.as_tensor(observations)
+        actions, self._state = self.choose(images, knowledge, self._state, self._episode_start)
+        self._episode_start = torch.zeros_like(self._episode_start)
+        return actions

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
+from knowarm.config import at_least
 from knowarm.errors import UserError, unknown_name
 from knowarm.policy.fusion import FUSIONS
 
@@ -20,45 +21,33 @@ class PolicyConfig:
     fusion: str = "before_lstm"
     """Where the knowledge vector enters the network: none, before_fc, before_lstm (the paper),
     after_lstm, film, attention, similarity or critic (`knowarm.policy.fusion.FUSIONS`)."""
-
     hidden: Literal["grow", "fixed"] | int = "grow"
     """Hidden size of the LSTM: "grow" is ``features`` plus the width of the knowledge vector (the
     paper's 128 / 278 / 428), "fixed" is ``features``, or a number."""
-
     features: int = 128
     """Output width of the fully connected layer after the convolutions."""
-
     knowledge_encoder: Literal["identity", "learned"] = "identity"
     """Layer between knowledge vector and fusion: none, or a trained linear map."""
-
     knowledge_width: int | None = None
     """Output width of the trained linear map; None keeps the width of the knowledge vector."""
-
     wide: bool = False
     """Capacity control: no knowledge input, but an LSTM so large that the policy has as many
     parameters as the same one with knowledge."""
-
     pixel_shift: float = 0.0
     """Subtracted from the pixels after scaling them to 0..1."""
-
     pixel_scale: float = 1.0
     """Factor applied after the shift; .5 and 4 give images mean 0 and standard deviation ~1."""
-
     fc_activation: Literal["relu", "none"] = "relu"
     """Activation after the fully connected layer; the lineage of the paper's A3C has none."""
-
     actor_gain: float = 0.01
     """Gain of the orthogonal initialization of the actor heads; small gains start near uniform."""
 
     def __post_init__(self) -> None:
         if self.fusion not in FUSIONS:
             raise unknown_name("fusion", self.fusion, FUSIONS)
-        if self.features < 1:
-            raise UserError(f"features must be at least 1, got {self.features}.")
+        at_least(self, 1, "features", "knowledge_width")
         if isinstance(self.hidden, int) and self.hidden < 1:
             raise UserError(f"hidden must be 'grow', 'fixed' or at least 1, got {self.hidden}.")
-        if self.knowledge_width is not None and self.knowledge_width < 1:
-            raise UserError(f"knowledge_width must be at least 1, got {self.knowledge_width}.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,46 +55,31 @@ class PolicyShape:
     """Input and output sizes of a policy, given by robot, image and knowledge table.
 
     Raises:
-        UserError: a size out of range, or slots that do not divide the knowledge vector.
+        UserError: a size out of range.
     """
 
     joints: int
     """Number of joints J; one softmax head per joint."""
-
     levels: int = 7
     """Number of levels A of an action: increments that a joint chooses from."""
-
     image_size: int = 64
     """Height and width of the image [px]."""
-
     knowledge_dim: int = 0
     """Length K of the knowledge vector; 0 without knowledge."""
-
     knowledge_slots: int = 1
     """Number of equally wide parts (slots) that make up the knowledge vector."""
 
     def __post_init__(self) -> None:
-        for name in ("joints", "levels", "knowledge_slots"):
-            if getattr(self, name) < 1:
-                raise UserError(f"{name} must be at least 1, got {getattr(self, name)}.")
+        at_least(self, 1, "joints", "levels", "knowledge_slots")
+        at_least(self, 0, "knowledge_dim")
         if self.image_size < 20:
             raise UserError(
                 f"image_size must be at least 20 for the two convolutions, got {self.image_size}."
             )
-        if self.knowledge_dim < 0:
-            raise UserError(f"knowledge_dim must be 0 or more, got {self.knowledge_dim}.")
 
 
 def layer_widths(config: PolicyConfig, shape: PolicyShape) -> tuple[int, int]:
-    """Compute the layer widths that follow from choices and shape.
-
-    Returns:
-        Width of the encoded knowledge, and hidden size of the LSTM.
-
-    Raises:
-        UserError: the fusion needs a knowledge vector and there is none, or the slots do not
-            divide the knowledge.
-    """
+    """Compute width of the encoded knowledge and hidden size of the LSTM."""
     if config.fusion != "none" and shape.knowledge_dim == 0:
         raise UserError(
             f"fusion {config.fusion!r} needs a knowledge vector and knowledge_dim is 0; pass a "
@@ -120,9 +94,6 @@ def layer_widths(config: PolicyConfig, shape: PolicyShape) -> tuple[int, int]:
             f"vector ({shape.knowledge_dim}) and of its encoding ({knowledge})."
         )
     if isinstance(config.hidden, int):
-        hidden = config.hidden
-    elif config.hidden == "fixed" or config.fusion == "none":
-        hidden = config.features
-    else:
-        hidden = config.features + knowledge
-    return knowledge, hidden
+        return knowledge, config.hidden
+    grows = config.hidden == "grow" and config.fusion != "none"
+    return knowledge, config.features + grows * knowledge

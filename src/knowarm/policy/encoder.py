@@ -42,19 +42,14 @@ def orthogonal(layer: nn.Module, gain: float, generator: torch.Generator) -> Non
 class ImageEncoder(nn.Module):
     """Two convolutions: 3x3 stride 4 (3 -> 16) and 5x5 stride 2 (16 -> 32), each with a ReLU.
 
-    A 64x64 image gives 6 x 6 positions of 32 channels: 1152 features (paper section 4.2.2).
+    A 64x64 image gives 6 x 6 positions of 32 channels: 1152 features (paper section 4.2.2). Pixels
+    are scaled to 0..1, then shifted and scaled as in `PolicyConfig`.
 
-    The forward pass has two stages. `patches` gathers the pixels that the first convolution reads,
-    in the order it reads them. It has no parameters, so a rollout stores its result and every
-    pass over the rollout saves the work. `forward` is one matrix product over the patches and one
-    convolution: four neighbouring patches form a block, and over blocks with the channels of their
-    four patches the second convolution is one of 3x3 and stride 1, which takes two thirds of the
-    time on CPUs (docs/learning.md).
-
-    Args:
-        image_size: height and width of the image [px].
-        pixel_shift: subtracted from the pixels after scaling them to 0..1.
-        pixel_scale: factor applied after the shift.
+    `patches` gathers the pixels that the first convolution reads, in the order it reads them. It
+    has no parameters, so a rollout stores its result for all passes. `forward` is one matrix
+    product over the patches and one convolution: four neighbouring patches form a block, and over
+    blocks with the channels of their four patches the second convolution is one of 3x3 and stride
+    1, which takes two thirds of the time on CPUs (docs/lab-notes.md).
 
     Attributes:
         patch_shape: (S, L), shape of one image's patches: S blocks of L pixel values.
@@ -77,14 +72,9 @@ class ImageEncoder(nn.Module):
         self._padding = max(0, STRIDE * (2 * self._blocks - 1) + SIDE - image_size)
 
     def patches(self, image: Tensor) -> Tensor:
-        """Gather the patches of the first convolution.
+        """Gather the patches of the first convolution: (..., H, W, 3) uint8 -> (..., S, L) uint8.
 
-        Args:
-            image: (..., H, W, 3) uint8.
-
-        Returns:
-            (..., S, L) uint8: blocks in row-major order, each of 2 x 2 patches of 3 x 3 pixels
-            with 3 colour channels.
+        Blocks are in row-major order, each of 2 x 2 patches of 3 x 3 pixels with 3 colour channels.
         """
         blocks, leading = self._blocks, image.shape[:-3]
         image = image.reshape(-1, *image.shape[-3:])
@@ -96,13 +86,9 @@ class ImageEncoder(nn.Module):
         return cut.permute(0, 1, 3, 2, 4, 6, 7, 5).reshape(*leading, *self.patch_shape)
 
     def forward(self, patches: Tensor) -> Tensor:
-        """Encode images.
+        """Encode patches (N, S, L) uint8 as features (N, width) float32.
 
-        Args:
-            patches: (N, S, L) uint8, from `patches`.
-
-        Returns:
-            (N, width) float32; the channels of one position are contiguous.
+        The channels of one position are contiguous.
         """
         count, blocks, depth = patches.shape[0], self._blocks, self.conv1.out_channels
         # Scale the few weights instead of the many pixels.
@@ -112,23 +98,12 @@ class ImageEncoder(nn.Module):
         assert bias is not None
         if self.pixel_shift:
             bias = bias - self.pixel_shift * 255 * weight.sum(1)
-        if self._multiplies_blocks(patches):
-            weight, bias = _four_times(weight), bias.repeat(4)
         pixels = patches.reshape(-1, weight.shape[1]).to(self.pixel_type())
         x = torch.relu(F.linear(pixels, weight, bias))
         # Channels last is the layout of the product, and the fastest one for convolutions.
         x = x.view(count, blocks, blocks, 4 * depth).permute(0, 3, 1, 2)
         x = torch.relu(F.conv2d(x, self._block_weight(), self.conv2.bias))
         return x.permute(0, 2, 3, 1).reshape(count, self.width)
-
-    def _multiplies_blocks(self, patches: Tensor) -> bool:
-        """Tell whether the first convolution is a product over blocks of four patches.
-
-        On a GPU it is: the rows of single patches are 54 bytes long in bfloat16, which no fast
-        kernel reads, those of blocks 216, and a quarter of the rows costs less than four times the
-        products. On the CPU the products count.
-        """
-        return patches.is_cuda
 
     def pixel_type(self) -> torch.dtype:
         """Return the dtype of the matrix products, to which the pixels are converted directly."""
@@ -143,9 +118,3 @@ class ImageEncoder(nn.Module):
         out, depth = weight.shape[:2]
         weight = weight.view(out, depth, 3, 2, 3, 2).permute(0, 3, 5, 1, 2, 4)
         return weight.reshape(out, 4 * depth, 3, 3)
-
-
-def _four_times(weight: Tensor) -> Tensor:
-    """Repeat a matrix (n, m) four times along the diagonal of zeros: (4 n, 4 m)."""
-    eye = torch.eye(4, dtype=weight.dtype, device=weight.device)
-    return (eye[:, None, :, None] * weight[:, None]).reshape(4 * weight.shape[0], -1)

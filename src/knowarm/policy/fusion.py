@@ -1,10 +1,12 @@
 """Knowledge fusion: the places where the knowledge vector enters the network.
 
-A fusion is one subclass of `Fusion` and one entry of `FUSIONS`.
+A fusion is a subclass of `Fusion` and an entry of `FUSIONS`.
 """
 
 import math
-from typing import ClassVar, Literal
+from collections.abc import Callable
+from functools import partial
+from typing import Literal
 
 import torch
 from torch import Tensor, nn
@@ -16,13 +18,7 @@ Layer = Literal["fc", "lstm", "actor", "critic"]
 
 
 class Fusion(nn.Module):
-    """No fusion, and the base class of all others.
-
-    Args:
-        features: output width of the fully connected layer, F.
-        knowledge: width of the encoded knowledge, K.
-        slots: number of equally wide parts of the knowledge.
-    """
+    """No fusion of K values of knowledge with F features; the base class of all others."""
 
     def __init__(self, features: int, knowledge: int, slots: int) -> None:
         super().__init__()
@@ -36,12 +32,7 @@ class Fusion(nn.Module):
         return 0
 
     def forward(self, layer: Layer, x: Tensor, knowledge: Tensor) -> Tensor:
-        """Combine the activations before a layer with the knowledge.
-
-        Args:
-            layer: the layer that receives the result.
-            x: (N, width) activations.
-            knowledge: (N, K) encoded knowledge.
+        """Combine the activations before a layer, (N, width), with the knowledge, (N, K).
 
         Returns:
             (N, width + extra inputs of the layer).
@@ -52,7 +43,11 @@ class Fusion(nn.Module):
 class Concatenation(Fusion):
     """Concatenate the knowledge to the inputs of ``layers``."""
 
-    layers: ClassVar[tuple[Layer, ...]]
+    def __init__(
+        self, features: int, knowledge: int, slots: int, *, layers: tuple[Layer, ...]
+    ) -> None:
+        super().__init__(features, knowledge, slots)
+        self.layers = layers
 
     def extra_inputs(self, layer: Layer) -> int:
         """As `Fusion.extra_inputs`."""
@@ -61,30 +56,6 @@ class Concatenation(Fusion):
     def forward(self, layer: Layer, x: Tensor, knowledge: Tensor) -> Tensor:
         """As `Fusion.forward`."""
         return torch.cat((x, knowledge), 1) if layer in self.layers else x
-
-
-class BeforeFC(Concatenation):
-    """Knowledge next to the convolution features."""
-
-    layers = ("fc",)
-
-
-class BeforeLSTM(Concatenation):
-    """Knowledge next to the LSTM's other inputs, as in the paper (section 4.2.2)."""
-
-    layers = ("lstm",)
-
-
-class AfterLSTM(Concatenation):
-    """Knowledge next to the hidden state, for actor and critic."""
-
-    layers = ("actor", "critic")
-
-
-class CriticOnly(Concatenation):
-    """Knowledge for the critic alone: the actor needs none when the policy is used."""
-
-    layers = ("critic",)
 
 
 class FiLM(Fusion):
@@ -186,14 +157,15 @@ class Similarity(Fusion):
         return (self.key(maps) * wanted[:, None]).sum(2) / math.sqrt(self.width)
 
 
-FUSIONS: dict[str, type[Fusion]] = {
+FUSIONS: dict[str, Callable[[int, int, int], Fusion]] = {
     "none": Fusion,
-    "before_fc": BeforeFC,
-    "before_lstm": BeforeLSTM,
-    "after_lstm": AfterLSTM,
+    "before_fc": partial(Concatenation, layers=("fc",)),
+    "before_lstm": partial(Concatenation, layers=("lstm",)),
+    "after_lstm": partial(Concatenation, layers=("actor", "critic")),
     "film": FiLM,
     "attention": Attention,
     "similarity": Similarity,
-    "critic": CriticOnly,
+    "critic": partial(Concatenation, layers=("critic",)),
 }
-"""Fusions by name, as `PolicyConfig.fusion` gives it."""
+"""Fusions by name, as `PolicyConfig.fusion` gives it. With "before_lstm" (the paper, section 4.2.2)
+the knowledge is next to the LSTM's other inputs; with "critic" the actor needs none in use."""

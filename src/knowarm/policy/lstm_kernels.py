@@ -1,17 +1,12 @@
-"""LSTM kernels: the element-wise work of one LSTM step, forward and backward.
+"""LSTM kernels: the element-wise work of one LSTM step, forward and backward, on the CPU.
 
 PyTorch needs a dozen small operations between two matrix products of an LSTM; each reads and
-writes the whole batch, and launching it costs as much as its arithmetic. On the CPU and in float32
-one compiled loop over the cells takes half the time; elsewhere PyTorch's operations are used.
+writes the whole batch, and calling it costs as much as its arithmetic. One compiled loop over the
+cells takes half the time.
 """
 
-from collections.abc import Callable
-from functools import partial
-
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from knowarm.compiling import njit
 
@@ -47,104 +42,8 @@ def _tanh(x: np.float32) -> np.float32:
     return _ONE - _TWO / (_ONE + _exp(_TWO * x))
 
 
-def forward_step(
-    added: Tensor,
-    keep: Tensor,
-    gates: Tensor,
-    c_in: Tensor,
-    c_tanh: Tensor,
-    hidden: Tensor,
-    h: Tensor,
-    c: Tensor,
-) -> Callable[[int], None]:
-    """Return a function that computes step t in place; tensors are contiguous and of one dtype.
-
-    Args:
-        added: (B, 4H) recurrent part of the gates.
-        keep: (T, B, 1) 1, or 0 where an episode starts.
-        gates: (T, B, 4H); read at t: input part of the gates; written: their activations.
-        c_in: (T, B, H) written at t: masked cell state before the step.
-        c_tanh: (T, B, H) written at t: tanh of the cell state after the step.
-        hidden: (T, B, H) written at t: hidden state after the step.
-        h: (B, H) written: hidden state masked for the next step; unmasked after the last step.
-        c: (B, H) cell state, updated.
-    """
-    tensors = (added, keep, gates, c_in, c_tanh, hidden, h, c)
-    if _can_compile(gates):
-        arrays = [x.numpy() for x in tensors]
-        return lambda t: _forward_loop(t, *arrays)
-    return partial(_forward_operations, tensors)
-
-
-def backward_step(
-    d_next: Tensor,
-    d_hidden: Tensor,
-    keep: Tensor,
-    gates: Tensor,
-    c_in: Tensor,
-    c_tanh: Tensor,
-    d_gates: Tensor,
-    dc: Tensor,
-) -> Callable[[int], None]:
-    """Return a function that computes the backward pass of step t in place.
-
-    Args:
-        d_next: (B, H) gradient of the ``h`` that step t wrote.
-        d_hidden: (T, B, H) gradient of the returned hidden states.
-        keep: (T, B, 1) as in `forward_step`.
-        gates: (T, B, 4H) as written by `forward_step`.
-        c_in: (T, B, H) as written by `forward_step`.
-        c_tanh: (T, B, H) as written by `forward_step`.
-        d_gates: (B, 4H) written: gradient of the gates before their activation functions.
-        dc: (B, H) gradient of the cell state after the step; written: before the step.
-    """
-    tensors = (d_next, d_hidden, keep, gates, c_in, c_tanh, d_gates, dc)
-    if _can_compile(gates):
-        arrays = [x.numpy() for x in tensors]
-        return lambda t: _backward_loop(t, *arrays)
-    return partial(_backward_operations, tensors)
-
-
-def _can_compile(tensor: Tensor) -> bool:
-    return tensor.device.type == "cpu" and tensor.dtype == torch.float32
-
-
-def _next_keep(keep: Tensor, t: int) -> Tensor:
-    """Return the mask of step t + 1, ones after the last step: (B, 1)."""
-    return keep[t + 1] if t + 1 < len(keep) else torch.ones_like(keep[t])
-
-
-def _forward_operations(tensors: tuple[Tensor, ...], t: int) -> None:
-    added, keep, gates, c_in, c_tanh, hidden, h, c = tensors
-    size = c.shape[1]
-    gate = gates[t].add_(added)
-    gate[:, : 2 * size].sigmoid_()
-    gate[:, 2 * size : 3 * size].tanh_()
-    gate[:, 3 * size :].sigmoid_()
-    i, f, g, o = gate.split(size, 1)
-    torch.mul(c, keep[t], out=c_in[t])
-    torch.mul(f, c_in[t], out=c).addcmul_(i, g)
-    torch.tanh(c, out=c_tanh[t])
-    torch.mul(o, c_tanh[t], out=hidden[t])
-    torch.mul(hidden[t], _next_keep(keep, t), out=h)
-
-
-def _backward_operations(tensors: tuple[Tensor, ...], t: int) -> None:
-    d_next, d_hidden, keep, gates, c_in, c_tanh, d_gates, dc = tensors
-    size = dc.shape[1]
-    i, f, g, o = gates[t].split(size, 1)
-    y = c_tanh[t]
-    dh = torch.addcmul(d_hidden[t], d_next, _next_keep(keep, t))
-    dc.addcmul_(dh * o, 1 - y * y)
-    torch.mul(dc * g * i, 1 - i, out=d_gates[:, :size])
-    torch.mul(dc * c_in[t] * f, 1 - f, out=d_gates[:, size : 2 * size])
-    torch.mul(dc * i, 1 - g * g, out=d_gates[:, 2 * size : 3 * size])
-    torch.mul(dh * y * o, 1 - o, out=d_gates[:, 3 * size :])
-    dc.mul_(f * keep[t])
-
-
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-def _forward_loop(
+def forward_step(
     t: int,
     added: Floats,
     keep: Floats,
@@ -155,6 +54,14 @@ def _forward_loop(
     h: Floats,
     c: Floats,
 ) -> None:
+    """Compute step t in place; all arrays are contiguous float32.
+
+    Read are ``added`` (B, 4H), recurrent part of the gates, and ``keep`` (T, B, 1), 0 where an
+    episode starts, else 1. ``gates`` (T, B, 4H) turn from their input part into their activations.
+    Written at t (T, B, H): ``c_in``, masked cell state before the step, ``c_tanh``, tanh of the one
+    after it, and ``hidden``. ``h`` (B, H) becomes the hidden state, masked for the next step except
+    after the last; ``c`` (B, H) the cell state.
+    """
     steps, batch, size = hidden.shape
     for b in range(batch):
         kept = keep[t, b, 0]
@@ -179,7 +86,7 @@ def _forward_loop(
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-def _backward_loop(
+def backward_step(
     t: int,
     d_next: Floats,
     d_hidden: Floats,
@@ -190,6 +97,12 @@ def _backward_loop(
     d_gates: Floats,
     dc: Floats,
 ) -> None:
+    """Compute the backward pass of step t in place; arrays are those of `forward_step`.
+
+    Read are ``d_next`` (B, H) and ``d_hidden`` (T, B, H), gradients of ``h`` and ``hidden``.
+    Written: ``d_gates`` (B, 4H), gradient of the gates before their activation functions, and
+    ``dc`` (B, H), from the gradient of the cell state after the step to that before it.
+    """
     steps, batch, size = d_hidden.shape
     for b in range(batch):
         kept = keep[t, b, 0]

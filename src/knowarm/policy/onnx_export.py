@@ -36,10 +36,6 @@ def export_onnx(policy: Policy, path: Path) -> None:
     Outputs: ``action`` (B, J) int64, the most probable levels, ``logits`` (B, J, A), ``value``
     (B,), and the next recurrent state, ``next_h`` and ``next_c``.
 
-    Args:
-        policy: the policy; it is not changed.
-        path: the file to write.
-
     Raises:
         UserError: the packages of ``pip install 'knowarm[onnx]'`` are missing.
     """

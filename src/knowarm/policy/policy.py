@@ -20,8 +20,8 @@ from knowarm.policy.fusion import FUSIONS
 from knowarm.policy.lstm import MaskedLSTM, State
 from knowarm.seeding import torch_generator
 
-MatmulPrecision = Literal["float32", "tf32", "bfloat16"]
-"""Precision of matrix products; "tf32" exists on GPUs only."""
+MatmulPrecision = Literal["float32", "bfloat16"]
+"""Precision of matrix products."""
 
 
 class Policy(nn.Module):
@@ -38,15 +38,12 @@ class Policy(nn.Module):
         seed: of the initial weights.
 
     Attributes:
-        config: as given.
-        shape: as given.
         resolved_config: ``config`` with the capacity control (``wide``) replaced by the sizes it
             leads to; equal to ``config`` otherwise.
         hidden_size: H.
         knowledge_table: (F, K) buffer; part of no checkpoint.
         matmul_precision: of the products in encoder and LSTM; parameters, cell state, heads and
-            losses are always float32. "tf32" needs the context
-            `knowarm.learn.device.tf32_products`.
+            losses are always float32.
 
     Raises:
         UserError: the sizes do not fit each other or the knowledge table.
@@ -132,10 +129,7 @@ class Policy(nn.Module):
         return (), torch.int64
 
     def check_facets(self, facet: Tensor) -> None:
-        """Check that the knowledge of the facets of an environment is known.
-
-        Args:
-            facet: (B,) int64, row of the knowledge table, or (B, K) float32, the knowledge.
+        """Check that the knowledge of an environment's facets is known; as `step` takes them.
 
         Raises:
             UserError: the table lacks a row, or is missing where one is needed.
@@ -195,11 +189,7 @@ class Policy(nn.Module):
     ) -> tuple[Tensor, Tensor, State, Tensor]:
         """Advance every environment by T steps, for training.
 
-        Args:
-            image: (T, B, H, W, 3) uint8, or their patches (T, B, S, L) uint8.
-            facet: (T, B) int64, row of the knowledge table, or (T, B, K) float32, the knowledge.
-            state: (h, c) before the first step, (B, H) each.
-            episode_start: (T, B) bool.
+        Arguments are those of `step` with a leading axis T; ``state`` precedes the first step.
 
         Returns:
             Logits (T, B, J, A), values (T, B), state after the last step, and the features of the
@@ -218,12 +208,10 @@ class Policy(nn.Module):
 
     def parameter_counts(self) -> dict[str, int]:
         """Count the parameters per group and in total."""
-        groups: dict[str, list[nn.Module]] = {
-            "image": [self.encoder, self.fc],
-            "knowledge": [self.knowledge_encoder, self.fusion],
-            "memory": [self.memory],
-            "actor": [self.actor],
-            "critic": [self.critic],
+        groups: dict[str, tuple[nn.Module, ...]] = {
+            "image": (self.encoder, self.fc),
+            "knowledge": (self.knowledge_encoder, self.fusion),
+            **{name: (getattr(self, name),) for name in ("memory", "actor", "critic")},
         }
         counts = {
             name: sum(p.numel() for module in modules for p in module.parameters())
@@ -244,7 +232,7 @@ class Policy(nn.Module):
     def _autocast(self) -> torch.autocast:
         """Return a context in which products and convolutions have the policy's precision."""
         low, device = self.matmul_precision == "bfloat16", self.critic.weight.device.type
-        # Each weight is used once, so caching its copy gains nothing; CUDA graphs forbid it.
+        # Each weight is used once, so caching its copy gains nothing.
         return torch.autocast(device, torch.bfloat16, enabled=low, cache_enabled=False)
 
     def _features(self, patches: Tensor, knowledge: Tensor) -> Tensor:

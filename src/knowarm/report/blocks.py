@@ -1,126 +1,32 @@
-"""Building blocks of a report page: text, verdicts, tables, figures, films."""
+"""Building blocks of a report page: text, verdicts, figures, films."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Literal
+from typing import Literal, NamedTuple
 
-from knowarm.statistics import Interval
+from knowarm.report.tables import DataTable
 
-Row = dict[str, Any]
-
-Tone = Literal["good", "bad", "open", "note"]
-"""Confirmed, refuted, undecided, or a remark."""
-
-
-@dataclass(frozen=True)
-class Column:
-    """One column of a table.
-
-    Attributes:
-        key: name in the rows and in the CSV.
-        label: heading, with the unit.
-        format: key of `format.FORMATS`.
-        interval: whether the rows also hold ``<key>_low`` and ``<key>_high``.
-        hint: explanation of the heading, one sentence.
-    """
-
-    key: str
-    label: str
-    format: str = "text"
-    interval: bool = False
-    hint: str = ""
-
-
-SHARED = {
-    "task": Column("task", "task"),
-    "agent": Column("agent", "agent"),
-    "seed": Column("seed", "seed", "integer"),
-    "seeds": Column("seeds", "seeds", "integer", hint="training seeds"),
-    "return_mean": Column("return_mean", "mean return", "number1", interval=True),
-    "success": Column("success", "success", "percent", interval=True),
-    "accuracy": Column("accuracy", "accuracy", "percent", interval=True),
-    "split": Column("split", "split"),
-    "choice": Column("choice", "right choices", "percent", interval=True),
-}
-"""Columns of several tables, by key."""
-
-
-def shared(*keys: str) -> list[Column]:
-    """Return columns of `SHARED`."""
-    return [SHARED[key] for key in keys]
-
-
-def cells(key: str, interval: Interval | None) -> Row:
-    """Return the three cells of a table row that hold an interval."""
-    if interval is None:
-        return {key: None, f"{key}_low": None, f"{key}_high": None}
-    return {key: interval.estimate, f"{key}_low": interval.low, f"{key}_high": interval.high}
-
-
-@dataclass(frozen=True, kw_only=True)
-class Table:
-    """Rows under named columns; written as CSV beside the report.
-
-    Attributes:
-        name: stem of the CSV file; unique in a report.
-        title: heading.
-        columns: columns, left to right.
-        rows: values before formatting; ``_colour`` holds the palette class of a row.
-        sources: files and folders that the numbers were computed from.
-        note: how the numbers were computed and what they do not show.
-    """
-
-    name: str
-    title: str
-    columns: Sequence[Column]
-    rows: Sequence[Row]
-    sources: Sequence[Path] = ()
-    note: str = ""
-
-    def csv_columns(self) -> list[str]:
-        """Return the names of the CSV's columns, in order."""
-        keys = []
-        for column in self.columns:
-            ends = ("", "_low", "_high") if column.interval else ("",)
-            keys += [f"{column.key}{end}" for end in ends]
-        return keys
+Tone = Literal["good", "bad", "open", "note"]  # confirmed, refuted, undecided, or a remark
 
 
 @dataclass(frozen=True, kw_only=True)
 class Panel:
-    """One drawing of a figure.
+    """One drawing of a figure."""
 
-    Attributes:
-        svg: markup of one ``<svg>``.
-        title: heading above the drawing.
-        only: screens the drawing is meant for, where it comes in two widths.
-    """
-
-    svg: str
-    title: str = ""
-    only: Literal["", "large", "small"] = ""
+    svg: str  # markup of one ``<svg>``
+    title: str = ""  # heading above the drawing
+    only: Literal["", "large", "small"] = ""  # screens it is for, where it has two widths
 
 
 @dataclass(frozen=True, kw_only=True)
 class Figure:
-    """Drawings with a table of the values they show.
+    """Drawings with a table of the values they show."""
 
-    Attributes:
-        title: heading.
-        caption: how to read the drawings.
-        panels: drawings, side by side where there is room.
-        table: the drawn values.
-        legend: pairs of name and palette class; each name toggles its series.
-        open_table: whether the table is expanded at first.
-    """
-
-    title: str
-    caption: str
-    panels: Sequence[Panel]
-    table: Table
-    legend: Sequence[tuple[str, str]] = ()
-    open_table: bool = False
+    table: DataTable  # the drawn values; its title is the figure's
+    caption: str  # how to read the drawings
+    panels: Sequence[Panel]  # drawings, side by side where there is room
+    legend: Sequence[tuple[str, str]] = ()  # names, which toggle their series, and classes
+    open_table: bool = False  # whether the table is expanded at first
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,31 +38,22 @@ class Text:
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """A statement derived from the numbers.
+    """A statement derived from the numbers."""
 
-    Attributes:
-        sentence: the statement.
-        reasons: what it follows from, one sentence each.
-        shown_reasons: reasons shown at first; the others are folded.
-        tone: how it is coloured.
-        kind: one of `verdict.Kind`, for programs; "" for other statements.
-    """
-
-    sentence: str
-    reasons: Sequence[str] = ()
-    shown_reasons: int = 99
-    tone: Tone = "note"
-    kind: str = ""
+    sentence: str  # the statement
+    reasons: Sequence[str] = ()  # what it follows from, one sentence each
+    shown_reasons: int = 99  # reasons shown at first; the others are folded
+    tone: Tone = "note"  # how it is coloured
+    kind: str = ""  # one of `finding.Kind`, for programs; "" for other statements
 
 
-@dataclass(frozen=True, kw_only=True)
-class Tile:
+class Tile(NamedTuple):
     """One large number with its label, a detail in small type and a palette class."""
 
     label: str
     value: str
-    detail: str = ""
-    colour: str = ""
+    detail: str
+    colour: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,25 +65,15 @@ class Tiles:
 
 @dataclass(frozen=True, kw_only=True)
 class Film:
-    """One episode of one agent: selected frames and the animation.
-
-    Attributes:
-        name: name of the agent.
-        strip: data URI of a PNG and its label, per selected step.
-        moving: data URI of the animated WebP.
-        poster: data URI of the last frame.
-        size: width and height of a frame [px].
-        text: outcome of the episode, also the text alternative.
-        colour: palette class.
-    """
+    """One episode of one agent: selected frames and the animation."""
 
     name: str
-    strip: Sequence[tuple[str, str]]
-    moving: str
-    poster: str
-    size: tuple[int, int]
-    text: str
-    colour: str = ""
+    strip: Sequence[tuple[str, str]]  # data URI of a PNG and its label, per selected step
+    moving: str  # data URI of the animated WebP
+    poster: str  # data URI of the last frame
+    size: tuple[int, int]  # width and height of a frame [px]
+    text: str  # outcome of the episode, also the text alternative
+    colour: str = ""  # palette class
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -206,7 +93,7 @@ class Pair:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Part:
+class TaskPart:
     """The blocks of one task, with its name and title; the page shows the selected task."""
 
     name: str
@@ -214,7 +101,7 @@ class Part:
     blocks: Sequence["Block"]
 
 
-Block = Text | Verdict | Tiles | Table | Figure | Films | Pair | Part
+Block = Text | Verdict | Tiles | DataTable | Figure | Films | Pair | TaskPart
 
 
 def flat(blocks: Sequence[Block]) -> list[Block]:
@@ -223,7 +110,7 @@ def flat(blocks: Sequence[Block]) -> list[Block]:
     for block in blocks:
         if isinstance(block, Pair):
             found += flat([*block.left, *block.right])
-        elif isinstance(block, Part):
+        elif isinstance(block, TaskPart):
             found += flat(block.blocks)
         else:
             found.append(block)
@@ -232,21 +119,14 @@ def flat(blocks: Sequence[Block]) -> list[Block]:
 
 @dataclass(frozen=True, kw_only=True)
 class Page:
-    """One section of the report.
+    """One section of the report."""
 
-    Attributes:
-        name: anchor in the address; capitalized, name in the navigation.
-        title: heading.
-        lead: one sentence under the heading.
-        blocks: content.
-    """
-
-    name: str
+    name: str  # anchor in the address; capitalized, name in the navigation
     title: str
-    lead: str
-    blocks: Sequence[Block]
+    lead: str  # one sentence under the heading
+    blocks: Sequence[Block]  # content
 
-    def tables(self) -> list[Table]:
+    def tables(self) -> list[DataTable]:
         """Return every table of the page, including those of figures."""
-        shown = [block for block in flat(self.blocks) if isinstance(block, Table | Figure)]
+        shown = [block for block in flat(self.blocks) if isinstance(block, DataTable | Figure)]
         return [block.table if isinstance(block, Figure) else block for block in shown]

@@ -9,25 +9,17 @@ import numpy as np
 from knowarm.report import format
 from knowarm.svg import Point, band, drawing, element, label, path
 
-BINS = 48
-"""Bins of a density chart."""
+BINS = 48  # of a density chart
 
 
 @dataclass(frozen=True)
 class Scale:
-    """Linear map from values to pixels.
+    """Linear map from values to pixels."""
 
-    Attributes:
-        low: value at ``start``.
-        high: value at ``end``; above ``low``.
-        start: first pixel.
-        end: last pixel; below ``start`` for a vertical axis.
-    """
-
-    low: float
-    high: float
-    start: float
-    end: float
+    low: float  # value at ``start``
+    high: float  # value at ``end``; above ``low``
+    start: float  # first pixel
+    end: float  # last pixel; below ``start`` for a vertical axis
 
     def __call__(self, value: float) -> float:
         """Return the pixel of a value."""
@@ -54,27 +46,18 @@ def fit(values: Iterable[float], start: float, end: float, *, pad: float = 0.06)
 
 @dataclass(frozen=True)
 class Box:
-    """Size of a drawing and of the margins around its plot area [px].
-
-    Attributes:
-        width: width of the drawing.
-        height: height of the drawing.
-        left: margin for the tick labels of the vertical axis.
-        right: margin.
-        top: margin for the title of the vertical axis.
-        bottom: margin for the tick labels and the title of the horizontal axis.
-    """
+    """Size of a drawing and of the margins around its plot area [px]."""
 
     width: float = 400
     height: float = 250
-    left: float = 46
-    right: float = 14
-    top: float = 24
-    bottom: float = 40
+    left: float = 46  # margin for the tick labels of the vertical axis
+    right: float = 26  # margin
+    top: float = 24  # margin for the title of the vertical axis
+    bottom: float = 40  # margin for the tick labels and the title of the horizontal axis
 
     @property
     def x(self) -> tuple[float, float]:
-        """First and last pixel of the plot area, from left to right."""
+        """First and last pixel of the plot area."""
         return self.left, self.width - self.right
 
     @property
@@ -85,23 +68,37 @@ class Box:
 
 @dataclass(frozen=True, kw_only=True)
 class Axis:
-    """Title and tick labels of an axis.
+    """Title and tick labels of an axis."""
 
-    Attributes:
-        title: title, with the unit.
-        format: format of the tick labels.
-        range: ends of the axis; None fits the data.
-    """
+    title: str  # title, with the unit
+    format: Callable[[float, int], str] = format.number  # formats a value with a number of decimals
+    decimals: int = 0  # fewest decimals; tick labels have as many as their values need
+    unit: float = 1.0  # shown number of the value 1: 100 for per cent
+    range: tuple[float, float] | None = None  # ends of the axis; None fits the data
 
-    title: str
-    format: Callable[[float], str] = format.number
-    range: tuple[float, float] | None = None
+    def text(self, value: float) -> str:
+        """Format a value, for tooltips."""
+        return self.format(value, self.decimals)
+
+    def labels(self, ticks: Sequence[float]) -> list[str]:
+        """Format ticks so that no label is rounded to another value."""
+        shown = [tick * self.unit for tick in ticks]
+        decimals = self.decimals
+        while decimals < 9 and any(abs(round(v, decimals) - v) > 1e-9 * abs(v) for v in shown):
+            decimals += 1
+        return [self.format(tick, decimals) for tick in ticks]
 
 
-STEPS_AXIS = Axis(title="environment steps", format=format.steps)
-SUCCESS_AXIS = Axis(title="success", format=format.whole_percent, range=(0.0, 1.0))
-CHOICE_AXIS = Axis(title="right choices", format=format.whole_percent, range=(0.0, 1.0))
-RETURN_AXIS = Axis(title="mean return", format=format.decimals(0))
+def percent_axis(title: str, *, whole: bool = True) -> Axis:
+    """Return an axis of fractions in per cent; ``whole`` shows all of 0 to 100 %."""
+    return Axis(title=title, format=format.percent, unit=100, range=(0.0, 1.0) if whole else None)
+
+
+STEPS_AXIS = Axis(title="environment steps", format=lambda value, _: format.steps(value))
+SUCCESS_AXIS = percent_axis("success")
+CHOICE_AXIS = percent_axis("right choices")
+RETURN_AXIS = Axis(title="mean return")
+POINTS_AXIS = Axis(title="difference [points]", format=format.points, unit=100)
 
 
 def axes(box: Box, x: Scale, y: Scale, x_axis: Axis, y_axis: Axis) -> str:
@@ -109,12 +106,14 @@ def axes(box: Box, x: Scale, y: Scale, x_axis: Axis, y_axis: Axis) -> str:
     left, right = box.x
     bottom, top = box.y
     parts = []
-    for value in y.ticks(4):
-        at, words = y(value), y_axis.format(value)
+    ticks = y.ticks(4)
+    for value, words in zip(ticks, y_axis.labels(ticks), strict=True):
+        at = y(value)
         parts.append(element("line", class_="grid", x1=left, x2=right, y1=at, y2=at))
         parts.append(label(left - 6, at + 4, words, class_="tick", text_anchor="end"))
-    for value in x.ticks(max(4, int((right - left) / 85))):
-        at, words = x(value), x_axis.format(value)
+    ticks = x.ticks(max(4, int((right - left) / 85)))
+    for value, words in zip(ticks, x_axis.labels(ticks), strict=True):
+        at = x(value)
         parts.append(element("line", class_="mark", x1=at, x2=at, y1=bottom, y2=bottom + 4))
         parts.append(label(at, bottom + 17, words, class_="tick", text_anchor="middle"))
     parts.append(element("line", class_="axis", x1=left, x2=right, y1=bottom, y2=bottom))
@@ -126,41 +125,23 @@ def axes(box: Box, x: Scale, y: Scale, x_axis: Axis, y_axis: Axis) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Series:
-    """One line of a line chart.
+    """One line of a line chart."""
 
-    Attributes:
-        name: name in the legend.
-        colour: palette class.
-        x: (n,) float64, increasing.
-        y: (n,) float64; NaN where there is no value.
-        low: (n,) lower end of the band, or None.
-        high: (n,) upper end of the band, or None.
-        faint: (x, y) of thin lines in the background, one per training seed.
-        dashed: whether the line is dashed, which distinguishes it without colour.
-    """
-
-    name: str
-    colour: str
-    x: np.ndarray
-    y: np.ndarray
-    low: np.ndarray | None = None
-    high: np.ndarray | None = None
-    faint: Sequence[tuple[np.ndarray, np.ndarray]] = ()
-    dashed: bool = False
+    name: str  # name in the legend
+    colour: str  # palette class
+    x: np.ndarray  # (n,) float64, increasing
+    y: np.ndarray  # (n,) float64; NaN where there is no value
+    low: np.ndarray | None = None  # (n,) lower end of the band, or None
+    high: np.ndarray | None = None  # (n,) upper end of the band, or None
+    faint: Sequence[tuple[np.ndarray, np.ndarray]] = ()  # (x, y) of thin lines, one per seed
+    dashed: bool = False  # whether the line is dashed, which distinguishes it without colour
+    stairs: bool = False  # whether each value holds until the next x
 
 
 def line_chart(
     series: Sequence[Series], name: str, x_axis: Axis, y_axis: Axis, *, box: Box | None = None
 ) -> str:
-    """Draw lines over their bands; the page's script shows the values under the pointer.
-
-    Args:
-        series: the lines, in drawing order.
-        name: text alternative.
-        x_axis: horizontal axis; it always fits the data.
-        y_axis: vertical axis.
-        box: size.
-    """
+    """Draw lines over their bands; the page's script shows the values under the pointer."""
     box = box or Box()
     xs = np.concatenate([each.x for each in series])
     x = Scale(float(xs.min()), max(float(xs.max()), float(xs.min()) + 1e-9), *box.x)
@@ -183,6 +164,8 @@ def line_chart(
 
 def _line(series: Series, x: Scale, y: Scale) -> str:
     def pixels(xs: np.ndarray, ys: np.ndarray) -> list[Point]:
+        if series.stairs:
+            xs, ys = np.repeat(xs, 2)[1:], np.repeat(ys, 2)[:-1]
         return [(x(float(a)), y(float(b))) for a, b in zip(xs, ys, strict=True)]
 
     parts = []
@@ -197,14 +180,10 @@ def _line(series: Series, x: Scale, y: Scale) -> str:
         parts.append(path(points, class_="line dashed" if series.dashed else "line"))
         if len(points) == 1:
             parts.append(element("circle", cx=points[0][0], cy=points[0][1], r=3, class_="dot"))
-    data = ";".join(
-        f"{a:.9g},{b:.9g}"
-        for a, b in zip(series.x.tolist(), series.y.tolist(), strict=True)
-        if math.isfinite(b)
-    )
-    return element(
-        "g", *parts, class_=f"series {series.colour}", data_name=series.name, data_points=data
-    )
+    finite = np.isfinite(series.y)
+    shown = zip(series.x[finite].tolist(), series.y[finite].tolist(), strict=True)
+    data = {"data_name": series.name, "data_points": ";".join(f"{a:.9g},{b:.9g}" for a, b in shown)}
+    return element("g", *parts, class_=f"series {series.colour}", **data)
 
 
 def _gapless(x: np.ndarray, y: np.ndarray) -> list[slice]:
@@ -215,11 +194,7 @@ def _gapless(x: np.ndarray, y: np.ndarray) -> list[slice]:
 
 
 def histograms(samples: Sequence[np.ndarray]) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Compute densities on common bins that cover all samples but the outermost 0.1 %.
-
-    Returns:
-        (BINS + 1,) edges, and (BINS,) densities per sample.
-    """
+    """Compute densities, (BINS,) each, on (BINS + 1,) edges around all but the outermost 0.1 %."""
     low = min(float(np.quantile(each, 0.001)) for each in samples)
     high = max(float(np.quantile(each, 0.999)) for each in samples)
     edges = np.linspace(low, high if high > low else low + 1e-3, BINS + 1)
@@ -230,19 +205,12 @@ def histograms(samples: Sequence[np.ndarray]) -> tuple[np.ndarray, list[np.ndarr
 def density_chart(
     samples: Mapping[str, np.ndarray], colours: Mapping[str, str], name: str, x_title: str
 ) -> str:
-    """Draw distributions as filled steps with a line at each mean.
-
-    Args:
-        samples: (n_i,) samples by name in the legend, in drawing order.
-        colours: palette class by name.
-        name: text alternative.
-        x_title: title of the horizontal axis, with its unit.
-    """
+    """Draw distributions, (n_i,) samples by name, as filled steps with a line at each mean."""
     box = Box(width=320, height=190, left=40, top=26)
     edges, heights = histograms(list(samples.values()))
     x = Scale(float(edges[0]), float(edges[-1]), *box.x)
     y = Scale(0.0, 1.08 * max(float(each.max()) for each in heights) or 1.0, *box.y)
-    x_axis, y_axis = (Axis(title=t, format=format.decimals(1)) for t in (x_title, "density"))
+    x_axis, y_axis = (Axis(title=title, decimals=1) for title in (x_title, "density"))
     parts = [axes(box, x, y, x_axis, y_axis)]
     corners = np.repeat(edges, 2).tolist()
     for (each, values), height in zip(samples.items(), heights, strict=True):

@@ -7,103 +7,94 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from knowarm.experiment.agents import AGENTS
+from knowarm.knowledge.queries.splits import SPLITS
 from knowarm.report.format import differing, flatten, slugs
-from knowarm.report.read import read_folders
-from knowarm.report.study import (
+from knowarm.report.model import (
     Evaluation,
+    FolderProblem,
     Group,
-    Problem,
     Reference,
-    Run,
-    Study,
-    Task,
+    RunData,
+    SplitGroup,
+    StudyData,
+    TaskData,
     rank,
 )
+from knowarm.report.read import read_folders
 from knowarm.world.robots import ROBOTS
 
 PREFERRED_LABEL = "post-training-greedy"
+# Suffixes of evaluations other than that of the best model on its training task.
 UNTRAINED, LATEST, HELD_OUT = "-untrained", "-latest", "-held-out"
-"""Suffixes of evaluations other than that of the best model on its training task."""
-
 COLOURS = {"fixed": "fixed colours", "randomized": "randomized colours"}
-
+# Fields of ``env`` that do not make a different task, and those of ``env.task`` that an agent sets.
 NOT_THE_TASK = {"renderer", "image_size", "name"}
-"""Fields of ``env`` that do not make a different task."""
-
-NOT_THE_CHOICE = {"marked"}
-"""Fields of ``env.choice`` that do not make a different task: the upper bound solves the same."""
-
+NOT_A_TASK = {field for agent in AGENTS.values() for field in agent.task}
+# Top-level fields of the config that are no setting of the agent.
 NOT_A_SETTING = {"agent", "role", "name", "seed", "env", "format", "checkpoint_every_steps"}
-"""Top-level fields of the config that are no setting of the agent."""
-
+# Beginnings of the names of evaluation settings that do not change the agent's numbers.
 NOT_A_RULE = ("record", "blind")
-"""Beginnings of the names of evaluation settings that do not change the agent's numbers."""
-
+# Settings that only seed random draws: runs that differ in them are seeds of one agent.
 DRAWS = {"knowledge.seed"}
-"""Settings that only seed random draws: runs that differ in them are seeds of one agent."""
 
 
-def collect(paths: Sequence[Path], references: Mapping[str, Path] | None = None) -> Study:
+def collect(paths: Sequence[Path], references: Mapping[str, Path] | None = None) -> StudyData:
     """Read run folders and sort them into tasks and agents; arguments as `read_folders`."""
-    return arrange(*read_folders(paths, references))
-
-
-def arrange(runs: list[Run], references: Sequence[Reference], problems: Sequence[Problem]) -> Study:
-    """Sort runs into tasks and agents; what does not fit becomes a further problem."""
-    problems = list(problems)
-    known = [*_untrained(runs), *references]
-    by_task: dict[str, list[Run]] = defaultdict(list)
+    runs, references_read, problems = read_folders(paths, references)
+    known = [*_untrained(runs), *references_read]
+    by_task: dict[str, list[RunData]] = defaultdict(list)
     for run in runs:
         by_task[_task_key(run)].append(run)
     titles = _titles(list(by_task.values()))
     names = slugs(ids for ids, _ in titles)
     tasks = [
-        _task(names[ids], title, members, known, problems)
+        _task((names[ids], title), members, known, problems)
         for (ids, title), members in zip(titles, by_task.values(), strict=True)
     ]
     _report_versions(runs, problems)
-    return Study(
+    return StudyData(
         tuple(sorted(tasks, key=lambda task: task.title)),
         tuple(sorted(problems, key=lambda problem: str(problem.path))),
     )
 
 
 def _task(
-    name: str, title: str, runs: list[Run], known: list[Reference], problems: list[Problem]
-) -> Task:
+    names: tuple[str, str],
+    runs: list[RunData],
+    known: list[Reference],
+    problems: list[FolderProblem],
+) -> TaskData:
     label = _label(runs)
     runs = _comparable(runs, label, problems)
-    by_agent: dict[str, list[Run]] = defaultdict(list)
+    by_agent: dict[str, list[RunData]] = defaultdict(list)
     for run in runs:
         by_agent[run.agent].append(run)
     groups: list[Group] = []
     for agent, same_agent in by_agent.items():
         settings = [_agent_settings(run) for run in same_agent]
         fields = differing(settings)
-        members: dict[str, list[Run]] = defaultdict(list)
+        members: dict[str, list[RunData]] = defaultdict(list)
         for run, values in zip(same_agent, settings, strict=True):
             details = [f"{field.split('.')[-1]}={values.get(field)}" for field in fields]
             members[" · ".join([agent, *details])].append(run)
         role = same_agent[0].role
-        groups += [
-            Group(each, agent, role, _one_run_per_seed(chosen, problems), label)
-            for each, chosen in members.items()
-        ]
-    evaluation = next((run.evaluations[label] for run in runs if label in run.evaluations), None)
-    fitting = [
-        each for each in known if evaluation and _same_rules(each.evaluations[0], evaluation)
-    ]
+        for each, chosen in members.items():
+            runs_of = _one_run_per_seed(chosen, problems)
+            groups.append(Group(each, agent, role, runs_of, label))
+    own = next((run.evaluations[label] for run in runs if label in run.evaluations), None)
+    fitting = [each for each in known if own and _same_rules(each.evaluations[0], own)]
     untrained = [each for each in fitting if each.untrained][:2]  # enough to compare with
     others = [each for each in fitting if not each.untrained]
     groups.sort(key=lambda group: rank(group.role, group.agent))
-    return Task(name, title, label, tuple(groups), (*untrained, *others))
+    return TaskData(*names, label, tuple(groups), (*untrained, *others))
 
 
-def _untrained(runs: list[Run]) -> list[Reference]:
+def _untrained(runs: list[RunData]) -> list[Reference]:
     """Return the untrained policy's evaluation of each agent, from its lowest seed that has one."""
     found: dict[tuple[str, str], Reference] = {}
 
-    def order(run: Run) -> tuple[Any, ...]:  # of one role, the most detail first
+    def order(run: RunData) -> tuple[Any, ...]:  # of one role, the most detail first
         ranked = rank(run.role, run.agent)
         return ranked[0], -run.detail, ranked, run.seed
 
@@ -115,7 +106,7 @@ def _untrained(runs: list[Run]) -> list[Reference]:
     return list(found.values())
 
 
-def _label(runs: list[Run]) -> str:
+def _label(runs: list[RunData]) -> str:
     """Return the most common evaluation of the best model; of equally common ones the greedy."""
     labels = (label for run in runs for label in run.evaluations)
     counts = Counter(label for label in labels if not label.endswith((UNTRAINED, LATEST, HELD_OUT)))
@@ -124,14 +115,10 @@ def _label(runs: list[Run]) -> str:
 
 def _same_rules(first: Evaluation, second: Evaluation) -> bool:
     """Return whether two policies were evaluated on the same episodes with the same thresholds."""
-    env = ("robot", "targets", "colours")
+    env, other_env = (each.summary.get("env", {}) for each in (first, second))
     config = ("episodes", "seed", "seeds", "distance_m", "angle_deg")
-    rules = [
-        [each.summary.get("env", {}).get(name) for name in env]
-        + [each.config.get(name) for name in config]
-        for each in (first, second)
-    ]
-    return rules[0] == rules[1]
+    same_env = all(env.get(n) == other_env.get(n) for n in ("robot", "targets", "colours"))
+    return same_env and all(first.config.get(n) == second.config.get(n) for n in config)
 
 
 def rules(evaluation: Evaluation) -> str:
@@ -140,7 +127,31 @@ def rules(evaluation: Evaluation) -> str:
     return json.dumps([evaluation.summary["episodes"], kept], sort_keys=True)
 
 
-def _comparable(runs: list[Run], label: str, problems: list[Problem]) -> list[Run]:
+def split_groups(task: TaskData) -> dict[str, list[SplitGroup]]:
+    """Return the agents of a task that chose between objects, by split.
+
+    Without a split the queries are those of training (S1). The most common episodes count.
+    """
+    found: dict[str, dict[str, list[tuple[Group, Evaluation]]]] = defaultdict(dict)
+    for group in task.groups:
+        for run in group.runs:
+            for label, evaluation in sorted(run.evaluations.items()):
+                final = not label.endswith((UNTRAINED, LATEST))
+                if final and "choice_chance" in evaluation.summary:
+                    chosen = evaluation.config.get("split")
+                    split = chosen if chosen in SPLITS else next(iter(SPLITS))
+                    key = json.dumps([label, rules(evaluation)])
+                    found[split].setdefault(key, []).append((group, evaluation))
+    splits = {}
+    for split in filter(found.__contains__, SPLITS):
+        by_group: dict[Group, list[Evaluation]] = defaultdict(list)
+        for group, evaluation in max(found[split].values(), key=len):
+            by_group[group].append(evaluation)
+        splits[split] = [SplitGroup(group, split, each) for group, each in by_group.items()]
+    return splits
+
+
+def _comparable(runs: list[RunData], label: str, problems: list[FolderProblem]) -> list[RunData]:
     """Drop evaluations on other episodes or with other thresholds than most."""
     found = {run.path: rules(run.evaluations[label]) for run in runs if label in run.evaluations}
     usual = _most_common(found.values())
@@ -149,33 +160,35 @@ def _comparable(runs: list[Run], label: str, problems: list[Problem]) -> list[Ru
         if label and found.get(run.path, usual) != usual:
             what = "evaluated on other episodes or with other thresholds than most runs of its task"
             folder = run.evaluations[label].folder
-            problems.append(Problem(folder, what, "the evaluation is left out"))
+            problems.append(FolderProblem(folder, what, "the evaluation is left out"))
             others = {name: each for name, each in run.evaluations.items() if name != label}
             run = replace(run, evaluations=others)
         kept.append(run)
     return kept
 
 
-def _one_run_per_seed(runs: list[Run], problems: list[Problem]) -> tuple[Run, ...]:
+def _one_run_per_seed(runs: list[RunData], problems: list[FolderProblem]) -> tuple[RunData, ...]:
     """Keep, of several runs of one seed, the one with the most steps, then the last by path."""
-    chosen: dict[int, Run] = {}
+    chosen: dict[int, RunData] = {}
     for run in sorted(runs, key=lambda run: (run.steps_done, str(run.path))):
         if (other := chosen.get(run.seed)) is not None:
             what = f"same agent, task and seed {run.seed} as {run.path}, which has more steps"
-            problems.append(Problem(other.path, what, "left out"))
+            problems.append(FolderProblem(other.path, what, "left out"))
         chosen[run.seed] = run
     return tuple(chosen[seed] for seed in sorted(chosen))
 
 
-def _titles(tasks: list[list[Run]]) -> list[tuple[str, str]]:
+def _titles(tasks: list[list[RunData]]) -> list[tuple[str, str]]:
     """Return two titles per task, with names and for people; fields tell equal ones apart."""
     short = []
     for runs in tasks:
         robot, colours = (str(runs[0].env.get(name)) for name in ("robot", "colours"))
         title = ROBOTS[robot].title if robot in ROBOTS else robot
         rest = [COLOURS.get(colours, COLOURS["fixed"]), runs[0].algorithm]
-        if choice := runs[0].env.get("choice"):
-            rest.insert(0, f"choice of {choice.get('objects')}")
+        task = runs[0].env.get("task") or {}
+        if (kind := task.get("kind", "reach")) != "reach":
+            count = task.get("objects")
+            rest.insert(0, kind if count is None else f"{kind} among {count}")
         short.append((" · ".join([robot, *rest]), " · ".join([title, *rest])))
     titles = []
     for both, runs in zip(short, tasks, strict=True):
@@ -186,14 +199,14 @@ def _titles(tasks: list[list[Run]]) -> list[tuple[str, str]]:
     return titles
 
 
-def _report_versions(runs: list[Run], problems: list[Problem]) -> None:
+def _report_versions(runs: list[RunData], problems: list[FolderProblem]) -> None:
     """Report the runs that were made with another version of the package than most."""
     versions = {run.path: run.provenance.get("versions", {}).get("knowarm") for run in runs}
     usual = _most_common(filter(None, versions.values()))
     for path, version in versions.items():
         if version and version != usual:
             what = f"made with knowarm {version}, most runs with {usual}"
-            problems.append(Problem(path, what, "merged: the run format is the same"))
+            problems.append(FolderProblem(path, what, "merged: the run format is the same"))
 
 
 def _most_common(values: Any) -> Any:
@@ -201,15 +214,15 @@ def _most_common(values: Any) -> Any:
     return max(sorted(counts), key=lambda value: counts[value], default=None)
 
 
-def _task_key(run: Run) -> str:
+def _task_key(run: RunData) -> str:
     """Return a key that is equal for runs on the same task with the same algorithm."""
     env = {name: value for name, value in run.env.items() if name not in NOT_THE_TASK}
-    if isinstance(choice := env.get("choice"), dict):
-        env["choice"] = {name: v for name, v in choice.items() if name not in NOT_THE_CHOICE}
+    if isinstance(task := env.get("task"), dict):
+        env["task"] = {name: value for name, value in task.items() if name not in NOT_A_TASK}
     return json.dumps([env, run.algorithm], sort_keys=True)
 
 
-def _agent_settings(run: Run) -> dict[str, Any]:
+def _agent_settings(run: RunData) -> dict[str, Any]:
     """Return everything but task and seed, flattened to dotted names."""
     kept = {name: value for name, value in run.config.items() if name not in NOT_A_SETTING}
     return {name: value for name, value in flatten(kept).items() if name not in DRAWS}

@@ -7,52 +7,28 @@ import numpy as np
 
 from knowarm.report import format
 from knowarm.report.charts import Axis, Box, Scale, fit
-from knowarm.report.study import Evaluated
+from knowarm.report.model import Evaluated
 from knowarm.statistics import Interval
 from knowarm.svg import curve, drawing, element, hover, label, text_width
 
-ROW = 34
-"""Height of a row of a dot chart [px]."""
-
-SHADES = ("s0", "s1", "s2", "s3", "s4", "s5", "s6", "s7")
-"""Palette classes of the parts of a bar."""
-
-WIDTH, BAR_ROW = 560.0, 46
-"""Width of bars and heat maps, height of a row of bars [px]."""
-
-CELLS_PER_ROW = 25
-"""Cells in a row of a heat map."""
-
-CONFUSION_CELL = 34.0
-"""Largest side of a cell of a confusion matrix [px]."""
-
-HUES = ("h0", "h1", "h2", "h3", "h4", "h5")
-"""Palette classes of the objects of a graph."""
-
-MOST_FACTS = 90
-"""Facts drawn of a graph; the table below the drawing lists all."""
-
-POINTS_AXIS = Axis(title="difference [points]", format=lambda value: format.points(value, 0))
-"""Horizontal axis of differences."""
+ROW = 34  # height of a row of a dot chart [px]
+SHADES = ("s0", "s1", "s2", "s3", "s4", "s5", "s6", "s7")  # palette classes of the parts of a bar
+WIDTH, BAR_ROW = 560.0, 46  # width of bars and heat maps, height of a row of bars [px]
+CELLS_PER_ROW = 25  # of a heat map
+CONFUSION_CELL = 34.0  # largest side of a cell of a confusion matrix [px]
+HUES = ("h0", "h1", "h2", "h3", "h4", "h5")  # palette classes of the objects of a graph
+MOST_FACTS = 90  # facts drawn of a graph; the table below the drawing lists all
 
 
 @dataclass(frozen=True, kw_only=True)
 class Dot:
-    """One row of a dot chart.
+    """One row of a dot chart."""
 
-    Attributes:
-        name: name of the row.
-        colour: palette class.
-        value: the estimate with its interval, or None.
-        single: values of the training seeds, drawn small.
-        ring: another value for comparison, such as the paper's, drawn as a ring.
-    """
-
-    name: str
-    colour: str
-    value: Interval | None
-    single: Sequence[float] = ()
-    ring: float | None = None
+    name: str  # name of the row
+    colour: str  # palette class
+    value: Interval | None  # the estimate with its interval, or None
+    single: Sequence[float] = ()  # values of the training seeds, drawn small
+    ring: float | None = None  # another value for comparison, such as the paper's, drawn as a ring
 
 
 def group_dot(
@@ -73,18 +49,9 @@ def dot_chart(
     width: float = 400,
     left: float = 96,
 ) -> str:
-    """Draw one row per estimate: a dot, its interval and the values of the seeds.
-
-    Args:
-        dots: rows from top to bottom.
-        name: text alternative.
-        axis: horizontal axis; its format is used for the tooltips, too.
-        zero: whether to draw a line at zero, no difference.
-        width: width of the drawing [px].
-        left: space for the names, more if one of them needs it [px].
-    """
-    left = max([left, *(text_width(dot.name) + 14 for dot in dots)])
-    box = Box(width=width, height=ROW * len(dots) + 52, left=left, right=24, top=8, bottom=44)
+    """Draw one row per estimate; ``zero`` adds a line, ``left`` is least space for names [px]."""
+    space = max([left, *(text_width(dot.name) + 14 for dot in dots)])
+    box = Box(width=width, height=ROW * len(dots) + 52, left=space, right=24, top=8, bottom=44)
     values = [0.0] if zero else []
     for dot in dots:
         ends = (dot.value.estimate, dot.value.low, dot.value.high) if dot.value else ()
@@ -92,8 +59,9 @@ def dot_chart(
     x = Scale(*axis.range, *box.x) if axis.range else fit(values, *box.x)
     bottom, top = box.y
     parts = []
-    for value in x.ticks(max(2, int((box.x[1] - box.x[0]) / 70))):
-        at, words = x(value), axis.format(value)
+    ticks = x.ticks(max(2, int((box.x[1] - box.x[0]) / 70)))
+    for value, words in zip(ticks, axis.labels(ticks), strict=True):
+        at = x(value)
         parts.append(element("line", class_="grid", x1=at, x2=at, y1=top, y2=bottom))
         parts.append(label(at, bottom + 16, words, class_="tick", text_anchor="middle"))
     if zero:
@@ -109,11 +77,11 @@ def _dot_row(dot: Dot, y: float, x: Scale, box: Box, axis: Axis) -> str:
     parts += [element("circle", cx=x(v), cy=y + 9, r=2.2, class_="single") for v in dot.single]
     words = dot.name
     if (value := dot.value) is not None:
-        words += f": {axis.format(value.estimate)}"
+        words += f": {axis.text(value.estimate)}"
         if value.low < value.high:
             low, high = max(value.low, x.low), min(value.high, x.high)
             parts.append(element("line", x1=x(low), x2=x(high), y1=y, y2=y, class_="whisker"))
-            words += f" ({axis.format(value.low)} to {axis.format(value.high)})"
+            words += f" ({axis.text(value.low)} to {axis.text(value.high)})"
         parts.append(element("circle", cx=x(value.estimate), cy=y, r=5, class_="dot"))
     if dot.ring is not None:
         parts.append(element("circle", cx=x(dot.ring), cy=y, r=5, class_="ring"))
@@ -121,12 +89,7 @@ def _dot_row(dot: Dot, y: float, x: Scale, box: Box, axis: Axis) -> str:
 
 
 def stacked_bars(counts: Mapping[str, Mapping[str, int]], title: str) -> str:
-    """Draw one bar per name on a common scale, its parts from left to right.
-
-    Args:
-        counts: counts by part for each name.
-        title: text alternative.
-    """
+    """Draw one bar per name on a common scale; its counts by part from left to right."""
     largest = max((sum(parts.values()) for parts in counts.values()), default=0) or 1
     groups = list(dict.fromkeys(part for parts in counts.values() for part in parts))
     rows = []
@@ -137,29 +100,16 @@ def stacked_bars(counts: Mapping[str, Mapping[str, int]], title: str) -> str:
         rows.append(label(WIDTH, y + 13, total, class_="tick", text_anchor="end"))
         for part, count in parts.items():
             extent = WIDTH * count / largest
-            rows.append(
-                element(
-                    "rect",
-                    hover(f"{name}: {part} {format.integer(count)}"),
-                    x=x,
-                    y=y + 19,
-                    width=max(extent - 1, 0.5),
-                    height=15,
-                    class_=f"bar {SHADES[groups.index(part) % len(SHADES)]}",
-                )
-            )
+            words = hover(f"{name}: {part} {format.integer(count)}")
+            place = {"x": x, "y": y + 19, "width": max(extent - 1, 0.5), "height": 15}
+            shade = SHADES[groups.index(part) % len(SHADES)]
+            rows.append(element("rect", words, **place, class_=f"bar {shade}"))
             x += extent
     return drawing(WIDTH, max(BAR_ROW * len(counts), 1), title, *rows, class_="chart bars")
 
 
 def heat_map(matrix: np.ndarray, names: Sequence[str], title: str) -> str:
-    """Draw each slot as rows of cells: blue below zero, orange above, pale near zero.
-
-    Args:
-        matrix: (S, D) slots.
-        names: one name per slot.
-        title: text alternative.
-    """
+    """Draw (S, D) slots as rows of cells: blue below zero, orange above, pale near zero."""
     largest = float(np.abs(matrix).max()) if matrix.size else 0.0
     cell = WIDTH / CELLS_PER_ROW
     height = min(cell, 16.0)
@@ -173,18 +123,8 @@ def heat_map(matrix: np.ndarray, names: Sequence[str], title: str) -> str:
         for i, value in enumerate(slot.tolist()):
             row, column = divmod(i, CELLS_PER_ROW)
             share = abs(value) / largest if largest else 0.0
-            parts.append(
-                element(
-                    "rect",
-                    hover(f"{name} [{i}] {value:.4f}"),
-                    x=column * cell,
-                    y=y + row * height,
-                    width=cell - 1,
-                    height=height - 1,
-                    class_="cell up" if value > 0 else "cell down",
-                    fill_opacity=round(0.06 + 0.94 * share, 3),
-                )
-            )
+            size, words = (cell, height), f"{name} [{i}] {value:.4f}"
+            parts.append(_cell(column * cell, y + row * height, size, share, words, value > 0))
         y += -(-len(slot) // CELLS_PER_ROW) * height + 12
     return drawing(WIDTH, max(y, 1.0), title, *parts, class_="chart heat")
 
@@ -192,14 +132,7 @@ def heat_map(matrix: np.ndarray, names: Sequence[str], title: str) -> str:
 def confusion_map(
     shares: np.ndarray, rows: Sequence[str], columns: Sequence[str], title: str
 ) -> str:
-    """Draw a matrix of shares as cells: the larger the share, the darker.
-
-    Args:
-        shares: (R, C) in 0..1.
-        rows: what each row stands for.
-        columns: what each column stands for, written upwards below the cells.
-        title: text alternative.
-    """
+    """Draw (R, C) shares in 0..1 as cells: the larger the share, the darker."""
     left = 8 + max(text_width(each) for each in rows)
     below = 8 + max(text_width(each) for each in columns)
     size = min(CONFUSION_CELL, (WIDTH - left) / len(columns))
@@ -208,18 +141,8 @@ def confusion_map(
         y = i * size
         parts.append(label(left - 6, y + size / 2 + 4, row, class_="row-name", text_anchor="end"))
         for j, (column, share) in enumerate(zip(columns, values, strict=True)):
-            parts.append(
-                element(
-                    "rect",
-                    hover(f"{row}, chosen {column}: {format.whole_percent(share)}"),
-                    x=left + j * size,
-                    y=y,
-                    width=size - 1,
-                    height=size - 1,
-                    class_="cell up",
-                    fill_opacity=round(0.06 + 0.94 * share, 3),
-                )
-            )
+            words = f"{row}, chosen {column}: {format.percent(share, 0)}"
+            parts.append(_cell(left + j * size, y, (size, size), share, words))
     bottom = len(rows) * size
     for j, column in enumerate(columns):
         x, y = left + (j + 0.5) * size + 4, bottom + 6
@@ -229,13 +152,17 @@ def confusion_map(
     return drawing(width, bottom + below, title, *parts, class_="chart heat")
 
 
-def graph_diagram(triples: Sequence[tuple[str, str, str]], title: str) -> str:
-    """Draw heads left and tails right, grouped by relation; a shared fact has two lines.
+def _cell(
+    x: float, y: float, size: tuple[float, float], share: float, words: str, up: bool = True
+) -> str:
+    """Draw a cell that is the darker, the larger its share in 0..1."""
+    place = {"x": x, "y": y, "width": size[0] - 1, "height": size[1] - 1}
+    kind, opacity = "cell up" if up else "cell down", round(0.06 + 0.94 * share, 3)
+    return element("rect", hover(words), **place, class_=kind, fill_opacity=opacity)
 
-    Args:
-        triples: (head, relation, tail) labels; at most `MOST_FACTS` facts are drawn.
-        title: text alternative.
-    """
+
+def graph_diagram(triples: Sequence[tuple[str, str, str]], title: str) -> str:
+    """Draw at most `MOST_FACTS` triples: heads left, tails right, grouped by relation."""
     width, hub_x, tail_x, row, gap = 430.0, 108.0, 232.0, 17, 7
     heads = list(dict.fromkeys(head for head, _, _ in triples))
     facts: dict[tuple[str, str], list[str]] = {}
@@ -254,23 +181,17 @@ def graph_diagram(triples: Sequence[tuple[str, str, str]], title: str) -> str:
     height = y + 4
     hubs = {head: height * (i + 0.5) / len(heads) for i, head in enumerate(heads)}
     hues = {head: HUES[i % len(HUES)] for i, head in enumerate(heads)}
-    links = [
-        curve(
-            (hub_x + 6, hubs[head]),
-            (tail_x - 6, place),
-            hover(f"{head} {relation} {tail}"),
-            class_=f"edge {hues[head]}",
-        )
-        for ((relation, tail), owners), place in zip(drawn, places, strict=True)
-        for head in owners
-    ]
-    nodes = [
-        element(
-            "g",
-            element("circle", cx=hub_x, cy=at, r=6, class_="hub"),
-            label(hub_x - 12, at + 4, head, class_="head", text_anchor="end"),
-            class_=hues[head],
-        )
-        for head, at in hubs.items()
-    ]
+    links = []
+    for ((relation, tail), owners), place in zip(drawn, places, strict=True):
+        for head in owners:
+            ends, words = (
+                ((hub_x + 6, hubs[head]), (tail_x - 6, place)),
+                f"{head} {relation} {tail}",
+            )
+            links.append(curve(*ends, hover(words), class_=f"edge {hues[head]}"))
+    nodes = []
+    for head, at in hubs.items():
+        dot = element("circle", cx=hub_x, cy=at, r=6, class_="hub")
+        words = label(hub_x - 12, at + 4, head, class_="head", text_anchor="end")
+        nodes.append(element("g", dot, words, class_=hues[head]))
     return drawing(width, height, title, *links, *tails, *nodes, class_="chart graph")

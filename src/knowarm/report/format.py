@@ -4,25 +4,22 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from knowarm.experiment.agents import AGENTS
+from knowarm.statistics import Interval
 
-MISSING = "–"
-MINUS = "\u2212"
-NARROW_SPACE = "\u202f"
-
+MISSING, MINUS, NARROW_SPACE = "–", "\u2212", "\u202f"
+# Palette classes for agents without a colour of their own, in the order in which they are used.
 SPARE_COLOURS = ("c-navy", "c-gold", "c-teal", "c-purple", "c-pink", "c-brown", "c-grey")
-"""Palette classes for agents without a colour of their own, in the order in which they are used."""
 
 
 def text(value: Any) -> str:
     """Format any value; truth values as yes and no."""
-    if value is None or value == "":
-        return MISSING
     if isinstance(value, bool):
         return "yes" if value else "no"
-    return str(value)
+    return MISSING if value is None or value == "" else str(value)
 
 
 def number(value: float | None, decimals: int = 2) -> str:
@@ -35,14 +32,7 @@ def number(value: float | None, decimals: int = 2) -> str:
     return shown.replace("-", MINUS)
 
 
-def decimals(count: int) -> Callable[[Any], str]:
-    """Return `number` with a fixed count of decimals."""
-    return lambda value: number(value, count)
-
-
-def integer(value: float | None) -> str:
-    """Format a count with separated thousands."""
-    return number(value, 0)
+integer = partial(number, decimals=0)
 
 
 def percent(value: float | None, decimals: int = 1) -> str:
@@ -51,17 +41,11 @@ def percent(value: float | None, decimals: int = 1) -> str:
     return shown if shown == MISSING else f"{shown}{NARROW_SPACE}%"
 
 
-def whole_percent(value: float | None) -> str:
-    """Format a fraction in 0..1 in per cent without decimals, for axes."""
-    return percent(value, 0)
-
-
 def signed(value: float | None, decimals: int = 2) -> str:
     """Format a number with its sign."""
     shown = number(value, decimals)
-    if shown == MISSING or shown.startswith(MINUS) or not shown.strip("0.\u202f"):
-        return shown
-    return f"+{shown}"
+    unsigned = shown == MISSING or shown.startswith(MINUS) or not shown.strip("0.\u202f")
+    return shown if unsigned else f"+{shown}"
 
 
 def points(value: float | None, decimals: int = 1) -> str:
@@ -73,10 +57,15 @@ def steps(value: float | None) -> str:
     """Format environment steps in k, M or G."""
     if value is None or math.isnan(value):
         return MISSING
+
+    def three_digits(value: float) -> str:
+        shown = f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+        return shown.replace("-", MINUS)
+
     for size, unit in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
         if abs(value) >= size:
-            return f"{_three_digits(value / size)}{NARROW_SPACE}{unit}"
-    return _three_digits(value)
+            return f"{three_digits(value / size)}{NARROW_SPACE}{unit}"
+    return three_digits(value)
 
 
 def p_value(value: float | None) -> str:
@@ -88,25 +77,17 @@ def p_value(value: float | None) -> str:
     return f"{value:.3f}".lstrip("0") if value < 1 else "1"
 
 
-def _three_digits(value: float) -> str:
-    shown = f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
-    return shown.replace("-", MINUS)
+def ends(value: Interval, form: Callable[[float], str]) -> str:
+    """Format the ends of an interval; equal values, as of equal seeds, have none."""
+    shown = f"95 % interval {form(value.low)} to {form(value.high)}"
+    return shown if value.low < value.high else "no interval, because all values are equal"
 
 
-FORMATS: dict[str, Callable[[Any], str]] = {
-    "text": text,
-    "integer": integer,
-    "number": number,
-    "number1": decimals(1),
-    "number3": decimals(3),
-    "signed": signed,
-    "percent": percent,
-    "points": points,
-    "steps": steps,
-    "p": p_value,
-    "path": text,
+FORMATS: dict[str, Callable[[Any], str]] = {  # of table columns, by name
+    **{"text": text, "path": text, "integer": integer, "number": number},
+    **{"number1": partial(number, decimals=1), "number3": partial(number, decimals=3)},
+    **{"signed": signed, "percent": percent, "points": points, "steps": steps, "p": p_value},
 }
-"""Formats of table columns by name."""
 
 
 def listed(names: Sequence[str], conjunction: str = "and") -> str:
@@ -125,11 +106,7 @@ def facet(name: str) -> str:
 
 
 def slugs(names: Iterable[str]) -> dict[str, str]:
-    """Return one slug per name, safe in file names and addresses, no two alike.
-
-    Args:
-        names: titles of tasks or names of agents, each once.
-    """
+    """Return one slug per name, safe in file names and addresses, no two alike."""
     found: dict[str, str] = {}
     for name in names:
         base = re.sub(r"[^a-z0-9+]+", "-", name.lower()).strip("-") or "x"
@@ -141,11 +118,7 @@ def slugs(names: Iterable[str]) -> dict[str, str]:
 
 
 def palette(names: Iterable[tuple[str, str]]) -> dict[str, str]:
-    """Choose one palette class per group: its agent's registered colour, or a spare one.
-
-    Args:
-        names: name of the group and of its agent; equal names always get equal classes.
-    """
+    """Choose one palette class per (group, agent): the registered one, or a spare one."""
     chosen: dict[str, str] = {}
     for name, agent in names:
         registered = AGENTS[agent].colour if agent in AGENTS else None
@@ -161,18 +134,13 @@ def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Return nested mappings as one mapping of dotted names."""
     flat: dict[str, Any] = {}
     for name, value in values.items():
-        if isinstance(value, Mapping):
-            flat |= flatten(value, f"{prefix}{name}.")
-        else:
-            flat[f"{prefix}{name}"] = value
+        nested = isinstance(value, Mapping)
+        flat |= flatten(value, f"{prefix}{name}.") if nested else {f"{prefix}{name}": value}
     return flat
 
 
 def differing(settings: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return the names whose values are not the same everywhere."""
+    texts = [{n: json.dumps(v, sort_keys=True) for n, v in each.items()} for each in settings]
     names = sorted({name for each in settings for name in each})
-    return [
-        name
-        for name in names
-        if len({json.dumps(each.get(name), sort_keys=True) for each in settings}) > 1
-    ]
+    return [name for name in names if len({each.get(name, "null") for each in texts}) > 1]

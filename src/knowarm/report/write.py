@@ -3,7 +3,9 @@
 import csv
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -11,35 +13,22 @@ from urllib.parse import quote
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 from markupsafe import Markup, escape
 
-import knowarm
 from knowarm.errors import UserError
-from knowarm.experiment.run_folder import write_json
-from knowarm.reading import read_json
-from knowarm.report.blocks import Column, Page, Row, Table, Verdict, flat
+from knowarm.reading import read_json, write_json
+from knowarm.report.blocks import Page, Verdict, flat
+from knowarm.report.collect import collect
 from knowarm.report.format import FORMATS, MISSING, counted
-from knowarm.report.sound import build_report
-from knowarm.report.study import Study
+from knowarm.report.model import StudyData
+from knowarm.report.pages import build_pages
+from knowarm.report.tables import Column, DataTable, Row
 
-DIGITS = 9
-"""Significant digits of every written number."""
-
-FORMAT = 1
-"""Version of the format of ``report.json``."""
-
-MANIFEST = "manifest.json"
-"""File beside the CSV files that lists them."""
-
-FORMULA = ("=", "+", "-", "@", "\t", "\r")
-"""Beginnings of cells that spreadsheets take for formulas."""
-
-MOST_SOURCES = 40
-"""Links under a table; ``report.json`` lists all sources."""
-
-LONG_TABLE = 400
-"""Rows of a table that are written into the page; the CSV has all of them."""
-
-FOLDED_ROWS = 16
-"""Rows above which a table is folded at first."""
+DIGITS = 9  # significant digits of every written number
+FORMAT = 1  # version of the format of ``report.json``
+MOVE = "Move the file, or give the report another name."
+MANIFEST = "manifest.json"  # file beside the CSV files that lists them
+MOST_SOURCES = 40  # links under a table; ``report.json`` lists all sources
+LONG_TABLE = 400  # rows of a table that are written into the page; the CSV has all of them
+FOLDED_ROWS = 16  # rows above which a table is folded at first
 
 
 def write_report(
@@ -50,7 +39,7 @@ def write_report(
     """Write one report from run folders.
 
     Beside ``out`` it writes ``<out>.json`` with every table of the report and a folder
-    ``<out>-data`` with one CSV per table and a ``manifest.json`` that lists them. Of an earlier
+    ``<out>-data`` with one CSV per table and a ``manifest.json`` that lists them. Of another
     report of the same name it replaces these files and no others. Equal folders give equal bytes.
 
     Args:
@@ -70,118 +59,90 @@ def write_report(
     out = Path(out)
     if out.suffix.lower() not in (".html", ".htm"):
         raise UserError(f"The report must be an .html file, got {out}.")
-    try:
+    with _writing(out.parent):
         out.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"Cannot write to {out.parent}: {error.strerror}.") from error
     references = {name: Path(path) for name, path in (reference_results or {}).items()}
-    study, pages, page = build_report(
-        [Path(path) for path in run_paths],
-        references,
-        lambda study, pages: _render(study, pages, out),
-    )
+    study = collect([Path(path) for path in run_paths], references)
+    pages = build_pages(study)
+    page = _render(study, pages, out)
     _write_data(study, pages, out)
     temporary = out.with_name(out.name + ".tmp")
-    try:
+    with _writing(out):
         temporary.write_text(page, encoding="utf-8", errors="replace")  # lone surrogates
         temporary.replace(out)
-    except OSError as error:
-        raise UserError(f"Cannot write {out}: {error.strerror}.") from error
     return out
 
 
-def _data_folder(out: Path) -> Path:
-    return out.with_name(f"{out.stem}-data")
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise UserError(f"Cannot write {path}: {error.strerror}.") from error
 
 
-def _write_data(study: Study, pages: Sequence[Page], out: Path) -> None:
+def _write_data(study: StudyData, pages: Sequence[Page], out: Path) -> None:
     """Write the tables as CSV and JSON; paths in them are relative to the page."""
-    folder, start = _data_folder(out), out.parent
+    folder, start = out.with_name(f"{out.stem}-data"), out.parent
     tables = {table.name: table for page in pages for table in page.tables()}
     assert len(tables) == sum(len(page.tables()) for page in pages), "two tables of one name"
     names = [f"{name}.csv" for name in tables]
     _remove_earlier(out, folder, names)
-    try:
+    with _writing(folder):
         folder.mkdir(exist_ok=True)
         write_json(folder / MANIFEST, {"format": FORMAT, "report": out.name, "files": names})
         for table in tables.values():
-            with (folder / f"{table.name}.csv").open(
-                "w", newline="", encoding="utf-8", errors="replace"
-            ) as file:
+            path = folder / f"{table.name}.csv"
+            with path.open("w", newline="", encoding="utf-8", errors="replace") as file:
                 writer = csv.writer(file, lineterminator="\n")
                 writer.writerow(table.csv_columns())
                 for row in table.rows:
-                    writer.writerow([_csv(row.get(key), start) for key in table.csv_columns()])
-    except OSError as error:
-        raise UserError(f"Cannot write {folder}: {error.strerror}.") from error
-    write_json(
-        out.with_suffix(".json"),
-        {
-            "format": FORMAT,
-            "knowarm": knowarm.__version__,
-            "tasks": [task.title for task in study.tasks],
-            "runs": [_relative(run.path, start) for run in study.runs],
-            "problems": [
-                {"path": _relative(each.path, start), "what": each.what, "done": each.done}
-                for each in study.problems
-            ],
-            "verdicts": [
-                {"page": page.name, "kind": block.kind, "sentence": block.sentence}
-                | {"reasons": list(block.reasons)}
-                for page in pages
-                for block in flat(page.blocks)
-                if isinstance(block, Verdict)
-            ],
-            "tables": {
-                table.name: {
-                    "title": table.title,
-                    "note": table.note,
-                    "csv": f"{folder.name}/{table.name}.csv",
-                    "sources": [_relative(path, start) for path in table.sources],
-                    "rows": [
-                        {key: _plain(row.get(key), start) for key in table.csv_columns()}
-                        for row in table.rows
-                    ],
-                }
-                for table in tables.values()
-            },
-        },
-    )
+                    writer.writerow([_raw(row.get(key), start) for key in table.csv_columns()])
+    report: dict[str, Any] = {
+        **{"format": FORMAT, "knowarm": version("knowarm")},
+        "tasks": [task.title for task in study.tasks],
+        "runs": [_relative(run.path, start) for run in study.runs],
+        "problems": [p._asdict() | {"path": _relative(p.path, start)} for p in study.problems],
+        "verdicts": [
+            {"page": page.name, "kind": block.kind, "sentence": block.sentence}
+            | {"reasons": list(block.reasons)}
+            for page in pages
+            for block in flat(page.blocks)
+            if isinstance(block, Verdict)
+        ],
+        "tables": {},
+    }
+    for table in tables.values():
+        keys = table.csv_columns()
+        report["tables"][table.name] = {
+            **{"title": table.title, "note": table.note, "csv": f"{folder.name}/{table.name}.csv"},
+            "sources": [_relative(path, start) for path in table.sources],
+            "rows": [{key: _plain(row.get(key), start) for key in keys} for row in table.rows],
+        }
+    write_json(out.with_suffix(".json"), report)
 
 
 def _remove_earlier(out: Path, folder: Path, names: Sequence[str]) -> None:
-    """Remove the CSV files of an earlier report, as its manifest lists them.
-
-    Raises:
-        UserError: a file with the name of one that will be written is not part of a report.
-    """
+    """Remove the CSV files of an earlier report, as its manifest lists them, and no others."""
     report, manifest = out.with_suffix(".json"), folder / MANIFEST
     earlier = read_json(report) if report.is_file() else {}
     if report.exists() and not {"knowarm", "tables", "verdicts"} <= set(earlier):
-        raise UserError(
-            f"{report} exists and is no report of KnowArm, whose JSON would replace it. Move the "
-            "file, or give the report another name."
-        )
-    if manifest.is_file():
-        own = read_json(manifest).get("files")
-    else:  # a report of an earlier version
-        own = [f"{name}.csv" for name in earlier["tables"]] if earlier else []
+        what = f"{report} exists and is no report of KnowArm, whose JSON would replace it"
+        raise UserError(f"{what}. {MOVE}")
+    own = read_json(manifest).get("files") if manifest.is_file() else []
     own = [name for name in own if isinstance(name, str)] if isinstance(own, list) else []
     if strange := [name for name in names if name not in own and (folder / name).exists()]:
-        raise UserError(
-            f"{folder / strange[0]} exists and is not part of an earlier report. Move the file, or "
-            "give the report another name."
-        )
-    try:
+        what = f"{folder / strange[0]} exists and is not part of an earlier report"
+        raise UserError(f"{what}. {MOVE}")
+    with _writing(folder):
         for name in own:
             if Path(name).name == name and name.endswith(".csv"):
                 (folder / name).unlink(missing_ok=True)
-    except OSError as error:
-        raise UserError(f"Cannot write {folder}: {error.strerror}.") from error
 
 
-def _render(study: Study, pages: Sequence[Page], out: Path) -> str:
+def _render(study: StudyData, pages: Sequence[Page], out: Path) -> str:
     """Fill the HTML template; links are relative to the page."""
+    start, tasks = out.parent, study.tasks
     environment = Environment(
         loader=PackageLoader("knowarm.report"),
         autoescape=select_autoescape(default=True, default_for_string=True),
@@ -189,9 +150,8 @@ def _render(study: Study, pages: Sequence[Page], out: Path) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    start = out.parent
 
-    def source_links(table: Table) -> list[tuple[str, str]]:
+    def source_links(table: DataTable) -> list[tuple[str, str]]:
         shown = dict.fromkeys(_relative(path, start) for path in table.sources)
         return [(quote(path), path) for path in shown]
 
@@ -199,7 +159,7 @@ def _render(study: Study, pages: Sequence[Page], out: Path) -> str:
     environment.globals.update(
         cell=lambda column, row: _cell(column, row, start),
         source_links=source_links,
-        csv_link=lambda table: quote(f"{_data_folder(out).name}/{table.name}.csv"),
+        csv_link=lambda table: quote(f"{out.stem}-data/{table.name}.csv"),
         kind=lambda block: type(block).__name__,
         numeric=lambda column: column.format not in ("text", "path"),
         long_table=LONG_TABLE,
@@ -207,7 +167,6 @@ def _render(study: Study, pages: Sequence[Page], out: Path) -> str:
         most_sources=MOST_SOURCES,
     )
     templates = Path(__file__).parent / "templates"
-    tasks = study.tasks
     several = f"{len(tasks)} tasks, {counted(len(study.runs), 'run')}"
     return environment.get_template("report.html.j2").render(
         title=tasks[0].title if len(tasks) == 1 else several,
@@ -216,7 +175,7 @@ def _render(study: Study, pages: Sequence[Page], out: Path) -> str:
         many_tasks=len(tasks) > 1,
         style=Markup((templates / "style.css").read_text(encoding="utf-8")),
         script=Markup((templates / "script.js").read_text(encoding="utf-8")),
-        version=knowarm.__version__,
+        version=version("knowarm"),
         json_link=quote(out.with_suffix(".json").name),
     )
 
@@ -248,12 +207,6 @@ def _plain(value: Any, start: Path) -> Any:
     if isinstance(value, float):
         return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
     return value
-
-
-def _csv(value: Any, start: Path) -> str:
-    """Return a value as a CSV cell; text that a spreadsheet would execute gets a quote before."""
-    text = _raw(value, start)
-    return f"'{text}" if isinstance(value, str) and text.startswith(FORMULA) else text
 
 
 def _raw(value: Any, start: Path) -> str:

@@ -4,14 +4,14 @@
 """
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import scipy
 
 from knowarm.statistics.interval import CONFIDENCE, Interval
 
-BLOCK = 2_000_000
-"""Upper limit of the numbers resampled at once, which bounds the memory."""
+BLOCK = 2_000_000  # upper limit of the numbers resampled at once, which bounds the memory
 
 
 def iqm(scores: np.ndarray, axis: int = -1) -> np.ndarray:
@@ -97,20 +97,11 @@ def performance_profile(
 
 
 def _percentiles(
-    samples: Sequence[np.ndarray],
-    statistic: Callable[..., np.ndarray],
-    repetitions: int,
-    seed: int,
+    samples: Sequence[np.ndarray], statistic: Callable[..., Any], repetitions: int, seed: int
 ) -> tuple[float, float]:
     """Resample every sample by itself; return the ends of the percentile interval."""
-    low, high = scipy.stats.bootstrap(
-        samples,
-        statistic,
-        vectorized=True,
-        n_resamples=repetitions,
-        batch=max(1, BLOCK // sum(sample.size for sample in samples)),
-        confidence_level=CONFIDENCE,
-        method="percentile",
-        rng=np.random.default_rng(seed),
-    ).confidence_interval
-    return float(low), float(high)
+    sizes = {"n_resamples": repetitions, "batch": max(1, BLOCK // sum(s.size for s in samples))}
+    kind = {"vectorized": True, "confidence_level": CONFIDENCE, "method": "percentile"}
+    rng = np.random.default_rng(seed)
+    result = scipy.stats.bootstrap(samples, statistic, **sizes, **kind, rng=rng)
+    return float(result.confidence_interval.low), float(result.confidence_interval.high)

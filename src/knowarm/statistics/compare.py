@@ -15,21 +15,13 @@ from knowarm.statistics.interval import CONFIDENCE, Interval
 
 @dataclass(frozen=True)
 class Comparison:
-    """Difference of two means.
+    """Difference of two means."""
 
-    Attributes:
-        difference: first minus second, with the interval of the t test.
-        p_value: two-sided p-value of no difference.
-        effect_size: difference in standard deviations (Cohen's d); None without any spread.
-        first_count: observations of the first agent.
-        second_count: observations of the second agent.
-    """
-
-    difference: Interval
-    p_value: float
-    effect_size: float | None
-    first_count: int
-    second_count: int
+    difference: Interval  # first minus second, with the interval of the t test
+    p_value: float  # two-sided p-value of no difference
+    effect_size: float | None  # in standard deviations (Cohen's d); None without any spread
+    first_count: int  # observations of the first agent
+    second_count: int  # observations of the second agent
 
 
 def welch(first: np.ndarray, second: np.ndarray) -> Comparison:

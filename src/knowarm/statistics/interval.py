@@ -5,23 +5,16 @@ from dataclasses import dataclass
 
 import scipy
 
-CONFIDENCE = 0.95
-"""Coverage of every interval of this package, unless an argument says otherwise."""
+CONFIDENCE = 0.95  # of every interval of this package, unless an argument says otherwise
 
 
 @dataclass(frozen=True)
 class Interval:
-    """An estimate with its confidence interval.
+    """An estimate with its confidence interval; no width where one observation allows none."""
 
-    Attributes:
-        estimate: point estimate.
-        low: lower end; equal to ``estimate`` where a single observation allows no interval.
-        high: upper end.
-    """
-
-    estimate: float
-    low: float
-    high: float
+    estimate: float  # point estimate
+    low: float  # lower end
+    high: float  # upper end
 
 
 def wilson(successes: int, trials: int, confidence: float = CONFIDENCE) -> Interval:

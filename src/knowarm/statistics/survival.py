@@ -17,6 +17,9 @@ def median_steps(
     The interval holds every t at which S(t) = 1/2 is not rejected, on the log-log scale. S(t) is
     the Kaplan-Meier estimate of the fraction of runs still below the threshold after t steps.
 
+    The median is the first step at which S(t) is at most 1/2, as in lifelines. Where S(t) is
+    exactly 1/2 between two steps, R's ``survfit`` gives the midpoint instead.
+
     Args:
         steps: (n,) step at which the run reached the threshold, or its end if it never did.
         reached: (n,) bool; False marks a censored run.

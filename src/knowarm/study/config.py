@@ -1,60 +1,57 @@
 """Studies as data: experiments, seeds, overrides and evaluations, from TOML, JSON or Python."""
 
 import dataclasses
+import fnmatch
 import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from fnmatch import fnmatchcase
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from knowarm.config import from_dict, registered, replace, to_dict
+from knowarm.config import from_dict, override, to_dict
 from knowarm.errors import UserError, unknown_name
-from knowarm.experiment.agents import controls_of
+from knowarm.experiment.agents import AGENTS, controls_of
 from knowarm.experiment.config import EvaluationConfig, ExperimentConfig
-from knowarm.experiment.registry import Colours, experiment_config, experiment_name
-from knowarm.experiment.run_folder import write_json
-from knowarm.reading import read_json
-from knowarm.study.executors import EXECUTORS, Local, RunKey, Where
-from knowarm.study.mirrors import MIRRORS
+from knowarm.experiment.names import DEFAULT_TASK, ExperimentName, colours_of, tasks_of
+from knowarm.experiment.registry import experiment_config
+from knowarm.reading import read_json, write_json
+from knowarm.study.executor import RunKey, Where
+from knowarm.world.tasks import task_names
+from knowarm.world.tasks.sampling import Colours
 
-FORMAT = 1
-"""Version of ``study.json``."""
-
-FILE = "study.json"
-"""The study that a folder holds."""
+FORMAT = 1  # of study.json
+FILE = "study.json"  # the study that a folder holds
+PACKED = "manifest.json"  # marks an unpacked study, whose unfinished runs cannot be resumed
 
 SHIPPED = {path.stem: path for path in sorted((Path(__file__).parent / "shipped").glob("*.toml"))}
 """The TOML file of every shipped study, by name."""
 
-PACKED = "manifest.json"
-"""File that marks the folder of an unpacked study, in which unfinished runs cannot go on."""
-
 
 @dataclass(frozen=True, kw_only=True)
-class Grid:
-    """Every combination of robots, colours, agents and algorithms."""
+class ExperimentGrid:
+    """Every combination of robots, colours, agents and algorithms in one task."""
 
     robots: tuple[str, ...]
     """Robots, as in `knowarm list`."""
-
     agents: tuple[str, ...]
     """Agents, as in `knowarm list`."""
-
     algorithms: tuple[str, ...]
     """Algorithms, as in `knowarm list`."""
-
-    colours: tuple[Colours, ...] = ("fixed",)
-    """Fixed or randomized colours of the targets."""
+    task: str = DEFAULT_TASK
+    """Task of all of them."""
+    colours: tuple[Colours, ...] | None = None
+    """Fixed or randomized colours of the targets; None takes the first that the task has."""
 
     def experiments(self) -> list[str]:
         """Return the names of the experiments."""
+        if self.task not in task_names():
+            raise unknown_name("task", self.task, task_names())
         return [
-            experiment_name(robot, agent, algorithm, colours)
+            str(ExperimentName(robot, self.task, agent, colours, algorithm))
             for robot in self.robots
-            for colours in self.colours
+            for colours in self.colours or colours_of(self.task)[:1]
             for agent in self.agents
             for algorithm in self.algorithms
         ]
@@ -66,7 +63,6 @@ class OverridesFor:
 
     experiments: str
     """Pattern of their names, such as ``tiago-*``."""
-
     fields: Mapping[str, Any]
     """Fields of `ExperimentConfig`, as in `StudyConfig.overrides`."""
 
@@ -81,43 +77,28 @@ class StudyConfig:
 
     name: str
     """Name of the study; its folder is ``runs/<name>`` unless given."""
-
     about: str = ""
     """What it is for, in a line."""
-
     experiments: tuple[str, ...] = ()
     """Names of experiments, as in `knowarm list`."""
-
-    grid: Grid | None = None
+    grid: ExperimentGrid | None = None
     """More experiments: every combination of some parts."""
-
     seeds: tuple[int, ...]
     """Training seeds of every experiment."""
-
     overrides: Mapping[str, Any] = field(default_factory=dict)
     """Fields of `ExperimentConfig` that all experiments share; a nested config takes a mapping of
     those of its fields that change."""
-
     overrides_for: tuple[OverridesFor, ...] = ()
     """Overrides of some experiments, applied after ``overrides`` and in order."""
-
     evaluations: tuple[EvaluationConfig, ...] = (EvaluationConfig(),)
     """Post-training evaluations of every run."""
-
-    mirrors: tuple[str, ...] = ()
-    """Tracking services that receive the curves as well: "wandb", "mlflow"."""
-
-    where: Where = field(
-        default_factory=Local,
-        metadata=registered(lambda: [type(entry.default) for entry in EXECUTORS.values()]),
-    )
-    """What executes the runs, and the resources of each."""
+    where: Where = field(default_factory=Where)
+    """Resources of the runs."""
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[A-Za-z0-9][\w.-]*", self.name):
-            raise UserError(
-                f"name must consist of letters, digits, '-', '_' and '.', got {self.name!r}."
-            )
+            allowed = "letters, digits, '-', '_' and '.'"
+            raise UserError(f"name must consist of {allowed}, got {self.name!r}.")
         for what, given in (("experiments", self.cells()), ("seeds", self.seeds)):
             if not given:
                 raise UserError(f"{what}: a study needs at least one; got none.")
@@ -127,12 +108,9 @@ class StudyConfig:
         if len(set(labels)) < len(labels):
             raise UserError(f"evaluations: two have the same label of {labels}; set label.")
         for each in self.overrides_for:
-            if not any(fnmatchcase(cell, each.experiments) for cell in self.cells()):
+            if not fnmatch.filter(self.cells(), each.experiments):
                 raise unknown_name("pattern of experiments", each.experiments, self.cells())
         self.runs()
-        for name in self.mirrors:
-            if name not in MIRRORS:
-                raise unknown_name("mirror", name, MIRRORS)
 
     def cells(self) -> list[str]:
         """Return the names of the experiments."""
@@ -143,11 +121,7 @@ class StudyConfig:
         return list(self._runs.values())
 
     def run(self, experiment: str, seed: int) -> ExperimentConfig:
-        """Return the config of one run.
-
-        Raises:
-            UserError: the study has no such run.
-        """
+        """Return the config of one run."""
         if (experiment, seed) not in self._runs:
             names = [f"{name}/{seed}" for name, seed in self._runs]
             raise unknown_name(f"run of the study {self.name!r}", f"{experiment}/{seed}", names)
@@ -156,22 +130,19 @@ class StudyConfig:
     @cached_property
     def _runs(self) -> dict[RunKey, ExperimentConfig]:
         return {
-            (each.name, seed): dataclasses.replace(each, seed=seed)
-            for each in self._experiments()
+            (config.name, seed): dataclasses.replace(config, seed=seed)
+            for config in map(self._experiment, self.cells())
             for seed in self.seeds
         }
-
-    def _experiments(self) -> list[ExperimentConfig]:
-        return [self._experiment(name) for name in self.cells()]
 
     def _experiment(self, name: str) -> ExperimentConfig:
         config = experiment_config(name)
         if fixed := sorted({"name", "seed"} & {*self.overrides}):
             raise UserError(f"overrides must not set {fixed[0]!r}; it follows from the study.")
-        config = replace(config, self.overrides, where="overrides")
+        config = override(config, self.overrides, where="overrides")
         for each in self.overrides_for:
-            if fnmatchcase(name, each.experiments):
-                config = replace(config, each.fields, where="overrides_for.fields")
+            if fnmatch.filter([name], each.experiments):
+                config = override(config, each.fields, where="overrides_for.fields")
         return config
 
 
@@ -222,33 +193,21 @@ def controls(study: StudyConfig, name: str) -> StudyConfig:
     """Return the study of the registered controls of a study's agents with knowledge.
 
     They are trained on the same tasks, with the same seeds, overrides and evaluations.
-
-    Raises:
-        UserError: no agent of the study has registered controls.
     """
-    found: dict[str, None] = {}
-    for config in study._experiments():
-        if config.role == "knowledge":
-            tail = config.name.removeprefix(f"{config.env.robot}-{config.agent}")
-            for role in ("capacity_control", "content_control"):
-                for control in controls_of(config.agent, role):
-                    found.setdefault(f"{config.env.robot}-{control}{tail}")
-    names = tuple(each for each in found if each not in study.cells())
+    found = [
+        str(dataclasses.replace(subject, agent=control))
+        for subject in map(ExperimentName.parse, study.cells())
+        if AGENTS[subject.agent].role == "knowledge"
+        for role in ("capacity_control", "content_control")
+        for control in controls_of(subject.agent, role)
+        if subject.task in tasks_of(AGENTS[control])
+    ]
+    names = tuple(each for each in dict.fromkeys(found) if each not in study.cells())
     if not names:
         raise UserError(f"No agent of the study {study.name!r} has registered controls to train.")
-    kept = tuple(
-        each
-        for each in study.overrides_for
-        if any(fnmatchcase(each_name, each.experiments) for each_name in names)
-    )
-    return StudyConfig(
-        name=name,
-        experiments=names,
-        seeds=study.seeds,
-        overrides=study.overrides,
-        overrides_for=kept,
-        evaluations=study.evaluations,
-        where=study.where,
+    kept = tuple(each for each in study.overrides_for if fnmatch.filter(names, each.experiments))
+    return dataclasses.replace(
+        study, name=name, about="", experiments=names, grid=None, overrides_for=kept
     )
 
 

@@ -5,6 +5,7 @@ Everything it knows comes from the run folders, so it can be killed and started 
 
 import shutil
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -13,28 +14,16 @@ from knowarm.experiment.run import differences, run_path
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.run_lock import is_locked, lock_folder
 from knowarm.study.config import FILE, PACKED, StudyConfig, read_study, write_study
-from knowarm.study.executors import EXECUTORS, Ended, Executor, RunKey
-from knowarm.study.mirrors import check_mirror
-from knowarm.study.status import (
-    FAILURE,
-    RunStatus,
-    checkpoint_step,
-    seconds_left,
-    study_status,
-)
+from knowarm.study.executor import LOG, Ended, LocalExecutor, RunKey
+from knowarm.study.status import FAILURE, RunStatus, checkpoint_step, seconds_left, study_status
 from knowarm.study.worker import STOP, record_failure
 
-RUN_GIB = 0.15
-"""Disk space that a run of default length may take [GiB]."""
+RUN_GIB = 0.15  # disk space that a run of default length may take
+POLL_S = 0.5  # time between two looks at the workers [s]
+STATUS_S = 2.0  # time between two readings of all run folders [s]
+UNFINISHED = ("waiting", "stalled", "trained")  # states in which a free run is worked on
 
-POLL_S = 0.5
-"""Time between two looks at the workers [s]."""
-
-STATUS_S = 2.0
-"""Time between two readings of all run folders [s]."""
-
-UNFINISHED = ("waiting", "stalled", "trained")
-"""States in which a run that nobody holds is worked on."""
+OnStatus = Callable[[Sequence[RunStatus]], None]
 
 
 def run_study(
@@ -42,7 +31,7 @@ def run_study(
     out: Path | str,
     *,
     should_stop: Callable[[], bool] = lambda: False,
-    on_status: Callable[[Sequence[RunStatus]], None] = lambda statuses: None,
+    on_status: OnStatus = lambda statuses: None,
 ) -> list[RunStatus]:
     """Train and evaluate every run of a study that is not done or failed.
 
@@ -57,11 +46,11 @@ def run_study(
 
     Raises:
         UserError: ``out`` holds another study, or a run with another config; it is in use; the
-            executor cannot run anything; or there is too little disk space.
+            machine is too small for one run; or there is too little disk space.
     """
     out = Path(out)
     check_folder(study, out)
-    executor = EXECUTORS[study.where.kind].make(study.where, out)
+    executor = LocalExecutor(study.where, out)
     try:
         with lock_folder(out, remedy="Wait until it ends, or stop it: knowarm study stop."):
             write_study(study, out)
@@ -76,30 +65,19 @@ def run_study(
 
 
 def check_folder(study: StudyConfig, out: Path) -> None:
-    """Check that a study can go on in a folder, before anything is written.
-
-    Raises:
-        UserError: the folder holds another study, or a run with another config, too little disk
-            space is free, or a mirror is not installed.
-    """
-    for name in study.mirrors:
-        check_mirror(name)
+    """Check that a study can go on in a folder, before anything is written."""
     if (out / FILE).exists() and (other := read_study(out).name) != study.name:
-        raise UserError(
-            f"{out} holds the study {other!r}, not {study.name!r}: choose another folder."
-        )
-    if (out / PACKED).exists() and (
-        begun := [
-            f"{each.experiment}/{each.seed}"
-            for each in study_status(study, out)
-            if each.state not in ("waiting", "done")
-        ]
-    ):
-        raise UserError(
-            f"{out} is an unpacked study, which lacks what resuming {', '.join(begun[:3])} needs: "
-            f"remove the folders of unfinished runs ({len(begun)}) to start these again, or choose "
-            "another folder."
-        )
+        found = f"holds the study {other!r}, not {study.name!r}"
+        raise UserError(f"{out} {found}: choose another folder.")
+    if (out / PACKED).exists():
+        statuses = [each for each in study_status(study, out) if each.state != "waiting"]
+        begun = [each.name for each in statuses if each.state != "done"]
+        if begun:
+            raise UserError(
+                f"{out} is an unpacked study, which lacks what resuming {', '.join(begun[:3])} "
+                f"needs: remove the folders of unfinished runs ({len(begun)}) to start these "
+                "again, or choose another folder."
+            )
     missing = 0
     for config in study.runs():
         folder = RunFolder(run_path(out, config))
@@ -108,8 +86,7 @@ def check_folder(study: StudyConfig, out: Path) -> None:
         elif different := differences(RunFolder.open(folder.path).experiment(), config):
             raise UserError(
                 f"The run {folder.path} has another config than the study (run | study): "
-                f"{'; '.join(different.values())}. Change the study back, or choose another "
-                "folder."
+                f"{'; '.join(different.values())}. Change the study back, or choose another folder."
             )
     there = next(each for each in (out.absolute(), *out.absolute().parents) if each.exists())
     free, needed = shutil.disk_usage(there).free / 2**30, RUN_GIB * missing
@@ -123,27 +100,21 @@ def check_folder(study: StudyConfig, out: Path) -> None:
 def retry(out: Path, names: Sequence[str] = ()) -> list[str]:
     """Let failed runs resume with the next `run_study`, or the one that is under way.
 
-    Args:
-        out: the study's folder.
-        names: ``<experiment>/<seed>``, or an experiment for all of its seeds; none for all.
+    `names` are ``<experiment>/<seed>``, or an experiment for all of its seeds; none for all.
 
     Returns:
         The runs that had failed.
-
-    Raises:
-        UserError: the study has no such run.
     """
     statuses = study_status(open_study(out), out)
-    known = {f"{each.experiment}/{each.seed}" for each in statuses}
+    known = {each.name for each in statuses}
     for name in names:
         if name not in known and name not in {each.experiment for each in statuses}:
             raise unknown_name("run of the study", name, known)
     cleared = []
     for status in statuses:
-        run = f"{status.experiment}/{status.seed}"
-        if status.state == "failed" and (not names or {run, status.experiment} & {*names}):
-            (out / run / FAILURE).unlink()
-            cleared.append(run)
+        if status.state == "failed" and (not names or {status.name, status.experiment} & {*names}):
+            (out / status.name / FAILURE).unlink()
+            cleared.append(status.name)
     return cleared
 
 
@@ -157,11 +128,7 @@ def request_stop(out: Path) -> bool:
 
 
 def open_study(out: Path) -> StudyConfig:
-    """Read the study that a folder holds.
-
-    Raises:
-        UserError: it holds none.
-    """
+    """Read the study that a folder holds."""
     if not (out / FILE).is_file():
         raise UserError(f"{out} holds no study: it has no {FILE}. Start one: knowarm study run.")
     return read_study(out)
@@ -171,16 +138,12 @@ class _Driver:
     """One pass over a study: starts runs, longest first, until nothing is left to do."""
 
     def __init__(
-        self,
-        study: StudyConfig,
-        out: Path,
-        executor: Executor,
-        on_status: Callable[[Sequence[RunStatus]], None],
+        self, study: StudyConfig, out: Path, executor: LocalExecutor, on_status: OnStatus
     ) -> None:
         self._study, self._out, self._executor = study, out, executor
         self._on_status = on_status
         self._mine: set[RunKey] = set()
-        self._deaths: dict[RunKey, tuple[int, int]] = {}
+        self._deaths: Counter[tuple[RunKey, int]] = Counter()  # by run and latest checkpoint
 
     def run(self, should_stop: Callable[[], bool]) -> None:
         """Work until every run is done or failed, or until asked to stop."""
@@ -207,13 +170,8 @@ class _Driver:
     def _start(self, statuses: Sequence[RunStatus]) -> None:
         """Fill the free slots with the longest runs; one that someone else holds is left alone."""
         left = seconds_left(statuses)
-        todo = [
-            each
-            for each in statuses
-            if each.state in UNFINISHED
-            and each.run not in self._mine
-            and not is_locked(self._out / each.experiment / str(each.seed))
-        ]
+        free = [s for s in statuses if s.state in UNFINISHED and s.run not in self._mine]
+        todo = [s for s in free if not is_locked(self._out / s.name)]
         # Without a known rate, the number of steps orders them.
         todo.sort(key=lambda each: -left.get(each.run, float(each.steps_left)))
         for status in todo[: max(0, self._executor.slots - len(self._mine))]:
@@ -222,17 +180,15 @@ class _Driver:
 
     def _take_end(self, end: Ended, stopping: bool) -> None:
         """Take note of a worker's end; a killed one is started again, an error is a failure."""
-        self._mine.discard(end.run)
-        if end.problem is None or stopping:
+        run, problem, killed = end
+        self._mine.discard(run)
+        if problem is None or stopping:
             return
-        path = self._out / end.run[0] / str(end.run[1])
-        if not end.killed:
-            record_failure(path, f"{end.problem}; see {path / 'log.txt'}")
+        path = self._out / run[0] / str(run[1])
+        if not killed:
+            record_failure(path, f"{problem}; see {path / LOG}")
             return
-        step = checkpoint_step(RunFolder(path))
-        count, before = self._deaths.get(end.run, (0, step))
-        count = count + 1 if step == before else 1
-        self._deaths[end.run] = count, step
-        if count > self._study.where.retries:
-            reason = f"{end.problem}, {count} times since step {max(step, 0):,}; out of memory?"
+        self._deaths[run, step := checkpoint_step(RunFolder(path))] += 1
+        if (count := self._deaths[run, step]) > self._study.where.retries:
+            reason = f"{problem}, {count} times since step {max(step, 0):,}; out of memory?"
             record_failure(path, reason)

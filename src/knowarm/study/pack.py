@@ -6,22 +6,26 @@ import io
 import json
 import shutil
 import tarfile
-from collections.abc import Collection, Iterator
+import zlib
+from collections.abc import Collection
+from itertools import chain
 from pathlib import Path
 from typing import Literal
 
 from knowarm.errors import UserError, unknown_name
-from knowarm.experiment.perceived import FILE as PERCEPTION
 from knowarm.experiment.run import run_path
 from knowarm.experiment.run_lock import lock_folder
+from knowarm.experiment.run_module import FILE as PERCEPTION
+from knowarm.reading import MAX_JSON
 from knowarm.study.config import FILE, PACKED
 from knowarm.study.driver import open_study
 from knowarm.study.status import FAILURE
 
-FORMAT = 1
-"""Version of the manifest."""
-
+FORMAT = 1  # of the manifest
 SUFFIX = ".tar.gz"
+
+DAMAGED = (tarfile.TarError, gzip.BadGzipFile, zlib.error, EOFError)
+"""What reading a damaged archive raises."""
 
 Part = Literal["policies", "steps", "films"]
 """What a pack may leave out: the best policies, every step of the evaluations, their images."""
@@ -50,16 +54,8 @@ PART_FILES: dict[Part, tuple[str, ...]] = {
 def pack_study(out: Path, file: Path, *, leave_out: Collection[Part] = ()) -> int:
     """Write a study to one file, without optimizer state and rollouts; equal folders, equal bytes.
 
-    Args:
-        out: the study's folder; nothing may run in it.
-        file: the pack, ``*.tar.gz``.
-        leave_out: parts to leave out.
-
     Returns:
         Number of files in the pack, without its manifest.
-
-    Raises:
-        UserError: the study is running, or the file cannot be written.
     """
     for part in leave_out:
         if part not in PART_FILES:
@@ -67,15 +63,12 @@ def pack_study(out: Path, file: Path, *, leave_out: Collection[Part] = ()) -> in
     if not file.name.endswith(SUFFIX):
         raise UserError(f"A pack is a {SUFFIX} file, got {file}.")
     study = open_study(out)
-    patterns = [
-        *RUN_FILES,
-        *(each for name, files in PART_FILES.items() if name not in leave_out for each in files),
-    ]
+    parts = [RUN_FILES, *(PART_FILES[part] for part in PART_FILES if part not in leave_out)]
     with lock_folder(out, remedy="Stop it before packing: knowarm study stop."):
         paths = [out / FILE] + [
             path
             for config in study.runs()
-            for pattern in patterns
+            for pattern in chain(*parts)
             for path in sorted(run_path(out, config).glob(pattern))
             if path.is_file()
         ]
@@ -84,6 +77,7 @@ def pack_study(out: Path, file: Path, *, leave_out: Collection[Part] = ()) -> in
         "format": FORMAT,
         "study": study.name,
         "left_out": sorted(leave_out),
+        "bytes": {name: len(data) for name, data in contents.items()},
         "sha256": {name: hashlib.sha256(data).hexdigest() for name, data in contents.items()},
     }
     temporary = file.with_name(f".{file.name}.tmp")
@@ -109,39 +103,22 @@ def pack_study(out: Path, file: Path, *, leave_out: Collection[Part] = ()) -> in
 def unpack_study(file: Path, out: Path) -> Path:
     """Write the files of a pack to a new folder, and compare each with its digest.
 
+    Packs of strangers are safe: only regular files of the manifest are written, inside the folder,
+    and none that is larger than the manifest states or than the free disk space.
+
     Returns:
         ``out``, which `knowarm report` and `knowarm evaluate` read; its runs cannot be resumed.
-
-    Raises:
-        UserError: the folder exists, or the file is no intact pack.
     """
     if out.exists():
         raise UserError(f"{out} exists: choose another folder, or remove it.")
     temporary = out.with_name(f".{out.name}.tmp")
     shutil.rmtree(temporary, ignore_errors=True)
     try:
-        contents = dict(_members(file))
-        manifest = json.loads(contents[PACKED])
-        found = {
-            name: hashlib.sha256(data).hexdigest()
-            for name, data in contents.items()
-            if name != PACKED
-        }
-        different = sorted(
-            name
-            for name in {*found, *manifest["sha256"]}
-            if found.get(name) != manifest["sha256"].get(name)
-        )
-        if different:
-            raise ValueError(f"{', '.join(different[:3])} is missing or was changed")
-        for name, data in contents.items():
-            path = temporary / name
-            if temporary.absolute() not in path.resolve().parents:
-                raise ValueError(f"{name} lies outside of the pack")
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(data)
+        temporary.mkdir(parents=True)
+        with tarfile.open(file, "r:gz") as archive:
+            _extract(archive, temporary)
         temporary.rename(out)
-    except (tarfile.TarError, EOFError, ValueError, KeyError, TypeError, gzip.BadGzipFile) as error:
+    except (*DAMAGED, ValueError, LookupError, TypeError, RecursionError) as error:
         raise UserError(f"{file} is no intact pack of a study: {error}.") from error
     except OSError as error:
         raise UserError(f"Cannot unpack {file}: {error.strerror or error}.") from error
@@ -150,10 +127,26 @@ def unpack_study(file: Path, out: Path) -> Path:
     return out
 
 
-def _members(file: Path) -> Iterator[tuple[str, bytes]]:
-    with tarfile.open(file, "r:gz") as archive:
-        for member in archive:
-            reader = archive.extractfile(member)
-            if reader is None:
-                raise ValueError(f"{member.name} is no file")
-            yield member.name, reader.read()
+def _extract(archive: tarfile.TarFile, folder: Path) -> None:
+    """Write the manifest and then the files that it lists; a `ValueError` says what differs."""
+    sizes, digests = {PACKED: MAX_JSON}, {}
+    for member in archive:
+        name = member.name
+        if not member.isreg() or name not in sizes or (folder / name).exists():
+            raise ValueError(f"{name} is no regular file, or not one of the manifest's")
+        if member.size > min(sizes[name], shutil.disk_usage(folder).free):
+            raise ValueError(f"{name} is larger than its manifest or the free disk space allows")
+        archive.extract(member.replace(mtime=None), folder, filter="data")  # type: ignore[arg-type]
+        if name == PACKED:
+            manifest = json.loads((folder / PACKED).read_bytes())
+            digests = dict(manifest["sha256"])
+            sizes = {name: manifest["bytes"][name] for name in digests}
+    for name, digest in digests.items():
+        found = ""
+        if (folder / name).is_file():
+            with (folder / name).open("rb") as file:
+                found = hashlib.file_digest(file, "sha256").hexdigest()
+        if found != digest:
+            raise ValueError(f"{name} is missing or was changed")
+    if not digests:
+        raise ValueError(f"it has no {PACKED}, or an empty one")

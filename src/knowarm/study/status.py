@@ -1,7 +1,9 @@
 """Status of the runs of a study, derived from their folders every time."""
 
 import time
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -10,30 +12,25 @@ from typing import Any, Literal
 from knowarm.config import to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.config import EvaluationConfig, ExperimentConfig
+from knowarm.experiment.csv_log import read_csv
 from knowarm.experiment.run import run_path
-from knowarm.experiment.run_folder import RunFolder, read_csv
+from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.run_lock import is_locked
 from knowarm.reading import read_json
 from knowarm.study.config import StudyConfig
-from knowarm.study.executors import RunKey
+from knowarm.study.executor import RunKey
 
-State = Literal["waiting", "running", "stalled", "failed", "trained", "done"]
-"""State of a run:
+State = Literal[
+    "waiting",  # not started
+    "running",  # a process holds its folder
+    "stalled",  # started, and its process ended or is silent; `study run` resumes it
+    "failed",  # an error ended it; ``study retry`` lets it resume
+    "trained",  # all steps done, evaluations missing
+    "done",  # trained and evaluated
+]
 
-- ``waiting``: not started;
-- ``running``: a process holds its folder;
-- ``stalled``: started, and nothing works on it (or its process is silent): it resumes with the
-  next ``study run``;
-- ``failed``: an error ended it; ``study retry`` lets it resume;
-- ``trained``: all steps done, evaluations missing;
-- ``done``: trained and evaluated.
-"""
-
-FAILURE = "failed.json"
-"""File in a run folder: why the run failed. Without it the run can resume."""
-
-SILENT_S = 900.0
-"""Time without a written file after which a running run counts as stalled [s]."""
+FAILURE = "failed.json"  # in a run folder: why the run failed; without it the run can resume
+SILENT_S = 900.0  # time without a written file after which a running run counts as stalled
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,23 +40,22 @@ class RunStatus:
     experiment: str
     seed: int
     state: State
-    detail: str = ""
-    """Why it failed or stalled, or how it ended early."""
-    step: int = 0
-    """Environment steps taken."""
+    detail: str = ""  # why it failed or stalled, or how it ended early
+    step: int = 0  # environment steps taken
     total_steps: int
-    """Environment steps to take."""
-    success: float | None = None
-    """Success of the first post-training evaluation, or of the latest interim one."""
-    steps_per_s: float | None = None
-    """Latest rate."""
-    seconds: float = 0.0
-    """Time spent on training, without steps that were lost [s]."""
+    success: float | None = None  # of the first post-training evaluation, or the latest interim one
+    steps_per_s: float | None = None  # latest rate
+    seconds: float = 0.0  # time spent on training, without steps that were lost
 
     @property
     def run(self) -> RunKey:
         """Experiment and seed."""
         return self.experiment, self.seed
+
+    @property
+    def name(self) -> str:
+        """``<experiment>/<seed>``: the run's folder in that of the study."""
+        return f"{self.experiment}/{self.seed}"
 
     @property
     def steps_left(self) -> int:
@@ -79,34 +75,33 @@ def run_status(
     """Return the status of one run."""
     path = run_path(out, config)
     folder = RunFolder(path)
-    names: dict[str, Any] = {
-        "experiment": config.name,
-        "seed": config.seed,
-        "total_steps": config.total_steps,
-    }
+    known = _progress(folder)
+
+    def status(state: State, detail: str = "") -> RunStatus:
+        name, steps = config.name, config.total_steps
+        texts: dict[str, Any] = {"experiment": name, "state": state, "detail": detail}
+        return RunStatus(seed=config.seed, total_steps=steps, **texts, **known)
+
+    failure = _failure(path)
     if not folder.config_path.exists():
-        locked, failure = is_locked(path), _failure(path)
-        state: State = "failed" if failure else "running" if locked else "waiting"
-        return RunStatus(**names, state=state, detail=failure)
-    names |= _progress(folder)
+        return status("failed" if failure else "running" if is_locked(path) else "waiting", failure)
     if is_locked(path):
         silent = time.time() - _last_write(path)
         if silent > SILENT_S:
-            detail = f"its process has written nothing for {silent / 60:.0f} minutes"
-            return RunStatus(**names, state="stalled", detail=detail)
-        return RunStatus(**names, state="running")
-    if detail := _failure(path):
-        return RunStatus(**names, state="failed", detail=detail)
+            return status("stalled", f"its process has written nothing for {silent / 60:.0f} min")
+        return status("running")
+    if failure:
+        return status("failed", failure)
     if not is_trained(folder, config):
-        return RunStatus(**names, state="stalled", detail="resumes with the next study run")
+        return status("stalled", "resumes with the next study run")
     early = folder.ended_early_at(config.stop_when)
     detail = "" if early is None or early >= config.total_steps else f"ended early at {early:,}"
     if missing_evaluations(folder, evaluations):
-        return RunStatus(**names, state="trained", detail=detail)
+        return status("trained", detail)
     if evaluations:
         summary = read_json(folder.evaluation(evaluations[0].folder) / "summary.json")
-        names["success"] = summary["success"]
-    return RunStatus(**names, state="done", detail=detail)
+        known["success"] = summary["success"]
+    return status("done", detail)
 
 
 def is_trained(folder: RunFolder, config: ExperimentConfig) -> bool:
@@ -118,10 +113,8 @@ def is_trained(folder: RunFolder, config: ExperimentConfig) -> bool:
 def checkpoint_step(folder: RunFolder) -> int:
     """Return the step of the latest checkpoint; -1 without one."""
     for name in ("latest", "previous"):
-        try:
+        with suppress(UserError, KeyError, TypeError, ValueError):
             return int(read_json(folder.checkpoints / name / "meta.json")["facts"]["step"])
-        except (UserError, KeyError, TypeError, ValueError):
-            continue
     return -1
 
 
@@ -129,70 +122,50 @@ def missing_evaluations(
     folder: RunFolder, evaluations: Sequence[EvaluationConfig]
 ) -> list[EvaluationConfig]:
     """Return the evaluations that a run lacks, or has with other settings."""
-    missing = []
-    for evaluation in evaluations:
-        try:
-            summary = read_json(folder.evaluation(evaluation.folder) / "summary.json")
-        except UserError:
-            summary = {}
-        if summary.get("config") != to_dict(evaluation):
-            missing.append(evaluation)
-    return missing
+
+    def made_with(evaluation: EvaluationConfig) -> Any:
+        with suppress(UserError):
+            return read_json(folder.evaluation(evaluation.folder) / "summary.json").get("config")
+
+    return [each for each in evaluations if made_with(each) != to_dict(each)]
 
 
 def totals(statuses: Sequence[RunStatus], cores: int) -> dict[str, Any]:
-    """Return the number of runs per state, and the cost so far and to go.
+    """Return the number of runs per state, and the cost of training so far and to go.
 
-    Args:
-        statuses: of all runs.
-        cores: of each run.
-
-    Returns:
-        ``states``, ``core_hours`` and ``core_hours_left``, training only; the latter is None while
-        no rate is known. Runs without a rate of their own are assumed to have the mean rate.
+    ``core_hours_left`` is None while no rate is known; runs without a rate are assumed to have the
+    mean rate.
     """
-    counts: dict[str, int] = {}
-    for status in statuses:
-        counts[status.state] = counts.get(status.state, 0) + 1
-    hours = cores / 3600
-    left = seconds_left(statuses)
-    known = all(status.run in left for status in statuses)
+    hours, left = cores / 3600, seconds_left(statuses)
     return {
-        "states": counts,
+        "states": dict(Counter(status.state for status in statuses)),
         "core_hours": hours * sum(status.seconds for status in statuses),
-        "core_hours_left": hours * sum(left.values()) if known else None,
+        "core_hours_left": hours * sum(left.values()) if len(left) == len(statuses) else None,
     }
 
 
 def seconds_left(statuses: Sequence[RunStatus]) -> dict[RunKey, float]:
     """Return the expected training time left of each run; runs of unknown rate are left out."""
-    rates: dict[str, list[float]] = {}
-    for status in statuses:
-        if status.steps_per_s:
-            rates.setdefault(status.experiment, []).append(status.steps_per_s)
-            rates.setdefault("", []).append(status.steps_per_s)
+    rated = [(each.experiment, each.steps_per_s) for each in statuses if each.steps_per_s]
     left = {}
     for status in statuses:
-        known = rates.get(status.experiment) or rates.get("") or []
+        same = [rate for experiment, rate in rated if experiment == status.experiment]
+        rates = same or [rate for _, rate in rated]
         if not status.steps_left:
             left[status.run] = 0.0
-        elif status.steps_per_s or known:
-            left[status.run] = status.steps_left / (status.steps_per_s or sum(known) / len(known))
+        elif rates:
+            left[status.run] = status.steps_left / (status.steps_per_s or sum(rates) / len(rates))
     return left
 
 
 def _progress(folder: RunFolder) -> dict[str, Any]:
     """Read step, rate, time and interim success from the curves."""
     progress: dict[str, Any] = {}
-    for path, read in (
-        (folder.metrics_path, _training),
-        (folder.evaluations_path, _interim_success),
-    ):
-        try:
+    curves = {folder.metrics_path: _training, folder.evaluations_path: _interim_success}
+    for path, read in curves.items():
+        with suppress(OSError):  # not there yet, or being replaced
             found = path.stat()
             progress |= read(path, found.st_mtime_ns, found.st_size)
-        except OSError:  # not there yet, or being replaced
-            continue
     return progress
 
 
@@ -224,18 +197,15 @@ def _failure(path: Path) -> str:
     """Return the reason of a failure; empty if there is none."""
     if not (path / FAILURE).exists():
         return ""
-    try:
+    with suppress(UserError, KeyError):
         return str(read_json(path / FAILURE)["reason"])
-    except (UserError, KeyError):
-        return f"{path / FAILURE} is damaged"
+    return f"{path / FAILURE} is damaged"
 
 
 def _last_write(path: Path) -> float:
-    times = []
+    times = [time.time()]
     for pattern in ("*", "checkpoints", "evaluation/*"):
         for each in path.glob(pattern):
-            try:
+            with suppress(OSError):  # replaced meanwhile
                 times.append(each.stat().st_mtime)
-            except OSError:  # replaced meanwhile
-                continue
-    return max(times, default=time.time())
+    return max(times[1:] or times)

@@ -11,42 +11,27 @@ import time
 import traceback
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 import psutil
 
 from knowarm.errors import UserError
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.run import run_path, train
-from knowarm.experiment.run_folder import RunExistsError, RunFolder, write_json
+from knowarm.experiment.run_folder import RunExistsError, RunFolder
 from knowarm.experiment.run_lock import FolderInUseError, lock_folder
 from knowarm.experiment.stop_request import StopRequest
+from knowarm.reading import write_json
 from knowarm.study.config import read_study
-from knowarm.study.executors import RunKey
-from knowarm.study.mirrors import open_mirror
+from knowarm.study.executor import RunKey
 from knowarm.study.status import FAILURE, is_trained, missing_evaluations
 
-STOP = "stop"
-"""File in a study's folder that asks all workers to save a checkpoint and end."""
-
-WORKED = "worked for"
-"""Start of the last line that a worker prints, followed by its time."""
-
-GRACE_S = 60.0
-"""How long a worker may take to save after the process that started it has exited [s]."""
+STOP = "stop"  # file in a study's folder: all workers save a checkpoint and end
+WORKED = "worked for"  # start of the last line that a worker prints, followed by its time
+GRACE_S = 60.0  # how long a worker may take to save after the process that started it has exited
 
 
-def work(out: Path, key: RunKey, started: float | None = None) -> None:
-    """Train and evaluate one run as far as it is not, and record an error in its folder.
-
-    A signal to end, or the file `STOP`, ends the training with a checkpoint.
-
-    Args:
-        out: the study's folder.
-        key: experiment and seed of the run.
-        started: time at which the process or task began; None: now.
-    """
-    started = started or time.time()
+def work(out: Path, key: RunKey) -> None:
+    """Train and evaluate one run as far as it is not, and record an error in its folder."""
     path = out / key[0] / str(key[1])
     try:
         study = read_study(out)
@@ -56,29 +41,28 @@ def work(out: Path, key: RunKey, started: float | None = None) -> None:
         is_started = folder.config_path.exists()
         if not (is_started and is_trained(folder, config)):
             with StopRequest() as is_asked:
-                options: dict[str, Any] = {
-                    "should_stop": lambda: is_asked() or stop.exists(),
-                    "mirrors": [open_mirror(n, config, path, study.name) for n in study.mirrors],
-                }
+
+                def should_stop() -> bool:
+                    return is_asked() or stop.exists()
+
                 try:
-                    run = train(config, out, resume=is_started, **options)
+                    run = train(config, out, resume=is_started, should_stop=should_stop)
                 except RunExistsError:  # begun meanwhile by the worker of a driver that was killed
-                    run = train(config, out, resume=True, **options)
+                    run = train(config, out, resume=True, should_stop=should_stop)
             if run.result.reason == "stopped":
                 return
         with lock_folder(path, remedy="Wait until it ends."):
             for evaluation in missing_evaluations(folder, study.evaluations):
                 if stop.exists():
                     return
-                evaluate(folder.path, config=evaluation).write()
+                evaluate(folder.path, config=evaluation)
     except FolderInUseError:
         print("another process works on this run", file=sys.stderr)
     except Exception as error:
-        reason = str(error) if isinstance(error, UserError) else _summary(error)
+        reason = f"{type(error).__name__}: {error}"
+        reason = str(error) if isinstance(error, UserError) else " ".join(reason.split())
         record_failure(path, reason, traceback.format_exc())
         print(f"failed: {reason}", file=sys.stderr)
-    finally:
-        print(f"{WORKED} {time.time() - started:.1f} s", file=sys.stderr)
 
 
 def record_failure(path: Path, reason: str, details: str = "") -> None:
@@ -88,15 +72,12 @@ def record_failure(path: Path, reason: str, details: str = "") -> None:
     write_json(path / FAILURE, {"reason": reason, "time": when, "traceback": details})
 
 
-def _summary(error: Exception) -> str:
-    return " ".join(f"{type(error).__name__}: {error}".split())
-
-
 def main() -> None:
     """Work on the run that the arguments name, until the parent process exits."""
     out, experiment, seed = sys.argv[1:]
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    work(Path(out), (experiment, int(seed)), psutil.Process().create_time())
+    work(Path(out), (experiment, int(seed)))
+    print(f"{WORKED} {time.time() - psutil.Process().create_time():.1f} s", file=sys.stderr)
 
 
 def _end_with_parent() -> None:

@@ -12,11 +12,9 @@ from numpy.typing import NDArray
 
 
 def cache_file(kind: str, *parts: object) -> Path:
-    """Return the file of a result: in ``KNOWARM_CACHE``, or else in the user's cache folder.
+    """Return the file of a result in a subfolder of ``KNOWARM_CACHE`` or the user's cache folder.
 
-    Args:
-        kind: name of a subfolder.
-        parts: all that the result follows from: arrays, and values whose ``repr`` tells them apart.
+    ``parts`` is all that the result follows from: arrays, and values that ``repr`` tells apart.
     """
     digest = hashlib.sha256()
     for part in parts:

@@ -5,11 +5,11 @@ import torch
 
 from knowarm.errors import UserError
 from knowarm.learn.a3c.worker import rollout_loss
+from knowarm.learn.algorithms import A3CConfig
 from knowarm.learn.collector import Collector
-from knowarm.learn.config import A3CConfig
 from knowarm.learn.losses import a3c_loss
+from knowarm.learn.parallel.shared_tensors import zeros
 from knowarm.learn.rollout import Rollout, rollout_specs
-from knowarm.learn.shared_tensors import zeros
 from tests.learn.toys import toy_env, toy_policy
 
 

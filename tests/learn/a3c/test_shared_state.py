@@ -1,16 +1,16 @@
 import math
-import multiprocessing
 
 import pytest
 import torch
 
 from knowarm.learn.a3c.shared_state import rmsprop_update, shared_state_specs
-from knowarm.learn.flat_parameters import (
+from knowarm.learn.parallel.flat_parameters import (
     FlatParameters,
     flatten_parameters,
     unflatten_parameters,
 )
-from knowarm.learn.shared_tensors import SharedTensors
+from knowarm.learn.parallel.processes import process_context
+from knowarm.learn.parallel.shared_tensors import SharedTensors
 
 NUMBERS = {"learning_rate": 0.1, "alpha": 0.9, "eps": 0.01}
 
@@ -63,7 +63,7 @@ def write(shared, index):
 
 
 def test_processes_see_one_anothers_writes():
-    context = multiprocessing.get_context("forkserver")
+    context = process_context()
     shared = SharedTensors(context, shared_state_specs(4, 2))
     children = [context.Process(target=write, args=(shared, index)) for index in range(2)]
     for child in children:

@@ -1,10 +1,7 @@
-"""Stopping A3C, whatever its evaluations take, and processes that were stopped from outside."""
+"""Stopping A3C, whatever its evaluations take."""
 
 import dataclasses
 import itertools
-import multiprocessing
-import os
-import signal
 import threading
 import time
 from functools import partial
@@ -14,10 +11,9 @@ import pytest
 
 from knowarm.learn import Hooks, NumpyToTorch
 from knowarm.learn.a3c import A3CTrainer
-from knowarm.learn.a3c.worker_pool import WorkerPool
 from knowarm.learn.checkpoint import CheckpointStore
 from knowarm.learn.evaluation import MAX_PENDING
-from knowarm.learn.processes import ChildProcess
+from knowarm.learn.parallel.processes import ChildProcess
 from tests.learn.a3c.test_trainer import FAST, Make
 from tests.learn.toys import ToyEnv, toy_policy
 
@@ -148,7 +144,9 @@ def test_a_stop_saves_pending_evaluations_and_resuming_plays_them(tmp_path):
 @pytest.mark.slow
 def test_training_pauses_when_the_evaluator_is_far_behind_and_can_be_stopped(tmp_path):
     trainer, _ = build(
-        tmp_path / "never", CheckpointStore(tmp_path, {}), should_stop=lambda: trainer._paused
+        tmp_path / "never",
+        CheckpointStore(tmp_path, {}),
+        should_stop=lambda: bool(trainer._shared["paused"]),
     )
     assert trainer.train(10**9).reason == "stopped"
     pending = [name for name in trainer.checkpoints.load().state if name.startswith("pending")]
@@ -169,29 +167,6 @@ def test_the_last_evaluations_can_be_interrupted(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="Windows has no SIGSTOP")
-@pytest.mark.parametrize("which", ["worker", "evaluator"])
-def test_a_stopped_process_is_continued(tmp_path, which):
-    stopped = []
-
-    def stop(row):
-        children = {"worker": trainer._pool.workers[1], "evaluator": trainer._evaluations._child}
-        if not stopped:
-            stopped.append(children[which].process.pid)
-            os.kill(stopped[0], signal.SIGSTOP)
-
-    gate = tmp_path / "gate"
-    gate.touch()
-    trainer, evaluations = build(
-        gate, CheckpointStore(tmp_path, {}), workers=2, evaluate_every=INTERVAL, on_metrics=stop
-    )
-    assert trainer.train(3 * INTERVAL).reason == "finished"
-    assert stopped
-    assert trainer.restarts == trainer._evaluations.restarts == 0
-    assert [step // INTERVAL for step, *_ in evaluations][:4] == [0, 1, 2, 3]
-
-
-@pytest.mark.slow
 def test_a_worker_that_never_answers_does_not_block_a_stop(tmp_path, monkeypatch, caplog):
     reads = []
     trainer, _ = build(
@@ -201,51 +176,9 @@ def test_a_worker_that_never_answers_does_not_block_a_stop(tmp_path, monkeypatch
         should_stop=lambda: len(reads) > 0,
     )
     monkeypatch.setattr("knowarm.learn.a3c.trainer.STATE_S", 0.0)
-    monkeypatch.setattr(WorkerPool, "read", lambda pool, timeout_s: reads.append(0) or iter(()))
+    monkeypatch.setattr(A3CTrainer, "_read_worker", lambda trainer, index: reads.append(0))
     assert trainer.train(10**9).reason == "stopped"
     assert "No state arrived from the workers [0, 1]" in caplog.text
-    assert trainer.checkpoints.load().facts["step"] == int(trainer._shared["steps"].sum())
-
-
-@pytest.mark.skipif(
-    "forkserver" not in multiprocessing.get_all_start_methods(), reason="no fork server here"
-)
-def test_a_stop_does_not_wait_until_the_fork_server_has_started(tmp_path, monkeypatch):
-    from multiprocessing import forkserver
-
-    read, started = forkserver.read_signed, threading.Event()
-
-    def read_once_started(descriptor):
-        assert threading.current_thread() is not threading.main_thread()
-        started.wait()
-        return read(descriptor)
-
-    monkeypatch.setattr(forkserver, "read_signed", read_once_started)
-    asked = []
-    trainer, _ = build(
-        tmp_path / "never",
-        CheckpointStore(tmp_path, {}),
-        should_stop=lambda: asked.append(0) or len(asked) > 3,
-    )
-    try:
-        assert trainer.train(10**9).reason == "stopped"
-    finally:
-        started.set()
-    assert trainer.step == 0
-
-
-def test_a_stop_between_the_starts_of_workers_starts_no_more(tmp_path):
-    pools = []
-    trainer, _ = build(
-        tmp_path / "never",
-        CheckpointStore(tmp_path, {}),
-        workers=3,
-        should_stop=lambda: len(pools) == 1,
-    )
-    start = trainer._start_worker
-    trainer._start_worker = lambda *which: pools.append(start(*which)) or pools[-1]
-    assert trainer.train(10**9).reason == "stopped"
-    assert len(pools) == 1
     assert trainer.checkpoints.load().facts["step"] == int(trainer._shared["steps"].sum())
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from knowarm.world.scene import Scene, load_scene
+from knowarm.world.scene.scene import Scene, load_scene
 
 CAMERA = "eye"
 

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from knowarm.bench.images import ssim
+from benchmarks.images import ssim
 from knowarm.world.render import Raycaster
 from tests.world.render.opengl_images import NoOpenGL, opengl_images
 from tests.world.render.raycast_scenes import (

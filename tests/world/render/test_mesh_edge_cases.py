@@ -8,9 +8,9 @@ import pytest
 from numpy.typing import NDArray
 
 from knowarm.errors import UserError
-from knowarm.world.attach import read_mjcf
 from knowarm.world.render import Raycaster
 from knowarm.world.render.scenery import read_scenery
+from knowarm.world.scene.attach import read_mjcf
 from tests.world.render.raycast_scenes import CAMERA, random_states, torus
 from tests.world.render.test_geometry import agreement
 
@@ -45,14 +45,14 @@ def model_of(
     </worldbody></mujoco>""")
 
 
-def draw(model: mujoco.MjModel, error: float | None) -> NDArray[np.uint8]:
+def draw(model: mujoco.MjModel, size: float | None) -> NDArray[np.uint8]:
     states = random_states(model, 3, seed=1)
-    caster = Raycaster(model, CAMERA, SIDE, SIDE, antialiasing=True, mesh_error_px=error)
+    caster = Raycaster(model, CAMERA, SIDE, SIDE, antialiasing=True, mesh_triangle_px=size)
     return caster.draw(states.geom_xpos, states.geom_xmat)
 
 
 def resembles(model: mujoco.MjModel) -> None:
-    full, simple = (draw(model, error).astype(int) for error in (None, 0.4))
+    full, simple = (draw(model, size).astype(int) for size in (None, 0.71))
     assert (full.max(axis=-1) > 0).mean() > 0.005
     assert np.abs(full - simple).mean() < 0.5
 
@@ -159,6 +159,6 @@ def test_two_hundred_thousand_triangles() -> None:
     )
     model = spec.compile()
     assert model.nmeshface == 200_000
-    caster = Raycaster(model, CAMERA, SIDE, SIDE, antialiasing=True, mesh_error_px=0.4)
-    assert len(caster.scenery.meshes.face) < 2_000
+    caster = Raycaster(model, CAMERA, SIDE, SIDE, antialiasing=True, mesh_triangle_px=0.71)
+    assert len(caster.scenery.meshes.face) < 4_000
     resembles(model)

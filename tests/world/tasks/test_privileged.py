@@ -1,18 +1,15 @@
-"""Privileged state: each column against an independent computation, on both simulators."""
+"""Privileged state: each column against an independent computation."""
 
 import numpy as np
-import pytest
 import torch
 
 from knowarm.world.config import EnvConfig
+from knowarm.world.envs.torch_env import TorchReachVectorEnv
 from knowarm.world.tasks.privileged import privileged_columns
-from knowarm.world.torch_env import TorchReachVectorEnv
 
 
-def moved_env(simulator, **config):
-    env = TorchReachVectorEnv(
-        EnvConfig(image_size=8, **config), 4, simulator=simulator, num_threads=1
-    )
+def moved_env(**config):
+    env = TorchReachVectorEnv(EnvConfig(image_size=8, **config), 4, num_threads=1)
     env.reset(seed=3)
     for seed in range(3):
         actions = torch.randint(0, 7, (4, 6), generator=torch.Generator().manual_seed(seed))
@@ -28,30 +25,29 @@ def by_name(env):
     return {name: np.stack(columns, 1) for name, columns in groups.items()}
 
 
-@pytest.mark.parametrize("simulator", ["mujoco", "warp"])
-def test_columns_are_what_their_names_say(simulator):
-    env = moved_env(simulator)
-    task, columns = env.task, by_name(env)
-    position = np.asarray(task.simulator.tcp_position)
-    gripper = np.asarray(task.simulator.tcp_matrix).reshape(-1, 3, 3)
-    grasp_position = np.asarray(task.grasp_position)
-    grasp = np.asarray(task.grasp_matrix).reshape(-1, 3, 3)
+def test_columns_are_what_their_names_say():
+    env = moved_env()
+    task, columns = env.running, by_name(env)
+    position = task.simulator.tcp_position
+    gripper = task.simulator.tcp_matrix.reshape(-1, 3, 3)
+    goal_position = task.goal_position
+    grasp = task.goal_matrix.reshape(-1, 3, 3)
     expected = {
         "joint_position": env.joint_positions.numpy(),
         "gripper_position": position,
-        "grasp_position": grasp_position,
-        "gripper_to_grasp": grasp_position - position,
+        "grasp_position": goal_position,
+        "gripper_to_grasp": goal_position - position,
         "grasp_matrix": grasp.reshape(-1, 9),
         "gripper_matrix": gripper.reshape(-1, 9),
         "joint_target": env.joint_targets.numpy(),
         "position_in_gripper": np.stack(
-            [m.T @ d for m, d in zip(gripper, grasp_position - position, strict=True)]
+            [m.T @ d for m, d in zip(gripper, goal_position - position, strict=True)]
         ),
         "matrix_in_gripper": np.stack(
             [(m.T @ g).ravel() for m, g in zip(gripper, grasp, strict=True)]
         ),
-        "distance": np.linalg.norm(grasp_position - position, axis=1)[:, None],
-        "angle": np.asarray(task.angle)[:, None],
+        "distance": np.linalg.norm(goal_position - position, axis=1)[:, None],
+        "angle": task.angle[:, None],
         "time": np.full((4, 1), 3 / 50),
     }
     assert list(columns) == list(expected)
@@ -65,7 +61,7 @@ def test_the_number_of_columns_follows_from_the_joints():
 
 
 def test_final_states_are_those_before_the_reset():
-    env = moved_env("mujoco", max_episode_steps=4)
+    env = moved_env(max_episode_steps=4)
     still = torch.zeros(4, 6, dtype=torch.int64)
     assert "final_privileged_state" not in env.step(still)[-1]
     env.report_privileged_state = True

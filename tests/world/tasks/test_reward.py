@@ -1,8 +1,7 @@
-"""Distance, angle, success and reward, from NumPy arrays and from tensors."""
+"""Distance, angle, success and reward."""
 
 import numpy as np
 import pytest
-import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -58,43 +57,3 @@ def test_reward_is_the_paper_s() -> None:
 def test_thresholds_are_strict() -> None:
     assert not is_success(np.array([0.05]), np.array([1.0]), 0.05, 15.0)[0]
     assert not is_success(np.array([0.01]), np.array([15.0]), 0.05, 15.0)[0]
-
-
-def frames(count: int) -> tuple[np.ndarray, ...]:
-    """Random pairs of frames, among them equal, opposite and nearly equal ones."""
-    generator = np.random.default_rng(0)
-    first = Rotation.random(count, random_state=0)
-    turns = Rotation.random(count, random_state=1).as_rotvec()
-    turns[:20] *= np.logspace(-6, 0, 20)[:, None]
-    turns[20] = 0
-    turns[21] = [np.pi, 0, 0]
-    second = first * Rotation.from_rotvec(turns)
-    positions = generator.normal(size=(2, count, 3))
-    return positions[0], rows(first), positions[1], rows(second)
-
-
-@pytest.mark.parametrize("ignore_roll", [False, True])
-@pytest.mark.parametrize(("dtype", "error"), [(torch.float64, 1e-6), (torch.float32, 2e-2)])
-def test_tensors_are_measured_alike(dtype: torch.dtype, error: float, ignore_roll: bool) -> None:
-    arrays = frames(300)
-    distance, angle = measure(*arrays, ignore_roll)
-    tensors = [torch.as_tensor(array, dtype=dtype) for array in arrays]
-    got_distance, got_angle = measure(*tensors, ignore_roll)
-    assert got_distance.dtype == got_angle.dtype == dtype
-    assert got_distance.numpy() == pytest.approx(distance, rel=1e-6)
-    assert got_angle.numpy() == pytest.approx(angle, abs=error)
-    assert angle.min() < 1e-3
-    assert angle.max() > 150
-
-
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_tensors_are_rewarded_alike(dtype: torch.dtype) -> None:
-    distance, angle = np.array([0.01, 0.04, 0.3, 1.0]), np.array([3.0, 20.0, 4.0, 170.0])
-    success = is_success(distance, angle, 0.05, 15.0)
-    terms = reward_terms(distance, angle, success)
-    measured = torch.tensor(distance, dtype=dtype), torch.tensor(angle, dtype=dtype)
-    reached = is_success(*measured, 0.05, 15.0)
-    assert reached.tolist() == success.tolist() == [True, False, False, False]
-    for name, values in reward_terms(*measured, reached).items():
-        assert values.dtype == dtype
-        assert values.numpy() == pytest.approx(terms[name], rel=1e-6)

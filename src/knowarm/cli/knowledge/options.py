@@ -1,30 +1,31 @@
 """Options shared by the `knowarm knowledge` commands: graph, objects, embedding and source."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 import tyro
 
+from knowarm.cli.arguments import parse_options, take_source
+from knowarm.cli.tables import TableCommand
 from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge import FULL, KnowledgeConfig, KnowledgeGraph, read_graph
-from knowarm.knowledge.facets import graph_facets
 from knowarm.knowledge.formats import open_graph
-from knowarm.knowledge.scene import load_graph
-from knowarm.knowledge.vectors import Source, source_named
+from knowarm.knowledge.slots import graph_facets
+from knowarm.reading import writing as writing_file
 from knowarm.world.config import EnvConfig
 from knowarm.world.objects import TARGETS
 
-OBJECTS = EnvConfig().targets
-"""The default task's objects."""
+OBJECTS = EnvConfig().targets  # the default task's objects
 
 
 @dataclass(frozen=True, kw_only=True)
 class GraphOptions:
     """The graph that a command works on."""
 
-    graph: Annotated[Path | None, tyro.conf.Positional] = None
+    graph: Path | None = None
     """A graph file, an OpenKE folder or a shipped graph; "household" by default."""
     format: str | None = None
     """The file's format ("turtle", "ntriples", ...); by default that of its suffix."""
@@ -37,7 +38,7 @@ class GraphOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SceneOptions:
+class SceneOptions(TableCommand):
     """The objects of a scene and the embedding of their facts.
 
     `--source NAME` takes a short name: wordnet-gloss-50, the path of a GloVe or .safetensors file,
@@ -54,6 +55,13 @@ class SceneOptions:
         default_factory=lambda: FULL
     )
     """Settings of the embedding."""
+
+    @classmethod
+    def parse(cls, prog: str, arguments: Sequence[str]) -> Self:
+        """Make a command from its options; `--source` takes the short name of a source."""
+        rest, source = take_source(arguments, "--source")
+        default = source and cls(knowledge=KnowledgeConfig(detail="full", source=source))
+        return parse_options(cls, prog, rest, default=default)
 
     def config(self) -> KnowledgeConfig:
         """Return the settings of the agent, or the given ones."""
@@ -72,46 +80,21 @@ class SceneOptions:
             if name in TARGETS:
                 pairs = [(name, colour) for colour in TARGETS[name].colours]
             else:
-                pairs = graph_facets([name], load_graph(config), config.colour_relation)
+                pairs = graph_facets([name], open_graph(config.graph), config.colour_relation)
             facets += pairs[:1] if self.colours == "fixed" else pairs
         return facets
 
 
-def take_source(arguments: Sequence[str], flag: str) -> tuple[list[str], Source | None]:
-    """Take the short name of a source out of command-line arguments.
-
-    Args:
-        arguments: the words of the command line.
-        flag: the option: "--source" of `--source analogy` or `--source=analogy`. Options of its
-            fields (`--source.file`) are left in place.
-
-    Returns:
-        The other arguments, and the source if there is one.
-    """
-    rest, source = [], None
-    words = iter(arguments)
-    for word in words:
-        if word == flag:
-            name = next(words, None)
-            if name is None or name.startswith("--"):
-                raise UserError(f"{flag} needs a name, e.g. {flag} analogy.")
-            source = source_named(name)
-        elif word.startswith(f"{flag}="):
-            source = source_named(word.removeprefix(f"{flag}="))
-        else:
-            rest.append(word)
-    return rest, source
+def check_suffix(path: Path | None, what: str, suffixes: Sequence[str]) -> None:
+    """Refuse an output file of another type before the work whose result it will hold."""
+    if path is not None and path.suffix not in suffixes:
+        raise UserError(f"--out {path}: {what} are written as {', '.join(suffixes)}.")
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a file and print its path.
-
-    Raises:
-        UserError: it cannot be written.
-    """
-    try:
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Make a file's folder, turn errors of the system into a `UserError`, and print the path."""
+    with writing_file(path, "Give another path."):
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise UserError(f"Cannot write {path}: {error.strerror}. Give another path.") from error
+        yield
     print(f"Wrote {path}")

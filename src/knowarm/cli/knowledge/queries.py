@@ -2,33 +2,32 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-import tyro
 
 from knowarm.cli.knowledge.options import GraphOptions
-from knowarm.cli.tables import check_json_path, print_table, write_json_table
+from knowarm.cli.tables import TableCommand, print_table
 from knowarm.errors import unknown_name
 from knowarm.knowledge import KnowledgeGraph
-from knowarm.knowledge.facets import graph_facets
 from knowarm.knowledge.formats import open_graph
+from knowarm.knowledge.graph.terms import local_name
 from knowarm.knowledge.probe import query_agreement
-from knowarm.knowledge.queries import COLOUR_RELATION, Pairs, QueryGraph
-from knowarm.knowledge.query_splits import SPLITS, QuerySplits, QueryTable, query_splits
-from knowarm.knowledge.terms import local_name
+from knowarm.knowledge.queries.queries import Pairs, QueryGraph
+from knowarm.knowledge.queries.splits import SPLITS, QuerySplits, query_splits
+from knowarm.knowledge.slots import graph_facets
+from knowarm.questions import COLOUR_RELATION, QuestionTable
 from knowarm.world.objects import COLOURS, TARGETS
 
-SHOWN = 12
-"""Most held-out pairs or new triples that are printed."""
+SHOWN = 12  # most held-out pairs or new triples that are printed
 
 
 @dataclass(frozen=True, kw_only=True)
-class Queries(GraphOptions):
+class Queries(GraphOptions, TableCommand):
     """Show what a graph can be asked about objects, and what training and each test ask."""
 
-    graph: Annotated[Path | None, tyro.conf.Positional] = Path("objects")
-    """A graph file, an OpenKE folder or a shipped graph; by default that of the choice task."""
+    graph: Path | None = Path("objects")
+    """A graph file, an OpenKE folder or a shipped graph; by default that of the choose task."""
     objects: tuple[str, ...] = ()
     """Objects of the task; by default every entity that is the head of a triple and the tail of
     none, and no colour."""
@@ -37,7 +36,7 @@ class Queries(GraphOptions):
     ask: str | None = None
     """Answer one query, such as "usedFor drinking and hasColor blue", and show nothing else."""
     agent: str | None = None
-    """Measure how well what this agent is told reflects the answers, and show nothing else."""
+    """Measure how well the knowledge of this agent reflects the answers, and show nothing else."""
     split: str | None = None
     """List the questions of a test, S1 to S5, instead of the overview."""
     pairs: Pairs = "colour"
@@ -50,102 +49,77 @@ class Queries(GraphOptions):
     """Graph of S5; by default values of the graph are swapped."""
     seed: int = 0
     """Seed of what is held out."""
-    json: Path | None = None
-    """Write the same as JSON to this file."""
 
-    def run(self) -> None:
+    def result(self) -> dict[str, Any]:
         """Read the graph, make the tables and print them."""
-        check_json_path(self.json)
         graph = self.read()
         facets = self._facets(graph)
         asked = QueryGraph(graph, facets)
         if self.ask is not None:
             query = asked.parse(self.ask)
             found = [asked.facets[i] for i in np.flatnonzero(asked.answers([query])[0])]
-            print_table(f"Answers to {query.name!r}", ["object", "colour"], found)
-            write_json_table(self.json, {"query": query.name, "answers": found})
-            return
+            print_table(f"Answers to: {query.name}", ["object", "colour"], found)
+            return {"query": query.name, "answers": found}
         if self.agent is not None:
-            self._print_agreement(self.agent, asked)
-            return
-        splits = query_splits(
-            graph,
-            facets,
-            seed=self.seed,
-            pairs=self.pairs,
-            objects=self.objects_per_episode,
-            hold_out=self.hold_out,
-            edited=None if self.edited is None else open_graph(self.edited),
-        )
+            return self._print_agreement(self.agent, asked)
+        names = ("seed", "pairs", "hold_out")
+        options: dict[str, Any] = {name: getattr(self, name) for name in names}
+        edited = None if self.edited is None else open_graph(self.edited)
+        count = self.objects_per_episode
+        splits = query_splits(graph, facets, objects=count, edited=edited, **options)
         if self.split is not None:
             questions = _questions(splits.test(self.split))
-            values: dict[str, Any] = {"split": self.split, "questions": questions}
             rows = [[query, ", ".join(targets)] for query, targets in questions.items()]
             print_table(f"{self.split}: {SPLITS[self.split]}", ["query", "targets"], rows)
-        else:
-            values = _print_overview(asked, splits)
-        write_json_table(self.json, values)
+            return {"split": self.split, "questions": questions}
+        return _print_overview(asked, splits)
 
-    def _print_agreement(self, agent: str, asked: QueryGraph) -> None:
+    def _print_agreement(self, agent: str, asked: QueryGraph) -> dict[str, Any]:
         from knowarm.experiment.agents import AGENTS  # imports torch, which takes seconds
 
-        told = [name for name, each in AGENTS.items() if each.knowledge.scope == "query"]
-        if agent not in told:
-            raise unknown_name("agent that is told queries", agent, told)
+        known = [name for name, each in AGENTS.items() if each.knowledge.scope == "query"]
+        if agent not in known:
+            raise unknown_name("agent with knowledge of queries", agent, known)
         found = query_agreement(AGENTS[agent].knowledge, asked, run_seed=self.seed)
         shown = "undefined: all conditions are equally similar" if found is None else f"{found:.3f}"
         print(f"Rank correlation of similar vectors and common answers, {agent}: {shown}.")
-        write_json_table(self.json, {"agent": agent, "rank_correlation": found})
+        return {"agent": agent, "rank_correlation": found}
 
     def _facets(self, graph: KnowledgeGraph) -> list[tuple[str, str]]:
-        names = self.objects or [
-            name
-            for name in (local_name(graph.names[i]) for i in np.setdiff1d(graph.heads, graph.tails))
-            if name not in self.colours
-        ]
+        roots = [local_name(graph.names[i]) for i in np.setdiff1d(graph.heads, graph.tails)]
+        names = self.objects or [name for name in roots if name not in self.colours]
         states_colours = COLOUR_RELATION in map(local_name, graph.relations_used)
         facets = []
         for name in names:
-            pairs = [(name, colour) for colour in self.colours]
-            if name in TARGETS:
-                pairs = [(name, colour) for colour in TARGETS[name].colours]
-            elif states_colours:
-                stated = graph_facets([name], graph)
-                pairs = stated if stated[0][1] else pairs
-            facets += pairs
+            colours = TARGETS[name].colours if name in TARGETS else self.colours
+            is_stated = name not in TARGETS and states_colours
+            stated = graph_facets([name], graph) if is_stated else [(name, "")]
+            facets += stated if stated[0][1] else [(name, colour) for colour in colours]
         return facets
 
 
 def _print_overview(asked: QueryGraph, splits: QuerySplits) -> dict[str, Any]:
     single = asked.queries("none")
-    answers = asked.answers(single)
     conditions = {
         query.name: list(dict.fromkeys(asked.facets[i][0] for i in np.flatnonzero(row)))
-        for query, row in zip(single, answers, strict=True)
+        for query, row in zip(single, asked.answers(single), strict=True)
     }
-    print_table(
-        f"{len(splits.train.queries)} queries: {len(single)} of one condition",
-        ["condition", "objects"],
-        [
-            [name, "all" if len(names) == len(asked.objects) else ", ".join(names)]
-            for name, names in conditions.items()
-        ],
-    )
-    tables = {"training": splits.train, **splits.tests}
-    sizes = {
-        name: {
-            "questions": int(table.askable.sum()),
-            "of_one_condition": int(table.askable[[q in conditions for q in table.queries]].sum()),
-            "facets_shown": int(table.shown.sum()),
-        }
-        for name, table in tables.items()
-    }
+    title = f"{len(splits.train.queries)} queries: {len(single)} of one condition"
+    rows: list[list[Any]] = [
+        [name, "all" if len(names) == len(asked.objects) else ", ".join(names)]
+        for name, names in conditions.items()
+    ]
+    print_table(title, ["condition", "objects"], rows)
+    sizes = {}
+    for name, table in {"training": splits.train, **splits.tests}.items():
+        of_one = table.askable[[query.name in conditions for query in table.queries]]
+        counted = {"questions": table.askable, "of_one_condition": of_one}
+        counted["facets_shown"] = table.shown
+        sizes[name] = {what: int(each.sum()) for what, each in counted.items()}
     about = {"training": "what is held out below is not asked", **SPLITS}
-    print_table(
-        "Splits",
-        ["table", "asks", "questions", "of one condition", "facets shown"],
-        [[name, about[name], *size.values()] for name, size in sizes.items()],
-    )
+    rows = [[name, about[name], *size.values()] for name, size in sizes.items()]
+    columns = ["table", "asks", "questions", "of one condition", "facets shown"]
+    print_table("Splits", columns, rows)
     for name, reason in splits.reasons.items():
         print(f"No {name} ({SPLITS[name]}): {reason}")
     held = splits.held_out
@@ -162,14 +136,11 @@ def _print_overview(asked: QueryGraph, splits: QuerySplits) -> dict[str, Any]:
     return {"conditions": conditions, "splits": sizes, "held_out": kept, "empty": splits.reasons}
 
 
-def _questions(table: QueryTable) -> dict[str, dict[str, list[str]]]:
+def _questions(table: QuestionTable) -> dict[str, dict[str, list[str]]]:
     """Return the targets of every query that a table asks: colours by object."""
-    questions = {}
-    for text, row in zip(table.queries, table.askable, strict=True):
-        colours: dict[str, list[str]] = {}
-        for facet in np.flatnonzero(row):
-            name, colour = table.facets[facet]
-            colours.setdefault(name, []).append(colour)
-        if colours:
-            questions[text] = colours
+    questions: dict[str, dict[str, list[str]]] = {}
+    for query, facet in np.argwhere(table.askable):
+        name, colour = table.facets[facet]
+        colours = questions.setdefault(table.queries[query].name, {})
+        colours.setdefault(name, []).append(colour)
     return questions

@@ -1,23 +1,23 @@
 """`knowarm knowledge subgraph` and `draw`: select, query, unite, write and draw graphs."""
 
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from knowarm.cli.knowledge.options import OBJECTS, GraphOptions, write_text
-from knowarm.cli.tables import check_json_path, print_table, write_json_table
+from knowarm.cli.knowledge.options import OBJECTS, GraphOptions, check_suffix, writing
+from knowarm.cli.tables import TableCommand, print_table
 from knowarm.errors import UserError
 from knowarm.knowledge import KnowledgeGraph, gamma, read_graph, write_graph
-from knowarm.knowledge.builder import difference, union
 from knowarm.knowledge.draw import draw_svg
 from knowarm.knowledge.formats import WRITERS
-from knowarm.knowledge.sparql import sparql
-from knowarm.knowledge.statistics import graph_statistics
-from knowarm.knowledge.subgraph import Direction
-from knowarm.knowledge.terms import local_name
+from knowarm.knowledge.graph.builder import difference, union
+from knowarm.knowledge.graph.graph import Direction
+from knowarm.knowledge.graph.sparql import sparql
+from knowarm.knowledge.graph.statistics import graph_statistics
+from knowarm.knowledge.graph.terms import local_name
 
-SHOWN = 60
-"""Largest number of triples that are printed."""
+SHOWN = 60  # largest number of triples that are printed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,14 +39,8 @@ class SelectionOptions(GraphOptions):
         """Return the neighbourhood of the objects."""
         if not self.objects:
             return graph
-        return gamma(
-            graph,
-            self.objects,
-            hops=self.hops,
-            direction=self.direction,
-            relations=self.relations,
-            max_degree=self.max_degree,
-        )
+        names = ("hops", "direction", "relations", "max_degree")
+        return gamma(graph, self.objects, **{name: getattr(self, name) for name in names})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,12 +57,13 @@ class Draw(SelectionOptions):
     def run(self) -> None:
         """Select, draw and write."""
         graph = self.select(self.read())
-        write_text(self.out, draw_svg(graph, self.objects, self.title))
+        with writing(self.out):
+            self.out.write_text(draw_svg(graph, self.objects, self.title), encoding="utf-8")
         print(f"{len(graph)} triples, {len(graph.nodes)} entities")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Subgraph(SelectionOptions):
+class Subgraph(SelectionOptions, TableCommand):
     """Select a part of a graph, print it, and optionally write it in another format."""
 
     union: Path | None = None
@@ -81,14 +76,10 @@ class Subgraph(SelectionOptions):
     """Print counts, hubs, cycles and shared labels instead of the triples."""
     out: Path | None = None
     """Write the result: .ttl, .nt, .rdf, .jsonld, .csv or .tsv."""
-    json: Path | None = None
-    """Write the same as JSON to this file."""
 
-    def run(self) -> None:
+    def result(self) -> dict[str, Any]:
         """Select, print and write."""
-        check_json_path(self.json)
-        if self.out is not None and self.out.suffix not in WRITERS:
-            raise UserError(f"--out {self.out}: graphs are written as {', '.join(WRITERS)}.")
+        check_suffix(self.out, "graphs", tuple(WRITERS))
         graph = self.read()
         if self.union is not None:
             graph = union(graph, read_graph(self.union))
@@ -97,43 +88,33 @@ class Subgraph(SelectionOptions):
         if self.sparql is not None:
             answer = sparql(graph, _text(self.sparql))
             if answer.graph is None:
-                self._print_answer(answer.columns, answer.rows)
-                return
+                if self.out is not None:
+                    need = "--out writes a graph, but SELECT and ASK return none"
+                    raise UserError(f"{need}. Use CONSTRUCT.")
+                shown = [list(map(local_name, row)) for row in answer.rows]
+                print_table(f"{len(shown)} answers", answer.columns, shown)
+                return {"columns": list(answer.columns), "rows": list(map(list, answer.rows))}
             graph = answer.graph
         else:
             graph = self.select(graph)
-        values: dict[str, Any] = {"triples": len(graph), "entities": len(graph.nodes)}
-        if self.statistics:
-            values |= _print_statistics(graph)
-        else:
-            values |= _print_triples(graph)
+        printed = _print_statistics(graph) if self.statistics else _print_triples(graph)
         if self.out is not None:
             write_graph(graph, self.out)
             print(f"Wrote {self.out}")
-        write_json_table(self.json, values)
-
-    def _print_answer(self, columns: tuple[str, ...], rows: tuple[tuple[str, ...], ...]) -> None:
-        if self.out is not None:
-            raise UserError("--out writes a graph, but SELECT and ASK return none. Use CONSTRUCT.")
-        print_table(f"{len(rows)} answers", columns, [[local_name(n) for n in r] for r in rows])
-        write_json_table(self.json, {"columns": list(columns), "rows": [list(r) for r in rows]})
+        return {"triples": len(graph), "entities": len(graph.nodes), **printed}
 
 
 def _text(query: str) -> str:
     """Return a query, or the content of a query file."""
-    path = Path(query)
-    is_file = "\n" not in query and len(query) < 200 and path.suffix in (".rq", ".sparql")
-    if is_file and not path.is_file():
-        raise UserError(f"There is no query file {path}.")
-    return path.read_text() if is_file else query
+    if "\n" in query or not query.endswith((".rq", ".sparql")):
+        return query
+    if not Path(query).is_file():
+        raise UserError(f"There is no query file {query}.")
+    return Path(query).read_text()
 
 
 def _print_triples(graph: KnowledgeGraph) -> dict[str, Any]:
-    rows = []
-    for number, triple in enumerate(graph):
-        if number == SHOWN:
-            break
-        rows.append([local_name(name) for name in triple])
+    rows = [[local_name(name) for name in triple] for triple in islice(graph, SHOWN)]
     title = f"{len(graph):,} triples, {len(graph.nodes):,} entities"
     print_table(title, ["head", "relation", "tail"], rows)
     if len(graph) > SHOWN:
@@ -143,8 +124,8 @@ def _print_triples(graph: KnowledgeGraph) -> dict[str, Any]:
 
 def _print_statistics(graph: KnowledgeGraph) -> dict[str, Any]:
     found = graph_statistics(graph)
-    values = found.describe()
-    single = [(key, value) for key, value in values.items() if isinstance(value, int)]
+    values = found._asdict()
+    single = [each for each in values.items() if isinstance(each[1], int)]
     print_table("Graph", ["what", "count"], single)
     relations = [(local_name(name), count) for name, count in found.by_relation.items()]
     print_table("Relations", ["relation", "triples"], relations)

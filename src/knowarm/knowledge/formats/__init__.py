@@ -7,11 +7,11 @@ from pathlib import Path
 from pyoxigraph import RdfFormat
 
 from knowarm.errors import UserError, unknown_name
-from knowarm.knowledge.formats.conceptnet import read_conceptnet
-from knowarm.knowledge.formats.openke import read_openke
+from knowarm.knowledge.formats.openke import read_openke_split
 from knowarm.knowledge.formats.rdf import read_rdf, write_rdf
-from knowarm.knowledge.formats.tables import read_table, write_table
-from knowarm.knowledge.graph import KnowledgeGraph
+from knowarm.knowledge.formats.tables import read_conceptnet, read_table, write_table
+from knowarm.knowledge.graph.graph import KnowledgeGraph
+from knowarm.reading import writing
 
 FORMATS: dict[str, Callable[[Path], KnowledgeGraph]] = {
     "turtle": partial(read_rdf, syntax=RdfFormat.TURTLE),
@@ -20,22 +20,16 @@ FORMATS: dict[str, Callable[[Path], KnowledgeGraph]] = {
     "jsonld": partial(read_rdf, syntax=RdfFormat.JSON_LD),
     "csv": partial(read_table, separator=","),
     "tsv": partial(read_table, separator="\t"),
-    "openke": read_openke,
+    "openke": lambda folder: read_openke_split(folder).graph,
     "conceptnet": read_conceptnet,
 }
 """Reader by name of the format."""
 
-SUFFIXES = {
+SUFFIXES = {f".{name}": name for name in ("turtle", "jsonld", "csv", "tsv")} | {
     ".ttl": "turtle",
-    ".turtle": "turtle",
     ".nt": "ntriples",
-    ".owl": "rdfxml",
-    ".rdf": "rdfxml",
-    ".xml": "rdfxml",
-    ".jsonld": "jsonld",
     ".json": "jsonld",
-    ".csv": "csv",
-    ".tsv": "tsv",
+    **dict.fromkeys((".owl", ".rdf", ".xml"), "rdfxml"),
 }
 """Format by suffix; each may be followed by one of `COMPRESSED`."""
 
@@ -52,12 +46,10 @@ WRITERS: dict[str, Callable[[KnowledgeGraph, Path], None]] = {
 """Writer by the file's suffix."""
 
 _DATA = Path(__file__).parent.parent / "data"
-
 HOUSEHOLD = _DATA / "household.ttl"
 """The default graph: 31 household objects and facts about them that matter to a robot arm."""
-
 SHIPPED = {"household": HOUSEHOLD, "objects": _DATA / "objects.ttl"}
-"""Graphs that come with the package by name. "objects" holds the objects of the choice task, with
+"""Graphs that come with the package by name. "objects" holds the objects of the choose task, with
 facts that can be asked."""
 
 
@@ -87,22 +79,16 @@ def read_graph(path: str | Path, format: str | None = None) -> KnowledgeGraph:
 
 
 def write_graph(graph: KnowledgeGraph, path: str | Path) -> None:
-    """Write a graph to a file in the format of its suffix.
-
-    Raises:
-        UserError: the suffix belongs to no format, or the file cannot be written.
-    """
+    """Write a graph to a file in the format of its suffix."""
     path = Path(path)
     if path.suffix not in WRITERS:
         raise UserError(
             f"{path}: graphs are written as {', '.join(WRITERS)}, not {path.suffix!r}. "
             f"Give the file one of these suffixes."
         )
-    try:
+    with writing(path, "Give another path."):
         path.parent.mkdir(parents=True, exist_ok=True)
         WRITERS[path.suffix](graph, path)
-    except OSError as error:
-        raise UserError(f"Cannot write {path}: {error.strerror}. Give another path.") from error
 
 
 @cache
@@ -117,11 +103,7 @@ def household() -> KnowledgeGraph:
 
 
 def open_graph(graph: str | Path | None) -> KnowledgeGraph:
-    """Return a graph by the name of a shipped one or by its path; None is the household graph.
-
-    Raises:
-        UserError: there is no such file, or it is malformed.
-    """
+    """Return a graph by the name of a shipped one or by its path; None is the household graph."""
     name = "household" if graph is None else str(graph)
     return shipped_graph(name) if name in SHIPPED else read_graph(name)
 

@@ -1,23 +1,21 @@
 """RDF files: Turtle, N-Triples, RDF/XML and JSON-LD, parsed and serialized by pyoxigraph.
 
-Nothing is fetched: a JSON-LD context must lie in the file itself, and external XML entities are
-refused.
+Nothing is fetched: a JSON-LD context must lie in the file itself.
 """
 
 import heapq
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, cast
 from xml.parsers import expat
 
 from pyoxigraph import BlankNode, NamedNode, RdfFormat, Triple, parse, serialize
 
 from knowarm.errors import UserError
-from knowarm.knowledge.builder import GraphBuilder
-from knowarm.knowledge.formats.lines import READ_ERRORS, open_bytes, unreadable
-from knowarm.knowledge.graph import KnowledgeGraph
-from knowarm.knowledge.terms import (
+from knowarm.knowledge.formats.lines import open_bytes
+from knowarm.knowledge.graph.builder import GraphBuilder
+from knowarm.knowledge.graph.graph import KnowledgeGraph
+from knowarm.knowledge.graph.terms import (
     LABEL_RELATIONS,
     NAMESPACE,
     Term,
@@ -27,7 +25,7 @@ from knowarm.knowledge.terms import (
     name_of_term,
     triple_of_names,
 )
-from knowarm.reading import MAX_JSON, reading
+from knowarm.reading import reading
 
 PREFIXES = {
     "": NAMESPACE,
@@ -41,20 +39,6 @@ PREFIXES = {
 
 _GENERATED = re.compile(r"[a-f][0-9a-f]{25,31}")
 """Random ids that pyoxigraph gives to blank nodes without a name."""
-
-
-MAX_GAP = 4 * 2**20
-"""Most bytes without a complete statement; a failed attempt is repeated from its start."""
-
-MAX_DEPTH, MAX_ENTITY = 200, 1_000
-"""Deepest nesting of XML elements and JSON values, and longest XML entity. The parsers call
-themselves for every level, and the process ends where its stack does."""
-
-MAX_QUOTED = 1_000
-"""Most triples inside triples (RDF-star) without a complete statement."""
-
-_JSON_TOKEN = re.compile(rb'"(?:[^"\\]|\\.)*"?|[\[{]|[\]}]', re.DOTALL)
-
 _XML_NAME = re.compile(r"[^\W\d][\w.-]*$")
 """End of an IRI that RDF/XML can write as an element."""
 
@@ -64,10 +48,6 @@ def read_rdf(path: Path, syntax: RdfFormat) -> KnowledgeGraph:
 
     rdfs:label and skos:prefLabel become labels. Unnamed blank nodes are numbered in the order of
     the file, and named graphs are merged.
-
-    Raises:
-        UserError: the file is malformed (with the line, where it is known), is OWL in functional
-            syntax, refers to a remote context, or cannot be decompressed.
     """
     builder = GraphBuilder()
     unnamed: dict[str, str] = {}
@@ -80,70 +60,24 @@ def read_rdf(path: Path, syntax: RdfFormat) -> KnowledgeGraph:
             return unnamed.setdefault(term.value, f"_:unnamed{len(unnamed)}")
         return name_of_term(term)
 
-    try:
+    with reading(path, "Correct, copy or compress it again."):
         _refuse_binary(path)
-        if syntax == RdfFormat.RDF_XML:
-            _check_xml(path)
-        if syntax == RdfFormat.JSON_LD:
-            _check_json(path)
-        add = builder.add
-        with open_bytes(path) as file:
-            source = _Source(file, path, MAX_JSON if syntax == RdfFormat.JSON_LD else MAX_GAP)
-            for quad in parse(cast(IO[bytes], source), format=syntax, base_iri=base):
-                source.gap = 0
-                head, tail, relation = quad.subject, quad.object, quad.predicate.value
-                if type(head) is NamedNode and type(tail) is NamedNode:  # most triples: fast
-                    add(head.value, relation, tail.value)
-                else:
-                    builder.add_statement(name(head), relation, name(tail))
-    except UserError:
-        raise
-    except SyntaxError as error:
-        raise _malformed(path, syntax, error) from error
-    except READ_ERRORS as error:
-        raise unreadable(path, error) from error
-    with reading(path, "Correct the file."):
+        try:
+            with open_bytes(path) as file:
+                for quad in parse(file, format=syntax, base_iri=base):
+                    head, tail, relation = quad.subject, quad.object, quad.predicate.value
+                    if type(head) is NamedNode and type(tail) is NamedNode:  # most triples: fast
+                        builder.add(head.value, relation, tail.value)
+                    else:
+                        builder.add_statement(name(head), relation, name(tail))
+        except SyntaxError as error:
+            raise _malformed(path, syntax, error) from error
         builder.rename(name_of_iri)
         return builder.build()
 
 
-class _Source:
-    """File that the parser reads, as long as statements come out of it."""
-
-    def __init__(self, file: IO[bytes], path: Path, most: int) -> None:
-        self._file, self._path, self._most = file, path, most
-        self.gap = 0
-        """Bytes read since the last statement."""
-        self._quoted = 0
-
-    def read(self, size: int = -1) -> bytes:
-        """Read at most ``size`` bytes.
-
-        Raises:
-            UserError: too many bytes hold no statement.
-        """
-        data = self._file.read(size)
-        self._quoted = data.count(b"<<") + (self._quoted if self.gap else 0)
-        if self._quoted > MAX_QUOTED:
-            raise UserError(
-                f"{self._path}: more than {MAX_QUOTED:,} triples inside triples (RDF-star), which "
-                f"a knowledge graph cannot hold. State them as plain triples."
-            )
-        self.gap += len(data)
-        if self.gap > self._most:
-            raise UserError(
-                f"{self._path}: {self._most / 2**20:.0f} MiB in a row hold no complete statement, "
-                f"which no graph needs. Look for a string, comment or list that does not end."
-            )
-        return data
-
-
 def write_rdf(graph: KnowledgeGraph, path: Path, syntax: RdfFormat) -> None:
-    """Write triples and labels, sorted by head. Entities without either are not in RDF.
-
-    Raises:
-        UserError: RDF/XML cannot hold one of the relations.
-    """
+    """Write triples and labels, sorted by head. Entities without either are not in RDF."""
     bad = next((n for n in graph.relations_used if not _XML_NAME.search(iri_of_name(n))), None)
     if syntax == RdfFormat.RDF_XML and bad is not None:
         raise UserError(
@@ -186,90 +120,17 @@ def _malformed(path: Path, syntax: RdfFormat, error: SyntaxError) -> UserError:
             f"{path}: the JSON-LD context is a remote document, and nothing is fetched from the "
             f"network. Write the context into the file."
         )
-    if line is None and syntax == RdfFormat.RDF_XML:
-        line, reason = _xml_error(path) or (line, reason)
+    if line is None and syntax == RdfFormat.RDF_XML:  # expat knows the line
+        try:
+            with open_bytes(path) as file:
+                expat.ParserCreate().ParseFile(file)
+        except expat.ExpatError as found:
+            line, reason = found.lineno, expat.errors.messages[found.code]
     place = f"{path}, line {line}" if line else str(path)
     return UserError(
         f"{place}: not well-formed {syntax.name}: {reason}. "
         f"Correct the file, or give the right format."
     )
-
-
-def _check_xml(path: Path) -> None:
-    """Refuse XML that would take the parser very long: deep nesting, entities of entities.
-
-    Raises:
-        UserError: an element is nested too deeply, or an entity is longer than a name or refers to
-            another one.
-    """
-    parser, depth = expat.ParserCreate(), 0
-
-    def refuse(what: str) -> None:
-        raise UserError(
-            f"{path}, line {parser.CurrentLineNumber}: {what}, which no graph needs. Correct the "
-            f"file, or write it as Turtle."
-        )
-
-    def start(name: str, attributes: dict[str, str]) -> None:
-        nonlocal depth
-        depth += 1
-        if depth > MAX_DEPTH:
-            refuse(f"elements are nested more than {MAX_DEPTH} deep")
-
-    def end(name: str) -> None:
-        nonlocal depth
-        depth -= 1
-
-    def entity(name: str, is_parameter: bool, value: str | None, *rest: str | None) -> None:
-        if value is None:
-            refuse(f"the entity {name!r} lies in another document")
-        elif "&" in value or "%" in value or len(value) > MAX_ENTITY:
-            refuse(f"the entity {name!r} is longer than {MAX_ENTITY} letters or refers to others")
-
-    parser.StartElementHandler, parser.EndElementHandler = start, end
-    parser.EntityDeclHandler = entity
-    try:
-        with open_bytes(path) as file:
-            parser.ParseFile(file)
-    except expat.ExpatError:
-        return  # reading the file reports it
-    except LookupError as error:  # an unknown encoding
-        raise unreadable(path, error) from error
-
-
-def _check_json(path: Path) -> None:
-    """Refuse JSON that is nested too deeply for the parser.
-
-    Raises:
-        UserError: it is, or it is larger than the parser may read.
-    """
-    with open_bytes(path) as file:
-        data = file.read(MAX_JSON + 1)
-    if len(data) > MAX_JSON:
-        raise UserError(
-            f"{path}: JSON-LD of more than {MAX_JSON / 2**20:.0f} MiB is not read. Write the graph "
-            f"as N-Triples."
-        )
-    depth = 0
-    for token in _JSON_TOKEN.finditer(data):
-        bracket = token[0][:1]
-        depth += (bracket in b"[{") - (bracket in b"]}")
-        if depth > MAX_DEPTH:
-            line = 1 + data.count(b"\n", 0, token.start())
-            raise UserError(
-                f"{path}, line {line}: values are nested more than {MAX_DEPTH} deep, which no "
-                f"graph needs. Correct the file, or write it as Turtle."
-            )
-
-
-def _xml_error(path: Path) -> tuple[int, str] | None:
-    """Return line and reason of the first place that is not well-formed XML."""
-    try:
-        with open_bytes(path) as file:
-            expat.ParserCreate().ParseFile(file)
-    except expat.ExpatError as error:
-        return error.lineno, expat.errors.messages[error.code]
-    return None
 
 
 def _refuse_functional_syntax(path: Path) -> None:

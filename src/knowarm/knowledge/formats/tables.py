@@ -1,14 +1,15 @@
-"""CSV and TSV tables with the columns head, relation and tail."""
+"""CSV and TSV tables with the columns head, relation and tail, and ConceptNet's assertions."""
 
 import csv
-from collections.abc import Iterator
+import json
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from knowarm.errors import UserError
-from knowarm.knowledge.builder import GraphBuilder
-from knowarm.knowledge.formats.lines import MAX_LINE, text_lines
-from knowarm.knowledge.graph import KnowledgeGraph
-from knowarm.knowledge.terms import LABEL_RELATIONS, literal
+from knowarm.knowledge.formats.lines import MAX_LINE, byte_lines, decode, text_lines
+from knowarm.knowledge.graph.builder import GraphBuilder
+from knowarm.knowledge.graph.graph import KnowledgeGraph
+from knowarm.knowledge.graph.terms import LABEL_RELATIONS, literal
 
 HEADERS = (("head", "relation", "tail"), ("h", "r", "t"), ("subject", "predicate", "object"))
 """First rows that name the columns and are no triple."""
@@ -18,9 +19,6 @@ def read_table(path: Path, separator: str) -> KnowledgeGraph:
     """Read a table of names; a first row such as `head,relation,tail` is skipped.
 
     CSV follows RFC 4180: quoted cells may hold commas and line ends. TSV has no quoting.
-
-    Raises:
-        UserError: a row does not have three columns, or one is empty; the line is named.
     """
     builder = GraphBuilder()
     for number, row in _tab_rows(path) if separator == "\t" else _csv_rows(path, separator):
@@ -43,11 +41,7 @@ def read_table(path: Path, separator: str) -> KnowledgeGraph:
 
 
 def write_table(graph: KnowledgeGraph, path: Path, separator: str) -> None:
-    """Write triples, then labels as rdfs:label triples. Entities without either are left out.
-
-    Raises:
-        UserError: a name contains a tab or line end, which TSV cannot hold.
-    """
+    """Write triples, then labels as rdfs:label triples. Entities without either are left out."""
     labels = [
         (name, LABEL_RELATIONS[0], literal(text))
         for name, text in sorted(graph.own_labels().items())
@@ -89,3 +83,50 @@ def _csv_rows(path: Path, separator: str) -> Iterator[tuple[int, list[str]]]:
         if row:
             yield start, row
         start = reader.line_num + 1
+
+
+def read_conceptnet(
+    path: Path,
+    *,
+    languages: Collection[str] = ("en",),
+    relations: Collection[str] | None = None,
+    min_weight: float = 1.0,
+) -> KnowledgeGraph:
+    """Read `conceptnet-assertions-5.*.csv` (also .gz): five tab-separated columns per line.
+
+    `/c/en/teapot/n` becomes the entity "teapot", `/r/UsedFor` the relation "UsedFor". Kept are
+    edges of at least a weight between terms of these languages, of these or all relations.
+    """
+    wanted = None if relations is None else {f"/r/{name}".encode() for name in relations}
+    prefixes = tuple(f"/c/{language}/".encode() for language in sorted(languages))
+    builder = GraphBuilder()
+    for number, line in byte_lines(path):
+        columns = line.split(b"\t")
+        if not line.strip():
+            continue
+        if len(columns) != 5:
+            raise UserError(
+                f"{path}, line {number}: has {len(columns)} columns, but a ConceptNet assertion "
+                f"has 5 (uri, relation, start, end, JSON). Give the file "
+                f"conceptnet-assertions-5.*.csv as it was downloaded."
+            )
+        _, relation, start, end, properties = columns
+        if not (start.startswith(prefixes) and end.startswith(prefixes)):
+            continue
+        if wanted is not None and relation not in wanted:
+            continue
+        if min_weight > 0 and _weight(properties, path, number) < min_weight:
+            continue
+        head, name, tail = (decode(column, path, number) for column in (start, relation, end))
+        builder.add(head.split("/")[3], name.removeprefix("/r/"), tail.split("/")[3])
+    return builder.build()
+
+
+def _weight(properties: bytes, path: Path, number: int) -> float:
+    try:
+        return float(json.loads(properties)["weight"])
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise UserError(
+            f"{path}, line {number}: the fifth column must be JSON with a number `weight`, "
+            f"got {properties[:60].decode(errors='replace')!r}. Download the file again."
+        ) from error

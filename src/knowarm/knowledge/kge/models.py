@@ -1,4 +1,4 @@
-"""Graph-embedding models: ANALOGY, TransE, DistMult, ComplEx and RotatE, and what they share."""
+"""Graph-embedding models: ANALOGY, TransE, DistMult and ComplEx, and what they share."""
 
 from abc import ABC, abstractmethod
 from typing import ClassVar
@@ -12,10 +12,6 @@ class KgeModel(nn.Module, ABC):
 
     A model turns head and relation into a query and compares it with every tail, so that one
     matrix product answers (h, r, ?). Heads are queried through the reciprocal relation r + R.
-
-    Attributes:
-        entity: vectors of entities, (E, D).
-        relation: vectors of relations and reciprocals, (2 R, D_r).
     """
 
     learning_rate: ClassVar[float] = 0.01
@@ -28,19 +24,12 @@ class KgeModel(nn.Module, ABC):
     def __init__(self, entities: int, relations: int, dim: int, generator: torch.Generator) -> None:
         super().__init__()
         self.relations = relations
-        entity, relation = self.init(entities, 2 * relations, dim, generator)
-        self.entity = nn.Parameter(entity)
-        self.relation = nn.Parameter(relation)
-
-    def init(
-        self, entities: int, relations: int, dim: int, generator: torch.Generator
-    ) -> tuple[Tensor, Tensor]:
-        """Draw the initial vectors of entities (E, D) and relations (relations, D_r)."""
-        return _normal(entities, dim, generator), _normal(relations, dim, generator)
+        self.entity = nn.Parameter(torch.randn(entities, dim, generator=generator) * 0.1)
+        self.relation = nn.Parameter(torch.randn(2 * relations, dim, generator=generator) * 0.1)
 
     @abstractmethod
     def query(self, head: Tensor, relation: Tensor) -> Tensor:
-        """Combine heads (B, D) and relations (B, D_r) into queries (B, D)."""
+        """Combine heads (B, D) and relations (B, D) into queries (B, D)."""
 
     def compare(self, query: Tensor, tail: Tensor) -> Tensor:
         """Score queries (B, D) against tails (E, D) by dot products, (B, E)."""
@@ -50,21 +39,9 @@ class KgeModel(nn.Module, ABC):
         """Return the absolute values whose cubes N3 sums, of real numbers or complex pairs."""
         return vectors.abs()
 
-    def relation_vectors(self) -> Tensor:
-        """Return one D-wide vector per relation, (2 R, D), for use beside entity vectors."""
-        return self.relation
-
     def forward(self, head: Tensor, relation: Tensor) -> Tensor:
         """Score every tail: ids (B,), (B,) -> scores (B, E)."""
         return self.compare(self.query(self.entity[head], self.relation[relation]), self.entity)
-
-    def score(self, head: Tensor, relation: Tensor, tail: Tensor) -> Tensor:
-        """Score single triples: ids (B,) each -> (B,)."""
-        query = self.query(self.entity[head], self.relation[relation])
-        single = [
-            self.compare(q[None], t[None])[0] for q, t in zip(query, self.entity[tail], strict=True)
-        ]
-        return torch.cat(single)
 
     def penalty(self, head: Tensor, relation: Tensor, tail: Tensor) -> Tensor:
         """N3: mean over the batch of sum |h|^3 + |r|^3 + |t|^3 (Lacroix et al. 2018, eq. 3)."""
@@ -122,58 +99,15 @@ class Analogy(KgeModel):
 
     def query(self, head: Tensor, relation: Tensor) -> Tensor:
         """Return the head times the relation's block diagonal matrix."""
-        scalars = self._scalars(head)
+        scalars = _scalars(head)
         real = head[..., :scalars] * relation[..., :scalars]
         pairs = _complex_product(head[..., scalars:], relation[..., scalars:])
         return torch.cat([real, *pairs], dim=-1)
 
     def moduli(self, vectors: Tensor) -> Tensor:
         """Return the absolute scalars and the moduli of the complex pairs."""
-        scalars = self._scalars(vectors)
+        scalars = _scalars(vectors)
         return torch.cat([vectors[..., :scalars].abs(), _moduli(vectors[..., scalars:])], dim=-1)
-
-    @staticmethod
-    def _scalars(vectors: Tensor) -> int:
-        """Return how many of the D numbers are scalars."""
-        dim = vectors.shape[-1]
-        return dim - 2 * (dim // 4)
-
-
-class RotatE(KgeModel):
-    """score(h, r, t) = -sum_i |h_i exp(i phase_i) - t_i| (Sun et al. 2019).
-
-    Entities are D/2 complex numbers, relations D/2 phases [rad].
-    """
-
-    learning_rate = 0.003
-    n3 = 0.0
-    divisor = 2
-
-    def init(
-        self, entities: int, relations: int, dim: int, generator: torch.Generator
-    ) -> tuple[Tensor, Tensor]:
-        """Draw small normal entities and phases from the whole circle."""
-        phases = (torch.rand(relations, dim // 2, generator=generator) * 2 - 1) * torch.pi
-        return _normal(entities, dim, generator), phases
-
-    def query(self, head: Tensor, relation: Tensor) -> Tensor:
-        """Return the head with every complex number rotated by its phase."""
-        a, b = _halves(head)
-        cos, sin = relation.cos(), relation.sin()
-        return torch.cat([a * cos - b * sin, a * sin + b * cos], dim=-1)
-
-    def compare(self, query: Tensor, tail: Tensor) -> Tensor:
-        """Return the negative sums of the moduli of the differences."""
-        return -torch.cdist(self._planes(query), self._planes(tail)).sum(dim=0)
-
-    def relation_vectors(self) -> Tensor:
-        """Return cosines and sines of the phases, (2 R, D)."""
-        return torch.cat([self.relation.cos(), self.relation.sin()], dim=-1)
-
-    @staticmethod
-    def _planes(vectors: Tensor) -> Tensor:
-        """Return each complex number as a point of its own plane, (n, D) -> (D/2, n, 2)."""
-        return torch.stack(_halves(vectors), dim=-1).transpose(0, 1).contiguous()
 
 
 MODELS: dict[str, type[KgeModel]] = {
@@ -181,14 +115,13 @@ MODELS: dict[str, type[KgeModel]] = {
     "transe": TransE,
     "distmult": DistMult,
     "complex": ComplEx,
-    "rotate": RotatE,
 }
 """Every model by name. A new one is one class like `DistMult` and one line here."""
 
 
-def _normal(rows: int, columns: int, generator: torch.Generator) -> Tensor:
-    """Draw normal noise (rows, columns) of standard deviation 0.1."""
-    return torch.randn(rows, columns, generator=generator) * 0.1
+def _scalars(vectors: Tensor) -> int:
+    """Return how many of the D numbers of ANALOGY are scalars."""
+    return vectors.shape[-1] - 2 * (vectors.shape[-1] // 4)
 
 
 def _halves(vectors: Tensor) -> tuple[Tensor, Tensor]:

@@ -1,15 +1,14 @@
 """Random splits of a graph into training, validation and test triples."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from knowarm.errors import UserError
-from knowarm.knowledge.graph import KnowledgeGraph
+from knowarm.knowledge.graph.graph import KnowledgeGraph
 
 
-@dataclass(frozen=True, kw_only=True)
-class Split:
+class Split(NamedTuple):
     """Triples in three disjoint parts, as ids (n, 3) int64: head, relation, tail."""
 
     graph: KnowledgeGraph
@@ -45,15 +44,7 @@ def split_graph(
     """Split a graph at random so that every entity and relation occurs in training.
 
     Triples are taken in a random order; one is held out only while training keeps another triple
-    of its head, relation and tail.
-
-    Args:
-        graph: what to split.
-        valid, test: shares to hold out.
-        seed: seed of the random order.
-
-    Raises:
-        UserError: the shares are out of range, or the graph is too small to hold out a triple.
+    of its head, relation and tail. `valid` and `test` are the shares to hold out.
     """
     if not (0 <= valid < 1 and 0 < test < 1 and valid + test < 1):
         raise UserError(
@@ -69,11 +60,7 @@ def split_graph(
         if len(held) == sum(wanted):
             break
         head, relation, tail = triples[row]
-        if (
-            ends[head] > 1 + (head == tail)
-            and ends[tail] > 1 + (head == tail)
-            and uses[relation] > 1
-        ):
+        if min(ends[head], ends[tail]) > 1 + (head == tail) and uses[relation] > 1:
             ends[head] -= 1
             ends[tail] -= 1
             uses[relation] -= 1

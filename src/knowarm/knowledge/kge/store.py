@@ -1,8 +1,9 @@
 """Files of trained graph embeddings: safetensors with names and config, no pickled code."""
 
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -11,52 +12,39 @@ from safetensors.torch import save
 
 from knowarm.config import from_dict
 from knowarm.errors import UserError
-from knowarm.knowledge.graph import KnowledgeGraph
+from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.kge.models import KgeModel
 from knowarm.knowledge.kge.train import new_model
-from knowarm.knowledge.names import SEPARATOR
-from knowarm.reading import reading
+from knowarm.reading import reading, writing
 
 FORMAT = "knowarm-graph-embedding-1"
-
 AGAIN = "Fit the model again with `knowarm knowledge fit GRAPH --out FILE`."
 """Remedy for a damaged file."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class StoredModel:
+class StoredModel(NamedTuple):
     """A trained model with the names of its rows."""
 
     config: KgeConfig
-    model: KgeModel = field(repr=False)
-    entities: tuple[str, ...] = field(repr=False)
-    relations: tuple[str, ...] = field(repr=False)
+    model: KgeModel
+    entities: tuple[str, ...]
+    relations: tuple[str, ...]
 
 
 def save_model(model: KgeModel, config: KgeConfig, graph: KnowledgeGraph, path: Path) -> None:
-    """Write a model.
-
-    Raises:
-        UserError: the file cannot be written.
-    """
+    """Write a model."""
     tensors = {name: value.detach().contiguous() for name, value in model.state_dict().items()}
     for name, names in (("entities", graph.names), ("relations", graph.relation_names)):
         tensors[f"names.{name}"] = torch.from_numpy(np.frombuffer(names.blob, np.uint8).copy())
-    try:
+    with writing(path, "Give another path."):
         path.parent.mkdir(parents=True, exist_ok=True)
         # `save_file` raises another type of error than `OSError` when a disk is full.
         path.write_bytes(save(tensors, {"format": FORMAT, "config": json.dumps(asdict(config))}))
-    except OSError as error:
-        raise UserError(f"Cannot write {path}: {error.strerror}. Give another path.") from error
 
 
 def load_model(path: Path) -> StoredModel:
-    """Read a model that `save_model` wrote.
-
-    Raises:
-        UserError: there is no such file, it is incomplete, or it holds something else.
-    """
+    """Read a model that `save_model` wrote."""
     if not path.is_file():
         raise UserError(f"There is no model file {path}. Write one with `save_model`.")
     with reading(path, AGAIN), safe_open(path, "pt") as file:
@@ -70,18 +58,9 @@ def load_model(path: Path) -> StoredModel:
     with reading(path, AGAIN):
         config = from_dict(KgeConfig, json.loads(about["config"]))
         entities, relations = (
-            tuple(
-                tensors.pop(f"names.{kind}")
-                .numpy()
-                .tobytes()
-                .decode()
-                .split(SEPARATOR.decode())[:-1]
-            )
+            tuple(tensors.pop(f"names.{kind}").numpy().tobytes().decode().split("\0")[:-1])
             for kind in ("entities", "relations")
         )
-        numbers = sum(value.numel() for value in tensors.values())
-        if numbers < (len(entities) + len(relations)) * config.dim:  # before memory is allocated
-            raise ValueError(f"{numbers:,} numbers are too few for its names and dimension")
         if not all(torch.isfinite(value).all() for value in tensors.values()):
             raise ValueError("it contains non-finite values")
         model = new_model(config, len(entities), len(relations))

@@ -1,7 +1,9 @@
-"""Training of graph embeddings: 1-vs-all cross-entropy with early stopping."""
+"""Training of graph embeddings with early stopping, and filtered ranks of link prediction."""
 
+from collections import defaultdict
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from copy import deepcopy
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -10,32 +12,89 @@ from torch.nn.functional import cross_entropy
 from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.kge.models import MODELS, KgeModel
-from knowarm.knowledge.kge.rank import rank, reciprocal
 from knowarm.threads import torch_threads
 
 
-@dataclass(frozen=True, kw_only=True)
-class Trained:
+class Trained(NamedTuple):
     """A trained model and the record of its training."""
 
-    model: KgeModel = field(repr=False)
+    model: KgeModel
     """The model with the vectors of the best epoch."""
     epochs: int
     """Number of epochs run."""
     best_epoch: int
     """The epoch whose vectors are returned."""
-    losses: tuple[float, ...] = field(repr=False)
+    losses: tuple[float, ...]
     """Mean loss of each epoch."""
-    valid_mrr: tuple[tuple[int, float], ...] = ()
+    valid_mrr: tuple[tuple[int, float], ...]
     """(epoch, MRR) of each evaluation on the validation triples."""
 
 
-def new_model(config: KgeConfig, entities: int, relations: int) -> KgeModel:
-    """Make an untrained model.
+class LinkPrediction(NamedTuple):
+    """Result of ranking held-out triples among all others."""
 
-    Raises:
-        UserError: the model is unknown, or the dimension is not allowed for it.
+    ranks: np.ndarray
+    """Filtered realistic ranks: tails of every triple, then heads, (2 n,) float64."""
+
+    @property
+    def mrr(self) -> float:
+        """Mean reciprocal rank, 0 to 1."""
+        return float((1.0 / self.ranks).mean()) if len(self.ranks) else float("nan")
+
+    def hits_at(self, k: int) -> float:
+        """Share of ranks at most k."""
+        return float((self.ranks <= k).mean()) if len(self.ranks) else float("nan")
+
+    def describe(self) -> dict[str, float]:
+        """Return the measures as JSON-able values, for both directions together and each alone."""
+        half = len(self.ranks) // 2
+        tails, heads = (LinkPrediction(each) for each in np.split(self.ranks, 2))
+        values = {"mrr": self.mrr, "mrr_tails": tails.mrr, "mrr_heads": heads.mrr}
+        values |= {f"hits_at_{k}": self.hits_at(k) for k in (1, 3, 10)}
+        return values | {"mean_rank": float(self.ranks.mean()), "triples": float(half)}
+
+
+@torch.no_grad()
+def rank(
+    model: KgeModel, triples: np.ndarray, known: np.ndarray, batch_size: int = 256
+) -> LinkPrediction:
+    """Rank true tail and head of triples (n, 3) among all entities, given all true triples (m, 3).
+
+    Filtered: entities that complete another known triple are skipped (Bordes et al. 2013).
+    Realistic: entities with the same score share a rank: 1 + #(higher) + #(equal) / 2.
     """
+    model.eval()
+    heads, known_heads = (reciprocal(each, model.relations) for each in (triples, known))
+    tails = _ranks(model, triples, known, batch_size)
+    return LinkPrediction(np.concatenate([tails, _ranks(model, heads, known_heads, batch_size)]))
+
+
+def reciprocal(triples: np.ndarray, relations: int) -> np.ndarray:
+    """Return (t, r + R, h) for each (h, r, t), (n, 3) int64."""
+    return np.stack([triples[:, 2], triples[:, 1] + relations, triples[:, 0]], axis=1)
+
+
+def _ranks(model: KgeModel, triples: np.ndarray, known: np.ndarray, batch_size: int) -> np.ndarray:
+    answers: dict[tuple[int, int], list[int]] = defaultdict(list)
+    asked = {(h, r) for h, r, _ in triples.tolist()}
+    for h, r, t in known.tolist():
+        if (h, r) in asked:
+            answers[h, r].append(t)
+    ranks = []
+    for start in range(0, len(triples), batch_size):
+        batch = torch.from_numpy(triples[start : start + batch_size])
+        scores = model(batch[:, 0], batch[:, 1])
+        true = scores.gather(1, batch[:, 2:])
+        for row, (h, r, _) in enumerate(batch.tolist()):
+            scores[row, answers[h, r]] = -torch.inf
+        higher = (scores > true).sum(dim=1)
+        equal = (scores == true).sum(dim=1)  # the true one itself was filtered too
+        ranks.append((1.0 + higher + equal / 2.0).double().numpy())
+    return np.concatenate(ranks) if ranks else np.empty(0)
+
+
+def new_model(config: KgeConfig, entities: int, relations: int) -> KgeModel:
+    """Make an untrained model."""
     if config.model not in MODELS:
         raise unknown_name("graph-embedding model", config.model, MODELS)
     kind = MODELS[config.model]
@@ -60,17 +119,8 @@ def train(
 
         loss = -log softmax(score(h, r, .))_t + n3 * N3(h, r, t)
 
-    Args:
-        config: the model and its training.
-        triples: (n, 3) int64.
-        entities: number of entities.
-        relations: number of relations.
-        valid: validation triples (m, 3); None trains for all epochs.
-        known: all true triples, for filtered ranks; None takes `triples` and `valid`.
-        on_epoch: called with the epoch, its loss, and the validation MRR if it was evaluated.
-
-    Raises:
-        UserError: the model is unknown, the dimension is not allowed for it, or there is no triple.
+    Without validation triples (m, 3), all epochs are trained. ``known`` are all true triples for
+    filtered ranks, by default the given ones. ``on_epoch`` receives epoch, loss and validation MRR.
     """
     if not len(triples):
         raise UserError("There is no triple to train on. Give a graph with at least a few facts.")
@@ -80,60 +130,40 @@ def train(
         known = triples if valid is None else np.concatenate([triples, valid])
     with torch_threads(config.threads):
         model = new_model(config, entities, relations)
-        return _loop(model, config, triples, valid, known, on_epoch)
-
-
-def _loop(
-    model: KgeModel,
-    config: KgeConfig,
-    triples: np.ndarray,
-    valid: np.ndarray | None,
-    known: np.ndarray,
-    on_epoch: Callable[[int, float, float | None], None] | None,
-) -> Trained:
-    rate = model.learning_rate if config.learning_rate is None else config.learning_rate
-    n3 = model.n3 if config.n3 is None else config.n3
-    optimizer = torch.optim.Adam(model.parameters(), lr=rate)
-    order = torch.Generator().manual_seed(config.seed + 1)
-    queries = torch.from_numpy(np.concatenate([triples, reciprocal(triples, model.relations)]))
-    losses: list[float] = []
-    looks: list[tuple[int, float]] = []
-    best, best_epoch, kept = -1.0, 0, _copy(model)
-    for epoch in range(1, config.epochs + 1):
-        model.train()
-        total = 0.0
-        for rows in torch.randperm(len(queries), generator=order).split(config.batch_size):
-            head, relation, tail = queries[rows].T
-            loss = cross_entropy(
-                model(head, relation), tail, label_smoothing=config.label_smoothing
-            )
-            if n3:
-                loss = loss + n3 * model.penalty(head, relation, tail)
-            optimizer.zero_grad()
-            loss.backward()
-            optimizer.step()
-            total += loss.item() * len(rows)
-        losses.append(total / len(queries))
-        mrr = None
-        if valid is not None and (epoch % config.evaluate_every == 0 or epoch == config.epochs):
-            mrr = rank(model, valid, known).mrr
-            looks.append((epoch, mrr))
-            if mrr > best:
-                best, best_epoch, kept = mrr, epoch, _copy(model)
-        if on_epoch is not None:
-            on_epoch(epoch, losses[-1], mrr)
-        if valid is not None and epoch - best_epoch >= config.patience * config.evaluate_every:
-            break
-    if valid is not None:
-        model.load_state_dict(kept)
-    return Trained(
-        model=model,
-        epochs=len(losses),
-        best_epoch=best_epoch if valid is not None else len(losses),
-        losses=tuple(losses),
-        valid_mrr=tuple(looks),
-    )
-
-
-def _copy(model: KgeModel) -> dict[str, torch.Tensor]:
-    return {name: value.detach().clone() for name, value in model.state_dict().items()}
+        rate = model.learning_rate if config.learning_rate is None else config.learning_rate
+        n3 = model.n3 if config.n3 is None else config.n3
+        optimizer = torch.optim.Adam(model.parameters(), lr=rate)
+        order = torch.Generator().manual_seed(config.seed + 1)
+        queries = torch.from_numpy(np.concatenate([triples, reciprocal(triples, model.relations)]))
+        losses: list[float] = []
+        looks: list[tuple[int, float]] = []
+        best, best_epoch, kept = -1.0, 0, deepcopy(model.state_dict())
+        for epoch in range(1, config.epochs + 1):
+            model.train()
+            total = 0.0
+            for rows in torch.randperm(len(queries), generator=order).split(config.batch_size):
+                head, relation, tail = queries[rows].T
+                scores = model(head, relation)
+                loss = cross_entropy(scores, tail, label_smoothing=config.label_smoothing)
+                if n3:
+                    loss = loss + n3 * model.penalty(head, relation, tail)
+                optimizer.zero_grad()
+                loss.backward()
+                optimizer.step()
+                total += loss.item() * len(rows)
+            losses.append(total / len(queries))
+            mrr = None
+            if valid is not None and (epoch % config.evaluate_every == 0 or epoch == config.epochs):
+                mrr = rank(model, valid, known).mrr
+                looks.append((epoch, mrr))
+                if mrr > best:
+                    best, best_epoch, kept = mrr, epoch, deepcopy(model.state_dict())
+            if on_epoch is not None:
+                on_epoch(epoch, losses[-1], mrr)
+            if valid is not None and epoch - best_epoch >= config.patience * config.evaluate_every:
+                break
+        if valid is None:
+            best_epoch = len(losses)
+        else:
+            model.load_state_dict(kept)
+        return Trained(model, len(losses), best_epoch, tuple(losses), tuple(looks))

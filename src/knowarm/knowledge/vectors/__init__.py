@@ -1,11 +1,8 @@
 """Vector sources: word vectors, graph embeddings, sentence encoders and placebos, by kind."""
 
-from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
 
-from knowarm.config import to_dict
 from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge.vectors.encoder import SentenceEncoder
 from knowarm.knowledge.vectors.graph_embedding import GraphEmbedding
@@ -18,10 +15,10 @@ from knowarm.knowledge.vectors.placebos import (
     WrongObject,
     Zeros,
 )
-from knowarm.knowledge.vectors.source import Source, VectorSource
+from knowarm.knowledge.vectors.source import SOURCES, VectorSource
 from knowarm.knowledge.vectors.words import SHIPPED, WordVectors
 
-SOURCES: dict[str, type[Source]] = {
+SOURCES |= {
     "words": WordVectors,
     "graph": GraphEmbedding,
     "sentence-transformers": SentenceEncoder,
@@ -32,22 +29,14 @@ SOURCES: dict[str, type[Source]] = {
     "wrong-object": WrongObject,
     "learned": Learned,
 }
-"""Config class of every source by its `kind`. A new source is one class and one line here."""
+# A new source is one class and one line here.
 
 
-def source_named(name: str, matches: str = "wordnet-gloss-50") -> Source:
-    """Return the source that a short name stands for.
+def source_named(name: str) -> VectorSource:
+    """Return the source of a short name.
 
-    Short names are those of run format 1: shipped vectors ("wordnet-gloss-50"), the path of a
-    file of word vectors or of a fitted graph embedding (.safetensors), a graph-embedding model
-    ("analogy"), a kind, or a kind with its first field ("sentence-transformers:PATH").
-
-    Args:
-        name: the short name.
-        matches: short name of the real source that a placebo copies.
-
-    Raises:
-        UserError: the name stands for no source.
+    The name of shipped vectors, the path of word vectors or of a fitted model (.safetensors), a
+    graph-embedding model ("analogy"), a kind, or one with its first field ("random:analogy").
     """
     kind, _, value = name.partition(":")
     if name in SHIPPED:
@@ -55,7 +44,7 @@ def source_named(name: str, matches: str = "wordnet-gloss-50") -> Source:
     if kind in SOURCES:
         cls = SOURCES[kind]
         if issubclass(cls, Placebo):
-            return cls(matches=source_named(value or matches))  # type: ignore[arg-type]
+            return cls(matches=source_named(value)) if value else cls()
         first = next((field.name for field in fields(cls) if field.name != "kind"), None)
         try:
             return cls(**{first: value}) if first and value else cls()
@@ -72,24 +61,4 @@ def source_named(name: str, matches: str = "wordnet-gloss-50") -> Source:
     raise unknown_name("vector source", name, [*SHIPPED, *MODELS, *SOURCES])
 
 
-def migrate_source(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert the stored values of a `KnowledgeConfig` to the current fields.
-
-    Args:
-        values: the stored fields; format 1 holds short names in `source` and `matches`.
-
-    Returns:
-        The fields with `source` as a tagged config whose new fields mean what earlier versions
-        did; current ones unchanged.
-    """
-    migrated = dict(values)
-    source = values.get("source")
-    if isinstance(source, str):
-        named = source_named(source, migrated.pop("matches", "wordnet-gloss-50"))
-        migrated["source"] = {**to_dict(named), **named.earlier_values}
-    elif isinstance(source, Mapping) and source.get("kind") in SOURCES:
-        migrated["source"] = {**SOURCES[source["kind"]].earlier_values, **source}
-    return migrated
-
-
-__all__ = ["SOURCES", "Source", "VectorSource", "migrate_source", "source_named"]
+__all__ = ["SOURCES", "VectorSource", "source_named"]

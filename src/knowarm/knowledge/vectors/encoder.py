@@ -6,8 +6,7 @@ from typing import Literal
 import numpy as np
 
 from knowarm.errors import UserError
-from knowarm.knowledge.sentence import Part
-from knowarm.knowledge.vectors.source import Coverage, Found, Request, VectorLookup, VectorSource
+from knowarm.knowledge.vectors.source import Coverage, Found, Request, SentencePart, VectorSource
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,9 +18,8 @@ class SentenceEncoder(VectorSource):
     model: str
     """Path of a model folder, or the name of a model in the local cache."""
 
-    def open(self, request: Request) -> VectorLookup:
+    def open(self, request: Request) -> "EncoderLookup":
         """Load the model."""
-        del request
         return EncoderLookup(self.model)
 
 
@@ -29,11 +27,7 @@ class EncoderLookup:
     """Encodes labels; none is ever missing, and all have the same SIF weight."""
 
     def __init__(self, model: str) -> None:
-        """Load a model by its path or name.
-
-        Raises:
-            UserError: the package is not installed or the model cannot be loaded.
-        """
+        """Load a model by its path or name."""
         try:
             from sentence_transformers import SentenceTransformer
         except ImportError as error:
@@ -52,7 +46,7 @@ class EncoderLookup:
         self.name = model
         self.dim = int(self._encoder.get_sentence_embedding_dimension())
 
-    def find(self, part: Part, coverage: Coverage) -> Found:
+    def find(self, part: SentencePart, coverage: Coverage) -> Found:
         """Return one vector for the whole label."""
         coverage.how[part.label] = "word"
         vector = self._encoder.encode([part.label], convert_to_numpy=True, show_progress_bar=False)

@@ -9,11 +9,10 @@ import numpy as np
 
 from knowarm.errors import UserError
 from knowarm.knowledge.formats import SHIPPED, shipped_graph
-from knowarm.knowledge.graph import KnowledgeGraph
+from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.kge.split import all_triples
-from knowarm.knowledge.sentence import Part
-from knowarm.knowledge.vectors.source import Coverage, Found, Request, VectorLookup, VectorSource
+from knowarm.knowledge.vectors.source import Coverage, Found, Request, SentencePart, VectorSource
 
 EMBED_EPOCHS = 100
 """Epochs when all triples are used for training and none is left for early stopping."""
@@ -26,7 +25,7 @@ class GraphEmbedding(VectorSource):
     kind: Literal["graph"] = "graph"
     """Tells this source from the others in a file."""
     model: str = "analogy"
-    """Model that is trained on the graph: analogy, transe, distmult, complex or rotate."""
+    """Model that is trained on the graph: analogy, transe, distmult or complex."""
     file: str | None = None
     """Path of a .safetensors file of a fitted model, read instead of training."""
 
@@ -35,7 +34,7 @@ class GraphEmbedding(VectorSource):
         """Model or path of the file."""
         return self.file or self.model
 
-    def open(self, request: Request) -> VectorLookup:
+    def open(self, request: Request) -> "EntityLookup":
         """Train the model on the graph, or read it."""
         graph = request.graph
         if self.file is not None:
@@ -52,14 +51,7 @@ class EntityLookup:
     def __init__(
         self, name: str, graph: KnowledgeGraph, entities: np.ndarray, relations: np.ndarray
     ) -> None:
-        """Make a lookup.
-
-        Args:
-            name: name for messages and reports.
-            graph: the graph whose names the rows stand for.
-            entities: vectors in the order of the graph's names, (E, D) float32.
-            relations: vectors in the order of the graph's relation names, (R, D) float32.
-        """
+        """Take vectors (E, D) and (R, D) float32 in the order of the graph's names."""
         self.name = name
         self.dim = int(entities.shape[1])
         self.graph = graph
@@ -69,14 +61,14 @@ class EntityLookup:
         uses = np.bincount(graph.relations, minlength=len(relations))
         self.relation_shares = uses / max(len(graph), 1)
 
-    def find(self, part: Part, coverage: Coverage) -> Found:
+    def find(self, part: SentencePart, coverage: Coverage) -> Found:
         """Return the vector of an entity or relation; its frequency is its share of triples."""
         coverage.how[part.label] = "entity"
         if part.is_relation:
-            row = self.graph.relation_id(part.name)
-            return Found(self.relations[row : row + 1], self.relation_shares[row : row + 1])
-        row = self.graph.entity_id(part.name)
-        return Found(self.entities[row : row + 1], self.entity_shares[row : row + 1])
+            row = [self.graph.relation_id(part.name)]
+            return Found(self.relations[row], self.relation_shares[row])
+        row = [self.graph.entity_id(part.name)]
+        return Found(self.entities[row], self.entity_shares[row])
 
 
 def embed_graph(model: str, graph: KnowledgeGraph, *, dim: int, seed: int) -> EntityLookup:
@@ -86,25 +78,20 @@ def embed_graph(model: str, graph: KnowledgeGraph, *, dim: int, seed: int) -> En
     config = KgeConfig(model=model, dim=dim, seed=seed, epochs=EMBED_EPOCHS)
     relations = len(graph.relation_names)
     done = train(config, all_triples(graph), len(graph.names), relations)
-    vectors = done.model.relation_vectors().detach().numpy()[:relations]
+    vectors = done.model.relation.detach().numpy()[:relations]
     return EntityLookup(model, graph, done.model.entity.detach().numpy(), vectors)
 
 
 def stored_lookup(path: Path, graph: KnowledgeGraph) -> EntityLookup:
-    """Read the vectors of a model that `kge.store.save_model` wrote.
-
-    Raises:
-        UserError: the model has no vector for an entity or relation of the graph.
-    """
+    """Read the vectors of a model that `kge.store.save_model` wrote."""
     from knowarm.knowledge.kge.store import load_model  # torch takes a second to import
 
     stored = load_model(path)
-    vectors = {
-        "entity": (stored.entities, stored.model.entity, graph.names),
-        "relation": (stored.relations, stored.model.relation_vectors(), graph.relation_names),
-    }
     tables = []
-    for kind, (known, matrix, names) in vectors.items():
+    for kind, known, matrix, names in (
+        ("entity", stored.entities, stored.model.entity, graph.names),
+        ("relation", stored.relations, stored.model.relation, graph.relation_names),
+    ):
         row = {name: i for i, name in enumerate(known)}
         missing = [name for name in names if name not in row]
         if missing:

@@ -1,44 +1,45 @@
 """Placebos: slots of the real shape that carry no meaning, or a false one."""
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
 from knowarm.config import registered
 from knowarm.errors import UserError
-from knowarm.knowledge.builder import shuffle_tails
-from knowarm.knowledge.graph import KnowledgeGraph
-from knowarm.knowledge.vectors.source import CodeSource, Request, VectorLookup, VectorSource
+from knowarm.knowledge.graph.builder import shuffle_tails
+from knowarm.knowledge.graph.graph import KnowledgeGraph
+from knowarm.knowledge.vectors.source import SOURCES, Facet, Request, VectorLookup, VectorSource
 from knowarm.knowledge.vectors.words import WordVectors
+from knowarm.questions import Condition
 from knowarm.seeding import derive_seed
 
 
 @dataclass(frozen=True, kw_only=True)
-class Zeros(CodeSource):
+class Zeros(VectorSource):
     """Zeros: the network's shape without any input."""
 
     kind: Literal["zeros"] = "zeros"
+    placebo: ClassVar[bool] = True
+    described: ClassVar[bool] = False
     note: ClassVar[str] = "placebo: zeros, the network's shape without knowledge"
-
-    def code(self, slots: int, dim: int) -> np.ndarray:
-        """Return zeros."""
-        return np.zeros((slots, dim), np.float32)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Learned(CodeSource):
+class Learned(VectorSource):
     """The slot's number as a one-hot, for a policy that learns the vectors itself."""
 
     kind: Literal["learned"] = "learned"
+    placebo: ClassVar[bool] = True
+    described: ClassVar[bool] = False
     note: ClassVar[str] = "one-hot slot numbers; the policy learns the vectors (encoder 'learned')"
     encoder: ClassVar[Literal["identity", "learned"]] = "learned"
 
-    def code(self, slots: int, dim: int) -> np.ndarray:
+    def change_vectors(self, vectors: np.ndarray, seed: int) -> np.ndarray:
         """Return rows of the identity matrix."""
-        check_one_hot(slots, dim)
-        return np.eye(slots, dim, dtype=np.float32)
+        _check_one_hot(*vectors.shape)
+        return np.eye(*vectors.shape, dtype=np.float32)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,13 +48,19 @@ class Placebo(VectorSource):
 
     placebo: ClassVar[bool] = True
     matches: VectorSource = field(
-        default_factory=WordVectors, metadata=registered(lambda: _real_sources())
+        default_factory=WordVectors,
+        metadata=registered(lambda: [cls for cls in SOURCES.values() if not cls.placebo]),
     )
     """The real source."""
 
     def __post_init__(self) -> None:
-        if not isinstance(self.matches, VectorSource) or self.matches.placebo:
+        if self.matches.placebo:
             raise UserError(f"matches must be a real source, got the placebo {self.matches}.")
+
+    @property
+    def real(self) -> VectorSource:
+        """The source that it copies."""
+        return self.matches
 
     def open(self, request: Request) -> VectorLookup:
         """Open the real source."""
@@ -64,11 +71,10 @@ class Placebo(VectorSource):
 class DrawnPlacebo(Placebo):
     """Base of the placebos that draw random numbers, by default once per training seed."""
 
-    earlier_values: ClassVar[Mapping[str, Any]] = {"draw": None}
     draw: int | None = 0
     """Number of the draw. Each training seed and each number gives another placebo, so training
     seeds sample the control. None gives all training seeds the same one, drawn from the
-    knowledge's seed, as in runs of earlier versions."""
+    knowledge's seed."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -88,10 +94,10 @@ class RandomVectors(DrawnPlacebo):
     content_free: ClassVar[bool] = True
     note: ClassVar[str] = "placebo: random numbers, each slot as long as the real one"
 
-    def change_slots(self, slots: np.ndarray, seed: int) -> np.ndarray:
+    def change_vectors(self, vectors: np.ndarray, seed: int) -> np.ndarray:
         """Return noise scaled to the length of each slot."""
-        noise = np.random.default_rng(seed).standard_normal(slots.shape)
-        length = np.linalg.norm(slots, axis=1, keepdims=True)
+        noise = np.random.default_rng(seed).standard_normal(vectors.shape)
+        length = np.linalg.norm(vectors, axis=1, keepdims=True)
         return (noise * (length / np.linalg.norm(noise, axis=1, keepdims=True))).astype(np.float32)
 
 
@@ -105,14 +111,10 @@ class OneHot(Placebo):
         "placebo: one-hot slot numbers, as long as the real slots; identity without meaning"
     )
 
-    def change_slots(self, slots: np.ndarray, seed: int) -> np.ndarray:
+    def change_vectors(self, vectors: np.ndarray, seed: int) -> np.ndarray:
         """Return the length of each slot at the place of its number."""
-        del seed
-        check_one_hot(*slots.shape)
-        hot = np.zeros_like(slots)
-        places = np.arange(len(slots))
-        hot[places, places] = np.linalg.norm(slots, axis=1)
-        return hot
+        _check_one_hot(*vectors.shape)
+        return np.eye(*vectors.shape, dtype=np.float32) * np.linalg.norm(vectors, axis=1)[:, None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,29 +128,58 @@ class ShuffledGraph(DrawnPlacebo):
         """Permute the tails."""
         return shuffle_tails(graph, seed)
 
+    def change_facets(
+        self, facets: Sequence[Facet], graph: KnowledgeGraph, colour_relation: str, seed: int
+    ) -> Sequence[Facet]:
+        """Take each object's colours in the order of the shuffled graph."""
+        return _number_colours(facets)
+
 
 @dataclass(frozen=True, kw_only=True)
 class WrongObject(DrawnPlacebo):
-    """Real vectors of other objects: `scene.slot_subgraphs` replaces each by one of the graph."""
+    """Real vectors of other objects: each object is replaced by one of the graph."""
 
     kind: Literal["wrong-object"] = "wrong-object"
     note: ClassVar[str] = "placebo: every slot describes another object than its own"
 
+    def change_facets(
+        self, facets: Sequence[Facet], graph: KnowledgeGraph, colour_relation: str, seed: int
+    ) -> Sequence[Facet]:
+        """Replace each object by another one of the graph with as many colours."""
+        true = list(dict.fromkeys(facet.object for facet in facets))
+        needed = max(sum(facet.object == name for facet in facets) for name in true)
+        in_task = {graph.entity_id(name) for name in true}
+        relation = graph.relation_id(colour_relation)
+        heads, colours = np.unique(graph.heads[graph.relations == relation], return_counts=True)
+        others = [graph.names[i] for i in heads[colours >= needed] if i not in in_task]
+        if len(others) < len(true):
+            raise UserError(
+                f"The placebo 'wrong-object' needs {len(true)} other objects with {needed} colours "
+                f"in the graph, which has {len(others)}. Take another placebo, e.g. 'shuffled'."
+            )
+        drawn = np.random.default_rng(seed).choice(len(others), len(true), replace=False)
+        false = {name: others[i] for name, i in zip(true, drawn, strict=True)}
+        return _number_colours([facet._replace(object=false[facet.object]) for facet in facets])
 
-def check_one_hot(slots: int, dim: int) -> None:
-    """Refuse a one-hot code that is too short.
+    def change_conditions(self, conditions: Sequence[Condition]) -> Sequence[Condition]:
+        """Refuse queries."""
+        raise UserError(
+            "The placebo 'wrong-object' describes other objects, and a query has none. Take "
+            "another placebo, such as 'shuffled'."
+        )
 
-    Raises:
-        UserError: there are more slots than numbers.
-    """
+
+def _number_colours(facets: Sequence[Facet]) -> list[Facet]:
+    """Number the colours of each object in the order of its facets."""
+    return [
+        facet._replace(colour_number=sum(other.object == facet.object for other in facets[:place]))
+        for place, facet in enumerate(facets)
+    ]
+
+
+def _check_one_hot(slots: int, dim: int) -> None:
+    """Refuse a one-hot code that is too short."""
     if slots > dim:
         raise UserError(
             f"{slots} slots do not fit a one-hot of {dim} numbers. Set dim to {slots} or more."
         )
-
-
-def _real_sources() -> list[type[VectorSource]]:
-    """Return the registered sources that a placebo can copy."""
-    from knowarm.knowledge.vectors import SOURCES  # the registry imports this module
-
-    return [cls for cls in SOURCES.values() if issubclass(cls, VectorSource) and not cls.placebo]

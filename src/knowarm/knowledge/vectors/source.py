@@ -1,32 +1,61 @@
 """Interface of vector sources: what a config selects, and how labels are looked up."""
 
-from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 
 import numpy as np
 
-from knowarm.knowledge.graph import KnowledgeGraph
-from knowarm.knowledge.sentence import Part
+from knowarm.knowledge.graph.graph import KnowledgeGraph
+from knowarm.knowledge.graph.terms import label_of
+from knowarm.questions import Condition
 
+Pooling = Literal["mean", "sif"]
+SIF_A = 1e-3
+"""The constant of SIF's weight a / (a + p)."""
 OnMissing = Literal["error", "skip", "hash"]
 """What to do with a label of which no word is known: raise an error, leave it out, or give each of
 its words a fixed random vector that depends on its letters only."""
 
 
+class Facet(NamedTuple):
+    """What one slot of the scene embedding describes."""
+
+    object: str
+    """The object, by its name in the task."""
+    colour: str | None
+    """The colour, by its name in the task; None describes the object without its colours."""
+    colour_number: int | None = None
+    """Take the object's colour of this number in place of `colour`: for placebos, whose graph or
+    object does not have the true colour."""
+
+    @property
+    def name(self) -> str:
+        """The slot's name in tables: "red mug", "mug"."""
+        words = self.object if self.colour is None else f"{self.colour} {self.object}"
+        return label_of(words, {})
+
+
+class SentencePart(NamedTuple):
+    """One label of a sentence."""
+
+    name: str
+    """The entity's or relation's name in the graph."""
+    label: str
+    """Its words in lower case, separated by spaces."""
+    is_relation: bool
+    """Whether it is the label of an edge."""
+
+
 @dataclass
 class Coverage:
-    """How the labels of a scene were found in a vocabulary.
-
-    Attributes:
-        how: by label: "word", "joined", "words", "form", "alias", "part" (some words only),
-            "hash", "missing", or "entity" for graph embeddings.
-        missing: words that were not found in any form.
-    """
+    """How the labels of a scene were found in a vocabulary."""
 
     how: dict[str, str] = field(default_factory=dict)
+    """By label: "word", "joined", "words", "form", "alias", "part" (some words only), "hash",
+    "missing", or "entity" for graph embeddings."""
     missing: set[str] = field(default_factory=set)
+    """Words that were not found in any form."""
 
     @property
     def share(self) -> float:
@@ -35,9 +64,7 @@ class Coverage:
 
     @property
     def _incomplete(self) -> list[str]:
-        return sorted(
-            label for label, kind in self.how.items() if kind in ("part", "hash", "missing")
-        )
+        return sorted(k for k, how in self.how.items() if how in ("part", "hash", "missing"))
 
     def describe(self) -> dict[str, Any]:
         """Return the report as JSON-able values."""
@@ -61,17 +88,14 @@ class Found(NamedTuple):
 
 
 class VectorLookup(Protocol):
-    """An opened source: finds the vectors of labels.
-
-    Attributes:
-        name: name for messages and reports.
-        dim: numbers per vector.
-    """
+    """An opened source: finds the vectors of labels."""
 
     name: str
+    """Name for messages and reports."""
     dim: int
+    """Numbers per vector."""
 
-    def find(self, part: Part, coverage: Coverage) -> Found:
+    def find(self, part: SentencePart, coverage: Coverage) -> Found:
         """Return the vectors of one part of a sentence, and record in `coverage` how."""
         ...
 
@@ -82,7 +106,7 @@ class Request:
 
     graph: KnowledgeGraph
     """The graph, which graph embeddings are trained on."""
-    parts: Sequence[Part]
+    parts: Sequence[SentencePart]
     """The labels that will be looked up; of a vector file only their words are read."""
     dim: int
     """Numbers per vector that the experiment expects."""
@@ -95,11 +119,11 @@ class Request:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Source:
+class VectorSource:
     """Base of the configs of vector sources; a literal field `kind` tells them apart in files.
 
-    A new source derives from `VectorSource` or `CodeSource` and is registered in
-    `knowledge.vectors.SOURCES`.
+    A new source defines `open` and is registered in `knowledge.vectors.SOURCES`. A placebo is a
+    source that falsifies one step of the pipeline with a method ``change_...``.
     """
 
     placebo: ClassVar[bool] = False
@@ -107,62 +131,63 @@ class Source:
     content_free: ClassVar[bool] = False
     """Whether the numbers depend on how many slots there are and how long, not on what they
     describe: such a control fits every subject with slots of that length."""
+    described: ClassVar[bool] = True
+    """Whether slots are computed from the graph; else `change_vectors` replaces zeros."""
     note: ClassVar[str] = ""
     """What reports say beside this source."""
     encoder: ClassVar[Literal["identity", "learned"]] = "identity"
     """How the policy reads the numbers: as they are, or through weights that it learns."""
-
-    earlier_values: ClassVar[Mapping[str, Any]] = {}
-    """Meaning of fields that files of earlier versions lack, where it is not the default."""
 
     @property
     def short_name(self) -> str:
         """Name for tables: the kind, or what the source loads."""
         return str(getattr(self, "kind", type(self).__name__))
 
+    @property
+    def real(self) -> "VectorSource":
+        """The source whose lengths the slots have: itself, or the one that a placebo copies."""
+        return self
 
-@dataclass(frozen=True, kw_only=True)
-class VectorSource(Source, ABC):
-    """A source whose slots are pooled from the vectors of labels.
-
-    The methods beside `open` are for placebos, which falsify one step on the way.
-    """
-
-    @abstractmethod
     def open(self, request: Request) -> VectorLookup:
-        """Open the source.
-
-        Raises:
-            UserError: the vectors cannot be loaded.
-        """
+        """Open the source."""
+        raise NotImplementedError
 
     def draw_seed(self, seed: int, run_seed: int) -> int:
-        """Return the seed of what a placebo draws.
-
-        Args:
-            seed: of the knowledge's config.
-            run_seed: of the training run.
-        """
-        del run_seed
+        """Return the seed of what a placebo draws, from the config's and the training run's."""
         return seed
 
     def change_graph(self, graph: KnowledgeGraph, seed: int) -> KnowledgeGraph:
         """Return the graph that slots are described by."""
-        del seed
         return graph
 
-    def change_slots(self, slots: np.ndarray, seed: int) -> np.ndarray | None:
-        """Return other slots (S, D) in place of the pooled ones; None keeps those."""
-        del slots, seed
-        return None
+    def change_facets(
+        self, facets: Sequence[Facet], graph: KnowledgeGraph, colour_relation: str, seed: int
+    ) -> Sequence[Facet]:
+        """Return what the slots of a scene describe, by names of the graph."""
+        return facets
+
+    def change_conditions(self, conditions: Sequence[Condition]) -> Sequence[Condition]:
+        """Return what the slots of queries describe."""
+        return conditions
+
+    def change_vectors(self, vectors: np.ndarray, seed: int) -> np.ndarray:
+        """Return the slots (S, D) that the policy receives in place of the pooled ones."""
+        return vectors
 
 
-@dataclass(frozen=True, kw_only=True)
-class CodeSource(Source, ABC):
-    """A source whose slots depend on their number only, not on the graph."""
+SOURCES: dict[str, type[VectorSource]] = {}
+"""Config class of every source by its `kind`; filled by ``knowledge.vectors``."""
 
-    placebo: ClassVar[bool] = True
 
-    @abstractmethod
-    def code(self, slots: int, dim: int) -> np.ndarray:
-        """Return the slots, (slots, dim) float32."""
+def pool(found: Sequence[Found], pooling: Pooling, centre: np.ndarray | float) -> np.ndarray:
+    """Pool the vectors of labels, less a centre (D,) or 0, into one, (D,) float64.
+
+    mean: sum_w v_w / n;  sif: sum_w a / (a + p(w)) v_w / n  (Arora, Liang and Ma 2017, eq. 3).
+    """
+    vectors = np.concatenate([f.vectors for f in found]).astype(np.float64) - centre
+    if not len(vectors):
+        return np.zeros(vectors.shape[1])
+    if pooling == "mean":
+        return vectors.mean(axis=0)
+    frequencies = np.concatenate([f.frequencies for f in found])
+    return (vectors * (SIF_A / (SIF_A + frequencies))[:, None]).mean(axis=0)

@@ -1,9 +1,12 @@
-"""Word vectors, shipped or from a file, and the lookup of labels among them."""
+"""Word vectors, shipped or from a file in the formats of GloVe and word2vec, and their lookup."""
 
 import hashlib
-from collections.abc import Iterator, Mapping
+import re
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache, cached_property
+from itertools import chain, islice
 from pathlib import Path
 from typing import Literal
 
@@ -11,58 +14,33 @@ import numpy as np
 from safetensors.numpy import load_file
 
 from knowarm.errors import UserError, unknown_name
-from knowarm.knowledge.sentence import Part
+from knowarm.knowledge.formats.lines import byte_lines, decode
 from knowarm.knowledge.vectors.source import (
     Coverage,
     Found,
     OnMissing,
     Request,
+    SentencePart,
     VectorLookup,
     VectorSource,
 )
-from knowarm.knowledge.vectors.word_forms import all_forms, joined_forms, word_forms
 
 DATA = Path(__file__).parent / "data"
-
 SHIPPED = {"wordnet-gloss-50": DATA / "wordnet-gloss-50.safetensors"}
 """Files of the shipped vectors: float16 `vectors` (n, dim), uint8 `words` (UTF-8, one per line).
 
 `wordnet-gloss-50` is made by scripts/build_wordnet_vectors.py from WordNet's glosses.
 """
+_HEADER = re.compile(rb"\d+ \d+ *")
+_NUMBER = re.compile(r"[-+]?\d+\.\d+(?:[eE][-+]?\d+)?")
+_FIRST_LINES = 100
+_BRITISH = ["colour", "grey", "aluminium", "centre", "fibre", "jewellery", "mould", "tyre"]
+_AMERICAN = ["color", "gray", "aluminum", "center", "fiber", "jewelry", "mold", "tire"]
+_SPELLINGS = dict(zip(_BRITISH + _AMERICAN, _AMERICAN + _BRITISH, strict=True))
+"""Other spelling of a word."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class WordVectors(VectorSource):
-    """One vector per word of a label."""
-
-    kind: Literal["words"] = "words"
-    """Tells this source from the others in a file."""
-    name: str = "wordnet-gloss-50"
-    """Key of `SHIPPED`: vectors that come with the package."""
-    file: str | None = None
-    """Path of a file in GloVe's format to read instead, e.g. glove.6B.50d.txt."""
-
-    @property
-    def short_name(self) -> str:
-        """Name of the vectors or path of the file."""
-        return self.file or self.name
-
-    def open(self, request: Request) -> VectorLookup:
-        """Load the shipped vectors, or read the words of the request from the file."""
-        if self.file is not None:
-            from knowarm.knowledge.vectors.glove import read_word_vectors
-
-            parts, aliases = request.parts, request.aliases
-            forms = {form for part in parts for form in all_forms(part.label, aliases)}
-            table = read_word_vectors(Path(self.file), forms)
-        elif self.name in SHIPPED:
-            table = shipped_vectors(self.name)
-        else:
-            raise unknown_name("shipped word vectors", self.name, SHIPPED)
-        return WordLookup(table, aliases=request.aliases, on_missing=request.on_missing)
-
-
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class WordTable:
     """Words with their vectors and their frequency ranks."""
 
@@ -93,8 +71,116 @@ class WordTable:
 
         Zipf's law, p(rank) = 1 / (rank * H(size)): a vector file gives the order of words only.
         """
-        harmonic = np.log(self.size) + 0.5772156649
-        return 1.0 / (self.ranks * harmonic)
+        return 1.0 / (self.ranks * (np.log(self.size) + 0.5772156649))
+
+
+def read_word_vectors(path: Path, wanted: Collection[str] | None = None) -> WordTable:
+    """Read word vectors: lines of `word number number ...`, most frequent word first.
+
+    The file is plain text, .gz, .bz2, .xz or .zip (with one member) and may have a
+    word2vec header and words that contain spaces. Numbers are parsed for wanted words only: a file
+    of 400,000 words x 50 takes about a second.
+    """
+    if not path.is_file():
+        raise UserError(
+            f"There is no word-vector file {path}. Give the path of a file in GloVe's format "
+            f"(glove.6B.50d.txt), or take the shipped vectors wordnet-gloss-50."
+        )
+    if path.suffix.lower() in (".bin", ".model", ".npy"):
+        raise UserError(
+            f"{path}: binary vectors are not read. Save them as text: in gensim "
+            f"`KeyedVectors.load_word2vec_format(..., binary=True).save_word2vec_format('v.txt')`."
+        )
+    keep = None if wanted is None else {word.encode() for word in wanted}
+    first_words = None if keep is None else {word.split(b" ", 1)[0] for word in keep}
+    words: list[str] = []
+    rows: list[np.ndarray] = []
+    ranks: list[int] = []
+    seen: set[bytes] = set()
+    count = 0
+    lines = byte_lines(path)
+    beginning = list(islice(lines, _FIRST_LINES))
+    header = int(bool(beginning) and _HEADER.fullmatch(beginning[0][1]) is not None)
+    dim = _dimension([line for _, line in beginning[header:]], path, header)
+    for number, line in chain(beginning, lines):
+        if line.count(b" ") != dim:
+            if number <= header or not line.strip():
+                continue
+            line = line.rstrip(b" ")
+            if line.count(b" ") != dim:
+                _check_wide(line, dim, path, number)
+        count += 1
+        if first_words is not None and line[: line.find(b" ")] not in first_words:
+            continue
+        word, *numbers = line.rsplit(b" ", dim)
+        if word in seen or (keep is not None and word not in keep):
+            continue
+        seen.add(word)
+        words.append(decode(word, path, number))
+        ranks.append(count)
+        try:
+            rows.append(np.array(numbers, dtype=np.float32))
+        except ValueError:
+            rows.append(np.full(dim, np.nan, np.float32))
+        if not np.isfinite(rows[-1]).all():
+            raise UserError(
+                f"{path}, line {number}: the vector of {words[-1]!r} contains a non-finite value "
+                "or text. Correct or delete the line."
+            )
+    vectors = np.array(rows, np.float32).reshape(len(rows), dim)
+    return WordTable(path.name, tuple(words), vectors, np.array(ranks), count)
+
+
+def _dimension(lines: list[bytes], path: Path, header: int) -> int:
+    """Return the dimension of most of the first lines."""
+    fields = Counter(len(line.split()) - 1 for line in lines if line.strip())
+    dim = max(fields, key=lambda n: fields[n], default=0)
+    if dim < 2:
+        raise UserError(
+            f"{path}, line {1 + header}: expected a word and its numbers, separated by spaces. "
+            f"Give a file in GloVe's format, e.g. glove.6B.50d.txt."
+        )
+    return dim
+
+
+def _check_wide(line: bytes, dim: int, path: Path, number: int) -> None:
+    """Accept a line whose word contains spaces; refuse one of another dimension."""
+    fields = line.split(b" ")
+    extra = [field.decode(errors="replace") for field in fields[1:-dim]]
+    if len(fields) - 1 < dim or (extra and all(_NUMBER.fullmatch(field) for field in extra)):
+        raise UserError(
+            f"{path}, line {number}: has {len(fields) - 1} numbers, the lines before {dim}. "
+            f"All words of a file must have the same dimension; download the file again."
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class WordVectors(VectorSource):
+    """One vector per word of a label."""
+
+    kind: Literal["words"] = "words"
+    """Tells this source from the others in a file."""
+    name: str = "wordnet-gloss-50"
+    """Key of `SHIPPED`: vectors that come with the package."""
+    file: str | None = None
+    """Path of a file in GloVe's format to read instead, e.g. glove.6B.50d.txt."""
+
+    @property
+    def short_name(self) -> str:
+        """Name of the vectors or path of the file."""
+        return self.file or self.name
+
+    def open(self, request: Request) -> VectorLookup:
+        """Load the shipped vectors, or read the words of the request from the file."""
+        if self.file is not None:
+            parts, aliases = request.parts, request.aliases
+            forms = {form for part in parts for form in all_forms(part.label, aliases)}
+            table = read_word_vectors(Path(self.file), forms)
+        elif self.name in SHIPPED:
+            table = shipped_vectors(self.name)
+        else:
+            raise unknown_name("shipped word vectors", self.name, SHIPPED)
+        return WordLookup(table, aliases=request.aliases, on_missing=request.on_missing)
 
 
 @cache
@@ -102,13 +188,8 @@ def shipped_vectors(name: str) -> WordTable:
     """Load shipped word vectors, all words, once per process."""
     tensors = load_file(SHIPPED[name])
     words = tuple(tensors["words"].tobytes().decode().split("\n"))
-    return WordTable(
-        name=name,
-        words=words,
-        vectors=tensors["vectors"].astype(np.float32),
-        ranks=np.arange(1, len(words) + 1),
-        size=len(words),
-    )
+    vectors, ranks = tensors["vectors"].astype(np.float32), np.arange(1, len(words) + 1)
+    return WordTable(name, words, vectors, ranks, len(words))
 
 
 class WordLookup:
@@ -125,25 +206,14 @@ class WordLookup:
         aliases: Mapping[str, str] | None = None,
         on_missing: OnMissing = "error",
     ) -> None:
-        """Make a lookup.
-
-        Args:
-            vectors: the words.
-            aliases: other words for a label or word, e.g. {"cobot": "robot arm"}.
-            on_missing: what to do with a label of which no word is known.
-        """
         self.words = vectors
         self.name = vectors.name
         self.dim = vectors.dim
         self.aliases = {k.lower(): v.lower() for k, v in (aliases or {}).items()}
         self.on_missing = on_missing
 
-    def find(self, part: Part, coverage: Coverage) -> Found:
-        """Return the vectors of a label's words.
-
-        Raises:
-            UserError: no word of the label is known and `on_missing` is "error".
-        """
+    def find(self, part: SentencePart, coverage: Coverage) -> Found:
+        """Return the vectors of a label's words."""
         rows, kind, missing = self._rows(part.label)
         if rows or self.on_missing != "hash":
             coverage.missing |= set(missing)
@@ -174,30 +244,23 @@ class WordLookup:
         return self._word_by_word(label.split())
 
     def _word_by_word(self, words: list[str]) -> tuple[list[int], str, list[str]]:
-        rows, missing, kind = [], [], "words"
+        rows, missing, kind = list[int](), list[str](), "words"
         for word in words:
-            found = next(self._one(word), None)
-            if found is None:
-                missing.append(word)
-            else:
-                rows += found[0]
-                kind = found[1] if found[1] != "words" else kind
-        if missing:
-            kind = "part" if rows else "missing"
-        return rows, kind, missing
+            found, how = self._one(word)
+            rows += found
+            missing += [] if found else [word]
+            kind = how or kind
+        return rows, ("part" if rows else "missing") if missing else kind, missing
 
-    def _one(self, word: str) -> Iterator[tuple[list[int], str]]:
-        """Yield ways to find one word, best first."""
+    def _one(self, word: str) -> tuple[list[int], str]:
+        """Return the rows of one word, and how it was found if that was not unchanged."""
         index = self.words.index
         if word in index:
-            yield [index[word]], "words"
-        if word in self.aliases:
-            known = [index[w] for w in self.aliases[word].split() if w in index]
-            if known:
-                yield known, "alias"
-        for form in word_forms(word):
-            if form in index:
-                yield [index[form]], "form"
+            return [index[word]], ""
+        if known := [index[w] for w in self.aliases.get(word, "").split() if w in index]:
+            return known, "alias"
+        known = [index[form] for form in word_forms(word) if form in index][:1]
+        return known, "form" if known else ""
 
     def _hashed(self, label: str, coverage: Coverage) -> Found:
         """Return random vectors of the median length that depend on the words' letters only."""
@@ -211,3 +274,53 @@ class WordLookup:
         coverage.missing |= set(label.split())
         rarest = np.full(len(vectors), 1.0 / self.words.size)
         return Found(np.array(vectors, np.float32), rarest)
+
+
+def joined_forms(label: str) -> list[str]:
+    """Return the spellings of a label of several words as one word."""
+    words = label.split()
+    return [glue.join(words) for glue in ("-", "_", "", " ")] if len(words) > 1 else []
+
+
+def word_forms(word: str) -> list[str]:
+    """Return other forms of a word, nearest first: spelling, singular, lemma."""
+    forms = [_SPELLINGS[word]] if word in _SPELLINGS else []
+    forms += _stems(word)
+    return list(dict.fromkeys(form for form in forms if len(form) > 1 and form != word))
+
+
+def all_forms(label: str, aliases: Mapping[str, str]) -> set[str]:
+    """Return every spelling that the lookup of a label may try."""
+    forms = {label, *joined_forms(label)}
+    for word in label.split():
+        forms |= {word, *word_forms(word)}
+    for key in (label, *label.split()):
+        if key in aliases:
+            alias = aliases[key].lower()
+            forms |= {alias, *alias.split(), *joined_forms(alias)}
+    return forms
+
+
+def _stems(word: str) -> Iterator[str]:
+    """Yield the singular of a word, then its lemmas."""
+    if word.endswith("'s"):
+        yield word[:-2]
+    if word.endswith("ies"):
+        yield word[:-3] + "y"
+    if word.endswith(("ses", "xes", "zes", "ches", "shes", "oes")):
+        yield word[:-2]
+    if word.endswith("ves"):
+        yield word[:-3] + "f"
+        yield word[:-3] + "fe"
+    if word.endswith("s") and not word.endswith("ss"):
+        yield word[:-1]
+    for ending in ("ing", "ed", "er", "est", "ly"):
+        stem = word.removesuffix(ending)
+        if stem == word or len(stem) < 3:
+            continue
+        yield stem
+        yield stem + "e"
+        if stem[-1] == stem[-2] and stem[-1] not in "aeiou":
+            yield stem[:-1]
+        if stem.endswith("i"):
+            yield stem[:-1] + "y"

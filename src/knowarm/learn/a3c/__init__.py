@@ -1,7 +1,7 @@
 """A3C: worker processes that update shared parameters asynchronously.
 
-`trainer` starts and supervises the processes of `worker_pool`; each `worker` learns on the
-`shared_state`; `messages` are what they exchange.
+`trainer` starts and supervises the processes; each `worker` learns on the `shared_state`;
+`messages` are what they exchange.
 """
 
 from knowarm.learn.a3c.trainer import A3CTrainer

@@ -1,16 +1,15 @@
-"""Messages between A3C's trainer and its workers, and the statistics of their updates."""
+"""Messages between A3C's trainer and its workers."""
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
+from knowarm.learn.algorithms import A3CConfig
 from knowarm.learn.checkpoint import Arrays
-from knowarm.learn.config import A3CConfig
 from knowarm.learn.environment import TorchVectorEnv
-from knowarm.learn.episode_statistics import FinishedEpisodes
 from knowarm.learn.evaluation import Metrics
 from knowarm.policy import PolicySpec
 
@@ -28,6 +27,8 @@ class A3CWorkerArgs:
     restarts: int
     """Number of former processes of this worker."""
     config: A3CConfig
+    total_steps: int
+    """Environment steps of all workers after which training ends."""
     policy: PolicySpec
     make_env: MakeEnv
     evaluate_every: int | None
@@ -36,57 +37,17 @@ class A3CWorkerArgs:
     """State of the collector to continue from; None starts new episodes."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class TrainUntil:
-    """To a worker: continue until the steps of all workers reach ``total_steps``; 0 pauses it."""
+class StateRequest(NamedTuple):
+    """To a worker: send a `WorkerState`, and then exit if ``is_last``."""
 
-    total_steps: int
-
-
-@dataclass(frozen=True, kw_only=True)
-class SendState:
-    """To a worker: send a `WorkerState`."""
-
-    number: int
-    """Of the request; the answer repeats it."""
-    with_shared: bool
-    """Include copies of the shared parameters and statistics."""
-    then_exit: bool
-    """Exit afterwards."""
+    is_last: bool
 
 
-@dataclass(frozen=True, kw_only=True)
-class UpdateReport:
-    """From a worker: one rollout and its update."""
+class WorkerState(NamedTuple):
+    """From a worker: its state between two updates; worker 0 adds copies of shared vectors."""
 
-    steps: int
-    """Environment steps of the rollout."""
-    staleness: int
-    """Updates by other workers since this worker read the parameters."""
-    policy_loss: float
-    value_loss: float
-    entropy: float
-    grad_norm: float
-    threshold_factor: float
-    """Factor of the success thresholds from now on."""
-    episodes: FinishedEpisodes
-
-
-@dataclass(frozen=True, kw_only=True)
-class EvaluationRequest:
-    """From a worker: the parameters when interim evaluation ``number`` was due."""
-
-    number: int
-    step: int
-    values: np.ndarray
-
-
-@dataclass(frozen=True, kw_only=True)
-class WorkerState:
-    """From a worker: its state between two updates."""
-
-    number: int
-    """Of the request."""
+    is_last: bool
+    """As in the request."""
     collector: Arrays
     steps: int
     updates: int
@@ -94,69 +55,30 @@ class WorkerState:
     mean_square: np.ndarray | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
-class TotalReached:
-    """From a worker: the steps of all workers have reached the total."""
+class EvaluationRequest(NamedTuple):
+    """The parameters when interim evaluation ``number`` was due."""
+
+    number: int
+    step: int
+    values: np.ndarray
 
 
-@dataclass(frozen=True, kw_only=True)
-class WorkerRestarted:
-    """From the worker pool: a worker died and was restarted."""
+class UpdateReport(NamedTuple):
+    """From a worker: one rollout and its update."""
+
+    sums: dict[str, float]
+    """Quantities that are summed over updates; see `mean_metrics`."""
+    evaluation: EvaluationRequest | None
+    """If an interim evaluation is due after this update."""
 
 
-_MEANS = ("policy_loss", "value_loss", "entropy", "grad_norm", "threshold_factor")
-"""Fields of a report whose means over the updates are metrics."""
-
-
-@dataclass
-class UpdateStatistics:
-    """Sums over the updates since the last row of metrics; plain numbers for checkpoints."""
-
-    updates: int = 0
-    steps: int = 0
-    stale: int = 0
-    staleness: int = 0
-    policy_loss: float = 0.0
-    value_loss: float = 0.0
-    entropy: float = 0.0
-    grad_norm: float = 0.0
-    threshold_factor: float = 0.0
-    episodes: int = 0
-    episode_return: float = 0.0
-    episode_length: int = 0
-    successes: int = 0
-
-    def add(self, report: UpdateReport) -> None:
-        """Add one update."""
-        self.updates += 1
-        self.steps += report.steps
-        self.stale += report.staleness > 0
-        self.staleness += report.staleness
-        for name in _MEANS:
-            setattr(self, name, getattr(self, name) + getattr(report, name))
-        self.episodes += len(report.episodes.length)
-        self.episode_return += float(report.episodes.episode_return.sum())
-        self.episode_length += int(report.episodes.length.sum())
-        self.successes += int(report.episodes.success.sum())
-
-    def metrics(self) -> Metrics:
-        """Return means over updates and episodes.
-
-        ``stale_share`` is the fraction of gradients computed from parameters that another worker
-        had changed meanwhile, ``staleness_mean`` the mean number of such changes.
-        """
-        row: Metrics = {"episodes": self.episodes}
-        if self.episodes:
-            row["return_mean"] = self.episode_return / self.episodes
-            row["length_mean"] = self.episode_length / self.episodes
-            row["success"] = self.successes / self.episodes
-        for name in _MEANS:
-            row[name] = getattr(self, name) / self.updates
-        row["updates"] = self.updates
-        row["stale_share"] = self.stale / self.updates
-        row["staleness_mean"] = self.staleness / self.updates
-        return row
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the sums as JSON values; ``UpdateStatistics(**values)`` restores them."""
-        return asdict(self)
+def mean_metrics(sums: Mapping[str, float]) -> Metrics:
+    """Return means over updates and finished episodes from the sums of `UpdateReport`."""
+    row: Metrics = {"episodes": sums["episodes"]}
+    if sums["episodes"]:
+        row["return_mean"] = sums["episode_return"] / sums["episodes"]
+        row["length_mean"] = sums["episode_length"] / sums["episodes"]
+        row["success"] = sums["successes"] / sums["episodes"]
+    for name in ("policy_loss", "value_loss", "entropy", "grad_norm", "threshold_factor"):
+        row[name] = sums[name] / sums["updates"]
+    return row | {"updates": sums["updates"]}

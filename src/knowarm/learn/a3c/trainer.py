@@ -3,7 +3,9 @@
 import logging
 import math
 import time
-from dataclasses import replace
+from collections import Counter
+from functools import partial
+from multiprocessing.connection import wait
 from typing import Any
 
 import numpy as np
@@ -13,23 +15,19 @@ from knowarm.learn.a3c.messages import (
     A3CWorkerArgs,
     EvaluationRequest,
     MakeEnv,
-    SendState,
-    TotalReached,
-    TrainUntil,
+    StateRequest,
     UpdateReport,
-    UpdateStatistics,
-    WorkerRestarted,
     WorkerState,
+    mean_metrics,
 )
 from knowarm.learn.a3c.shared_state import shared_state_specs
 from knowarm.learn.a3c.worker import run_a3c_worker
-from knowarm.learn.a3c.worker_pool import WorkerPool, check_memory
-from knowarm.learn.checkpoint import Arrays, Checkpoint
-from knowarm.learn.collector import select
-from knowarm.learn.config import A3CConfig
-from knowarm.learn.flat_parameters import FlatParameters, unflatten_parameters
-from knowarm.learn.processes import ChildProcess, process_context
-from knowarm.learn.shared_tensors import SharedTensors
+from knowarm.learn.algorithms import A3CConfig
+from knowarm.learn.checkpoint import Arrays, Checkpoint, select
+from knowarm.learn.parallel.flat_parameters import FlatParameters, unflatten_parameters
+from knowarm.learn.parallel.processes import ChildProcess, process_context, stop_all
+from knowarm.learn.parallel.shared_tensors import SharedTensors
+from knowarm.learn.parallel.supervised import SupervisedProcess
 from knowarm.learn.trainer import StopReason, Trainer, crossed
 from knowarm.policy import Policy
 
@@ -37,6 +35,9 @@ log = logging.getLogger("knowarm.learn")
 
 STATE_S = 5.0
 """Time that the workers have to send their last state once training was asked to stop [s]."""
+
+READ_S = 0.2
+"""Longest time to wait for messages of the workers before looking at everything else [s]."""
 
 
 class A3CTrainer(Trainer):
@@ -51,12 +52,6 @@ class A3CTrainer(Trainer):
         make_env: creates the environments of a worker, on the CPU; picklable.
         seed: of the run; episodes and actions of each worker have a stream each.
         options: as `Trainer`.
-
-    Attributes:
-        restarts: restarts of workers so far.
-
-    Raises:
-        UserError: the free memory is too small for the workers.
     """
 
     def __init__(
@@ -64,50 +59,51 @@ class A3CTrainer(Trainer):
     ) -> None:
         super().__init__(policy, seed=seed, **options)
         self.config = config
-        self.restarts = 0
         self._make_env = make_env
         self._parameters = FlatParameters(policy)
-        count = self._parameters.values.numel()
-        check_memory(config, image_bytes=3 * policy.shape.image_size**2, parameters=count)
-        self._context = context = process_context(
-            ["knowarm.learn.a3c.worker", getattr(make_env, "__module__", "knowarm")]
-        )
-        self._shared = SharedTensors(context, shared_state_specs(count, config.workers))
+        self._context = process_context(getattr(make_env, "__module__", "knowarm"))
+        specs = shared_state_specs(self._parameters.values.numel(), config.workers)
+        self._shared = SharedTensors(self._context, specs)
         self._shared["values"].copy_(self._parameters.values)
-        self._statistics = UpdateStatistics()
+        self._workers: list[SupervisedProcess] = []
+        self._restarts = [0] * config.workers
         self._worker_steps = [0] * config.workers
-        self._worker_restarts = [0] * config.workers
-        self._worker_states: dict[int, Arrays] = {}
+        self._collectors: dict[int, Arrays] = {}
+        self._sums: Counter[str] = Counter()
         self._requested_evaluations: dict[int, int] = {}
         self._evaluated = 0
-        self._request: SendState | None = None
-        self._requests = 0
+        self._request: StateRequest | None = None
         self._states: dict[int, WorkerState] = {}
-        self._checkpoint_due = False
-        self._paused = False
-        self._done: set[int] = set()
+        self._checkpoints_requested = 0
+
+    @property
+    def restarts(self) -> int:
+        """Restarts of workers so far."""
+        return sum(self._restarts)
 
     def _train(self, total_steps: int) -> StopReason:
         self._total_steps = total_steps
         self._begin = self._row_begin = time.perf_counter()
-        self._done.clear()
-        self._paused = False
+        self._request, self._workers = None, []
+        self._shared["paused"].fill_(False)
         reason: StopReason = "finished"
         if self._evaluates_start:
-            self._evaluate_once(EvaluationRequest(number=0, step=0, values=self._values()))
-        self._pool = WorkerPool(self._start_worker, self._worker_restarts, self._should_stop)
+            self._evaluate_once(EvaluationRequest(number=0, step=0, values=self._copy("values")))
         try:
-            while len(self._done) < self.config.workers:
+            for index, restarts in enumerate(self._restarts):
+                start = partial(self._start_worker, index)
+                self._workers.append(SupervisedProcess(start, restarts))
+            while self._shared["steps"].sum() < total_steps:
                 self._read()
                 if self._should_stop():
                     reason = "stopped"
                     break
             self._collect_last_states()
         finally:
-            self._pool.stop()
-            self._request = None
+            stop_all([worker.child for worker in self._workers], 0.0)
+        self._replace_missing_states()
         self._parameters.values.copy_(self._shared["values"])
-        self._worker_states = {index: state.collector for index, state in self._states.items()}
+        self._collectors = {index: state.collector for index, state in self._states.items()}
         checkpoint = self._checkpoint()
         if reason == "finished":
             return self._finish(lambda: self._save(checkpoint))
@@ -119,155 +115,136 @@ class A3CTrainer(Trainer):
         self._shared["values"].copy_(self._parameters.values)
         for name in ("mean_square", "steps", "updates", "evaluated"):
             self._shared[name].copy_(torch.from_numpy(checkpoint.optimizer[name]))
-        self._worker_states = {
+        self._collectors = {
             index: state
             for index in range(self.config.workers)
             if (state := select(checkpoint.state, f"worker-{index}/"))
         }
-        facts = checkpoint.facts
-        self.restarts = facts["restarts"]
-        self._statistics = UpdateStatistics(**facts["window"])
-        self._worker_restarts = facts["lives"]
+        self._restarts = checkpoint.facts["restarts"]
+        self._sums = Counter(checkpoint.facts["sums"])
         self._worker_steps = checkpoint.optimizer["steps"].tolist()
         self._evaluated = int(checkpoint.optimizer["evaluated"][0])
+        self._checkpoints_requested = self.step // self.checkpoint_every
 
-    def _values(self) -> np.ndarray:
-        return self._shared["values"].numpy().copy()
+    def _copy(self, name: str) -> np.ndarray:
+        return self._shared[name].numpy().copy()
 
     def _start_worker(self, index: int, restarts: int) -> ChildProcess:
+        self._restarts[index] = restarts
         args = A3CWorkerArgs(
             index=index,
             seed=self.seed,
             restarts=restarts,
             config=self.config,
+            total_steps=self._total_steps,
             policy=self.policy.spec(),
             make_env=self._make_env,
             evaluate_every=self.evaluate_every if self.evaluates else None,
             failure_folder=self.failure_folder,
-            state=self._worker_states.get(index),
+            state=self._collectors.get(index),
         )
         assert self._context is not None
         name = f"worker {index}"
-        child = ChildProcess.start(self._context, name, run_a3c_worker, args, self._shared)
-        child.send(TrainUntil(total_steps=0 if self._paused else self._total_steps))
-        return child
+        return ChildProcess.start(self._context, name, run_a3c_worker, args, self._shared)
 
     def _read(self) -> None:
         """Handle the messages of the workers, waiting briefly for the first one."""
-        for index, message in self._pool.read(0.2):
+        running = [i for i in range(len(self._workers)) if not self._has_exited(i)]
+        ready = wait([self._workers[i].child.connection for i in running], READ_S)
+        for index in running:
+            if self._workers[index].child.connection in ready:
+                self._read_worker(index)
+        self._take_evaluations()
+        self._shared["paused"].fill_(self._evaluator_is_behind)
+
+    def _read_worker(self, index: int) -> None:
+        worker = self._workers[index]
+        while not self._has_exited(index) and (message := worker.receive(0.0)) is not None:
             if isinstance(message, UpdateReport):
                 self._add_report(index, message)
-            elif isinstance(message, EvaluationRequest):
-                self._evaluate_once(message)
             elif isinstance(message, WorkerState):
                 self._add_state(index, message)
-            elif isinstance(message, TotalReached):
-                if self._shared["steps"].sum() >= self._total_steps:
-                    self._done.add(index)
-            elif isinstance(message, WorkerRestarted):
-                self.restarts += 1
-                self._done.discard(index)
-                if self._request is not None and index not in self._states:
-                    self._add_state(index, self._last_state(index))
-        self._take_evaluations()
-        if self._evaluator_is_behind != self._paused:
-            self._pause(self._evaluator_is_behind)
+            elif self._request is not None and index not in self._states:  # it was restarted
+                worker.send(self._request)
 
-    def _pause(self, is_paused: bool) -> None:
-        """Pause or continue all workers; they answer requests for their state meanwhile."""
-        self._paused = is_paused
-        for worker in self._pool.workers:
-            worker.send(TrainUntil(total_steps=0 if is_paused else self._total_steps))
-
-    def _collect_last_states(self) -> None:
-        """Let every worker send its state and exit.
-
-        When training was asked to stop, a worker without an answer after `STATE_S` is left out: it
-        starts new episodes when training resumes.
-        """
-        self._request_states(then_exit=True)
-        for index in range(len(self._pool.workers), self.config.workers):  # not even started
-            self._add_state(index, self._last_state(index))
-        deadline = math.inf
-        while self._request is not None:
-            self._read()
-            if self._should_stop():
-                deadline = min(deadline, time.monotonic() + STATE_S)
-            if time.monotonic() > deadline:
-                silent = [i for i in range(self.config.workers) if i not in self._states]
-                log.warning("No state arrived from the workers %s; stopping them.", silent)
-                for index in silent:
-                    self._add_state(index, self._last_state(index))
+    def _has_exited(self, index: int) -> bool:
+        """Tell whether a worker has sent its last state."""
+        return self._request is not None and self._request.is_last and index in self._states
 
     def _add_report(self, index: int, report: UpdateReport) -> None:
         """Count an update; log a row of metrics and request states when due."""
-        before = self.step
-        self.step += report.steps
-        self._worker_states.pop(index, None)
-        self._worker_steps[index] += report.steps
-        self._statistics.add(report)
+        before, steps = self.step, int(report.sums["steps"])
+        self.step += steps
+        self._collectors.pop(index, None)
+        self._worker_steps[index] += steps
+        self._sums.update(report.sums)
         if crossed(before, self.step, self.config.log_every_steps):
             now = time.perf_counter()
             seconds = max(now - self._row_begin, 1e-9)
-            self.hooks.on_metrics(
-                {
-                    "step": self.step,
-                    "wall_time_s": now - self._begin,
-                    "steps_per_s": self._statistics.steps / seconds,
-                    "updates_per_s": self._statistics.updates / seconds,
-                    **self._statistics.metrics(),
-                    "restarts": self.restarts,
-                    **{f"worker_{i}_steps": n for i, n in enumerate(self._worker_steps)},
-                }
-            )
-            self._row_begin = now
-            self._statistics = UpdateStatistics()
-        if crossed(before, self.step, self.checkpoint_every):
-            self._request_states(then_exit=False)
+            row = {
+                "step": self.step,
+                "wall_time_s": now - self._begin,
+                "steps_per_s": self._sums["steps"] / seconds,
+                "updates_per_s": self._sums["updates"] / seconds,
+                **mean_metrics(self._sums),
+                "restarts": self.restarts,
+                **{f"worker_{i}_steps": n for i, n in enumerate(self._worker_steps)},
+            }
+            self.hooks.on_metrics(row)
+            self._row_begin, self._sums = now, Counter()
+        if report.evaluation is not None:
+            self._evaluate_once(report.evaluation)
+        checkpoints = self.step // self.checkpoint_every
+        if checkpoints > self._checkpoints_requested and self._request is None:
+            self._checkpoints_requested = checkpoints
+            self._request_states(is_last=False)
 
-    def _request_states(self, *, then_exit: bool) -> None:
+    def _request_states(self, *, is_last: bool) -> None:
         """Request the states of all workers; the first one's includes the shared vectors.
 
-        With one worker, vectors and state belong to the same moment. With several, the others
-        continue meanwhile, as they would after a restart.
+        With one worker both belong to the same moment; with several the others continue meanwhile.
         """
-        if self._request is not None and not then_exit:
-            self._checkpoint_due = True
-            return
-        self._checkpoint_due = False
-        self._requests += 1
         self._states = {}
-        self._request = SendState(number=self._requests, with_shared=False, then_exit=then_exit)
-        for index, worker in enumerate(self._pool.workers):
-            worker.send(replace(self._request, with_shared=index == 0))
+        self._request = StateRequest(is_last)
+        for worker in self._workers:
+            worker.send(self._request)
 
     def _add_state(self, index: int, state: WorkerState) -> None:
         """Take the state of a worker; save a checkpoint with the last one."""
-        request = self._request
-        if request is None or state.number != request.number:
+        assert self._request is not None
+        if state.is_last != self._request.is_last:
             return  # the answer to a request that the last one replaced
         self._states[index] = state
-        if request.then_exit:
-            self._pool.expect_exit(index)
-        if len(self._states) == self.config.workers:
+        if len(self._states) == self.config.workers and not state.is_last:
             self._request = None
-            if not request.then_exit:
-                self._save(self._checkpoint())
-                if self._checkpoint_due:
-                    self._request_states(then_exit=False)
+            self._save(self._checkpoint())
 
-    def _last_state(self, index: int) -> WorkerState:
-        """State of a worker that cannot send it: new episodes, unless it has not updated yet."""
-        assert self._request is not None
-        shared = self._shared
-        return WorkerState(
-            number=self._request.number,
-            collector=self._worker_states.get(index, {}),
-            steps=int(shared["steps"][index]),
-            updates=int(shared["updates"][index]),
-            values=self._values(),
-            mean_square=shared["mean_square"].numpy().copy(),
-        )
+    def _collect_last_states(self) -> None:
+        """Let every worker send its state and exit; once training was stopped, for `STATE_S`."""
+        self._request_states(is_last=True)
+        deadline = math.inf
+        while len(self._states) < self.config.workers and time.monotonic() <= deadline:
+            self._read()
+            if self._should_stop():
+                deadline = min(deadline, time.monotonic() + STATE_S)
+
+    def _replace_missing_states(self) -> None:
+        """Record workers that were killed without an answer: resuming starts new episodes there.
+
+        A worker that has not updated since the checkpoint continues from it.
+        """
+        missing = [i for i in range(self.config.workers) if i not in self._states]
+        if missing:
+            log.warning("No state arrived from the workers %s; they were stopped.", missing)
+        for index in missing:
+            self._states[index] = WorkerState(
+                is_last=True,
+                collector=self._collectors.get(index, {}),
+                steps=int(self._shared["steps"][index]),
+                updates=int(self._shared["updates"][index]),
+                values=self._copy("values"),
+                mean_square=self._copy("mean_square"),
+            )
 
     def _checkpoint(self) -> Checkpoint:
         first = self._states[0]
@@ -291,16 +268,11 @@ class A3CTrainer(Trainer):
                 for index, state in enumerate(states)
                 for name, value in state.collector.items()
             },
-            facts={
-                "step": step,
-                "restarts": self.restarts,
-                "window": self._statistics.to_dict(),
-                "lives": list(self._worker_restarts),
-            },
+            facts={"step": step, "restarts": list(self._restarts), "sums": dict(self._sums)},
         )
 
     def _evaluate_once(self, request: EvaluationRequest) -> None:
         """Submit an interim evaluation unless another worker has requested it before."""
-        if self._evaluations is not None and request.number not in self._requested_evaluations:
+        if request.number not in self._requested_evaluations:
             self._requested_evaluations[request.number] = request.step
             self._evaluations.submit(request.step, request.values)

@@ -1,10 +1,10 @@
 """Pages of the report in reading order: names, headings and contents."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
-from knowarm.report.blocks import Block, Page, Part, Text
-from knowarm.report.choice import choice_findings
-from knowarm.report.claims import claims
+from knowarm.report.blocks import Block, Page, TaskPart, Text
+from knowarm.report.model import StudyData
 from knowarm.report.pages import (
     behaviour,
     differences,
@@ -14,23 +14,20 @@ from knowarm.report.pages import (
     query,
     results,
     runs,
-    summary,
     training,
 )
-from knowarm.report.study import Study, Task
+from knowarm.report.verdicts.claims import claims
+from knowarm.report.verdicts.query import query_findings
 
 HEADINGS = {
     "summary": ("Summary", "All sentences are generated from the intervals below."),
     "inputs": ("Network inputs", "All agents receive the same image and differ in the vector."),
     "training": ("Training", "Interim evaluations on fixed episodes, with training thresholds."),
     "results": ("Results", "The best model of every run on the same new episodes."),
-    "query": ("Was the query understood?", "Agents that are told it, against their controls."),
+    "query": ("Was the query understood?", "Agents that receive it, against their controls."),
     "knowledge": ("Does the knowledge matter?", "Each control lacks one property of the vector."),
     "differences": ("Are the differences significant?", "The unit is the training seed."),
-    "paper": (
-        "Comparison with the paper",
-        "The paper trained one seed per agent, A3C, 70 M steps.",
-    ),
+    "paper": ("Comparison with the paper", "Published: one seed per agent, A3C, 70 M steps."),
     "joints": ("Joint angles", "All steps of the evaluation, of the best run of each agent."),
     "episodes": ("Episodes", "Agents on the same episode, in the images the policy received."),
     "runs": ("Runs and sources", "All numbers of this report are computed from these folders."),
@@ -38,33 +35,30 @@ HEADINGS = {
 """Heading and lead of every page, in reading order."""
 
 
-def build_pages(study: Study) -> list[Page]:
+def build_pages(study: StudyData) -> list[Page]:
     """Build all pages that have something to show."""
-    decided, understood = claims(study), choice_findings(study)
+    decided, understood = claims(study), query_findings(study)
 
-    def per_task(blocks: Callable[[Task], Sequence[Block]], *intro: str) -> list[Block]:
+    def per_task(
+        blocks: Callable[..., Sequence[Block]], *more: Any, intro: Sequence[str] = ()
+    ) -> list[Block]:
         found = [
-            Part(name=t.name, title=t.title, blocks=b) for t in study.tasks if (b := blocks(t))
+            TaskPart(name=task.name, title=task.title, blocks=shown)
+            for task in study.tasks
+            if (shown := blocks(task, *more))
         ]
         return [Text(paragraphs=intro), *found] if found and intro else [*found]
 
-    def of_knowledge(task: Task) -> list[Block]:
-        return knowledge.knowledge_blocks(task, decided)
-
-    def of_query(task: Task) -> list[Block]:
-        return query.query_blocks(task, understood)
-
-    def of_differences(task: Task) -> list[Block]:
-        return differences.difference_blocks(task, decided)
-
     content: dict[str, Sequence[Block]] = {
-        "summary": summary.summary_blocks(study, decided, understood),
+        "summary": runs.summary_blocks(study, decided, understood),
         "inputs": per_task(inputs.input_blocks),
         "training": per_task(training.training_blocks),
         "results": per_task(results.result_blocks),
-        "query": per_task(of_query, *query.EXPLANATION),
-        "knowledge": per_task(of_knowledge, knowledge.EXPLANATION),
-        "differences": per_task(of_differences, *differences.EXPLANATION),
+        "query": per_task(query.query_blocks, understood, intro=query.EXPLANATION),
+        "knowledge": per_task(knowledge.knowledge_blocks, decided, intro=[knowledge.EXPLANATION]),
+        "differences": per_task(
+            differences.difference_blocks, decided, intro=differences.EXPLANATION
+        ),
         "paper": paper.paper_blocks(study),
         "joints": per_task(behaviour.joint_blocks),
         "episodes": per_task(behaviour.film_blocks),

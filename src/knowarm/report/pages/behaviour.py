@@ -2,35 +2,30 @@
 
 import base64
 import io
+from contextlib import suppress
 
 import numpy as np
 from PIL import Image
 
 from knowarm.errors import UserError
 from knowarm.experiment.evaluation_files import read_film
-from knowarm.knowledge.terms import label_of
+from knowarm.knowledge.graph.terms import label_of
 from knowarm.report import format
-from knowarm.report.blocks import Block, Column, Figure, Film, Films, Panel, Row, Table, Verdict
+from knowarm.report.blocks import Block, Figure, Film, Films, Panel, Verdict
 from knowarm.report.charts import density_chart
+from knowarm.report.model import Evaluation, Group, TaskData
 from knowarm.report.pages.paper import published_comparison
-from knowarm.report.study import Evaluation, Group, Task
+from knowarm.report.tables import Column, Row, table_of
 
-STRIP_FRAMES = 8
-"""Frames of a film strip."""
-
-MOST_EPISODES = 3
-"""Episodes shown per task: the first recorded one of each target."""
-
-MOST_AGENTS = 4
-"""Agents shown per task: subjects and baseline first."""
+STRIP_FRAMES = 8  # frames of a film strip
+MOST_EPISODES = 3  # shown per task: the first recorded one of each target
+MOST_AGENTS = 4  # shown per task: subjects and baseline first
 
 
-def joint_blocks(task: Task) -> list[Block]:
-    """Compare the distributions of the joint angles of two agents (paper, sections 5.1 and 5.2).
-
-    They are the first subject and the baseline, else the first two agents with stored steps.
-    """
-    stored = [group for group in task.groups if group.best and group.best.has_steps]
+def joint_blocks(task: TaskData) -> list[Block]:
+    """Compare joint angles of the first subject and the baseline (paper, sections 5.1, 5.2)."""
+    best = {group: group.best.folder for group in task.groups if group.best}
+    stored = [group for group, folder in best.items() if (folder / "steps.parquet").is_file()]
     wanted = [group for group in (*task.subjects[:1], task.baseline) if group in stored]
     pair = wanted if len(wanted) == 2 else stored
     if len(pair) < 2:
@@ -41,61 +36,44 @@ def joint_blocks(task: Task) -> list[Block]:
         return [Verdict(sentence=str(error), tone="bad")]
 
 
-def _joints(task: Task, first: Group, second: Group) -> Figure:
+def _joints(task: TaskData, first: Group, second: Group) -> Figure:
     evaluations = [group.best for group in (first, second) if group.best]
-    samples = [evaluation.steps() for evaluation in evaluations]
-    joints = sorted(
-        (name for name in samples[0] if name.startswith("joint_") and name in samples[1]),
-        key=lambda name: int(name.split("_")[1]),
-    )
+    one, other = (evaluation.joint_angles() for evaluation in evaluations)
     published = published_comparison(task, first, second).get("std_changes", {})
     rows: list[Row] = []
     panels = []
-    names = (first.name, second.name)
-    for column in joints:
-        joint = int(column.split("_")[1])
-        angles = [each[column].astype(np.float64) for each in samples]
+    for joint in [joint for joint in one if joint in other]:
         row: Row = {"joint": joint}
-        for key, values in (
-            ("mean", [float(a.mean()) for a in angles]),
-            ("std", [float(a.std()) for a in angles]),
-        ):
-            changes = {f"first_{key}": values[0], f"second_{key}": values[1]}
-            row |= {**changes, f"{key}_change": values[0] - values[1]}
+        for key, statistic in (("mean", np.mean), ("std", np.std)):
+            values = [float(statistic(each[joint])) for each in (one, other)]
+            row |= {f"first_{key}": values[0], f"second_{key}": values[1]}
+            row[f"{key}_change"] = values[0] - values[1]
         rows.append(row | {"paper_std_change": published.get(str(joint))})
-        shown = dict(zip(names[::-1], angles[::-1], strict=True))
+        shown = {second.name: other[joint], first.name: one[joint]}
         svg = density_chart(shown, task.colours, f"Angles of joint {joint}", "angle [rad]")
         mean, std = (format.signed(row[f"{key}_change"]) for key in ("mean", "std"))
-        panels.append(Panel(svg=svg, title=f"joint {joint}: mean {mean}, std {std}"))
+        title = f"joint {joint}: difference of means {mean}, of std {std}"
+        panels.append(Panel(svg=svg, title=title))
     columns = [Column("joint", "joint", "integer")]
     for key in ("mean", "std"):
-        columns += [
-            Column(f"first_{key}", f"{first.name} {key}", "number"),
-            Column(f"second_{key}", f"{second.name} {key}", "number"),
-            Column(f"{key}_change", "difference", "signed"),
-        ]
+        columns.append(Column(f"first_{key}", f"{first.name} {key}", "number"))
+        columns.append(Column(f"second_{key}", f"{second.name} {key}", "number"))
+        columns.append(Column(f"{key}_change", "difference", "signed"))
+    columns.append(Column("paper_std_change", "paper", "signed"))
+    sources = [evaluation.folder / "steps.parquet" for evaluation in evaluations]
+    words = f"Joint angles of {first.name} and {second.name} [rad]"
     return Figure(
-        title=f"Joint angles of {first.name} and {second.name}: {task.title}",
-        caption=f"Above each chart: {first.name} minus {second.name} [rad]. Dashed: means. One "
-        "trained network per agent: another training seed may change them as much as the "
-        "knowledge does.",
+        table=table_of(task, "joints", words, columns, rows, sources),
+        caption=f"Differences: {first.name} minus {second.name} [rad]; std: standard deviation. "
+        "Dashed: means. One trained network per agent: another training seed may change them as "
+        "much as the knowledge does.",
         panels=panels,
-        legend=[(name, task.colours[name]) for name in names],
-        table=Table(
-            name=f"joints-{task.name}",
-            title="Mean and standard deviation of every joint [rad]",
-            columns=[*columns, Column("paper_std_change", "paper", "signed")],
-            rows=rows,
-            sources=[evaluation.folder / "steps.parquet" for evaluation in evaluations],
-        ),
+        legend=[(each.name, task.colours[each.name]) for each in (first, second)],
     )
 
 
-def film_blocks(task: Task) -> list[Films]:
-    """Show agents on the same episodes: the policy's images as a strip and as an animation.
-
-    Where episodes ask, the heading says in words what was asked for.
-    """
+def film_blocks(task: TaskData) -> list[Films]:
+    """Show agents on the same episodes: the policy's images as a strip and as an animation."""
     first = (*task.subjects, task.baseline)
     groups = sorted(task.groups, key=lambda group: group not in first)
     filmed = [(g.name, g.best) for g in groups if g.best and g.best.films()][:MOST_AGENTS]
@@ -104,18 +82,16 @@ def film_blocks(task: Task) -> list[Films]:
         return []
     common = set.intersection(*(set(evaluation.films()) for _, evaluation in filmed))
     blocks = []
-    try:
+    with suppress(UserError):
         for number, shown in _first_of_each_target(filmed[0][1], sorted(common)):
             title = f"Episode {number}, {shown}: {task.title}"
             films = [_film(name, task.colours[name], each, number) for name, each in filmed]
             blocks.append(Films(title=title, films=films))
-    except UserError:
-        return blocks
     return blocks
 
 
 def _first_of_each_target(evaluation: Evaluation, numbers: list[int]) -> list[tuple[int, str]]:
-    """Return the number of the first episode of each target, and what it shows and asks for."""
+    """Return the number of the first episode of each target, with its object and query."""
     episodes = evaluation.episodes()
     found: dict[str, tuple[int, str]] = {}
     for number in numbers:
@@ -127,9 +103,7 @@ def _first_of_each_target(evaluation: Evaluation, numbers: list[int]) -> list[tu
 
 
 def query_words(text: str) -> str:
-    """Return a query in words: "usedFor drinking and hasColor light_blue" as "used for drinking
-    and has color light blue".
-    """
+    """Return a query in words: "hasColor light_blue" as "has color light blue"."""
     return " ".join(label_of(word, {}) for word in text.split(" "))
 
 
@@ -139,7 +113,7 @@ def _film(name: str, colour: str, evaluation: Evaluation, number: int) -> Film:
     episodes = evaluation.episodes()
     length = int(episodes["length"][number])
     outcome = "reached after" if episodes["success"][number] else "not reached in"
-    if "chosen" in episodes and not episodes["choice_correct"][number]:
+    if {"chosen", "choice_correct"} <= set(episodes) and not episodes["choice_correct"][number]:
         outcome = f"chose the {format.facet(str(episodes['chosen'][number]))}, {outcome}"
     places = np.unique(np.linspace(0, len(frames) - 1, min(STRIP_FRAMES, len(frames))).round())
     height, width = frames.shape[1:3]

@@ -1,23 +1,24 @@
 """Page "Differences": statistical comparisons of agents, over training seeds and the paper's."""
 
 from collections.abc import Sequence
-from typing import Literal
+from dataclasses import replace
 
 import numpy as np
 
 from knowarm.errors import UserError
-from knowarm.report import format
-from knowarm.report.blocks import Block, Column, Figure, Panel, Row, Table, cells, shared
-from knowarm.report.charts import SUCCESS_AXIS, Axis, Box, Series, line_chart
-from knowarm.report.claims import ALPHA, FEWEST_SEEDS, OUTCOMES, Claim, pairs, scores
+from knowarm.report.blocks import Block, Figure
+from knowarm.report.charts import SUCCESS_AXIS, Series, percent_axis
+from knowarm.report.model import Evaluation, Group, TaskData
 from knowarm.report.pages.knowledge import forest_figure
 from knowarm.report.pages.paper import published_comparison
-from knowarm.report.study import Evaluation, Group, Task
+from knowarm.report.pages.training import sized_panels
+from knowarm.report.tables import Column, DataTable, Row, cells, table_of
+from knowarm.report.verdicts.claims import ALPHA, FEWEST_SEEDS, OUTCOMES, Claim, pairs, scores
 from knowarm.statistics import (
+    Interval,
     bootstrap,
     iqm,
     one_way_anova,
-    paired,
     performance_profile,
     probability_of_improvement,
     seeds_needed,
@@ -39,15 +40,13 @@ EXPLANATION = (
 )
 
 COMPARISON_COLUMNS = (
-    Column("outcome", "outcome"),
-    Column("first", "agent"),
-    Column("second", "against"),
+    *("outcome", Column("first", "agent"), Column("second", "against")),
     Column("difference", "difference [points]", "points", interval=True),
     Column("seeds", "seeds"),
-    Column("effect_size", "in std", "signed", hint="Cohen's d"),
+    Column("effect_size", "effect size", "signed", hint="Cohen's d"),
     Column("p", "p", "p", hint="Welch's t, two-sided"),
     Column("adjusted_p", "adjusted p", "p", hint="baseline: Holm; others: times its comparisons"),
-    Column("verdict", "verdict"),
+    "verdict",
     Column("needed", "seeds needed", "integer", hint="per agent, for the observed difference"),
 )
 
@@ -58,40 +57,23 @@ COMPARISON_NOTE = (
     "differences remain possible. Described: not tested."
 )
 
-NETWORKS = (Column("first", "network of"), Column("second", "against that of"))
-
-PROFILE_LEVELS = np.linspace(0, 1, 21)
-"""Levels of success of the performance profile."""
-
-PROFILE_BOXES: dict[Literal["large", "small"], Box] = {
-    "large": Box(width=640, height=300),
-    "small": Box(width=350, height=250, left=44),
-}
-
-FEWEST_RATES = 5
-"""Evaluation seeds below which the analysis of variance is not shown."""
+PROFILE_LEVELS = np.linspace(0, 1, 21)  # of success, of the performance profile
+FEWEST_RATES = 5  # evaluation seeds below which the analysis of variance is not shown
 
 
-def difference_blocks(task: Task, decided: list[Claim]) -> list[Block]:
+def difference_blocks(task: TaskData, decided: list[Claim]) -> list[Block]:
     """Show the statistics over training seeds and the paper's, each with what it tests."""
     if len(task.groups) < 2:
         return []
-    found = (_comparisons(task, decided), _scores(task), _profile(task))
-    tables = (_networks(task), _variance(task))
-    return [block for block in (*found, *tables) if block]
+    found = (_comparisons(task, decided), _scores(task), _profile(task), _variance(task))
+    return [block for block in found if block]
 
 
-def _comparisons(task: Task, decided: Sequence[Claim]) -> Block:
+def _comparisons(task: TaskData, decided: Sequence[Claim]) -> Block:
     """Show every difference that the report decides on."""
     claims = [claim for claim in decided if claim.task is task]
-    table = Table(
-        name=f"comparisons-{task.name}",
-        title=f"Differences between agents: {task.title}",
-        columns=COMPARISON_COLUMNS,
-        rows=[_comparison_row(claim) for claim in claims],
-        sources=[run.path for run in task.runs],
-        note=COMPARISON_NOTE,
-    )
+    rows, title = [_comparison_row(claim) for claim in claims], "Differences between agents"
+    table = table_of(task, "comparisons", title, COMPARISON_COLUMNS, rows, note=COMPARISON_NOTE)
     caption = "Difference of means in percentage points, with its 95 % interval."
     panels = {words: [c for c in claims if c.outcome == key] for key, words in OUTCOMES.items()}
     return forest_figure(table, caption, panels)
@@ -101,7 +83,7 @@ def _comparison_row(claim: Claim) -> Row:
     row: Row = {
         "outcome": OUTCOMES[claim.outcome],
         "first": claim.first.name,
-        "second": claim.second.name,
+        "second": claim.against,
         "seeds": str(claim.seeds),
         "verdict": claim.verdict,
         "adjusted_p": claim.adjusted_p,
@@ -117,7 +99,7 @@ def _comparison_row(claim: Claim) -> Row:
     return row
 
 
-def _scores(task: Task) -> Table:
+def _scores(task: TaskData) -> DataTable:
     """Show the success of each agent over training seeds; a single seed has no interval."""
     baseline = task.baseline or task.groups[0]
     base = scores(task, baseline, "success")
@@ -134,25 +116,21 @@ def _scores(task: Task) -> Table:
         if group is not baseline and min(final.size, base.size) > 1:
             row |= cells("improvement", probability_of_improvement(final, base))
         rows.append(row)
-    return Table(
-        name=f"scores-{task.name}",
-        title=f"Success over training seeds: {task.title}",
-        columns=[
-            *shared("agent", "seeds"),
-            Column("mean", "mean", "percent", interval=True),
-            Column("iqm", "interquartile mean", "percent", interval=True),
-            Column("improvement", f"P(better than {baseline.name})", "percent", interval=True),
-            Column("area", "mean during training", "percent", interval=True),
-        ],
-        rows=rows,
-        sources=[run.path for run in task.runs],
-        note="P: probability that a run of the agent beats a run of the other. Mean during "
+    columns: list[str | Column] = [
+        *("agent", "seeds", Column("mean", "mean", "percent", interval=True)),
+        Column("iqm", "interquartile mean", "percent", interval=True),
+        Column("improvement", f"P(better than {baseline.name})", "percent", interval=True),
+        Column("area", "mean during training", "percent", interval=True),
+    ]
+    note = (
+        "P: probability that a run of the agent beats a run of the other. Mean during "
         "training: area under the curve of interim success, divided by its length. Intervals: 95 % "
-        "percentile bootstrap over training seeds, 10,000 resamples (2,000 for P), fixed seed.",
+        "percentile bootstrap over training seeds, 10,000 resamples (2,000 for P), fixed seed."
     )
+    return table_of(task, "scores", "Success over training seeds", columns, rows, note=note)
 
 
-def _profile(task: Task) -> Figure | None:
+def _profile(task: TaskData) -> Figure | None:
     """Draw performance profiles of agents with enough seeds."""
     series, rows = [], []
     for group in task.groups:
@@ -160,78 +138,26 @@ def _profile(task: Task) -> Figure | None:
         if final.size < FEWEST_SEEDS:
             continue
         share, low, high = performance_profile(final, PROFILE_LEVELS)
-        series.append(
-            Series(name=group.name, colour=colour, x=PROFILE_LEVELS, y=share, low=low, high=high)
-        )
-        for values in zip(PROFILE_LEVELS, share, low, high, strict=True):
-            row = zip(
-                ("level", "share", "share_low", "share_high"), map(float, values), strict=True
-            )
-            rows.append({"agent": group.name, "_colour": colour, **dict(row)})
+        line = Series(name=group.name, colour=colour, x=PROFILE_LEVELS, y=share, stairs=True)
+        series.append(replace(line, low=low, high=high))
+        for level, *values in np.transpose([PROFILE_LEVELS, share, low, high]).tolist():
+            row = {"agent": group.name, "level": level, "_colour": colour}
+            rows.append(row | cells("share", Interval(*values)))
     if not series:
         return None
-    above = Axis(title="runs above", format=format.whole_percent, range=(0.0, 1.0))
     name = f"Share of runs above each level of success on {task.title}"
+    share_column = Column("share", "runs above", "percent", interval=True)
+    columns: list[str | Column] = ["agent", Column("level", "success", "percent"), share_column]
     return Figure(
-        title=f"Performance profile: {task.title}",
+        table=table_of(task, "profile", "Performance profile", columns, rows),
         caption="Share of training runs that end above each level of success; further right is "
         "better. Band: 95 % bootstrap over seeds, pointwise.",
-        panels=[
-            Panel(svg=line_chart(series, name, SUCCESS_AXIS, above, box=box), only=only)
-            for only, box in PROFILE_BOXES.items()
-        ],
+        panels=sized_panels(series, name, SUCCESS_AXIS, percent_axis("runs above")),
         legend=[(each.name, each.colour) for each in series],
-        table=Table(
-            name=f"profile-{task.name}",
-            title="Share of runs above each level of success",
-            columns=[
-                *shared("agent"),
-                Column("level", "success", "percent"),
-                Column("share", "runs above", "percent", interval=True),
-            ],
-            rows=rows,
-            sources=[run.path for run in task.runs],
-        ),
     )
 
 
-def _networks(task: Task) -> Table | None:
-    """Compare the best runs of two agents episode by episode: networks, not methods."""
-    rows: list[Row] = []
-    sources = []
-    for first, second, _ in pairs(task):
-        found = [best for group in (first, second) if (best := group.best)]
-        try:
-            one, other = (each.episodes() for each in found)
-        except (UserError, ValueError):  # a damaged file, or an agent without evaluation
-            continue
-        if not np.array_equal(one["facet"], other["facet"]):
-            continue
-        row: Row = {"first": first.name, "second": second.name, "episodes": len(one["facet"])}
-        for key in ("success", "return", "length"):
-            row |= cells(key, paired(one[key], other[key]).difference)
-        rows.append(row)
-        sources += [each.folder / "episodes.parquet" for each in found]
-    if not rows:
-        return None
-    return Table(
-        name=f"networks-{task.name}",
-        title=f"Two networks on the same episodes: {task.title}",
-        columns=[
-            *NETWORKS,
-            Column("episodes", "episodes", "integer"),
-            Column("success", "success [points]", "points", interval=True),
-            Column("return", "return", "signed", interval=True),
-            Column("length", "steps", "signed", interval=True),
-        ],
-        rows=rows,
-        sources=sources,
-        note="The best run of each agent, paired by episode (Student's t, 95 %). Tests whether "
-        "these two networks differ; one network per method says nothing about the methods.",
-    )
-
-
-def _variance(task: Task) -> Table | None:
+def _variance(task: TaskData) -> DataTable | None:
     """Run the paper's one-way ANOVA (section 5.3) on success rates over evaluation seeds."""
     rows: list[Row] = []
     sources = []
@@ -241,40 +167,26 @@ def _variance(task: Task) -> Table | None:
             continue
         (_, one), (_, other) = found
         f_value, p_value = one_way_anova([one, other])
-        rows.append(
-            {
-                "first": first.name,
-                "second": second.name,
-                "rates": len(one),
-                "first_mean": float(one.mean()),
-                "second_mean": float(other.mean()),
-                "f": round(f_value, 2),
-                "p": p_value,
-                "paper_f": published_comparison(task, first, second).get("anova_f"),
-            }
-        )
+        row: Row = {"first": first.name, "second": second.name, "rates": len(one)}
+        row |= {"first_mean": float(one.mean()), "second_mean": float(other.mean())}
+        row |= {"f": round(f_value, 2), "p": p_value}
+        rows.append(row | {"paper_f": published_comparison(task, first, second).get("anova_f")})
         sources += [evaluation.folder / "episodes.parquet" for evaluation, _ in found]
     if not rows:
         return None
-    return Table(
-        name=f"anova-{task.name}",
-        title=f"The paper's analysis of variance over evaluation seeds: {task.title}",
-        columns=[
-            *NETWORKS,
-            Column("rates", "evaluation seeds", "integer"),
-            Column("first_mean", "success", "percent"),
-            Column("second_mean", "success", "percent"),
-            Column("f", "F"),
-            Column("p", "p", "p"),
-            Column("paper_f", "paper's F", "number"),
-        ],
-        rows=rows,
-        sources=sources,
-        note="Tests whether these two trained networks differ over random episodes. All "
-        "observations come from the same two networks, so it says nothing about what another "
-        "training seed of the same method would give: with more evaluation seeds any two networks "
-        "differ significantly.",
+    columns: list[str | Column] = [
+        *(Column("first", "network of"), Column("second", "against that of")),
+        Column("rates", "evaluation seeds", "integer"),
+        *(Column(f"{each}_mean", "success", "percent") for each in ("first", "second")),
+        *(Column("f", "F"), Column("p", "p", "p"), Column("paper_f", "paper's F", "number")),
+    ]
+    note = (
+        "Tests whether these two trained networks differ over random episodes, and says nothing "
+        "about another training seed of the same method: with more evaluation seeds any two "
+        "networks differ significantly."
     )
+    title = "The paper's analysis of variance over evaluation seeds"
+    return table_of(task, "anova", title, columns, rows, sources, note)
 
 
 def _success_rates(group: Group) -> tuple[Evaluation, np.ndarray] | None:
@@ -288,5 +200,6 @@ def _success_rates(group: Group) -> tuple[Evaluation, np.ndarray] | None:
         except UserError:
             continue
         seeds, success = episodes["evaluation_seed"], episodes["success"]
-        return evaluation, np.array([success[seeds == seed].mean() for seed in np.unique(seeds)])
+        rates = np.array([success[seeds == seed].mean() for seed in np.unique(seeds)])
+        return (evaluation, rates) if len(rates) > 1 else None
     return None

@@ -1,20 +1,20 @@
-"""Page "Knowledge": each subject against the controls, in total and by target."""
+"""Page "Knowledge": each subject against the controls, and under other conditions."""
 
 from collections.abc import Mapping, Sequence
-
-import numpy as np
+from dataclasses import replace
 
 from knowarm.experiment.agents import AGENTS
 from knowarm.report import format
-from knowarm.report.blocks import Block, Column, Figure, Panel, Row, Table, cells, shared
-from knowarm.report.claims import Claim
+from knowarm.report.blocks import Block, Figure, Panel
+from knowarm.report.charts import POINTS_AXIS
 from knowarm.report.collect import LATEST, UNTRAINED
-from knowarm.report.diagrams import POINTS_AXIS, Dot, dot_chart
+from knowarm.report.diagrams import Dot, dot_chart
 from knowarm.report.format import slugs
-from knowarm.report.pages.results import part_panels
-from knowarm.report.study import Evaluation, Group, Task
-from knowarm.report.verdict import finding
-from knowarm.statistics import Interval, welch
+from knowarm.report.model import Group, TaskData
+from knowarm.report.tables import Column, DataTable, Row, cells, table_of
+from knowarm.report.verdicts.claims import Claim
+from knowarm.report.verdicts.knowledge import finding
+from knowarm.statistics import welch
 
 EXPLANATION = (
     "A vector that is the same in every episode carries no information about the episode: for the "
@@ -25,31 +25,29 @@ EXPLANATION = (
 )
 
 
-def knowledge_blocks(task: Task, decided: list[Claim]) -> list[Block]:
-    """Compare each subject with every other agent, in total and by target."""
+def knowledge_blocks(task: TaskData, decided: list[Claim]) -> list[Block]:
+    """Compare each subject with every other agent, and under other conditions."""
     blocks: list[Block] = []
     for subject in task.subjects if len(task.groups) > 1 else ():
-        stem = task.name
-        if subject is not task.subjects[0]:
-            stem += f"-{slugs([subject.name])[subject.name]}"
+        stem = "" if subject is task.subjects[0] else f"-{slugs([subject.name])[subject.name]}"
         mine = [claim for claim in decided if claim.task is task and claim.first is subject]
         final = [claim for claim in mine if claim.outcome == "success"]
         blocks += [
-            finding(task, decided, "success", subject),
-            finding(task, decided, "speed", subject),
+            finding(task, decided, "success", subject).verdict(),
+            finding(task, decided, "speed", subject).verdict(),
             _controls(task, subject, final, stem),
-            *_by_target(task, subject, final, stem),
             *_other_conditions(task, subject, stem),
         ]
     return blocks
 
 
-def _controls(task: Task, subject: Group, final: list[Claim], stem: str) -> Block:
+def _controls(task: TaskData, subject: Group, final: list[Claim], stem: str) -> Block:
     """Show the difference to every other agent, with its role and its size."""
     size = _size(subject)
     rows: list[Row] = []
     for claim in final:
-        other = claim.second
+        if (other := claim.second) is None:
+            continue
         parameters = _size(other)
         row: Row = {
             "control": other.name,
@@ -63,23 +61,15 @@ def _controls(task: Task, subject: Group, final: list[Claim], stem: str) -> Bloc
         if claim.comparison:
             row |= cells("difference", claim.comparison.difference)
         rows.append(row)
-    table = Table(
-        name=f"controls-{stem}",
-        title=f"{subject.name} against each other agent: {task.title}",
-        columns=[
-            Column("control", "agent"),
-            Column("role", "role"),
-            Column("about", "about"),
-            Column("parameters", "parameters", "integer"),
-            Column("equal", f"as many as {subject.name}", hint="within 2 %"),
-            Column("difference", "success [points]", "points", interval=True),
-            Column("adjusted_p", "adjusted p", "p"),
-            Column("verdict", f"{subject.name} is"),
-        ],
-        rows=rows,
-        sources=[run.path for run in task.runs],
-        note=f"{subject.name} has {format.integer(size)} trainable parameters.",
-    )
+    columns: list[str | Column] = [
+        *(Column("control", "agent"), "role", "about", "parameters"),
+        Column("equal", f"as many as {subject.name}", hint="within 2 %"),
+        Column("difference", "success [points]", "points", interval=True),
+        *(Column("adjusted_p", "adjusted p", "p"), Column("verdict", f"{subject.name} is")),
+    ]
+    note = f"{subject.name} has {format.integer(size)} trainable parameters."
+    title = f"{subject.name} against each other agent"
+    table = table_of(task, "controls", title, columns, rows, note=note, stem=stem)
     caption = (
         "Success after training in percentage points, with the 95 % interval over training seeds. "
         f"Right of the line: {subject.name} is ahead."
@@ -87,20 +77,14 @@ def _controls(task: Task, subject: Group, final: list[Claim], stem: str) -> Bloc
     return forest_figure(table, caption, {"": final})
 
 
-def forest_figure(table: Table, caption: str, panels: Mapping[str, Sequence[Claim]]) -> Block:
-    """Draw the intervals of differences around zero; the table alone if there are none.
-
-    Args:
-        table: the claims as a table.
-        caption: how to read the drawings.
-        panels: the claims of each drawing, by its title.
-    """
+def forest_figure(table: DataTable, caption: str, panels: Mapping[str, Sequence[Claim]]) -> Block:
+    """Draw the intervals of the claims around zero, by title; the table alone if there are none."""
     drawn = []
     for title, claims in panels.items():
         dots = [
             Dot(
-                name=f"{claim.first.name} \u2212 {claim.second.name}",
-                colour=claim.task.colours[claim.second.name],
+                name=f"{claim.first.name} \u2212 {claim.against}",
+                colour=claim.task.colours[claim.against],
                 value=claim.comparison.difference,
             )
             for claim in claims
@@ -112,7 +96,7 @@ def forest_figure(table: Table, caption: str, panels: Mapping[str, Sequence[Clai
             drawn.append(Panel(svg=svg, title=title))
     if not drawn:
         return table
-    return Figure(title=table.title, caption=caption, panels=drawn, table=table, open_table=True)
+    return Figure(table=table, caption=caption, panels=drawn, open_table=True)
 
 
 def _size(group: Group) -> int | None:
@@ -120,88 +104,32 @@ def _size(group: Group) -> int | None:
     return next((int(total) for total in totals if total), None)
 
 
-def _by_target(task: Task, subject: Group, final: list[Claim], stem: str) -> list[Block]:
-    """Show the differences by target, or by target and colour where a target has several."""
-    summary = subject.evaluations[0].summary if subject.evaluations else {}
-    facets, targets = summary.get("per_facet", {}), summary.get("per_target", {})
-    part, names = ("per_facet", facets) if len(facets) > len(targets) else ("per_target", targets)
-    others = [claim.second for claim in final if claim.comparison]
-
-    def difference(group: Group, name: str) -> Interval | None:
-        scores = [
-            np.array([v["success"] for e in g.evaluations if (v := e.numbers(part, name))])
-            for g in (subject, group)
-        ]
-        return welch(*scores).difference if min(map(len, scores)) > 1 else None
-
-    rows, panels = part_panels(task, sorted(names), others, difference, POINTS_AXIS, sign="\u2212 ")
-    if not panels:
-        return []
-    return [
-        Figure(
-            title=f"{subject.name} minus each other agent, by target: {task.title}",
-            caption="Success after training, 95 % intervals over training seeds, not corrected for "
-            "their number: descriptive, to locate a difference found above.",
-            panels=panels,
-            table=Table(
-                name=f"control-parts-{stem}",
-                title="Differences by target and colour",
-                columns=[
-                    Column("part", "target"),
-                    *shared("agent"),
-                    Column("success", "success [points]", "points", interval=True),
-                ],
-                rows=rows,
-                sources=[each.folder / "summary.json" for each in subject.evaluations],
-            ),
-        )
-    ]
-
-
-def _other_conditions(task: Task, subject: Group, stem: str) -> list[Block]:
+def _other_conditions(task: TaskData, subject: Group, stem: str) -> list[Block]:
     """Show the evaluations under other labels, such as held-out colours or sampled actions."""
-    by_label: dict[str, dict[str, list[Evaluation]]] = {}
-    for group in task.groups:
-        for run in group.runs:
-            for label, evaluation in run.evaluations.items():
-                if label != task.label and not label.endswith((UNTRAINED, LATEST)):
-                    by_label.setdefault(label, {}).setdefault(group.name, []).append(evaluation)
+    labels = {label for run in task.runs for label in run.evaluations} - {task.label}
     rows: list[Row] = []
     sources = []
-    for label, groups in sorted(by_label.items()):
-        success = {
-            name: np.array([each.summary["success"] for each in evaluations])
-            for name, evaluations in groups.items()
-        }
-        own = success.get(subject.name, np.empty(0))
-        for name, values in success.items():
-            row: Row = {
-                "label": label,
-                "agent": name,
-                "seeds": len(values),
-                "success": float(values.mean()),
-                "_colour": task.colours[name],
-            }
-            if name != subject.name and min(len(own), len(values)) > 1:
+    for label in sorted(each for each in labels if not each.endswith((UNTRAINED, LATEST))):
+        at_label = {group: replace(group, label=label) for group in task.groups}
+        own = at_label[subject].scores("success")
+        for group, each in at_label.items():
+            if not each.evaluations:
+                continue
+            values, colour = each.scores("success"), task.colours[group.name]
+            row: Row = {"label": label, "agent": group.name, "seeds": len(values)}
+            row |= {"success": float(values.mean()), "_colour": colour}
+            if group is not subject and min(len(own), len(values)) > 1:
                 row |= cells("difference", welch(own, values).difference)
             rows.append(row)
-            sources += [each.folder for each in groups[name]]
+            sources += [evaluation.folder for evaluation in each.evaluations]
     if not rows:
         return []
-    difference = f"{subject.name} minus it [points]"
-    return [
-        Table(
-            name=f"elsewhere-{stem}",
-            title=f"Other conditions: {task.title}",
-            columns=[
-                Column("label", "evaluation"),
-                *shared("agent", "seeds"),
-                Column("success", "success", "percent"),
-                Column("difference", difference, "points", interval=True),
-            ],
-            rows=rows,
-            sources=sources,
-            note="Evaluations stored under another label: held-out colours, other thresholds, "
-            "sampled actions. 95 % intervals over training seeds, not corrected.",
-        )
+    columns: list[str | Column] = [
+        *(Column("label", "evaluation"), "agent", "seeds", Column("success", "success", "percent")),
+        Column("difference", f"{subject.name} minus it [points]", "points", interval=True),
     ]
+    note = (
+        "Evaluations stored under another label: held-out colours, other thresholds, sampled "
+        "actions. 95 % intervals over training seeds, not corrected."
+    )
+    return [table_of(task, "elsewhere", "Other conditions", columns, rows, sources, note, stem)]

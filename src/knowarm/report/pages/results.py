@@ -3,116 +3,103 @@
 from collections.abc import Callable, Iterable, Sequence
 
 from knowarm.report import format
-from knowarm.report.blocks import Block, Column, Figure, Panel, Row, Table, cells, shared
+from knowarm.report.blocks import Block, Figure, Panel
 from knowarm.report.charts import SUCCESS_AXIS, Axis
 from knowarm.report.diagrams import Dot, dot_chart
-from knowarm.report.study import Evaluation, Group, Task
+from knowarm.report.model import Evaluation, Group, TaskData
+from knowarm.report.tables import Column, DataTable, Row, cells, row_of, shared, table_of
 from knowarm.statistics import Interval
 from knowarm.world.agents import BLIND_AGENTS
 
 INTERVALS = ("return_mean", "success", "accuracy", "success_wide", "length_mean")
-PLAIN = (
-    "return_std",
-    "length_std",
-    "failure_distance_mean",
-    "failure_distance_std",
-    "failure_distance_max",
+PLAIN = (  # columns without an interval
+    Column("return_std", "std", "number1"),
+    Column("length_std", "std", "number1"),
+    Column("failure_distance_mean", "failure dist. [m]", "number3"),
+    Column("failure_distance_std", "std [m]", "number3"),
+    Column("failure_distance_max", "max [m]", "number3"),
 )
 
 
-def result_blocks(task: Task) -> list[Block]:
+def result_blocks(task: TaskData) -> list[Block]:
     """Show all agents and the untrained policies on the same fixed episodes."""
     if not task.label:
         return []
     parts = (("per_target", "target"), ("per_facet", "target and colour"))
     figures = [_parts(task, part, what) for part, what in parts]
-    found = (_table(task), _eyes(task), *figures)
-    return [block for block in found if block]
+    return [block for block in (_table(task), _vision(task), *figures) if block]
 
 
-def _table(task: Task) -> Table:
-    rows: list[Row] = []
-    for each in (*task.groups, *task.references):
-        seeds = len(each.evaluations) if each in task.groups else None
-        row: Row = {"agent": each.name, "seeds": seeds, "_colour": task.colours[each.name]}
-        for key in INTERVALS:
-            row |= cells(key, each.level(key))
-        for key in PLAIN:
-            value = each.level(key)
-            row[key] = value.estimate if value else None
+def _table(task: TaskData) -> DataTable:
+    lines = (*task.groups, *task.references)
+    rows = []
+    for each in lines:
+        row = row_of(task, each, *INTERVALS)
+        for column in PLAIN:
+            value = each.level(column.key)
+            row[column.key] = value.estimate if value else None
         rows.append(row)
-    shown = [e for each in (*task.groups, *task.references) for e in each.evaluations]
+    shown = [evaluation for each in lines for evaluation in each.evaluations]
     first = shown[0] if shown else None
-    return Table(
-        name=f"evaluation-{task.name}",
-        title=f"{task.title}: {_rules(first)}",
-        columns=[
-            *shared("agent", "seeds", "return_mean"),
-            Column("return_std", "std", "number1"),
-            *shared("success", "accuracy"),
-            Column("success_wide", _wide(first), "percent", interval=True),
-            Column("length_mean", "steps", "number1", interval=True),
-            Column("length_std", "std", "number1"),
-            Column("failure_distance_mean", "failure dist. [m]", "number3"),
-            Column("failure_distance_std", "std [m]", "number3"),
-            Column("failure_distance_max", "max [m]", "number3"),
-        ],
-        rows=rows,
-        sources=[evaluation.folder / "summary.json" for evaluation in shown],
-        note="95 % intervals: over training seeds where there are several (bootstrap of the mean); "
+    wide = first.config.get("wide_angle_deg") if first else None
+    angle = f" {wide:g}°" if wide else ", wide angle"
+    columns: list[str | Column] = [
+        *("agent", "seeds", "return_mean", PLAIN[0], "success", "accuracy"),
+        Column("success_wide", f"success{angle}", "percent", interval=True),
+        *(Column("length_mean", "steps", "number1", interval=True), *PLAIN[1:]),
+    ]
+    note = (
+        "95 % intervals: over training seeds where there are several (bootstrap of the mean); "
         "over episodes where there is one (Wilson for success and accuracy), which then describe "
         "that one network. Failure distance: final distance of unsuccessful episodes. Standard "
-        "deviations are within an evaluation, averaged over seeds.",
+        "deviations are within an evaluation, averaged over seeds."
     )
+    sources = [evaluation.folder / "summary.json" for evaluation in shown]
+    return table_of(task, "evaluation", _rules(first), columns, rows, sources, note)
 
 
-def _eyes(task: Task) -> Table | None:
-    """Show the blind agents beside every agent, and how much of its success needs eyes."""
+def _vision(task: TaskData) -> DataTable | None:
+    """Show the blind agents beside every agent, and how much of its success depends on vision."""
     rows: list[Row] = []
     shown = [group for group in task.groups if group.level("needs_eyes")]
+    minus = [name for name, entry in BLIND_AGENTS.items() if not entry.sees_nothing]
     for group in shown:
-        row: Row = {"agent": group.name, "seeds": len(group.evaluations)}
-        row |= cells("success", group.level("success")) | {"_colour": task.colours[group.name]}
-        for name, entry in BLIND_AGENTS.items():
+        row = row_of(task, group, "success", "needs_eyes")
+        for name in BLIND_AGENTS:
             row |= cells(name, group.level("success", "blind_agents", name))
-            if not entry.sees_nothing:
-                difference = group.level("difference", "blind_agents", name)
-                row |= cells(f"minus {name}", difference)
-        rows.append(row | cells("needs_eyes", group.level("needs_eyes")))
+        for name in minus:
+            row |= cells(f"minus {name}", group.level("difference", "blind_agents", name))
+        rows.append(row)
     if not rows:
         return None
-    blind = [
-        Column(name, name, "percent", interval=True, hint=entry.about)
-        for name, entry in BLIND_AGENTS.items()
-    ]
-    once = [
-        Column(f"minus {name}", f"success minus {name} [points]", "points", interval=True)
-        for name, entry in BLIND_AGENTS.items()
-        if not entry.sees_nothing
-    ]
     evaluations = [evaluation for group in shown for evaluation in group.evaluations]
+    blind = [n for e in evaluations for n in e.summary.get("blind_agents", {}).values()]
+    played = max((numbers.get("episodes", 0) for numbers in blind), default=0)
     abouts = "; ".join(f"{name}: {entry.about}" for name, entry in BLIND_AGENTS.items())
-    played = max(n["episodes"] for e in evaluations for n in e.summary["blind_agents"].values())
-    needs = Column("needs_eyes", "needs eyes [points]", "points", interval=True)
-    return Table(
-        name=f"eyes-{task.name}",
-        title=f"How much of the success needs eyes: {task.title}",
-        columns=[*shared("agent", "seeds", "success"), *blind, needs, *once],
-        rows=rows,
-        sources=[evaluation.folder / "summary.json" for evaluation in evaluations],
-        note=f"Success of blind agents on the first {format.integer(played)} of the same episodes; "
-        f"{abouts}. Needs eyes: the agent's success minus that of the better agent that sees "
-        "nothing. 95 % intervals: over training seeds where there are "
-        "several, otherwise over episodes (Newcombe). A better fixed list may exist than the one "
-        "that the search found.",
+    columns = shared("agent", "seeds", "success")
+    for name, entry in BLIND_AGENTS.items():
+        columns.append(Column(name, name, "percent", interval=True, hint=entry.about))
+    differences = {"needs_eyes": "depends on vision"}
+    differences |= {f"minus {name}": f"success minus {name}" for name in minus}
+    for key, words in differences.items():
+        columns.append(Column(key, f"{words} [points]", "points", interval=True))
+    note = (
+        f"Success of blind agents on the first {format.integer(played)} of the same episodes; "
+        f"{abouts}. Depends on vision: the agent's success minus that of the better agent that "
+        "sees nothing. 95 % intervals: over training seeds where there are several, otherwise "
+        "over episodes (Newcombe). A better fixed list may exist than the one that the search "
+        "found."
     )
+    title = "How much of the success depends on vision"
+    sources = [evaluation.folder / "summary.json" for evaluation in evaluations]
+    return table_of(task, "vision", title, columns, rows, sources, note)
 
 
 def _rules(evaluation: Evaluation | None) -> str:
     """Describe the episodes, thresholds and actions of an evaluation."""
-    if evaluation is None or "distance_m" not in evaluation.config:
-        return "evaluation"
-    config = evaluation.config
+    config = evaluation.config if evaluation else {}
+    if evaluation is None or not {"distance_m", "angle_deg"} <= config.keys():
+        return "Evaluation"
     return (
         f"{format.integer(evaluation.summary['episodes'])} episodes, success within "
         f"{config['distance_m'] * 100:g} cm and {config['angle_deg']:g}°, "
@@ -120,59 +107,33 @@ def _rules(evaluation: Evaluation | None) -> str:
     )
 
 
-def _wide(evaluation: Evaluation | None) -> str:
-    """Return the heading of the fraction of episodes that met the wider angle threshold."""
-    angle = evaluation.config.get("wide_angle_deg") if evaluation else None
-    return f"success {angle:g}°" if angle else "success, wide angle"
-
-
-def _parts(task: Task, part: str, what: str) -> Figure | None:
+def _parts(task: TaskData, part: str, what: str) -> Figure | None:
     evaluations = [evaluation for group in task.groups for evaluation in group.evaluations]
     names = sorted({name for each in evaluations for name in each.summary.get(part, {})})
     if part == "per_facet" and len({name.split("/")[0] for name in names}) == len(names):
         return None  # one colour per target: the same as per target
-
-    def success(group: Group, name: str) -> Interval | None:
-        return group.level("success", part, name)
-
-    rows, panels = part_panels(task, names, task.groups, success, SUCCESS_AXIS)
+    rows, panels = part_panels(
+        task, names, task.groups, lambda g, name: g.level("success", part, name), SUCCESS_AXIS
+    )
     if not panels:
         return None
-    return Figure(
-        title=f"Success by {what}: {task.title}",
-        caption="Dot: mean over training seeds; line: 95 % interval.",
-        panels=panels,
-        table=Table(
-            name=f"{part.replace('_', '-')}-{task.name}",
-            title=f"Success by {what}",
-            columns=[Column("part", what), *shared("agent", "success")],
-            rows=rows,
-            sources=[evaluation.folder for evaluation in evaluations],
-        ),
-    )
+    columns: list[str | Column] = [Column("part", what), "agent", "success"]
+    sources, name = [evaluation.folder for evaluation in evaluations], part.replace("_", "-")
+    table = table_of(task, name, f"Success by {what}", columns, rows, sources)
+    caption = "Dot: mean over training seeds; line: 95 % interval."
+    return Figure(table=table, caption=caption, panels=panels)
 
 
 def part_panels(
-    task: Task,
+    task: TaskData,
     names: Iterable[str],
     groups: Sequence[Group],
     value: Callable[[Group, str], Interval | None],
     axis: Axis,
-    *,
-    sign: str = "",
 ) -> tuple[list[Row], list[Panel]]:
-    """Draw one dot chart per target or facet, one row per agent.
+    """Draw one dot chart per target or facet, one row per agent that has a value.
 
-    Args:
-        task: the task.
-        names: targets or facets.
-        groups: the agents.
-        value: estimate of an agent on a target or facet; None leaves the agent out.
-        axis: horizontal axis.
-        sign: written before the agents' names, if the values are differences.
-
-    Returns:
-        Rows of the table, with the estimate in the column "success", and the drawings.
+    Returns the rows of the table, with the estimate in the column "success", and the drawings.
     """
     rows: list[Row] = []
     panels = []
@@ -183,10 +144,9 @@ def part_panels(
             if found is not None:
                 row = {"part": name, "agent": group.name, "_colour": colour}
                 rows.append(row | cells("success", found))
-                dots.append(Dot(name=sign + group.name, colour=colour, value=found))
+                dots.append(Dot(name=group.name, colour=colour, value=found))
         if dots:
             title = format.facet(name)
-            label = f"{axis.title} on {title}"
-            svg = dot_chart(dots, label, axis, zero=bool(sign), width=340, left=100)
+            svg = dot_chart(dots, f"{axis.title} on {title}", axis, width=340, left=100)
             panels.append(Panel(svg=svg, title=title))
     return rows, panels

@@ -1,23 +1,29 @@
-"""Page "Runs": the run folders behind the report, and their defects."""
+"""Pages "Summary" and "Runs": verdicts and success in total; the run folders and their defects."""
 
-from knowarm.report.blocks import Block, Column, Table, Text, shared
-from knowarm.report.study import Run, Study
+from collections.abc import Sequence
+
+from knowarm.report import format
+from knowarm.report.blocks import Block, Figure, Panel, Text, Tile, Tiles, Verdict
+from knowarm.report.charts import RETURN_AXIS, SUCCESS_AXIS
+from knowarm.report.diagrams import dot_chart, group_dot
+from knowarm.report.format import counted
+from knowarm.report.model import RunData, StudyData, TaskData
+from knowarm.report.tables import Column, DataTable, Row, row_of, shared
+from knowarm.report.verdicts.claims import Claim, Finding
+from knowarm.report.verdicts.knowledge import findings
+from knowarm.report.verdicts.learning import learning_verdict, vision_verdict
+from knowarm.report.verdicts.query import query_summary
 
 VERSIONS = ("knowarm", "torch", "mujoco")
+FOLDER = Column("folder", "folder", "path")
 
 
-def run_blocks(study: Study) -> list[Block]:
-    """List every run with its versions and machine, and every defect of a folder."""
-    runs = Table(
+def run_blocks(study: StudyData) -> list[Block]:
+    """List every remark on a folder, and every run with its versions and machine."""
+    runs = DataTable(
         name="runs",
         title="Runs",
-        columns=[
-            *shared("task", "agent", "seed"),
-            Column("folder", "folder", "path"),
-            Column("commit", "commit"),
-            *(Column(name, name) for name in VERSIONS),
-            Column("machine", "machine"),
-        ],
+        columns=shared("task", "agent", "seed", FOLDER, "commit", *VERSIONS, "machine"),
         rows=[
             {"task": task.title, "agent": group.name, "seed": run.seed, "folder": run.path}
             | _origin(run)
@@ -28,28 +34,87 @@ def run_blocks(study: Study) -> list[Block]:
         sources=[run.path / "provenance.json" for run in study.runs],
     )
     if not study.problems:
-        return [Text(paragraphs=["The folders have no defects."]), runs]
-    return [_problems(study), runs]
-
-
-def _origin(run: Run) -> dict[str, str | None]:
-    """Return the commit, the versions and the machine of a run."""
-    versions = run.provenance.get("versions", {})
-    return {
-        "commit": (run.provenance.get("commit") or "")[:10],
-        **{name: versions.get(name) for name in VERSIONS},
-        "machine": run.provenance.get("machine", {}).get("processor"),
-    }
-
-
-def _problems(study: Study) -> Table:
-    return Table(
+        return [Text(paragraphs=["Nothing is missing or damaged in the folders."]), runs]
+    path = Column("path", "folder or file", "path")
+    problems = DataTable(
         name="problems",
-        title="Defects of the folders",
-        columns=[
-            Column("path", "folder or file", "path"),
-            Column("what", "found"),
-            Column("done", "handled as"),
-        ],
-        rows=[{"path": p.path, "what": p.what, "done": p.done} for p in study.problems],
+        title="Remarks on the folders",
+        columns=[path, Column("what", "found"), Column("done", "handled as")],
+        rows=[problem._asdict() for problem in study.problems],
+    )
+    return [problems, runs]
+
+
+def _origin(run: RunData) -> dict[str, str | None]:
+    """Return the commit, the versions and the machine of a run."""
+    known = run.provenance
+    versions = {name: known.get("versions", {}).get(name) for name in VERSIONS}
+    machine = known.get("machine", {}).get("processor")
+    return {"commit": known.get("commit", "")[:10], "machine": machine} | versions
+
+
+KEYS = ("success", "accuracy", "return_mean")  # numbers of the table
+
+
+def summary_blocks(
+    study: StudyData, decided: list[Claim], understood: Sequence[Finding]
+) -> list[Block]:
+    """State what the runs show, in sentences generated from their numbers, then the numbers."""
+    blocks: list[Block] = []
+    for task in study.tasks:
+        blocks += [each.verdict(shown_reasons=1) for each in findings(task, decided)]
+        blocks += query_summary([each for each in understood if each.task is task])
+        blocks += filter(None, (learning_verdict(task), vision_verdict(task)))
+    if len(study.tasks) == 1:
+        blocks.append(_tiles(study.tasks[0]))
+    if any(task.label for task in study.tasks):  # of several tasks the overview comes first
+        blocks.insert(len(blocks) if len(study.tasks) == 1 else 0, _results(study))
+    if study.problems:
+        remarks = f"{counted(len(study.problems), 'remark')} on the run folders"
+        sentence = f"Before these numbers are used, read the {remarks}."
+        reason = "The page Runs lists what is missing or damaged, and how it was handled."
+        blocks.append(Verdict(tone="bad", sentence=sentence, reasons=[reason]))
+    return blocks
+
+
+def _tiles(task: TaskData) -> Tiles:
+    tiles = []
+    for group in task.groups:
+        if (success := group.level("success")) is not None:
+            count = len(group.evaluations)
+            over = "episodes" if count == 1 else "seeds"
+            ends = format.ends(success, format.percent)
+            ends += f" over {over}" if success.low < success.high else ""
+            detail = f"success; {ends}, {counted(count, 'training seed')}"
+            value, colour = format.percent(success.estimate), task.colours[group.name]
+            tiles.append(Tile(group.name, value, detail, colour))
+    return Tiles(tiles=tiles)
+
+
+def _results(study: StudyData) -> Figure:
+    rows: list[Row] = []
+    panels: list[Panel] = []
+    alone = len(study.tasks) == 1
+    measures = {"success": SUCCESS_AXIS} | ({"return_mean": RETURN_AXIS} if alone else {})
+    for task in study.tasks:
+        lines = (*task.groups, *task.references)
+        rows += [{"task": task.title} | row_of(task, each, *KEYS) for each in lines]
+        for key, axis in measures.items():
+            dots = [group_dot(each, key, task.colours) for each in lines]
+            name = f"{axis.title} of each agent on {task.title}"
+            title = axis.title if alone else task.title
+            panels.append(Panel(svg=dot_chart(dots, name, axis, left=124), title=title))
+    return Figure(
+        table=DataTable(
+            name="summary",
+            title="Success, accuracy and return after training",
+            columns=shared("task", "agent", "seeds", *KEYS),
+            rows=rows,
+            sources=[run.path for run in study.runs],
+            note="Success: distance and angle within the thresholds at once. Accuracy: final "
+            "distance within the threshold, as in the paper.",
+        ),
+        caption="Dot: mean over training seeds. Line: 95 % interval, over seeds where there are "
+        "several, over episodes where there is one. Small dots: single seeds.",
+        panels=panels,
     )

@@ -1,11 +1,12 @@
 """Page "Training": learning curves, steps to fixed levels of success, time and speed."""
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from knowarm.report.blocks import Block, Column, Figure, Panel, Row, Table, cells, shared
+from knowarm.report.blocks import Block, Figure, Panel
 from knowarm.report.charts import (
     RETURN_AXIS,
     STEPS_AXIS,
@@ -15,51 +16,45 @@ from knowarm.report.charts import (
     Series,
     line_chart,
 )
+from knowarm.report.model import CONTROLS, Curve, Group, RunData, TaskData
 from knowarm.report.pages.paper import time_saved
-from knowarm.report.study import CONTROLS, Curve, Group, Run, Task
+from knowarm.report.tables import Column, DataTable, Row, cells, table_of
 from knowarm.statistics import first_crossing, median_steps, on_grid, restricted_mean_steps, trend
 
-GRID = 48
-"""Points of a drawn curve."""
+GRID = 48  # points of a drawn curve
+MOST_POINTS = 120  # of a single seed's curve
 
-MOST_POINTS = 120
-"""Maximum number of points of a single seed's curve."""
-
-BOXES: dict[Literal["large", "small"], Box] = {
+# Sizes of a chart on large and on small screens, so that its text stays readable.
+BOXES: Mapping[Literal["large", "small"], Box] = {
     "large": Box(width=530, height=310),
     "small": Box(width=350, height=250, left=44),
 }
-"""Sizes of a chart on large and on small screens, so that its text stays readable."""
-
+# Drawn columns of ``evaluations.csv`` and their axes.
 MEASURES = {"return_mean": RETURN_AXIS, "success": SUCCESS_AXIS}
-"""Drawn columns of ``evaluations.csv`` and their axes."""
+LEVELS = (0.5, 0.7, 0.8)  # levels of success whose first crossing is estimated
 
-LEVELS = (0.5, 0.7, 0.8)
-"""Levels of success whose first crossing is estimated."""
+CAPTION = (
+    "Line: moving average over a tenth of the curve, averaged over training seeds. "
+    "Band: 95 % bootstrap interval over seeds, where there are several. Thin lines: the "
+    "measured values of each seed. Dashed: controls. Click a name to hide its line."
+)
 
 
-def training_blocks(task: Task) -> list[Block]:
+def training_blocks(task: TaskData) -> list[Block]:
     """Show how each agent learned: interim evaluations, steps to thresholds, speed."""
     blocks: list[Block] = []
     if any(run.interim for run in task.runs):
         blocks.append(curve_figure(task, MEASURES, "training", "Learning curves"))
-    groups = [g for g in task.groups if any(run.has_success_curve for run in g.runs)]
-    if groups:
+    if groups := [g for g in task.groups if any(run.has_success_curve for run in g.runs)]:
         blocks.append(_thresholds(task, groups))
     return [*blocks, _speed(task)]
 
 
-def curve_figure(task: Task, measures: Mapping[str, Axis], name: str, title: str) -> Figure:
-    """Draw columns of ``evaluations.csv`` over environment steps, one line per agent.
-
-    Args:
-        task: the task.
-        measures: drawn columns and their axes; each is a key of `blocks.SHARED`.
-        name: name of the table.
-        title: heading, before the title of the task.
-    """
+def curve_figure(task: TaskData, measures: Mapping[str, Axis], name: str, title: str) -> Figure:
+    """Draw columns of ``evaluations.csv``, keys of `tables.SHARED` by axis, over the steps."""
     rows: dict[tuple[str, float], Row] = {}
-    panels, legend = [], {}
+    panels: list[Panel] = []
+    legend: dict[str, str] = {}
     for key, axis in measures.items():
         series = []
         for group in task.groups:
@@ -70,29 +65,23 @@ def curve_figure(task: Task, measures: Mapping[str, Axis], name: str, title: str
                 legend[line.name] = line.colour
                 _add_rows(rows, line, key)
         words = f"{axis.title} over environment steps on {task.title}"
-        for only, box in BOXES.items() if series else ():
-            panels.append(
-                Panel(svg=line_chart(series, words, STEPS_AXIS, axis, box=box), only=only)
-            )
-    return Figure(
-        title=f"{title}: {task.title}",
-        caption="Line: moving average over a tenth of the curve, averaged over training seeds. "
-        "Band: 95 % bootstrap interval over seeds, where there are several. Thin lines: the "
-        "measured values of each seed. Dashed: controls. Click a name to hide its line.",
-        panels=panels,
-        legend=list(legend.items()),
-        table=Table(
-            name=f"{name}-{task.name}",
-            title=f"Moving averages of the interim evaluations: {task.title}",
-            columns=[
-                *shared("agent", "seeds"),
-                Column("step", "steps", "steps"),
-                *shared(*measures),
-            ],
-            rows=list(rows.values()),
-            sources=[run.path / "evaluations.csv" for run in task.runs if run.interim],
-        ),
-    )
+        panels += sized_panels(series, words, STEPS_AXIS, axis) if series else []
+    columns: list[str | Column] = ["agent", "seeds", Column("step", "steps", "steps"), *measures]
+    note = "Moving averages of the interim evaluations."
+    table = table_of(task, name, title, columns, list(rows.values()), _logs(task), note)
+    return Figure(table=table, caption=CAPTION, panels=panels, legend=list(legend.items()))
+
+
+def _logs(task: TaskData) -> list[Path]:
+    return [run.path / "evaluations.csv" for run in task.runs if run.interim]
+
+
+def sized_panels(series: Sequence[Series], name: str, x_axis: Axis, y_axis: Axis) -> list[Panel]:
+    """Draw one line chart for large and one for small screens."""
+    return [
+        Panel(svg=line_chart(series, name, x_axis, y_axis, box=box), only=only)
+        for only, box in BOXES.items()
+    ]
 
 
 def group_series(group: Group, curves: Sequence[Curve], key: str, colour: str) -> Series:
@@ -100,12 +89,11 @@ def group_series(group: Group, curves: Sequence[Curve], key: str, colour: str) -
     start = min(float(curve["step"][0]) for curve in curves)
     end = max(float(curve["step"][-1]) for curve in curves)
     grid = np.linspace(start, end, GRID) if end > start else np.array([start])
-    smooth = []
-    for curve in curves:
+    table = np.empty((len(curves), len(grid)))
+    for i, curve in enumerate(curves):
         good = np.isfinite(curve[key])
         values = trend(curve[key][good], max(1, int(good.sum()) // 10))
-        smooth.append(on_grid(curve["step"][good], values, grid))
-    table = np.array(smooth)
+        table[i] = on_grid(curve["step"][good], values, grid)
     present = np.isfinite(table)
     counts = present.sum(axis=0)
     totals = np.where(present, table, 0.0).sum(axis=0)
@@ -145,16 +133,14 @@ def _thinned(curve: Curve, key: str) -> tuple[np.ndarray, np.ndarray]:
 def _add_rows(rows: dict[tuple[str, float], Row], line: Series, key: str) -> None:
     """Add the values of a line to the rows of its agent and steps."""
     for i, (x, y) in enumerate(zip(line.x.tolist(), line.y.tolist(), strict=True)):
-        row = rows.setdefault(
-            (line.name, x),
-            {"agent": line.name, "seeds": len(line.faint), "step": x, "_colour": line.colour},
-        )
+        first = {"agent": line.name, "seeds": len(line.faint), "step": x, "_colour": line.colour}
+        row = rows.setdefault((line.name, x), first)
         row[key] = y
         if line.low is not None and line.high is not None:
             row |= {f"{key}_low": float(line.low[i]), f"{key}_high": float(line.high[i])}
 
 
-def _thresholds(task: Task, groups: Sequence[Group]) -> Table:
+def _thresholds(task: TaskData, groups: Sequence[Group]) -> DataTable:
     """Estimate the steps until an interim evaluation first reaches each level of success."""
     baseline = task.baseline if task.baseline in groups else None
     until = task.horizon
@@ -166,88 +152,61 @@ def _thresholds(task: Task, groups: Sequence[Group]) -> Table:
             middle, low, high = median_steps(steps, reached)
             mean = restricted_mean_steps(steps, reached, until)
             saved = None
-            if base and group is not baseline:
+            if base and group is not baseline and reached.any():
                 saved = time_saved(mean.estimate, base.estimate)
-            rows.append(
-                {
-                    "level": wanted,
-                    "agent": group.name,
-                    "reached": f"{int(reached.sum())} of {len(reached)}",
-                    "median": middle,
-                    "median_low": low,
-                    "median_high": high,
-                    **cells("mean", mean),
-                    "saved": saved,
-                    "_colour": task.colours[group.name],
-                }
-            )
-    against = f" against {baseline.name}" if baseline else ""
-    return Table(
-        name=f"thresholds-{task.name}",
-        title=f"Steps to a level of success: {task.title}",
-        columns=[
+            reached_by = f"{int(reached.sum())} of {len(reached)}"
+            row = {"level": wanted, "agent": group.name, "reached": reached_by, "saved": saved}
+            row |= {"median": middle, "median_low": low, "median_high": high}
+            rows.append(row | cells("mean", mean) | {"_colour": task.colours[group.name]})
+    columns: list[str | Column] = [
+        *(
             Column("level", "success", "percent"),
-            *shared("agent"),
+            "agent",
             Column("reached", "runs that reached it"),
-            Column("median", "median steps", "steps", interval=True),
-            Column("mean", "restricted mean", "steps", interval=True),
-            Column("saved", f"saved{against}", "percent"),
-        ],
-        rows=rows,
-        sources=[run.path / "evaluations.csv" for run in task.runs if run.interim],
-        note="Descriptive. A run that ended below a level is censored at its end and never counts "
+        ),
+        Column("median", "median steps", "steps", interval=True),
+        Column("mean", "restricted mean", "steps", interval=True),
+        Column("saved", f"saved against {baseline.name}" if baseline else "saved", "percent"),
+    ]
+    note = (
+        "Descriptive. A run that ended below a level is censored at its end and never counts "
         "as having reached it. Median: Kaplan-Meier with Brookmeyer and Crowley's interval "
         "(log-log); empty where the runs do not determine it. Restricted mean: mean steps, at most "
         f"{until / 1e6:g} M per run, as far as every agent has a run; it is defined however many "
-        "runs are censored.",
+        "runs are censored. Saved: of the restricted mean, by agents that reached the level."
     )
+    title = "Steps to a level of success"
+    return table_of(task, "thresholds", title, columns, rows, _logs(task), note)
 
 
 def _crossings(group: Group, wanted: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the step of the first crossing, or of the end, and whether it crossed, per run."""
-    found = [
-        first_crossing(run.interim["step"], run.interim["success"], wanted)
-        for run in group.runs
-        if run.has_success_curve
-    ]
+    curves = [run.interim for run in group.runs if run.has_success_curve]
+    found = [first_crossing(each["step"], each["success"], wanted) for each in curves]
     return np.array([step for step, _ in found]), np.array([crossed for _, crossed in found])
 
 
-def _speed(task: Task) -> Table:
-    rows = []
+def _speed(task: TaskData) -> DataTable:
+    rows: list[Row] = []
     for group in task.groups:
         for run in group.runs:
             seconds, speed = (_finite(run, key) for key in ("wall_time_s", "steps_per_s"))
-            rows.append(
-                {
-                    "agent": group.name,
-                    "seed": run.seed,
-                    "steps": run.steps_done,
-                    "best_step": run.best_step,
-                    "hours": float(seconds[-1]) / 3600 if seconds.size else None,
-                    "steps_per_s": float(np.median(speed)) if speed.size else None,
-                    "parameters": run.parameters.get("total"),
-                    "_colour": task.colours[group.name],
-                }
-            )
-    return Table(
-        name=f"training-runs-{task.name}",
-        title=f"Training runs: {task.title}",
-        columns=[
-            *shared("agent", "seed"),
-            Column("steps", "steps trained", "steps"),
-            Column("best_step", "best model at", "steps"),
-            Column("hours", "time [h]", "number"),
-            Column("steps_per_s", "steps/s", "integer"),
-            Column("parameters", "parameters", "integer"),
-        ],
-        rows=rows,
-        sources=[run.path / "metrics.csv" for run in task.runs],
-        note="The best model is that of the interim evaluation with the highest mean return.",
-    )
+            row: Row = {"agent": group.name, "seed": run.seed, "_colour": task.colours[group.name]}
+            row |= {"steps": run.steps_done, "best_step": run.best_step}
+            row["hours"] = float(seconds[-1]) / 3600 if seconds.size else None
+            row["steps_per_s"] = float(np.median(speed)) if speed.size else None
+            rows.append(row | {"parameters": run.parameters.get("total")})
+    columns: list[str | Column] = [
+        *("agent", "seed", Column("steps", "steps trained", "steps")),
+        *(Column("best_step", "best model at", "steps"), Column("hours", "time [h]", "number")),
+        *(Column("steps_per_s", "steps/s", "integer"), "parameters"),
+    ]
+    note = "The best model is that of the interim evaluation with the highest mean return."
+    logs = [run.path / "metrics.csv" for run in task.runs]
+    return table_of(task, "training-runs", "Training runs", columns, rows, logs, note)
 
 
-def _finite(run: Run, key: str) -> np.ndarray:
+def _finite(run: RunData, key: str) -> np.ndarray:
     """Return the finite values of a column of the metrics, else of the interim evaluations."""
     curve = run.metrics if key in run.metrics else run.interim
     values = curve.get(key, np.empty(0))

@@ -3,14 +3,9 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from knowarm.world.agents.blinded import BlindAgent, FrozenAgent
 from knowarm.world.agents.open_loop import OpenLoopAgent
-from knowarm.world.agents.scripted import (
-    AgentProtocol,
-    OracleAgent,
-    RandomAgent,
-    ZeroAgent,
-)
-from knowarm.world.agents.sight import BlindAgent, FrozenAgent
+from knowarm.world.agents.scripted import AgentProtocol, OracleAgent, RandomAgent, ZeroAgent
 
 __all__ = [
     "BLIND_AGENTS",
@@ -31,7 +26,6 @@ class ScriptedAgent:
 
     make: Callable[[int], AgentProtocol]
     """Creates the agent from a seed."""
-
     about: str
     """One line about it."""
 
@@ -56,10 +50,8 @@ class BlindEntry:
 
     make: Callable[[AgentProtocol, int], AgentProtocol]
     """Creates the agent from the agent that it stands beside, and a seed."""
-
     about: str
     """What it is, for a sentence."""
-
     sees_nothing: bool = True
     """Whether it receives no image at all."""
 

@@ -12,28 +12,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knowarm.world.agents.open_loop_score import OpenLoopScore, grasp_transforms
+from knowarm.world.agents.ik import InverseKinematics
+from knowarm.world.agents.open_loop_score import OpenLoopScore
 from knowarm.world.cache import cache_file, read_arrays, write_arrays
 from knowarm.world.config import EnvConfig
-from knowarm.world.draws import derive
-from knowarm.world.episodes import draw_episodes
-from knowarm.world.ik import InverseKinematics
-from knowarm.world.scene import scene_of
-from knowarm.world.tasks.reach import ACTION_LEVELS
-from knowarm.world.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.tasks.draws import derive
+from knowarm.world.tasks.episodes import draw_episodes
+from knowarm.world.tasks.running import ACTION_LEVELS
 
-BUDGET = 20_000
-"""Candidates that a search scores: 13 s on one core with three targets."""
-
-SEARCH_EPISODES = 1_000
-"""Episodes on which candidates are scored."""
-
+BUDGET = 20_000  # Candidates that a search scores: 13 s on one core with three targets
+SEARCH_EPISODES = 1_000  # Episodes on which candidates are scored
 ANCHORS = (-0.6, 0.0, 0.6)
 """Places of the anchor targets along each side of the rectangle, in units of its half size."""
 
-BEAM_WIDTH = 2
-"""Beginnings of tours kept for each number of steps and set of targets solved."""
-
+BEAM_WIDTH = 2  # Beginnings of tours kept for each number of steps and set of targets solved
 VISITED_SHARE = 0.08
 """Share of a target's episodes that must be solved for the target to count as visited."""
 
@@ -43,19 +36,14 @@ MEMORY = 40
 LEVEL_ODDS = np.array([0.25, 0.3, 0.3, 0.05, 0.05, 0.025, 0.025])
 """How often a mutation draws each action: rarely the small ones, which hardly move the arm."""
 
-REVISION = 1
-"""Part of the cache's key; to be increased with every change of the results."""
-
-Actions = NDArray[np.int64]
-"""A list of actions: indices into ``ACTION_LEVELS``, (T, J)."""
+REVISION = 1  # Part of the cache's key; to be increased with every change of the results
+Actions = NDArray[np.int64]  # A list of actions: indices into ``ACTION_LEVELS``, (T, J)
 
 
 class OpenLoopAgent:
     """Searches for the best fixed list of actions of a task, then plays it in every episode.
 
-    Args:
-        seed: of the search; its episodes are others than those of evaluations of any seed.
-        budget: number of candidates that the search scores.
+    The search scores ``budget`` candidates, on episodes that no evaluation of any seed has.
     """
 
     def __init__(self, seed: int = 0, budget: int = BUDGET) -> None:
@@ -76,27 +64,19 @@ class OpenLoopAgent:
 
 @lru_cache(maxsize=16)
 def search_open_loop(config: EnvConfig, budget: int = BUDGET, seed: int = 0) -> Actions:
-    """Search for the fixed list of actions that solves most episodes of a task.
+    """Search for the fixed list of actions, (T, J), that solves most episodes of a task.
 
     The list is kept in the user's cache, where the next search of the same task finds it.
 
     A third of the budget builds tours through joint angles that grasp the targets at anchor places:
     a beam search over the number of steps, which keeps the best tours for each set of targets that
     they solve. The rest improves the best tour of each set by hill climbing; after each round the
-    better half goes on. Candidates are scored with exact joint angles (``dynamics="kinematic"``).
-
-    Args:
-        config: the task, with its thresholds.
-        budget: number of candidates scored: a whole list or one segment of a tour.
-        seed: of the search episodes, the inverse kinematics and the mutations.
-
-    Returns:
-        The best list, one action per step of an episode.
+    better half goes on. Candidates, whole lists or segments of a tour, are scored with exact joint
+    angles (``dynamics="kinematic"``).
     """
-    scene = scene_of(config)
     streams = np.full(SEARCH_EPISODES, derive(seed, "open-loop episodes"), dtype=np.uint64)
     indices = np.arange(SEARCH_EPISODES, dtype=np.uint64)
-    score = OpenLoopScore(scene, config, draw_episodes(scene, config, streams, indices))
+    score = OpenLoopScore(config, draw_episodes(config, streams, indices))
     goal = _anchor_goals(score)
     file = cache_file("open-loop", REVISION, budget, seed, goal, *score.depends_on())
     stored: NDArray[Any] | None = (read_arrays(file) or {}).get("actions")
@@ -140,14 +120,13 @@ def _anchor_goals(score: OpenLoopScore) -> NDArray[np.float64]:
     places = np.array(robot.rectangle_centre_m) + grid * np.array(robot.rectangle_half_size_m)
     kinds = len(scene.targets)
     target = np.repeat(np.arange(kinds), len(places))
-    return grasp_transforms(scene, target, np.tile(places, (kinds, 1)))
+    return score.goals(target, np.tile(places, (kinds, 1)))
 
 
 def _waypoints(score: OpenLoopScore, goal: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
     """Joint angles (W, J) that grasp each target at each anchor.
 
-    The inverse kinematics takes the solution nearest to the mean start, and also the one nearest
-    to a grasp of each target, which makes the way between two targets short.
+    They are the nearest to the mean start, and the nearest to a grasp of each target.
     """
     position, matrix = goal[..., 3].copy(), goal[..., :3].reshape(-1, 9).copy()
     solver = InverseKinematics(score.scene, seed=seed)
@@ -164,28 +143,20 @@ def _waypoints(score: OpenLoopScore, goal: NDArray[np.float64], seed: int) -> ND
 
 @dataclass(frozen=True)
 class _Tour:
-    """The beginning of a list of actions.
+    """The beginning of a list of actions."""
 
-    Attributes:
-        actions: (t, J).
-        joints: joint angles of every search episode after them [rad], (E, J).
-        solved: which episodes are solved, (E,) bool.
-        last: index of the waypoint it ends at; -1 for none.
-    """
-
-    actions: Actions
-    joints: NDArray[np.float64]
-    solved: NDArray[np.bool_]
-    last: int
+    actions: Actions  # (t, J)
+    joints: NDArray[np.float64]  # Angles of every search episode after them [rad], (E, J)
+    solved: NDArray[np.bool_]  # Which episodes are solved, (E,)
+    last: int  # Index of the waypoint it ends at; -1 for none
 
 
 def _search_tours(
     score: OpenLoopScore, waypoints: NDArray[np.float64], budget: int
 ) -> tuple[list[Actions], int]:
-    """Search tours by a beam over the number of steps, extended by straight moves to waypoints.
+    """Search lists by a beam over the number of steps, extended by straight moves to waypoints.
 
-    Returns:
-        Lists of full length, the best for each set of targets, and the budget spent.
+    Return lists of full length, the best for each set of targets, and the budget spent.
     """
     limit = score.config.max_episode_steps
     beams: list[list[_Tour]] = [[] for _ in range(limit + 1)]
@@ -217,8 +188,7 @@ def _segment(
 ) -> Actions:
     """Move from joint angles to joint angles (J,) in a straight line, in at most so many steps.
 
-    The slowest joint moves by MPI at every step; each joint takes the action that brings it
-    nearest to the line.
+    The slowest joint moves by MPI at every step, the others as near to the line as they can.
     """
     way = goal - start
     needed = max(1, math.ceil(np.abs(way).max() / score.increments.max() - 0.05))
@@ -232,10 +202,7 @@ def _segment(
 
 
 def _first_moves(score: OpenLoopScore) -> list[_Tour]:
-    """Begin tours: with nothing, or by moving start joints against a limit.
-
-    Once a joint is at its limit in every episode, its random start offset is gone.
-    """
+    """Begin tours: with nothing, or by moving start joints to a limit, where offsets vanish."""
     scene, start = score.scene, score.start
     limit = score.config.max_episode_steps
     unsolved = np.zeros(len(start), dtype=np.bool_)
@@ -275,12 +242,7 @@ def _best(score: OpenLoopScore, tours: list[_Tour], count: int) -> list[_Tour]:
 
 
 class _Climb:
-    """Late-acceptance hill climbing on a list of actions (Burke and Bykov 2017).
-
-    Attributes:
-        best: the best list so far, (T, J).
-        best_solved: number of search episodes that it solves.
-    """
+    """Late-acceptance hill climbing on a list of actions (Burke and Bykov 2017)."""
 
     def __init__(self, score: OpenLoopScore, actions: Actions) -> None:
         self._score = score

@@ -8,26 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.compiling import njit
-from knowarm.world.attach import ROBOT_PREFIX
 from knowarm.world.config import EnvConfig
-from knowarm.world.episodes import Episodes
-from knowarm.world.scene import Scene, target_places
-from knowarm.world.tasks.reach import joint_increments
+from knowarm.world.scene.attach import ROBOT_PREFIX
+from knowarm.world.scene.scene import Scene, target_places
+from knowarm.world.setting import scene_of
+from knowarm.world.tasks.episodes import Episodes
+from knowarm.world.tasks.running import joint_increments
 
 
 class OpenLoopScore:
-    """Exact kinematics of many episodes that all play the same list of actions.
+    """Exact kinematics of E episodes that play the same list of actions, T steps of J joints."""
 
-    E episodes, T steps, J joints.
-
-    Attributes:
-        start: joint angles at the start of each episode [rad], (E, J).
-        target: index of each episode's target, (E,).
-        increments: joint increment of each action [rad], (7,).
-    """
-
-    def __init__(self, scene: Scene, config: EnvConfig, episodes: Episodes) -> None:
-        self.scene = scene
+    def __init__(self, config: EnvConfig, episodes: Episodes) -> None:
+        self.scene = scene = scene_of(config)
         self.config = config
         self.increments = joint_increments(scene.robot, config)
         lower, upper = scene.joint_lower, scene.joint_upper
@@ -36,38 +29,32 @@ class OpenLoopScore:
         varied = np.flatnonzero(np.ptp(self.start, axis=0) > 0)
         self._varied = int(varied[-1]) + 1 if len(varied) else 0
         self._links, self._slides = _joint_chain(scene)
-        goal = grasp_transforms(scene, episodes.target, episodes.position)
-        self._goal = np.ascontiguousarray(goal)
+        self._goal = self.goals(episodes.target, episodes.position)
         self._cosine = float(np.cos(np.radians(config.success_angle_deg)))
+
+    def goals(
+        self, target: NDArray[np.int64], position: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the goal frames of targets at places (k, 2) [m] as transforms, (k, 3, 4)."""
+        scene = self.scene
+        points = target_places(scene, position) + scene.grasp_position[target]
+        rotation = scene.grasp_matrix[target].reshape(-1, 9)
+        points, rotation = self.config.task.goal(scene, target, points, rotation)
+        return np.concatenate([rotation.reshape(-1, 3, 3), points[..., None]], axis=2)
 
     def depends_on(self) -> tuple[object, ...]:
         """Return all that the score of a list of actions follows from: arrays and numbers."""
         config, scene = self.config, self.scene
         arrays = (scene.joint_lower, scene.joint_upper, self.increments, self._links, self._slides)
         thresholds = (config.success_distance_m, config.success_angle_deg, config.ignore_roll)
-        return (
-            *arrays,
-            self.start,
-            self.target,
-            self._goal,
-            thresholds,
-            config.max_episode_steps,
-        )
+        return (*arrays, self.start, self.target, self._goal, thresholds, config.max_episode_steps)
 
     def first_success(
-        self,
-        actions: NDArray[np.int64],
-        known: NDArray[np.int64] | None = None,
-        since: int = 0,
+        self, actions: NDArray[np.int64], known: NDArray[np.int64] | None = None, since: int = 0
     ) -> NDArray[np.int64]:
-        """Find the step (from 0) at which a list of actions solves each episode, (E,).
+        """Find the step at which actions (T, J) solve each episode, (E,); those never solved get T.
 
-        Episodes that are never solved get ``max_episode_steps``.
-
-        Args:
-            actions: indices into ``ACTION_LEVELS``, (T, J).
-            known: the result for a list that is equal before step ``since``; saves time.
-            since: first step that differs from that list.
+        ``known`` is the result for a list that is equal before step ``since``; it saves time.
         """
         if known is None:
             known = np.full(len(self.start), self.config.max_episode_steps)
@@ -78,20 +65,11 @@ class OpenLoopScore:
         return int((first < self.config.max_episode_steps).sum())
 
     def play_on(
-        self,
-        joints: NDArray[np.float64],
-        actions: NDArray[np.int64],
-        solved: NDArray[np.bool_],
+        self, joints: NDArray[np.float64], actions: NDArray[np.int64], solved: NDArray[np.bool_]
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Play more actions (T, J) from joint angles (E, J) [rad].
+        """Play more actions (T, J) from joint angles (E, J) [rad] and solved episodes (E,).
 
-        Args:
-            joints: joint angles before the actions.
-            actions: indices into ``ACTION_LEVELS``.
-            solved: episodes that were solved before, (E,).
-
-        Returns:
-            The joint angles after the actions (E, J), and which episodes are solved then, (E,).
+        Return both as they are after the actions.
         """
         first, end = self._play(joints, actions, np.where(solved, -1, 0), 0)
         return end, first < self.config.max_episode_steps
@@ -226,9 +204,8 @@ def _carry(
 def _joint_chain(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Split the arm into constant transforms with a turn about z, or a slide along z, between.
 
-    Returns:
-        links (J + 1, 3, 4): the transform before each joint, at angle 0, and that to the gripper;
-        and which joints are slides, (J,).
+    Return the transforms before each joint, at angle 0, and that to the gripper, (J + 1, 3, 4);
+    and which joints are slides, (J,).
     """
     model = scene.model
     joints = [model.joint(ROBOT_PREFIX + name).id for name in scene.robot.joints]
@@ -252,11 +229,3 @@ def _axis_frame(anchor: NDArray[np.float64], axis: NDArray[np.float64]) -> NDArr
     frame[:3, :3] = np.stack([x, np.cross(axis, x), axis], axis=1)
     frame[:3, 3] = anchor
     return frame
-
-
-def grasp_transforms(
-    scene: Scene, target: NDArray[np.int64], position: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Grasp frames of targets at places (n, 2) [m] as transforms to world (n, 3, 4)."""
-    points = target_places(scene, position) + scene.grasp_position[target]
-    return np.concatenate([scene.grasp_matrix[target], points[..., None]], axis=2)

@@ -5,9 +5,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from knowarm.world.ik import InverseKinematics
-from knowarm.world.tasks.reach import ACTION_LEVELS, joint_increments
-from knowarm.world.vector_env import ReachVectorEnv
+from knowarm.world.agents.ik import InverseKinematics
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.tasks.running import ACTION_LEVELS, joint_increments
 
 
 class AgentProtocol(Protocol):
@@ -21,11 +21,7 @@ class AgentProtocol(Protocol):
 
 
 class ZeroAgent:
-    """Never moves.
-
-    Args:
-        seed: unused; all scripted agents are created from a seed.
-    """
+    """Never moves; as all scripted agents it is created from a seed."""
 
     def __init__(self, seed: int = 0) -> None:
         self._shape = (0, 0)
@@ -40,11 +36,7 @@ class ZeroAgent:
 
 
 class RandomAgent:
-    """Draws every action uniformly; a trained agent has to be better than this.
-
-    Args:
-        seed: of the draws, which continue from one ``start`` to the next.
-    """
+    """Draws every action uniformly; a trained agent has to be better than this."""
 
     def __init__(self, seed: int = 0) -> None:
         self._generator = np.random.default_rng(seed)
@@ -60,9 +52,9 @@ class RandomAgent:
 
 
 class OracleAgent:
-    """Moves to the true grasp frame by inverse kinematics, without looking at the image.
+    """Moves to the true goal frame by inverse kinematics, without looking at the image.
 
-    It solves for the joint angles of the grasp frame once per episode; in every step each joint
+    It solves for the joint angles of the goal frame once per episode; in every step each joint
     takes the action that ends nearest to its solution. It shows that a task can be solved with the
     seven actions, and its score is an upper reference for agents that see images.
 
@@ -78,7 +70,7 @@ class OracleAgent:
         self._env = env
         self._levels = joint_increments(env.scene.robot, env.config)
         solver = InverseKinematics(env.scene, seed=self._seed, ignore_roll=env.config.ignore_roll)
-        self._reach = solver.solve(env.grasp_position, env.grasp_matrix, env.joint_positions)
+        self._reach = solver.solve(env.goal_position, env.goal_matrix, env.joint_positions)
 
     def act(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:
         """Choose for each joint the action that ends nearest to its solution, (n, J)."""

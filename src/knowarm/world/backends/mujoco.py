@@ -1,6 +1,7 @@
 """MuJoCo backend: ``mujoco.batch`` on a pool of CPU threads, in float64."""
 
 import copy
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -8,38 +9,29 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from knowarm.cores import available_cores
-from knowarm.world.arrays import IndexSelection, NumpyArrays
-from knowarm.world.backends import Dynamics
-from knowarm.world.compose import SUBSTEPS
-from knowarm.world.scene import Scene, target_places
+from knowarm.world.scene.compose import SUBSTEPS
+from knowarm.world.scene.scene import Scene, target_places
+
+Dynamics = Literal["dynamic", "kinematic"]
+"""Position servos with inertia and contacts, or joint angles set exactly."""
 
 _POSES = mujoco.mjtStage.mjSTAGE_POS.value
 
 
 class MujocoSimulator:
-    """``Simulator`` on MuJoCo's thread pool; results depend on neither n nor the thread count.
+    """Physics of n copies of a scene; results depend on neither n nor the thread count.
 
     "dynamic" moves the joints by position servos with ``SUBSTEPS`` physics steps per action;
-    "kinematic" sets them exactly and computes poses only. Array attributes are live views.
-
-    Args:
-        scene: the scene to simulate.
-        num_envs: n.
-        num_threads: size of the thread pool; 0 for one per core.
-        dynamics: how joints follow their targets.
+    "kinematic" sets them exactly and computes poses only. Poses are refreshed by ``reset``,
+    ``step`` and ``set_state``; array attributes are live views. 0 threads are one per core.
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        num_envs: int,
-        num_threads: int = 0,
-        dynamics: Dynamics = "dynamic",
+        self, scene: Scene, num_envs: int, num_threads: int = 0, dynamics: Dynamics = "dynamic"
     ) -> None:
         self.scene = scene
         self.num_envs = num_envs
         self.dynamics = dynamics
-        self.arrays = NumpyArrays()
         model = scene.model
         if dynamics == "kinematic":
             # Poses need no contacts and no constraints.
@@ -74,13 +66,16 @@ class MujocoSimulator:
 
     def reset(
         self,
-        selection: IndexSelection,
+        env_ids: NDArray[np.intp],
         joint_targets: NDArray[np.float64],
         target_position: NDArray[np.float64],
         distractor_position: NDArray[np.float64] | None = None,
     ) -> None:
-        """Put selected environments at rest at joint angles; see ``Simulator.reset``."""
-        ids = selection.env_ids
+        """Put environments (m,) at rest at joint angles (m, J) [rad].
+
+        Positions are x and y [m] of the K targets, also of hidden ones, and of the D distractors.
+        """
+        ids = env_ids
         self._qpos[ids[:, None], self.scene.qpos_index] = joint_targets
         self._qvel[ids] = 0.0
         self._warmstart[ids] = 0.0
@@ -109,16 +104,7 @@ class MujocoSimulator:
         """Copy MuJoCo's state, which includes servo targets and object positions, (n, S)."""
         return self.batch.state.copy()
 
-    def set_state(
-        self,
-        state: NDArray[np.float64],
-        joint_targets: NDArray[np.float64],
-        target_position: NDArray[np.float64],
-        distractor_position: NDArray[np.float64] | None,
-    ) -> None:
-        """Restore a state of ``get_state``; the other arguments are part of it already."""
+    def set_state(self, state: NDArray[np.float64]) -> None:
+        """Restore a state of ``get_state``."""
         self.batch.state[:] = state
         self.batch.forward(stage=_POSES)
-
-    def close(self) -> None:
-        """Do nothing: no work is pending."""

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from knowarm.world.target import Target
+from knowarm.world.objects.target import Target
 
 _FOLDER = Path(__file__).parent
 
@@ -73,8 +73,8 @@ TARGETS: dict[str, Target] = {
     name: Target(name=name, mjcf=_FOLDER / f"{name}.xml", colours=COLOURS, coloured_geoms=geoms)
     for name, geoms in _COLOURED_GEOMS.items()
 }
-"""The paper's three targets and the objects of the choice task, by name. To add one, put its MJCF
+"""The paper's three targets and the objects of the choose task, by name. To add one, put its MJCF
 file here and add an entry."""
 
-CHOICE_TARGETS = ("mug", "bottle", *_COLOURED_GEOMS)
-"""Objects of the choice task."""
+CHOOSE_TARGETS = ("mug", "bottle", *_COLOURED_GEOMS)
+"""Objects of the choose task."""

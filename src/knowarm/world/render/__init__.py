@@ -1,4 +1,4 @@
-"""Renderers: RGB images of batches of MuJoCo states, by ray casting on CPU and GPU or by OpenGL."""
+"""Renderers: RGB images of batches of MuJoCo states, by ray casting or by OpenGL."""
 
 from knowarm.world.render.cpu import Raycaster
 

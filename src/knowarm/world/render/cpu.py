@@ -8,16 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.errors import UserError
-from knowarm.world.render.closeness import closest_depths
 from knowarm.world.render.cpu_kernels import Scratch, Stored, render_range, trace_field
-from knowarm.world.render.fill import PROJECTION, Field
-from knowarm.world.render.intersections import MESH
+from knowarm.world.render.fill_loops import PROJECTION, Field
 from knowarm.world.render.numeric import FAR
 from knowarm.world.render.scenery import read_lamps, read_scenery, read_view
-from knowarm.world.render.tiles import ANTIALIASING, EXTENT, RECORD, TILE, Grid, make_grid
+from knowarm.world.render.tiles import ANTIALIASING, EXTENT, RECORD, TILE, TileGrid, make_grid
 
 MAX_SIDE = 4096
 
+NEAREST_M = 0.2  # Least distance of a mesh from the camera for which triangles are added [m]
 Appearance = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
 """Colours (n or 1, G, 4), cameras (n or 1, 12) and lights (n or 1, 12)."""
 
@@ -25,14 +24,10 @@ Appearance = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]
 class Trace(NamedTuple):
     """What the centre of each pixel shows."""
 
-    geom: NDArray[np.int32]
-    """Id of the geom, -1 for none, (n, H, W)."""
-
+    geom: NDArray[np.int32]  # Id of the geom, -1 for none, (n, H, W)
+    # Distance from the eye along the pixel's ray [m], -1 for none, (n, H, W)
     distance: NDArray[np.float32]
-    """Distance from the eye along the pixel's ray [m], -1 for none, (n, H, W)."""
-
-    normal: NDArray[np.float32]
-    """Outward unit normal, world, zero for none, (n, H, W, 3)."""
+    normal: NDArray[np.float32]  # Outward unit normal, world, zero for none, (n, H, W, 3)
 
 
 class Raycaster:
@@ -43,25 +38,20 @@ class Raycaster:
     Args:
         model: what to draw. Geoms welded to the world are drawn once and stored.
         camera: name or id of a perspective camera that stands still.
-        width: width of the image [px].
-        height: height of the image [px], spanned by the camera's fovy.
+        width, height: size of the image [px]; its height is spanned by the camera's fovy.
         antialiasing: four rays per pixel in a rotated grid instead of one through its centre.
         num_threads: threads that share a batch.
         geom_groups: geom groups that are drawn; MuJoCo's renderer draws 0, 1 and 2.
         background: RGB where no geom is, in 0..1.
-        mesh_error_px: how far the outline of a mesh may be moved to draw it with fewer triangles
-            [px], at the smallest distance at which it can be seen; None draws all triangles.
+        mesh_triangle_px: size to which the triangles of meshes are enlarged [px], as seen from
+            the camera with the joints at zero; None draws all triangles.
 
     Attributes:
-        view: (12,) float32, position [m] and row-major rotation of the camera, world.
-        lamps: (4, 3) float32: sum of ambient colours, diffuse colours of headlight and directional
-            light, and the unit vector towards the latter, world.
+        view: position [m] and row-major rotation of the camera, world, (12,).
+        lamps: lights as in ``read_lamps``, (4, 3).
         grid: positions of the samples.
         scenery: the model's geoms.
         stored: images that every environment can start from.
-
-    Raises:
-        UserError: a size is out of range, or the model holds what cannot be drawn.
     """
 
     def __init__(
@@ -75,7 +65,7 @@ class Raycaster:
         num_threads: int = 1,
         geom_groups: tuple[int, ...] = (0, 1, 2),
         background: tuple[float, float, float] = (0.0, 0.0, 0.0),
-        mesh_error_px: float | None = None,
+        mesh_triangle_px: float | None = None,
     ) -> None:
         for name, side in (("width", width), ("height", height)):
             if not 1 <= side <= MAX_SIDE:
@@ -87,11 +77,12 @@ class Raycaster:
         mujoco.mj_camlight(model, data)
         self.width, self.height = width, height
         self.view, half_height = read_view(model, data, camera)
-        tolerance = None
-        if mesh_error_px is not None and np.any(model.geom_type == MESH):
-            depth = closest_depths(model, self.view, half_height, width / height)
-            tolerance = depth * (mesh_error_px * 2 * half_height / height)
-        self.scenery = read_scenery(model, geom_groups, tolerance)
+        triangle_m = None
+        if mesh_triangle_px is not None:
+            depth = np.linalg.norm(data.geom_xpos - self.view[:3], axis=1)
+            pixel_m = np.maximum(depth, NEAREST_M) * (2 * half_height / height)
+            triangle_m = mesh_triangle_px * pixel_m
+        self.scenery = read_scenery(model, geom_groups, triangle_m)
         self.lamps = read_lamps(model, data)
         self.grid = make_grid(width, height, half_height, ANTIALIASING if antialiasing else 1)
         self._pool = ThreadPoolExecutor(num_threads) if num_threads > 1 else None
@@ -119,21 +110,10 @@ class Raycaster:
         *,
         out: NDArray[np.uint8] | None = None,
     ) -> NDArray[np.uint8]:
-        """Draw n images.
+        """Draw n images as a ``Renderer``, into ``out`` if given.
 
-        With ``views`` or ``lamps``, geoms that stand still are drawn again in every image.
-
-        Args:
-            geom_position: (n, G, 3) [m], world, float32 or float64.
-            geom_matrix: (n, G, 9), row-major rotation from geom to world.
-            geom_rgba: (n, G, 4) in 0..1; alpha 0 hides a geom and any other draws it opaque; None
-                for the model's.
-            views: (n, 12) cameras, as the attribute ``view``; None for the model's.
-            lamps: (n, 4, 3) lights, as the attribute ``lamps``; None for the model's.
-            out: (n, H, W, 3) to write; None for a new array.
-
-        Returns:
-            (n, H, W, 3) uint8 RGB.
+        With ``views`` or ``lamps``, geoms that stand still are drawn again in every image. Without
+        ``geom_rgba``, geoms have the model's colours.
         """
         count = len(geom_position)
         if out is None:
@@ -161,16 +141,7 @@ class Raycaster:
         geom_matrix: NDArray[Any],
         geom_rgba: NDArray[np.float32] | None = None,
     ) -> Trace:
-        """Find what the centre of each pixel shows, with the kernels that draw.
-
-        Args:
-            geom_position: as for ``draw``.
-            geom_matrix: as for ``draw``.
-            geom_rgba: as for ``draw``.
-
-        Raises:
-            UserError: the ray caster uses anti-aliasing.
-        """
+        """Find what the centre of each pixel shows, with the kernels that draw."""
         if self.grid.mask:
             raise UserError(
                 "Raycaster.trace needs antialiasing=False, because the rays of one pixel can hit "
@@ -248,7 +219,7 @@ class Raycaster:
     def _poses(
         self, geom_position: NDArray[Any], geom_matrix: NDArray[Any]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Copy poses to reused float32 arrays: CPU and GPU compute from the same numbers."""
+        """Copy poses to reused float32 arrays."""
         count, geoms = len(geom_position), len(self.scenery.kind)
         assert geom_position.shape == (count, geoms, 3), geom_position.shape
         assert geom_matrix.shape == (count, geoms, 9), geom_matrix.shape
@@ -261,12 +232,12 @@ class Raycaster:
         return positions, matrices
 
 
-def _make_field(grid: Grid, value: int) -> Field:
+def _make_field(grid: TileGrid, value: int) -> Field:
     count = grid.strips * grid.rows * TILE
     return np.full(count, FAR, dtype=np.float32), np.full(count, value, dtype=np.int32)
 
 
-def _make_scratch(grid: Grid, geoms: int, vertices: int) -> Scratch:
+def _make_scratch(grid: TileGrid, geoms: int, vertices: int) -> Scratch:
     return Scratch(
         field=_make_field(grid, 0),
         record=np.empty((geoms, RECORD), dtype=np.float32),

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from knowarm.world.render.fill import Field, corners, fill_mesh, fill_primitive
+from knowarm.world.render.fill_loops import Field, corners, fill_mesh, fill_primitive
 from knowarm.world.render.intersections import MESH, face_planes, intersect, triangle
 from knowarm.world.render.numeric import (
     FAR,
@@ -30,42 +30,28 @@ from knowarm.world.render.numeric import (
 )
 from knowarm.world.render.scenery import Meshes, Scenery
 from knowarm.world.render.shading import light_geom
-from knowarm.world.render.tiles import BITS, TILE, Grid, project_geom, sample_point
+from knowarm.world.render.tiles import BITS, TILE, TileGrid, project_geom, sample_point
 
 
 class Stored(NamedTuple):
     """Images that every environment can start from."""
 
-    empty: Field
-    """Samples of the background."""
-
-    backdrop: Field
-    """Samples of the fixed geoms."""
-
-    empty_image: NDArray[np.uint8]
-    """Image of the background, (H * W * 3,)."""
-
-    image: NDArray[np.uint8]
-    """Image of the fixed geoms, (H * W * 3,)."""
+    empty: Field  # Samples of the background
+    backdrop: Field  # Samples of the fixed geoms
+    empty_image: NDArray[np.uint8]  # Image of the background, (H * W * 3,)
+    image: NDArray[np.uint8]  # Image of the fixed geoms, (H * W * 3,)
 
 
 class Scratch(NamedTuple):
     """Working memory of a thread."""
 
-    field: Field
-    """The samples, (strips * rows * TILE,) each."""
-
-    record: NDArray[np.float32]
-    """Records of the visible geoms, (G, RECORD)."""
-
-    extent: NDArray[np.int32]
-    """Extents of the visible geoms, (G, EXTENT)."""
-
+    field: Field  # The samples, (strips * rows * TILE,) each
+    record: NDArray[np.float32]  # Records of the visible geoms, (G, RECORD)
+    extent: NDArray[np.int32]  # Extents of the visible geoms, (G, EXTENT)
+    # Projected vertices of a mesh, (PROJECTION, vertices of the largest)
     projection: NDArray[np.float32]
-    """Projected vertices of a mesh, (PROJECTION, vertices of the largest)."""
-
+    # First and one past the last row of each strip that a geom covers, (strips, 2)
     dirty: NDArray[np.int32]
-    """First and one past the last row of each strip that a geom covers, (strips, 2)."""
 
 
 @scalar
@@ -81,7 +67,7 @@ def _project_geoms(
     rgba: NDArray[np.float32],
     view: NDArray[np.float32],
     lamps: NDArray[np.float32],
-    grid: Grid,
+    grid: TileGrid,
     scenery: Scenery,
     scratch: Scratch,
     count: int,
@@ -131,7 +117,7 @@ def _has_stored_colours(scenery: Scenery, rgba: NDArray[np.float32]) -> bool:
 
 
 @njit(error_model="numpy")
-def _restore(field: Field, source: Field, dirty: NDArray[np.int32], grid: Grid) -> None:
+def _restore(field: Field, source: Field, dirty: NDArray[np.int32], grid: TileGrid) -> None:
     """Copy the dirty samples of a stored field."""
     for strip in range(dirty.shape[0]):
         start = (strip * grid.rows + dirty[strip, 0]) * TILE
@@ -147,7 +133,7 @@ def _restore(field: Field, source: Field, dirty: NDArray[np.int32], grid: Grid) 
 def _average(
     value: NDArray[np.int32],
     dirty: NDArray[np.int32],
-    grid: Grid,
+    grid: TileGrid,
     width: int,
     out: NDArray[np.uint8],
 ) -> None:
@@ -181,29 +167,26 @@ def render_range(
     rgba: NDArray[np.float32],
     views: NDArray[np.float32],
     lamps: NDArray[np.float32],
-    grid: Grid,
+    grid: TileGrid,
     scenery: Scenery,
     stored: Stored,
     scratch: Scratch,
     ids: bool,
     out: NDArray[np.uint8],
 ) -> None:
-    """Draw environments start .. stop - 1.
+    """Draw environments start .. stop - 1 to ``out``, (n, H, W, 3).
 
     Args:
-        start: first environment.
-        stop: one past the last.
-        positions: (n, G, 3) world positions of geoms [m].
-        matrices: (n, G, 9) row-major rotations from geom to world.
+        start, stop: first environment, and one past the last.
+        positions, matrices: (n, G, 3) [m] and (n, G, 9), row-major, from geom to world.
         rgba: (n or 1, G, 4) colours; alpha 0 hides.
         views: (n or 1, 12) cameras; the stored image is used only if one serves all.
         lamps: (n or 1, 12) lights, as ``read_lamps``; likewise.
-        grid: the samples.
-        scenery: the geoms.
+        grid, scenery: the samples and the geoms.
         stored: images to start from.
         scratch: working memory; afterwards it holds the last environment's samples.
         ids: write geom ids instead of colours, and no image.
-        out: (n, H, W, 3) images to write; untouched with ``ids``.
+        out: the images; untouched with ``ids``.
     """
     field, dirty = scratch.field, scratch.dirty
     size = stored.image.shape[0]
@@ -263,23 +246,15 @@ def trace_field(
     matrix: NDArray[np.float32],
     view: NDArray[np.float32],
     scenery: Scenery,
-    grid: Grid,
+    grid: TileGrid,
     geom: NDArray[np.int32],
     distance: NDArray[np.float32],
     normal: NDArray[np.float32],
 ) -> None:
-    """Read what an environment's samples show, with one sample per pixel.
+    """Read what an environment's samples show, as drawn with ``ids``, with one sample per pixel.
 
-    Args:
-        field: depths and geom ids, as drawn by ``render_range`` with ``ids``.
-        position: (G, 3) world positions [m].
-        matrix: (G, 9) rotations from geom to world.
-        view: (12,) camera.
-        scenery: the geoms.
-        grid: the samples.
-        geom: (H, W) ids to write, -1 for none.
-        distance: (H, W) distances [m] to write, -1 for none.
-        normal: (H, W, 3) world normals to write, 0 for none.
+    Written are ``geom`` ids (H, W), distances (H, W) [m], both -1 for none, and world normals
+    (H, W, 3), 0 for none.
     """
     camera = nine(view, 3)
     for j in range(geom.shape[0]):

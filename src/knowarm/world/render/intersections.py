@@ -39,12 +39,8 @@ from knowarm.world.render.numeric import (
 PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH = 0, 2, 3, 4, 5, 6, 7
 """MuJoCo's geom types as plain numbers for compiled code."""
 
-SUPPORTED = (PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH)
-"""Geom types that can be drawn."""
-
-Hit = tuple[np.float32, Vector]
-"""Ray parameter and normal."""
-
+SUPPORTED = (PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH)  # Geom types that can be drawn
+Hit = tuple[np.float32, Vector]  # Ray parameter and normal
 Faces = tuple[Vector, Vector, Vector, Vector, np.float32]
 """b x c, c x a, a x b, the plane's normal (a - c) x (b - c), and the normal times a."""
 
@@ -158,8 +154,7 @@ def _capsule_end(
 ) -> tuple[np.float32, np.float32]:
     """Correct t, an intersection with the infinite cylinder, where the ray hits a cap instead.
 
-    Returns:
-        The corrected t and the z of the cap's centre (of the point itself between the rims).
+    Return t and the z of the cap's centre (of the point itself between the rims).
     """
     z = origin[2] + t * direction[2]
     centre = min(max(z, -size[1]), size[1])

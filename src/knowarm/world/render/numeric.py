@@ -1,7 +1,7 @@
 """Scalar arithmetic: float32 vectors and the decorators that compile the ray caster's functions.
 
 All numbers are float32 and the compiler may neither fuse nor reorder operations, so that one state
-gives the same image at any batch size, on any number of threads, and on CPU and GPU.
+gives the same image at any batch size and on any number of threads.
 """
 
 import hashlib
@@ -18,9 +18,7 @@ from knowarm.private_apis import key_numba_cache
 Vector = tuple[np.float32, np.float32, np.float32]
 """Three float32 scalars, which compiled code keeps in registers."""
 
-Matrix = tuple[np.float32, ...]
-"""Nine float32 scalars: a 3 x 3 matrix, row-major."""
-
+Matrix = tuple[np.float32, ...]  # Nine float32 scalars: a 3 x 3 matrix, row-major
 ZERO = np.float32(0)
 HALF = np.float32(0.5)
 ONE = np.float32(1)
@@ -28,12 +26,11 @@ ONE = np.float32(1)
 FAR = np.float32(1e9)
 """Depth of a ray that hits nothing, and the far end of an unbounded interval [m]."""
 
-TINY = np.float32(1e-12)
-"""Direction components below this count as parallel."""
+TINY = np.float32(1e-12)  # Direction components below this count as parallel
 
 
 def scalar(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile a function of scalars and tuples of scalars, inlined into its CPU or CUDA caller."""
+    """Compile a function of scalars and tuples of scalars, inlined into its caller."""
     compiled: Callable[..., Any] = njit(forceinline=True, error_model="numpy")(function)
     return compiled
 

@@ -7,19 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.errors import UserError
-from knowarm.world.scene import Scene
+from knowarm.world.scene.scene import Scene
 
 
 class OpenGLRenderer:
-    """MuJoCo's renderer without shadows and reflections; slow, because it draws one by one.
-
-    Args:
-        scene: what is drawn.
-        size: side of the images [px].
-
-    Raises:
-        UserError: there is no OpenGL on this machine.
-    """
+    """MuJoCo's renderer without shadows and reflections; slow, because it draws one by one."""
 
     def __init__(self, scene: Scene, size: int) -> None:
         self._model = copy.copy(scene.model)

@@ -8,12 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.errors import UserError, unknown_name
-from knowarm.world.render.detail import Mesh, simplified
 from knowarm.world.render.intersections import MESH, SUPPORTED
+from knowarm.world.render.mesh_simplification import Mesh, simplified, unit_normals
 
-DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)
-"""A geom with this colour takes its material's."""
-
+DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)  # A geom with this colour takes its material's
 MIN_NORMAL_COSINE = 0.25
 """Below this cosine between a corner's and its triangle's normal the corner's is replaced."""
 
@@ -21,70 +19,40 @@ MIN_NORMAL_COSINE = 0.25
 class Meshes(NamedTuple):
     """All meshes of a model, concatenated. V vertices, T triangles, G geoms."""
 
-    vertex: NDArray[np.float32]
-    """Vertices in the frame of their geom [m], (V, 3)."""
-
-    face: NDArray[np.int32]
-    """Vertices of each triangle, (T, 3)."""
-
-    normal: NDArray[np.float32]
-    """Unit normals at each triangle's corners, (T, 9)."""
-
+    vertex: NDArray[np.float32]  # Vertices in the frame of their geom [m], (V, 3)
+    face: NDArray[np.int32]  # Vertices of each triangle, (T, 3)
+    normal: NDArray[np.float32]  # Unit normals at each triangle's corners, (T, 9)
+    # First and one past the last vertex, first and one past the last triangle of each geom, zero
+    # for geoms that are not meshes, (G, 4)
     span: NDArray[np.int32]
-    """First and one past the last vertex, first and one past the last triangle of each geom, zero
-    for geoms that are not meshes, (G, 4)."""
-
+    # 1 for a geom whose mesh is closed with triangles anticlockwise from outside, -1 if clockwise,
+    # 0 if open or not a mesh, (G,)
     winding: NDArray[np.int32]
-    """1 for a geom whose mesh is closed with triangles anticlockwise from outside, -1 if clockwise,
-    0 if open or not a mesh, (G,)."""
-
-    middle: NDArray[np.float32]
-    """Centre of each geom's bounding box in its frame [m], (G, 3)."""
-
-    half: NDArray[np.float32]
-    """Half-sizes of that box [m], (G, 3)."""
+    middle: NDArray[np.float32]  # Centre of each geom's bounding box in its frame [m], (G, 3)
+    half: NDArray[np.float32]  # Half-sizes of that box [m], (G, 3)
 
 
 class Scenery(NamedTuple):
     """The geoms of a model. G geoms, F fixed and M moving ones that are drawn."""
 
-    kind: NDArray[np.int32]
-    """Type of each geom, (G,)."""
-
-    size: NDArray[np.float32]
-    """``geom_size`` [m], (G, 3)."""
-
-    emission: NDArray[np.float32]
-    """Emission of each geom's material, (G,)."""
-
-    meshes: Meshes
-    """The triangles of mesh geoms."""
-
+    kind: NDArray[np.int32]  # Type of each geom, (G,)
+    size: NDArray[np.float32]  # ``geom_size`` [m], (G, 3)
+    emission: NDArray[np.float32]  # Emission of each geom's material, (G,)
+    meshes: Meshes  # The triangles of mesh geoms
+    # Colour of each geom, its material's where it has none of its own, (G, 4)
     rgba: NDArray[np.float32]
-    """Colour of each geom, its material's where it has none of its own, (G, 4)."""
-
-    fixed: NDArray[np.int32]
-    """Ids of the drawn geoms that stand still in every state, (F,)."""
-
-    moving: NDArray[np.int32]
-    """Ids of the drawn geoms that can move, (M,)."""
+    fixed: NDArray[np.int32]  # Ids of the drawn geoms that stand still in every state, (F,)
+    moving: NDArray[np.int32]  # Ids of the drawn geoms that can move, (M,)
 
 
 def read_scenery(
     model: mujoco.MjModel,
     geom_groups: tuple[int, ...],
-    tolerance: NDArray[np.float64] | None = None,
+    triangle_m: NDArray[np.float64] | None = None,
 ) -> Scenery:
-    """Read the geoms of a model.
+    """Read the geoms of a model in some groups.
 
-    Args:
-        model: the geoms.
-        geom_groups: groups that are drawn.
-        tolerance: how far the surface of each mesh geom may be moved to simplify it [m], (G,);
-            None for meshes as they are.
-
-    Raises:
-        UserError: a geom of a drawn group is of a type that the ray caster cannot draw.
+    ``triangle_m`` is the size to which the triangles of each mesh geom are enlarged [m], (G,).
     """
     drawn = np.flatnonzero(np.isin(model.geom_group, geom_groups))
     for g in drawn:
@@ -105,7 +73,7 @@ def read_scenery(
         kind=model.geom_type.astype(np.int32),
         size=model.geom_size.astype(np.float32),
         emission=emission,
-        meshes=_read_meshes(model, drawn, tolerance),
+        meshes=_read_meshes(model, drawn, triangle_m),
         rgba=_geom_colours(model),
         fixed=drawn[fixed[drawn]].astype(np.int32),
         moving=drawn[~fixed[drawn]].astype(np.int32),
@@ -115,18 +83,9 @@ def read_scenery(
 def read_view(
     model: mujoco.MjModel, data: mujoco.MjData, camera: int | str
 ) -> tuple[NDArray[np.float32], float]:
-    """Read a perspective camera that stands still.
+    """Read a perspective camera that stands still, by name or id.
 
-    Args:
-        model: the model.
-        data: with the poses of cameras computed.
-        camera: name or id.
-
-    Returns:
-        Position [m] and row-major rotation from camera to world, (12,), and tan(fovy / 2).
-
-    Raises:
-        UserError: there is no camera of this name or id, or it is orthographic or can move.
+    Return position [m] and row-major rotation from camera to world, (12,), and tan(fovy / 2).
     """
     names = [model.camera(i).name for i in range(model.ncam)]
     if isinstance(camera, str):
@@ -153,14 +112,10 @@ def read_view(
 
 
 def read_lamps(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.float32]:
-    """Read a model's lights.
+    """Read a model's lights, (4, 3) in world coordinates.
 
-    Returns:
-        (4, 3): sum of ambient colours, diffuse colours of headlight and directional light, and the
-        unit vector towards the latter, world.
-
-    Raises:
-        UserError: there are more lights than a headlight and a directional light.
+    Rows: sum of ambient colours, diffuse colours of headlight and directional light, and the unit
+    vector towards the latter.
     """
     lamps = np.zeros((4, 3), dtype=np.float32)
     head = model.vis.headlight
@@ -231,7 +186,7 @@ def _geom_colours(model: mujoco.MjModel) -> NDArray[np.float32]:
 
 
 def _read_meshes(
-    model: mujoco.MjModel, drawn: NDArray[np.intp], tolerance: NDArray[np.float64] | None
+    model: mujoco.MjModel, drawn: NDArray[np.intp], triangle_m: NDArray[np.float64] | None
 ) -> Meshes:
     """Read the triangles of the drawn mesh geoms, those of a shared mesh once."""
     span = np.zeros((model.ngeom, 4), dtype=np.int32)
@@ -242,8 +197,8 @@ def _read_meshes(
     for mesh in np.unique(model.geom_dataid[geoms]):
         users = geoms[model.geom_dataid[geoms] == mesh]
         shape = _read_mesh(model, mesh)
-        if tolerance is not None:
-            shape = simplified(shape, float(tolerance[users].min()))
+        if triangle_m is not None:
+            shape = simplified(shape, float(triangle_m[users].min()))
         meshes.append(shape._replace(face=shape.face + np.int32(vertices)))
         after = vertices + len(shape.vertex), triangles + len(shape.face)
         span[users] = vertices, after[0], triangles, after[1]
@@ -298,7 +253,6 @@ def _plausible_normals(
 
     MuJoCo gives meshes without faces the triangles of their hull, and normals that do not fit.
     """
-    own = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    own /= np.maximum(np.linalg.norm(own, axis=1, keepdims=True), 1e-20)
+    own = unit_normals(corners)
     deviates = (normals * own[:, None]).sum(axis=2) < MIN_NORMAL_COSINE
     return np.where(deviates[:, :, None], own[:, None], normals).astype(np.float32)

@@ -20,17 +20,9 @@ normal incidence, in 0..255."""
 def light_geom(
     rgb: Vector, emission: np.float32, lamps: tuple[Vector, Vector, Vector, Vector], matrix: Matrix
 ) -> tuple[Vector, Paint]:
-    """Multiply a geom's colour by the light.
+    """Multiply a geom's colour by the light: the rows of ``read_lamps``.
 
-    Args:
-        rgb: colour of the geom, in 0..1.
-        emission: emission of its material.
-        lamps: sum of ambient colours, diffuse colours of headlight and directional light, and the
-            unit vector towards the latter, world frame.
-        matrix: rotation from geom to world.
-
-    Returns:
-        The unit vector towards the directional light in the geom's frame, and the paint.
+    Return the unit vector towards the directional light in the geom's frame, and the paint.
     """
     ambient, head, sun, towards_sun = lamps
     r, g, b = times(rgb, FULL)
@@ -39,11 +31,7 @@ def light_geom(
         g * (ambient[1] + emission) + HALF,
         b * (ambient[2] + emission) + HALF,
     )
-    paint = (
-        dark,
-        (r * head[0], g * head[1], b * head[2]),
-        (r * sun[0], g * sun[1], b * sun[2]),
-    )
+    paint = (dark, (r * head[0], g * head[1], b * head[2]), (r * sun[0], g * sun[1], b * sun[2]))
     return to_local(matrix, towards_sun), paint
 
 
@@ -55,16 +43,9 @@ def _channel(value: np.float32) -> np.int32:
 
 @scalar
 def shade(normal: Vector, head: Vector, sun: Vector, paint: Paint) -> np.int32:
-    """Shade a surface.
+    """Return red, green and blue of a surface in the lowest three bytes.
 
-    Args:
-        normal: unit normal of the surface.
-        head: unit vector towards the headlight, in the frame of the normal.
-        sun: unit vector towards the directional light, in the frame of the normal.
-        paint: from ``light_geom``.
-
-    Returns:
-        Red, green and blue in the lowest three bytes.
+    The unit vectors towards headlight and directional light are in the frame of the normal.
     """
     dark, by_head, by_sun = paint
     a, b = max(dot(normal, head), ZERO), max(dot(normal, sun), ZERO)

@@ -56,77 +56,42 @@ from knowarm.world.render.numeric import (
     to_parent,
 )
 
-TILE, BITS = 4, 2
-"""Side of a tile of samples, a power of two, and its exponent."""
-
-ANTIALIASING = 4
-"""Samples per pixel with anti-aliasing."""
-
+TILE, BITS = 4, 2  # Side of a tile of samples, a power of two, and its exponent
+ANTIALIASING = 4  # Samples per pixel with anti-aliasing
 SLACK = np.float32(0.02)
 """Fraction of a pixel or row by which a rectangle is widened against rounding."""
 
-RECORD, EXTENT = 27, 6
-"""Numbers stored per projected geom."""
-
-NEAR = np.float32(1e-3)
-"""Points closer to the eye than this have no useful projection [m]."""
-
+RECORD, EXTENT = 27, 6  # Numbers stored per projected geom
+NEAR = np.float32(1e-3)  # Points closer to the eye than this have no useful projection [m]
 Rectangle = tuple[np.float32, np.float32, np.float32, np.float32]
 
 WIDE = np.float32(1e6)
 EVERYWHERE = (-WIDE, WIDE, -WIDE, WIDE)
 
 
-class Grid(NamedTuple):
+class TileGrid(NamedTuple):
     """Positions of the samples in image coordinates."""
 
-    left: np.float32
-    """X of the centre of the first pixel."""
-
-    top: np.float32
-    """Y of the first row."""
-
-    pixel: np.float32
-    """Width of a pixel."""
-
-    step: np.float32
-    """Distance between rows, ``pixel / S``."""
-
-    mask: np.int32
-    """S - 1; row & mask is the index of the sample within its pixel."""
-
-    shift: np.float32
-    """Horizontal offset of sample 0 from the centre of the pixel."""
-
-    advance: np.float32
-    """Horizontal distance from one sample to the next."""
-
+    left: np.float32  # X of the centre of the first pixel
+    top: np.float32  # Y of the first row
+    pixel: np.float32  # Width of a pixel
+    step: np.float32  # Distance between rows, ``pixel / S``
+    mask: np.int32  # S - 1; row & mask is the index of the sample within its pixel
+    shift: np.float32  # Horizontal offset of sample 0 from the centre of the pixel
+    advance: np.float32  # Horizontal distance from one sample to the next
+    # Horizontal distance back before sample 2, so that sample 3 stays inside the pixel
     back: np.float32
-    """Horizontal distance back before sample 2, so that sample 3 stays inside the pixel."""
-
-    reach: np.float32
-    """Largest horizontal distance of a sample from the centre, in pixels."""
-
-    strips: np.int32
-    """Number of strips of ``TILE`` columns that hold the image."""
-
-    rows: np.int32
-    """Number of rows of samples, a multiple of ``TILE``."""
+    reach: np.float32  # Largest horizontal distance of a sample from the centre, in pixels
+    strips: np.int32  # Number of strips of ``TILE`` columns that hold the image
+    rows: np.int32  # Number of rows of samples, a multiple of ``TILE``
 
 
-def make_grid(width: int, height: int, half_height: float, samples: int) -> Grid:
-    """Lay out 1 or ``ANTIALIASING`` samples per pixel.
-
-    Args:
-        width: of the image [px].
-        height: of the image [px].
-        half_height: half the image's height at depth 1, tan(fovy / 2).
-        samples: per pixel.
-    """
+def make_grid(width: int, height: int, half_height: float, samples: int) -> TileGrid:
+    """Lay out 1 or ``ANTIALIASING`` samples per pixel; ``half_height`` is tan(fovy / 2)."""
     pixel = 2 * half_height / height
     # In quarters of a pixel: sample s of four lies at 2 s - .5, less 5 from sample 2 on.
     shift, advance, back = {1: (0, 0, 0), ANTIALIASING: (-0.5, 2, 5)}[samples]
-    return Grid(
+    return TileGrid(
         left=np.float32((1 - width) / 2 * pixel),
         top=np.float32(half_height - pixel / samples / 2),
         pixel=np.float32(pixel),
@@ -142,7 +107,7 @@ def make_grid(width: int, height: int, half_height: float, samples: int) -> Grid
 
 
 @scalar
-def sample_point(column: np.int32, row: np.int32, grid: Grid) -> tuple[np.float32, np.float32]:
+def sample_point(column: np.int32, row: np.int32, grid: TileGrid) -> tuple[np.float32, np.float32]:
     """Return X and Y of the sample in a pixel column and a row of samples."""
     s = np.int32(row & grid.mask)
     half = np.int32(s >> np.int32(1))
@@ -268,24 +233,14 @@ def project_geom(
     matrix: Matrix,
     eye: Vector,
     camera: Matrix,
-    grid: Grid,
+    grid: TileGrid,
 ) -> tuple[bool, tuple[int, int, int, int], Vector, Matrix]:
     """Transform a geom to the camera frame and find the samples that can show it.
 
-    Args:
-        kind: MuJoCo's geom type.
-        size: ``geom_size`` [m].
-        middle: centre of a mesh's bounding box in the geom's frame [m].
-        half: half-sizes of that box [m].
-        position: of the geom, world [m].
-        matrix: rotation from geom to world.
-        eye: position of the camera, world [m].
-        camera: rotation from camera to world.
-        grid: the samples.
-
-    Returns:
-        Whether any of the geom can be in the image; first and last column and first and last row
-        of samples; the eye in the geom's frame [m]; the rotation from geom to camera.
+    ``middle`` and ``half`` are a mesh's bounding box in its frame [m], ``position`` and ``eye``
+    world positions [m]; matrices are from geom and from camera to world. Return whether any of
+    the geom can be in the image; first and last column and first and last row of samples; the eye
+    in the geom's frame [m]; the rotation from geom to camera.
     """
     p = to_local(camera, minus(position, eye))
     c0 = to_local(camera, (matrix[0], matrix[3], matrix[6]))

@@ -1,26 +1,19 @@
 """Robots: their descriptions, titles and Gymnasium ids. MJCF files are in the folders beside."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-from knowarm.world.robot import Robot, Table
+from knowarm.world.robots.robot import Area, Robot, Table
 
 
 @dataclass(frozen=True, kw_only=True)
 class RobotEntry:
     """A robot of the registry."""
 
-    env_id: str
-    """Gymnasium id of its reaching task, without the namespace ``knowarm/``."""
-
-    choice_env_id: str | None = None
-    """Gymnasium id of its choice task, likewise; None if it has none."""
-
+    gym_name: str
+    """Its part of the Gymnasium ids, as "IRB120" of ``knowarm/IRB120Reach-v0``."""
     robot: Robot
     """Description from which a scene is built."""
-
-    variant_of: str | None = None
-    """Robot of which this is another start pose and MPI: those it had up to run format 2."""
 
     @property
     def title(self) -> str:
@@ -35,7 +28,7 @@ _FROM_ABOVE = (
     *("brush", "basket", "clock", "toolbox", "dumbbell", "bell", "globe"),
 )
 _FROM_THE_SIDE = ("teapot", "pitcher", "pan", "flashlight", "bucket", "watering_can", "book")
-"""Objects of the choice task by the direction of their grasp."""
+"""Objects of the choose task by the direction of their grasp."""
 
 _IRB120 = Robot(
     name="irb120",
@@ -49,9 +42,8 @@ _IRB120 = Robot(
     # the paper's 60 x 20 cm rectangle, on the floor in front of the robot
     rectangle_centre_m=(0.47, 0.0),
     rectangle_half_size_m=(0.10, 0.30),
-    # where the gripper reaches all objects of the choice task, also low ones from above
-    choice_centre_m=(0.44, 0.0),
-    choice_half_size_m=(0.07, 0.29),
+    # where the gripper reaches all objects of the choose task, also low ones from above
+    areas={"choose": Area(centre_m=(0.44, 0.0), half_size_m=(0.07, 0.29))},
     # directions in which the wrist stays within its range and the ways to two grasps have little
     # in common
     target_yaw_deg=-135.0,
@@ -77,15 +69,9 @@ _TIAGO = Robot(
     # the paper's 20 x 25 cm rectangle
     rectangle_centre_m=(0.70, -0.08),
     rectangle_half_size_m=(0.10, 0.125),
-    choice_centre_m=(0.745, 0.0),
-    choice_half_size_m=(0.08, 0.23),
+    areas={"choose": Area(centre_m=(0.745, 0.0), half_size_m=(0.08, 0.23))},
     target_yaw_deg=-165.0,
-    target_yaws_deg={
-        "cereal_box": -135.0,
-        "book": -145.0,
-        "flashlight": -145.0,
-        "pitcher": -145.0,
-    },
+    target_yaws_deg={"cereal_box": -135.0, "book": -145.0, "flashlight": -145.0, "pitcher": -145.0},
     turned_grasps=("mug",),
     camera_position_m=(1.35, -0.95, 1.50),
     camera_look_at_m=(0.66, -0.06, 0.78),
@@ -93,40 +79,11 @@ _TIAGO = Robot(
 )
 """7 arm joints, torso lift fixed at .35 m, two-finger gripper, table."""
 
-_IRB120_NEAR = replace(
-    _IRB120,
-    name="irb120-near",
-    title="ABB IRB120 near the grasps",
-    home=(0.0, 0.0, 0.4, 0.0, 0.2, 0.0),
-    mpi_rad=0.10,
-    target_yaw_deg=-165.0,
-    target_yaws_deg={"cereal_box": -135.0},
-    camera_look_at_m=(0.42, -0.03, 0.20),
-)
-"""Starts at up to 20 degrees from a grasp; a third of the episodes can be solved blind."""
-
-_TIAGO_NEAR = replace(
-    _TIAGO,
-    name="tiago-near",
-    title="PAL TIAGo near the grasps",
-    home=(0.206, -0.036, -1.67, 1.79, 0.57, -0.56, -0.6),
-    mpi_rad=0.10,
-    target_yaw_deg=-135.0,
-    target_yaws_deg={},
-    turned_grasps=(),
-)
-"""Starts at 20 degrees from two grasps; nine of ten episodes can be solved blind."""
-
 ROBOTS: dict[str, RobotEntry] = {
-    "irb120": RobotEntry(env_id="IRB120Reach-v0", choice_env_id="IRB120Choose-v0", robot=_IRB120),
-    "tiago": RobotEntry(env_id="TiagoReach-v0", choice_env_id="TiagoChoose-v0", robot=_TIAGO),
-    "irb120-near": RobotEntry(env_id="IRB120NearReach-v0", robot=_IRB120_NEAR, variant_of="irb120"),
-    "tiago-near": RobotEntry(env_id="TiagoNearReach-v0", robot=_TIAGO_NEAR, variant_of="tiago"),
+    "irb120": RobotEntry(gym_name="IRB120", robot=_IRB120),
+    "tiago": RobotEntry(gym_name="Tiago", robot=_TIAGO),
 }
 """Robots by name. To add one, put its MJCF file in a folder here and add an entry."""
-
-MAIN_ROBOTS = tuple(name for name, entry in ROBOTS.items() if entry.variant_of is None)
-"""Names of the robots that are no variants: those of benchmarks and figures."""
 
 DEFAULT_ROBOT = "irb120"
 """Robot of an ``EnvConfig`` that names none."""

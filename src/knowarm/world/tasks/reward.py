@@ -1,82 +1,32 @@
 """Reward of the reaching task: distance, angle, success and the reward's terms."""
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.compiling import njit
-from knowarm.world.arrays import Array, array_namespace
 
 SUCCESS_REWARD = 100.0
 DISTANCE_WEIGHT = 2.0
 ANGLE_DIVISOR_DEG = 70.0
 
 
-def measure(
-    tcp_position: Array,
-    tcp_matrix: Array,
-    grasp_position: Array,
-    grasp_matrix: Array,
-    ignore_roll: bool,
-) -> tuple[Array, Array]:
-    """Measure how far each gripper is from its grasp frame.
-
-    With R = A'B, the rotation from grasp frame to gripper, the angle is the geodesic one:
-    trace R = 1 + 2 cos and |R - R'| = 2 sqrt(2) sin (Frobenius norm). With ``ignore_roll`` it is
-    the angle between the two z axes. Both are taken from sine and cosine, which is exact near 0
-    and 180 degrees.
-
-    Args:
-        tcp_position: (n, 3) [m], world, NumPy or torch.
-        tcp_matrix: (n, 9), rotation from gripper to world, row-major.
-        grasp_position: (n, 3) [m], world.
-        grasp_matrix: (n, 9), rotation from grasp frame to world, row-major.
-        ignore_roll: compare the approach axes (z) only.
-
-    Returns:
-        distance (n,) [m] and angle (n,) [deg], of the arguments' dtype.
-    """
-    compute = _measure_rows if isinstance(tcp_position, np.ndarray) else _measure_tensors
-    return compute(tcp_position, tcp_matrix, grasp_position, grasp_matrix, ignore_roll)
-
-
-def is_success(
-    distance: Array, angle: Array, success_distance_m: float, success_angle_deg: float
-) -> Array:
-    """Return which grippers are within both thresholds, (n,) bool, NumPy or torch as given."""
-    return (distance < success_distance_m) & (angle < success_angle_deg)
-
-
-def reward_terms(distance: Array, angle: Array, success: Array) -> dict[str, Array]:
-    """Compute the reward's terms, each (n,); the reward is their sum (paper, table 1).
-
-    100 on success, otherwise -2 d^2 - a / 70 with d in metres and a in degrees.
-
-    Args:
-        distance: (n,) [m], NumPy or torch; its dtype is also that of the terms.
-        angle: (n,) [deg].
-        success: (n,) bool.
-    """
-    xp = array_namespace(distance)
-    missed = ~success
-    return {
-        "success": SUCCESS_REWARD * xp.astype(success, distance.dtype),
-        "distance": -DISTANCE_WEIGHT * distance**2 * missed,
-        "angle": -angle / ANGLE_DIVISOR_DEG * missed,
-    }
-
-
 @njit(cache=True, error_model="numpy")
-def _measure_rows(
+def measure(
     tcp_position: NDArray[np.float64],
     tcp_matrix: NDArray[np.float64],
     grasp_position: NDArray[np.float64],
     grasp_matrix: NDArray[np.float64],
     ignore_roll: bool,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """``measure`` row by row, compiled: an order of magnitude faster than NumPy's operations."""
+    """Measure how far each gripper is from its grasp frame: distance (n,) [m] and angle (n,) [deg].
+
+    Positions are (n, 3) [m], matrices (n, 9), row-major, both world. With R = A'B, the rotation
+    from grasp frame to gripper, the angle is the geodesic one: trace R = 1 + 2 cos and
+    |R - R'| = 2 sqrt(2) sin (Frobenius norm). With ``ignore_roll`` it is the angle between the two
+    z axes. Both are taken from sine and cosine, which is exact near 0 and 180 degrees.
+    """
     n = tcp_position.shape[0]
     distance = np.empty(n)
     angle = np.empty(n)
@@ -107,21 +57,26 @@ def _measure_rows(
     return distance, angle
 
 
-def _measure_tensors(
-    tcp_position: Any, tcp_matrix: Any, grasp_position: Any, grasp_matrix: Any, ignore_roll: bool
-) -> tuple[Any, Any]:
-    """``measure`` of tensors, without matrix products: on a GPU TF32 would round their factors."""
-    import torch  # NumPy's environments do not need it
+def is_success(
+    distance: NDArray[np.float64],
+    angle: NDArray[np.float64],
+    success_distance_m: float,
+    success_angle_deg: float,
+) -> NDArray[np.bool_]:
+    """Return which grippers are within both thresholds, (n,) bool."""
+    return (distance < success_distance_m) & (angle < success_angle_deg)
 
-    distance = (tcp_position - grasp_position).square().sum(dim=1).sqrt()
-    first, second = tcp_matrix.reshape(-1, 3, 3), grasp_matrix.reshape(-1, 3, 3)
-    if ignore_roll:
-        a, b = first[:, :, 2], second[:, :, 2]
-        sine = torch.linalg.cross(a, b).square().sum(dim=1).sqrt()
-        cosine = (a * b).sum(dim=1)
-    else:
-        turn = (first[:, :, :, None] * second[:, :, None, :]).sum(dim=1)
-        trace = turn.diagonal(dim1=1, dim2=2).sum(dim=1)
-        skew = (turn - turn.transpose(1, 2)).square().sum(dim=(1, 2))
-        sine, cosine = (skew / 8).sqrt(), 0.5 * (trace - 1.0)
-    return distance, torch.rad2deg(torch.atan2(sine, cosine))
+
+def reward_terms(
+    distance: NDArray[np.float64], angle: NDArray[np.float64], success: NDArray[np.bool_]
+) -> dict[str, NDArray[np.float64]]:
+    """Compute the reward's terms, each (n,); the reward is their sum (paper, table 1).
+
+    100 on success, otherwise -2 d^2 - a / 70 with d in metres and a in degrees.
+    """
+    missed = ~success
+    return {
+        "success": SUCCESS_REWARD * success.astype(np.float64),
+        "distance": -DISTANCE_WEIGHT * distance**2 * missed,
+        "angle": -angle / ANGLE_DIVISOR_DEG * missed,
+    }

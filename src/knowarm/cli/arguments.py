@@ -1,0 +1,122 @@
+"""Parsing of the command line: groups of commands, options, and names that come first."""
+
+import re
+import sys
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any, TypeVar
+
+import tyro
+from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
+
+from knowarm.errors import UserError, unknown_name
+from knowarm.knowledge.vectors import VectorSource, source_named
+
+Command = TypeVar("Command")
+HELP = ("-h", "--help")
+REGISTRY = ConstructorRegistry()
+"""Rules by which values of options are read, beside tyro's own."""
+
+
+@REGISTRY.primitive_rule
+def _integer(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[int] | None:
+    """Read integers, also in the notation of floats, such as 1e6."""
+    if info.type is not int:
+        return None
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="INT",
+        instance_from_str=lambda words: _to_integer(words[0]),
+        is_instance=lambda value: isinstance(value, int) and not isinstance(value, bool),
+        str_from_instance=lambda value: [str(value)],
+    )
+
+
+def _to_integer(word: str) -> int:
+    if re.fullmatch(r"\d+(\.\d*)?[eE]\+?\d{1,2}", word) and float(word).is_integer():
+        return int(float(word))
+    return int(word)
+
+
+def parse_options(
+    command: type[Command], prog: str, arguments: Sequence[str], **options: Any
+) -> Command:
+    """Make a command, a dataclass, from its options; ``options`` are those of `tyro.cli`."""
+    given: set[str] = set()
+    for word in arguments:
+        name = word.partition("=")[0].replace("_", "-")
+        if name in given:
+            raise UserError(f"{name} is given twice; give it once, a list as {name} FIRST SECOND.")
+        if re.match(r"--[a-z]", name):
+            given.add(name)
+    return tyro.cli(command, prog=prog, args=arguments, registry=REGISTRY, **options)
+
+
+def parse_command(command: Any, prog: str, about: str, arguments: Sequence[str]) -> Any:
+    """Make a command from the words after its name ``prog``; ``about`` is the help of a group.
+
+    ``command`` is a dataclass whose fields are the options, a class with a method ``parse``, a
+    function of the words, or a group of these by name.
+    """
+    if isinstance(command, type):
+        return getattr(command, "parse", partial(parse_options, command))(prog, arguments)
+    if not isinstance(command, Mapping):
+        return command(arguments)
+    name, *rest = arguments or HELP
+    if name in HELP:
+        docs = {name: each.__doc__ or "" for name, each in command.items()}
+        print(group_help(prog, about, {name: text.split("\n")[0] for name, text in docs.items()}))
+        sys.exit(0)
+    if name not in command:
+        raise unknown_name(f"{prog.split()[-1]} command", name, command)
+    return parse_command(command[name], f"{prog} {name}", "", rest)
+
+
+def group_help(prog: str, about: str, commands: Mapping[str, str]) -> str:
+    """Return the help text of a group of commands with their summaries."""
+    width = max(map(len, commands))
+    lines = [f"  {name:<{width}}  {summary}" for name, summary in commands.items()]
+    start = f"usage: {prog} COMMAND [ARGUMENTS]\n\n{about}\n\ncommands:"
+    return "\n".join([start, *lines, f"\n`{prog} COMMAND --help` shows a command's arguments."])
+
+
+def take_experiment(arguments: Sequence[str], usage: str) -> tuple[str, list[str]]:
+    """Return the name of an experiment, which comes first, and the other words.
+
+    Without a name the usage is printed and the process ends.
+    """
+    name, *rest = arguments or HELP
+    if name in HELP:
+        print(usage)
+        sys.exit(0)
+    if name.startswith("-"):
+        problem = f"The first argument must be the name of an experiment, got {name}"
+        raise UserError(f"{problem}; `knowarm list` explains their names.")
+    return name, rest
+
+
+def take_option(arguments: Sequence[str], flag: str, example: str) -> tuple[list[str], str | None]:
+    """Take an option such as `--source analogy` out of arguments; return the others and its value.
+
+    Options of its fields (`--source.file`) are left in place.
+    """
+    rest, found = [], None
+    words = iter(arguments)
+    for word in words:
+        option, equals, name = word.partition("=")
+        if option != flag:
+            rest.append(word)
+            continue
+        name = name if equals else next(words, "--")
+        if name.startswith("--"):
+            raise UserError(f"{flag} needs a name, e.g. {flag} {example}.")
+        if found is not None:
+            raise UserError(f"{flag} is given twice; give it once.")
+        found = name
+    return rest, found
+
+
+def take_source(arguments: Sequence[str], flag: str) -> tuple[list[str], VectorSource | None]:
+    """Take the short name of a source of vectors out of arguments, as `take_option` does."""
+    rest, name = take_option(arguments, flag, "wordnet-gloss-50")
+    return rest, None if name is None else source_named(name)

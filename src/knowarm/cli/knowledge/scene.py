@@ -1,0 +1,130 @@
+"""`knowarm knowledge show`, `embed` and `probe`: sentences and vectors of a scene's objects."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from safetensors.numpy import save_file
+
+from knowarm.cli.knowledge.options import SceneOptions, check_suffix, writing
+from knowarm.cli.tables import print_table
+from knowarm.knowledge import SceneEmbedding, scene_embedding, scene_sentences, scene_subgraph
+from knowarm.knowledge.draw import heatmap_svg
+from knowarm.knowledge.graph.terms import local_name
+from knowarm.knowledge.probe import NEARLY_SAME, probe
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnowledgeShow(SceneOptions):
+    """Show the facts of the graph about objects, as triples, sentences and a vector."""
+
+    def result(self) -> dict[str, Any]:
+        """Print the subgraph, the sentence of each slot, and the embedding's shape and norm."""
+        config, facets = self.config(), self.facets()
+        embedding = scene_embedding(config, facets)
+        subgraph = scene_subgraph(config, facets)
+        triples = list(subgraph)
+        title = f"Subgraph: {len(triples)} triples, {len(subgraph.nodes)} entities"
+        facts = [[local_name(name) for name in triple] for triple in triples]
+        print_table(title, ["head", "relation", "tail"], facts)
+        sentences = scene_sentences(config, facets)
+        print_table("Sentences", ["slot", "sentence"], sentences.items())
+        described = embedding.describe()
+        norms = zip(described["slots"], described["slot_norms"], strict=True)
+        title = f"Embedding: shape ({embedding.dim},), norm {embedding.norm:.3f}, "
+        title += f"source {config.source.short_name}, scope {config.scope}"
+        rows = [[name, embedding.slot_dim, norm] for name, norm in norms]
+        print_table(title, ["slot", "numbers", "norm"], rows)
+        coverage = described["coverage"]
+        if coverage["labels"]:
+            print(f"Labels found: {100 * coverage['share']:.0f} % of {coverage['labels']}.")
+        if coverage["not_whole"]:
+            print(f"Not found or found in part only: {', '.join(coverage['not_whole'])}.")
+        if embedding.note:
+            print(f"Note: {embedding.note}.")
+        if embedding.constant:
+            print("Every episode gets the same numbers, which act as a bias of the policy.")
+        if embedding.privileged:
+            print("The numbers identify the episode's object and colour: privileged information.")
+        shown = {"triples": triples, "entities": subgraph.entities, **described}
+        numbers = {"shape": [embedding.dim], "vector": embedding.vector.tolist()}
+        return {**shown, "sentences": sentences, **numbers}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Embed(SceneOptions):
+    """Embed objects and write one row of numbers per slot."""
+
+    out: Path | None = None
+    """Write the slots: .npy and .safetensors hold (S, D) float32, .csv one named row per slot."""
+
+    def result(self) -> dict[str, Any]:
+        """Embed, print and write."""
+        check_suffix(self.out, "vectors", (".npy", ".csv", ".safetensors"))
+        embedding = scene_embedding(self.config(), self.facets())
+        rows = [
+            [slot.name, " ".join(f"{x:.3f}" for x in row[:6]) + " ...", float(np.linalg.norm(row))]
+            for slot, row in zip(embedding.slots, embedding.matrix, strict=True)
+        ]
+        slots = f"{len(rows)} slot{'s' * (len(rows) != 1)} of {embedding.slot_dim} numbers"
+        title = f"{slots}, {embedding.dim} to the policy"
+        print_table(title, ["slot", "numbers", "norm"], rows)
+        if self.out is not None:
+            with writing(self.out):
+                _write(embedding, self.out)
+        return {**embedding.describe(), "vectors": embedding.matrix.tolist()}
+
+
+def _write(embedding: SceneEmbedding, path: Path) -> None:
+    names = [slot.name for slot in embedding.slots]
+    if path.suffix == ".npy":
+        np.save(path, embedding.matrix)
+    elif path.suffix == ".safetensors":
+        matrix = np.ascontiguousarray(embedding.matrix)
+        save_file({"slots": matrix}, path, {"slots": ",".join(names)})
+    else:
+        rows = [["slot", *(f"v{i}" for i in range(embedding.slot_dim))]]
+        for name, row in zip(names, embedding.matrix, strict=True):
+            rows.append([name, *map(repr, map(float, row))])
+        path.write_text("".join(",".join(row) + "\n" for row in rows), encoding="utf-8")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProbeCommand(SceneOptions):
+    """Test whether facets can be told apart and their facts recovered from the vectors."""
+
+    svg: Path | None = None
+    """Draw the cosines to this SVG file."""
+
+    def result(self) -> dict[str, Any]:
+        """Print cosines, the accuracy of linear probes, and a warning where facets are alike."""
+        config = self.config()
+        found = probe(config, self.facets())
+        title = f"Cosine of facets: {self.agent or config.source.short_name}"
+        numbers = [str(i) for i in range(1, len(found.slots) + 1)]
+        rows = [
+            [number, name, *(None if np.isnan(x) else float(x) for x in row)]
+            for number, name, row in zip(numbers, found.slots, found.cosine, strict=True)
+        ]
+        print_table(title, ["", "facet", *numbers], rows)
+        if found.recovered:
+            columns = ["target", "the task's", "all objects'", "by guessing"]
+            shares = [[n, s["task"], s["all"], s["guess"]] for n, s in found.recovered.items()]
+            print_table("Share recovered by a linear probe", columns, shares)
+        else:
+            print("Nothing to recover: these numbers do not come from the facts about the objects.")
+        for first, second, cosine in found.nearly_same:
+            print(f"Warning: {first} and {second} are nearly the same (cosine {cosine:.3f}).")
+        if found.nearly_same:
+            print(
+                "A policy can hardly tell these apart. Slots are farther apart with "
+                "--no-relation-words --pooling sif --centring --colour-share 0.6 --slot-norm 1."
+            )
+        elif found.recovered:
+            print(f"Every pair of facets can be told apart: all cosines below {NEARLY_SAME}.")
+        if self.svg is not None:
+            note = f"the largest of two different facets: {found.largest:.3f}"
+            with writing(self.svg):
+                self.svg.write_text(heatmap_svg(found.cosine, found.slots, title, note), "utf-8")
+        return found.describe()

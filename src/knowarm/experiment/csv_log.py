@@ -1,0 +1,102 @@
+"""CSV logs of a training: rows that survive a crash and a resumed run."""
+
+import csv
+import logging
+import math
+import re
+from collections.abc import Collection, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from knowarm.reading import UnreadableFileError, reading
+from knowarm.reading import writing as writing_file
+
+log = logging.getLogger("knowarm.experiment")
+
+
+class CsvLog:
+    """Rows appended to a CSV file, each flushed as soon as it is written.
+
+    A row with a new column rewrites the file once; cells without a value stay empty. On resuming,
+    rows later than ``keep_to_step`` (None: all) and those of ``drop_steps`` are dropped.
+    """
+
+    def __init__(
+        self, path: Path, *, keep_to_step: int | None = None, drop_steps: Collection[int] = ()
+    ):
+        self._path = path
+        self._columns: list[str] = []
+        if path.exists():
+            last = -math.inf if keep_to_step is None else keep_to_step
+            rows = [
+                row
+                for row in self._read()
+                if (step := number_in(row, "step")) is not None
+                and step <= last
+                and step not in drop_steps
+            ]
+            self._columns = list(dict.fromkeys(name for row in rows for name in row))
+            self._rewrite(rows)
+
+    def _read(self) -> list[dict[str, str]]:
+        """Read the rows; set a file aside whose header is damaged."""
+        try:
+            return read_csv(self._path)
+        except UnreadableFileError as error:
+            aside = self._path.with_suffix(".damaged")
+            with writing(self._path):
+                self._path.replace(aside)
+            log.warning("%s Keeping it as %s and starting a new file.", error, aside.name)
+            return []
+
+    def write(self, row: Mapping[str, Any]) -> None:
+        """Append one row and flush it."""
+        if any(name not in self._columns for name in row):
+            rows = read_csv(self._path) if self._columns else []
+            self._columns += [name for name in row if name not in self._columns]
+            self._rewrite(rows)
+        with writing(self._path), self._path.open("a", newline="", encoding="utf-8") as file:
+            csv.DictWriter(file, self._columns, lineterminator="\n").writerow(row)
+
+    def _rewrite(self, rows: Sequence[Mapping[str, Any]]) -> None:
+        temporary = self._path.with_suffix(".tmp")
+        with writing(self._path):
+            with temporary.open("w", newline="", encoding="utf-8") as file:
+                if self._columns:
+                    writer = csv.DictWriter(file, self._columns, restval="", lineterminator="\n")
+                    writer.writeheader()
+                    writer.writerows(rows)
+            temporary.replace(self._path)
+
+
+writing = partial(
+    writing_file,
+    remedy="The last checkpoint is intact: free disk space, or move the run folder back to where "
+    "the training started, and resume.",
+)
+"""Context manager in which a running training writes a file."""
+
+
+def read_csv(path: Path) -> list[dict[str, str]]:
+    """Read the complete rows of a CSV log; of damaged ones what is readable."""
+    with reading(path, "Restore the file."):
+        data = path.read_bytes()
+        text = data.decode(errors="replace").replace("\0", "\ufffd")
+        lines = re.findall(r"[^\n]*\n", text)  # complete ones
+        reader = csv.DictReader(lines)
+        if data and "step" not in (reader.fieldnames or ["step"]):
+            raise ValueError("its first line names no column step")
+        return [
+            {name: cell for name, cell in row.items() if name is not None and cell is not None}
+            for row in reader
+        ]
+
+
+def number_in(row: Mapping[str, str], column: str) -> float | None:
+    """Return a finite number of a CSV log; None for a cell that is empty, missing or damaged."""
+    try:
+        number = float(row[column])
+    except (KeyError, ValueError):
+        return None
+    return number if math.isfinite(number) else None

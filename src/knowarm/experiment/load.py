@@ -1,0 +1,179 @@
+"""Trained agents, loaded from their run folders."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import torch
+
+from knowarm.config import from_dict
+from knowarm.errors import UserError
+from knowarm.experiment.config import ExperimentConfig
+from knowarm.experiment.run_folder import RunFolder
+from knowarm.experiment.run_module import given_module, stored_module
+from knowarm.learn import read_checkpoint
+from knowarm.perception.agent import PerceivingAgent
+from knowarm.perception.grounding import GroundingNetwork
+from knowarm.perception.module import PerceptionModule, in_batches
+from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
+from knowarm.policy.policy import State
+from knowarm.reading import reading
+from knowarm.world.setting import facets_of, questions_of
+
+
+class PlayState(NamedTuple):
+    """State of a trained agent between the steps of an episode."""
+
+    recurrent: State
+    knowledge: torch.Tensor
+    """Row (n,) int64, or knowledge (n, K) float32, of each episode."""
+
+
+Which = Literal["best", "latest", "untrained"]
+"""Policy of a run: of the best interim evaluation, the latest, or the initial weights."""
+
+
+@dataclass(frozen=True)
+class TrainedAgent:
+    """A trained agent and its origin."""
+
+    agent: PolicyAgent
+    policy: Policy
+    config: ExperimentConfig
+    folder: RunFolder
+    step: int
+    """Environment steps it was trained for."""
+    which: Which
+
+    def act(
+        self,
+        observation: np.ndarray,
+        state: PlayState | None = None,
+        info: Mapping[str, Any] | None = None,
+    ) -> tuple[np.ndarray, PlayState]:
+        """Choose the action of a step in any environment, also one of ``gymnasium.make``.
+
+        Args:
+            observation: image (H, W, 3) uint8, or images (n, H, W, 3) of n environments.
+            state: what the previous step of the episode returned; None at the first step.
+            info: infos of the reset, from which an agent whose knowledge depends on the episode
+                takes its facet or query; read at the first step.
+
+        Returns:
+            Action (J,) or (n, J) int64, and the state for the next step.
+
+        Raises:
+            UserError: the infos lack the facet or query.
+        """
+        images = torch.as_tensor(np.asarray(observation))
+        batch = images if images.ndim == 4 else images[None]
+        start = torch.full((len(batch),), state is None)
+        if state is None:
+            state = PlayState(self.policy.initial_state(len(batch)), self._knowledge(batch, info))
+        actions, recurrent = self.agent.choose(batch, state.knowledge, state.recurrent, start)
+        state = state._replace(recurrent=recurrent)
+        return (actions if images.ndim == 4 else actions[0]), state
+
+    def _knowledge(self, images: torch.Tensor, info: Mapping[str, Any] | None) -> torch.Tensor:
+        """Return the knowledge input of episodes that start with images (n, H, W, 3)."""
+        env, name = self.config.env, self.config.env.task.knowledge_info
+        rows = None if info is None else info.get(name)
+        if rows is not None:
+            rows = torch.as_tensor(rows, dtype=torch.int64).reshape(-1)
+        if isinstance(self.agent, PerceivingAgent):
+            if rows is None and questions_of(env) is not None:
+                raise _no_info(name)
+            return in_batches(self.agent.module.predictor(env, facets_of(env)), images, rows)
+        if rows is None:
+            table = self.policy.knowledge_table
+            if table.numel() and bool((table != table[:1]).any()):
+                raise _no_info(name)
+            rows = torch.zeros(len(images), dtype=torch.int64)
+        return rows
+
+    def set_knowledge_table(self, knowledge: torch.Tensor) -> torch.Tensor:
+        """Replace the knowledge table (F, K) of grounding network or policy; return the old one."""
+        module = self.agent.module if isinstance(self.agent, PerceivingAgent) else None
+        if isinstance(module, GroundingNetwork):
+            replaced, module.knowledge = module.knowledge, knowledge.to(module.knowledge.device)
+        else:
+            replaced = self.policy.knowledge_table
+            self.policy.knowledge_table = knowledge.to(replaced.device)
+        return replaced
+
+
+def _no_info(name: str) -> UserError:
+    return UserError(
+        f"The knowledge of this agent depends on the info {name!r} of the episode: pass the infos "
+        "of the environment's reset as info=..."
+    )
+
+
+def load_agent(
+    path: Path | str,
+    *,
+    which: Which = "best",
+    greedy: bool = True,
+    seed: int = 0,
+    perception: Path | str | None = None,
+) -> TrainedAgent:
+    """Load the trained agent of a run.
+
+    Args:
+        path: the run folder, such as ``runs/irb120-full-fast/0``.
+        which: the policy of the best interim evaluation, the latest, or the initial weights.
+        greedy: take the most probable action instead of sampling one.
+        seed: seed of the sampled actions.
+        perception: file of another perception module than the one that the run folder keeps.
+
+    Raises:
+        UserError: the folder holds no run, no such checkpoint, or a damaged one.
+    """
+    folder = RunFolder.open(path)
+    config, table, provenance = folder.experiment(), folder.knowledge(), folder.provenance()
+    checkpoint = None if which == "untrained" else read_checkpoint(folder.checkpoints / which)
+    with reading(folder.path / "provenance.json", "Restore the file."):
+        stored = provenance["policy"]
+        choices = from_dict(PolicyConfig, stored["config"], where="policy.config")
+        shape = from_dict(PolicyShape, stored["shape"], where="policy.shape")
+        policy = Policy(choices, shape, None if config.grounding else table, seed=config.seed)
+    step = 0
+    if checkpoint:
+        step = int(checkpoint.facts["step"])
+        _load_parameters(policy, checkpoint.policy, folder.checkpoints / which)
+    policy.eval()
+    module: PerceptionModule | None = None
+    if perception is not None:
+        module = given_module(config, perception)
+    elif config.has_module:
+        module = stored_module(config, folder)
+    agent = policy_agent(policy, module, greedy, torch.Generator().manual_seed(seed))
+    return TrainedAgent(agent, policy, config, folder, step, which)
+
+
+def policy_agent(
+    policy: Policy, perception: PerceptionModule | None, greedy: bool, generator: torch.Generator
+) -> PolicyAgent:
+    """Return the agent that plays with a policy, and with a perception module where it has one."""
+    if perception is None:
+        return PolicyAgent(policy, greedy=greedy, generator=generator)
+    return PerceivingAgent(perception, policy, greedy=greedy, generator=generator)
+
+
+def _load_parameters(policy: Policy, arrays: dict[str, np.ndarray], where: Path) -> None:
+    """Copy parameters into the policy after comparing names and shapes."""
+    expected = {name: tuple(value.shape) for name, value in policy.state_dict().items()}
+    found = {name: value.shape for name, value in arrays.items()}
+    if expected != found:
+        pairs = "; ".join(
+            f"{name}: {found.get(name)} | {expected.get(name)}"
+            for name in sorted({*expected, *found})
+            if expected.get(name) != found.get(name)
+        )
+        raise UserError(
+            f"The checkpoint {where} does not fit the policy of its run folder (checkpoint | "
+            f"policy): {pairs}. One of the two was replaced: restore it."
+        )
+    policy.load_state_dict({name: torch.from_numpy(value) for name, value in arrays.items()})

@@ -1,0 +1,129 @@
+"""Names of experiments: robot, task, agent, colours and algorithm, such as ``irb120-full-fast``."""
+
+import dataclasses
+from dataclasses import dataclass
+
+from knowarm.errors import UserError, unknown_name
+from knowarm.experiment.agents import AGENTS, Agent, first_of_role
+from knowarm.experiment.algorithms import ALGORITHMS
+from knowarm.world.robots import ROBOTS
+from knowarm.world.tasks import task_names, task_type
+from knowarm.world.tasks.sampling import Colours
+
+DEFAULT_TASK = "reach"
+"""The task that names leave out."""
+RANDOMIZED = "-dr"
+"""Suffix of the agent for randomized colours, in tasks that leave the colours open."""
+
+
+@dataclass(frozen=True)
+class ExperimentName:
+    """Name of an experiment: ``<robot>[-<task>]-<agent>[-dr]-<algorithm>``.
+
+    ``str`` writes it and `parse` reads it. The parts are names in ``ROBOTS``, ``task_names``,
+    ``AGENTS`` and ``ALGORITHMS``, and the colours of the targets (paper section 4.2.5).
+    """
+
+    robot: str
+    task: str
+    agent: str
+    colours: Colours
+    algorithm: str
+
+    def __post_init__(self) -> None:
+        for what, value, known in (
+            ("robot", self.robot, ROBOTS),
+            ("task", self.task, task_names()),
+            ("agent", self.agent, AGENTS),
+            ("algorithm", self.algorithm, ALGORITHMS),
+        ):
+            if value not in known:
+                raise unknown_name(f"{what} of the experiment", value, known)
+        if self.task not in (tasks := tasks_of(AGENTS[self.agent])):
+            raise UserError(
+                f"The agent {self.agent!r} has no experiment of the task {self.task!r}; it has "
+                f"those of {', '.join(tasks)}."
+            )
+        if self.colours not in colours_of(self.task):
+            raise UserError(
+                f"The task {self.task!r} has {' or '.join(colours_of(self.task))} colours, got "
+                f"{self.colours!r}."
+            )
+
+    def __str__(self) -> str:
+        """Return the name."""
+        task = "" if self.task == DEFAULT_TASK else f"-{self.task}"
+        suffix = "" if self.colours == colours_of(self.task)[0] else RANDOMIZED
+        return f"{self.robot}{task}-{self.agent}{suffix}-{self.algorithm}"
+
+    @classmethod
+    def parse(cls, text: str) -> "ExperimentName":
+        """Read a name; an error for a part that is missing or unknown lists the nearest names."""
+        robots = [each for each in ROBOTS if text.startswith(f"{each}-")]
+        robot = max(robots, key=len, default=text.partition("-")[0])
+        rest = text.removeprefix(f"{robot}-")
+        algorithms = [each for each in ALGORITHMS if rest.endswith(f"-{each}")]
+        algorithm = max(algorithms, key=len, default=rest.rpartition("-")[2])
+        middle = rest.removesuffix(algorithm).removesuffix("-")
+        if not middle:
+            raise UserError(
+                "The name of an experiment has the parts ROBOT-AGENT-ALGORITHM, or with another "
+                f"task ROBOT-TASK-AGENT-ALGORITHM, got {text!r}. Give all parts, such as "
+                f"{_example(text)!r}; `knowarm list` shows them."
+            )
+        head, _, tail = middle.partition("-")
+        task, agent = (head, tail) if tail and head in task_names() else (DEFAULT_TASK, middle)
+        colours = colours_of(task)[0]
+        if agent not in AGENTS and agent.endswith(RANDOMIZED):
+            agent, colours = agent.removesuffix(RANDOMIZED), "randomized"
+        name = cls(robot=robot, task=task, agent=agent, colours=colours, algorithm=algorithm)
+        if str(name) != text:
+            raise UserError(f"The experiment {text!r} is named {str(name)!r}; give this name.")
+        return name
+
+
+def tasks_of(agent: Agent) -> list[str]:
+    """Return the tasks in which an agent is an experiment.
+
+    They have the scope of its knowledge, if it is no baseline, and the fields that it changes.
+    """
+    found = []
+    for name in agent.tasks or task_names():
+        task = task_type(name)
+        fields = {field.name for field in dataclasses.fields(task)}
+        scope = agent.role == "baseline" or agent.knowledge.scope in task.scopes
+        if scope and fields.issuperset(agent.task):
+            found.append(name)
+    return found
+
+
+def colours_of(task: str) -> tuple[Colours, ...]:
+    """Return the colours that the experiments of a task can have; names leave out the first."""
+    fixed = task_type(task).colours
+    return ("fixed", "randomized") if fixed is None else (fixed,)
+
+
+def experiment_names() -> list[str]:
+    """List the names of all experiments that the registries define."""
+    return [
+        str(ExperimentName(robot, task, agent, colours, algorithm))
+        for robot in ROBOTS
+        for agent, entry in AGENTS.items()
+        for task in tasks_of(entry)
+        for colours in colours_of(task)
+        for algorithm in ALGORITHMS
+    ]
+
+
+def _example(text: str) -> str:
+    """Return a valid name with the parts that a text has."""
+    words = (text, *text.split("-"))
+    robot = next((each for each in words if each in ROBOTS), next(iter(ROBOTS)))
+    agent = next((each for each in words if each in AGENTS), first_of_role("knowledge"))
+    algorithm = next((each for each in words if each in ALGORITHMS), next(iter(ALGORITHMS)))
+    task = tasks_of(AGENTS[agent])[0]
+    return str(ExperimentName(robot, task, agent, colours_of(task)[0], algorithm))
+
+
+DEFAULT_EXPERIMENT = _example("")
+"""Experiment of the benchmarks, the installation check and the examples."""

@@ -1,0 +1,93 @@
+"""Speed of this machine: environment steps, images and training steps per second."""
+
+import os
+import time
+from dataclasses import replace
+from typing import NamedTuple
+
+import gymnasium
+import numpy as np
+import psutil
+
+from knowarm.experiment.agents import AGENTS, first_of_role
+from knowarm.experiment.build import build, make_trainer
+from knowarm.experiment.config import ExperimentConfig
+from knowarm.learn import A3CConfig, Hooks, Metrics
+from knowarm.world.config import EnvConfig
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.tasks.running import ACTION_LEVELS
+
+WARM_UP_ROWS = 2
+"""Rows of the training metrics that are not measured: the first updates compile."""
+NEVER = 10**12
+
+
+class Speed(NamedTuple):
+    """Steps of a vector environment per second, by the clock and of CPU time of all processes."""
+
+    steps_per_s: float
+    steps_per_cpu_s: float
+
+
+def cpu_seconds() -> float:
+    """Return the CPU time used so far by this process and all of its child processes [s]."""
+    # The system counts other processes' time in ticks of 10 ms: a short measurement may see none.
+    running = psutil.Process().children(recursive=True)
+    ended = sum(os.times()[2:4])
+    return time.process_time() + ended + sum(sum(child.cpu_times()[:4]) for child in running)
+
+
+def measure_steps(env: gymnasium.vector.VectorEnv, seconds: float) -> Speed:
+    """Measure a vector environment for some seconds, after three warm-up steps.
+
+    The actions are random, ``MultiDiscrete([levels] * joints)``.
+    """
+    env.reset(seed=0)
+    shape = (64, env.num_envs, *(env.single_action_space.shape or ()))
+    actions = np.random.default_rng(0).integers(len(ACTION_LEVELS), size=shape)
+    for i in range(3):
+        env.step(actions[i])
+    count, start, cpu = 0, time.perf_counter(), cpu_seconds()
+    while (elapsed := time.perf_counter() - start) < seconds or count == 0:
+        env.step(actions[count % 64])
+        count += 1
+    steps = count * env.num_envs
+    return Speed(steps / elapsed, steps / (cpu_seconds() - cpu))
+
+
+def measure_images(config: EnvConfig, *, num_envs: int, seconds: float) -> float:
+    """Return images per second of CPU time of the ray caster, ``num_envs`` per call."""
+    env = ReachVectorEnv(config, num_envs, num_threads=1)
+    env.reset(seed=0)
+    poses = env.simulation.geom_position, env.simulation.geom_matrix, env.geom_rgba
+    env.renderer.draw(*poses)
+    count, start, cpu = 0, time.perf_counter(), cpu_seconds()
+    while time.perf_counter() - start < seconds or count == 0:
+        env.renderer.draw(*poses)
+        count += 1
+    return count * num_envs / (cpu_seconds() - cpu)
+
+
+def measure_training(config: ExperimentConfig, seconds: float) -> float:
+    """Return the steps per second by the clock of a training without evaluations, after warm-up.
+
+    Instead of an agent with a perception module or a grounding network, which would have to be
+    trained first, the baseline agent is measured on the same task.
+    """
+    if config.has_module:
+        knowledge = AGENTS[first_of_role("baseline")].knowledge
+        config = replace(config, knowledge=knowledge, grounding=None)
+    if isinstance(config.algorithm, A3CConfig):  # by default minutes pass between two rows
+        config = replace(config, algorithm=replace(config.algorithm, log_every_steps=1000))
+    rows: list[Metrics] = []
+
+    def is_enough() -> bool:
+        begin = rows[WARM_UP_ROWS - 1 :]
+        return len(begin) > 1 and begin[-1]["wall_time_s"] - begin[0]["wall_time_s"] >= seconds
+
+    config = replace(config, interim=replace(config.interim, episodes=1))
+    hooks = Hooks(on_metrics=rows.append, should_stop=is_enough)
+    policy = build(config).new_policy(config.seed)
+    make_trainer(config, policy, evaluate_every=NEVER, hooks=hooks).train(NEVER)
+    first, last = rows[WARM_UP_ROWS - 1], rows[-1]
+    return (last["step"] - first["step"]) / (last["wall_time_s"] - first["wall_time_s"])

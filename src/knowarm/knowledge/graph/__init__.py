@@ -1,0 +1,1 @@
+"""Graphs: triples, names, subgraphs, statistics and SPARQL."""

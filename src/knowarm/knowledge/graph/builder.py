@@ -1,0 +1,127 @@
+"""Construction of graphs from triples of names, and union and difference of graphs."""
+
+from array import array
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping
+from itertools import count
+
+import numpy as np
+
+from knowarm.knowledge.graph.graph import KnowledgeGraph, Names, Triple
+from knowarm.knowledge.graph.terms import LABEL_RELATIONS, parse_literal
+
+
+class GraphBuilder:
+    """Collects triples while a file is read: one dict lookup per term, four bytes per id."""
+
+    def __init__(self) -> None:
+        self.entities: dict[str, int] = defaultdict(count().__next__)  # provisional id by name
+        self.relations: dict[str, int] = defaultdict(count().__next__)
+        self.ids = array("i")  # head, relation and tail of every triple, flat
+        self._labels: dict[str, tuple[int, str]] = {}  # (rank of the language, text) by name
+
+    def add(self, head: str, relation: str, tail: str) -> None:
+        """Add one triple."""
+        append = self.ids.append
+        append(self.entities[head])
+        append(self.relations[relation])
+        append(self.entities[tail])
+
+    def add_statement(self, head: str, relation: str, tail: str) -> None:
+        """Add one triple of a file; a label statement becomes the label of its head.
+
+        Of several labels of one name the English one is kept, then one without a language, then
+        any; among equals the first in the alphabet.
+        """
+        text = parse_literal(tail) if relation in LABEL_RELATIONS else None
+        if text is None:
+            self.add(head, relation, tail)
+            return
+        rank = 1 if text.language is None else 0 if text.language.startswith("en") else 2
+        label = (rank, text.value)
+        self._labels[head] = min(label, self._labels.get(head, label))
+
+    def add_node(self, name: str) -> None:
+        """Add an entity that may have no triple."""
+        self.entities[name]  # the lookup numbers a new name
+
+    def rename(self, new_name: Callable[[str], str]) -> None:
+        """Replace every name, after all triples were added; different names stay different."""
+        self.entities = {new_name(name): i for name, i in self.entities.items()}
+        self.relations = {new_name(name): i for name, i in self.relations.items()}
+        self._labels = {new_name(name): label for name, label in self._labels.items()}
+
+    def build(self, labels: Mapping[str, str] | None = None) -> KnowledgeGraph:
+        """Sort and number the names and make the graph.
+
+        Labels are those of the statements and the given ones, of names that are in the graph.
+        """
+        entity_names, entity_rank = _sorted(self.entities)
+        relation_names, relation_rank = _sorted(self.relations)
+        triples = np.frombuffer(self.ids, np.int32).reshape(-1, 3).copy()
+        for column, rank in enumerate((entity_rank, relation_rank, entity_rank)):
+            triples[:, column] = rank[triples[:, column]]
+        written = {name: text for name, (_, text) in self._labels.items()} | dict(labels or {})
+        inside = sorted(written.keys() & (self.entities.keys() | self.relations.keys()))
+        kept = {name: written[name] for name in inside}
+        nodes = np.arange(len(self.entities), dtype=np.int32)
+        return KnowledgeGraph(entity_names, relation_names, triples, nodes=nodes, labels=kept)
+
+
+def _sorted(ids: dict[str, int]) -> tuple[Names, np.ndarray]:
+    """Sort names; return them and the new id of each provisional id, (n,) int32."""
+    names = sorted(ids)
+    rank = np.empty(len(names), np.int32)
+    rank[[ids[name] for name in names]] = np.arange(len(names))
+    return Names.from_sorted(names), rank
+
+
+def graph_of(
+    triples: Iterable[Triple], *, nodes: Iterable[str] = (), labels: Mapping[str, str] | None = None
+) -> KnowledgeGraph:
+    """Make a graph of triples of names, of entities that may have no triple, and of labels by name.
+
+    >>> graph = graph_of([("mug", "hasColor", "red"), ("mug", "isA", "cup")])
+    >>> list(graph)
+    [('mug', 'hasColor', 'red'), ('mug', 'isA', 'cup')]
+    """
+    builder = GraphBuilder()
+    for triple in triples:
+        builder.add(*triple)
+    for node in nodes:
+        builder.add_node(node)
+    return builder.build(labels)
+
+
+def union(first: KnowledgeGraph, second: KnowledgeGraph) -> KnowledgeGraph:
+    """Return the triples and entities of both; where labels differ, the first graph's are kept."""
+    builder = GraphBuilder()
+    for graph in (first, second):
+        for triple in graph:
+            builder.add(*triple)
+        for name in graph.entities:
+            builder.add_node(name)
+    return builder.build({**second.own_labels(), **first.own_labels()})
+
+
+def difference(first: KnowledgeGraph, second: KnowledgeGraph) -> KnowledgeGraph:
+    """Return the triples of the first graph that the second lacks, with the entities they name."""
+    excluded = set(second)
+    keep = [row for row, triple in enumerate(first) if triple not in excluded]
+    return first.rows(np.array(keep, np.int64))
+
+
+def shuffle_tails(graph: KnowledgeGraph, seed: int) -> KnowledgeGraph:
+    """Permute the tails within each relation, so that counts stay and facts change.
+
+    Triples that become equal are merged into one.
+    """
+    generator = np.random.default_rng(seed)
+    tails = graph.tails.copy()
+    for relation in np.unique(graph.relations):
+        rows = np.flatnonzero(graph.relations == relation)
+        tails[rows] = tails[generator.permutation(rows)]
+    triples = np.stack([graph.heads, graph.relations, tails], axis=1)
+    return KnowledgeGraph(
+        graph.names, graph.relation_names, triples, nodes=graph.nodes, labels=graph.labels
+    )

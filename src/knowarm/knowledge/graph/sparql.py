@@ -1,0 +1,86 @@
+"""SPARQL queries on a knowledge graph, evaluated by pyoxigraph in memory."""
+
+import re
+from itertools import islice
+from typing import NamedTuple
+
+from pyoxigraph import Quad, QueryBoolean, QueryTriples, Store
+
+from knowarm.errors import UserError
+from knowarm.knowledge.formats.rdf import PREFIXES, rdf_triples
+from knowarm.knowledge.graph.builder import GraphBuilder
+from knowarm.knowledge.graph.graph import KnowledgeGraph
+from knowarm.knowledge.graph.terms import name_of_term
+from knowarm.reading import one_line
+
+EXAMPLE = "SELECT ?colour WHERE { :mug :hasColor ?colour }"
+MAX_ROWS = 1_000_000
+"""Most rows of an answer."""
+_IRI = re.compile(r'<[^<>"{}|^`\\\s]*>')
+_SERVICE = re.compile(r"([:?$@]?)[\w%-]*?(service)", re.IGNORECASE)
+_FROM = re.compile(r"([:?$@]?)\b(from)\b", re.IGNORECASE)
+"""Keywords that refer to other data; after the first group it is the name of a thing."""
+
+
+class Answer(NamedTuple):
+    """Result of a query."""
+
+    columns: tuple[str, ...]
+    """Names of the variables; ("answer",) for ASK; empty for CONSTRUCT and DESCRIBE."""
+    rows: tuple[tuple[str, ...], ...]
+    """Names of entities and relations, sorted; "" where a variable is unbound."""
+    graph: KnowledgeGraph | None = None
+    """The graph of CONSTRUCT and DESCRIBE."""
+
+
+def sparql(graph: KnowledgeGraph, query: str) -> Answer:
+    """Run a query; the prefix `:` stands for plain names, as in `:mug :hasColor ?colour`."""
+    text = _IRI.sub(" ", query)
+    found = [*_SERVICE.finditer(text), *_FROM.finditer(text.split("{")[0])]
+    if word := next((each[2] for each in found if not each[1]), None):
+        raise UserError(
+            f"SPARQL query: {word.upper()} refers to other data, but a query reads the given "
+            f"graph only and nothing is fetched from the network. Leave it out, or load the other "
+            f"graph and unite the two first."
+        )
+    store = Store()
+    store.bulk_extend(Quad(*triple) for triple in rdf_triples(graph))
+    try:
+        return _answer(store, query)
+    except UserError:
+        raise
+    except SyntaxError as error:
+        raise _malformed(error) from error
+    except Exception as error:
+        raise UserError(f"SPARQL query: {one_line(error)}. Example: {EXAMPLE}") from error
+
+
+def _answer(store: Store, query: str) -> Answer:
+    result = store.query(query, prefixes=PREFIXES)
+    if isinstance(result, QueryBoolean):
+        return Answer(("answer",), (("yes" if result else "no",),))
+    if isinstance(result, QueryTriples):
+        builder = GraphBuilder()
+        for triple in islice(result, MAX_ROWS):
+            builder.add_statement(*map(name_of_term, triple))
+        return Answer((), (), builder.build())
+    columns = tuple(variable.value for variable in result.variables)
+    rows = [
+        tuple("" if t is None else name_of_term(t) for t in row)
+        for row in islice(result, MAX_ROWS + 1)
+    ]
+    if len(rows) > MAX_ROWS:
+        raise UserError(f"SPARQL query: more than {MAX_ROWS:,} rows. Add a LIMIT.")
+    return Answer(columns, tuple(sorted(rows)))
+
+
+def _malformed(error: SyntaxError) -> UserError:
+    place = re.match(r"error at (\d+):(\d+): (.*)", str(error.msg), re.DOTALL)
+    if place is None:
+        return UserError(f"SPARQL query: {error.msg}. Example: {EXAMPLE}")
+    line, column, reason = place.groups()
+    short = reason if len(reason) <= 60 else "unexpected symbol or end of the query"
+    return UserError(
+        f"SPARQL query, line {line}, column {column}: {short}. Check that every prefix is "
+        f"declared with PREFIX. Example: {EXAMPLE}"
+    )

@@ -1,0 +1,111 @@
+"""Names of entities and relations: strings that stand for RDF terms, and their readable labels.
+
+The form of a name tells which RDF term it stands for:
+
+    mug                           a plain name; its IRI is <urn:knowarm:mug>
+    http://example.org/kitchen    an IRI (a scheme, a colon and no space)
+    _:b1                          a blank node
+    "0.35"^^<http://...#decimal>  a literal, as N-Triples writes it
+"""
+
+import re
+from collections.abc import Mapping
+from contextlib import suppress
+from urllib.parse import quote, unquote
+
+from pyoxigraph import BlankNode, Literal, NamedNode, RdfFormat, Triple, parse
+
+from knowarm.errors import UserError
+
+NAMESPACE = "urn:knowarm:"
+"""Namespace of the IRIs of plain names."""
+
+LABEL_RELATIONS = (
+    "http://www.w3.org/2000/01/rdf-schema#label",
+    "http://www.w3.org/2004/02/skos/core#prefLabel",
+)
+"""Relations whose literals are labels; labels are written with the first."""
+
+_IRI = re.compile(r'[A-Za-z][A-Za-z0-9+.-]*:[^\s<>"{}|\\^`\x00-\x20]+')
+_BLANK = re.compile(r"_:[A-Za-z0-9_](?:[A-Za-z0-9_.\-·]*[A-Za-z0-9_\-·])?")
+_CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
+_SPACE = re.compile(r"[\s_\-]+")
+Term = NamedNode | BlankNode | Literal
+
+
+def literal(text: str, *, language: str | None = None, datatype: str | None = None) -> str:
+    """Return the name of a literal, with an optional language tag or datatype IRI."""
+    kind = None if datatype is None else NamedNode(datatype)
+    return str(Literal(text, language=language, datatype=kind))
+
+
+def parse_literal(name: str) -> Literal | None:
+    """Return the RDF literal that a name stands for; None for any other name."""
+    if not name.startswith('"'):
+        return None
+    with suppress(SyntaxError):
+        found = list(parse(f"<x:x> <x:x> {name} .", format=RdfFormat.N_TRIPLES))
+        if len(found) == 1 and isinstance(found[0].object, Literal):
+            return found[0].object
+    return None
+
+
+def iri_of_name(name: str) -> str:
+    """Return the IRI of a name; a name that is no valid IRI gets one in `NAMESPACE`."""
+    return _node(name).value
+
+
+def name_of_iri(iri: str) -> str:
+    """Return the name of an IRI without brackets: the plain name for those in `NAMESPACE`.
+
+    Other names, such as literals, are returned unchanged.
+    """
+    if iri.startswith(NAMESPACE):
+        name = unquote(iri[len(NAMESPACE) :])
+        if name and not name.startswith(('"', "_:")) and iri_of_name(name) == iri:
+            return name
+    return iri
+
+
+def triple_of_names(head: str, relation: str, tail: str) -> Triple:
+    """Return a triple of names as RDF; a literal as head or relation becomes an IRI."""
+    subject, end = (
+        BlankNode(name[2:]) if _BLANK.fullmatch(name) else _node(name) for name in (head, tail)
+    )
+    return Triple(subject, _node(relation), parse_literal(tail) or end)
+
+
+def name_of_term(term: Term | Triple) -> str:
+    """Return the name of an RDF term."""
+    if isinstance(term, NamedNode):
+        return name_of_iri(term.value)
+    if isinstance(term, Triple):
+        raise UserError(
+            f"The triple {term} is used as a term (RDF-star), which a knowledge graph cannot "
+            f"hold. State it as a plain triple."
+        )
+    return str(term)
+
+
+def local_name(name: str) -> str:
+    """Return the short form of a name: the last part of an IRI, the text of a literal."""
+    if (found := parse_literal(name)) is not None:
+        return found.value
+    if _IRI.fullmatch(name):
+        return unquote(re.split(r"[#/:]", name.rstrip("#/:"))[-1])
+    return name
+
+
+def label_of(name: str, labels: Mapping[str, str]) -> str:
+    """Return the label of an entity or relation in lower case, words separated by one space."""
+    written = labels.get(name)
+    text = written if written is not None else _CAMEL.sub(" ", local_name(name))
+    return _SPACE.sub(" ", text).strip().lower()
+
+
+def _node(name: str) -> NamedNode:
+    """Return the IRI of a name that is neither a literal nor a blank node."""
+    if _IRI.fullmatch(name):
+        with suppress(ValueError):
+            return NamedNode(name)
+    return NamedNode(NAMESPACE + quote(name, safe=""))

@@ -1,0 +1,1 @@
+"""Queries of a graph: which there are, splits for studies, and what these hold out."""

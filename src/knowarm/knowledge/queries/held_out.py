@@ -1,0 +1,192 @@
+"""Held-out objects, values and pairs of the choose task, and edits of its graph.
+
+Every draw keeps what training needs: conditions with objects that answer them, and objects with
+facts to be asked by.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from knowarm.errors import UserError
+from knowarm.knowledge.graph.builder import difference, graph_of, union
+from knowarm.knowledge.graph.graph import KnowledgeGraph, Triple
+from knowarm.knowledge.graph.terms import local_name
+from knowarm.knowledge.queries.queries import QueryGraph
+from knowarm.questions import Condition, Query
+
+SHARES = {"S2": 0.2, "S3": 0.23, "S4": 0.15, "S5": 0.2}
+"""Share that a split holds out or changes: of the objects of each condition (S2), of the objects
+(S3), of the values (S4), of the conditions that are not colours (S5)."""
+
+
+@dataclass
+class HeldOutQuestions:
+    """What training leaves out; each draw adds to it."""
+
+    asked: QueryGraph
+    holders: Mapping[Condition, list[str]]
+    """Objects that satisfy each condition."""
+    objects: set[str] = field(default_factory=set)
+    """Objects that training never shows (S3)."""
+    values: set[str] = field(default_factory=set)
+    """Values that training never asks (S4)."""
+    pairs: set[tuple[Condition, str]] = field(default_factory=set)
+    """Conditions and objects that training never asks together (S2)."""
+
+    @property
+    def facts(self) -> list[Condition]:
+        """The conditions that are not colours."""
+        return [condition for condition in self.holders if not condition.is_colour]
+
+    def hold_objects(self, rng: np.random.Generator, per_episode: int) -> None:
+        """Hold out objects; each condition keeps half of its objects or more (S3)."""
+        names = sorted(self.asked.objects)
+        wanted = max(per_episode + 1, round(SHARES["S3"] * len(names)))
+        shared = [set(self.holders[c]) for c in self.facts if len(self.holders[c]) > 1]
+        held: set[str] = set()
+        for index in rng.permutation(len(names)):
+            new = {*held, names[index]}
+            if len(new) <= wanted and all(2 * len(new & each) <= len(each) for each in shared):
+                held = new
+        if len(held) < wanted or len(names) - len(held) <= per_episode:
+            raise UserError(
+                f"{wanted} of the {len(names)} objects would have to be held out and more than "
+                f"{per_episode} left, with half of the objects of each condition. Give more "
+                "objects, or fewer objects per episode."
+            )
+        self.objects = held
+
+    def hold_values(self, rng: np.random.Generator, per_episode: int) -> None:
+        """Hold out values that a triple links to a value that stays (S4).
+
+        They belong to enough objects for an episode of which each can be asked for.
+        """
+        values = sorted({condition.value for condition in self.facts})
+        links = self._links(values)
+        known = {name for condition in self.facts for name in self.holders[condition]}
+        wanted = max(1, round(SHARES["S4"] * len(values)))
+        held: set[str] = set()
+        beside = 0
+        for index in rng.permutation(len(values)):
+            new = {*held, values[index]}
+            linked = all(links[value] - new for value in new)
+            left = {name for c in self.facts if c.value not in new for name in self.holders[c]}
+            if (len(new) <= wanted or beside < per_episode - 1) and linked and left == known:
+                held, beside = new, self._most_beside(new)
+        if beside < per_episode - 1:
+            raise UserError(
+                f"of the objects whose values can be held out, {beside} can stand beside another "
+                f"one that is asked for, and an episode needs {per_episode - 1}. A triple must "
+                "link each value to one that stays, such as (drinking, relatedTo, tea), and each "
+                "object must keep another fact. Add such triples."
+            )
+        self.values = held
+
+    def hold_pairs(self, rng: np.random.Generator, per_episode: int) -> None:
+        """Hold out objects of each condition, at most a third of an object's conditions (S2).
+
+        Each object keeps a fact to be asked by.
+        """
+        names = sorted(self.asked.objects)
+        total = {name: sum(name in each for each in self.holders.values()) for name in names}
+        load = dict.fromkeys(names, 0)
+        facts = {
+            name: sum(name in self.holders[c] for c in self.facts if c.value not in self.values)
+            for name in names
+        }
+        conditions = list(self.holders)
+        for index in rng.permutation(len(conditions)):
+            condition = conditions[index]
+            shown = [name for name in self.holders[condition] if name not in self.objects]
+            if condition.value in self.values or len(shown) < 2:
+                continue
+            spare = [name for name in shown if condition.is_colour or facts[name] > 1]
+            free = [name for name in spare if load[name] < total[name] // 3]
+            order = sorted(rng.permutation(free).tolist(), key=lambda n: load[n] / total[n])
+            for name in order[: max(1, round(SHARES["S2"] * len(shown)))]:
+                self.pairs.add((condition, name))
+                load[name] += 1
+                facts[name] -= not condition.is_colour
+        if len({name for _, name in self.pairs}) < per_episode:
+            self.pairs = set()
+            raise UserError(
+                f"fewer than {per_episode} objects, which an episode needs, share a condition "
+                "with an object that stays. Add facts that several objects share."
+            )
+
+    def _most_beside(self, values: set[str]) -> int:
+        """Return how many objects that some of the values belong to lack one of them, at most."""
+        held = [set(self.holders[c]) - self.objects for c in self.facts if c.value in values]
+        return max((len(set().union(*held) - each) for each in held), default=0)
+
+    def _links(self, values: list[str]) -> dict[str, set[str]]:
+        """Return the values that a triple links to each value, in either direction."""
+        links: dict[str, set[str]] = {value: set() for value in values}
+        for head, _, tail in self.asked.graph:
+            one, other = local_name(head), local_name(tail)
+            if one != other and one in links and other in links:
+                links[one].add(other)
+                links[other].add(one)
+        return links
+
+    def in_training(self, query: Query, name: str) -> bool:
+        """Return whether training may ask a query for an object."""
+        return name not in self.objects and not any(
+            c.value in self.values or (c, name) in self.pairs for c in query.conditions
+        )
+
+    def is_new_pair(self, query: Query, name: str) -> bool:
+        """Return whether a query is a question of S2."""
+        held = any((c, name) in self.pairs for c in query.conditions)
+        values = {c.value for c in query.conditions}
+        return held and name not in self.objects and not values & self.values
+
+    def is_new_object(self, query: Query, name: str) -> bool:
+        """Return whether a query is a question of S3."""
+        return name in self.objects and all(
+            any(self.in_training(Query((c,)), other) for other in self.holders.get(c, ()))
+            for c in query.conditions
+        )
+
+    def is_new_value(self, query: Query, name: str) -> bool:
+        """Return whether a query is a question of S4."""
+        held = any(c.value in self.values for c in query.conditions)
+        known = any((c, name) in self.pairs for c in query.conditions)
+        return held and not known and name not in self.objects
+
+
+def draw_edits(held: HeldOutQuestions, rng: np.random.Generator) -> KnowledgeGraph:
+    """Swap values of one relation: what was for drinking is for lighting, and the reverse (S5).
+
+    Conditions that training asks are swapped in pairs that no object satisfies both of, so that
+    every old answer is a new one as well.
+    """
+    graph, facts = held.asked.graph, held.facts
+    free = [c for c in facts if c.value not in held.values and set(held.holders[c]) - held.objects]
+    order = [free[index] for index in rng.permutation(len(free))]
+    wanted = max(1, round(SHARES["S5"] * len(facts) / 2))
+    swapped: list[tuple[Condition, Condition]] = []
+    for place, one in enumerate(order):
+        used = {condition for pair in swapped for condition in pair}
+        for other in order[place + 1 :]:
+            disjoint = not set(held.holders[one]) & set(held.holders[other])
+            fits = one.relation == other.relation and disjoint
+            if len(swapped) < wanted and fits and not {one, other} & used:
+                swapped.append((one, other))
+                break
+    if not swapped:
+        raise UserError(
+            "no two values of one relation belong to different objects, so none can be swapped. "
+            "Add facts, or give an edited graph of your own."
+        )
+    removed, added = list[Triple](), list[Triple]()
+    for pair in swapped:
+        relation = graph.relation_names[graph.relation_id(pair[0].relation)]
+        values = [graph.names[graph.entity_id(each.value)] for each in pair]
+        for condition, (old, new) in zip(pair, (values, values[::-1]), strict=True):
+            heads = [graph.names[graph.entity_id(name)] for name in held.holders[condition]]
+            removed += [(head, relation, old) for head in heads]
+            added += [(head, relation, new) for head in heads]
+    return union(difference(graph, graph_of(removed)), graph_of(added))

@@ -1,0 +1,191 @@
+"""Queries that a graph answers: which there are, and which objects with colours answer them."""
+
+from collections.abc import Iterable, Sequence
+from functools import cached_property
+from itertools import combinations
+from typing import Literal, get_args
+
+import numpy as np
+
+from knowarm.errors import UserError, unknown_name
+from knowarm.knowledge.graph.graph import KnowledgeGraph
+from knowarm.knowledge.graph.terms import local_name, parse_literal
+from knowarm.questions import AND, COLOUR_RELATION, Condition, ObjectColour, Query, number_objects
+
+Pairs = Literal["none", "colour", "all"]
+"""Queries of two conditions: none, one about the object and one about its colour, or any two."""
+
+
+def parse_query(text: str, relations: Iterable[str] = ()) -> Query:
+    """Read a query from its name, e.g. "usedFor drinking and hasColor blue"."""
+    known = sorted({*relations, COLOUR_RELATION}, key=len, reverse=True)
+    parts: list[str] = []
+    for part in text.split(AND):
+        if parts and " " not in part.strip():  # a value that holds the word "and"
+            parts[-1] += AND + part
+        else:
+            parts.append(part)
+    conditions = []
+    for part in map(str.strip, parts):
+        starts = (name for name in known if part.startswith(f"{name} "))
+        relation = next(starts, part.split(" ")[0])
+        value = part.removeprefix(relation).strip()
+        if not value:
+            raise UserError(
+                f"The query {text!r} needs a relation and a value, e.g. 'usedFor drinking', "
+                f"or two of these joined by 'and'; got {part!r}."
+            )
+        conditions.append(Condition(relation, value))
+    return Query(tuple(conditions))
+
+
+class QueryGraph:
+    """A graph with the (object, colour) facets of a task: what can be asked, and the answers.
+
+    ``owner`` (F,) is the number of each facet's object among ``objects``.
+    """
+
+    def __init__(self, graph: KnowledgeGraph, facets: Iterable[ObjectColour]) -> None:
+        self.graph, self.facets = graph, tuple((name, colour) for name, colour in facets)
+        self.objects = tuple(dict.fromkeys(name for name, _ in self.facets))
+        if not self.facets:
+            raise UserError("There are no facets to ask about: give at least one object.")
+        self._ids = np.array([self._object(name) for name in self.objects])
+        self.owner = number_objects(self.facets)
+
+    @cached_property
+    def conditions(self) -> tuple[Condition, ...]:
+        """Every condition that a facet satisfies, sorted; colours come last.
+
+        A value that is one of the objects is no condition, since a query
+        never names an object.
+        """
+        graph, found = self.graph, set[Condition]()
+        for entity in self._ids:
+            rows = graph.out_rows(entity)
+            pairs = zip(graph.relations[rows], graph.tails[rows], strict=True)
+            found |= {
+                Condition(local_name(graph.relation_names[r]), local_name(graph.names[t]))
+                for r, t in pairs
+                if t not in self._ids and parse_literal(graph.names[t]) is None
+            }
+        facts = sorted(each for each in found if not each.is_colour)
+        colours = sorted({colour for _, colour in self.facets})
+        every = [*facts, *(Condition(COLOUR_RELATION, colour) for colour in colours)]
+        answers = self.answers([Query((condition,)) for condition in every])
+        return tuple(c for c, row in zip(every, answers, strict=True) if row.any())
+
+    def queries(self, pairs: Pairs = "colour") -> tuple[Query, ...]:
+        """Return the queries that some facets answer and others do not.
+
+        First those of one condition, then those of two of which neither condition is superfluous.
+        """
+        if pairs not in get_args(Pairs):
+            raise unknown_name("value of pairs", pairs, get_args(Pairs))
+        answers = self.answers([Query((condition,)) for condition in self.conditions])
+        every = zip(self.conditions, answers, strict=True)
+        rows = {condition: row for condition, row in every if row.any() and not row.all()}
+        if not rows:
+            raise UserError(
+                f"The graph has no fact that tells {', '.join(self.objects[:8])} apart, so there "
+                "is nothing to ask. Add facts that some of the objects share and others do not."
+            )
+        double = [
+            (one, other)
+            for one, other in combinations(rows, 2)
+            if one.is_colour != other.is_colour or (pairs == "all" and not one.is_colour)
+        ]
+        kept = []
+        for pair in double if pairs != "none" else ():
+            both = rows[pair[0]] & rows[pair[1]]
+            if both.any() and all((both != rows[each]).any() for each in pair):
+                kept.append(pair)
+        return tuple(Query(each) for each in (*((condition,) for condition in rows), *kept))
+
+    def answers(self, queries: Sequence[Query]) -> np.ndarray:
+        """Return whether each facet answers each query, (Q, F) bool.
+
+        A condition on the colour is answered by the facet's own colour, any other by the graph's
+        triples about the facet's object.
+        """
+        rows = {c: self._holders(c) for query in queries for c in query.conditions}
+        found = np.ones((len(queries), len(self.facets)), bool)
+        for row, query in zip(found, queries, strict=True):
+            for condition in query.conditions:
+                row &= rows[condition]
+        return found
+
+    def parse(self, text: str) -> Query:
+        """Read a query that some facet answers from its name; see `parse_query`."""
+        known = {condition.relation for condition in self.conditions} | {COLOUR_RELATION}
+        query = parse_query(text, known)
+        for condition in query.conditions:
+            if condition.relation not in known:
+                raise unknown_name("relation of the query", condition.relation, known)
+            if condition.value in self.objects:
+                raise UserError(
+                    f"The query {text!r} names the object {condition.value!r}. A query holds "
+                    "what the graph knows about an object, such as its use, never its name."
+                )
+            values = {c.value for c in self.conditions if c.relation == condition.relation}
+            if condition.value not in values:
+                kind = f"value of {condition.relation} in a query"
+                raise unknown_name(kind, condition.value, values)
+        if not self.answers([query]).any():
+            alone = [
+                f"{c.name!r}: {', '.join(self._names(c)) or 'nothing'}" for c in query.conditions
+            ]
+            raise UserError(
+                f"Nothing answers the query {text!r}. Its conditions are answered by "
+                f"{'; '.join(alone)}. Ask another query, or add the missing triple to the graph."
+            )
+        return query
+
+    def possible(self) -> np.ndarray:
+        """Return whether the graph lets each object have its facet's colour, (F,) bool.
+
+        An object of which the graph states colours has these only, any other has all.
+        """
+        graph = self.graph
+        named = enumerate(graph.relation_names)
+        wanted = [i for i, name in named if local_name(name) == COLOUR_RELATION]
+        stated = {}
+        for name, entity in zip(self.objects, self._ids, strict=True):
+            rows = graph.out_rows(entity)
+            tails = graph.tails[rows][np.isin(graph.relations[rows], wanted)]
+            stated[name] = {local_name(graph.names[i]) for i in tails}
+        found = np.array([not stated[n] or colour in stated[n] for n, colour in self.facets])
+        for number, name in enumerate(self.objects):
+            if not found[self.owner == number].any():
+                own = [colour for each, colour in self.facets if each == name]
+                raise UserError(
+                    f"The graph gives {name!r} the colours {', '.join(sorted(stated[name]))}, but "
+                    f"the task can show it in {', '.join(own)} only. State one of these, or none."
+                )
+        return found
+
+    def _object(self, name: str) -> int:
+        try:
+            return self.graph.entity_id(name)
+        except UserError as error:
+            raise UserError(
+                f"The graph says nothing about the object {name!r}. {error} Add triples about "
+                "it, or leave the object out of the task."
+            ) from error
+
+    def _holders(self, condition: Condition) -> np.ndarray:
+        """Return which facets satisfy a condition, (F,) bool."""
+        if condition.is_colour:
+            return np.array([colour == condition.value for _, colour in self.facets])
+        graph = self.graph
+        try:
+            relation = graph.relation_id(condition.relation)
+            value = graph.entity_id(condition.value)
+        except UserError:  # an edited graph may lack what another one knows
+            return np.zeros(len(self.facets), bool)
+        rows = (graph.relations == relation) & (graph.tails == value)
+        return np.asarray(np.isin(self._ids, graph.heads[rows])[self.owner])
+
+    def _names(self, condition: Condition) -> list[str]:
+        rows = np.flatnonzero(self._holders(condition))
+        return list(dict.fromkeys(self.facets[row][0] for row in rows))

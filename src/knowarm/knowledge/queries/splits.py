@@ -1,0 +1,201 @@
+"""Splits of the choose task: which questions training asks, and which each test asks.
+
+One training table serves all tests, so that one trained policy takes them all:
+
+- S1, new layouts: the questions of training;
+- S2, new pairs: a condition and an object that training never asked together;
+- S3, new objects: objects that training never showed, asked by conditions of training;
+- S4, new values: conditions that training never asked, linked by a triple to ones that it did;
+- S5, edited graph: conditions of training whose answer is another one in an edited graph.
+"""
+
+from collections.abc import Callable, Collection, Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from knowarm.errors import UserError, unknown_name
+from knowarm.knowledge.graph.graph import KnowledgeGraph
+from knowarm.knowledge.queries.held_out import HeldOutQuestions, draw_edits
+from knowarm.knowledge.queries.queries import Pairs, QueryGraph
+from knowarm.questions import Mask, ObjectColour, Query, QuestionTable, with_distractors
+from knowarm.seeding import seed_sequence
+
+SPLITS = {
+    "S1": "new layouts",
+    "S2": "pairs of condition and object that training never asked",
+    "S3": "objects that training never showed",
+    "S4": "values that training never asked, linked to ones that it did",
+    "S5": "answers that changed with the graph",
+}
+"""Every split by name, and what its test asks."""
+
+DRAWN = {"S3": 3, "S4": 4, "S2": 2}
+"""Splits that hold something out of training, in the order of the draws, and the number of the
+stream that each draws from."""
+
+
+class QuerySplits(NamedTuple):
+    """The tables of a choose task and what was held out."""
+
+    train: QuestionTable
+    tests: dict[str, QuestionTable]
+    """Questions of each test, by the split's name."""
+    reasons: dict[str, str]
+    """Why a test is missing, by the split's name."""
+    held_out: HeldOutQuestions
+    edited: KnowledgeGraph | None
+    """The graph of S5."""
+
+    def test(self, name: str) -> QuestionTable:
+        """Return the table of a split's test."""
+        if name not in SPLITS:
+            raise unknown_name("split", name, SPLITS)
+        if name not in self.tests:
+            raise UserError(f"The split {name} ({SPLITS[name]}) is empty: {self.reasons[name]}")
+        return self.tests[name]
+
+
+def query_splits(
+    graph: KnowledgeGraph,
+    facets: Iterable[ObjectColour],
+    *,
+    seed: int = 0,
+    pairs: Pairs = "colour",
+    objects: int = 4,
+    hold_out: Collection[str] = tuple(DRAWN),
+    edited: KnowledgeGraph | None = None,
+) -> QuerySplits:
+    """Draw what is held out, and make the table of training and those of the tests.
+
+    Each split draws from its own stream of the seed. Only the splits in ``hold_out`` have a test. A
+    question needs as many distractors as there are objects per episode, less one. ``edited`` is the
+    graph of S5; None draws one by `draw_edits`.
+    """
+    for name in hold_out:
+        if name not in DRAWN:
+            raise unknown_name("split to hold out", name, DRAWN)
+    asked = QueryGraph(graph, facets)
+    maker = _Maker(asked, pairs, objects)
+    held = maker.held
+    reasons = dict.fromkeys(DRAWN, "hold_out does not name it.")
+    for name, number in DRAWN.items():
+        rng = np.random.default_rng(seed_sequence(seed, "splits", number))
+        hold = {"S2": held.hold_pairs, "S3": held.hold_objects, "S4": held.hold_values}[name]
+        try:
+            if name in hold_out:
+                hold(rng, objects)
+        except UserError as error:
+            reasons[name] = str(error)
+    train = maker.table(held.in_training)
+    if train is None:
+        raise UserError(
+            f"Training would ask nothing: no query singles out one of {objects} objects of which "
+            "each distractor shares a fact or colour with it. Give more objects or facts, fewer "
+            "objects per episode, or hold out less."
+        )
+    found: dict[str, QuestionTable | None] = {"S1": train}
+    if held.pairs:
+        found["S2"] = maker.table(held.is_new_pair)
+    if held.objects:
+        found["S3"] = maker.table(held.is_new_object, new_objects=True)
+    if held.values:
+        found["S4"] = maker.table(held.is_new_value)
+    try:
+        if edited is None:
+            edited = draw_edits(held, np.random.default_rng(seed_sequence(seed, "splits", 5)))
+        found["S5"] = maker.edited_table(edited)
+    except UserError as error:
+        reasons["S5"] = str(error)
+    tests = {name: table for name, table in found.items() if table is not None}
+    no_distractors = (
+        f"no question of it has {objects - 1} distractors that share something with the "
+        "target. Give more objects or facts, or fewer objects per episode."
+    )
+    reasons |= dict.fromkeys(found.keys() - tests.keys(), no_distractors)
+    reasons = {name: reasons[name] for name in SPLITS if name not in tests}
+    return QuerySplits(train=train, tests=tests, reasons=reasons, held_out=held, edited=edited)
+
+
+class _Maker:
+    """Makes tables from rules about (query, object)."""
+
+    def __init__(self, asked: QueryGraph, pairs: Pairs, objects: int) -> None:
+        self.asked, self.pairs, self.objects, self.owner = asked, pairs, objects, asked.owner
+        self.queries = asked.queries(pairs)
+        self.satisfies = asked.answers(self.queries)
+        single = [q.conditions[0] for q in self.queries if len(q.conditions) == 1]
+        holders = {
+            condition: sorted({asked.objects[i] for i in self.owner[row]})
+            for condition, row in zip(single, list(self.satisfies), strict=False)
+        }
+        self.held = HeldOutQuestions(asked, holders)
+
+    def table(
+        self, rule: Callable[[Query, str], bool], *, new_objects: bool = False
+    ) -> QuestionTable | None:
+        """Return the table of the questions that a rule about (query, object) allows, if any.
+
+        A facet is shown only if some question has it as its target, so that what is seen does not
+        tell what is asked.
+        """
+        satisfies = self.satisfies
+        held = np.isin(self.owner, self._numbers(self.held.objects))
+        shown = self.asked.possible() & (held if new_objects else ~held)
+        related = _related(satisfies[: len(self.held.holders)])
+        allowed = satisfies & self._allowed(self.queries, rule)
+        while True:
+            askable = with_distractors(
+                allowed & shown, satisfies, related, shown, self.owner, self.objects
+            )
+            targets = shown & askable.any(0)
+            if (targets == shown).all():
+                return self._table(self.queries, satisfies, askable, related, shown)
+            shown = targets
+
+    def edited_table(self, edited: KnowledgeGraph) -> QuestionTable | None:
+        """Return the table of S5: questions of training that the edited graph answers otherwise.
+
+        Facets that shared something before the edit still count as related, so that the old
+        answer may stand beside the new one.
+        """
+        other = QueryGraph(edited, self.asked.facets)
+        known = {condition for query in self.queries for condition in query.conditions}
+        added = [q for q in other.queries(self.pairs) if not known.issuperset(q.conditions)]
+        queries = [*self.queries, *added]
+        satisfies, before = other.answers(queries), self.asked.answers(queries)
+        shown = other.possible() & ~np.isin(self.owner, self._numbers(self.held.objects))
+        new = satisfies & ~before & self._allowed(queries, self.held.in_training) & shown
+        if not new.any():
+            raise UserError(
+                "the edited graph gives no query of training another answer. Change triples "
+                "about objects of the task, such as (mug, usedFor, repairing)."
+            )
+        single = np.array([len(query.conditions) == 1 for query in queries])
+        related = _related(np.concatenate([satisfies[single], before[single]]))
+        askable = with_distractors(new, satisfies, related, shown, self.owner, self.objects)
+        kept = np.asarray(satisfies.any(1))
+        rest = [query for query, keep in zip(queries, kept, strict=True) if keep]
+        return self._table(rest, satisfies[kept], askable[kept], related, shown)
+
+    def _numbers(self, names: Collection[str]) -> list[int]:
+        return [self.asked.objects.index(name) for name in names]
+
+    def _allowed(self, queries: Sequence[Query], rule: Callable[[Query, str], bool]) -> Mask:
+        """Return a rule about (query, object) for each query and facet, (Q, F) bool."""
+        by_object = np.array([[rule(q, name) for name in self.asked.objects] for q in queries])
+        return np.asarray(by_object[:, self.owner])
+
+    def _table(
+        self, queries: Sequence[Query], satisfies: Mask, askable: Mask, related: Mask, shown: Mask
+    ) -> QuestionTable | None:
+        if not askable.any():
+            return None
+        facets = self.asked.facets
+        return QuestionTable(tuple(queries), facets, satisfies, askable, related, shown)
+
+
+def _related(conditions: Mask) -> Mask:
+    """Return which facets share one of the conditions (C, F): (F, F) bool."""
+    shares = conditions.astype(np.float32)
+    return np.asarray(shares.T @ shares > 0)

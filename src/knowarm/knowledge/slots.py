@@ -1,0 +1,303 @@
+"""Slots: what each one describes, an object with its colour or a condition, and how in words."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from knowarm.errors import UserError, unknown_name
+from knowarm.knowledge.config import FULL, KnowledgeConfig
+from knowarm.knowledge.formats import open_graph
+from knowarm.knowledge.graph.builder import graph_of, union
+from knowarm.knowledge.graph.graph import KnowledgeGraph, gamma
+from knowarm.knowledge.graph.terms import label_of, local_name
+from knowarm.knowledge.vectors.source import Facet, SentencePart
+from knowarm.questions import Condition, ObjectColour
+
+
+class Described(NamedTuple):
+    """What S slots say."""
+
+    sentences: list[list[SentencePart]]
+    """Labels of each slot's sentence."""
+    own: list[str | None]
+    """The graph's name of each slot's colour, or of the value in a query."""
+    hues: list[SentencePart]
+    """Labels that `own` is centred among."""
+
+
+@dataclass(frozen=True)
+class FacetSlots:
+    """Slots of a scene."""
+
+    facets: tuple[Facet, ...]
+
+    def __len__(self) -> int:
+        return len(self.facets)
+
+    def complete(self, graph: KnowledgeGraph, config: KnowledgeConfig) -> KnowledgeGraph:
+        """Add the colours in which objects are seen, for objects of which the graph states none."""
+        if config.scope != "perceived":
+            return graph
+        stated = {
+            graph.names[head]
+            for head, relation in zip(graph.heads, graph.relations, strict=True)
+            if local_name(graph.relation_names[relation]) == config.colour_relation
+        }
+        seen = []
+        for facet in self.facets:
+            name = graph.names[graph.entity_id(config.graph_name(facet.object))]
+            if facet.colour is not None and name not in stated:
+                seen.append((name, config.colour_relation, config.graph_name(facet.colour)))
+        return union(graph, graph_of(seen)) if seen else graph
+
+    def subgraphs(
+        self, graph: KnowledgeGraph, config: KnowledgeConfig, seed: int
+    ) -> list[tuple[KnowledgeGraph, str | None]]:
+        """Return each slot's subgraph and its colour's name in the graph."""
+        named = [
+            Facet(config.graph_name(each.object), each.colour and config.graph_name(each.colour))
+            for each in self.facets
+        ]
+        facets = config.source.change_facets(named, graph, config.colour_relation, seed)
+        return [
+            facet_subgraph(_around(graph, facet.object, config), facet, config.colour_relation)
+            for facet in facets
+        ]
+
+    def describe(self, graph: KnowledgeGraph, config: KnowledgeConfig, seed: int) -> Described:
+        """Return the sentences of the subgraphs, and the colours."""
+        subgraphs = self.subgraphs(graph, config, seed)
+        return Described(
+            sentences=[sentence_parts(subgraph, config) for subgraph, _ in subgraphs],
+            own=[colour for _, colour in subgraphs],
+            hues=_colours(graph, config) if config.detail == "full" else [],
+        )
+
+
+@dataclass(frozen=True)
+class ConditionSlots:
+    """Slots of queries."""
+
+    conditions: tuple[Condition, ...]
+
+    def __len__(self) -> int:
+        return len(self.conditions)
+
+    def complete(self, graph: KnowledgeGraph, config: KnowledgeConfig) -> KnowledgeGraph:
+        """Check that the graph describes some of the conditions."""
+        if config.hops and not any(_entity(graph, c, config) for c in self.conditions):
+            raise UserError(
+                f"The graph describes none of the {len(self)} conditions of the queries, such as "
+                f"{self.conditions[0].name!r}. Set graph to the one that the queries were made "
+                "from."
+            )
+        return graph
+
+    def describe(self, graph: KnowledgeGraph, config: KnowledgeConfig, seed: int) -> Described:
+        """Return the labels of each condition, and its value where there are others beside it."""
+        conditions = config.source.change_conditions(self.conditions)
+        sentences = [_condition_parts(graph, each, config) for each in conditions]
+        values = [_entity(graph, each, config) or each.value for each in conditions]
+        return Described(
+            sentences=sentences,
+            own=[
+                None if {part.name for part in parts} == {value} else value
+                for parts, value in zip(sentences, values, strict=True)
+            ],
+            hues=[entity_part(graph, value) for value in values],
+        )
+
+
+def slots_of(config: KnowledgeConfig, facets: Sequence[ObjectColour]) -> tuple[Facet, ...]:
+    """Return the slots in the order of the facets: one per object (partial) or facet (full)."""
+    if config.detail == "none":
+        return ()
+    if config.detail == "partial":
+        return tuple(Facet(name, None) for name in dict.fromkeys(pair[0] for pair in facets))
+    return tuple(Facet(name, colour) for name, colour in dict.fromkeys(map(tuple, facets)))
+
+
+def _colours(graph: KnowledgeGraph, config: KnowledgeConfig) -> list[SentencePart]:
+    """Return the label of every colour in the graph."""
+    rows = graph.relations == graph.relation_id(config.colour_relation)
+    return [entity_part(graph, graph.names[i]) for i in np.unique(graph.tails[rows])]
+
+
+def _condition_parts(
+    graph: KnowledgeGraph, condition: Condition, config: KnowledgeConfig
+) -> list[SentencePart]:
+    """Return the labels that describe a condition: its own, then those of Gamma of its value.
+
+    A value that the graph does not hold, such as a colour without facts, has its own label only.
+    """
+    held = _entity(graph, condition, config)
+    names = (each for each in graph.relation_names if local_name(each) == condition.relation)
+    relation = next(names, condition.relation)
+    value = entity_part(graph, held or condition.value)
+    parts = [*relation_parts(graph, relation, config), value]
+    if config.hops == 0 or held is None:
+        return parts
+    around = _around(graph, held, config)
+    return [*parts, *(sentence_parts(around, config) if len(around) else [])]
+
+
+def _entity(graph: KnowledgeGraph, condition: Condition, config: KnowledgeConfig) -> str | None:
+    """Return the graph's name of a condition's value, or None if the graph does not hold it."""
+    try:
+        return graph.names[graph.entity_id(config.graph_name(condition.value))]
+    except UserError:
+        return None
+
+
+def graph_facets(
+    objects: Sequence[str], graph: KnowledgeGraph, colour_relation: str = "hasColor"
+) -> list[tuple[str, str]]:
+    """Return (object, colour) pairs with the colours that the graph gives each object, by name.
+
+    An object without a colour gets the pair (object, ""), which only detail "partial" accepts.
+    """
+    exact = graph.relation_names.find(colour_relation)
+    wanted = graph.relation_names.find_local(colour_relation) if exact is None else [exact]
+    pairs = []
+    for name in objects:
+        rows = graph.out_rows(graph.entity_id(name))
+        tails = graph.tails[rows][np.isin(graph.relations[rows], wanted)]
+        colours = [local_name(graph.names[i]) for i in np.sort(tails)]
+        pairs += [(name, colour) for colour in colours or [""]]
+    return pairs
+
+
+def facet_subgraph(
+    around: KnowledgeGraph, facet: Facet, colour_relation: str
+) -> tuple[KnowledgeGraph, str | None]:
+    """Select the subgraph of a facet, by names of the graph: Gamma with the facet's colour only.
+
+    Returns the graph's name of the colour as well, if the facet has one.
+    """
+    entity = around.entity_id(facet.object)
+    try:
+        relation = around.relation_id(colour_relation)
+    except UserError as error:
+        relation = -1
+        if facet.colour is not None:
+            known = [local_name(name) for name in around.relation_names]
+            unknown = unknown_name("colour relation", colour_relation, known)
+            hint = "Set colour_relation to the graph's relation, or detail to 'partial'."
+            raise UserError(f"{unknown} {hint}") from error
+    colours = (around.heads == entity) & (around.relations == relation)
+    keep, colour = ~colours, None
+    if facet.colour is not None:
+        row = _colour_row(around, np.flatnonzero(colours), facet, facet.colour)
+        keep[row], colour = True, around.names[around.tails[row]]
+    return around.rows(np.flatnonzero(keep), nodes=np.array([entity])), colour
+
+
+def _colour_row(around: KnowledgeGraph, rows: np.ndarray, facet: Facet, wanted: str) -> int:
+    """Return the row of the facet's colour fact among the object's colour facts."""
+    if facet.colour_number is not None and len(rows):
+        return int(rows[facet.colour_number % len(rows)])
+    for row in rows:
+        tail = around.names[around.tails[row]]
+        label = label_of(tail, around.labels)
+        if wanted in (tail, local_name(tail)) or label_of(wanted, {}) == label:
+            return int(row)
+    if not wanted:
+        raise UserError(
+            f"{facet.object!r} has no colour in the graph, so detail 'full' cannot describe it. "
+            f"Add its colours to the graph, or set detail to 'partial'."
+        )
+    known = sorted(local_name(around.names[around.tails[row]]) for row in rows)
+    raise UserError(
+        f"The graph does not say that {facet.object!r} can be {wanted!r}. "
+        f"Its colours there: {', '.join(known) or 'none'}. "
+        f"Add that fact to the graph, or set detail to 'partial'."
+    )
+
+
+def _around(graph: KnowledgeGraph, entity: str, config: KnowledgeConfig) -> KnowledgeGraph:
+    """Select Gamma of an entity."""
+    return gamma(
+        graph,
+        [entity],
+        hops=config.hops,
+        direction=config.direction,
+        relations=config.relations,
+        max_degree=config.max_degree,
+    )
+
+
+def sentence_parts(graph: KnowledgeGraph, config: KnowledgeConfig = FULL) -> list[SentencePart]:
+    """Return the labels of a subgraph in the order of its triples: head, relation, tail names."""
+    if not len(graph):
+        asked = ", ".join(graph.entities[:8]) or "no entity"
+        raise UserError(
+            f"The subgraph of {asked} is empty: it holds no fact to describe. "
+            f"Add facts about it, allow more relations, or take direction='both'."
+        )
+    parts: list[SentencePart] = []
+    last = ""
+    for head, relation, tail in graph:
+        if not (config.head_once and head == last):
+            parts.append(entity_part(graph, head))
+        parts += [*relation_parts(graph, relation, config), entity_part(graph, tail)]
+        last = head
+    return parts
+
+
+def relation_parts(
+    graph: KnowledgeGraph, relation: str, config: KnowledgeConfig
+) -> list[SentencePart]:
+    """Return the label of an edge, or nothing where the sentence leaves it out."""
+    words = config.templates.get(relation)
+    label = label_of(relation, graph.labels) if words is None else words.lower()
+    return [SentencePart(relation, label, True)] if config.relation_words and label else []
+
+
+def entity_part(graph: KnowledgeGraph, name: str) -> SentencePart:
+    """Return the label of a node."""
+    return SentencePart(name, label_of(name, graph.labels), False)
+
+
+def sentence(graph: KnowledgeGraph, config: KnowledgeConfig = FULL) -> str:
+    """Return the sentence of a subgraph, e.g. "mug has color red mug has shape cylindrical"."""
+    return " ".join(part.label for part in sentence_parts(graph, config))
+
+
+def graph_parts(graph: KnowledgeGraph, *, relation_words: bool) -> list[SentencePart]:
+    """Return every label of a graph: its entities and, if they are included, its relations."""
+    parts = [entity_part(graph, name) for name in graph.entities]
+    relations = graph.relations_used if relation_words else []
+    return [*parts, *(SentencePart(n, label_of(n, graph.labels), True) for n in relations)]
+
+
+def _subgraphs(
+    config: KnowledgeConfig, facets: Sequence[ObjectColour]
+) -> dict[str, KnowledgeGraph]:
+    """Return the subgraph of each slot, by the slot's name."""
+    slots, source = slots_of(config, facets), config.source
+    if not slots:
+        return {}
+    seed = source.draw_seed(config.seed, 0)
+    graph = source.change_graph(open_graph(config.graph), seed)
+    found = FacetSlots(slots).subgraphs(graph, config, seed)
+    return {slot.name: sub for slot, (sub, _) in zip(slots, found, strict=True)}
+
+
+def scene_subgraph(config: KnowledgeConfig, facets: Sequence[ObjectColour]) -> KnowledgeGraph:
+    """Return the union of the slots' subgraphs."""
+    subgraphs, graph = _subgraphs(config, facets).values(), open_graph(config.graph)
+    triples = [np.stack([s.heads, s.relations, s.tails], axis=1) for s in subgraphs]
+    return KnowledgeGraph(
+        graph.names,
+        graph.relation_names,
+        np.concatenate([np.empty((0, 3), np.int32), *triples]),
+        nodes=np.concatenate([np.empty(0, np.int32), *(s.nodes for s in subgraphs)]),
+        labels=graph.labels,
+    )
+
+
+def scene_sentences(config: KnowledgeConfig, facets: Sequence[ObjectColour]) -> dict[str, str]:
+    """Return the sentence of each slot, by the slot's name."""
+    return {name: sentence(sub, config) for name, sub in _subgraphs(config, facets).items()}

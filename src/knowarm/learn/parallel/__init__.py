@@ -1,0 +1,1 @@
+"""Child processes of the learner: workers, shared tensors and supervision."""

@@ -1,0 +1,154 @@
+"""Data-parallel learner: several processes share each inference step and minibatch gradient.
+
+PyTorch's threads share every single operation, of which a recurrent policy has many small ones:
+threads synchronize after each and take time from physics and rendering by spinning. Processes that
+each compute the entire network for a part of the environments avoid this (docs/lab-notes.md).
+"""
+
+import logging
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+
+import torch
+from torch import Tensor
+
+from knowarm.cores import available_cores
+from knowarm.learn.algorithms import PPOConfig
+from knowarm.learn.learner import Learner
+from knowarm.learn.losses import PPOLossTerms
+from knowarm.learn.minibatch import TrainingNetwork, add_gradient, buffers
+from knowarm.learn.parallel.flat_parameters import FlatParameters
+from knowarm.learn.parallel.learner_worker import (
+    GradientCommand,
+    InferCommand,
+    infer_shared,
+    run_learner_worker,
+    shared_specs,
+)
+from knowarm.learn.parallel.processes import ChildProcess, process_context, stop_all
+from knowarm.learn.parallel.shared_tensors import SharedTensors
+from knowarm.learn.parallel.supervised import Restarted, SupervisedProcess
+from knowarm.learn.rollout import Rollout
+from knowarm.policy import MatmulPrecision, State
+
+log = logging.getLogger("knowarm.learn")
+
+MIN_ENVS_PER_PROCESS = 8
+"""Smallest number of a minibatch's environments that is worth another process."""
+
+
+class DataParallelLearner(Learner):
+    """Learner in several processes that share parameters, rollout and targets.
+
+    Workers keep no state between two commands, so one that dies is restarted without loss. Sums
+    are taken in another order than in one process, always the same for a number of processes. The
+    calling process counts among ``processes``, of which there are at least 2.
+    """
+
+    def __init__(
+        self,
+        network: TrainingNetwork,
+        config: PPOConfig,
+        precision: MatmulPrecision,
+        processes: int,
+    ) -> None:
+        self.processes = processes
+        self._context = process_context()
+        self._precision = precision
+        self._workers: list[SupervisedProcess] = []
+        super().__init__(network, config, torch.device("cpu"))
+
+    def _allocate(self, device: torch.device) -> None:
+        specs = shared_specs(self.network, self._config, self.processes)
+        self._shared = SharedTensors(self._context, specs)
+        self.rollout, self.targets = buffers(self._shared.tensors)
+        self.gradient = self._shared["gradients"][0]
+        FlatParameters(self.network, self._shared["parameters"], self.gradient)
+
+    @contextmanager
+    def running(self) -> Iterator[None]:
+        """Run the workers, and use one PyTorch thread per process, until the context ends."""
+        with super().running():
+            try:
+                for index in range(1, self.processes):
+                    self._workers.append(SupervisedProcess(partial(self._start, index)))
+                yield
+            finally:
+                stop_all([worker.child for worker in self._workers])
+                self._workers = []
+
+    def infer(self, rollout: Rollout, t: int, image: Tensor, state: State) -> tuple[Tensor, State]:
+        """As `Learner.infer`."""
+        shared = self._shared
+        bounds = [len(image) * i // self.processes for i in range(self.processes + 1)]
+        own, *others = map(slice, bounds, bounds[1:])
+        shared["image"][own.stop :] = image[own.stop :]
+        if state[0] is not shared["h"]:
+            shared["h"].copy_(state[0])
+            shared["c"].copy_(state[1])
+        commands = [InferCommand(t, envs) for envs in others]
+        self._send(commands)
+        infer_shared(self.policy, rollout, shared, t, image, own)
+        self._wait(commands)
+        return shared["logits"].clone(), (shared["h"], shared["c"])
+
+    def compute_gradient(self, env_ids: Tensor) -> PPOLossTerms:
+        """As `Learner.compute_gradient`."""
+        count = len(env_ids)
+        own, *others = env_ids.chunk(self.processes)
+        commands = [GradientCommand(part.numpy(), len(part) / count) for part in others]
+        self._send(commands)
+        self.gradient.zero_()
+        terms = add_gradient(
+            self.network, self._config, self.rollout, self.targets, own, len(own) / count
+        )
+        self._wait(commands)
+        for index in range(1, 1 + len(commands)):
+            self.gradient += self._shared["gradients"][index]
+            terms = terms + PPOLossTerms.from_vector(self._shared["terms"][index])
+        return terms
+
+    def _start(self, index: int, restarts: int) -> ChildProcess:
+        network = self.network
+        arguments = network.policy.spec(), network.auxiliary_targets, self._config, self._precision
+        name = f"learner worker {index}"
+        return ChildProcess.start(
+            self._context, name, run_learner_worker, *arguments, self._shared, index
+        )
+
+    def _send(self, commands: Sequence[InferCommand | GradientCommand]) -> None:
+        for worker, command in zip(self._workers, commands, strict=False):
+            worker.send(command)
+
+    def _wait(self, commands: Sequence[InferCommand | GradientCommand]) -> None:
+        """Wait until every worker has executed its command; a restarted one executes it again."""
+        for worker, command in zip(self._workers, commands, strict=False):
+            while isinstance(worker.receive(), Restarted):
+                worker.send(command)
+
+
+def make_learner(
+    network: TrainingNetwork, config: PPOConfig, precision: MatmulPrecision, device: torch.device
+) -> Learner:
+    """Move the network to the device and create its learner, with `count_processes` on the CPU."""
+    network.to(device)
+    processes = count_processes(config) if device.type == "cpu" else 1
+    if device.type == "cpu" and config.processes is not None and processes < config.processes:
+        log.warning(
+            "processes=%d is reduced to %d: minibatches have %d environments, and each process "
+            "needs %d of them.",
+            config.processes,
+            processes,
+            config.num_envs // config.minibatches,
+            MIN_ENVS_PER_PROCESS,
+        )
+    if processes > 1:
+        return DataParallelLearner(network, config, precision, processes)
+    return Learner(network, config, device)
+
+
+def count_processes(config: PPOConfig) -> int:
+    """Return the number of processes: as configured, limited by the size of a minibatch."""
+    most = config.num_envs // config.minibatches // MIN_ENVS_PER_PROCESS
+    return max(1, min(config.processes or available_cores(), most))

@@ -1,0 +1,145 @@
+"""Child processes: start method, process-wide settings, pipes and failure reports."""
+
+import ctypes
+import multiprocessing
+import os
+import signal
+import sys
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from multiprocessing.context import BaseContext
+from typing import Any, NamedTuple
+
+import torch
+
+from knowarm.errors import UserError
+
+STOP_S = 3.0
+"""Time that child processes have to exit after their pipes were closed; then they are killed."""
+
+START_ATTEMPTS = 4
+"""How often a fork server may end while it starts a child process."""
+
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
+_KEEP_BYTES = 1 << 30
+
+
+def keep_freed_memory() -> None:
+    """Make the C library (glibc only) keep up to 1 GiB of freed memory for this process.
+
+    A gradient step allocates and frees tensors of tens of megabytes. By default glibc maps such
+    blocks afresh every time and the kernel zeroes their pages, which takes a third of an update's
+    time on two cores (docs/lab-notes.md). `PPOTrainer.train` and child processes set this.
+    """
+    linux = sys.platform.startswith("linux")
+    if linux and (mallopt := getattr(ctypes.CDLL(None), "mallopt", None)):
+        mallopt(_M_MMAP_THRESHOLD, _KEEP_BYTES)
+        mallopt(_M_TRIM_THRESHOLD, 2 * _KEEP_BYTES - 1)
+
+
+def process_context(*preload: str) -> BaseContext:
+    """Return the start method of child processes: fork server where available, else spawn.
+
+    A fork server imports PyTorch, and the modules ``preload``, once for all children and, unlike
+    fork, has no threads that a child would lose.
+    """
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        return multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["knowarm.learn.parallel.fork_server", *preload])
+    return context
+
+
+def _run_child(
+    run: Callable[..., None], arguments: tuple[Any, ...], connection: Connection
+) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # signals are left to the parent process
+    if hasattr(signal, "SIGHUP"):
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    torch.set_num_threads(1)
+    keep_freed_memory()
+    try:
+        run(*arguments, connection)
+    except (EOFError, BrokenPipeError, ConnectionResetError):
+        os._exit(0)  # the parent process exited
+    except Exception as error:
+        user_error = error if isinstance(error, UserError) else None
+        with suppress(BrokenPipeError, ConnectionResetError):
+            connection.send(ProcessFailure(traceback.format_exc(), user_error))
+
+
+class ProcessFailure(NamedTuple):
+    """Message of a child process that raised an exception and exits."""
+
+    traceback: str
+    user_error: UserError | None
+    """The exception, if it is a `UserError`."""
+
+
+@dataclass(eq=False)
+class ChildProcess:
+    """A child process and the parent's end of its pipe."""
+
+    name: str
+    process: Any
+    connection: Connection
+
+    @classmethod
+    def start(
+        cls, context: BaseContext, name: str, run: Callable[..., None], *arguments: Any
+    ) -> "ChildProcess":
+        """Start ``run(*arguments, connection)`` in a new process.
+
+        An exception in it is sent as a `ProcessFailure`, unless the parent process has exited.
+        A fork server that is killed while it starts the process is replaced by a new one.
+        """
+        attempts = START_ATTEMPTS
+        while True:
+            here, there = context.Pipe()
+            process = context.Process(  # type: ignore[attr-defined]
+                target=_run_child, args=(run, arguments, there), name=name, daemon=True
+            )
+            try:
+                process.start()
+                return cls(name, process, here)
+            except (EOFError, ConnectionError):
+                here.close()  # a process that was started all the same exits
+                attempts -= 1
+                if not attempts:
+                    raise
+            finally:
+                # The child has the only other end, so reading fails once it has exited.
+                there.close()
+
+    def send(self, message: Any) -> None:
+        """Send a message; the exit of the child is noticed when reading."""
+        with suppress(BrokenPipeError, ConnectionResetError):
+            self.connection.send(message)
+
+    def exit_reason(self) -> str:
+        """Describe how a child that has exited did so."""
+        self.process.join(5)
+        code = self.process.exitcode
+        killed = code is not None and code < 0
+        return f"was killed by signal {-code}" if killed else f"ended with exit code {code}"
+
+    def stop(self, timeout_s: float = STOP_S) -> None:
+        """Close the pipe, upon which the child exits; kill it after the timeout."""
+        self.connection.close()
+        self.process.join(timeout_s)
+        if self.process.is_alive():
+            self.process.kill()
+            self.process.join()
+
+
+def stop_all(children: Sequence[ChildProcess], timeout_s: float = STOP_S) -> None:
+    """Stop child processes that all have the same ``timeout_s`` to exit."""
+    for child in children:
+        child.connection.close()
+    deadline = time.monotonic() + timeout_s
+    for child in children:
+        child.stop(max(0.0, deadline - time.monotonic()))

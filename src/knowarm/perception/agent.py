@@ -1,0 +1,103 @@
+"""Environments and agents whose policy receives what a perception module recognizes.
+
+Of the environment they read the images and, where the task has queries, the query; no labels.
+"""
+
+import copy
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from knowarm.errors import UserError
+from knowarm.perception.module import PerceptionModule, in_batches
+from knowarm.policy import PolicyAgent
+from knowarm.world.config import EnvConfig
+from knowarm.world.envs.torch_env import TorchReachVectorEnv
+from knowarm.world.setting import questions_of
+
+
+class PerceivingVectorEnv(TorchReachVectorEnv):
+    """Training environments whose knowledge input is what a copy of a module recognizes.
+
+    It is computed from the first image of every episode and kept until the next begins.
+    """
+
+    def __init__(
+        self, config: EnvConfig, num_envs: int, module: PerceptionModule, **options: Any
+    ) -> None:
+        super().__init__(config, num_envs, **options)
+        module = copy.deepcopy(module).to(self.device)
+        self._predict = module.predictor(config, self.facets)
+        shape, dtype = module.GOAL
+        self._goal = torch.zeros((num_envs, *shape), dtype=dtype, device=self.device)
+
+    @property
+    def knowledge_input(self) -> Tensor:
+        """Goal of each current episode: (n,) int64 rows, or (n, 9) float32 grasp frames."""
+        return self._goal
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Tensor, dict[str, Any]]:
+        """As `TorchReachVectorEnv.reset`; then computes the goals of the new episodes."""
+        images, infos = super().reset(seed=seed, options=options)
+        mask = (options or {}).get("reset_mask")
+        fresh = self._everywhere if mask is None else torch.as_tensor(mask, device=self.device)
+        self._update_goals(images, fresh)
+        return images, infos
+
+    def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
+        """As `TorchReachVectorEnv.step`; then computes the goals of the new episodes."""
+        result = super().step(actions)
+        self._update_goals(result[0], result[2] | result[3])
+        return result
+
+    def get_state(self) -> dict[str, np.ndarray]:
+        """As `TorchReachVectorEnv.get_state`, with the goals."""
+        return super().get_state() | {"perceived": self._goal.cpu().numpy().copy()}
+
+    def set_state(self, state: dict[str, np.ndarray]) -> None:
+        """As `TorchReachVectorEnv.set_state`."""
+        state = dict(state)
+        goal = state.pop("perceived", None)
+        if goal is None or goal.shape != self._goal.shape:
+            raise UserError(
+                "The state does not hold what a module recognized in this number of environments: "
+                "it belongs to another kind of environment."
+            )
+        self._goal = torch.from_numpy(np.array(goal)).to(self.device)
+        super().set_state(state)
+
+    def _update_goals(self, images: Tensor, fresh: Tensor) -> None:
+        """Compute the goals of the environments of a mask (n,); the others stay."""
+        ids = fresh.nonzero().squeeze(1)
+        if len(ids):
+            asked = None if questions_of(self.config) is None else super().knowledge_input[ids]
+            goal = self._goal.clone()
+            goal[ids] = in_batches(self._predict, images[ids], asked)
+            self._goal = goal
+
+
+class PerceivingAgent(PolicyAgent):
+    """Policy agent whose knowledge input is what a module recognizes in the first image."""
+
+    def __init__(self, module: PerceptionModule, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self.module = module
+
+    def start(self, env: Any) -> None:
+        """As `PolicyAgent.start`; the next image is the first of every episode."""
+        super().start(env)
+        self._predict = self.module.predictor(env.config, env.facets)
+        self._has_queries = questions_of(env.config) is not None
+        self.goal: Tensor | None = None
+
+    def knowledge_input(self, observations: np.ndarray) -> Tensor:
+        """As `PolicyAgent.knowledge_input`, computed from the first image."""
+        if self.goal is None:
+            queries = torch.as_tensor(self._env.knowledge_input) if self._has_queries else None
+            images = torch.as_tensor(observations)
+            self.goal = in_batches(self._predict, images, queries).clone()
+        return self.goal

@@ -1,0 +1,111 @@
+"""Training configs of perception modules, and the specification that is stored with a module."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from knowarm.config import above_zero, at_least, check_numbers
+from knowarm.errors import UserError
+from knowarm.world.config import EnvConfig
+from knowarm.world.setting import facets_of, scene_of
+
+RETRAIN = "Make one for this task with `knowarm perception train EXPERIMENT --out FILE`."
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModuleTrainingConfig:
+    """Base of the training configs of perception modules; their labels come from the simulator."""
+
+    images: int = 20_000
+    """Training images: first images of episodes."""
+    batch: int = 128
+    """Images per gradient step."""
+    learning_rate: float = 2e-3
+    """Largest learning rate of Adam; it rises and falls once (one cycle)."""
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        where = f"{type(self).__name__}."
+        at_least(self, 1, "images", "batch", where=where)
+        above_zero(self, "learning_rate", where=where)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PerceptionConfig(ModuleTrainingConfig):
+    """Training of a `FacetClassifier`."""
+
+    epochs: int = 12
+    """Passes over the training images."""
+    seed: int = 0
+    """Seed of initial weights, images and their order."""
+    test_images: int = 2_000
+    """Images of each test, which training did not see."""
+    held_out_colours: tuple[str, ...] = ()
+    """Colours that training does not show, to test whether they are recognized (reaching only)."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        at_least(self, 1, "epochs", "test_images", where="PerceptionConfig.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class GroundingConfig(ModuleTrainingConfig):
+    """Training of a `GroundingNetwork`, with the seed of its run."""
+
+    images: int = 16_000
+    """Training images per round: first images of episodes, never the same."""
+    rounds: int = 20
+    """Number of times that images are drawn and each is trained on once."""
+    naming_coef: float = 0.5
+    """Weight of a second loss that names the visible objects and their colours."""
+    frame_coef: float = 10.0
+    """Weight of the squared error of the grasp frames of all visible objects."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        at_least(self, 1, "rounds", where="GroundingConfig.")
+        at_least(self, 0, "naming_coef", "frame_coef", where="GroundingConfig.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModuleSpec:
+    """What a perception module was made for, and how accurate it is."""
+
+    robot: str
+    """Name of the robot."""
+    image_size: int
+    """Width and height of the images [px]."""
+    objects: int
+    """Number of visible objects."""
+    facets: tuple[tuple[str, str], ...]
+    """The (object, colour) pairs that it distinguishes, F."""
+    config: PerceptionConfig | GroundingConfig
+    """How it was trained."""
+    accuracy: dict[str, dict[str, float]] = field(default_factory=dict)
+    """Shares of correct names, by test."""
+
+    @classmethod
+    def of(cls, env: EnvConfig, config: PerceptionConfig | GroundingConfig) -> "ModuleSpec":
+        """Return the specification of a module for a task."""
+        return cls(
+            robot=scene_of(env).robot.name,
+            image_size=env.image_size,
+            objects=env.task.visible,
+            facets=facets_of(env),
+            config=config,
+        )
+
+    def check_fits(self, env: EnvConfig, facets: Sequence[tuple[str, str]]) -> None:
+        """Check that the module was made for a task's robot, images and (object, colour) pairs."""
+        module = "The perception module"
+        for what, made, needed in (
+            ("the robot", self.robot, scene_of(env).robot.name),
+            ("an image size of", self.image_size, env.image_size),
+            ("a number of visible objects of", self.objects, env.task.visible),
+        ):
+            if made != needed:
+                text = f"{module} was made for {what} {made}, and this task has {needed}."
+                raise UserError(f"{text} {RETRAIN}")
+        unknown = [" ".join(reversed(facet)) for facet in facets if facet not in self.facets]
+        if unknown:
+            text = f"{module} does not know {', '.join(unknown[:5])}, which this task shows."
+            raise UserError(f"{text} {RETRAIN}")

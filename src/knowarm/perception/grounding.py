@@ -1,0 +1,170 @@
+"""Grounding network: finds in an image the object that a query means, and how to grasp it.
+
+Each place of the image has a key; the object stands where the key is most similar to the vector of
+the query. From the features of that place the network predicts the object's grasp frame.
+"""
+
+from collections.abc import Mapping
+from typing import Any, Self, cast
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from knowarm.perception.config import ModuleSpec
+from knowarm.perception.encoder import PlaceEncoder
+from knowarm.perception.images import LabelledImages, QueryAnswers
+from knowarm.perception.module import GoalPredictor, PerceptionModule
+from knowarm.policy.encoder import RELU_GAIN, orthogonal
+from knowarm.questions import ObjectColour
+from knowarm.seeding import torch_generator
+from knowarm.world.config import EnvConfig
+
+CONVOLUTIONS = ((3, 16, 5, 2), (16, 32, 3, 2), (32, 64, 3, 1), (64, 64, 3, 1))
+"""Inputs, outputs, kernel and stride of each convolution."""
+
+STRIDE = 4
+"""Distance of two places in the image [px]."""
+WIDTH = 64
+"""Dimensions in which places and queries are compared, D."""
+FRAME = 9
+"""Numbers that describe a grasp frame: standardized position, x and z axis."""
+
+
+class GroundingNetwork(PerceptionModule):
+    """Network that compares the places of an image with a query and predicts grasp frames.
+
+    Args:
+        spec: what the images show.
+        knowledge: (Q, K) float32, one row per query.
+        slots: number of equal parts of a row, one per condition; a part of zeros is none.
+        seed: of the initial weights.
+    """
+
+    FORMAT = "knowarm-grounding-2"
+    GOAL = ((FRAME,), torch.float32)
+
+    knowledge: Tensor
+    """(Q, K) buffer; may be replaced by a table of other queries."""
+    position_mean: Tensor
+    position_std: Tensor
+    """(3,) buffers, of the grasp positions in training [m]."""
+
+    def __init__(
+        self, spec: ModuleSpec, knowledge: np.ndarray | Tensor, slots: int, *, seed: int = 0
+    ) -> None:
+        super().__init__(spec, PlaceEncoder(spec.facets, CONVOLUTIONS, seed))
+        self.slots = slots
+        self.register_buffer("knowledge", torch.as_tensor(knowledge, dtype=torch.float32).clone())
+        self.register_buffer("position_mean", torch.zeros(3))
+        self.register_buffer("position_std", torch.ones(3))
+        channels, width = self.encoder.channels, self.knowledge.shape[1] // slots
+        self.key, self.query, self.frame = (
+            nn.Sequential(nn.Linear(inputs, 2 * WIDTH), nn.ReLU(), nn.Linear(2 * WIDTH, outputs))
+            for inputs, outputs in ((channels, WIDTH), (width, WIDTH), (channels + 2, FRAME))
+        )
+        generator = torch_generator(seed, "perception", 1)
+        for layer in (*self.key, *self.query, *self.frame):
+            orthogonal(layer, RELU_GAIN, generator)
+
+    def describe(self) -> dict[str, Any]:
+        """As `PerceptionModule.describe`."""
+        return super().describe() | {"slots": self.slots}
+
+    @classmethod
+    def build(cls, spec: ModuleSpec, about: dict[str, Any], tensors: Mapping[str, Tensor]) -> Self:
+        """As `PerceptionModule.build`."""
+        table, slots = tensors["knowledge"], about["slots"]
+        if table.ndim != 2 or not isinstance(slots, int) or slots < 1 or table.shape[1] % slots:
+            raise ValueError("its table of knowledge does not fit its slots")
+        return cls(spec, table, slots)
+
+    def predictor(self, env: EnvConfig, facets: tuple[ObjectColour, ...]) -> GoalPredictor:
+        """As `PerceptionModule.predictor`; a goal is a grasp frame, as of `frames`."""
+        self.spec.check_fits(env, ())
+        return self
+
+    def keys(self, features: Tensor) -> Tensor:
+        """Compute the keys of P places from the encoder's features: (n, P, D)."""
+        return cast(Tensor, self.key(features.flatten(2).transpose(1, 2)))
+
+    def project_queries(self, knowledge: Tensor) -> Tensor:
+        """Project the knowledge of queries (Q, K) into the space of the keys: (Q, D)."""
+        slots = knowledge.unflatten(1, (self.slots, -1))
+        used = (slots != 0).any(2, keepdim=True)  # a slot of zeros is no condition
+        used[:, 0] |= ~used.any(1)  # of a query without conditions, the first slot counts
+        return (self.query(slots) * used).sum(1) / WIDTH**0.5
+
+    def frames(self, features: Tensor, places: Tensor) -> Tensor:
+        """Predict the grasp frames of the objects at places (n, m) int64, row by row.
+
+        Returns:
+            (n, m, 9) float32: standardized position, x and z axis.
+        """
+        index = places[:, None].expand(-1, features.shape[1], -1)
+        found = features.flatten(2).gather(2, index).transpose(1, 2)
+        where = centres(self.spec.image_size).to(found) / (self.spec.image_size / 2) - 1
+        return cast(Tensor, self.frame(torch.cat((found, where[places]), 2)))
+
+    def forward(self, images: Tensor, queries: Tensor) -> Tensor:
+        """Predict the grasp frames (n, 9) of the objects that queries mean; see `GoalPredictor`."""
+        features = self.encoder.features(images)
+        query = self.project_queries(self.knowledge[queries])
+        place = (self.keys(features) * query[:, None]).sum(2).argmax(1)
+        return self.frames(features, place[:, None])[:, 0]
+
+    def losses(
+        self,
+        labels: LabelledImages,
+        rows: Tensor,
+        queries: Tensor,
+        answers: QueryAnswers,
+        *,
+        bfloat16: bool = False,
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Compute the losses of places, names and grasp frames for queries on some images.
+
+        They are the cross-entropy of the place of the object that each query means, that of the
+        names of the visible objects, and the squared error of their frames. An image counts
+        for the queries that the task may have for one of its objects and that mean no other one.
+
+        Args:
+            labels: images and their labels.
+            rows: (n,) int64, images.
+            queries: (q,) int64, rows of the knowledge table.
+            answers: to all queries, among the facets of the network.
+            bfloat16: for convolutions and keys.
+        """
+        places = place_of(labels.pixels[rows], self.spec.image_size)
+        with torch.autocast("cpu", torch.bfloat16, enabled=bfloat16):
+            features = self.encoder.features(labels.images[rows])
+            keys = self.keys(features)
+        features = features.float()
+        scores = keys.float() @ self.project_queries(self.knowledge[queries]).T  # (n, P, q)
+        facets = labels.facets[rows]
+        satisfies = answers.satisfies[queries][:, facets].transpose(0, 1)  # (n, q, m)
+        askable = answers.askable[queries][:, facets].transpose(0, 1)
+        asked = (satisfies.sum(2) == 1) & (satisfies & askable).any(2)
+        if answers.marked:  # the image answers for the marked object only
+            asked &= satisfies[..., 0]
+        place = places.gather(1, satisfies.float().argmax(2))
+        likelihood = scores.log_softmax(1).gather(1, place[:, None])[:, 0]
+        named = self.encoder.facet_scores(features).log_softmax(1).gather(1, facets)
+        position = (labels.grasp_position[rows] - self.position_mean) / self.position_std
+        truth = torch.cat((position, labels.grasp_axes[rows]), 2)
+        error = (self.frames(features, places) - truth).square().mean()
+        return -(likelihood * asked).sum() / asked.sum().clamp(min=1), -named.mean(), error
+
+
+def place_of(pixel: Tensor, image_size: int) -> Tensor:
+    """Return the place (...) int64 of image points (..., 2), column and row [px]."""
+    side = -(-image_size // STRIDE)
+    column, row = (pixel / STRIDE).long().clamp(0, side - 1).unbind(-1)
+    return row * side + column
+
+
+def centres(image_size: int) -> Tensor:
+    """Return column and row of the centre of every place, (P, 2) float32 [px]."""
+    line = (torch.arange(-(-image_size // STRIDE)) + 0.5) * STRIDE
+    row, column = torch.meshgrid(line, line, indexing="ij")
+    return torch.stack((column.flatten(), row.flatten()), dim=1)

@@ -1,0 +1,110 @@
+"""First images of episodes, labelled by the simulator, and the answers to a task's queries."""
+
+from contextlib import closing
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from knowarm.perception.config import ModuleSpec
+from knowarm.questions import ObjectColour
+from knowarm.world.config import EnvConfig
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.scene.scene import Scene, project, target_places
+from knowarm.world.setting import questions_of
+
+ENVS = 256
+"""Images drawn at once."""
+HEIGHT_M = 0.05
+"""Height above the support of the point that stands for an object in the image [m]."""
+
+
+class LabelledImages(NamedTuple):
+    """First images of N episodes that show m objects, the target first."""
+
+    images: Tensor
+    """(N, H, W, 3) uint8."""
+    facets: Tensor
+    """(N, m) int64, facets of a module."""
+    queries: Tensor
+    """(N,) int64, rows of the knowledge table; 0 for a task without queries."""
+    pixels: Tensor
+    """(N, m, 2) float32: column and row of the objects [px]."""
+    grasp_position: Tensor
+    """(N, m, 3) float32 [m], world."""
+    grasp_axes: Tensor
+    """(N, m, 6) float32: x and z axis of the grasp frames, world."""
+
+
+class QueryAnswers(NamedTuple):
+    """Facets (Q, F) bool that answer Q queries, and for which the task may ask them."""
+
+    satisfies: Tensor
+    askable: Tensor
+    marked: bool
+    """Whether the image marks the target."""
+
+
+def query_answers(env: EnvConfig, facets: tuple[ObjectColour, ...]) -> QueryAnswers | None:
+    """Return the answers to a task's queries among some facets; None without queries."""
+    table = questions_of(env)
+    if table is None:
+        return None
+    columns = [table.facets.index(facet) if facet in table.facets else -1 for facet in facets]
+    padded = (np.pad(each, ((0, 0), (0, 1))) for each in (table.satisfies, table.askable))
+    satisfies, askable = (torch.from_numpy(each[:, columns]) for each in padded)
+    return QueryAnswers(satisfies, askable, env.task.paints_goal)
+
+
+class ImageSampler:
+    """Samples the first images of episodes; their seed and number at once decide which."""
+
+    def __init__(self, env: EnvConfig, spec: ModuleSpec, seed: int, at_once: int = ENVS) -> None:
+        self._world = ReachVectorEnv(env, at_once)
+        self._first_facets = first_facets(self._world.scene, spec)
+        self._seed: int | None = seed
+
+    def sample(self, count: int) -> LabelledImages:
+        """Sample N images; of the last ``at_once``, the rest is discarded."""
+        parts = [self._sample() for _ in range(0, count, self._world.num_envs)]
+        return LabelledImages(*(torch.cat(each)[:count] for each in zip(*parts, strict=True)))
+
+    def close(self) -> None:
+        """Close the environments."""
+        self._world.close()
+
+    def _sample(self) -> LabelledImages:
+        scene = self._world.scene
+        images, _ = self._world.reset(seed=self._seed)
+        self._seed = None
+        episodes = self._world.running
+        objects, ground = episodes.objects, target_places(scene, episodes.positions)
+        # Right and up from the centre, in half image widths.
+        point = project(scene, (ground + np.array([0, 0, HEIGHT_M])).reshape(-1, 3))
+        pixels = (1 + point * [1, -1]) / 2 * images.shape[1]
+        axes = scene.grasp_matrix.reshape(-1, 3, 3)[objects][..., [0, 2]].swapaxes(-1, -2)
+        return LabelledImages(
+            torch.from_numpy(images),
+            torch.from_numpy(self._first_facets[objects] + episodes.colours),
+            torch.from_numpy(episodes.question),
+            _float(pixels.reshape(*objects.shape, 2)),
+            _float(ground + scene.grasp_position[objects]),
+            _float(axes.reshape(*objects.shape, 6)),
+        )
+
+
+def sample_images(env: EnvConfig, spec: ModuleSpec, count: int, seed: int) -> LabelledImages:
+    """Sample the first images of N episodes; arguments as `ImageSampler`."""
+    with closing(ImageSampler(env, spec, seed, min(ENVS, count))) as sampler:
+        return sampler.sample(count)
+
+
+def first_facets(scene: Scene, spec: ModuleSpec) -> np.ndarray:
+    """Return the facet of each target in its first colour, (targets,) int64; others follow."""
+    names = zip(scene.targets, scene.colour_names, strict=True)
+    return np.array([spec.facets.index((target.name, colours[0])) for target, colours in names])
+
+
+def _float(values: np.ndarray) -> Tensor:
+    return torch.from_numpy(np.ascontiguousarray(values, np.float32))

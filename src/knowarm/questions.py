@@ -1,0 +1,188 @@
+"""Queries and the question table: which facets answer a query, and what an episode may ask.
+
+A condition is a relation and a value ("usedFor drinking"); a query is one condition or several
+("usedFor drinking and hasColor blue"). It never names an object. A question is a query and the
+facet that is its target.
+"""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knowarm.errors import UserError
+
+AND = " and "  # What joins the conditions of a query in its name
+COLOUR_RELATION = "hasColor"  # Its values are colours: the facet answers it, not the graph
+ObjectColour = tuple[str, str]  # A facet: an object and one of its colours, by name
+Mask = NDArray[np.bool_]
+Numbers = NDArray[np.int64]
+
+
+class Condition(NamedTuple):
+    """A relation and a value, by the last parts of their names."""
+
+    relation: str
+    value: str
+
+    @property
+    def name(self) -> str:
+        """The condition in words: "usedFor drinking"."""
+        return f"{self.relation} {self.value}"
+
+    @property
+    def is_colour(self) -> bool:
+        """Whether the colour of a facet answers it."""
+        return self.relation == COLOUR_RELATION
+
+
+@dataclass(frozen=True, order=True)
+class Query:
+    """Conditions that an object must satisfy, all of them."""
+
+    conditions: tuple[Condition, ...]
+
+    @classmethod
+    def of(cls, *conditions: tuple[str, str]) -> "Query":
+        """Make a query of (relation, value) pairs.
+
+        Example:
+            >>> print(Query.of(("usedFor", "drinking"), ("hasColor", "blue")))
+            usedFor drinking and hasColor blue
+        """
+        return cls(tuple(Condition(*each) for each in conditions))
+
+    @property
+    def name(self) -> str:
+        """The query in words: "usedFor drinking and hasColor blue"."""
+        return AND.join(condition.name for condition in self.conditions)
+
+    def __str__(self) -> str:
+        return self.name
+
+
+@dataclass(frozen=True, eq=False)
+class QuestionTable:
+    """Questions of a task: queries, facets that answer them, and facets that stand beside these.
+
+    Several tables share their queries and facets, and so the rows of a policy's knowledge table,
+    and differ in what they ask and show: those are the splits of a study.
+    """
+
+    queries: tuple[Query, ...]
+    """Q queries."""
+    facets: tuple[ObjectColour, ...]
+    """(object, colour) pairs, F."""
+    satisfies: Mask = field(repr=False)
+    """Whether a facet answers a query, (Q, F)."""
+    askable: Mask = field(repr=False)
+    """Whether an episode may ask a query for a facet as its target, (Q, F)."""
+    related: Mask = field(repr=False)
+    """Whether two facets share something, (F, F), symmetric; a distractor shares something with
+    the target. The diagonal is not read."""
+    shown: Mask = field(repr=False)
+    """Whether a facet may stand in the rectangle, (F,)."""
+
+    def __post_init__(self) -> None:
+        queries, facets = len(self.queries), len(self.facets)
+        named = [query.name for query in self.queries], self.facets
+        for kind, names in zip(("queries", "facets"), named, strict=True):
+            if not names:
+                raise UserError(f"QuestionTable.{kind} is empty; give at least one.")
+            for place, name in enumerate(names):
+                if name in names[:place]:
+                    raise UserError(
+                        f"QuestionTable.{kind} contains {name!r} twice; list each once."
+                    )
+        shapes = dict.fromkeys(("satisfies", "askable"), (queries, facets))
+        for name, shape in [*shapes.items(), ("related", (facets, facets)), ("shown", (facets,))]:
+            array = getattr(self, name)
+            if array.shape != shape or array.dtype != np.bool_:
+                raise UserError(
+                    f"QuestionTable.{name} must be a bool array of shape {shape} for {queries} "
+                    f"queries and {facets} facets, got {array.dtype} of shape {array.shape}."
+                )
+        for a, b in np.argwhere(self.related != self.related.T):
+            raise UserError(
+                f"QuestionTable.related must be symmetric: {_words(self.facets[a])} and "
+                f"{_words(self.facets[b])} are related in one direction only."
+            )
+        for query in np.flatnonzero(~self.satisfies.any(axis=1)):
+            raise UserError(
+                f"No facet satisfies the query {self.queries[query].name!r}: add a triple that "
+                "makes one satisfy it, or remove the query."
+            )
+        for query, target in np.argwhere(self.askable & ~(self.satisfies & self.shown)):
+            whys = ("does not satisfy it", "satisfies"), ("this split does not show", "shown")
+            why, array = whys[int(self.satisfies[query, target])]
+            raise UserError(
+                f"The query {self.queries[query].name!r} may be asked for "
+                f"{_words(self.facets[target])}, which {why}; clear that entry of askable, or set "
+                f"the one of {array}."
+            )
+        if not self.askable.any():
+            raise UserError(
+                f"The split is empty: none of the {len(self.queries)} queries may be asked for "
+                f"any of the {int(self.shown.sum())} facets that are shown. Hold out less, or "
+                "give more objects or queries."
+            )
+        self.check_objects(2)
+
+    @cached_property
+    def objects(self) -> Numbers:
+        """Number of each facet's object, in order of first appearance, (F,)."""
+        return number_objects(self.facets)
+
+    def distractors(self, query: Numbers, target: Numbers) -> Mask:
+        """Return the facets that may stand beside the targets of n questions (n,), (n, F).
+
+        They are shown, related to the target, of another object, and do not satisfy the query.
+        """
+        rows = self.satisfies[query], self.related[target]
+        return _distractors(*rows, self.shown, self.objects, target)
+
+    def check_objects(self, count: int) -> None:
+        """Check that every question has enough distractors for ``count`` objects per episode."""
+        table = self.satisfies, self.related, self.shown, self.objects
+        enough = with_distractors(self.askable, *table, count)
+        for query, target in np.argwhere(self.askable & ~enough):
+            beside = self.distractors(np.array([query]), np.array([target]))[0]
+            names = sorted({self.facets[f][0] for f in np.flatnonzero(beside)})
+            raise UserError(
+                f"Query {self.queries[query].name!r} with target {_words(self.facets[target])} "
+                f"has distractors of {len(names)} objects ({', '.join(names) or 'none'}) that "
+                "share something with the target and do not satisfy the query; "
+                f"{count} objects per episode need {count - 1}. Show more facets, relate "
+                "more of them, do not ask this query for this facet, or use fewer objects."
+            )
+
+
+def number_objects(facets: tuple[ObjectColour, ...]) -> Numbers:
+    """Return the number of each facet's object, in order of first appearance, (F,)."""
+    numbers = {name: number for number, name in enumerate(dict.fromkeys(n for n, _ in facets))}
+    return np.array([numbers[name] for name, _ in facets], dtype=np.int64)
+
+
+def with_distractors(
+    allowed: Mask, satisfies: Mask, related: Mask, shown: Mask, objects: Numbers, count: int
+) -> Mask:
+    """Return the allowed questions that have distractors of ``count - 1`` objects, (Q, F)."""
+    query, target = np.nonzero(allowed)
+    beside = _distractors(satisfies[query], related[target], shown, objects, target)
+    member = (objects[:, None] == np.arange(objects.max() + 1)).astype(np.float32)
+    kept = allowed.copy()
+    kept[query, target] = (beside.astype(np.float32) @ member > 0).sum(axis=1) >= count - 1
+    return kept
+
+
+def _distractors(
+    satisfies: Mask, related: Mask, shown: Mask, objects: Numbers, target: Numbers
+) -> Mask:
+    """Return the distractors of n questions from the rows (n, F) of their queries and targets."""
+    return np.asarray(shown & ~satisfies & related & (objects[target][:, None] != objects))
+
+
+def _words(facet: ObjectColour) -> str:
+    return " ".join(reversed(facet))

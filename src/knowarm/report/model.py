@@ -1,0 +1,327 @@
+"""Data of a report: the tasks, agents, runs and evaluations that it is computed from."""
+
+import re
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple, get_args
+
+import numpy as np
+
+from knowarm.errors import UserError
+from knowarm.experiment.agents import AGENTS
+from knowarm.experiment.evaluation_files import (
+    AGAIN,
+    EPISODE_COLUMNS,
+    TASK_COLUMNS,
+    read_table,
+)
+from knowarm.knowledge.config import Detail
+from knowarm.knowledge.vectors.placebos import Zeros
+from knowarm.report.format import palette
+from knowarm.statistics import Interval, bootstrap
+
+# Types of the columns of ``episodes.parquet``; those of ``steps.parquet`` are numbers.
+_KINDS = {name: kind for name, (kind, _) in (EPISODE_COLUMNS | TASK_COLUMNS).items()}
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """One post-training evaluation."""
+
+    folder: Path
+    summary: dict[str, Any]  # content of its ``summary.json``
+
+    @property
+    def config(self) -> Mapping[str, Any]:
+        """Settings of the evaluation: episodes, thresholds, actions."""
+        return self.summary.get("config", {})
+
+    def episodes(self, *further: str) -> dict[str, np.ndarray]:
+        """Read the columns of ``episodes.parquet``: `EPISODE_COLUMNS` and those given."""
+        path = self.folder / "episodes.parquet"
+        columns = _complete(path, {*EPISODE_COLUMNS, *further})
+        if len(columns["episode"]) != self.summary["episodes"]:
+            raise UserError(f"{path} has another number of episodes than the summary. {AGAIN}")
+        return columns
+
+    def joint_angles(self) -> dict[int, np.ndarray]:
+        """Read the angles of each joint [rad] at all steps from ``steps.parquet``."""
+        columns = _complete(self.folder / "steps.parquet", {"step"})
+        found = ((re.fullmatch(r"joint_(\d{1,3})_rad", name), name) for name in columns)
+        joints = sorted((int(each[1]), name) for each, name in found if each)
+        return {joint: columns[name].astype(np.float64) for joint, name in joints}
+
+    def films(self) -> dict[int, Path]:
+        """Return the recorded films by episode number."""
+        found = sorted((self.folder / "films").glob("*.webp"))
+        numbered = [path for path in found if path.stem.isascii() and path.stem.isdigit()]
+        count = self.summary["episodes"]
+        return {int(path.stem): path for path in numbered if int(path.stem) < count}
+
+    def numbers(self, part: str = "", name: str = "") -> Mapping[str, Any]:
+        """Return the summary, or that of one target (``per_target``) or facet (``per_facet``)."""
+        return self.summary.get(part, {}).get(name, {}) if part else self.summary
+
+    def interval(self, key: str, part: str = "", name: str = "") -> Interval | None:
+        """Return a number of the summary with its interval over episodes, where stored."""
+        values = self.numbers(part, name)
+        if values.get(key) is None:
+            return None
+        ends = (values.get(f"{key}_{end}", values[key]) for end in ("low", "high"))
+        return Interval(float(values[key]), *map(float, ends))
+
+
+class Evaluated:
+    """Something with one or more evaluations of the same episodes."""
+
+    name: str  # name shown in the report
+    evaluations: Sequence[Evaluation]  # one evaluation per training seed
+
+    def scores(self, key: str) -> np.ndarray:
+        """Return one number of the summary per evaluation, (n,) float64."""
+        return np.array([each.summary[key] for each in self.evaluations], dtype=np.float64)
+
+    def level(self, key: str, part: str = "", name: str = "") -> Interval | None:
+        """Estimate the mean of one number of the summary over the evaluations.
+
+        The interval is a bootstrap over training seeds, that of a single evaluation the stored one
+        over its episodes. ``part`` and ``name`` as in `Evaluation.numbers`; None without a number.
+        """
+        found = [each for each in self.evaluations if each.numbers(part, name).get(key) is not None]
+        if len(found) < 2:
+            return found[0].interval(key, part, name) if found else None
+        return bootstrap([np.array([float(each.numbers(part, name)[key]) for each in found])])
+
+
+@dataclass(frozen=True)
+class Reference(Evaluated):
+    """An evaluation shown for comparison, such as that of an untrained policy."""
+
+    name: str  # name shown in the report
+    evaluations: tuple[Evaluation]  # the evaluation, alone
+    untrained: bool = False  # whether the policy is an untrained one of the study
+
+
+def _complete(path: Path, needed: Collection[str]) -> dict[str, np.ndarray]:
+    """Read the columns of a table; refuse missing columns, rows and values."""
+    columns = read_table(path)
+    missing = [name for name in sorted(needed) if name not in columns or not len(columns[name])]
+    if missing:
+        raise UserError(f"{path} lacks values of {', '.join(missing)}. {AGAIN}")
+    for name, values in columns.items():
+        is_text, is_number = _KINDS.get(name) == "string", values.dtype.kind in "biuf"
+        is_whole = is_number and bool(np.isfinite(values).all())
+        if not (all(isinstance(value, str) for value in values) if is_text else is_whole):
+            raise UserError(f"{path} has damaged values of {name}. {AGAIN}")
+    return columns
+
+
+# Columns of one CSV log, (n,) float64 each, NaN where a cell was empty; ``step`` increases.
+Curve = dict[str, np.ndarray]
+# Roles of agents, in the order in which a report lists them.
+ROLES = ("baseline", "knowledge", "privileged", "capacity_control", "content_control")
+DETAILS = get_args(Detail)
+CONTROLS = ("capacity_control", "content_control")
+
+
+class FolderProblem(NamedTuple):
+    """A defect of a folder or file, and how the report handled it."""
+
+    path: Path  # the folder or file
+    what: str  # what was found
+    done: str  # how it was handled: left out, or kept in which form
+
+
+@dataclass(frozen=True, eq=False)
+class RunData:
+    """One readable run folder."""
+
+    path: Path
+    config: dict[str, Any]  # resolved configuration, in the current run format
+    provenance: dict[str, Any]  # versions, machine, parameter counts, knowledge; empty if missing
+    interim: Curve  # columns of ``evaluations.csv``; empty if missing
+    metrics: Curve  # columns of ``metrics.csv``; empty if missing
+    evaluations: dict[str, Evaluation]  # post-training evaluations by label
+    algorithm: str = ""  # name of the learning algorithm in the registry
+
+    @property
+    def agent(self) -> str:
+        """Name of the agent."""
+        return str(self.config["agent"])
+
+    @property
+    def role(self) -> str | None:
+        """Role of the agent, one of `ROLES`."""
+        return self.config.get("role")
+
+    @property
+    def seed(self) -> int:
+        """Training seed."""
+        return int(self.config["seed"])
+
+    @property
+    def env(self) -> dict[str, Any]:
+        """Configuration of the environment."""
+        return self.config["env"]
+
+    @property
+    def knowledge(self) -> Mapping[str, Any]:
+        """Configuration of the knowledge vector."""
+        return self.config.get("knowledge") or {}
+
+    @property
+    def detail(self) -> int:
+        """How much of the objects the knowledge vector describes: place in `Detail`."""
+        chosen = self.knowledge.get("detail")
+        return DETAILS.index(chosen) if chosen in DETAILS else 0
+
+    @property
+    def parameters(self) -> Mapping[str, int]:
+        """Trainable parameters by part of the network and in ``total``; empty if unknown."""
+        return self.provenance.get("parameter_counts") or {}
+
+    @property
+    def steps_done(self) -> float:
+        """Environment steps of the run's last log row."""
+        return float(max((c["step"][-1] for c in (self.interim, self.metrics) if c), default=0))
+
+    @cached_property
+    def best_step(self) -> float | None:
+        """Step of the interim evaluation with the highest mean return: the evaluated model."""
+        returns = self.interim.get("return_mean", np.empty(0))
+        return float(self.interim["step"][int(np.nanargmax(returns))]) if returns.size else None
+
+    @property
+    def has_success_curve(self) -> bool:
+        """Whether interim success is known at every interim evaluation."""
+        known = bool(self.interim) and np.isfinite(self.interim.get("success", np.nan)).all()
+        return bool(known) and bool(self.interim["step"][-1] > 0)
+
+
+@dataclass(frozen=True, eq=False)
+class Group(Evaluated):
+    """Runs of one agent on one task that differ in the training seed only."""
+
+    name: str  # the agent, with the settings that tell it from others of the same name
+    agent: str
+    role: str | None  # role of the agent, one of `ROLES`; None if unknown
+    runs: tuple[RunData, ...]  # runs by seed, at least one
+    label: str  # label of the evaluation that the task compares; "" if there is none
+
+    @cached_property
+    def evaluations(self) -> Sequence[Evaluation]:  # type: ignore[override]
+        """The compared evaluation of every run that has it."""
+        return [r.evaluations[self.label] for r in self.runs if self.label in r.evaluations]
+
+    @property
+    def scope(self) -> str:
+        """Scope of the knowledge vector, a `knowarm.knowledge.config.Scope`."""
+        return str(self.runs[0].knowledge.get("scope", "scene"))
+
+    @property
+    def has_content(self) -> bool:
+        """Whether the agent has a knowledge vector that is not all zeros."""
+        knowledge = self.runs[0].knowledge
+        source = knowledge.get("source") or {}
+        return knowledge.get("detail") != "none" and source.get("kind") != Zeros.kind
+
+    @property
+    def best_run(self) -> RunData | None:
+        """The run with the highest mean return after training, the paper's choice."""
+        runs = [run for run in self.runs if self.label in run.evaluations]
+        return runs[int(np.argmax(self.scores("return_mean")))] if runs else None
+
+    @property
+    def best(self) -> Evaluation | None:
+        """The compared evaluation of the best run."""
+        return self.best_run.evaluations[self.label] if self.best_run else None
+
+
+@dataclass(frozen=True, eq=False)
+class SplitGroup(Evaluated):
+    """One agent on the queries of one split."""
+
+    group: Group
+    split: str  # name of the split
+    evaluations: Sequence[Evaluation]  # one per training seed
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        """Name of the agent."""
+        return self.group.name
+
+    @property
+    def chance(self) -> float:
+        """Share of right choices of an agent that chooses at random."""
+        return float(self.evaluations[0].summary["choice_chance"])
+
+
+@dataclass(frozen=True, eq=False)
+class TaskData:
+    """All runs of one robot, environment configuration and algorithm."""
+
+    name: str  # short name for anchors and file names
+    title: str  # title shown in the report
+    label: str  # label of the compared evaluation; "" if no run has one
+    groups: tuple[Group, ...]  # one per agent, in the order of `ROLES`
+    references: tuple[Reference, ...] = ()  # evaluations of the same episodes without a trained run
+
+    @property
+    def runs(self) -> list[RunData]:
+        """Runs of all groups."""
+        return [run for group in self.groups for run in group.runs]
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Robot and colour setting."""
+        env = self.groups[0].runs[0].env
+        return str(env.get("robot")), str(env.get("colours", "fixed"))
+
+    @cached_property
+    def baseline(self) -> Group | None:
+        """The agent without knowledge."""
+        return next((group for group in self.groups if group.role == "baseline"), None)
+
+    @cached_property
+    def subjects(self) -> tuple[Group, ...]:
+        """The agents whose knowledge is tested: of each role and scope that with most detail."""
+        roles = ("knowledge", "privileged")
+        groups = [g for role in roles for g in self.groups if g.role == role and g.has_content]
+        first: dict[tuple[str | None, str], Group] = {}
+        for group in sorted(groups, key=lambda group: -group.runs[0].detail):
+            first.setdefault((group.role, group.scope), group)
+        return tuple(group for group in groups if group in first.values())
+
+    @cached_property
+    def colours(self) -> dict[str, str]:
+        """Palette class of every group and reference."""
+        chosen = palette((group.name, group.agent) for group in self.groups)
+        return chosen | {reference.name: "c-faint" for reference in self.references}
+
+    @property
+    def horizon(self) -> float:
+        """Steps to which every agent with success curves has at least one run; 0 without any."""
+        curves = [[r.interim for r in g.runs if r.has_success_curve] for g in self.groups]
+        longest = [max(float(curve["step"][-1]) for curve in each) for each in curves if each]
+        return min(longest, default=0.0)
+
+
+@dataclass(frozen=True)
+class StudyData:
+    """Everything a report is computed from."""
+
+    tasks: tuple[TaskData, ...]  # tasks by title
+    problems: tuple[FolderProblem, ...] = ()  # defects of the folders, by path
+
+    @property
+    def runs(self) -> list[RunData]:
+        """Runs of all tasks."""
+        return [run for task in self.tasks for run in task.runs]
+
+
+def rank(role: str | None, agent: str) -> tuple[int, int, str]:
+    """Return the sort key of an agent: by role, then in the registry's order."""
+    names, roles = [*AGENTS, agent], [*ROLES, role]
+    return roles.index(role), names.index(agent), agent

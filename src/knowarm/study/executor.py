@@ -1,0 +1,142 @@
+"""Executor of a study: one process per run on this machine."""
+
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import psutil
+
+from knowarm.cores import available_cores, limited_to
+from knowarm.errors import UserError
+
+RunKey = tuple[str, int]
+"""Experiment and training seed: names a run of a study."""
+
+LOG = "log.txt"  # in a run folder: what its workers printed
+TIMEOUT_S = 10.0  # how long `LocalExecutor.close` waits for its workers before it kills them
+
+
+@dataclass(frozen=True, kw_only=True)
+class Where:
+    """Where the runs are executed, and what each occupies."""
+
+    kind: Literal["local"] = "local"
+    """Processes on this machine."""
+    cores: int = 1
+    """Cores of each run. Two runs of one core finish sooner than one run of two cores, twice."""
+    memory_gib: float = 1.5
+    """Memory of each run [GiB]."""
+    gpus: float = 0
+    """GPUs of each run; 0.5 lets two runs share one."""
+    retries: int = 5
+    """How often a run whose process was killed resumes without a later checkpoint in between."""
+    at_once: int | None = None
+    """Runs at once; None follows from cores, free memory and GPUs."""
+
+    def __post_init__(self) -> None:
+        for name in ("cores", "at_once"):
+            if (value := getattr(self, name)) is not None and value < 1:
+                raise UserError(f"where.{name} must be at least 1, got {value}.")
+        if self.retries < 0 or self.gpus < 0:
+            raise UserError("where.retries and where.gpus must be 0 or more.")
+        if not self.memory_gib > 0:
+            raise UserError(f"where.memory_gib must be above 0, got {self.memory_gib}.")
+
+
+class Ended(NamedTuple):
+    """A worker that has ended: how, unless by itself, and whether a signal killed it."""
+
+    run: RunKey
+    problem: str | None = None
+    killed: bool = False
+
+
+class LocalExecutor:
+    """Pool of processes; a worker ends when the process that started it exits.
+
+    Raises:
+        UserError: the machine has fewer cores, memory or GPUs than one run needs.
+    """
+
+    def __init__(self, where: Where, out: Path) -> None:
+        self._where, self._out = where, out
+        self._workers: dict[RunKey, tuple[int, subprocess.Popen[bytes]]] = {}  # with their slots
+        memory = psutil.virtual_memory()
+        self._gpus = _gpus() if where.gpus else []
+        limits = {
+            "cores": (available_cores(), where.cores),
+            "memory_gib": (memory.total / 2**30, where.memory_gib),
+            "gpus": (len(self._gpus), where.gpus),
+        }
+        for name, (there, needed) in limits.items():
+            if needed > there:
+                raise UserError(
+                    f"One run needs {needed:g} {name}, and this machine has {there:.3g}: choose a "
+                    f"smaller where.{name}, or another machine."
+                )
+        by_memory = int(memory.available / 2**30 / where.memory_gib)
+        slots = min(available_cores() // where.cores, by_memory)
+        self._per_gpu = max(1, int(1 / where.gpus)) if where.gpus else 1
+        if where.gpus:
+            slots = min(slots, self._per_gpu * len(self._gpus))
+        self.slots = where.at_once or max(1, slots)
+
+    def start(self, run: RunKey) -> None:
+        """Start the worker of a run."""
+        used = {slot for slot, _ in self._workers.values()}
+        slot = next(number for number in range(self.slots) if number not in used)
+        environment = os.environ | limited_to(self._where.cores)
+        if self._gpus:
+            gpu = self._gpus[slot // self._per_gpu % len(self._gpus)]
+            environment["CUDA_VISIBLE_DEVICES"] = gpu
+        folder = self._out / run[0] / str(run[1])
+        folder.mkdir(parents=True, exist_ok=True)
+        with (folder / LOG).open("ab") as log:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "knowarm.study.worker", str(self._out), run[0], str(run[1])],
+                stdin=subprocess.PIPE,  # closes when this process ends, however it ends
+                stdout=log,
+                stderr=log,
+                env=environment,
+                start_new_session=True,  # Ctrl-C is for this process, which then asks the workers
+            )
+        self._workers[run] = slot, process
+
+    def ended(self) -> list[Ended]:
+        """Return the workers that have ended since the last call."""
+        ended = []
+        for run, (_, process) in list(self._workers.items()):
+            if (code := process.poll()) is None:
+                continue
+            del self._workers[run]
+            assert process.stdin is not None
+            process.stdin.close()
+            how = f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"
+            ended.append(Ended(run, f"its process {how}" if code else None, killed=code < 0))
+        return ended
+
+    def stop(self) -> None:
+        """Ask all workers to save a checkpoint and end."""
+        for _, process in self._workers.values():
+            process.terminate()
+
+    def close(self) -> None:
+        """End all workers at once."""
+        self.stop()
+        for _, process in self._workers.values():
+            try:
+                process.wait(TIMEOUT_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+def _gpus() -> list[str]:
+    """Return the names of the visible GPUs, as ``CUDA_VISIBLE_DEVICES`` takes them."""
+    import torch  # takes a second to import
+
+    visible = [name for name in os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",") if name]
+    return visible or [str(i) for i in range(torch.cuda.device_count())]

@@ -1,0 +1,175 @@
+"""Inverse kinematics by damped least squares from several starts."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from knowarm.world.backends.mujoco import MujocoSimulator
+from knowarm.world.scene.scene import Scene
+from knowarm.world.tasks.reward import measure
+
+ITERATIONS = 80
+DAMPING = 0.05
+MAX_STEP_RAD = 0.3
+ATTEMPTS = 6  # Sets of random starts tried for poses that are not reached
+ROTATION_WEIGHT = 0.05
+"""Weight of the direction beside the position where the roll is ignored [m/rad]."""
+
+REACHED_M, REACHED_DEG = 0.01, 3.0
+"""Errors below which a pose counts as reached; far below the task's thresholds."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class IKSolution:
+    """The best joint angles found for n gripper poses."""
+
+    joints: NDArray[np.float64]  # Joint angles within the joints' ranges, (n, J) [rad]
+    distance: NDArray[np.float64]  # Distance to the desired position [m], (n,)
+    angle: NDArray[np.float64]  # Angle to the desired orientation [deg], (n,)
+    contact: NDArray[np.bool_]  # Whether the robot is in contact with floor or table, (n,)
+
+    def within(self, distance_m: float, angle_deg: float) -> NDArray[np.bool_]:
+        """Return which poses are reached within thresholds and without contact, (n,)."""
+        return (self.distance < distance_m) & (self.angle < angle_deg) & ~self.contact
+
+
+class InverseKinematics:
+    """Damped least squares from several starts (Nakamura and Hanafusa 1986).
+
+    dq = J' (J J' + lambda^2 I)^-1 e, with J the Jacobian of the gripper (6, J) and e its position
+    and rotation error (6,), clipped to the joints' ranges after every iteration. The starts per
+    pose are the given joints, home and random ones; among the solutions without contact, the one
+    nearest to the first start is selected. ``ignore_roll`` leaves the rotation about the approach
+    axis open, and puts the position first where an arm has too few joints for both.
+    """
+
+    def __init__(
+        self, scene: Scene, starts: int = 8, seed: int = 0, *, ignore_roll: bool = False
+    ) -> None:
+        self.scene = scene
+        self._starts = starts
+        self._seed = seed
+        self._ignore_roll = ignore_roll
+        model = scene.model
+        self._body = int(model.site_bodyid[scene.tcp_site])
+        joints = [model.joint(f"robot/{name}").id for name in scene.robot.joints]
+        self._is_hinge = model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_HINGE
+        self._dofs = model.jnt_dofadr[joints]
+
+    def solve(
+        self,
+        position: NDArray[np.float64],
+        matrix: NDArray[np.float64],
+        start: NDArray[np.float64],
+        attempts: int = ATTEMPTS,
+    ) -> IKSolution:
+        """Find joint angles for n gripper poses, near the angles ``start`` (n, J) [rad].
+
+        Positions (n, 3) [m] and row-major rotations (n, 9) are those of the gripper in the world.
+        Poses that are not reached are tried from ``attempts`` sets of random starts.
+        """
+        solution = self._solve_once(position, matrix, start, self._seed)
+        for attempt in range(1, attempts):
+            missed = np.flatnonzero(~solution.within(REACHED_M, REACHED_DEG))
+            if not len(missed):
+                break
+            again = self._solve_once(
+                position[missed], matrix[missed], start[missed], self._seed + attempt
+            )
+            better = again.within(REACHED_M, REACHED_DEG)
+            for name in ("joints", "distance", "angle", "contact"):
+                getattr(solution, name)[missed[better]] = getattr(again, name)[better]
+        return solution
+
+    def _solve_once(
+        self,
+        position: NDArray[np.float64],
+        matrix: NDArray[np.float64],
+        start: NDArray[np.float64],
+        seed: int,
+    ) -> IKSolution:
+        n, joints = start.shape
+        lower, upper = self.scene.joint_lower, self.scene.joint_upper
+        generator = np.random.default_rng(seed)
+        # All poses share the random starts, so a solution depends on its own pose only.
+        starts = generator.uniform(lower, upper, (self._starts, 1, joints))
+        q = np.repeat(starts, n, axis=1)
+        q[0] = start
+        if self._starts > 1:
+            q[1] = self.scene.home
+        q = q.reshape(-1, joints)
+        position, matrix = np.tile(position, (self._starts, 1)), np.tile(matrix, (self._starts, 1))
+        simulation = MujocoSimulator(self.scene, len(q))
+        contacts = simulation.batch.bind("ncon")
+        for _ in range(ITERATIONS):
+            simulation.set_joints(q)
+            error = _pose_error(simulation, position, matrix)
+            translation, rotation = simulation.batch.jac(self._body, simulation.tcp_position)
+            jacobian = np.concatenate([translation, rotation], axis=1)[:, :, self._dofs]
+            if self._ignore_roll:
+                error, jacobian = _without_roll(error, jacobian, matrix)
+            transposed = jacobian.transpose(0, 2, 1)
+            damped = jacobian @ transposed + DAMPING**2 * np.eye(6)
+            step = (transposed @ np.linalg.solve(damped, error[..., None]))[..., 0]
+            q = np.clip(q + np.clip(step, -MAX_STEP_RAD, MAX_STEP_RAD), lower, upper)
+        q = self._unwind(q, np.tile(start, (self._starts, 1)))
+        simulation.set_joints(q)
+        distance, angle = measure(
+            simulation.tcp_position, simulation.tcp_matrix, position, matrix, self._ignore_roll
+        )
+        change = np.abs(q - np.tile(start, (self._starts, 1))).max(axis=1)
+        touches = contacts.reshape(len(q)) > 0
+        # Smallest change first, then solutions in contact, then poses that are not reached.
+        cost = (
+            change
+            + 100.0 * touches
+            + 1000.0 * (distance / REACHED_M + angle / REACHED_DEG).clip(min=1.0)
+        )
+        best = cost.reshape(self._starts, n).argmin(axis=0) * n + np.arange(n)
+        return IKSolution(
+            joints=q[best], distance=distance[best], angle=angle[best], contact=touches[best]
+        )
+
+    def _unwind(self, q: NDArray[np.float64], start: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Shift hinges by whole turns to the angle nearest to the start."""
+        turns = np.round((q - start) / (2 * np.pi)) * self._is_hinge
+        unwound = q - 2 * np.pi * turns
+        inside = (unwound >= self.scene.joint_lower) & (unwound <= self.scene.joint_upper)
+        return np.where(inside, unwound, q)
+
+
+def _without_roll(
+    error: NDArray[np.float64], jacobian: NDArray[np.float64], matrix: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Drop the rotation about the approach axis from errors (n, 6) and Jacobians (n, 6, J)."""
+    axis = matrix.reshape(-1, 3, 3)[:, :, 2]
+    across = ROTATION_WEIGHT * (np.eye(3) - axis[:, :, None] * axis[:, None, :])
+    turn = (across @ error[:, 3:, None])[..., 0]
+    return (
+        np.concatenate([error[:, :3], turn], axis=1),
+        np.concatenate([jacobian[:, :3], across @ jacobian[:, 3:]], axis=1),
+    )
+
+
+def _pose_error(
+    simulation: MujocoSimulator, position: NDArray[np.float64], matrix: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return position error [m] and rotation vector [rad] to the desired pose, (n, 6), world."""
+    n = len(position)
+    turn = matrix.reshape(n, 3, 3) @ simulation.tcp_matrix.reshape(n, 3, 3).transpose(0, 2, 1)
+    skew = np.stack(
+        [
+            turn[:, 2, 1] - turn[:, 1, 2],
+            turn[:, 0, 2] - turn[:, 2, 0],
+            turn[:, 1, 0] - turn[:, 0, 1],
+        ],
+        axis=1,
+    )
+    sine = np.linalg.norm(skew, axis=1)
+    angle = np.arctan2(sine, np.trace(turn, axis1=1, axis2=2) - 1.0)
+    # At half a turn the skew part does not define the axis; any axis makes progress.
+    axis = np.where(sine[:, None] > 1e-9, skew / np.maximum(sine, 1e-9)[:, None], [1.0, 0.0, 0.0])
+    error = np.concatenate([position - simulation.tcp_position, axis * angle[:, None]], axis=1)
+    return np.asarray(error)

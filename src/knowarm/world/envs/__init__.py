@@ -1,0 +1,1 @@
+"""Environments: NumPy vector, torch vector and single; arguments and wrappers."""

@@ -1,0 +1,107 @@
+"""Gymnasium wrappers that add the knowledge vector to the image: ``Dict(image, knowledge)``."""
+
+from typing import Any, cast
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+from gymnasium.vector.utils import batch_space
+from numpy.typing import ArrayLike, NDArray
+
+from knowarm.errors import UserError
+from knowarm.world.config import EnvConfig
+from knowarm.world.envs.single_env import ReachEnv
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.setting import facets_of
+
+Observation = dict[str, NDArray[Any]]
+
+
+class KnowledgeObservation(gymnasium.Wrapper):
+    """Adds the knowledge vector of the current episode to the image of a ``ReachEnv``.
+
+    Args:
+        env: a reaching environment.
+        table: (R, K) float32, one row per `Task.knowledge_rows`: facets, or queries.
+
+    Raises:
+        UserError: a table with the wrong number of rows.
+    """
+
+    def __init__(self, env: gymnasium.Env, table: ArrayLike) -> None:
+        super().__init__(env)
+        assert isinstance(env.unwrapped, ReachEnv)
+        self._table = _checked_table(table, env.unwrapped.config)
+        self._row = env.unwrapped.config.task.knowledge_info
+        self.observation_space = _with_knowledge(env.observation_space, self._table)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start an episode; see ``ReachEnv.reset``."""
+        image, info = self.env.reset(seed=seed, options=options)
+        return self._observe(image, info), info
+
+    def step(self, action: Any) -> tuple[Observation, Any, bool, bool, dict[str, Any]]:
+        """Play one step; see ``ReachEnv.step``."""
+        image, reward, terminated, truncated, info = self.env.step(action)
+        return self._observe(image, info), reward, terminated, truncated, info
+
+    def _observe(self, image: NDArray[np.uint8], info: dict[str, Any]) -> Observation:
+        return {"image": image, "knowledge": self._table[info[self._row]].copy()}
+
+
+class VectorKnowledgeObservation(VectorWrapper):
+    """Same as ``KnowledgeObservation`` for a ``ReachVectorEnv``, ``final_obs`` included."""
+
+    def __init__(self, env: VectorEnv, table: ArrayLike) -> None:
+        super().__init__(env)
+        assert isinstance(env.unwrapped, ReachVectorEnv)
+        self._table = _checked_table(table, env.unwrapped.config)
+        self._row = env.unwrapped.config.task.knowledge_info
+        self.single_observation_space = _with_knowledge(env.single_observation_space, self._table)
+        self.observation_space = batch_space(self.single_observation_space, env.num_envs)
+
+    def reset(
+        self,
+        *,
+        seed: int | list[int | None] | None = None,  # wider than Gymnasium's annotation
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start episodes; see ``ReachVectorEnv.reset``."""
+        images, infos = self.env.reset(seed=cast(int, seed), options=options)
+        return self._observe(images, infos), infos
+
+    def step(
+        self, actions: Any
+    ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
+        """Play one step; see ``ReachVectorEnv.step``."""
+        images, rewards, terminated, truncated, infos = self.env.step(actions)
+        if self.env.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP and "final_obs" in infos:
+            final = infos["final_obs"].copy()
+            for i in np.flatnonzero(infos["_final_obs"]):
+                row = infos["final_info"][self._row][i]
+                final[i] = {"image": final[i], "knowledge": self._table[row].copy()}
+            infos = infos | {"final_obs": final}
+        return self._observe(images, infos), rewards, terminated, truncated, infos
+
+    def _observe(self, images: NDArray[np.uint8], infos: dict[str, Any]) -> Observation:
+        return {"image": images, "knowledge": self._table[infos[self._row]]}
+
+
+def _checked_table(table: ArrayLike, config: EnvConfig) -> NDArray[np.float32]:
+    array = np.asarray(table, dtype=np.float32)
+    names = config.task.knowledge_rows(facets_of(config))
+    if array.ndim != 2 or len(array) != len(names) or array.shape[1] == 0:
+        raise UserError(
+            f"table must have one row for each of the {len(names)} values of the info "
+            f"{config.task.knowledge_info!r} ({', '.join(names)}), got shape {array.shape}."
+        )
+    return array
+
+
+def _with_knowledge(image: spaces.Space, table: NDArray[np.float32]) -> spaces.Dict:
+    """Return the space of the image beside an unbounded vector of float32."""
+    knowledge = spaces.Box(-np.inf, np.inf, (table.shape[1],), np.float32)
+    return spaces.Dict({"image": image, "knowledge": knowledge})

@@ -1,0 +1,128 @@
+"""Single environment, and the entry points of Gymnasium's registry."""
+
+import dataclasses
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from numpy.typing import NDArray
+
+from knowarm.errors import UserError, unknown_name
+from knowarm.world.config import EnvConfig
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.tasks import task_type
+from knowarm.world.tasks.task import Task
+
+
+class ReachEnv(gymnasium.Env[NDArray[np.uint8], NDArray[np.int64]]):
+    """An environment as ``gymnasium.make`` returns it: ``ReachVectorEnv`` with n = 1.
+
+    Args:
+        render_mode: "rgb_array" to draw enlarged images with ``render``, or None.
+        options: fields of ``EnvConfig``.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012 (Gymnasium's name)
+
+    def __init__(self, render_mode: str | None = None, **options: Any) -> None:
+        if render_mode not in (None, "rgb_array"):
+            raise UserError(f"render_mode must be 'rgb_array' or None, got {render_mode!r}.")
+        self.render_mode = render_mode
+        self._vector = ReachVectorEnv(
+            env_config(**options), 1, num_threads=1, autoreset=AutoresetMode.DISABLED
+        )
+        self.config = self._vector.config
+        self.facets = self._vector.facets
+        self.observation_space = self._vector.single_observation_space
+        self.action_space = self._vector.single_action_space
+
+    @property
+    def knowledge_input(self) -> int:
+        """Row of the knowledge table for the current episode: facet, or query."""
+        return int(self._vector.knowledge_input[0])
+
+    @property
+    def joint_positions(self) -> NDArray[np.float64]:
+        """Current joint angles, (J,) [rad]."""
+        return self._vector.joint_positions[0]
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.uint8], dict[str, Any]]:
+        """Start a new episode; ``options["episodes"]`` may be an ``Episodes`` of length 1."""
+        super().reset(seed=seed)
+        images, infos = self._vector.reset(seed=seed, options=options)
+        return images[0], _first(infos)
+
+    def step(
+        self, action: NDArray[np.int64]
+    ) -> tuple[NDArray[np.uint8], float, bool, bool, dict[str, Any]]:
+        """Play one step with an action of (J,) integers in 0..6."""
+        images, rewards, terminated, truncated, infos = self._vector.step(np.asarray(action)[None])
+        return (
+            images[0],
+            float(rewards[0]),
+            bool(terminated[0]),
+            bool(truncated[0]),
+            _first(infos),
+        )
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Draw the policy's view, (480, 480, 3) uint8; None without a render mode."""
+        return self._vector.render()[0] if self.render_mode else None
+
+
+def env_config(*, task: str | Task = "reach", **options: Any) -> EnvConfig:
+    """Return the config of an environment, whose task may be given by name."""
+    names = [field.name for field in dataclasses.fields(EnvConfig)]
+    for name in options:
+        if name not in names:
+            raise unknown_name("option of an environment", name, names)
+    return EnvConfig(task=task_type(task)() if isinstance(task, str) else task, **options)
+
+
+def make_vector_env(
+    num_envs: int,
+    num_threads: int = 0,
+    autoreset: AutoresetMode = AutoresetMode.SAME_STEP,
+    render_mode: str | None = None,
+    device: str | None = None,
+    **options: Any,
+) -> VectorEnv[Any, Any, Any]:
+    """Create a vector environment: the entry point of ``gymnasium.make_vec``.
+
+    Args:
+        num_envs: n.
+        num_threads: threads of physics and rendering; 0 for one per core.
+        autoreset: Gymnasium's mode.
+        render_mode: "rgb_array", or None.
+        device: None for ``ReachVectorEnv``, with NumPy arrays; "cpu" or "cuda" for
+            ``TorchReachVectorEnv``, with tensors on that device.
+        options: fields of ``EnvConfig``.
+
+    Raises:
+        UserError: a device is combined with an argument of the NumPy environment.
+    """
+    config = env_config(**options)
+    if device is None:
+        return ReachVectorEnv(config, num_envs, num_threads, autoreset, render_mode)
+    if (autoreset, render_mode) != (AutoresetMode.SAME_STEP, None):
+        raise UserError(
+            f"With device {device!r} environments are reset in the same step and have no render "
+            f"mode; got autoreset {autoreset.value} and render_mode {render_mode!r}. Leave these "
+            "out, or leave out device."
+        )
+    # Importing torch takes seconds, and the NumPy environment does not need it.
+    from knowarm.world.envs.torch_env import TorchReachVectorEnv
+
+    return TorchReachVectorEnv(config, num_envs, device=device, num_threads=num_threads)
+
+
+def _first(infos: dict[str, Any]) -> dict[str, Any]:
+    """Return the infos of environment 0 as Python numbers or arrays, without the masks."""
+    return {
+        name: values[0].copy() if values.ndim > 1 else values[0].item()
+        for name, values in infos.items()
+        if not name.startswith("_")
+    }

@@ -1,0 +1,128 @@
+"""Checks of the objects of a task with several: reach, visibility, differences in the image."""
+
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knowarm.errors import UserError
+from knowarm.world.agents.ik import InverseKinematics
+from knowarm.world.backends.mujoco import MujocoSimulator
+from knowarm.world.config import EnvConfig
+from knowarm.world.own_robot.robot_check import (
+    Check,
+    check_reach,
+    check_result,
+    check_visible,
+    different_pixels,
+)
+from knowarm.world.render.renderer import make_renderer
+from knowarm.world.scene.appearance import TargetColours, resting_colours
+from knowarm.world.scene.scene import Scene, target_places
+from knowarm.world.setting import scene_of
+from knowarm.world.tasks import task_type
+
+PLACES = 4  # Positions per side of the grid over the rectangle at which objects are checked
+MIN_DIFFERENT = 6
+"""Least number of pixels in which two objects of one colour differ, or one in two colours."""
+
+
+def check_objects(robot: str, task: str, targets: Sequence[str] = ()) -> list[Check]:
+    """Check objects, or those of the task, in the area of a robot in which the task places them.
+
+    Return the results in order; only the first if the scene cannot be built.
+    """
+    try:
+        config = EnvConfig(robot=robot, task=task_type(task)(), targets=tuple(targets))
+        scene = scene_of(config)
+    except UserError as error:
+        return [check_result("scene", False, str(error), "Correct the named field.")]
+    places = _grid(scene)
+    found = f"{len(config.targets)} objects, {config.task.visible} per episode"
+    checks = [check_result("scene", True, found)]
+    checks += [_check_reach(scene, config, k, places) for k in range(len(config.targets))]
+    images, empty = _images(scene, config, places)
+    checks += [
+        check_visible(t.name, shown, empty, "enlarge the object or move the camera nearer.")
+        for t, shown in zip(scene.targets, images, strict=True)
+    ]
+    return [*checks, _check_shapes(scene, images), _check_colours(scene, images)]
+
+
+def _grid(scene: Scene) -> NDArray[np.float64]:
+    """Return positions from border to border of the rectangle, (P, 2) [m]."""
+    side = np.linspace(-1, 1, PLACES)
+    signed = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    return np.asarray(scene.robot.rectangle_centre_m + signed * scene.robot.rectangle_half_size_m)
+
+
+def _check_reach(scene: Scene, config: EnvConfig, k: int, places: NDArray[np.float64]) -> Check:
+    grasp = target_places(scene, places) + scene.grasp_position[k]
+    matrix = np.repeat(scene.grasp_matrix[k].reshape(1, 9), len(places), axis=0)
+    start = np.repeat(scene.home[None], len(places), axis=0)
+    solution = InverseKinematics(scene).solve(grasp, matrix, start)
+    remedy = (
+        f"move or shrink areas.{config.task.area} of the robot, turn the object with "
+        "target_yaws_deg, or raise its grasp."
+    )
+    return check_reach(scene, config, k, places, start, solution, remedy)
+
+
+def _images(
+    scene: Scene, config: EnvConfig, places: NDArray[np.float64]
+) -> tuple[list[NDArray[np.int16]], NDArray[np.int16]]:
+    """Draw each object alone: C x P images per object, and P without any object."""
+    count = len(places)
+    simulator = MujocoSimulator(scene, count, 1, "kinematic")
+    everything = np.repeat(places[:, None], len(scene.targets), axis=1)
+    joints = np.repeat(scene.home[None], count, axis=0)
+    simulator.reset(np.arange(count), joints, everything)
+    poses = simulator.geom_position, simulator.geom_matrix
+    renderer = make_renderer(scene, config, config.image_size)
+    paint = TargetColours(scene)
+    images = [
+        np.stack(
+            [
+                renderer.draw(*poses, paint(np.full(count, k), np.full(count, c))).astype(np.int16)
+                for c in range(len(target.colours))
+            ]
+        )
+        for k, target in enumerate(scene.targets)
+    ]
+    empty = renderer.draw(*poses, resting_colours(scene, count)).astype(np.int16)
+    return images, empty
+
+
+def _check_shapes(scene: Scene, images: list[NDArray[np.int16]]) -> Check:
+    """Compare every two objects of the same colour at the same position."""
+    names, found = scene.colour_names, []
+    for a, b in combinations(range(len(images)), 2):
+        for colour in set(names[a]) & set(names[b]):
+            shown = images[a][names[a].index(colour)], images[b][names[b].index(colour)]
+            pair = f"{scene.targets[a].name} and {scene.targets[b].name} of one colour"
+            found.append((float(np.median(different_pixels(*shown))), pair))
+    remedy = "give one of them another shape or size, or leave it out."
+    return _least("objects", found, "no two objects have a colour in common", remedy)
+
+
+def _check_colours(scene: Scene, images: list[NDArray[np.int16]]) -> Check:
+    """Compare every two colours of each object."""
+    found = []
+    for target, names, drawn in zip(scene.targets, scene.colour_names, images, strict=True):
+        for a, b in combinations(range(len(drawn)), 2):
+            pair = f"{target.name} in {names[a]} and {names[b]}"
+            found.append((float(np.median(different_pixels(drawn[a], drawn[b]))), pair))
+    remedy = "colour more of the object's geoms, or choose other colours."
+    return _least("colours", found, "no object has two colours", remedy)
+
+
+def _least(kind: str, found: list[tuple[float, str]], nothing: str, remedy: str) -> Check:
+    """Check the pair that differs in the fewest pixels."""
+    worst, pair = min(found, default=(np.inf, ""))
+    return check_result(
+        f"any two {kind} differ",
+        worst >= MIN_DIFFERENT,
+        f"least for {pair}: {worst:.0f} pixels (median)" if found else nothing,
+        f"Fewer than {MIN_DIFFERENT}: {remedy}",
+    )

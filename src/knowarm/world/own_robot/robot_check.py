@@ -1,0 +1,195 @@
+"""Checks of a robot's description: scene, joints, gripper, servos, reach and visibility."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knowarm.errors import UserError
+from knowarm.world.agents.ik import IKSolution, InverseKinematics
+from knowarm.world.config import EnvConfig
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.render.renderer import make_renderer
+from knowarm.world.scene.appearance import TargetColours, resting_colours
+from knowarm.world.scene.scene import Scene
+from knowarm.world.tasks.episodes import evaluation_episodes
+from knowarm.world.tasks.running import ACTION_LEVELS, joint_increments
+
+MJCF_SUFFIXES = (".xml", ".mjcf")
+"""Files with these suffixes hold a bare model, for which a description is drafted."""
+
+SAMPLES = 100  # Episodes per check
+MIN_REACHABLE = 0.99  # Least fraction of target positions with a solution of the inverse kinematics
+MOVING_SHARE = 0.9
+"""Share of the time limit in which a solution has to be reached; servos lag behind."""
+
+MIN_PIXELS = 12  # Least number of pixels that show a target, in 95 % of the episodes
+MAX_LAG_RAD = 0.02  # Largest mean distance of a joint from its target after a control period [rad]
+DIFFERENCE = 25
+"""Change of a colour channel from which a pixel counts as showing the target, of 255."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """Result of one check."""
+
+    name: str  # What was checked
+    ok: bool  # Whether the check passed
+    found: str  # What was found, with numbers
+    remedy: str = ""  # How to correct it; empty if the check passed
+
+
+def check_robot(
+    path: Path | str,
+    targets: Sequence[str] = EnvConfig().targets,
+    *,
+    angle_deg: float = 15.0,
+    ignore_roll: bool = False,
+) -> list[Check]:
+    """Check the robot of a TOML description or name for a task with some objects.
+
+    Return the results in order; only the first if the scene cannot be built.
+    """
+    config = EnvConfig(robot=str(path), targets=tuple(targets))
+    config = replace(config, success_angle_deg=angle_deg, ignore_roll=ignore_roll)
+    try:
+        env = ReachVectorEnv(config, SAMPLES)
+    except UserError as error:
+        return [check_result("scene", False, str(error), "Correct the named field.")]
+    scene = env.scene
+    ranges = zip(scene.robot.joints, scene.joint_lower, scene.joint_upper, strict=True)
+    joints = ", ".join(f"{name} [{low:.2f}, {high:.2f}]" for name, low, high in ranges)
+    checks = [
+        check_result("scene", True, f"compiles, {scene.model.ngeom} geoms"),
+        check_result("joints", True, joints),
+        _check_gripper(env),
+        _check_servos(env),
+    ]
+    for name in targets:
+        one = ReachVectorEnv(replace(config, targets=(name,), colours="randomized"), SAMPLES)
+        checks += [_check_reach(one), *_check_visible(one)]
+    return checks
+
+
+def check_result(name: str, ok: bool, found: str, remedy: str = "") -> Check:
+    """Return a check, with the remedy only if it failed."""
+    return Check(name=name, ok=ok, found=found, remedy="" if ok else remedy)
+
+
+def _check_gripper(env: ReachVectorEnv) -> Check:
+    """Check that at home the approach axis points down or ahead, not up."""
+    env.reset(options={"episodes": evaluation_episodes(env.config, SAMPLES, 0)})
+    position = env.simulation.tcp_position.mean(axis=0)
+    approach = env.simulation.tcp_matrix[:, 2::3].mean(axis=0)
+    above = position[2] > env.scene.robot.support_height_m
+    return check_result(
+        "gripper",
+        bool(above and approach[2] < 0.5),
+        f"starts at {np.round(position, 3).tolist()} m, approach (z) is "
+        f"{np.round(approach, 2).tolist()}",
+        "The gripper should start above the support, its site's z axis pointing out of the "
+        "fingers: change home, tcp_site, or tcp_quaternion.",
+    )
+
+
+def _check_servos(env: ReachVectorEnv) -> Check:
+    """Check the distance of the joints from their targets under random actions."""
+    env.reset(options={"episodes": evaluation_episodes(env.config, SAMPLES, 0)})
+    generator = np.random.default_rng(0)
+    lags = []
+    for _ in range(10):
+        env.step(generator.integers(len(ACTION_LEVELS), size=env.action_space.shape))
+        lags.append(np.abs(env.joint_positions - env.joint_targets))
+    lag = float(np.mean(lags, axis=(0, 1)).max())
+    return check_result(
+        "servos",
+        lag < MAX_LAG_RAD,
+        f"mean distance from target after a step at most {lag:.4f} rad per joint",
+        f"Above {MAX_LAG_RAD}: raise servo_frequency_hz, or look for links that collide with "
+        "the support, and for damping or friction meant to hold a joint still.",
+    )
+
+
+def _check_reach(env: ReachVectorEnv) -> Check:
+    """Solve the inverse kinematics at positions over the whole rectangle."""
+    episodes = evaluation_episodes(env.config, SAMPLES, 1)
+    env.reset(options={"episodes": episodes})
+    solver = InverseKinematics(env.scene, ignore_roll=env.config.ignore_roll)
+    solution = solver.solve(env.goal_position, env.goal_matrix, env.joint_positions)
+    remedy = "move or shrink the rectangle, or turn the target with target_yaws_deg."
+    return check_reach(
+        env.scene, env.config, 0, episodes.position, env.joint_positions, solution, remedy
+    )
+
+
+def check_reach(
+    scene: Scene,
+    config: EnvConfig,
+    target: int,
+    places: NDArray[np.float64],
+    start: NDArray[np.float64],
+    solution: IKSolution,
+    remedy: str,
+) -> Check:
+    """Check that episodes can reach solutions for a target at places (n, 2) from joint angles.
+
+    The limits are the thresholds of success, no contact, and `MOVING_SHARE` of the steps.
+    """
+    steps = (
+        np.abs(solution.joints - start).max(axis=1) / joint_increments(scene.robot, config).max()
+    )
+    reached = solution.within(config.success_distance_m, config.success_angle_deg)
+    reached &= steps <= MOVING_SHARE * config.max_episode_steps
+    share, where = float(reached.mean()), ""
+    if not reached.all():
+        missed = ~reached
+        x, y = places[missed].mean(axis=0)
+        distance, angle = np.median(solution.distance[missed]), np.median(solution.angle[missed])
+        where = (
+            f"Not reached: positions around x {x:.2f}, y {y:.2f} m (median error {distance:.3f} m, "
+            f"{angle:.0f} deg, {100 * solution.contact[missed].mean():.0f} % in contact): {remedy}"
+        )
+    return check_result(
+        f"reach of {scene.targets[target].name}",
+        share >= MIN_REACHABLE,
+        f"{100 * share:.0f} % of {len(places)} positions reachable in time and without contact",
+        where,
+    )
+
+
+def _check_visible(env: ReachVectorEnv) -> list[Check]:
+    """Count the pixels in which the images with and without the target differ."""
+    scene, simulation = env.scene, env.simulation
+    renderer = make_renderer(scene, env.config, env.config.image_size)
+    poses = simulation.geom_position, simulation.geom_matrix
+    hidden = renderer.draw(*poses, resting_colours(scene, SAMPLES)).astype(np.int16)
+    first = np.zeros(SAMPLES, dtype=np.int64)
+    remedy = (
+        "move the camera nearer or to the side (camera_position_m), narrow camera_fovy_deg, or "
+        "choose a colour that differs from the support's."
+    )
+    checks = []
+    for c, colour in enumerate(scene.colour_names[0]):
+        shown = renderer.draw(*poses, TargetColours(scene)(first, np.full_like(first, c)))
+        checks.append(check_visible(f"{colour} {scene.targets[0].name}", shown, hidden, remedy))
+    return checks
+
+
+def check_visible(name: str, shown: NDArray[Any], hidden: NDArray[np.int16], remedy: str) -> Check:
+    """Check the number of pixels in which images with an object differ from those without."""
+    pixels = different_pixels(shown, hidden)
+    few = float(np.percentile(pixels, 5))
+    return check_result(
+        f"{name} in the image",
+        few >= MIN_PIXELS,
+        f"in {np.median(pixels):.0f} pixels (median), {few:.0f} (5th percentile)",
+        f"Fewer than {MIN_PIXELS}: {remedy}",
+    )
+
+
+def different_pixels(a: NDArray[Any], b: NDArray[np.int16]) -> NDArray[np.int64]:
+    """Count the pixels in which images (..., H, W, 3) differ, (...)."""
+    return np.asarray((np.abs(a - b).max(axis=-1) > DIFFERENCE).sum(axis=(-2, -1)))

@@ -1,0 +1,96 @@
+"""Level of detail: meshes with as many triangles as an image can show.
+
+A robot's visual meshes have a hundred thousand triangles; an image of 64 x 64 pixels can show few
+of them. They are simplified by quadric edge collapses (Garland and Heckbert 1997, of the library
+fast-simplification).
+"""
+
+from importlib.metadata import version
+from typing import Any, NamedTuple
+
+import fast_simplification
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from knowarm.world.cache import cache_file, read_arrays, write_arrays
+
+FEWEST = 32  # Meshes are not simplified to fewer triangles
+WELD = 0.25  # Side of the cells whose vertices are merged before the collapses, in triangles
+NEIGHBOURS = 16  # Corners of the full mesh from which a corner takes its normal
+CREASE_COSINE = 0.4
+"""Below this cosine between a triangle's and a corner's normal there is an edge between them."""
+
+REVISION = 2  # Part of the cache's key; to be increased with every change of the results
+
+
+class Mesh(NamedTuple):
+    """A triangle mesh with normals."""
+
+    vertex: NDArray[np.float32]  # Vertices [m], (V, 3)
+    face: NDArray[np.int32]  # Vertices of each triangle, (T, 3)
+    normal: NDArray[np.float32]  # Unit normals at each triangle's corners, (T, 3, 3)
+
+
+def simplified(mesh: Mesh, side_m: float) -> Mesh:
+    """Simplify a mesh to triangles of a mean size, or read the result from the cache.
+
+    The side, the root of the mean area [m], is rounded down to a power of the square root of two,
+    so that a slightly different camera finds the same file.
+    """
+    side_m = float(2 ** (np.floor(2 * np.log2(side_m)) / 2))
+    area = np.linalg.norm(_cross(mesh.vertex[mesh.face].astype(np.float64)), axis=1).sum() / 2
+    count = max(FEWEST, int(area / side_m**2))
+    if count >= len(mesh.face):
+        return mesh
+    file = cache_file("meshes", REVISION, version("fast-simplification"), side_m, *mesh)
+    found = read_arrays(file)
+    if found is not None and found.keys() == set(Mesh._fields):
+        return Mesh(**found)  # type: ignore[arg-type]
+    result = _simplify(mesh, count, side_m)
+    write_arrays(file, result._asdict())
+    return result
+
+
+def _simplify(mesh: Mesh, count: int, side_m: float) -> Mesh:
+    """Collapse edges until a mesh has about so many triangles."""
+    # Edges exist where triangles share a vertex; files store close vertices several times.
+    cells = np.round(mesh.vertex / (WELD * side_m))
+    place = np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1)
+    sums = np.stack([np.bincount(place, mesh.vertex[:, k]) for k in range(3)], axis=1)
+    points: NDArray[np.float64] = sums / np.bincount(place)[:, None]
+    faces = place[mesh.face].astype(np.int32)
+    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+    if len(faces) > count:
+        # The library's first threshold has a fixed size, hence lengths in triangles.
+        points, faces = fast_simplification.simplify(points / side_m, faces, target_count=count)[:2]
+        points = points * side_m
+    if not len(faces):
+        return mesh
+    corners = np.asarray(points, dtype=np.float64)[faces]
+    return Mesh(points.astype(np.float32), faces.astype(np.int32), _normals(mesh, corners))
+
+
+def _cross(corners: NDArray[Any]) -> NDArray[Any]:
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
+def unit_normals(corners: NDArray[Any]) -> NDArray[Any]:
+    """Return the unit normals (T, 3) of triangles with corners (T, 3, 3)."""
+    own = _cross(corners)
+    return np.asarray(own / np.maximum(np.linalg.norm(own, axis=1, keepdims=True), 1e-20))
+
+
+def _normals(full: Mesh, corners: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Average the full mesh's normals near each corner (T, 3, 3), those across an edge left out."""
+    own = unit_normals(corners)
+    # A corner belongs to several sides of the surface; slightly inside, the triangle's own is near.
+    inside = 0.85 * corners + 0.15 * corners.mean(axis=1, keepdims=True)
+    points = full.vertex[full.face].reshape(-1, 3)
+    near = scipy.spatial.cKDTree(points).query(inside, k=min(NEIGHBOURS, len(points)))[1]
+    normals = full.normal.reshape(-1, 3)[near].astype(np.float64)
+    weight = np.maximum(np.einsum("tcki,ti->tck", normals, own) - CREASE_COSINE, 0.0)
+    mean = np.einsum("tck,tcki->tci", weight, normals)
+    length = np.linalg.norm(mean, axis=2, keepdims=True)
+    blended = np.where(length > 1e-9, mean / np.maximum(length, 1e-9), own[:, None])
+    return np.asarray(blended, dtype=np.float32)

@@ -1,0 +1,153 @@
+"""Robot description: model file, joints, gripper, and the scene around the robot."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from knowarm.config import check_numbers
+from knowarm.errors import UserError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """A table with four legs on which the targets stand."""
+
+    half_size_m: tuple[float, float]
+    """Half extent of the top along x and y [m]."""
+    centre_m: tuple[float, float]
+    """Centre of the top in the robot's base frame, x and y [m]."""
+    height_m: float
+    """Height of the upper surface above the floor [m]."""
+
+    def __post_init__(self) -> None:
+        if min(self.half_size_m) <= 0 or self.height_m <= 0:
+            raise UserError(
+                f"Table.half_size_m and height_m must be positive, got {self.half_size_m} and "
+                f"{self.height_m}."
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Area:
+    """A rectangle of target positions on the support."""
+
+    centre_m: tuple[float, float]
+    """Centre, x and y [m]."""
+    half_size_m: tuple[float, float]
+    """Half extent along x and y [m]."""
+
+    def __post_init__(self) -> None:
+        if min(self.half_size_m) < 0:
+            raise UserError(f"Area.half_size_m must not be negative, got {self.half_size_m}.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Robot:
+    """A fixed-base arm: its model file, the joints that the agent moves, and the scene around it.
+
+    Frames: the robot's base is the world origin, x forward, z up. Lengths in metres, angles in
+    radians unless the name says degrees. Joints of the model that are not named in ``joints`` are
+    fixed at the value in ``held_joints`` or at their reference.
+    """
+
+    name: str
+    """Name by which users select the robot."""
+    title: str = ""
+    """Name in reports, with the maker's; ``name`` if empty."""
+    mjcf: Path
+    """MJCF file of the robot. Its actuators, keyframes and cameras are ignored."""
+    joints: tuple[str, ...]
+    """Names of the joints that the agent moves, base to tip: hinges, or slides with a range."""
+    tcp_site: str
+    """Site at the tool centre point: z is the approach direction, y the finger opening."""
+    tcp_body: str | None = None
+    """Body to which ``tcp_site`` is added; None if the model has the site."""
+    tcp_position_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Position of the added site in the frame of ``tcp_body`` [m]."""
+    tcp_quaternion: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    """Orientation of the added site in the frame of ``tcp_body``, wxyz."""
+    home: tuple[float, ...]
+    """Start angle of each joint [rad] (slides: [m])."""
+    mpi_rad: float = 0.10
+    """Maximum position increment (MPI): the largest joint step of an action [rad] (slides: [m])."""
+    start_fraction: float = 0.15
+    """Half-width of the start distribution relative to half the joint's range (paper, table 1).
+
+    The paper draws U(f * lower, f * upper). The interval home +- f * (upper - lower) / 2 used here
+    is the same if home is the middle of the range, as for both shipped robots.
+    """
+    start_joints: tuple[int, ...] = (0, 1)
+    """Indices of the joints that start at a random offset from home (paper: joints 1 and 2)."""
+    held_joints: Mapping[str, float] = field(default_factory=dict)
+    """Values at which joints outside ``joints`` are fixed [rad or m]."""
+    base_position_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Position of the model's origin, world [m]."""
+    table: Table | None = None
+    """Table on which the targets stand; None for the floor."""
+    rectangle_centre_m: tuple[float, float]
+    """Centre of the rectangle of target positions, x and y [m]."""
+    rectangle_half_size_m: tuple[float, float]
+    """Half extent of that rectangle along x and y [m]."""
+    areas: Mapping[str, Area] = field(default_factory=dict)
+    """Other rectangles of target positions, by the name of the tasks' area, such as "choose"."""
+    target_yaw_deg: float
+    """Direction of the targets' x axis (their grasp side) about the vertical [deg]."""
+    target_yaws_deg: Mapping[str, float] = field(default_factory=dict)
+    """Yaw of single targets by name, if different from ``target_yaw_deg`` [deg]."""
+    turned_grasps: tuple[str, ...] = ()
+    """Targets whose grasp frame is turned half about the approach direction. A gripper with two
+    fingers grasps equally either way; the wrist's range may allow only one."""
+    camera_position_m: tuple[float, float, float]
+    """Position of the fixed camera [m]."""
+    camera_look_at_m: tuple[float, float, float]
+    """Point at the centre of the image [m]."""
+    camera_fovy_deg: float
+    """Vertical field of view [deg]."""
+    servo_frequency_hz: float = 7.0
+    """Natural frequency of the critically damped position servos [Hz]."""
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        if not self.title:
+            object.__setattr__(self, "title", self.name)
+        count = len(self.joints)
+        start, half = self.start_fraction, self.rectangle_half_size_m
+        for valid, message in (
+            (count, "joints is empty; name at least one hinge or slide joint"),
+            (len(set(self.joints)) == count, f"joints {self.joints} must be different names"),
+            (len(self.home) == count, f"home has {len(self.home)} values for {count} joints"),
+            (
+                all(0 <= j < count for j in self.start_joints),
+                f"start_joints {self.start_joints} must be indices 0 to {count - 1} into joints",
+            ),
+            (0 <= start <= 1, f"start_fraction must lie in 0 to 1, got {start}"),
+            (min(half) >= 0, f"rectangle_half_size_m must not be negative, got {half}"),
+            (
+                0 < self.camera_fovy_deg < 180,
+                f"camera_fovy_deg must lie between 0 and 180, got {self.camera_fovy_deg}",
+            ),
+            *(
+                (getattr(self, name) > 0, f"{name} must be positive, got {getattr(self, name)}")
+                for name in ("mpi_rad", "servo_frequency_hz")
+            ),
+        ):
+            if not valid:
+                raise UserError(f"Robot {self.name!r}: {message}.")
+
+    def for_area(self, name: str) -> "Robot":
+        """Return the robot with the rectangle of an area; unchanged if it has none of the name."""
+        area = self.areas.get(name)
+        if area is None:
+            return self
+        return replace(
+            self, rectangle_centre_m=area.centre_m, rectangle_half_size_m=area.half_size_m
+        )
+
+    @property
+    def support_height_m(self) -> float:
+        """Height of the surface on which the targets stand [m]."""
+        return self.table.height_m if self.table else 0.0
+
+    def yaw_deg(self, target: str) -> float:
+        """Return the yaw of the target of a name [deg]."""
+        return self.target_yaws_deg.get(target, self.target_yaw_deg)

@@ -1,0 +1,229 @@
+"""Scene: the compiled MuJoCo model of a robot and its targets, with the indices of its parts."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from knowarm.errors import UserError, unknown_name
+from knowarm.world.objects import TARGETS
+from knowarm.world.objects.target import Target
+from knowarm.world.robots import ROBOTS
+from knowarm.world.robots.description_file import SUFFIX, read_robot, read_target
+from knowarm.world.robots.menagerie import KNOWN_ARMS
+from knowarm.world.robots.robot import Robot
+from knowarm.world.scene.attach import ROBOT_PREFIX
+from knowarm.world.scene.compose import CAMERA, DISTRACTOR, compose
+
+ENDLESS_RANGE_RAD = (-2 * np.pi, 2 * np.pi)  # Range of hinges that have none of their own [rad]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Scene:
+    """A compiled model and the indices of its parts.
+
+    Dimensions: J joints, K targets, C colours, D distractors, G geoms.
+    """
+
+    # Robot, table, floor, lights, the policy's camera, and the targets as mocap bodies
+    model: mujoco.MjModel
+    robot: Robot  # Description of the robot
+    targets: tuple[Target, ...]  # Descriptions of the targets
+    qpos_index: NDArray[np.intp]  # Index in qpos of each joint, (J,)
+    joint_lower: NDArray[np.float64]  # Lower limit of each joint [rad], (J,)
+    joint_upper: NDArray[np.float64]  # Upper limit of each joint [rad], (J,)
+    home: NDArray[np.float64]  # Start angle of each joint before the random offset [rad], (J,)
+    tcp_site: int  # Id of the site at the tool centre point (TCP)
+    camera: int  # Id of the policy's camera
+    camera_position: NDArray[np.float64]  # Position of the camera, world [m], (3,)
+    # Rotation from camera (x right, y up, z backward) to world, (3, 3)
+    camera_matrix: NDArray[np.float64]
+    geom_target: NDArray[np.intp]  # Index of the target each geom belongs to, -1 for none, (G,)
+    geom_coloured: NDArray[np.bool_]  # Whether a geom has its target's colour, (G,)
+    # RGB by target and colour, (K, C, 3); padded with the first colour
+    target_colours: NDArray[np.float32]
+    colour_count: NDArray[np.intp]  # Number of colours of each target, (K,)
+    surface_geoms: tuple[int, ...]  # Ids of the floor and, if there is one, the table top
+    distractor_geoms: NDArray[np.intp]  # Ids of the distractors' geoms, (D,)
+    distractor_mocap: NDArray[np.intp]  # Index in the mocap arrays of each distractor, (D,)
+    target_mocap: NDArray[np.intp]  # Index in the mocap arrays of each target, (K,)
+    # Grasp point relative to the target's position on the support, world axes [m], (K, 3)
+    grasp_position: NDArray[np.float64]
+    grasp_matrix: NDArray[np.float64]  # Rotation from grasp frame to world, (K, 3, 3)
+
+    @property
+    def num_joints(self) -> int:
+        """Number of joints the agent moves."""
+        return len(self.qpos_index)
+
+    @property
+    def colour_names(self) -> tuple[tuple[str, ...], ...]:
+        """Names of each target's colours."""
+        return tuple(tuple(target.colours) for target in self.targets)
+
+
+def find_robot(name: str) -> Robot:
+    """Return the shipped robot or known arm of a name, or that of a TOML file."""
+    if name.endswith(SUFFIX):
+        return read_robot(Path(name))
+    if name in KNOWN_ARMS:
+        return read_robot(KNOWN_ARMS[name])
+    if name not in ROBOTS:
+        raise unknown_name("robot", name, [*ROBOTS, *KNOWN_ARMS])
+    return ROBOTS[name].robot
+
+
+def find_targets(names: Sequence[str]) -> tuple[Target, ...]:
+    """Return the targets of names or TOML files, in their order."""
+    targets = []
+    for name in names:
+        if name.endswith(SUFFIX):
+            targets.append(read_target(Path(name)))
+        elif name in TARGETS:
+            targets.append(TARGETS[name])
+        else:
+            raise unknown_name("target", name, TARGETS)
+    return tuple(targets)
+
+
+@lru_cache(maxsize=16)
+def load_scene(
+    robot: str, targets: tuple[str, ...], distractors: int = 0, area: str = "reach"
+) -> Scene:
+    """Build the scene of a named robot and named targets, cached per process.
+
+    Both may be TOML files. ``area`` is the robot's area in which the targets stand.
+    """
+    return build_scene(find_robot(robot).for_area(area), find_targets(targets), distractors)
+
+
+def build_scene(robot: Robot, targets: Sequence[Target], distractors: int = 0) -> Scene:
+    """Compose and compile a scene and look up its joints, sites and geoms."""
+    model = compose(robot, targets, distractors).compile()
+    _turn_grasps(model, robot, targets)
+    joint_ids = [model.joint(ROBOT_PREFIX + name).id for name in robot.joints]
+    endless = model.jnt_limited[joint_ids] == 0
+    ranges = np.where(endless[:, None], ENDLESS_RANGE_RAD, model.jnt_range[joint_ids])
+    lower, upper = ranges.T.copy()
+    home = np.array(robot.home, dtype=np.float64)
+    outside = (home < lower) | (home > upper)
+    if outside.any():
+        j = int(np.argmax(outside))
+        raise UserError(
+            f"Robot {robot.name!r}: home of joint {robot.joints[j]!r} is {home[j]:g}; its range is "
+            f"{lower[j]:g} to {upper[j]:g}."
+        )
+    geom_target = np.full(model.ngeom, -1, dtype=np.intp)
+    geom_coloured = np.zeros(model.ngeom, dtype=np.bool_)
+    width = max(len(target.colours) for target in targets)
+    colours = np.zeros((len(targets), width, 3), dtype=np.float32)
+    for k, target in enumerate(targets):
+        rgb = list(target.colours.values())
+        colours[k] = rgb + [rgb[0]] * (width - len(rgb))
+        for g in range(model.ngeom):
+            name = model.geom(g).name
+            if name.startswith(f"{target.name}/"):
+                geom_target[g] = k
+                geom_coloured[g] = name.removeprefix(f"{target.name}/") in target.coloured_geoms
+    surfaces = ["floor", "table"] if robot.table else ["floor"]
+    others = [f"{DISTRACTOR}{i}" for i in range(distractors)]
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_camlight(model, data)
+    camera = model.camera(CAMERA).id
+    grasp_position, grasp_matrix = _grasp_frames(data, targets)
+    scene = Scene(
+        model=model,
+        robot=robot,
+        targets=tuple(targets),
+        qpos_index=model.jnt_qposadr[joint_ids].astype(np.intp),
+        joint_lower=lower,
+        joint_upper=upper,
+        home=home,
+        tcp_site=model.site(ROBOT_PREFIX + robot.tcp_site).id,
+        camera=camera,
+        camera_position=data.cam_xpos[camera].copy(),
+        camera_matrix=data.cam_xmat[camera].reshape(3, 3).copy(),
+        geom_target=geom_target,
+        geom_coloured=geom_coloured,
+        target_colours=colours,
+        colour_count=np.array([len(target.colours) for target in targets], dtype=np.intp),
+        surface_geoms=tuple(model.geom(name).id for name in surfaces),
+        distractor_geoms=np.array([model.geom(name).id for name in others], dtype=np.intp),
+        distractor_mocap=np.array([model.body(name).mocapid[0] for name in others], dtype=np.intp),
+        target_mocap=_target_mocap(model, targets),
+        grasp_position=grasp_position,
+        grasp_matrix=grasp_matrix,
+    )
+    _check_in_image(scene)
+    return scene
+
+
+def target_places(scene: Scene, position: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Lift positions (..., 2) [m] to the support: (..., 3) [m], world."""
+    height = np.full_like(position[..., :1], scene.robot.support_height_m)
+    return np.concat([position, height], axis=-1)
+
+
+def project(scene: Scene, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Project world points (n, 3) [m] into the square image, (n, 2).
+
+    Right and up from the centre in half image widths; NaN for points behind the camera.
+    """
+    local = (points - scene.camera_position) @ scene.camera_matrix
+    depth = np.where(local[:, 2:] < 0, -local[:, 2:], np.nan)
+    half_height = np.tan(np.radians(scene.model.cam_fovy[scene.camera]) / 2)
+    return np.asarray(local[:, :2] / (depth * half_height))
+
+
+def _turn_grasps(model: mujoco.MjModel, robot: Robot, targets: Sequence[Target]) -> None:
+    """Turn the grasp frames of the robot's ``turned_grasps`` half about their z axis."""
+    for target in targets:
+        if target.name in robot.turned_grasps:
+            site = model.site(f"{target.name}/{target.grasp_site}").id
+            turned = np.zeros(4)
+            mujoco.mju_mulQuat(turned, model.site_quat[site], np.array([0.0, 0.0, 0.0, 1.0]))
+            model.site_quat[site] = turned
+            model.site_sameframe[site] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+
+
+def _grasp_frames(
+    data: mujoco.MjData, targets: Sequence[Target]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the grasp frames of the targets, at their yaw, relative to their positions."""
+    model = data.model
+    ids = [model.site(f"{target.name}/{target.grasp_site}").id for target in targets]
+    bodies = model.site_bodyid[ids]
+    position = data.site_xpos[ids] - data.xpos[bodies]
+    return position, data.site_xmat[ids].reshape(-1, 3, 3).copy()
+
+
+def _target_mocap(model: mujoco.MjModel, targets: Sequence[Target]) -> NDArray[np.intp]:
+    """Return each target's index in the mocap arrays; a robot's file can add mocap bodies too."""
+    sites = [model.site(f"{target.name}/{target.grasp_site}").id for target in targets]
+    bodies = model.site_bodyid[sites]
+    return model.body_mocapid[model.body_rootid[bodies]].astype(np.intp)
+
+
+def _check_in_image(scene: Scene) -> None:
+    """Check that all grasp points are inside the image at the corners of the rectangle."""
+    robot = scene.robot
+    centre, half = np.array(robot.rectangle_centre_m), np.array(robot.rectangle_half_size_m)
+    signs = np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)])
+    corners = target_places(scene, centre + signs * half)
+    for k, target in enumerate(scene.targets):
+        seen = project(scene, corners + scene.grasp_position[k])
+        inside = (np.abs(seen) <= 1).all(axis=1)
+        if not inside.all():
+            x, y, _ = corners[int(np.argmin(inside))]
+            raise UserError(
+                f"Robot {robot.name!r}: target {target.name!r} standing at x {x:.3f}, y {y:.3f} m "
+                "has its grasp point outside the image. The image (camera_position_m, "
+                "camera_look_at_m, camera_fovy_deg) must show the whole rectangle "
+                "(rectangle_centre_m, rectangle_half_size_m): widen the view or shrink the "
+                "rectangle."
+            )

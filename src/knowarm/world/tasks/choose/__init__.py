@@ -1,0 +1,1 @@
+"""Choosing one of several objects by a query."""

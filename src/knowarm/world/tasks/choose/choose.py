@@ -1,0 +1,155 @@
+"""Choose task: several objects are visible, and the arm moves to the one that answers a question.
+
+An episode ends where any of the objects is reached. Otherwise an agent could try all of them in
+turn.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knowarm.config import check_numbers, registered
+from knowarm.errors import UserError
+from knowarm.questions import ObjectColour, QuestionTable
+from knowarm.world.objects import CHOOSE_TARGETS
+from knowarm.world.tasks.choose.queries import QUERY_SOURCES, NameQueries, QuerySource
+from knowarm.world.tasks.choose.source import SeveralObjects, question_table
+from knowarm.world.tasks.reward import is_success, measure
+from knowarm.world.tasks.sampling import Colours, ObjectSampler, Setting
+from knowarm.world.tasks.state import EpisodeState
+from knowarm.world.tasks.task import Task
+
+MAX_OBJECTS = 6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choose(Task):
+    """Several objects in the rectangle, of which exactly one answers the episode's question."""
+
+    area: ClassVar[str] = "choose"
+    targets: ClassVar[tuple[str, ...]] = CHOOSE_TARGETS
+    colours: ClassVar[Colours | None] = "randomized"
+    scopes: ClassVar[frozenset[str]] = frozenset({"query", "perceived"})
+    holds_out: ClassVar[bool] = False
+    knowledge_info: ClassVar[str] = "query"
+
+    kind: Literal["choose"] = "choose"
+    """Tag of this task in JSON."""
+    objects: int = 4
+    """Objects per episode, 2 to 6, all different."""
+    queries: QuerySource = field(
+        default_factory=NameQueries, metadata=registered(lambda: QUERY_SOURCES.values())
+    )
+    """Where the questions come from, and which objects answer them."""
+    marked: bool = False
+    """Paint the object that answers the question in magenta and the others in grey: the upper
+    bound of what a query can contribute."""
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        if not 2 <= self.objects <= MAX_OBJECTS:
+            raise UserError(
+                f"Choose.objects must be 2 to {MAX_OBJECTS}, got {self.objects}. With one object "
+                "take the task Reach()."
+            )
+
+    @property
+    def visible(self) -> int:
+        """Number of objects that an episode shows."""
+        return self.objects
+
+    @property
+    def paints_goal(self) -> bool:
+        """Whether the image shows which object answers the question."""
+        return self.marked
+
+    @property
+    def chance(self) -> float:
+        """Share of right objects of an agent that picks one at random."""
+        return 1 / self.objects
+
+    def sampler(self, setting: Setting) -> ObjectSampler:
+        """Return what draws objects, places and questions."""
+        return SeveralObjects(setting, self.queries, self.objects)
+
+    def questions(self, facets: tuple[ObjectColour, ...]) -> QuestionTable:
+        """Return the questions, cached per process."""
+        return question_table(self.queries, facets, self.objects)
+
+    def knowledge_rows(self, facets: tuple[ObjectColour, ...]) -> list[str]:
+        """Name the rows of the knowledge table: one per query."""
+        return [query.name for query in self.questions(facets).queries]
+
+    def for_split(self, split: str, edited: str | None) -> "Choose":
+        """Return the task with the questions of a split's test."""
+        return replace(self, queries=self.queries.for_split(split, edited))
+
+    def knowledge_input(self, state: EpisodeState) -> NDArray[np.int64]:
+        """Return the number of each episode's query, (n,) int64."""
+        return state.question
+
+    def failure(self, state: EpisodeState) -> NDArray[np.bool_]:
+        """Return whether the gripper has reached an object that does not answer, (n,) bool.
+
+        Its grasp frame has to be within the thresholds of the config, whatever the curriculum's.
+        """
+        nearest, position = _nearest_object(state)
+        rows = np.arange(len(nearest))
+        distance, angle = measure(
+            state.simulator.tcp_position,
+            state.simulator.tcp_matrix,
+            position,
+            state.grasp_rotation[state.objects[rows, nearest]],
+            state.ignore_roll,
+        )
+        reached = is_success(distance, angle, state.limits[0], state.limits[1])
+        return np.asarray(reached & (nearest != 0))
+
+    def infos(self, state: EpisodeState) -> dict[str, NDArray[Any]]:
+        """Return the infos of reaching and those of the choice.
+
+        ``reached_object`` is the object whose grasp point is nearest to the gripper, (n,) int64;
+        ``is_right_object``, whether it answers the question, (n,) bool; ``query``, (n,) int64;
+        ``objects`` and ``object_colours``, indices of the visible objects and of their colours,
+        the right one first, (n, m) int64; ``object_positions``, their x and y, (n, m, 2) [m].
+        """
+        nearest, _ = _nearest_object(state)
+        return super().infos(state) | {
+            "reached_object": state.objects[np.arange(len(nearest)), nearest],
+            "is_right_object": nearest == 0,
+            "query": state.question,
+            "objects": state.objects,
+            "object_colours": state.colours,
+            "object_positions": state.positions,
+        }
+
+    def columns(
+        self, setting: Setting, infos: Mapping[str, NDArray[Any]]
+    ) -> dict[str, NDArray[Any]]:
+        """Return the query, the object reached, and whether it answers the query."""
+        names = np.array([target.name for target in setting.scene.targets])
+        return {
+            "query": np.array(self.knowledge_rows(setting.facets))[infos["query"]],
+            "chosen": names[infos["reached_object"]],
+            "choice_correct": infos["is_right_object"],
+        }
+
+    def interim_numbers(self, columns: Mapping[str, NDArray[Any]]) -> dict[str, float]:
+        """Return the share of episodes that ended nearest to the right object."""
+        return {"choice": float(columns["choice_correct"].mean())}
+
+    def describe(self, state: EpisodeState, setting: Setting, env_id: int) -> str:
+        """Describe the question and its answer, as "usedFor drinking: the red mug"."""
+        query = self.knowledge_rows(setting.facets)[int(state.question[env_id])]
+        return f"{query}: the {super().describe(state, setting, env_id)}"
+
+
+def _nearest_object(state: EpisodeState) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return which visible object's grasp point is nearest, (n,) int64, and that point, (n, 3)."""
+    grasp = state.grasp_positions()
+    way = grasp - state.simulator.tcp_position[:, None]
+    nearest = np.argmin(np.sum(way * way, axis=2), axis=1)
+    return nearest, grasp[np.arange(len(nearest)), nearest]

@@ -1,0 +1,176 @@
+"""Layouts: positions of several objects that neither overlap nor hide each other."""
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from knowarm.world.scene.scene import Scene
+
+TRIES = 16
+"""Positions drawn per object, of which the first that fits is used."""
+
+ATTEMPTS = 2
+"""Layouts drawn per episode, of which the first in which all objects fit is used."""
+
+GAP_M = 0.005
+"""Least gap between two objects [m]."""
+
+MAX_HIDDEN = 0.4
+"""Largest share of an object that the others may hide from the camera, estimated by rectangles
+around the objects in the image."""
+
+_AXES = 8
+"""Horizontal axes along which two objects are compared: they do not overlap if their projections
+to one of them are apart."""
+
+
+def draws(objects: int) -> int:
+    """Return the number of draws that a layout of m objects takes."""
+    return ATTEMPTS * objects * TRIES * 2
+
+
+Placed = tuple[NDArray[np.float64], NDArray[np.bool_]]
+"""Positions of m objects, (n, m, 2) [m], and whether all of them fit, (n,)."""
+
+
+class LayoutSource:
+    """Places m objects one after the other, each at the first position drawn that fits."""
+
+    def __init__(self, scene: Scene) -> None:
+        robot = scene.robot
+        self._centre = np.array(robot.rectangle_centre_m)
+        self._half = np.array(robot.rectangle_half_size_m)
+        angles = np.pi * np.arange(_AXES) / _AXES
+        axes = np.stack([np.cos(angles), np.sin(angles), np.zeros(_AXES)], axis=1)
+        self._axes = axes[:, :2]
+        extent = support(scene, np.concatenate([axes, -axes]))
+        self.width: NDArray[np.float64] = (extent[:, :_AXES] + extent[:, _AXES:]).max(axis=1)
+        self._forward = extent[:, :_AXES] + GAP_M / 2
+        self._backward = extent[:, _AXES:] + GAP_M / 2
+        right, up, backward = scene.camera_matrix.T
+        self._outline = support(scene, np.stack([right, -right, up, -up]))
+        # A point (x, y) of the support has the camera coordinates xy @ slope + offset.
+        self._slope = np.stack([right, up, backward], axis=1)[:2].copy()
+        height = np.array([0.0, 0.0, robot.support_height_m])
+        self._offset = (height - scene.camera_position) @ scene.camera_matrix
+
+    def __call__(self, uniforms: NDArray[np.float64], objects: NDArray[np.int64]) -> Placed:
+        """Place the objects (n, m) of n episodes in this order, from draws (n, ``draws(m)``).
+
+        Return positions, (n, m, 2) [m], and whether all objects fit, (n,) bool.
+        """
+        n, m = objects.shape
+        drawn = uniforms.reshape(n, ATTEMPTS, m, TRIES, 2)
+        position, fitting = self._attempt(drawn[:, 0], objects)
+        for attempt in range(1, ATTEMPTS):
+            again, fits = self._attempt(drawn[:, attempt], objects)
+            position = np.where(fitting[:, None, None], position, again)
+            fitting = fitting | fits
+        return position, fitting
+
+    def _attempt(self, uniforms: NDArray[np.float64], objects: NDArray[np.int64]) -> Placed:
+        """Place the objects once, with draws (n, m, T, 2); returns as ``__call__``."""
+        n, m, tries, _ = uniforms.shape
+        rows = np.arange(n)
+        fitting = np.ones(n, dtype=np.bool_)
+        placed: list[NDArray[np.float64]] = []
+        hidden: list[NDArray[np.float64]] = []
+        for j in range(m):
+            drawn = self._centre + (2 * uniforms[:, j] - 1) * self._half
+            fits = np.ones((n, tries), dtype=np.bool_)
+            own = np.zeros((n, tries))
+            others = []
+            for k in range(j):
+                there = placed[k][:, None]
+                fits = fits & self._apart(drawn, objects[:, j], there, objects[:, k])
+                by_k, of_k = self._hidden(drawn, objects[:, j], there, objects[:, k])
+                own = own + by_k
+                others.append(hidden[k][:, None] + of_k)
+                fits = fits & (others[k] <= MAX_HIDDEN)
+            fits = fits & (own <= MAX_HIDDEN)
+            first = fits.argmax(axis=1)
+            fitting = fitting & fits[rows, first]
+            placed.append(drawn[rows, first])
+            hidden = [share[rows, first] for share in others] + [own[rows, first]]
+        return np.stack(placed, axis=1), fitting
+
+    def _apart(
+        self,
+        a: NDArray[np.float64],
+        of_a: NDArray[np.int64],
+        b: NDArray[np.float64],
+        of_b: NDArray[np.int64],
+    ) -> NDArray[np.bool_]:
+        """Return whether objects at a (n, T, 2) and b (n, 1, 2) do not overlap, (n, T) bool."""
+        way = (b - a) @ self._axes.T
+        ahead = (self._forward[of_a] + self._backward[of_b])[:, None]
+        behind = (self._backward[of_a] + self._forward[of_b])[:, None]
+        return ((way > ahead) | (-way > behind)).any(axis=-1)
+
+    def _hidden(
+        self,
+        a: NDArray[np.float64],
+        of_a: NDArray[np.int64],
+        b: NDArray[np.float64],
+        of_b: NDArray[np.int64],
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the share of a that b hides from the camera and the reverse, (n, T) each."""
+        from_a, to_a, depth_a = self._in_image(a, of_a)
+        from_b, to_b, depth_b = self._in_image(b, of_b)
+        common = np.clip(np.minimum(to_a, to_b) - np.maximum(from_a, from_b), 0, None)
+        overlap = common[..., 0] * common[..., 1]
+        size_a, size_b = to_a - from_a, to_b - from_b
+        share_a = overlap / (size_a[..., 0] * size_a[..., 1])
+        share_b = overlap / (size_b[..., 0] * size_b[..., 1])
+        a_is_nearer = depth_a < depth_b
+        return np.where(a_is_nearer, 0.0, share_a), np.where(a_is_nearer, share_b, 0.0)
+
+    def _in_image(
+        self, position: NDArray[np.float64], objects: NDArray[np.int64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return corners (n, T, 2) of the rectangles around objects in the image, and depths."""
+        camera = position @ self._slope + self._offset
+        depth = -camera[..., 2]
+        outline = self._outline[objects][:, None]
+        low = (camera[..., :2] - outline[..., 1::2]) / depth[..., None]
+        high = (camera[..., :2] + outline[..., ::2]) / depth[..., None]
+        return low, high, depth
+
+
+def support(scene: Scene, directions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return how far each target, at its yaw, extends from its origin along unit directions (D, 3).
+
+    The distances (K, D) [m] are exact for primitive shapes, and of the bounding box for meshes.
+    """
+    model = scene.model
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    extent = np.full((len(scene.targets), len(directions)), -np.inf)
+    for g in np.flatnonzero(scene.geom_target >= 0):
+        body = model.body_rootid[model.geom_bodyid[g]]
+        centre = data.geom_xpos[g] - data.xpos[body]
+        local = directions @ data.geom_xmat[g].reshape(3, 3)
+        along = directions @ centre + _half_width(model, int(g), local)
+        k = scene.geom_target[g]
+        extent[k] = np.maximum(extent[k], along)
+    return extent
+
+
+def _half_width(
+    model: mujoco.MjModel, geom: int, local: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return how far a geom extends from its centre along directions (D, 3) in its frame, (D,)."""
+    size, kinds = model.geom_size[geom], mujoco.mjtGeom
+    axial = np.abs(local[:, 2])
+    match model.geom_type[geom]:
+        case kinds.mjGEOM_SPHERE:
+            return np.full(len(local), size[0])
+        case kinds.mjGEOM_CAPSULE:
+            return np.asarray(size[0] + size[1] * axial)
+        case kinds.mjGEOM_CYLINDER:
+            radial = np.sqrt(np.maximum(0.0, 1.0 - axial**2))
+            return np.asarray(size[0] * radial + size[1] * axial)
+        case kinds.mjGEOM_ELLIPSOID:
+            return np.asarray(np.linalg.norm(size * local, axis=1))
+    middle, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
+    return np.asarray(local @ middle + np.abs(local) @ half)

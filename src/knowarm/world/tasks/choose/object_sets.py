@@ -1,0 +1,134 @@
+"""Object sets: which objects stand together, and which query singles out which of them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knowarm.questions import QuestionTable
+from knowarm.world.tasks.draws import derive
+
+SETS = 2048
+"""Sets of objects that are drawn for a task; episodes repeat them in new layouts."""
+
+MIN_BALANCED = 256
+"""Least number of balanced sets. A split that has fewer draws the question first."""
+
+_ROUNDS = 12
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectSets:
+    """C sets of m facets each; an episode shows one of them."""
+
+    query: NDArray[np.int64]
+    """Number of the query, (C,)."""
+    facets: NDArray[np.int64]
+    """Numbers of the facets, of m different objects, (C, m)."""
+    goal: NDArray[np.int64]
+    """Position in the set of the facet that satisfies the query, 0..m-1, (C,)."""
+    balanced: bool
+    """Whether each object of a set is the goal equally often, so that only the query identifies
+    it."""
+
+    def __len__(self) -> int:
+        return len(self.query)
+
+    def select(self, rows: NDArray[np.bool_]) -> "ObjectSets":
+        """Return some of the sets."""
+        return ObjectSets(
+            self.query[rows], self.facets[rows], self.goal[rows], balanced=self.balanced
+        )
+
+
+def draw_object_sets(table: QuestionTable, objects: int) -> ObjectSets:
+    """Draw sets of a table; the same table gives the same ones.
+
+    A set of objects is balanced if each of them has a query of its own that no other one of the
+    set satisfies, and any two share something. Such a set becomes m rows, one per object.
+    Where a split has too few of them, because it asks only for some facets, the question is drawn
+    first and the distractors after it.
+    """
+    table.check_objects(objects)
+    generator = np.random.default_rng(derive(0, "compositions"))
+    found: list[NDArray[np.int64]] = []
+    for _ in range(_ROUNDS):
+        sets = _draw_sets(table, objects, generator)
+        can_be_asked = np.asarray(_own_queries(table, sets).any(axis=2))
+        found.append(sets[can_be_asked.all(axis=1)])
+        if sum(map(len, found)) >= SETS:
+            break
+    sets = np.concatenate(found)[:SETS]
+    if len(sets) >= MIN_BALANCED:
+        return _ask_each(table, sets, generator)
+    return _ask_first(table, objects, generator)
+
+
+def _draw_sets(
+    table: QuestionTable, objects: int, generator: np.random.Generator
+) -> NDArray[np.int64]:
+    """Draw sets of facets of different objects that are shown, askable and related, (n, m)."""
+    number = table.objects
+    usable = table.shown & table.askable.any(axis=0)
+    together = table.related & (number[:, None] != number) & usable
+    candidates = np.repeat(usable[None], SETS, axis=0)
+    chosen: list[NDArray[np.int64]] = []
+    for _ in range(objects):
+        facet = _pick(candidates, _object_weights(table, usable), generator)
+        possible = candidates.any(axis=1)
+        candidates, chosen = candidates[possible], [each[possible] for each in chosen]
+        chosen.append(facet[possible])
+        candidates = candidates & together[chosen[-1]]
+    return np.stack(chosen, axis=1)
+
+
+def _object_weights(table: QuestionTable, usable: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return weights of the facets with which every object is equally likely, (F,)."""
+    number = table.objects
+    return np.asarray(1.0 / np.maximum(1, np.bincount(number, weights=usable))[number])
+
+
+def _pick(
+    candidates: NDArray[np.bool_], weights: NDArray[np.float64], generator: np.random.Generator
+) -> NDArray[np.int64]:
+    """Draw one candidate per row (n, F), with probabilities proportional to weights (F,)."""
+    # The largest of log(weight) + Gumbel noise is such a draw.
+    scores = np.log(weights) + generator.gumbel(size=candidates.shape)
+    return np.where(candidates, scores, -np.inf).argmax(axis=1)
+
+
+def _own_queries(table: QuestionTable, sets: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return which queries may be asked for a facet and single it out in its set, (n, m, Q)."""
+    satisfied = table.satisfies.T[sets]
+    alone = satisfied.sum(axis=1, keepdims=True) == 1
+    return np.asarray(table.askable.T[sets] & alone)
+
+
+def _ask_each(
+    table: QuestionTable, sets: NDArray[np.int64], generator: np.random.Generator
+) -> ObjectSets:
+    """Give every object of every set a query, with rare queries preferred."""
+    n, m = sets.shape
+    own = _own_queries(table, sets).reshape(n * m, -1)
+    query = _pick(own, 1.0 / np.maximum(1, own.sum(axis=0)), generator)
+    return ObjectSets(
+        query=query, facets=np.repeat(sets, m, axis=0), goal=np.tile(np.arange(m), n), balanced=True
+    )
+
+
+def _ask_first(table: QuestionTable, objects: int, generator: np.random.Generator) -> ObjectSets:
+    """Draw query and target, and then distractors, with every query and object equally likely."""
+    count = SETS * objects
+    asked = np.flatnonzero(table.askable.any(axis=1))
+    query = asked[generator.integers(len(asked), size=count)]
+    number = table.objects
+    target = _pick(table.askable[query], _object_weights(table, table.shown), generator)
+    candidates = table.distractors(query, target)
+    chosen = [target]
+    for _ in range(objects - 1):
+        facet = _pick(candidates, _object_weights(table, table.shown), generator)
+        candidates = candidates & (number[facet][:, None] != number)
+        chosen.append(facet)
+    order = generator.permuted(np.tile(np.arange(objects), (count, 1)), axis=1)
+    facets = np.take_along_axis(np.stack(chosen, axis=1), order, axis=1)
+    return ObjectSets(query=query, facets=facets, goal=order.argmin(axis=1), balanced=False)

@@ -1,0 +1,102 @@
+"""Episodes as data: how they start, and how they are drawn from streams of random numbers."""
+
+from dataclasses import dataclass, fields
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knowarm.world.config import EnvConfig
+from knowarm.world.setting import setting_of
+from knowarm.world.tasks.draws import derive, uniforms
+
+_JOINTS = 4
+"""Number of the first draw of the joint offsets; those before it are the task's."""
+
+
+@dataclass(frozen=True)
+class Episodes:
+    """Start conditions of n episodes, drawn before they are played; a fixed test set is a value.
+
+    m objects are visible; the first is the one to reach.
+    """
+
+    joint_offsets: NDArray[np.float64]
+    """Start angle of each joint relative to home [rad], (n, J)."""
+    objects: NDArray[np.int64]
+    """Indices of the visible objects into the config's targets, (n, m)."""
+    colours: NDArray[np.int64]
+    """Indices into the colours of these, (n, m)."""
+    positions: NDArray[np.float64]
+    """x and y of these [m], (n, m, 2)."""
+    question: NDArray[np.int64]
+    """Row of the question table that the episode asks, (n,); 0 without questions."""
+    look: NDArray[np.float64]
+    """Uniform draws for the visual randomization, (n, L); L = 0 without any."""
+
+    @property
+    def target(self) -> NDArray[np.int64]:
+        """Index of the object to reach, (n,)."""
+        return self.objects[:, 0]
+
+    @property
+    def colour(self) -> NDArray[np.int64]:
+        """Index into its colours, (n,)."""
+        return self.colours[:, 0]
+
+    @property
+    def position(self) -> NDArray[np.float64]:
+        """Its x and y [m], (n, 2)."""
+        return self.positions[:, 0]
+
+    def __len__(self) -> int:
+        return len(self.objects)
+
+    def __getitem__(self, index: slice | NDArray[np.intp] | NDArray[np.bool_]) -> Self:
+        """Select episodes by a slice or an index array."""
+        return type(self)(*(getattr(self, field.name)[index] for field in fields(self)))
+
+
+class EpisodeSource:
+    """Draws the episodes of a config by stream and number (paper, table 1).
+
+    The task draws the objects; the start joints are uniform within +-start_fraction of half their
+    range around home.
+    """
+
+    def __init__(self, config: EnvConfig) -> None:
+        setting = setting_of(config)
+        scene, robot = setting.scene, setting.scene.robot
+        self._joints = scene.num_joints
+        self._look_draws = config.randomization.draws
+        self._moved = np.isin(np.arange(scene.num_joints), robot.start_joints)
+        self._reach = robot.start_fraction * (scene.joint_upper - scene.joint_lower) / 2
+        self._objects = config.task.sampler(setting)
+
+    def __call__(self, streams: NDArray[np.uint64], indices: NDArray[np.uint64]) -> Episodes:
+        """Draw n episodes; each depends only on its stream's seed and its number in it."""
+        looks = _JOINTS + self._joints
+        rest = looks + self._look_draws
+        u = uniforms(streams, indices, rest + self._objects.draws)
+        offsets = np.where(self._moved, (2 * u[:, _JOINTS:looks] - 1) * self._reach, 0.0)
+        drawn = self._objects(u[:, :_JOINTS], u[:, rest:])
+        return Episodes(joint_offsets=offsets, look=u[:, looks:rest], **drawn._asdict())
+
+
+def draw_episodes(
+    config: EnvConfig, streams: NDArray[np.uint64], indices: NDArray[np.uint64]
+) -> Episodes:
+    """Draw episodes of a config; see ``EpisodeSource``."""
+    return EpisodeSource(config)(streams, indices)
+
+
+def evaluation_episodes(config: EnvConfig, count: int, seed: int) -> Episodes:
+    """Draw a fixed list of episodes, none of which is part of a training stream.
+
+    Args:
+        config: robot and task.
+        count: number of episodes.
+        seed: seed of the list; a shorter list is the beginning of a longer one.
+    """
+    streams = np.full(count, derive(seed, "evaluation"), dtype=np.uint64)
+    return draw_episodes(config, streams, np.arange(count, dtype=np.uint64))

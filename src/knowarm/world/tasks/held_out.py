@@ -1,0 +1,86 @@
+"""Held-out colours and positions: training never shows them, evaluation tests them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knowarm.errors import UserError, unknown_name
+
+TRIES = 32
+"""Positions drawn per episode, of which the first allowed one is used. At most half of the
+rectangle is held out, so all of them fail in one of 2**32 episodes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeldOut:
+    """Colours and positions that training never shows, to test generalization to them.
+
+    Train with ``play="rest"``, evaluate with ``play="held_out"`` and the same other fields.
+    """
+
+    colours: tuple[str, ...] = ()
+    """Names of held-out colours. Every target needs a colour among them and one outside, or none of
+    its colours among them."""
+    places: tuple[float, float, float, float] | None = None
+    """Held-out part of the rectangle of positions: x from, x to, y from, y to, in -1..1."""
+    play: Literal["rest", "held_out"] = "rest"
+    """Whether this environment shows the held-out part or the rest."""
+
+    def __post_init__(self) -> None:
+        if self.play not in ("rest", "held_out"):
+            raise UserError(f"HeldOut.play must be rest or held_out, got {self.play!r}.")
+        if not self.colours and self.places is None:
+            raise UserError(
+                "HeldOut needs colours or places to hold out: give one, or pass held_out=None."
+            )
+        if self.places is not None:
+            x0, x1, y0, y1 = self.places
+            share = (x1 - x0) * (y1 - y0) / 4
+            inside = -1 <= x0 < x1 <= 1 and -1 <= y0 < y1 <= 1
+            if not inside or not 0.01 <= share <= 0.5:
+                raise UserError(
+                    "HeldOut.places must be x from < x to, y from < y to within -1 to 1 and 1 to "
+                    f"50 % of the rectangle, got {self.places} ({100 * share:.0f} %)."
+                )
+
+
+def allowed_colours(held_out: HeldOut | None, colours: Sequence[str], target: str) -> list[int]:
+    """Return the indices of the colours in which a target may be shown."""
+    if held_out is None or not held_out.colours:
+        return list(range(len(colours)))
+    wanted = held_out.play == "held_out"
+    allowed = [i for i, name in enumerate(colours) if (name in held_out.colours) == wanted]
+    # A target without a held-out colour shows all of its colours on both sides.
+    if not any(name in held_out.colours for name in colours):
+        return list(range(len(colours)))
+    if not allowed:
+        raise UserError(
+            f"HeldOut.colours {held_out.colours} leave target {target!r} no colour for "
+            f"play={held_out.play!r}; its colours are {', '.join(colours)}. Hold out fewer, or use "
+            "colours='randomized'."
+        )
+    return allowed
+
+
+def check_names(held_out: HeldOut | None, names: Sequence[str]) -> None:
+    """Check that the held-out colours are among those of all targets."""
+    for name in held_out.colours if held_out else ():
+        if name not in names:
+            raise unknown_name("held-out colour", name, names)
+
+
+def choose_places(held_out: HeldOut | None, signed: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Select each episode's first allowed position of candidates (n, T, 2) in -1..1, (n, 2)."""
+    if held_out is None or held_out.places is None:
+        return signed[:, 0]
+    x0, x1, y0, y1 = held_out.places
+    if held_out.play == "held_out":
+        x, y = (signed[:, 0, 0] + 1) / 2, (signed[:, 0, 1] + 1) / 2
+        return np.stack([x0 + x * (x1 - x0), y0 + y * (y1 - y0)], axis=-1)
+    x, y = signed[..., 0], signed[..., 1]
+    outside = (x < x0) | (x > x1) | (y < y0) | (y > y1)
+    first = outside.argmax(axis=1)
+    return signed[np.arange(len(signed)), first]

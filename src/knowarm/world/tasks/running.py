@@ -1,0 +1,268 @@
+"""Running episodes: state of n environments, and how a step changes it."""
+
+from dataclasses import fields
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knowarm.errors import UserError
+from knowarm.world.backends.mujoco import MujocoSimulator
+from knowarm.world.config import EnvConfig
+from knowarm.world.envs.arguments import check_state, masked_ids, spread_seeds
+from knowarm.world.robots.robot import Robot
+from knowarm.world.scene.appearance import AppearanceSource, Shown
+from knowarm.world.setting import setting_of
+from knowarm.world.tasks.episodes import Episodes, EpisodeSource
+from knowarm.world.tasks.reward import measure
+from knowarm.world.tasks.state import EpisodeState
+
+ACTION_LEVELS = (0.0, 1.0, -1.0, 0.1, -0.1, 0.01, -0.01)
+"""Joint increments of the seven actions, in units of MPI (paper, table 1)."""
+
+_STATE = (
+    "streams",
+    "next_episode",
+    "steps",
+    "joint_targets",
+    "objects",
+    "colours",
+    "positions",
+    "question",
+    "look",
+)
+"""Arrays that, with the simulator's state and the task's memory, determine everything else."""
+
+
+def joint_increments(robot: Robot, config: EnvConfig) -> NDArray[np.float64]:
+    """Return the joint increment of each action level [rad] (slides: [m]), (7,)."""
+    mpi_rad = robot.mpi_rad if config.mpi_rad is None else config.mpi_rad
+    return mpi_rad * np.array(ACTION_LEVELS)
+
+
+class Outcome(NamedTuple):
+    """How a step went, (n,) each."""
+
+    reward: NDArray[np.float64]
+    """The task's reward."""
+    terminated: NDArray[np.bool_]
+    """Whether the task is solved or has failed."""
+    truncated: NDArray[np.bool_]
+    """Whether the time limit ends the episode; never where ``terminated``."""
+
+    @property
+    def ended(self) -> NDArray[np.bool_]:
+        """Whether the episode has ended, (n,) bool."""
+        return self.terminated | self.truncated
+
+
+class RunningEpisodes(EpisodeState):
+    """n environments in which an arm plays the episodes of a task.
+
+    The order of a step is ``move`` -> ``outcome`` -> ``start_next`` for what has ended. Images are
+    drawn by the vector environments, from the simulator's poses and ``shown``.
+
+    Attributes:
+        task, setting: the task, and what its episodes are drawn from.
+        streams, next_episode: seed of each environment's stream, and number in it, (n,) uint64.
+        look: draws of the visual randomization, (n, L) float64.
+        shown: colours, cameras and lights for the renderer.
+    """
+
+    def __init__(self, config: EnvConfig, simulator: MujocoSimulator) -> None:
+        self.config = config
+        self.task = task = config.task
+        self.simulator = simulator
+        self.setting = setting_of(config)
+        self.scene = scene = self.setting.scene
+        self.facets = self.setting.facets
+        self.ignore_roll = config.ignore_roll
+        self.limits = np.array([config.success_distance_m, config.success_angle_deg])
+        self.num_envs = n = simulator.num_envs
+        m = task.visible
+        self._source = EpisodeSource(config)
+        self._appearance = AppearanceSource(scene, config.randomization, task.paints_goal)
+        first = [[name for name, _ in self.facets].index(target.name) for target in scene.targets]
+        self._first_facet = np.array(first, dtype=np.int64)
+        self.target_numbers = np.arange(len(scene.targets))
+        self._increments = joint_increments(scene.robot, config)
+        self.grasp_rotation = scene.grasp_matrix.reshape(-1, 9)
+        self.streams = np.random.SeedSequence().generate_state(n, np.uint64).astype(np.uint64)
+        self.next_episode = np.zeros(n, dtype=np.uint64)
+        self.steps = np.zeros(n, dtype=np.int64)
+        self.joint_targets = np.zeros((n, scene.num_joints))
+        self.objects = np.zeros((n, m), dtype=np.int64)
+        self.colours = np.zeros((n, m), dtype=np.int64)
+        self.positions = np.zeros((n, m, 2))
+        self.question = np.zeros(n, dtype=np.int64)
+        self.look = np.zeros((n, config.randomization.draws))
+        self.goal_position = np.zeros((n, 3))
+        self.goal_matrix = np.zeros((n, 9))
+        self._fresh = task.memory(n)
+        self.memory = {name: array.copy() for name, array in self._fresh.items()}
+        self.threshold_factor = 1.0
+        self._all = np.arange(n)
+        self.start_next(self._all)
+
+    @property
+    def threshold_factor(self) -> float:
+        """Factor of both thresholds, 1 unless training starts with larger ones; it can be set."""
+        return self._threshold_factor
+
+    @threshold_factor.setter
+    def threshold_factor(self, factor: float) -> None:
+        self._threshold_factor = factor
+        self.thresholds = self.limits * factor
+
+    @property
+    def knowledge_input(self) -> NDArray[np.int64]:
+        """Row of the knowledge table for each current episode, (n,) int64: facet, or query."""
+        return self.task.knowledge_input(self)
+
+    def describe(self, env_id: int) -> str:
+        """Describe the goal of an environment's episode, as "red mug"."""
+        return self.task.describe(self, self.setting, env_id)
+
+    def reset(
+        self, seed: int | list[int | None] | None, options: dict[str, Any] | None
+    ) -> NDArray[np.intp]:
+        """Start new episodes; see ``ReachVectorEnv.reset``. Return the environments reset, (k,)."""
+        options = options or {}
+        ids = masked_ids(options.get("reset_mask"), self.num_envs)
+        given, seeds = spread_seeds(seed, self.num_envs)
+        if len(seeded := ids[given[ids]]):
+            self.streams = _put(self.streams, seeded, seeds[seeded])
+            self.next_episode = _put(self.next_episode, seeded, 0)
+        episodes = options.get("episodes")
+        if episodes is None:
+            self.start_next(ids)
+        elif len(episodes) == len(ids):
+            self._check(episodes)
+            self._start(ids, episodes)
+        else:
+            raise UserError(
+                f"options['episodes'] holds {len(episodes)} episodes for {len(ids)} environments "
+                "that are reset; pass one per environment."
+            )
+        return ids
+
+    def start_next(self, ids: NDArray[np.intp]) -> None:
+        """Start the next episode of the stream of each of some environments (k,)."""
+        numbers = self.next_episode[ids]
+        episodes = self._source(self.streams[ids], numbers)
+        self.next_episode = _put(self.next_episode, ids, numbers + 1)
+        self._start(ids, episodes)
+
+    def move(self, levels: NDArray[np.int64]) -> None:
+        """Add the increments of actions (n, J) to the joint targets and simulate one step."""
+        lower, upper = self.scene.joint_lower, self.scene.joint_upper
+        self.joint_targets = (self.joint_targets + self._increments[levels]).clip(lower, upper)
+        self.simulator.step(self.joint_targets)
+        self.steps = self.steps + 1
+        self._measure()
+        if self.memory:
+            self.memory = dict(self.task.remember(self))
+        self.success = self.task.success(self)
+
+    def outcome(self) -> Outcome:
+        """Compute reward, end and time limit in the current state."""
+        failure = self.task.failure(self)
+        terminated = self.success if failure is None else self.success | failure
+        truncated = (self.steps >= self.config.max_episode_steps) & ~terminated
+        return Outcome(self.task.reward(self), terminated, truncated)
+
+    def infos(self) -> dict[str, NDArray[Any]]:
+        """Return the infos of the current state, without masks, (n, ...) each."""
+        return self.task.infos(self)
+
+    def get_state(self) -> dict[str, NDArray[Any]]:
+        """Copy all that determines the following steps."""
+        state = {name: getattr(self, name).copy() for name in _STATE}
+        state |= {f"memory.{name}": array.copy() for name, array in self.memory.items()}
+        return state | {"simulation": self.simulator.get_state()}
+
+    def set_state(self, state: dict[str, NDArray[Any]]) -> None:
+        """Restore a state of ``get_state``, of an environment with the same config and n."""
+        check_state(self.get_state(), state)
+        for name in _STATE:
+            setattr(self, name, np.array(state[name]))
+        self.memory = {name: np.array(state[f"memory.{name}"]) for name in self.memory}
+        self._refresh(self._all)
+        self.simulator.set_state(state["simulation"])
+        self._measure()
+        self.success = self.task.success(self)
+
+    def _check(self, episodes: Episodes) -> None:
+        """Check that episodes were drawn for this environment."""
+        for what, given, needed in (
+            ("objects", episodes.objects.shape[1], self.objects.shape[1]),
+            ("draws of visual randomization", episodes.look.shape[1], self.look.shape[1]),
+        ):
+            if given != needed:
+                raise UserError(
+                    f"The episodes hold {given} {what}, and this environment has {needed}; draw "
+                    "them with its config."
+                )
+
+    def _start(self, ids: NDArray[np.intp], episodes: Episodes) -> None:
+        """Put environments (k,) at the start of k episodes."""
+        scene = self.scene
+        joints = (scene.home + episodes.joint_offsets).clip(scene.joint_lower, scene.joint_upper)
+        self.joint_targets = _put(self.joint_targets, ids, joints)
+        for field in fields(episodes):
+            if field.name != "joint_offsets":
+                rows = getattr(episodes, field.name)
+                setattr(self, field.name, _put(getattr(self, field.name), ids, rows))
+        self.steps = _put(self.steps, ids, 0)
+        self.memory = {
+            name: _put(array, ids, self._fresh[name][ids]) for name, array in self.memory.items()
+        }
+        distractors = self._refresh(ids)
+        self.simulator.reset(ids, self.joint_targets[ids], self._object_positions(ids), distractors)
+        self._measure()
+        self.success = self.task.success(self)
+
+    def _refresh(self, ids: NDArray[np.intp]) -> NDArray[np.float64] | None:
+        """Recompute goals and appearance; return distractor positions, (k, D, 2) [m]."""
+        objects = self.objects[ids]
+        position, matrix = self.task.goal(
+            self.scene,
+            objects[:, 0],
+            self.grasp_positions(ids)[:, 0],
+            self.grasp_rotation[objects[:, 0]],
+        )
+        self.goal_position = _put(self.goal_position, ids, position)
+        self.goal_matrix = _put(self.goal_matrix, ids, matrix)
+        shown = self._appearance(objects, self.colours[ids], self.positions[ids, 0], self.look[ids])
+        if len(ids) == self.num_envs:
+            self.shown = shown
+        else:
+            pairs: Any = zip(self.shown, shown, strict=True)
+            self.shown = Shown(*(old if new is None else _put(old, ids, new) for old, new in pairs))
+        return shown.distractor_position
+
+    def _object_positions(self, ids: NDArray[np.intp]) -> NDArray[np.float64]:
+        """Return x and y of all K targets, hidden ones at that of the first, (k, K, 2) [m]."""
+        objects, positions = self.objects[ids], self.positions[ids]
+        places = np.repeat(positions[:, :1], len(self.scene.targets), axis=1)
+        rows = np.arange(len(ids))
+        for j in range(1, objects.shape[1]):
+            places[rows, objects[:, j]] = positions[:, j]
+        return places
+
+    def _measure(self) -> None:
+        """Measure distance and angle in the current state."""
+        self.distance, self.angle = measure(
+            self.simulator.tcp_position,
+            self.simulator.tcp_matrix,
+            self.goal_position,
+            self.goal_matrix,
+            self.ignore_roll,
+        )
+
+
+def _put(array: NDArray[Any], ids: NDArray[np.intp], values: Any) -> NDArray[Any]:
+    """Return a copy of ``array`` (n, ...) with ``values`` (k, ...) in the rows ``ids``."""
+    result = array.copy()
+    result[ids] = values
+    return result

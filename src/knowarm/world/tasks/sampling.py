@@ -1,0 +1,112 @@
+"""Sampling of objects: what a task draws episodes from, and one object per episode."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knowarm.questions import ObjectColour
+from knowarm.world.objects.target import Target
+from knowarm.world.tasks.held_out import TRIES, HeldOut, allowed_colours, check_names, choose_places
+
+if TYPE_CHECKING:  # Configs are read where nothing else needs MuJoCo.
+    from knowarm.world.scene.scene import Scene
+
+Colours = Literal["fixed", "randomized"]
+
+
+_TARGET, _X, _Y, _COLOUR = range(4)  # order of the first draws of an episode
+
+
+class Setting(NamedTuple):
+    """What a task draws episodes from."""
+
+    scene: "Scene"
+    """Robot and objects."""
+    colours: Colours
+    """Always an object's first colour, or one of its colours drawn per episode."""
+    held_out: HeldOut | None
+    """Colours and places reserved for a test of generalization."""
+
+    @property
+    def facets(self) -> tuple[ObjectColour, ...]:
+        """The (object, colour) pairs that can be shown; objects in config order."""
+        return list_facets(self.scene.targets, self.colours)
+
+
+def list_facets(targets: Sequence[Target], colours: Colours) -> tuple[ObjectColour, ...]:
+    """List the (object, colour) pairs of targets, with the first colours or with all."""
+    last = None if colours == "randomized" else 1
+    return tuple((target.name, colour) for target in targets for colour in [*target.colours][:last])
+
+
+class DrawnObjects(NamedTuple):
+    """Objects of n episodes, the one to reach first; fields as those of ``Episodes``."""
+
+    objects: NDArray[np.int64]
+    colours: NDArray[np.int64]
+    positions: NDArray[np.float64]
+    question: NDArray[np.int64]
+
+
+class ObjectSampler(Protocol):
+    """Draws the objects of episodes.
+
+    Attributes:
+        draws: number of uniform draws per episode besides the first four.
+    """
+
+    draws: int
+
+    def __call__(self, first: NDArray[np.float64], more: NDArray[np.float64]) -> DrawnObjects:
+        """Draw the objects of n episodes.
+
+        Args:
+            first: uniform draws in [0, 1) for object, x, y and colour, (n, 4).
+            more: further ones, (n, ``draws``).
+        """
+
+
+class OneObject:
+    """Draws one object per episode, uniform in object, position in the rectangle and colour."""
+
+    def __init__(self, setting: Setting) -> None:
+        robot, held_out = setting.scene.robot, setting.held_out
+        self._targets = len(setting.scene.targets)
+        self._held_out = held_out
+        self._centre = np.array(robot.rectangle_centre_m)
+        self._half = np.array(robot.rectangle_half_size_m)
+        self._colours, self._colour_count = _allowed_colours(setting)
+        self.draws = 2 * TRIES if held_out and held_out.places else 0
+
+    def __call__(self, first: NDArray[np.float64], more: NDArray[np.float64]) -> DrawnObjects:
+        """Draw the objects of n episodes; ``more`` are further candidates for the position."""
+        n = len(first)
+        target = (first[:, _TARGET] * self._targets).astype(np.int64)
+        candidates = np.concatenate([first[:, _X : _Y + 1], more], axis=1)
+        signed = 2 * candidates.reshape(n, candidates.shape[1] // 2, 2) - 1
+        shade = (first[:, _COLOUR] * self._colour_count[target]).astype(np.int64)
+        position = self._centre + choose_places(self._held_out, signed) * self._half
+        return DrawnObjects(
+            objects=target[:, None],
+            colours=self._colours[target, shade][:, None],
+            positions=position[:, None],
+            question=np.zeros_like(target),
+        )
+
+
+def _allowed_colours(setting: Setting) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the allowed colour indices of each target, (K, C), and their number, (K,)."""
+    scene, held_out = setting.scene, setting.held_out
+    last = None if setting.colours == "randomized" else 1
+    every = [names[:last] for names in scene.colour_names]
+    check_names(held_out, [name for names in every for name in names])
+    allowed = [
+        allowed_colours(held_out, names, one.name)
+        for names, one in zip(every, scene.targets, strict=True)
+    ]
+    table = np.zeros((len(allowed), max(map(len, allowed))), dtype=np.int64)
+    for k, indices in enumerate(allowed):
+        table[k, : len(indices)] = indices
+    return table, np.array([len(indices) for indices in allowed])

@@ -1,0 +1,77 @@
+"""State of running episodes: the arrays from which tasks compute success, reward and infos."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:  # Configs are read where nothing else needs MuJoCo.
+    from knowarm.world.backends.mujoco import MujocoSimulator
+    from knowarm.world.scene.scene import Scene
+
+
+class EpisodeState:
+    """State of n running episodes with m visible objects each, of which the first is the goal.
+
+    No array is written after it was assigned to an attribute: attributes may be handed out, and
+    their owner must not write into them.
+
+    Attributes:
+        scene: robot and objects.
+        simulator: physics of the n environments.
+        facets: (object, colour) names; objects in config order, colours in theirs.
+        ignore_roll: whether angles ignore the rotation about the approach axis.
+        limits: thresholds of distance and angle in the config, (2,) [m, deg].
+        thresholds: the same times the curriculum's factor, (2,) [m, deg].
+        steps: steps played in the current episode, (n,) int64.
+        joint_targets: joint angles that the servos track, (n, J) [rad]; actions add to them.
+        objects: indices of the visible objects into the config's targets, (n, m) int64.
+        colours: indices into the colours of these, (n, m) int64.
+        positions: their x and y, (n, m, 2) float64 [m].
+        question: row of the question table, (n,) int64; 0 without questions.
+        goal_position: point that the gripper has to reach, world, (n, 3) [m].
+        goal_matrix: rotation from goal frame to world, row-major, (n, 9).
+        distance: from gripper to goal, (n,) [m].
+        angle: between gripper and goal frame, (n,) [deg].
+        success: whether the task is solved, (n,) bool.
+        grasp_rotation: rotation from each target's grasp frame to world, row-major, (K, 9).
+        memory: further arrays of the task, (n, ...) each; see `Task.memory`.
+    """
+
+    scene: "Scene"
+    simulator: "MujocoSimulator"
+    facets: tuple[tuple[str, str], ...]
+    ignore_roll: bool
+    limits: NDArray[np.float64]
+    thresholds: NDArray[np.float64]
+    steps: NDArray[np.int64]
+    joint_targets: NDArray[np.float64]
+    objects: NDArray[np.int64]
+    colours: NDArray[np.int64]
+    positions: NDArray[np.float64]
+    question: NDArray[np.int64]
+    goal_position: NDArray[np.float64]
+    goal_matrix: NDArray[np.float64]
+    distance: NDArray[np.float64]
+    angle: NDArray[np.float64]
+    success: NDArray[np.bool_]
+    memory: dict[str, NDArray[Any]]
+    grasp_rotation: NDArray[np.float64]
+    _first_facet: NDArray[np.int64]
+
+    @property
+    def target(self) -> NDArray[np.int64]:
+        """Index of the object to reach, (n,) int64."""
+        return self.objects[:, 0]
+
+    @property
+    def facet(self) -> NDArray[np.int64]:
+        """Index of that object and its colour in ``facets``, (n,) int64."""
+        return self._first_facet[self.objects[:, 0]] + self.colours[:, 0]
+
+    def grasp_positions(self, ids: NDArray[np.intp] | slice = slice(None)) -> NDArray[np.float64]:
+        """Compute the grasp points of the visible objects of k environments, (k, m, 3) [m]."""
+        positions = self.positions[ids]
+        height = np.full_like(positions[..., :1], self.scene.robot.support_height_m)
+        places = np.concatenate([positions, height], axis=-1)
+        return np.asarray(places + self.scene.grasp_position[self.objects[ids]])

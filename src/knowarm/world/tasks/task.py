@@ -1,0 +1,177 @@
+"""Task: what an episode is, what counts as success, what ends an episode, reward and infos."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, get_args, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knowarm.errors import UserError
+from knowarm.questions import ObjectColour, QuestionTable
+from knowarm.world.tasks.reward import is_success, reward_terms
+from knowarm.world.tasks.sampling import Colours, ObjectSampler, OneObject, Setting
+from knowarm.world.tasks.state import EpisodeState
+
+if TYPE_CHECKING:  # Configs are read where nothing else needs MuJoCo.
+    from knowarm.world.scene.scene import Scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """Base of tasks: one object is visible, and the arm has to reach its grasp frame.
+
+    A task is a frozen config; all methods are batched over n episodes. To write your own, derive
+    from this class, add a field ``kind`` with a literal tag, override what differs, and select it
+    with ``EnvConfig(task=...)`` or ``--env.task package.module:Name``.
+    """
+
+    area: ClassVar[str] = "reach"
+    """Name in ``Robot.areas`` of the rectangle in which objects stand; a robot without an area of
+    this name uses its standard rectangle."""
+    targets: ClassVar[tuple[str, ...]] = ("mug", "bottle", "cereal_box")
+    """Objects of the task unless ``EnvConfig.targets`` names others."""
+    colours: ClassVar[Colours | None] = None
+    """Colours of every experiment of the task; None lets ``EnvConfig.colours`` decide."""
+    scopes: ClassVar[frozenset[str]] = frozenset({"scene", "target", "perceived"})
+    """Scopes of knowledge that describe something in this task."""
+    holds_out: ClassVar[bool] = True
+    """Whether ``EnvConfig.held_out`` and visual distractors can be combined with the task."""
+    knowledge_info: ClassVar[str] = "facet"
+    """Info that holds the row of the knowledge table for an episode."""
+    kind: str = ""
+    """Tag of the task in JSON, a literal of each task."""
+
+    @classmethod
+    def kind_of(cls) -> str:
+        """Return the tag of the task in JSON and in the names of experiments.
+
+        Raises:
+            UserError: the class declares no field ``kind`` with one literal.
+        """
+        tags = get_args(get_type_hints(cls).get("kind"))
+        if len(tags) != 1:
+            raise UserError(
+                f"The task {cls.__qualname__} needs a field that names it: kind: "
+                f"Literal['{cls.__name__.lower()}'] = '{cls.__name__.lower()}'."
+            )
+        return str(tags[0])
+
+    @property
+    def visible(self) -> int:
+        """Number of objects that an episode shows."""
+        return 1
+
+    @property
+    def paints_goal(self) -> bool:
+        """Whether the image shows the object to reach in magenta and the others in grey."""
+        return False
+
+    @property
+    def chance(self) -> float | None:
+        """Share of right objects of an agent that picks one at random; None with one object."""
+        return None
+
+    def sampler(self, setting: Setting) -> ObjectSampler:
+        """Return what draws the objects of episodes, uniform by default (paper, table 1).
+
+        Raises:
+            UserError: the setting does not fit the task.
+        """
+        return OneObject(setting)
+
+    def questions(self, facets: tuple[ObjectColour, ...]) -> QuestionTable | None:
+        """Return the questions of the task; None if episodes have none."""
+        return None
+
+    def knowledge_rows(self, facets: tuple[ObjectColour, ...]) -> list[str]:
+        """Name the rows of the knowledge table that ``knowledge_info`` refers to."""
+        return ["/".join(facet) for facet in facets]
+
+    def for_split(self, split: str, edited: str | None) -> "Task":
+        """Return the task with the questions of a split's test.
+
+        Raises:
+            UserError: the task has no splits.
+        """
+        raise UserError(
+            f"split={split!r} selects questions that a graph answers, and the task "
+            f"{self.kind_of()!r} has none. Evaluate a run of a task with such questions, or leave "
+            "split out."
+        )
+
+    def memory(self, num_envs: int) -> dict[str, NDArray[Any]]:
+        """Return the arrays (n, ...) that the task remembers between steps, as an episode starts.
+
+        They are stored and restored with the environment, and read from ``EpisodeState.memory``.
+        """
+        return {}
+
+    def remember(self, state: EpisodeState) -> Mapping[str, NDArray[Any]]:
+        """Return the arrays of ``memory`` after a step, new, with its distance and angle known."""
+        return {}
+
+    def goal(
+        self,
+        scene: "Scene",
+        objects: NDArray[np.int64],
+        position: NDArray[np.float64],
+        matrix: NDArray[np.float64],
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the frame that the gripper has to reach in k episodes.
+
+        Args:
+            scene: robot and objects.
+            objects: index of each episode's first object, (k,).
+            position: its grasp point, world, (k, 3) [m].
+            matrix: rotation from its grasp frame to world, row-major, (k, 9).
+        """
+        return position, matrix
+
+    def success(self, state: EpisodeState) -> NDArray[np.bool_]:
+        """Return which episodes are solved, (n,) bool; a solved one ends."""
+        return is_success(state.distance, state.angle, state.thresholds[0], state.thresholds[1])
+
+    def failure(self, state: EpisodeState) -> NDArray[np.bool_] | None:
+        """Return which episodes end without success before the time limit, (n,) bool, or None."""
+        return None
+
+    def reward(self, state: EpisodeState) -> NDArray[np.float64]:
+        """Compute the reward of a step, (n,); the paper's by default (table 1)."""
+        terms = reward_terms(state.distance, state.angle, state.success)
+        return np.asarray(terms["success"] + terms["distance"] + terms["angle"])
+
+    def infos(self, state: EpisodeState) -> dict[str, NDArray[Any]]:
+        """Return the infos of the current state, (n, ...) each; ``is_success`` among them."""
+        return {
+            "distance": state.distance,
+            "angle": state.angle,
+            "target": state.target,
+            "colour": state.colours[:, 0],
+            "facet": state.facet,
+            "is_success": state.success,
+        }
+
+    def knowledge_input(self, state: EpisodeState) -> NDArray[np.int64]:
+        """Return the row of the knowledge table for each current episode, (n,) int64."""
+        return state.facet
+
+    def columns(
+        self, setting: Setting, infos: Mapping[str, NDArray[Any]]
+    ) -> dict[str, NDArray[Any]]:
+        """Return further columns of an evaluation's ``episodes.parquet``, (N,) each.
+
+        Args:
+            setting: what the episodes were drawn from.
+            infos: the infos at the end of N episodes.
+        """
+        return {}
+
+    def interim_numbers(self, columns: Mapping[str, NDArray[Any]]) -> dict[str, float]:
+        """Return further numbers of an interim evaluation, computed from ``columns``."""
+        return {}
+
+    def describe(self, state: EpisodeState, setting: Setting, env_id: int) -> str:
+        """Describe the goal of one episode, as "red mug"."""
+        target = state.scene.targets[int(state.objects[env_id, 0])]
+        return f"{[*target.colours][int(state.colours[env_id, 0])]} {target.name}"

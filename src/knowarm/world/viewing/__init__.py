@@ -1,0 +1,1 @@
+"""Viewing: strips, videos and the web viewer."""

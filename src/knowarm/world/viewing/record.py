@@ -1,0 +1,123 @@
+"""Recording of played episodes as film strips and videos."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from knowarm.errors import UserError
+from knowarm.world.agents.play import play_steps
+from knowarm.world.agents.scripted import AgentProtocol
+from knowarm.world.envs.vector_env import RENDER_SIZE, ReachVectorEnv
+from knowarm.world.tasks.episodes import Episodes
+
+FRAMES_PER_S = 10  # Frames per second of the video: one per step, the speed of the real robot
+_LAST_FRAMES = 10
+_MARGIN, _LINE = 8, 28
+_PAPER, _INK = (255, 255, 255), (30, 30, 30)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frame:
+    """One frame of a recorded episode."""
+
+    policy: NDArray[np.uint8]  # Observation of the policy, (H, W, 3)
+    large: NDArray[np.uint8]  # The same view, enlarged, (480, 480, 3)
+    step: int  # Steps played so far
+    distance: float  # Gripper to grasp point [m]
+    angle: float  # Angle between gripper and grasp frame [deg]
+    success: bool  # Whether the target is reached
+    goal: str = ""  # What the episode's goal is, as "red mug", for captions
+
+
+def record_episode(agent: AgentProtocol, env: ReachVectorEnv, episode: Episodes) -> list[Frame]:
+    """Play one episode in one environment and keep every frame, from the start pose to the end."""
+    return [
+        Frame(
+            policy=moment.images[0].copy(),
+            large=env.render()[0],
+            step=moment.step,
+            distance=float(moment.infos["distance"][0]),
+            angle=float(moment.infos["angle"][0]),
+            success=bool(moment.infos["is_success"][0]),
+            goal=env.running.describe(0),
+        )
+        for moment in play_steps(agent, env, episode)
+    ]
+
+
+def write_strip(path: Path, episodes: Sequence[Sequence[Frame]], columns: int = 6) -> None:
+    """Write a film strip: one row per episode, frames evenly spaced from start to end.
+
+    The goal of an episode stands above its row; the suffix of the file selects the format.
+    """
+    side = 240
+    width = columns * (side + _MARGIN) + _MARGIN
+    title = _LINE if any(frames[0].goal for frames in episodes) else 0
+    height = len(episodes) * (title + side + _LINE + _MARGIN) + _MARGIN
+    strip = Image.new("RGB", (width, height), _PAPER)
+    draw, font = ImageDraw.Draw(strip), ImageFont.load_default(14)
+    for row, frames in enumerate(episodes):
+        top = _MARGIN + row * (title + side + _LINE + _MARGIN) + title
+        draw.text((_MARGIN, top - 22), frames[0].goal, _INK, font)
+        chosen = np.unique(np.linspace(0, len(frames) - 1, columns).round().astype(int))
+        for column, index in enumerate(chosen):
+            frame = frames[index]
+            left = _MARGIN + column * (side + _MARGIN)
+            image = Image.fromarray(frame.large).resize((side, side), Image.Resampling.LANCZOS)
+            strip.paste(image, (left, top))
+            draw.text((left, top + side + 5), _caption(frame), _INK, font)
+    _save(path, lambda: strip.save(path))
+
+
+def write_video(path: Path, episodes: Sequence[Sequence[Frame]]) -> None:
+    """Write an H.264 video with the policy's observation beside the enlarged view."""
+    try:
+        import av
+    except ImportError:
+        raise UserError("Videos need PyAV: pip install 'knowarm[video]'.") from None
+    if path.suffix.lower() != ".mp4":
+        raise UserError(f"The video must be an .mp4 file, got {path.name!r}.")
+
+    def write() -> None:
+        with av.open(str(path), "w") as container:
+            stream = container.add_stream("libx264", rate=FRAMES_PER_S)
+            stream.width, stream.height = 2 * RENDER_SIZE + 3 * _MARGIN, RENDER_SIZE + 44
+            stream.pix_fmt = "yuv420p"
+            stream.options = {"crf": "20"}
+            for frames in episodes:
+                for frame in [*frames, *[frames[-1]] * _LAST_FRAMES]:
+                    image = av.VideoFrame.from_ndarray(_side_by_side(frame), format="rgb24")
+                    container.mux(stream.encode(image))
+            container.mux(stream.encode())
+
+    _save(path, write)
+
+
+def _side_by_side(frame: Frame) -> NDArray[np.uint8]:
+    """Draw the policy's image, its pixels enlarged, and the large view: (H, W, 3), even sides."""
+    sheet = Image.new("RGB", (2 * RENDER_SIZE + 3 * _MARGIN, RENDER_SIZE + 44), _PAPER)
+    size = (RENDER_SIZE, RENDER_SIZE)
+    small = Image.fromarray(frame.policy).resize(size, Image.Resampling.NEAREST)
+    sheet.paste(small, (_MARGIN, _MARGIN))
+    sheet.paste(Image.fromarray(frame.large), (RENDER_SIZE + 2 * _MARGIN, _MARGIN))
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(16)
+    caption = f"{frame.goal}; {_caption(frame)}" if frame.goal else _caption(frame)
+    draw.text((_MARGIN, RENDER_SIZE + _MARGIN + 6), caption, _INK, font)
+    return np.asarray(sheet)
+
+
+def _caption(frame: Frame) -> str:
+    reached = ", reached" if frame.success else ""
+    return f"step {frame.step}: {100 * frame.distance:.1f} cm, {frame.angle:.0f} deg{reached}"
+
+
+def _save(path: Path, write: Callable[[], None]) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write()
+    except (OSError, ValueError) as error:
+        raise UserError(f"Cannot write {str(path)!r}: {error}. Name another file.") from error

@@ -1,0 +1,159 @@
+"""Live view of an agent in MuJoCo's web viewer, for browsers on this machine only."""
+
+import copy
+import socket
+import threading
+import time
+from collections.abc import Callable
+from itertools import cycle
+from typing import Any
+from urllib.parse import urlsplit
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from knowarm.errors import UserError
+from knowarm.private_apis import local_web_viewer
+from knowarm.world.agents.play import play_steps
+from knowarm.world.agents.scripted import AgentProtocol
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.scene.appearance import TargetColours
+from knowarm.world.scene.compose import CONTROL_PERIOD_S
+from knowarm.world.tasks.episodes import Episodes
+
+ADDRESS = "127.0.0.1"  # The loopback interface, which other machines cannot reach
+PORTS = range(8080, 8180)  # Ports that are tried if none is given
+WAIT_S = 0.1  # Time between two looks at whether a browser is there [s]
+PAUSE_S = 1.0  # Time that the end of an episode is shown [s]
+FAR_BELOW_M = -100.0  # Height at which hidden targets are placed [m]
+
+
+def watch(
+    agent: AgentProtocol,
+    env: ReachVectorEnv,
+    episodes: Episodes,
+    *,
+    port: int = 0,
+    open_browser: bool = True,
+    on_episode: Callable[[int], None] = lambda number: None,
+) -> None:
+    """Serve the viewer until it is closed or interrupted; blocks.
+
+    Playing starts when a browser shows the page, and the episodes are played again and again, at
+    the speed of the real robot. Port 0 is the first free one from 8080; ``on_episode`` is called
+    with the number of each episode when it starts.
+    """
+    try:
+        from mujoco.studio import launch_web
+        from mujoco.studio.viewer_protocol import ViewerConfig
+    except ImportError as error:
+        raise UserError(
+            f"The web viewer needs mujoco-studio ({error}): pip install mujoco-studio. Or record "
+            "with --video or --strip, which need no viewer."
+        ) from None
+    # The viewer would bind in a thread, whose errors would not arrive here.
+    listener = listen(port)
+    port = listener.getsockname()[1]
+    connected = threading.Event()
+
+    def refused(path: str, headers: Any) -> str | None:
+        reason = refusal(path, headers)
+        if reason is None and path.startswith("/state"):
+            connected.set()
+        return reason
+
+    def announce(*given: Any) -> None:
+        print(f"The viewer runs at http://{ADDRESS}:{port}/", flush=True)
+
+    title = f"KnowArm: {env.scene.robot.name}"
+    config = ViewerConfig(title=title, gfx="web", http_port=port, open_browser=open_browser)
+    # The browser reloads its page for another model, so one model is kept as long as no target
+    # changes its colour: hidden targets are placed far below the floor.
+    model, data = None, None
+    colours = np.zeros(len(env.scene.targets), dtype=np.int64)
+    with local_web_viewer(listener, refused, announce), launch_web.launch(config) as viewer:
+        for number in cycle(range(len(episodes))):
+            for moment in play_steps(agent, env, episodes[number : number + 1]):
+                if moment.step == 0:
+                    on_episode(number)
+                    current = colours.copy()
+                    current[env.running.objects[0]] = env.running.colours[0]
+                    if model is None or (current != colours).any():
+                        colours = current
+                        model = _coloured_model(env, colours)
+                        data = mujoco.MjData(model)
+                        viewer.set_model(model, data=data)
+                _copy_pose(env, data)
+                while not connected.is_set():
+                    if not _show(viewer, WAIT_S):
+                        return
+                if moment.step > 0 and not _show(viewer, CONTROL_PERIOD_S):
+                    return
+            if not _show(viewer, PAUSE_S):
+                return
+
+
+def listen(port: int) -> socket.socket:
+    """Listen on a port of the loopback interface; 0 takes the first free one of ``PORTS``."""
+    for each in [port] if port else PORTS:
+        try:
+            return socket.create_server((ADDRESS, each))
+        except OSError as error:
+            reason = error.strerror or str(error)
+    raise UserError(
+        f"The viewer cannot listen on {ADDRESS}, port {port or PORTS[0]}: {reason}. Choose another "
+        "port."
+    )
+
+
+def refusal(path: str, headers: Any) -> str | None:
+    """Return why a request is refused; None if it is answered.
+
+    A page of another site that is open in the same browser could otherwise use the viewer through
+    the user's own machine. Uploads of models are refused as well.
+    """
+    hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
+    names = [urlsplit(f"//{host}").hostname for host in hosts]
+    if len(names) != 1 or names[0] not in (ADDRESS, "localhost"):
+        return f"This viewer answers only as {ADDRESS} or localhost."
+    if origins not in ([], [f"http://{hosts[0]}"]):
+        return "The request comes from a page of another site."
+    return "This viewer takes no models." if urlsplit(path).path == "/drop" else None
+
+
+def _show(viewer: object, seconds: float) -> bool:
+    """Keep the viewer synchronized for some seconds; return False if it was closed."""
+    end = time.monotonic() + seconds
+    while True:
+        if not viewer.is_running():  # type: ignore[attr-defined]
+            return False
+        viewer.sync()  # type: ignore[attr-defined]
+        left = end - time.monotonic()
+        if left <= 0:
+            return True
+        time.sleep(min(left, 0.02))
+
+
+def _coloured_model(env: ReachVectorEnv, colours: NDArray[np.int64]) -> mujoco.MjModel:
+    """Copy the model with every target visible, each in its colour."""
+    scene, model = env.scene, copy.copy(env.scene.model)
+    every = np.arange(len(colours))
+    rgba = TargetColours(scene)(every, colours)
+    model.geom_matid[:] = -1
+    model.geom_rgba[:] = rgba[0]
+    for k in every:
+        of_target = scene.geom_target == k
+        model.geom_rgba[of_target] = rgba[k, of_target]
+    return model
+
+
+def _copy_pose(env: ReachVectorEnv, data: mujoco.MjData) -> None:
+    """Copy the pose of environment 0 into the viewer's data."""
+    batch, scene = env.simulation.batch, env.scene
+    data.qpos[:] = batch.bind("qpos")[0]
+    data.mocap_pos[:] = batch.bind("mocap_pos")[0]
+    data.mocap_quat[:] = batch.bind("mocap_quat")[0]
+    hidden = ~np.isin(np.arange(len(scene.targets)), env.running.objects[0])
+    data.mocap_pos[scene.target_mocap[hidden], 2] = FAR_BELOW_M
+    mujoco.mj_forward(env.scene.model, data)

@@ -1,0 +1,50 @@
+"""Tables at the width of a terminal: words stay whole, and names are no markup."""
+
+import pytest
+
+from knowarm.cli.bench import Bench
+from knowarm.cli.tables import print_table
+from knowarm.errors import UserError
+
+COLUMNS = ["experiment", "accuracy %", "success wide %", "return", "description of the experiment"]
+ROWS = [
+    ["irb120-choose-subgraph-fast", "98.2 [97, 99]", "99.1 [98, 100]", 12.5, "as long as a line"],
+    ["tiago-choose-query-onehot-fast", "8.2 [7, 9]", "9.1 [8, 10]", -3.25, "short"],
+]
+WORDS = {word for texts in [COLUMNS, *ROWS] for text in texts for word in str(text).split()}
+
+
+def printed(capsys, *table) -> list[str]:
+    print_table(*table)
+    return capsys.readouterr().out.splitlines()
+
+
+@pytest.mark.parametrize("width", [60, 80, 100, 200])
+def test_words_stay_whole_in_a_terminal(capsys, monkeypatch, width):
+    monkeypatch.setenv("COLUMNS", str(width))
+    title, *lines = printed(capsys, "A title that is longer than the table " * 3, COLUMNS, ROWS)
+    assert title == "A title that is longer than the table " * 3
+    assert max(map(len, lines)) <= width
+    words = {word for line in lines for word in line.replace("┃", "│").split()}
+    assert words >= (WORDS - {"12.5", "-3.25"}) | {"12.500", "-3.250"}
+    # A table that is split has its first column in each part.
+    tops = [line for line in lines if line.startswith("┏")]
+    assert sum("irb120-choose-subgraph-fast" in line for line in lines) == len(tops)
+    assert len(tops) == (1 if width > 60 else 2)
+
+
+def test_a_table_in_a_pipe_is_as_wide_as_its_content(capsys, monkeypatch):
+    monkeypatch.delenv("COLUMNS", raising=False)
+    lines = printed(capsys, "title", ["a", "b"], [["x " * 150, "y"]])
+    assert len(lines) == 6
+
+
+def test_names_are_no_markup(capsys):
+    text = "\n".join(printed(capsys, "[bold]title[/]", ["[red]"], [["[/nonsense]"]]))
+    assert all(each in text for each in ("[bold]title[/]", "[red]", "[/nonsense]"))
+
+
+def test_sizes_of_the_benchmark_out_of_range_are_refused():
+    for options in ({"num_envs": 0}, {"seconds": 0.0}):
+        with pytest.raises(UserError, match="--num-envs must be at least 1 and --seconds above 0"):
+            Bench(**options).run()

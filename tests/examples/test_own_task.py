@@ -1,0 +1,55 @@
+"""The example ``own_task``: trained, evaluated and reported by the commands of its docstring."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from knowarm.cli.main import main
+from knowarm.experiment.evaluation_files import read_table
+from knowarm.reading import read_json
+from knowarm.world.tasks import TASKS, VARIABLE
+from tests.tiny import TINY, flags
+
+FOLDER = Path(__file__).parents[2] / "examples" / "own_task"
+
+
+@pytest.fixture
+def in_its_folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.chdir(FOLDER)
+    monkeypatch.syspath_prepend(str(FOLDER))
+    monkeypatch.setenv(VARIABLE, "")
+    yield
+    TASKS.pop("hover", None)
+
+
+def start_afresh(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Forget the task, as a new process does not know it."""
+    TASKS.pop("hover", None)
+    monkeypatch.setenv(VARIABLE, "")
+
+
+@pytest.mark.usefixtures("in_its_folder")
+def test_it_is_trained_evaluated_and_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ["--env.task", "hover:Hover", "--runs", str(tmp_path), *flags(TINY)]
+    assert main(["train", "irb120-full-ppo", *options]) == 0
+    run = tmp_path / "irb120-hover-full-ppo" / "0"
+    assert read_json(run / "config.json")["env"]["task"]["kind"] == "hover"
+
+    start_afresh(monkeypatch)
+    options = ["--episodes", "4", "--record-films", "1", "--blind-episodes", "0"]
+    capsys.readouterr()
+    assert main(["evaluate", str(run), *options]) == 2
+    assert "hover" in capsys.readouterr().err
+    assert main(["evaluate", str(run), *options, "--tasks", "hover:Hover"]) == 0
+    (evaluation,) = (run / "evaluation").iterdir()
+    held = read_table(evaluation / "episodes.parquet")["held"]
+    assert held.shape == (4,)
+    assert (held >= 0).all()
+
+    start_afresh(monkeypatch)  # a report reads files only
+    page = tmp_path / "report.html"
+    assert main(["report", str(run), "--out", str(page)]) == 0
+    assert "irb120-hover-full-ppo" in page.read_text()

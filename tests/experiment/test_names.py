@@ -1,0 +1,50 @@
+"""Names of experiments are written and read by one class."""
+
+import pytest
+
+from knowarm.errors import UserError
+from knowarm.experiment.names import ExperimentName, experiment_names
+from knowarm.experiment.registry import experiment_config
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("irb120-full-dr-fast", ("irb120", "reach", "full", "randomized", "fast")),
+        ("irb120-choose-subgraph-fast", ("irb120", "choose", "subgraph", "randomized", "fast")),
+        (
+            "tiago-target-random+-a3c-tuned",
+            ("tiago", "reach", "target-random+", "fixed", "a3c-tuned"),
+        ),
+    ],
+)
+def test_a_name_has_five_parts(text, parts):
+    name = ExperimentName.parse(text)
+    assert name == ExperimentName(*parts)
+    assert str(name) == text
+
+
+def test_every_name_is_read_as_it_is_written():
+    names = experiment_names()
+    assert len(set(names)) == len(names)
+    assert all(str(ExperimentName.parse(name)) == name for name in names)
+    assert {ExperimentName.parse(name).task for name in names} == {"reach", "choose"}
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("irb120", r"ROBOT-AGENT-ALGORITHM.*got 'irb120'.*such as 'irb120-full-fast'"),
+        ("full", "such as 'irb120-full-fast'"),
+        ("subgraph", "such as 'irb120-choose-subgraph-fast'"),
+        ("tiago-bm", "such as 'tiago-bm-fast'"),
+        ("irb120-choose-full-fast", "'full' has no experiment of the task 'choose'"),
+        ("irb120-choose-bm-dr-fast", "is named 'irb120-choose-bm-fast'"),
+        ("irb12-full-ppo", "Did you mean 'irb120'"),
+        ("irb120-ful-ppo", "Did you mean 'full'"),
+        ("irb120-full-pp", "Did you mean 'ppo'"),
+    ],
+)
+def test_unknown_names_offer_the_nearest(name, message):
+    with pytest.raises(UserError, match=message):
+        experiment_config(name)

@@ -1,0 +1,322 @@
+"""Facet classifiers: training, files, and agents that act on what they name."""
+
+import copy
+import json
+import pickle
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from knowarm.cli.main import main
+from knowarm.errors import UserError
+from knowarm.experiment.agents import controls_of
+from knowarm.experiment.build import EnvFactory, build
+from knowarm.experiment.evaluate import evaluate
+from knowarm.experiment.load import load_agent
+from knowarm.experiment.registry import experiment_config
+from knowarm.experiment.run import train
+from knowarm.experiment.run_folder import RunFolder
+from knowarm.experiment.run_module import FILE, stored_module
+from knowarm.perception import images as perception_images
+from knowarm.perception import training
+from knowarm.perception.agent import PerceivingAgent, PerceivingVectorEnv
+from knowarm.perception.classifier import FacetClassifier
+from knowarm.perception.config import PerceptionConfig
+from knowarm.perception.images import query_answers, sample_images
+from knowarm.perception.module import digest
+from knowarm.perception.training import train_classifier, without_colours
+from knowarm.reading import UnreadableFileError
+from knowarm.world.config import EnvConfig
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.tasks.choose.choose import Choose
+from tests.tiny import TINY
+
+HASTY = PerceptionConfig(images=48, epochs=1, batch=16, test_images=8)
+REACH = "irb120-target-perceived-dr-fast"
+CHOOSE = "irb120-choose-target-perceived-fast"
+SMALL_ENV = {"dynamics": "kinematic", "image_size": 32}
+QUERIES = {"pairs": "none", "hold_out": []}
+SMALL_CHOICE = SMALL_ENV | {"task": {"objects": 2, "queries": QUERIES}}
+
+
+def env_of(name: str) -> EnvConfig:
+    return experiment_config(name, env=SMALL_CHOICE if name == CHOOSE else SMALL_ENV).env
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory) -> dict[str, Path]:
+    """A module of each task, hardly trained."""
+    folder = tmp_path_factory.mktemp("modules")
+    found = {}
+    for name in (REACH, CHOOSE):
+        found[name] = folder / f"{name}.safetensors"
+        train_classifier(env_of(name), HASTY).write(found[name])
+    return found
+
+
+def run_of(files: dict[str, Path], name: str, runs: Path, **more):
+    env = SMALL_CHOICE if name == CHOOSE else SMALL_ENV
+    return train(name, runs, perception=files[name], env=env, **(TINY | more))
+
+
+def test_a_module_learns_what_it_sees():
+    """Of six facets in small images, a few seconds suffice for nearly all."""
+    env = EnvConfig(colours="randomized", dynamics="kinematic", image_size=32)
+    config = PerceptionConfig(images=1_000, epochs=12, batch=32, test_images=200)
+    accuracy = train_classifier(env, config).spec.accuracy
+    assert accuracy["new images"]["both"] > 0.9
+    assert set(accuracy) == {"new images", "visual randomization"}
+
+
+def test_the_same_seed_gives_the_same_bytes():
+    first, second = (train_classifier(env_of(REACH), HASTY).to_bytes() for _ in range(2))
+    assert first == second
+    assert train_classifier(env_of(REACH), replace(HASTY, seed=1)).to_bytes() != first
+
+
+def test_labels_are_the_visible_objects():
+    env = env_of(CHOOSE)
+    spec = train_classifier(env, replace(HASTY, images=1)).spec
+    starts = sample_images(env, spec, 6, 3)
+    world = ReachVectorEnv(env, 6)
+    images, infos = world.reset(seed=3)
+    assert (starts.images.numpy() == images).all()
+    assert (starts.queries.numpy() == infos["query"]).all()
+    for row, facets in enumerate(starts.facets.tolist()):
+        names = [spec.facets[i][0] for i in facets]
+        assert names == [world.scene.targets[i].name for i in infos["objects"][row]]
+        assert spec.facets[facets[0]] == world.facets[infos["facet"][row]]
+    answers = query_answers(env, spec.facets).satisfies
+    assert answers[starts.queries, starts.facets[:, 0]].all()
+    assert not answers[starts.queries[:, None], starts.facets[:, 1:]].any()
+
+
+def test_held_out_colours_are_not_trained_on_and_tested_apart():
+    held = replace(HASTY, held_out_colours=("blue", "purple", "light_blue"))
+    env = without_colours(env_of(REACH), held.held_out_colours)
+    perception = train_classifier(env_of(REACH), held)
+    spec = perception.spec
+    shown = {spec.facets[i][1] for i in sample_images(env, spec, 60, 0).facets.unique().tolist()}
+    assert shown == {"red", "yellow", "brown"}
+    assert "held-out colours" in spec.accuracy
+    assert spec.config.held_out_colours == held.held_out_colours
+    with pytest.raises(UserError, match="cannot be combined with the task 'choose'"):
+        without_colours(env_of(CHOOSE), held.held_out_colours)
+
+
+def test_a_file_is_read_back(files, tmp_path):
+    for name, path in files.items():
+        perception = FacetClassifier.read(path)
+        again = tmp_path / f"{name}.safetensors"
+        perception.write(again)
+        assert again.read_bytes() == path.read_bytes()
+        images = torch.zeros((2, 32, 32, 3), dtype=torch.uint8)
+        assert perception(images).shape == (2, len(perception.spec.facets))
+
+
+def test_a_module_is_sent_to_processes_as_its_file(files):
+    module = FacetClassifier.read(files[CHOOSE])
+    for again in (pickle.loads(pickle.dumps(module)), copy.deepcopy(module)):
+        assert again.to_bytes() == files[CHOOSE].read_bytes()
+        assert not again.training
+
+
+@pytest.mark.parametrize("field", ["images", "epochs", "batch", "test_images", "learning_rate"])
+def test_numbers_out_of_range_are_refused(field):
+    with pytest.raises(UserError, match=f"PerceptionConfig.{field} must be"):
+        PerceptionConfig(**{field: 0})
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (lambda data: data[: len(data) // 2], "damaged or of another format"),
+        (lambda data: b"", "damaged or of another format"),
+        (lambda data: data.replace(b"knowarm-perception-1", b"knowarm-perception-9"), "expected"),
+        (lambda data: data.replace(b"mug", b"mag", 1), "do not fit the facets"),
+        (lambda data: data[:-4] + b"\xff\xff\xff\x7f", "non-finite"),
+    ],
+)
+def test_a_damaged_file_is_one_kind_of_error(files, tmp_path, damage, message):
+    path = tmp_path / "broken.safetensors"
+    path.write_bytes(damage(files[REACH].read_bytes()))
+    with pytest.raises(UnreadableFileError, match=message):
+        FacetClassifier.read(path)
+
+
+def test_a_module_of_something_else_is_refused(files, tmp_path):
+    reach = FacetClassifier.read(files[REACH])
+    for env, message in (
+        (env_of(CHOOSE), "number of visible objects of 1, and this task has 2"),
+        (replace(env_of(REACH), robot="tiago"), "for the robot irb120, and this task has tiago"),
+        (replace(env_of(REACH), image_size=64), "image size of 32, and this task has 64"),
+        (replace(env_of(REACH), targets=("mug", "lamp")), "does not know .* lamp"),
+    ):
+        facets = ReachVectorEnv(env, 1).facets
+        with pytest.raises(UserError, match=message):
+            reach.predictor(env, facets)
+
+
+def test_a_module_is_needed_and_only_where_it_is_used(files, tmp_path):
+    with pytest.raises(UserError, match="needs a perception module: pass perception=FILE"):
+        train(REACH, tmp_path, env=SMALL_ENV, **TINY)
+    with pytest.raises(UserError, match="leave perception out"):
+        train("irb120-bm-dr-fast", tmp_path, perception=files[REACH], env=SMALL_ENV, **TINY)
+    with pytest.raises(UserError, match="Cannot read"):
+        train(REACH, tmp_path, perception=tmp_path / "none.safetensors", env=SMALL_ENV, **TINY)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_table_has_a_row_per_facet_in_both_tasks():
+    for name in (REACH, CHOOSE):
+        config = experiment_config(name, env=SMALL_CHOICE if name == CHOOSE else SMALL_ENV)
+        parts = build(config)
+        assert parts.table.shape == (len(parts.facets), 50)
+        assert len(np.unique(parts.table, axis=0)) == len(parts.facets)
+        assert not parts.embedding.privileged
+        assert not parts.embedding.constant
+
+
+def test_the_registry_has_its_controls():
+    assert controls_of("target-perceived", "capacity_control") == ["target-perceived-zeros"]
+    assert controls_of("target-perceived", "content_control") == [
+        "target-perceived-onehot",
+        "target-perceived-random",
+    ]
+
+
+@pytest.mark.parametrize("name", [REACH, CHOOSE])
+def test_a_run_keeps_its_module(files, tmp_path, name):
+    copied = {name: tmp_path / "mine.safetensors"}
+    copied[name].write_bytes(files[name].read_bytes())
+    run = run_of(copied, name, tmp_path / "runs")
+    copied[name].unlink()
+    folder = run.folder
+    assert (folder.path / FILE).read_bytes() == files[name].read_bytes()
+    assert folder.provenance()["perception"]["digest"] == digest(files[name].read_bytes())
+    trained = load_agent(folder.path)
+    assert isinstance(trained.agent, PerceivingAgent)
+    split = "S5" if name == CHOOSE else None
+    result = evaluate(trained, episodes=6, blind_episodes=0, split=split)
+    assert 0 <= result.summary["success"] <= 1
+    assert (
+        evaluate(folder.path, episodes=6, blind_episodes=0, split=split).summary == result.summary
+    )
+
+
+def test_a_run_resumes_with_its_own_module(files, tmp_path):
+    whole = run_of(files, REACH, tmp_path / "whole")
+    part = run_of(files, REACH, tmp_path / "part", total_steps=20)
+    train(REACH, tmp_path / "part", resume=True, env=SMALL_ENV, **TINY)
+    policies = [load_agent(run.folder.path, which="latest").policy for run in (whole, part)]
+    for name, value in policies[0].state_dict().items():
+        assert torch.equal(value, policies[1].state_dict()[name]), name
+    other = tmp_path / "other.safetensors"
+    train_classifier(env_of(REACH), replace(HASTY, seed=5)).write(other)
+    with pytest.raises(UserError, match="trained with another perception module"):
+        train(REACH, tmp_path / "part", resume=True, perception=other, env=SMALL_ENV, **TINY)
+    assert load_agent(part.folder.path, perception=other).policy is not None
+    (part.folder.path / FILE).write_bytes(other.read_bytes())
+    with pytest.raises(UnreadableFileError, match="not the module that this run was trained with"):
+        stored_module(part.folder.experiment(), RunFolder(part.folder.path))
+
+
+@pytest.mark.parametrize("name", [REACH, CHOOSE])
+def test_the_policy_gets_nothing_privileged(files, name, monkeypatch):
+    """With labels that raise when they are read, agent and environment choose the same rows."""
+    env, perception = env_of(name), FacetClassifier.read(files[name])
+    policy = build(experiment_config(name, env=SMALL_CHOICE if name == CHOOSE else SMALL_ENV))
+    world = ReachVectorEnv(env, 6)
+
+    def played() -> tuple[torch.Tensor, torch.Tensor]:
+        images, _ = world.reset(seed=2)
+        agent = PerceivingAgent(perception, policy.new_policy(0), greedy=True)
+        agent.start(world)
+        agent.act(images)
+        learner = PerceivingVectorEnv(env, 6, FacetClassifier.read(files[name]))
+        learner.reset(seed=2)
+        return agent.goal, learner.knowledge_input
+
+    rows, learned = played()
+    assert torch.equal(rows, learned)
+
+    def refuse(*arguments, **options):
+        raise AssertionError("labels were read")
+
+    monkeypatch.setattr(perception_images, "first_facets", refuse)
+    monkeypatch.setattr(training, "sample_images", refuse)
+    true = world.knowledge_input.copy()
+    if name == REACH:  # in the choose task these are the queries, which the agent receives
+        monkeypatch.setattr(type(world), "knowledge_input", property(refuse))
+        monkeypatch.setattr(PerceivingVectorEnv.__mro__[1], "knowledge_input", property(refuse))
+    again, learned = played()
+    assert torch.equal(rows, again)
+    assert torch.equal(rows, learned)
+    assert not np.array_equal(rows, true)  # a module that is hardly trained errs
+
+
+def test_rows_follow_the_image_and_answer_the_query(files):
+    env, perception = env_of(CHOOSE), FacetClassifier.read(files[CHOOSE])
+    world = ReachVectorEnv(env, 8)
+    images, infos = world.reset(seed=1)
+    select = perception.predictor(env, world.facets)
+    queries = torch.from_numpy(infos["query"])
+    rows = select(torch.from_numpy(images), queries)
+    assert query_answers(env, world.facets).satisfies[queries, rows].all()
+    asked = queries.roll(1)
+    assert (
+        query_answers(env, world.facets)
+        .satisfies[asked, select(torch.from_numpy(images), asked)]
+        .all()
+    )
+
+
+def test_an_episode_keeps_its_row_until_the_next_begins(files):
+    env = replace(env_of(REACH), max_episode_steps=3)
+    module = FacetClassifier.read(files[REACH])
+    world = EnvFactory(env, module)(6)
+    world.reset(seed=4)
+    select = module.predictor(env, world.facets)
+    start = world.knowledge_input.clone()
+    actions = torch.zeros((6, 6), dtype=torch.int64)
+    for step in range(1, 4):
+        images, _, terminated, truncated, _ = world.step(actions)
+        fresh = terminated | truncated
+        assert bool(fresh.all()) == (step == 3)
+        expected = torch.where(fresh, select(images, None), start)
+        assert torch.equal(world.knowledge_input, expected)
+    state = world.get_state()
+    other = EnvFactory(env, module)(6)
+    other.reset(seed=9)
+    other.set_state(state)
+    assert torch.equal(other.knowledge_input, world.knowledge_input)
+    with pytest.raises(UserError, match="what a module recognized"):
+        other.set_state({name: value for name, value in state.items() if name != "perceived"})
+
+
+def test_the_choice_task_is_perceived_with_questions_by_name(files, tmp_path):
+    env = EnvConfig(task=Choose(), dynamics="kinematic", image_size=32)
+    perception = train_classifier(env, replace(HASTY, images=16))
+    assert {"answer"} <= set(perception.spec.accuracy["new images"])
+
+
+def test_the_command_trains_prints_and_writes(tmp_path, capsys):
+    out = tmp_path / "see.safetensors"
+    options = ["--images", "24", "--epochs", "1", "--test-images", "6"]
+    task = ["--env.image-size", "32", "--env.dynamics", "kinematic"]
+    where = ["--out", str(out), "--json", str(tmp_path / "see.json")]
+    assert main(["perception", "train", REACH, *where, *options, *task]) == 0
+    assert "visual randomization" in capsys.readouterr().out
+    values = json.loads((tmp_path / "see.json").read_text())
+    assert values["accuracy"].keys() == FacetClassifier.read(out).spec.accuracy.keys()
+    assert main(["perception", "train", REACH, "--out", "see.bin", *options, *task]) == 2
+    assert "written as .safetensors" in capsys.readouterr().err
+    assert main(["perception", "fit"]) == 2
+    assert main(["perception", "train", "--out", "x"]) == 2
+    assert main(["train", REACH, "--runs", str(tmp_path)]) == 2
+    assert "pass --perception FILE" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(["perception", "train", REACH, "--help"])

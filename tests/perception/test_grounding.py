@@ -1,0 +1,270 @@
+"""Grounding network: what it is trained on, what it selects, its file, and runs that have one."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from knowarm.errors import UserError
+from knowarm.experiment.agents import AGENTS, controls_of
+from knowarm.experiment.build import build, slots_of
+from knowarm.experiment.load import load_agent
+from knowarm.experiment.registry import experiment_config
+from knowarm.experiment.run import train
+from knowarm.experiment.run_module import FILE
+from knowarm.perception.agent import PerceivingVectorEnv
+from knowarm.perception.config import GroundingConfig, ModuleSpec
+from knowarm.perception.grounding import FRAME, STRIDE, WIDTH, GroundingNetwork, centres, place_of
+from knowarm.perception.images import ImageSampler, query_answers, sample_images
+from knowarm.perception.training import train_grounding
+from knowarm.reading import UnreadableFileError
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.setting import questions_of
+from tests.tiny import CHOOSE, CHOOSE_ENV, CHOOSE_NAME
+
+
+@pytest.fixture(scope="module")
+def config():
+    return experiment_config(CHOOSE_NAME, **CHOOSE)
+
+
+@pytest.fixture(scope="module")
+def network(config):
+    parts = build(config)
+    return GroundingNetwork(
+        ModuleSpec.of(config.env, GroundingConfig()), parts.table, slots_of(parts.embedding)
+    )
+
+
+@pytest.fixture(scope="module")
+def labels(config, network):
+    return sample_images(config.env, network.spec, 96, seed=3)
+
+
+def test_places_cover_the_image_row_by_row():
+    points = centres(64)
+    side, half = 64 // STRIDE, STRIDE / 2
+    assert points[1].tolist() == [3 * half, half]
+    assert points[side].tolist() == [half, 3 * half]
+    assert place_of(points, 64).tolist() == list(range(len(points)))
+    assert place_of(torch.tensor([[-3.0, 70.0]]), 64).tolist() == [side * (side - 1)]
+
+
+def test_the_labels_are_where_the_objects_are_seen():
+    """In the marked image the wanted object is the only magenta one."""
+    config = experiment_config("irb120-choose-mask-fast", env=CHOOSE_ENV)
+    spec = ModuleSpec.of(config.env, GroundingConfig())
+    found = sample_images(config.env, spec, 64, seed=0)
+    image = found.images.float()
+    magenta = (image[..., 0] - image[..., 1]).clamp(min=0) * (image[..., 2] - image[..., 1] > 40)
+    line = torch.arange(64) + 0.5
+    total = magenta.sum((1, 2)).clamp(min=1)
+    column = (magenta * line).sum((1, 2)) / total
+    row = (magenta * line[:, None]).sum((1, 2)) / total
+    away = (found.pixels[:, 0] - torch.stack((column, row), 1)).norm(dim=1)
+    assert away.median() < 4
+    others = (found.pixels[:, 1:] - torch.stack((column, row), 1)[:, None]).norm(dim=2)
+    assert (away < others.min(1).values).float().mean() > 0.95
+
+
+def test_labels_are_the_grasp_frames_of_the_simulator(config, network, labels):
+    world = ReachVectorEnv(config.env, 96)
+    images, infos = world.reset(seed=3)
+    assert (labels.images.numpy() == images).all()
+    np.testing.assert_allclose(labels.grasp_position[:, 0], world.goal_position, atol=1e-6)
+    axes = world.goal_matrix.reshape(-1, 3, 3)[:, :, [0, 2]].swapaxes(1, 2).reshape(-1, 6)
+    np.testing.assert_allclose(labels.grasp_axes[:, 0], axes, atol=1e-6)
+    places = infos["object_positions"]
+    np.testing.assert_allclose(
+        labels.grasp_position.numpy()[..., :2]
+        - world.scene.grasp_position[infos["objects"]][..., :2],
+        places,
+        atol=1e-6,
+    )
+
+
+def test_every_draw_shows_new_episodes(config, network):
+    source = ImageSampler(config.env, network.spec, 3, at_once=32)
+    first, second = source.sample(64), source.sample(40)
+    source.close()
+    assert len(second.images) == 40
+    shown = torch.cat((first.images, second.images)).flatten(1)
+    assert len(shown.unique(dim=0)) == 104
+
+
+def test_a_marked_image_answers_for_the_marked_object_only(config, network, labels):
+    task = dataclasses.replace(config.env.task, marked=True)
+    env = dataclasses.replace(config.env, task=task)
+    answers = query_answers(env, network.spec.facets)
+    row = torch.tensor([5])
+    means_others = [
+        query
+        for query in range(49)
+        if answers.satisfies[query, labels.facets[5, 1:]].sum() == 1
+        and not answers.satisfies[query, labels.facets[5, 0]]
+    ]
+    assert means_others
+    with torch.no_grad():
+        assert network.losses(labels, row, torch.tensor(means_others), answers)[0] == 0
+        assert network.losses(labels, row, labels.queries[5:6], answers)[0] > 0
+
+
+def test_the_losses_are_those_of_a_plain_loop(config, network, labels):
+    answers = query_answers(config.env, network.spec.facets)
+    rows, queries = torch.arange(0, 96, 7), torch.arange(0, 49, 3)
+    table, facets = questions_of(config.env), network.spec.facets
+    column = {facets.index(facet): number for number, facet in enumerate(table.facets)}
+    errors, named, frames = [], [], []
+    with torch.no_grad():
+        place, naming, frame = network.losses(labels, rows, queries, answers)
+        for row in rows.tolist():
+            features = network.encoder.features(labels.images[row][None])
+            shown = [column[facet] for facet in labels.facets[row].tolist()]
+            for query in queries.tolist():
+                shown_answers = [i for i, f in enumerate(shown) if table.satisfies[query, f]]
+                if len(shown_answers) != 1 or not table.askable[query, shown[shown_answers[0]]]:
+                    continue
+                wanted = network.project_queries(network.knowledge[query][None])[0]
+                scores = (network.keys(features)[0] @ wanted).log_softmax(0)
+                errors.append(-scores[place_of(labels.pixels[row, shown_answers[0]], 64)])
+            names = network.encoder.facet_scores(features)[0].log_softmax(0)
+            named.append(-names[labels.facets[row]].mean())
+            for i, pixel in enumerate(labels.pixels[row]):
+                truth = torch.cat((labels.grasp_position[row, i], labels.grasp_axes[row, i]))
+                found = network.frames(features, place_of(pixel, 64).view(1, 1))[0, 0]
+                frames.append((found - truth).square().mean())
+    assert len(errors) > 20
+    torch.testing.assert_close(place, torch.stack(errors).mean(), rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(frame, torch.stack(frames).mean(), rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(naming, torch.stack(named).mean(), rtol=1e-4, atol=1e-4)
+
+
+def test_names_are_sums_over_places(network, labels):
+    """The product of matrices equals the logarithm of the sum of exponentials, also if small."""
+    with torch.no_grad():
+        features = 20 * network.encoder.features(labels.images[:4])
+        objects, colours = network.encoder.logits(features)
+        object_of, colour_of = network.encoder.facet_parts
+        objects, colours = objects[:, object_of], colours[:, colour_of]
+        expected = torch.logsumexp(objects + colours, dim=2)
+        found = network.encoder.facet_scores(features)
+    likely = expected > expected.max(1, keepdim=True).values - 60
+    torch.testing.assert_close(found[likely], expected[likely], rtol=1e-4, atol=1e-3)
+    assert found.isfinite().all()
+
+
+def test_training_lowers_the_loss_of_places_and_repeats_to_the_byte(config):
+    parts = build(config)
+    lines = []
+    arguments = (config.env, parts.table, slots_of(parts.embedding))
+    settings = GroundingConfig(images=512, rounds=6, batch=32)
+    train_grounding(*arguments, settings, seed=1, report=lines.append)
+    losses = [float(line.rsplit(" ", 1)[1]) for line in lines[1:]]
+    assert losses[-1] < 0.85 * losses[0]
+    hasty = dataclasses.replace(settings, images=64, rounds=2)
+    first, again, other = (train_grounding(*arguments, hasty, seed=i).to_bytes() for i in (1, 1, 2))
+    assert first == again != other
+    assert train_grounding(*arguments, hasty, seed=1, should_stop=lambda: True) is None
+
+
+@torch.no_grad()
+def test_the_frame_found_is_that_of_the_most_similar_place(network, labels):
+    images, queries = labels.images[:8], labels.queries[:8]
+    features = network.encoder.features(images)
+    wanted, keys = network.project_queries(network.knowledge[queries]), network.keys(features)
+    for row, found in enumerate(network(images, queries)):
+        place = (keys[row] @ wanted[row]).argmax().view(1, 1)
+        expected = network.frames(features[row, None], place)[0, 0]
+        torch.testing.assert_close(found, expected)
+
+
+@torch.no_grad()
+def test_a_slot_of_zeros_is_no_condition(network):
+    two, slot = GroundingNetwork(network.spec, torch.ones(1, 100), 2), torch.ones(50)
+    rows = torch.zeros(3, 2, 50)
+    rows[0, 0] = rows[1, 1] = slot
+    wanted = two.project_queries(rows.flatten(1))
+    torch.testing.assert_close(wanted[0], wanted[1])
+    torch.testing.assert_close(wanted[0], two.query(slot) / WIDTH**0.5)
+    torch.testing.assert_close(wanted[2], two.query(0 * slot) / WIDTH**0.5)
+
+
+def test_the_policy_receives_the_frame_found_in_the_first_image(config, network):
+    env = PerceivingVectorEnv(config.env, 6, network, num_threads=1)
+    images, infos = env.reset(seed=0)
+    first = network(images, torch.as_tensor(infos["query"]))
+    assert first.shape == (6, FRAME)
+    assert torch.equal(env.knowledge_input, first)
+    for _ in range(3):
+        env.step(torch.zeros(6, env.scene.num_joints, dtype=torch.int64))
+    assert torch.equal(env.knowledge_input, first)
+    parts = build(config)
+    assert parts.table.shape[0] == 49
+    policy = parts.new_policy(0)
+    policy.check_facets(first)
+    with pytest.raises(UserError, match="expects vectors of 9 numbers"):
+        policy.check_facets(torch.zeros(6, dtype=torch.int64))
+
+
+def test_the_file_holds_the_network_and_its_table(network, labels):
+    again = GroundingNetwork.from_bytes(network.to_bytes())
+    assert isinstance(again, GroundingNetwork)
+    assert torch.equal(again.knowledge, network.knowledge)
+    queries = labels.queries[:8]
+    assert torch.equal(again(labels.images[:8], queries), network(labels.images[:8], queries))
+    for damaged in (network.to_bytes()[:-40], b"no file"):
+        with pytest.raises(UnreadableFileError, match=FILE):
+            GroundingNetwork.from_bytes(damaged, Path(FILE))
+
+
+def test_a_run_keeps_its_network_and_resumes_to_the_byte(tmp_path, choose_run, config):
+    whole = choose_run
+    kept = (whole.folder.path / FILE).read_bytes()
+    # Stopped while the network is trained, then between two updates.
+    asked = []
+    stopped = train(config, tmp_path / "cut", should_stop=lambda: asked.append(0) or len(asked) > 1)
+    assert (stopped.result.reason, stopped.result.step) == ("stopped", 0)
+    rows = tmp_path / "cut" / CHOOSE_NAME / "0" / "metrics.csv"
+    stopped = train(config, tmp_path / "cut", resume=True, should_stop=rows.exists)
+    assert stopped.result.reason == "stopped"
+    resumed = train(config, tmp_path / "cut", resume=True)
+    assert (resumed.folder.path / FILE).read_bytes() == kept
+    for part in ("policy", "optimizer", "state"):
+        name = f"checkpoints/latest/{part}.safetensors"
+        one, two = (run.folder.path / name for run in (whole, resumed))
+        assert one.read_bytes() == two.read_bytes()
+    agent = load_agent(resumed.folder.path).agent
+    assert isinstance(agent.module, GroundingNetwork)
+    assert resumed.folder.provenance()["perception"]["config"]["images"] == 64
+
+
+def test_agents_with_knowledge_of_a_query_are_grounded_alike():
+    told = [name for name, agent in AGENTS.items() if agent.grounding is not None]
+    assert {"subgraph", "query-words", "query-onehot", "subgraph-shuffled"} <= {*told}
+    assert all(AGENTS[name].knowledge.scope == "query" for name in told)
+    assert "query-onehot" in controls_of("subgraph", "content_control")
+    assert controls_of("subgraph-similarity", "content_control") == []
+
+
+@pytest.mark.parametrize("name", ["irb120-full-fast", "irb120-choose-bm-fast"])
+def test_only_queries_are_grounded(name):
+    with pytest.raises(UserError, match="grounding locates the object that answers a query"):
+        experiment_config(name, grounding=GroundingConfig())
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("images", 0),
+        ("rounds", 0),
+        ("batch", 0),
+        ("learning_rate", 0.0),
+        ("naming_coef", -1.0),
+        ("frame_coef", -1.0),
+    ],
+)
+def test_numbers_out_of_range_are_refused(field, value):
+    with pytest.raises(UserError, match=field):
+        GroundingConfig(**{field: value})

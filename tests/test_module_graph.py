@@ -1,0 +1,52 @@
+"""The module graph of the package, type-checking and lazy imports included, has no circle."""
+
+import ast
+from collections import deque
+
+from tests.source_tree import SOURCE, edges, modules
+
+
+def module_graph():
+    """Return the paths of the modules that each module imports."""
+    graph = {path: edges(path, tree) for path, tree in modules().items()}
+    # What the root's __init__ imports on first use of a name is written in its stub.
+    stub = ast.parse((SOURCE / "__init__.pyi").read_text(encoding="utf-8"))
+    graph["__init__.py"] |= edges("__init__.py", stub)
+    return graph
+
+
+def shortest_circles(graph):
+    """Return, for every module on a circle, a shortest one through it; each circle once."""
+    found = {}
+    for start in graph:
+        queue, before = deque([start]), {}
+        while queue and start not in before:
+            node = queue.popleft()
+            for target in sorted(graph[node]):
+                if target not in before:
+                    before[target] = node
+                    queue.append(target)
+        if start in before:
+            circle = [start]
+            while before[circle[-1]] != start:
+                circle.append(before[circle[-1]])
+            found.setdefault(frozenset(circle), [start, *reversed(circle)])
+    return sorted(found.values(), key=len)
+
+
+def test_the_shortest_circles_of_a_graph():
+    graph = {"a": {"b"}, "b": {"c", "d"}, "c": {"a", "b"}, "d": set(), "e": {"a"}}
+    assert shortest_circles(graph) == [["b", "c", "b"], ["a", "b", "c", "a"]]
+
+
+def test_no_module_imports_itself_by_way_of_others():
+    circles = shortest_circles(module_graph())
+    assert not circles, "\n".join(" -> ".join(circle) for circle in circles[:20])
+
+
+def test_the_graph_is_complete():
+    graph = module_graph()
+    assert "learn/returns.py" in graph["learn/ppo.py"]  # at the top of a module
+    assert "cli/train.py" in graph["cli/main.py"]  # by name, in a table of commands
+    assert "experiment/run.py" in graph["__init__.py"]  # by the stub
+    assert sum(map(len, graph.values())) > len(graph)
