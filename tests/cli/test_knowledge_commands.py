@@ -94,7 +94,7 @@ def test_probe(capsys, tmp_path):
     assert code == 0
     assert "Warning: red mug and blue mug are nearly the same" in text
     code, text, _ = run(capsys, "probe", "--agent", "full+", "--json", out)
-    assert "Every pair of facets can be told apart" in text
+    assert "Every pair of facets can be distinguished" in text
     assert json.loads(out.read_text())["recovered"]["colour"]["task"] == 1.0
     code, text, _ = run(capsys, "probe", "--agent", "zeros")
     assert "Nothing to recover" in text

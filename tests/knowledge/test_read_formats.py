@@ -2,6 +2,7 @@ import json
 
 import pytest
 
+from benchmarks.apartment_graph import write_openke
 from knowarm.errors import UserError
 from knowarm.knowledge import graph_of, household, read_graph
 from knowarm.knowledge.formats import write_graph
@@ -9,7 +10,6 @@ from knowarm.knowledge.formats.openke import read_openke_split
 from knowarm.knowledge.formats.tables import read_conceptnet
 from knowarm.knowledge.graph.sparql import sparql
 from knowarm.knowledge.kge.split import split_graph
-from tests.knowledge.helpers import write_openke
 
 OWL = """<?xml version="1.0"?>
 <rdf:RDF xmlns="http://a.org/home#" xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"

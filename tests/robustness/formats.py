@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.apartment_graph import write_openke
 from knowarm.cli.train import parse_train
 from knowarm.errors import UserError
 from knowarm.experiment.csv_log import CsvLog
@@ -46,7 +47,6 @@ from knowarm.world.objects import TARGETS
 from knowarm.world.robots import ROBOTS
 from knowarm.world.robots.description_file import read_robot, read_target
 from knowarm.world.scene.attach import read_mjcf
-from tests.knowledge.helpers import write_openke
 from tests.robustness.mutator import mutate
 from tests.tiny import TINY, short
 

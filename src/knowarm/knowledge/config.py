@@ -92,7 +92,7 @@ FULL_PLUS = KnowledgeConfig(
     colour_share=0.6,
     slot_norm=1.0,
 )
-"""Slots in which every pair of objects and colours can be told apart (see `knowledge.probe`)."""
+"""Slots in which every pair of objects and colours can be distinguished (see `knowledge.probe`)."""
 
 QUERY = replace(
     FULL_PLUS,

@@ -92,7 +92,7 @@ def _write(embedding: SceneEmbedding, path: Path) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class ProbeCommand(SceneOptions):
-    """Test whether facets can be told apart and their facts recovered from the vectors."""
+    """Test whether facets can be distinguished and their facts recovered from the vectors."""
 
     svg: Path | None = None
     """Draw the cosines to this SVG file."""
@@ -122,7 +122,7 @@ class ProbeCommand(SceneOptions):
                 "--no-relation-words --pooling sif --centring --colour-share 0.6 --slot-norm 1."
             )
         elif found.recovered:
-            print(f"Every pair of facets can be told apart: all cosines below {NEARLY_SAME}.")
+            print(f"Every pair of facets can be distinguished: all cosines below {NEARLY_SAME}.")
         if self.svg is not None:
             note = f"the largest of two different facets: {found.largest:.3f}"
             with writing(self.svg):
