@@ -58,7 +58,7 @@ fast-tests: $(VENV)/.dev ## run the fast tests
 torture: $(VENV)/.dev ## kill, damage, stop and starve it for an hour or more: docs/reliability.md
 	$(PY) -m tests.robustness.torture
 
-# All of [tool.mutmut] in pyproject.toml, or a part: make mutate MUTANTS='knowarm.learn.returns*'
+# All of [tool.mutmut] in pyproject.toml, or a part: make mutate MUTANTS='knowarm.learn.losses*'
 MUTANTS :=
 mutate: $(VENV)/.dev ## change the numeric modules in small ways, one by one: do the tests notice?
 	$(VENV)/bin/mutmut run $(foreach each,$(MUTANTS),'$(each)')

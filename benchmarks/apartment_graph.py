@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from knowarm.knowledge import KnowledgeGraph, graph_of, household
-from knowarm.knowledge.kge.split import Split, split_graph
+from knowarm.knowledge.kge.train import Split, split_graph
 
 INHERITED = ("isMadeOf", "hasShape", "usedFor", "graspedAt", "approachedFrom", "hasSize")
 PEOPLE = ("ana", "ben", "chen", "dora", "emil", "fay")

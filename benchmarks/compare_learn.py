@@ -37,7 +37,7 @@ from benchmarks.learn import (
 from benchmarks.time_to_success import INTERIM, SuccessClock
 from knowarm.cli.tables import check_json_path, write_json_table
 from knowarm.experiment.build import build
-from knowarm.experiment.registry import experiment_config
+from knowarm.experiment.names import experiment_config
 from knowarm.learn import PPOConfig
 from knowarm.learn.sb3_vec_env import SB3VecEnv
 from knowarm.policy import Policy

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from knowarm.experiment.build import build
 from knowarm.experiment.graph_queries import GraphQueries
-from knowarm.experiment.registry import experiment_config
+from knowarm.experiment.names import experiment_config
 from knowarm.policy import Policy, PolicyConfig
 from knowarm.world.envs.vector_env import ReachVectorEnv
 from knowarm.world.tasks.choose.choose import Choose

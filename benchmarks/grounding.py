@@ -18,7 +18,7 @@ import torch
 
 from knowarm.experiment.build import build, slots_of
 from knowarm.experiment.edited_graph import edited_knowledge_table
-from knowarm.experiment.registry import experiment_config
+from knowarm.experiment.names import experiment_config
 from knowarm.knowledge.queries.splits import SPLITS
 from knowarm.perception.grounding import GroundingNetwork
 from knowarm.perception.images import LabelledImages, sample_images

@@ -20,8 +20,7 @@ from knowarm.cores import processor
 from knowarm.errors import UserError
 from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.build import EnvFactory, Parts, build
-from knowarm.experiment.names import DEFAULT_EXPERIMENT
-from knowarm.experiment.registry import experiment_config
+from knowarm.experiment.names import DEFAULT_EXPERIMENT, experiment_config
 from knowarm.experiment.speed import measure_images
 from knowarm.learn import A3CConfig, Hooks, Metrics, PPOConfig, PPOTrainer, TorchVectorEnv
 from knowarm.learn.a3c import A3CTrainer

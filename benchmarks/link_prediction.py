@@ -21,8 +21,7 @@ from benchmarks.apartment_graph import apartment_graph
 from knowarm.cli.tables import print_table
 from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.kge.models import MODELS
-from knowarm.knowledge.kge.split import Split, split_graph
-from knowarm.knowledge.kge.train import rank, train
+from knowarm.knowledge.kge.train import Split, rank, split_graph, train
 
 DIM = 50
 

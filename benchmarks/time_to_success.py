@@ -15,8 +15,7 @@ from knowarm.errors import UserError
 from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.build import InterimFactory, build
 from knowarm.experiment.config import ExperimentConfig, InterimConfig
-from knowarm.experiment.names import ExperimentName
-from knowarm.experiment.registry import experiment_config
+from knowarm.experiment.names import ExperimentName, experiment_config
 from knowarm.learn import Hooks, Metrics, PPOConfig, PPOTrainer
 from knowarm.policy import Policy
 from knowarm.world.envs.torch_env import TorchReachVectorEnv

@@ -14,7 +14,7 @@ from sb3_contrib import RecurrentPPO
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from knowarm.experiment.build import build
-from knowarm.experiment.registry import experiment_config
+from knowarm.experiment.names import experiment_config
 from knowarm.learn.sb3_vec_env import SB3VecEnv
 from knowarm.world.envs.knowledge_observation import (
     KnowledgeObservation,

@@ -177,7 +177,7 @@ def test_an_identifier_that_does_not_exist_is_found(span):
 
 
 def test_identifiers_that_exist_are_not_found():
-    for span in ("knowarm.learn.returns.advantages", "learn/ppo.py", "gae_lambda=.9", "mug"):
+    for span in ("knowarm.learn.losses.advantages", "learn/ppo.py", "gae_lambda=.9", "mug"):
         assert list(unknown_identifiers(span)) == []
 
 

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 import knowarm
-from knowarm.experiment.evaluation_files import read_film
+from knowarm.experiment.summary import read_film
 from knowarm.reading import read_json
 from tests.study.tiny import InlineExecutor
 from tests.tiny import TINY

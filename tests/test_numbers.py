@@ -7,11 +7,11 @@ import pytest
 from knowarm.cli.main import main
 from knowarm.errors import UserError
 from knowarm.experiment.config import EvaluationConfig
-from knowarm.experiment.registry import experiment_config
+from knowarm.experiment.names import experiment_config
 from knowarm.learn.algorithms import A3CConfig, PPOConfig
 from knowarm.world.config import EnvConfig
 from knowarm.world.robots import DEFAULT_ROBOT, ROBOTS
-from knowarm.world.robots.description_file import read_robot
+from knowarm.world.robots.robot import read_robot
 
 NOT_FINITE = [float("nan"), float("inf"), float("-inf")]
 

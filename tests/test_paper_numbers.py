@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from knowarm.experiment.config import EvaluationConfig, InterimConfig
-from knowarm.experiment.registry import experiment_config
+from knowarm.experiment.names import experiment_config
 from knowarm.knowledge import scene_embedding
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.statistics import one_way_anova

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from knowarm.experiment.config import ExperimentConfig
-from knowarm.experiment.registry import experiment_config
+from knowarm.experiment.names import experiment_config
 
 ALGORITHM = {"num_envs": 4, "rollout_steps": 5, "minibatches": 2, "processes": 1}
 

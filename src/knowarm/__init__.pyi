@@ -11,8 +11,8 @@ from .experiment.evaluate import evaluate as evaluate
 from .experiment.graph_queries import GraphQueries as GraphQueries
 from .experiment.load import TrainedAgent as TrainedAgent
 from .experiment.load import load_agent as load_agent
+from .experiment.names import experiment_config as experiment_config
 from .experiment.names import experiment_names as experiment_names
-from .experiment.registry import experiment_config as experiment_config
 from .experiment.run import Run as Run
 from .experiment.run import train as train
 from .knowledge import query_embedding as query_embedding
@@ -53,11 +53,11 @@ from .world.envs.torch_env import TorchReachVectorEnv as TorchReachVectorEnv
 from .world.envs.vector_env import ReachVectorEnv as ReachVectorEnv
 from .world.objects import TARGETS as TARGETS
 from .world.robots import ROBOTS as ROBOTS
-from .world.scene.looks import VisualRandomization as VisualRandomization
+from .world.scene.appearance import VisualRandomization as VisualRandomization
 from .world.tasks import TASKS as TASKS
 from .world.tasks import register_task as register_task
 from .world.tasks.choose.choose import Choose as Choose
-from .world.tasks.choose.queries import NameQueries as NameQueries
+from .world.tasks.choose.source import NameQueries as NameQueries
 from .world.tasks.episodes import Episodes as Episodes
 from .world.tasks.episodes import evaluation_episodes as evaluation_episodes
 from .world.tasks.held_out import HeldOut as HeldOut

@@ -1,10 +1,13 @@
-"""The processor: its name and the number of cores this process may use."""
+"""The processor: its name, the cores this process may use, and PyTorch's threads."""
 
 import os
 import platform
 import re
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+
+import torch
 
 LIMIT = "KNOWARM_CORES"
 """Environment variable: the most cores that a process and its children shall use."""
@@ -30,3 +33,14 @@ def processor() -> str:
         if found := re.search(r"model name\s*:(.*)", Path("/proc/cpuinfo").read_text()):
             return found[1].strip()
     return platform.processor() or platform.machine()
+
+
+@contextmanager
+def torch_threads(count: int) -> Iterator[None]:
+    """Let PyTorch use so many threads in a context: their number decides how sums are rounded."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

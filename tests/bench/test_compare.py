@@ -5,7 +5,7 @@ import pytest
 
 from knowarm.errors import UserError
 from knowarm.experiment.build import build
-from knowarm.experiment.registry import experiment_config
+from knowarm.experiment.names import experiment_config
 from knowarm.learn import PPOConfig
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.knowledge_observation import VectorKnowledgeObservation

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from knowarm.cli.main import main
-from knowarm.experiment.registry import experiment_config
+from knowarm.experiment.names import experiment_config
 from knowarm.experiment.speed import measure_training
 from tests.tiny import ALGORITHM
 

@@ -6,7 +6,7 @@ import pytest
 
 from knowarm.cli.doctor import Doctor
 from knowarm.errors import UserError
-from knowarm.world.robots.description_file import read_robot
+from knowarm.world.robots.robot import read_robot
 from tests.world.helpers import EXAMPLES
 
 

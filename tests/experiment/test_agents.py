@@ -6,8 +6,7 @@ import torch
 
 from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS, controls_of
-from knowarm.experiment.names import experiment_names
-from knowarm.experiment.registry import experiment_config
+from knowarm.experiment.names import experiment_config, experiment_names
 from knowarm.knowledge import query_embedding, scene_embedding
 from knowarm.policy import Policy, PolicyShape
 from knowarm.questions import Query

@@ -1,6 +1,6 @@
 """Registered algorithms: the numbers that the paper states, and what stored runs meant."""
 
-from knowarm.experiment.registry import experiment_config
+from knowarm.experiment.names import experiment_config
 from knowarm.learn.algorithms import privileged_uses
 
 

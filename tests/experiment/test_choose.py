@@ -16,8 +16,7 @@ from knowarm.experiment.edited_graph import edited_knowledge_table
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.graph_queries import GraphQueries
 from knowarm.experiment.load import load_agent
-from knowarm.experiment.names import experiment_names
-from knowarm.experiment.registry import experiment_config
+from knowarm.experiment.names import experiment_config, experiment_names
 from knowarm.experiment.run import Run
 from knowarm.world.agents import OracleAgent
 from knowarm.world.config import EnvConfig

@@ -7,9 +7,8 @@ import pytest
 from knowarm.errors import UserError
 from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.evaluate import evaluate
-from knowarm.experiment.evaluation_files import read_film, read_table
 from knowarm.experiment.load import load_agent
-from knowarm.experiment.summary import summarize
+from knowarm.experiment.summary import read_film, read_table, summarize
 from knowarm.statistics import wilson
 from knowarm.world.agents import (
     BLIND_AGENTS,

@@ -3,8 +3,7 @@
 import pytest
 
 from knowarm.errors import UserError
-from knowarm.experiment.names import ExperimentName, experiment_names
-from knowarm.experiment.registry import experiment_config
+from knowarm.experiment.names import ExperimentName, experiment_config, experiment_names
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.load import load_agent
-from knowarm.experiment.registry import experiment_config
+from knowarm.experiment.names import experiment_config
 from knowarm.experiment.run import train
 from knowarm.learn.algorithms import privileged_uses
 from knowarm.learn.checkpoint import CheckpointStore, read_checkpoint

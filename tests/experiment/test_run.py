@@ -12,8 +12,7 @@ from knowarm.experiment.build import Parts, build
 from knowarm.experiment.config import ExperimentConfig, StopWhen
 from knowarm.experiment.csv_log import read_csv
 from knowarm.experiment.load import load_agent
-from knowarm.experiment.names import ExperimentName, experiment_names, tasks_of
-from knowarm.experiment.registry import experiment_config
+from knowarm.experiment.names import ExperimentName, experiment_config, experiment_names, tasks_of
 from knowarm.experiment.run import train
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.learn.algorithms import A3CConfig, PPOConfig
@@ -23,8 +22,8 @@ from knowarm.learn.checkpoint import (
     policy_arrays,
     read_checkpoint,
 )
+from knowarm.world.config import questions_of
 from knowarm.world.scene import scene
-from knowarm.world.setting import questions_of
 from tests.tiny import short
 
 

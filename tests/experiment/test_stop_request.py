@@ -4,7 +4,7 @@ import sys
 import pytest
 
 from knowarm.experiment.logs import TrainingProgress
-from knowarm.experiment.stop_request import StopRequest
+from knowarm.experiment.run_lock import StopRequest
 
 NAMES = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 hangup = pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="Windows has no SIGHUP")

@@ -11,9 +11,17 @@ from knowarm.errors import UserError
 from knowarm.knowledge import KnowledgeConfig, graph_of, household, scene_embedding
 from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.kge.models import MODELS, KgeModel
-from knowarm.knowledge.kge.split import all_triples, split_graph
-from knowarm.knowledge.kge.store import load_model, save_model
-from knowarm.knowledge.kge.train import LinkPrediction, new_model, rank, reciprocal, train
+from knowarm.knowledge.kge.train import (
+    LinkPrediction,
+    all_triples,
+    load_model,
+    new_model,
+    rank,
+    reciprocal,
+    save_model,
+    split_graph,
+    train,
+)
 from knowarm.knowledge.vectors.graph_embedding import GraphEmbedding
 from tests.knowledge.helpers import KNOWLEDGE
 

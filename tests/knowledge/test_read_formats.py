@@ -9,7 +9,7 @@ from knowarm.knowledge.formats import write_graph
 from knowarm.knowledge.formats.openke import read_openke_split
 from knowarm.knowledge.formats.tables import read_conceptnet
 from knowarm.knowledge.graph.sparql import sparql
-from knowarm.knowledge.kge.split import split_graph
+from knowarm.knowledge.kge.train import split_graph
 
 OWL = """<?xml version="1.0"?>
 <rdf:RDF xmlns="http://a.org/home#" xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"

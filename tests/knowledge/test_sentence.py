@@ -8,7 +8,7 @@ from knowarm.config import from_dict, to_dict
 from knowarm.errors import UserError
 from knowarm.knowledge import KnowledgeConfig, graph_of, scene_embedding, scene_sentences, sentence
 from knowarm.knowledge.slots import sentence_parts
-from knowarm.knowledge.vectors.encoder import SentenceEncoder
+from knowarm.knowledge.vectors.source import SentenceEncoder
 from tests.knowledge.helpers import KNOWLEDGE
 
 MUG = graph_of(

@@ -10,10 +10,9 @@ from knowarm.config import from_dict, to_dict
 from knowarm.errors import UserError
 from knowarm.knowledge import FULL, SOURCES, KnowledgeConfig, scene_embedding
 from knowarm.knowledge.vectors import source_named
-from knowarm.knowledge.vectors.encoder import SentenceEncoder
 from knowarm.knowledge.vectors.graph_embedding import GraphEmbedding
 from knowarm.knowledge.vectors.placebos import OneHot, Placebo, RandomVectors, Zeros
-from knowarm.knowledge.vectors.source import Found, VectorSource
+from knowarm.knowledge.vectors.source import Found, SentenceEncoder, VectorSource
 from knowarm.knowledge.vectors.words import WordVectors
 
 

@@ -10,9 +10,8 @@ import torch
 
 from knowarm.cores import available_cores
 from knowarm.learn import Hooks, PPOConfig, PPOTrainer
-from knowarm.learn.minibatch import TrainingNetwork, add_gradient
-from knowarm.learn.parallel.data_parallel import count_processes, make_learner
-from knowarm.learn.parallel.learner_worker import GradientCommand
+from knowarm.learn.parallel.data_parallel import GradientCommand, count_processes, make_learner
+from knowarm.learn.rollout import TrainingNetwork, add_gradient
 from tests.learn.toys import SIDE, fill_with_noise, informed_toy_policy, toy_env
 
 TABLE = np.random.default_rng(0).standard_normal((3, 4)).astype(np.float32)

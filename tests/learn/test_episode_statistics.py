@@ -1,6 +1,6 @@
 import torch
 
-from knowarm.learn.episode_statistics import EpisodeStatistics
+from knowarm.learn.collector import EpisodeStatistics
 
 
 def statistics_and_add():

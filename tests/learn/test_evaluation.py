@@ -5,7 +5,7 @@ import pytest
 
 from knowarm.learn import CheckpointStore, PPOConfig, PPOTrainer, read_checkpoint
 from knowarm.learn.evaluation import MAX_PENDING, BackgroundEvaluations, InlineEvaluations
-from knowarm.learn.parallel.flat_parameters import flatten_parameters
+from knowarm.learn.parallel.shared_tensors import flatten_parameters
 from tests.learn.toys import toy_env, toy_policy
 
 CONFIG = PPOConfig(

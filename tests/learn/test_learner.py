@@ -4,8 +4,8 @@ import numpy as np
 import torch
 
 from knowarm.learn import PPOConfig
-from knowarm.learn.minibatch import TrainingNetwork
 from knowarm.learn.parallel.data_parallel import make_learner
+from knowarm.learn.rollout import TrainingNetwork
 from tests.learn.toys import fill_with_noise, informed_toy_policy
 
 TABLE = np.ones((2, 4), np.float32)

@@ -8,7 +8,6 @@ import torch
 
 from knowarm.errors import UserError
 from knowarm.learn import PPOConfig, PPOTrainer
-from knowarm.learn.minibatch import TrainingNetwork
 from knowarm.learn.optimizer import MUON_PARAMETERS, PolicyOptimizer
 from knowarm.learn.parallel.data_parallel import make_learner
 from knowarm.learn.privileged import (
@@ -17,6 +16,7 @@ from knowarm.learn.privileged import (
     StateCritic,
     auxiliary_columns,
 )
+from knowarm.learn.rollout import TrainingNetwork
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.torch_env import TorchReachVectorEnv

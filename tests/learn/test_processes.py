@@ -9,9 +9,9 @@ import torch
 
 from knowarm.learn.algorithms import PPOConfig
 from knowarm.learn.checkpoint import CheckpointStore
-from knowarm.learn.minibatch import TrainingNetwork
 from knowarm.learn.parallel.data_parallel import make_learner
 from knowarm.learn.parallel.processes import ChildProcess, process_context
+from knowarm.learn.rollout import TrainingNetwork
 from tests.learn.a3c.test_stop import UPDATE, build
 from tests.learn.test_data_parallel import noisy_learner
 from tests.learn.toys import toy_policy

@@ -1,6 +1,6 @@
 import torch
 
-from knowarm.learn.returns import advantages, n_step_returns, next_values
+from knowarm.learn.losses import advantages, n_step_returns, next_values
 
 NONE = torch.zeros(3, 1, dtype=torch.bool)
 

@@ -16,10 +16,9 @@ from knowarm.experiment.agents import controls_of
 from knowarm.experiment.build import EnvFactory, build
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.load import load_agent
-from knowarm.experiment.registry import experiment_config
+from knowarm.experiment.names import experiment_config
 from knowarm.experiment.run import train
-from knowarm.experiment.run_folder import RunFolder
-from knowarm.experiment.run_module import FILE, stored_module
+from knowarm.experiment.run_folder import FILE, RunFolder, stored_module
 from knowarm.perception import images as perception_images
 from knowarm.perception import training
 from knowarm.perception.agent import PerceivingAgent, PerceivingVectorEnv

@@ -11,17 +11,17 @@ from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS, controls_of
 from knowarm.experiment.build import build, slots_of
 from knowarm.experiment.load import load_agent
-from knowarm.experiment.registry import experiment_config
+from knowarm.experiment.names import experiment_config
 from knowarm.experiment.run import train
-from knowarm.experiment.run_module import FILE
+from knowarm.experiment.run_folder import FILE
 from knowarm.perception.agent import PerceivingVectorEnv
 from knowarm.perception.config import GroundingConfig, ModuleSpec
 from knowarm.perception.grounding import FRAME, STRIDE, WIDTH, GroundingNetwork, centres, place_of
 from knowarm.perception.images import ImageSampler, query_answers, sample_images
 from knowarm.perception.training import train_grounding
 from knowarm.reading import UnreadableFileError
+from knowarm.world.config import questions_of
 from knowarm.world.envs.vector_env import ReachVectorEnv
-from knowarm.world.setting import questions_of
 from tests.tiny import CHOOSE, CHOOSE_ENV, CHOOSE_NAME
 
 

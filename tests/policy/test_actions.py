@@ -1,6 +1,6 @@
 import torch
 
-from knowarm.policy.actions import entropy, greedy, log_probability, sample
+from knowarm.policy.policy import entropy, greedy, log_probability, sample
 
 
 def test_samples_follow_the_softmax():

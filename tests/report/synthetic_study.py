@@ -12,15 +12,15 @@ import torch
 from knowarm.config import to_dict
 from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.algorithms import ALGORITHMS
-from knowarm.experiment.evaluation_files import (
+from knowarm.experiment.run_folder import RunFolder
+from knowarm.experiment.summary import (
     EPISODE_COLUMNS,
     TASK_COLUMNS,
     step_columns,
+    summarize,
     write_film,
     write_table,
 )
-from knowarm.experiment.run_folder import RunFolder
-from knowarm.experiment.summary import summarize
 from knowarm.knowledge import KnowledgeConfig, SceneEmbedding, query_embedding, scene_embedding
 from knowarm.knowledge.queries.queries import parse_query
 from knowarm.policy import Policy, PolicyConfig, PolicyShape

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from knowarm.errors import UserError
-from knowarm.experiment.evaluation_files import EPISODE_COLUMNS, read_table, write_table
+from knowarm.experiment.summary import EPISODE_COLUMNS, read_table, write_table
 from knowarm.report import write_report
 from knowarm.report.collect import collect
 from knowarm.report.read import read_evaluation

@@ -9,7 +9,7 @@ import pytest
 
 from knowarm.errors import UserError
 from knowarm.report import write_report
-from knowarm.report.tables import Column, cells
+from knowarm.report.blocks import Column, cells
 from knowarm.report.write import _cell
 from knowarm.statistics import Interval
 from tests.report.synthetic_study import Size, Truth, robot_title, write_study

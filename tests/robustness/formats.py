@@ -22,18 +22,16 @@ from knowarm.cli.train import parse_train
 from knowarm.errors import UserError
 from knowarm.experiment.csv_log import CsvLog
 from knowarm.experiment.evaluate import evaluate
-from knowarm.experiment.evaluation_files import read_film, read_table
 from knowarm.experiment.load import load_agent
-from knowarm.experiment.registry import experiment_config
+from knowarm.experiment.names import experiment_config
 from knowarm.experiment.run import train
-from knowarm.experiment.run_folder import RunFolder
-from knowarm.experiment.run_module import FILE
+from knowarm.experiment.run_folder import FILE, RunFolder
+from knowarm.experiment.summary import read_film, read_table
 from knowarm.knowledge import household, read_graph
 from knowarm.knowledge.formats import write_graph
 from knowarm.knowledge.graph.sparql import EXAMPLE, sparql
 from knowarm.knowledge.kge import KgeConfig
-from knowarm.knowledge.kge.split import all_triples, split_graph
-from knowarm.knowledge.kge.store import save_model
+from knowarm.knowledge.kge.train import all_triples, save_model, split_graph
 from knowarm.knowledge.kge.train import train as train_embedding
 from knowarm.knowledge.vectors.graph_embedding import stored_lookup
 from knowarm.knowledge.vectors.words import read_word_vectors
@@ -45,8 +43,8 @@ from knowarm.report import write_report
 from knowarm.report.collect import collect
 from knowarm.world.objects import TARGETS
 from knowarm.world.robots import ROBOTS
-from knowarm.world.robots.description_file import read_robot, read_target
-from knowarm.world.scene.attach import read_mjcf
+from knowarm.world.robots.robot import read_robot, read_target
+from knowarm.world.scene.compose import read_mjcf
 from tests.robustness.mutator import mutate
 from tests.tiny import TINY, short
 

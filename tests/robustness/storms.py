@@ -17,7 +17,7 @@ import torch
 
 from knowarm.experiment.config import InterimConfig
 from knowarm.experiment.csv_log import read_csv
-from knowarm.experiment.registry import experiment_config
+from knowarm.experiment.names import experiment_config
 from knowarm.experiment.run import train
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.run_lock import lock_folder

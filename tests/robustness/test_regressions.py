@@ -16,19 +16,18 @@ from safetensors.torch import save_file as save_tensors
 from knowarm.cli.main import main
 from knowarm.errors import UserError
 from knowarm.experiment.csv_log import CsvLog, read_csv
-from knowarm.experiment.evaluation_files import FRAME_MS, MAX_FRAMES, read_film
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.logs import RunLogs, TrainingProgress
 from knowarm.experiment.run_folder import RunFolder
+from knowarm.experiment.summary import FRAME_MS, MAX_FRAMES, read_film
 from knowarm.knowledge import household, read_graph
 from knowarm.knowledge.graph import sparql as sparql_module
 from knowarm.knowledge.graph.sparql import sparql
 from knowarm.knowledge.kge import KgeConfig
-from knowarm.knowledge.kge.store import FORMAT, load_model, save_model
-from knowarm.knowledge.kge.train import new_model
+from knowarm.knowledge.kge.train import FORMAT, load_model, new_model, save_model
 from knowarm.learn.checkpoint import Checkpoint, CheckpointStore, read_checkpoint
-from knowarm.world.robots.description_file import read_robot
-from knowarm.world.scene.attach import read_mjcf
+from knowarm.world.robots.robot import read_robot
+from knowarm.world.scene.compose import read_mjcf
 
 ZOO = Path(__file__).parent.parent.parent / "zoo"
 FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

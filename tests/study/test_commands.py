@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from knowarm.cli.main import main
-from knowarm.cli.study_table import status_tables, study_progress
+from knowarm.cli.study import status_tables, study_progress
 from knowarm.study.config import SHIPPED, read_study
 from knowarm.study.driver import open_study
 from knowarm.study.status import FAILURE, study_status

@@ -17,17 +17,15 @@ from knowarm.world import env_id
 from knowarm.world.agents.ik import InverseKinematics
 from knowarm.world.agents.play import EpisodeResults, play
 from knowarm.world.agents.scripted import OracleAgent
-from knowarm.world.config import EnvConfig
+from knowarm.world.config import EnvConfig, scene_of, setting_of
 from knowarm.world.envs.knowledge_observation import KnowledgeObservation
 from knowarm.world.envs.torch_env import TorchReachVectorEnv
 from knowarm.world.envs.vector_env import ReachVectorEnv
 from knowarm.world.render.cpu import Raycaster
 from knowarm.world.robots import ROBOTS
-from knowarm.world.setting import scene_of, setting_of
 from knowarm.world.tasks.choose.choose import Choose
 from knowarm.world.tasks.choose.layouts import support
-from knowarm.world.tasks.choose.queries import NameQueries
-from knowarm.world.tasks.choose.source import Arrangements, arrange
+from knowarm.world.tasks.choose.source import Arrangements, NameQueries, arrange
 from knowarm.world.tasks.episodes import EpisodeSource, evaluation_episodes
 
 STREAMS = np.arange(200, dtype=np.uint64)

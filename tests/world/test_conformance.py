@@ -8,7 +8,7 @@ import torch
 
 from knowarm.errors import UserError
 from knowarm.world.robots import ROBOTS
-from knowarm.world.scene.looks import VisualRandomization
+from knowarm.world.scene.appearance import VisualRandomization
 from knowarm.world.tasks.episodes import evaluation_episodes
 from knowarm.world.tasks.held_out import HeldOut
 from tests.world.faces import (

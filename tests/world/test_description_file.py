@@ -8,7 +8,7 @@ import pytest
 from knowarm.errors import UserError
 from knowarm.world.agents.play import play
 from knowarm.world.agents.scripted import OracleAgent
-from knowarm.world.robots.description_file import read_robot, read_target
+from knowarm.world.robots.robot import read_robot, read_target
 from knowarm.world.tasks.episodes import evaluation_episodes
 from tests.world.helpers import EXAMPLES, MakeEnv, write_robot
 

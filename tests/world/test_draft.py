@@ -13,10 +13,9 @@ from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ReachVectorEnv
 from knowarm.world.own_robot.draft import draft_robot, read_overrides
 from knowarm.world.own_robot.draft_gripper import find_gripper
-from knowarm.world.own_robot.robot_check import check_robot
-from knowarm.world.own_robot.scene_image import SIDE, write_scene_image
+from knowarm.world.own_robot.robot_check import SIDE, check_robot, write_scene_image
 from knowarm.world.robots import ROBOTS
-from knowarm.world.robots.description_file import read_robot
+from knowarm.world.robots.robot import read_robot
 from knowarm.world.scene.scene import load_scene
 from knowarm.world.tasks.episodes import evaluation_episodes
 from tests.world.helpers import EXAMPLES

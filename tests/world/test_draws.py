@@ -1,7 +1,7 @@
 import numpy as np
 from scipy import stats
 
-from knowarm.world.tasks.draws import derive, uniforms
+from knowarm.world.tasks.sampling import derive, uniforms
 
 
 def numbers(streams: list[int], episodes: list[int], count: int = 8) -> np.ndarray:
@@ -10,7 +10,7 @@ def numbers(streams: list[int], episodes: list[int], count: int = 8) -> np.ndarr
 
 def test_the_hash_is_splitmix64() -> None:
     # stream 0 of the reference generator begins 0xE220A8397B1DCDAF: the finalizer of one gamma
-    from knowarm.world.tasks.draws import _mix
+    from knowarm.world.tasks.sampling import _mix
 
     assert hex(int(_mix(np.array([0], np.uint64))[0])) == "0xe220a8397b1dcdaf"
 

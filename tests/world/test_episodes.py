@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
 
-from knowarm.world.config import EnvConfig
+from knowarm.world.config import EnvConfig, scene_of
 from knowarm.world.robots import ROBOTS
-from knowarm.world.setting import scene_of
 from knowarm.world.tasks.episodes import Episodes, draw_episodes, evaluation_episodes
 
 

@@ -9,8 +9,8 @@ import knowarm
 from knowarm.cli.list import List
 from knowarm.errors import UserError
 from knowarm.world.robots import ROBOTS
-from knowarm.world.robots.description_file import read_robot
 from knowarm.world.robots.menagerie import KNOWN_ARMS, known_arms
+from knowarm.world.robots.robot import read_robot
 from knowarm.world.scene.scene import find_robot
 
 

@@ -4,7 +4,7 @@ from scipy.spatial.transform import Rotation
 
 from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig
-from knowarm.world.scene.looks import VisualRandomization, rotations
+from knowarm.world.scene.appearance import VisualRandomization, rotations
 from knowarm.world.scene.scene import load_scene
 from knowarm.world.tasks.episodes import draw_episodes, evaluation_episodes
 from knowarm.world.tasks.held_out import HeldOut

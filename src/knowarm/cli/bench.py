@@ -8,8 +8,7 @@ from typing import Any
 from knowarm.cli.tables import TableCommand, print_table
 from knowarm.cores import available_cores, processor
 from knowarm.errors import UserError
-from knowarm.experiment.names import DEFAULT_EXPERIMENT
-from knowarm.experiment.registry import experiment_config
+from knowarm.experiment.names import DEFAULT_EXPERIMENT, experiment_config
 from knowarm.experiment.speed import measure_images, measure_steps, measure_training
 from knowarm.world.envs.vector_env import ReachVectorEnv
 

@@ -14,11 +14,10 @@ from knowarm.config import to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.demo import STEPS, demo
-from knowarm.experiment.names import DEFAULT_EXPERIMENT, ExperimentName
-from knowarm.experiment.registry import experiment_config
+from knowarm.experiment.names import DEFAULT_EXPERIMENT, ExperimentName, experiment_config
 from knowarm.experiment.run import run_path, train
 from knowarm.experiment.run_folder import RunFolder
-from knowarm.experiment.stop_request import StopRequest
+from knowarm.experiment.run_lock import StopRequest
 from knowarm.perception.config import PerceptionConfig
 from knowarm.perception.training import train_classifier
 from knowarm.report import write_report

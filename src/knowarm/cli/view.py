@@ -10,7 +10,7 @@ from knowarm.cli.evaluate import is_scripted
 from knowarm.cli.tables import FilePath
 from knowarm.errors import UserError
 from knowarm.experiment.load import load_agent
-from knowarm.experiment.registry import task_for
+from knowarm.experiment.names import task_for
 from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ReachVectorEnv

@@ -18,11 +18,10 @@ from knowarm.perception.module import PerceptionModule
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.seeding import torch_generator
 from knowarm.world.agents.play import EpisodeResults, play
-from knowarm.world.config import EnvConfig
+from knowarm.world.config import EnvConfig, facets_of, questions_of
 from knowarm.world.envs.torch_env import TorchReachVectorEnv
 from knowarm.world.envs.vector_env import ReachVectorEnv
 from knowarm.world.scene.scene import find_robot
-from knowarm.world.setting import facets_of, questions_of
 from knowarm.world.tasks.episodes import evaluation_episodes
 from knowarm.world.tasks.running import ACTION_LEVELS
 

@@ -9,7 +9,7 @@ from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.config import EvaluationConfig, ExperimentConfig, InterimConfig
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.load import load_agent
-from knowarm.experiment.registry import experiment_config
+from knowarm.experiment.names import experiment_config
 from knowarm.experiment.run import run_path, train
 from knowarm.world.robots import DEMO_ROBOT
 

@@ -9,8 +9,7 @@ from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.graph_queries import GraphQueries
 from knowarm.knowledge import query_embedding, scene_embedding
 from knowarm.knowledge.queries.splits import QuerySplits
-from knowarm.world.config import EnvConfig
-from knowarm.world.setting import facets_of
+from knowarm.world.config import EnvConfig, facets_of
 from knowarm.world.tasks.choose.choose import Choose
 
 

@@ -14,10 +14,17 @@ from knowarm.errors import UserError
 from knowarm.experiment.blind import blind_numbers
 from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.edited_graph import edited_knowledge_table
-from knowarm.experiment.evaluation_files import episode_types, step_columns, write_film, write_table
 from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.experiment.run import Run
-from knowarm.experiment.summary import episode_columns, step_values, summarize
+from knowarm.experiment.summary import (
+    episode_columns,
+    episode_types,
+    step_columns,
+    step_values,
+    summarize,
+    write_film,
+    write_table,
+)
 from knowarm.reading import write_json
 from knowarm.world.agents import AgentProtocol
 from knowarm.world.agents.play import play

@@ -9,7 +9,7 @@ from knowarm.knowledge.formats import open_graph
 from knowarm.knowledge.queries.queries import Pairs
 from knowarm.knowledge.queries.splits import DRAWN, SPLITS, QuerySplits, query_splits
 from knowarm.questions import ObjectColour, QuestionTable
-from knowarm.world.tasks.choose.queries import QUERY_SOURCES, QuerySource
+from knowarm.world.tasks.choose.source import QUERY_SOURCES, QuerySource
 
 
 @dataclass(frozen=True, kw_only=True)

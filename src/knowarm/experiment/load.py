@@ -11,8 +11,7 @@ import torch
 from knowarm.config import from_dict
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig
-from knowarm.experiment.run_folder import RunFolder
-from knowarm.experiment.run_module import given_module, stored_module
+from knowarm.experiment.run_folder import RunFolder, given_module, stored_module
 from knowarm.learn import read_checkpoint
 from knowarm.perception.agent import PerceivingAgent
 from knowarm.perception.grounding import GroundingNetwork
@@ -20,7 +19,7 @@ from knowarm.perception.module import PerceptionModule, in_batches
 from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
 from knowarm.policy.policy import State
 from knowarm.reading import reading
-from knowarm.world.setting import facets_of, questions_of
+from knowarm.world.config import facets_of, questions_of
 
 
 class PlayState(NamedTuple):

@@ -11,11 +11,9 @@ from knowarm.experiment.build import Parts, build, make_trainer, slots_of
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.csv_log import writing
 from knowarm.experiment.logs import RunLogs, TrainingProgress
-from knowarm.experiment.provenance import provenance
-from knowarm.experiment.registry import experiment_config
-from knowarm.experiment.run_folder import RunFolder
+from knowarm.experiment.names import experiment_config
+from knowarm.experiment.run_folder import FILE, RunFolder, module_for_training, provenance
 from knowarm.experiment.run_lock import lock_folder
-from knowarm.experiment.run_module import FILE, module_for_training
 from knowarm.learn import CheckpointStore, Hooks, TrainingResult
 from knowarm.perception.module import PerceptionModule, digest
 from knowarm.perception.training import train_grounding

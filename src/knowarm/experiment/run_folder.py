@@ -13,19 +13,29 @@ Layout of ``runs/<experiment>/<seed>/``::
     evaluation/<label>/    post-training evaluations
 """
 
+import os
+import platform
+import subprocess
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 from safetensors.numpy import save
 
 from knowarm.config import from_dict, to_dict
+from knowarm.cores import processor
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig, StopWhen
 from knowarm.experiment.csv_log import number_in, read_csv, writing
+from knowarm.perception.classifier import FacetClassifier
+from knowarm.perception.grounding import GroundingNetwork
+from knowarm.perception.module import PerceptionModule, digest
 from knowarm.reading import read_arrays, read_json, reading, write_json
+from knowarm.world.config import facets_of
 
 FORMAT = 1
 """Version of the run folder's layout."""
@@ -139,3 +149,91 @@ class RunFolder:
             if table.ndim != 2 or table.dtype != np.float32 or not np.isfinite(table).all():
                 raise ValueError("its table must be a matrix of finite float32 numbers")
             return table
+
+
+PACKAGES = ("knowarm", "torch", "mujoco", "numpy", "numba", "gymnasium", "safetensors")
+"""Packages that shape a result."""
+
+
+def provenance() -> dict[str, Any]:
+    """Return the versions of `PACKAGES`, the commit, and the machine."""
+    return {
+        "versions": {"python": platform.python_version()} | {n: _version(n) for n in PACKAGES},
+        "commit": _commit(),
+        "machine": {
+            "system": f"{platform.system()} {platform.release()}",
+            "processor": processor(),
+            "cores": os.cpu_count(),
+            "memory_gib": round(psutil.virtual_memory().total / 2**30, 1),
+        },
+    }
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def _commit() -> str | None:
+    """Commit of the checkout the package runs from, with "+changes" for uncommitted edits."""
+    here = Path(__file__).parent
+    try:
+        commit = _git("rev-parse", "HEAD", at=here)
+        return commit + ("+changes" if _git("status", "--porcelain", "-uno", at=here) else "")
+    except (OSError, subprocess.CalledProcessError):
+        return None  # installed from a wheel, or no git on the machine
+
+
+def _git(*arguments: str, at: Path) -> str:
+    command = ["git", "-C", str(at), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+
+
+FILE = "perception.safetensors"
+"""Name of the module's file in a run folder."""
+
+
+def module_for_training(
+    config: ExperimentConfig, resumed: RunFolder | None, given: Path | str | None
+) -> PerceptionModule | None:
+    """Return the perception module of a run, given as a file or in a folder to resume, or None."""
+    module: PerceptionModule | None = None if given is None else given_module(config, given)
+    if resumed is not None and (resumed.path / FILE).exists():
+        stored = stored_module(config, resumed)
+        if module is not None and module.to_bytes() != stored.to_bytes():
+            raise UserError(
+                f"{resumed.path} was trained with another perception module than {given}. Resume "
+                "without perception, or pass another runs folder or seed to start a new run."
+            )
+        module = stored
+    if config.knowledge.scope == "perceived":
+        if module is None:
+            raise UserError(
+                "Knowledge of scope 'perceived' needs a perception module: pass perception=FILE. "
+                "Make one with `knowarm perception train EXPERIMENT --out FILE`."
+            )
+        module.spec.check_fits(config.env, facets_of(config.env))
+    return module
+
+
+def given_module(config: ExperimentConfig, path: Path | str) -> FacetClassifier:
+    """Read the module that is given for an experiment, which must use one."""
+    if config.knowledge.scope != "perceived":
+        raise UserError(
+            f"Knowledge of scope {config.knowledge.scope!r} does not depend on what is perceived: "
+            "leave perception out, or take an agent whose scope is 'perceived'."
+        )
+    return FacetClassifier.read(Path(path))
+
+
+def stored_module(config: ExperimentConfig, folder: RunFolder) -> PerceptionModule:
+    """Read the perception module that a run folder keeps, and check that it is the run's."""
+    kind = FacetClassifier if config.grounding is None else GroundingNetwork
+    path = folder.path / FILE
+    with reading(path, "Restore the file, or train again."):
+        data = path.read_bytes()
+        if digest(data) != folder.provenance()["perception"]["digest"]:
+            raise ValueError("it is not the module that this run was trained with")
+        return kind.from_bytes(data, path)

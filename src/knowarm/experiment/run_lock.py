@@ -1,12 +1,15 @@
-"""Lock of a folder: one process at a time writes into it."""
+"""Lock of a folder: one process at a time writes into it, until it is asked to stop."""
 
 import json
 import os
+import signal
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
+from types import FrameType
+from typing import Any
 
 from filelock import FileLock, Timeout
 
@@ -68,3 +71,39 @@ def _holder(path: Path) -> str:
         return f"process {holder['pid']} on {holder['host']} since {holder['since']}"
     except (OSError, ValueError, KeyError, TypeError):
         return "another process"
+
+
+class StopRequest:
+    """Context manager in which the first Ctrl-C or SIGTERM requests to save and stop.
+
+    A second one raises KeyboardInterrupt. A terminal that closes (SIGHUP) requests to stop, too.
+    Pass it as ``should_stop``: calling it returns whether a signal arrived.
+    """
+
+    def __init__(self) -> None:
+        self._stop = False
+        self._previous: dict[signal.Signals, Any] = {}
+
+    def __call__(self) -> bool:
+        """Return whether a stop was requested."""
+        return self._stop
+
+    def __enter__(self) -> "StopRequest":
+        """Install the handlers."""
+        numbers = [signal.SIGINT, signal.SIGTERM]
+        hangup = getattr(signal, "SIGHUP", None)  # Windows has none, and nohup ignores it
+        if hangup is not None and signal.getsignal(hangup) is not signal.SIG_IGN:
+            numbers.append(hangup)
+        for number in numbers:
+            self._previous[number] = signal.signal(number, self._on_signal)
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """Restore the previous handlers."""
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        if self._stop and number in (signal.SIGINT, signal.SIGTERM):
+            raise KeyboardInterrupt
+        self._stop = True

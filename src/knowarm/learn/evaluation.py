@@ -9,10 +9,13 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from knowarm.learn.parallel.flat_parameters import FlatParameters
-from knowarm.learn.parallel.processes import ChildProcess, process_context
-from knowarm.learn.parallel.shared_tensors import SharedTensors
-from knowarm.learn.parallel.supervised import Restarted, SupervisedProcess
+from knowarm.learn.parallel.processes import (
+    ChildProcess,
+    Restarted,
+    SupervisedProcess,
+    process_context,
+)
+from knowarm.learn.parallel.shared_tensors import FlatParameters, SharedTensors
 from knowarm.policy import Policy, PolicySpec
 
 Metrics = dict[str, float]

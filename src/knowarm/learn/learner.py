@@ -6,14 +6,20 @@ from contextlib import contextmanager
 import torch
 from torch import Tensor
 
+from knowarm.cores import torch_threads
 from knowarm.learn.algorithms import PPOConfig
 from knowarm.learn.losses import PPOLossTerms
-from knowarm.learn.minibatch import Targets, TrainingNetwork, add_gradient, buffer_specs, buffers
-from knowarm.learn.parallel.flat_parameters import FlatParameters
-from knowarm.learn.parallel.shared_tensors import zeros
-from knowarm.learn.rollout import Rollout, infer_step
+from knowarm.learn.parallel.shared_tensors import FlatParameters, zeros
+from knowarm.learn.rollout import (
+    Rollout,
+    Targets,
+    TrainingNetwork,
+    add_gradient,
+    buffer_specs,
+    buffers,
+    infer_step,
+)
 from knowarm.policy import State
-from knowarm.threads import torch_threads
 
 
 class Learner:

@@ -1,7 +1,8 @@
-"""Optimizer of PPO: Adam, or Muon for the hidden layers' matrices and Adam for the rest."""
+"""Optimizer of PPO: Adam, or Muon for the hidden layers' matrices; precision of its products."""
 
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
+from typing import Literal
 
 import numpy as np
 import torch
@@ -9,7 +10,8 @@ from torch import nn
 
 from knowarm.learn.algorithms import PPOConfig
 from knowarm.learn.checkpoint import select
-from knowarm.private_apis import without_compiler
+from knowarm.policy import MatmulPrecision
+from knowarm.private_apis import cpu_has_bfloat16, without_compiler
 
 Adam = without_compiler(torch.optim.Adam)
 Muon = without_compiler(torch.optim.Muon)
@@ -76,3 +78,17 @@ class PolicyOptimizer:
             for optimizer in self._optimizers:
                 if any(parameter is p for p in optimizer.param_groups[0]["params"]):
                     optimizer.state[parameter] = values
+
+
+PrecisionChoice = Literal["auto"] | MatmulPrecision
+
+
+def resolve_precision(choice: PrecisionChoice, device: torch.device) -> MatmulPrecision:
+    """Return the precision that a choice means on a device.
+
+    "auto" is bfloat16 where the device computes it in hardware, else float32.
+    """
+    if choice != "auto":
+        return choice
+    is_fast = cpu_has_bfloat16() if device.type == "cpu" else torch.cuda.is_bf16_supported()
+    return "bfloat16" if is_fast else "float32"

@@ -10,19 +10,16 @@ from knowarm.errors import UserError
 from knowarm.learn.algorithms import PPOConfig, privileged_uses
 from knowarm.learn.checkpoint import Checkpoint, policy_arrays, select
 from knowarm.learn.collector import Collector
-from knowarm.learn.curriculum import ThresholdCurriculum
-from knowarm.learn.device import resolve_precision
-from knowarm.learn.environment import PrivilegedVectorEnv, TorchVectorEnv
+from knowarm.learn.environment import PrivilegedVectorEnv, ThresholdCurriculum, TorchVectorEnv
 from knowarm.learn.evaluation import MAX_PENDING, Metrics
 from knowarm.learn.guards import FiniteGuard, HealthMonitor
-from knowarm.learn.losses import PPOLossTerms
-from knowarm.learn.minibatch import TrainingNetwork
-from knowarm.learn.optimizer import PolicyOptimizer
+from knowarm.learn.losses import PPOLossTerms, advantages
+from knowarm.learn.optimizer import PolicyOptimizer, resolve_precision
 from knowarm.learn.parallel.data_parallel import make_learner
-from knowarm.learn.parallel.flat_parameters import flatten_parameters
 from knowarm.learn.parallel.processes import keep_freed_memory
+from knowarm.learn.parallel.shared_tensors import flatten_parameters
 from knowarm.learn.privileged import PrivilegedLearning
-from knowarm.learn.returns import advantages
+from knowarm.learn.rollout import TrainingNetwork
 from knowarm.learn.trainer import StopReason, Trainer, crossed
 from knowarm.policy import Policy
 from knowarm.seeding import torch_generator

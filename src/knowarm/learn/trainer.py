@@ -20,7 +20,7 @@ from knowarm.learn.evaluation import (
     MakeEvaluate,
     Metrics,
 )
-from knowarm.learn.parallel.flat_parameters import unflatten_parameters
+from knowarm.learn.parallel.shared_tensors import unflatten_parameters
 from knowarm.policy import Policy
 
 StopReason = Literal["finished", "stopped"]

@@ -13,9 +13,8 @@ from torch import Tensor
 from knowarm.errors import UserError
 from knowarm.perception.module import PerceptionModule, in_batches
 from knowarm.policy import PolicyAgent
-from knowarm.world.config import EnvConfig
+from knowarm.world.config import EnvConfig, questions_of
 from knowarm.world.envs.torch_env import TorchReachVectorEnv
-from knowarm.world.setting import questions_of
 
 
 class PerceivingVectorEnv(TorchReachVectorEnv):

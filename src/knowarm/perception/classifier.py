@@ -7,9 +7,14 @@ import torch
 from torch import Tensor
 
 from knowarm.perception.config import ModuleSpec
-from knowarm.perception.encoder import PlaceEncoder, number_facets
 from knowarm.perception.images import LabelledImages, query_answers
-from knowarm.perception.module import BATCH, GoalPredictor, PerceptionModule
+from knowarm.perception.module import (
+    BATCH,
+    GoalPredictor,
+    PerceptionModule,
+    PlaceEncoder,
+    number_facets,
+)
 from knowarm.questions import ObjectColour
 from knowarm.world.config import EnvConfig
 

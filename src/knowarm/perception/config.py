@@ -5,8 +5,7 @@ from dataclasses import dataclass, field
 
 from knowarm.config import above_zero, at_least, check_numbers
 from knowarm.errors import UserError
-from knowarm.world.config import EnvConfig
-from knowarm.world.setting import facets_of, scene_of
+from knowarm.world.config import EnvConfig, facets_of, scene_of
 
 RETRAIN = "Make one for this task with `knowarm perception train EXPERIMENT --out FILE`."
 

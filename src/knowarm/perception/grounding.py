@@ -12,9 +12,8 @@ import torch
 from torch import Tensor, nn
 
 from knowarm.perception.config import ModuleSpec
-from knowarm.perception.encoder import PlaceEncoder
 from knowarm.perception.images import LabelledImages, QueryAnswers
-from knowarm.perception.module import GoalPredictor, PerceptionModule
+from knowarm.perception.module import GoalPredictor, PerceptionModule, PlaceEncoder
 from knowarm.policy.encoder import RELU_GAIN, orthogonal
 from knowarm.questions import ObjectColour
 from knowarm.seeding import torch_generator

@@ -9,10 +9,9 @@ from torch import Tensor
 
 from knowarm.perception.config import ModuleSpec
 from knowarm.questions import ObjectColour
-from knowarm.world.config import EnvConfig
+from knowarm.world.config import EnvConfig, questions_of
 from knowarm.world.envs.vector_env import ReachVectorEnv
 from knowarm.world.scene.scene import Scene, project, target_places
-from knowarm.world.setting import questions_of
 
 ENVS = 256
 """Images drawn at once."""

@@ -8,16 +8,16 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from knowarm.cores import torch_threads
 from knowarm.errors import UserError
-from knowarm.learn.device import resolve_precision
+from knowarm.learn.optimizer import resolve_precision
 from knowarm.perception.classifier import FacetClassifier, accuracy
 from knowarm.perception.config import GroundingConfig, ModuleSpec, PerceptionConfig
 from knowarm.perception.grounding import GroundingNetwork
 from knowarm.perception.images import ImageSampler, query_answers, sample_images
 from knowarm.seeding import derive_seed, torch_generator
-from knowarm.threads import torch_threads
 from knowarm.world.config import EnvConfig
-from knowarm.world.scene.looks import VisualRandomization
+from knowarm.world.scene.appearance import VisualRandomization
 from knowarm.world.tasks.held_out import HeldOut
 
 LOOKS = VisualRandomization(

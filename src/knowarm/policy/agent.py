@@ -6,8 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from knowarm.policy.actions import greedy, sample
-from knowarm.policy.policy import Policy, State
+from knowarm.policy.policy import Policy, State, greedy, sample
 
 
 class FacetEnv(Protocol):

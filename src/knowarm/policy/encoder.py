@@ -6,7 +6,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from knowarm.threads import torch_threads
+from knowarm.cores import torch_threads
 
 SIDE, STRIDE = 3, 4
 """Kernel size and stride of the first convolution [px]: its patches do not overlap and leave out

@@ -4,6 +4,9 @@ Dimension letters in `knowarm.policy` and `knowarm.learn`: T time steps, B batch
 images of a flattened batch, H and W height and width of an image, H also the hidden size of a
 recurrent state, K knowledge vector, F facets (rows of the knowledge table), J joints, A levels of
 an action, S blocks and L pixel values per block of an image's patches.
+
+The action distribution is a softmax per joint: logits are (..., J, A), actions (..., J). Joints are
+independent, so log-probabilities and entropies of an action are sums over the joints.
 """
 
 from dataclasses import dataclass, replace
@@ -292,3 +295,33 @@ def matched_without_knowledge(config: PolicyConfig, shape: PolicyShape) -> Polic
         middle = (low + high) // 2
         low, high = (middle, high) if count(candidate(middle)) < target else (low, middle)
     return candidate(min(low, high, key=lambda hidden: abs(count(candidate(hidden)) - target)))
+
+
+def sample(logits: Tensor, generator: torch.Generator) -> Tensor:
+    """Draw one level per joint from softmax(logits), by the Gumbel-max trick: int64 (..., J)."""
+    noise = torch.empty_like(logits).exponential_(generator=generator)
+    return (logits - noise.log()).argmax(-1)
+
+
+def greedy(logits: Tensor) -> Tensor:
+    """Return the most probable level of every joint: int64 (..., J)."""
+    return logits.argmax(-1)
+
+
+def log_probabilities(logits: Tensor) -> Tensor:
+    """Compute log softmax(logits) over the levels: (..., J, A).
+
+    ``torch.log_softmax`` takes four times as long on rows of only A values.
+    """
+    return logits - logits.logsumexp(-1, keepdim=True)
+
+
+def log_probability(logits: Tensor, actions: Tensor) -> Tensor:
+    """Compute the log-probability of actions (..., J), summed over joints [nat]: (...)."""
+    return log_probabilities(logits).gather(-1, actions[..., None]).squeeze(-1).sum(-1)
+
+
+def entropy(logits: Tensor) -> Tensor:
+    """Compute the entropy of the action distribution, summed over joints [nat]: (...)."""
+    log_p = log_probabilities(logits)
+    return -(log_p.exp() * log_p).sum((-2, -1))

@@ -11,7 +11,7 @@ import numpy as np
 
 from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS
-from knowarm.experiment.evaluation_files import (
+from knowarm.experiment.summary import (
     AGAIN,
     EPISODE_COLUMNS,
     TASK_COLUMNS,

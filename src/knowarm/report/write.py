@@ -15,12 +15,11 @@ from markupsafe import Markup, escape
 
 from knowarm.errors import UserError
 from knowarm.reading import read_json, write_json
-from knowarm.report.blocks import Page, Verdict, flat
+from knowarm.report.blocks import Column, DataTable, Page, Row, Verdict, flat
 from knowarm.report.collect import collect
 from knowarm.report.format import FORMATS, MISSING, counted
 from knowarm.report.model import StudyData
 from knowarm.report.pages import build_pages
-from knowarm.report.tables import Column, DataTable, Row
 
 DIGITS = 9  # significant digits of every written number
 FORMAT = 1  # version of the format of ``report.json``

@@ -1,10 +1,13 @@
 """Statistics of training runs and evaluations over SciPy: pure functions, 95 % intervals."""
 
 from knowarm.statistics.bootstrap import (
+    Interval,
     bootstrap,
     iqm,
     performance_profile,
     probability_of_improvement,
+    share_difference,
+    wilson,
 )
 from knowarm.statistics.compare import (
     Comparison,
@@ -15,9 +18,14 @@ from knowarm.statistics.compare import (
     seeds_needed,
     welch,
 )
-from knowarm.statistics.curve import area_under_curve, first_crossing, on_grid, trend
-from knowarm.statistics.interval import Interval, share_difference, wilson
-from knowarm.statistics.survival import median_steps, restricted_mean_steps
+from knowarm.statistics.survival import (
+    area_under_curve,
+    first_crossing,
+    median_steps,
+    on_grid,
+    restricted_mean_steps,
+    trend,
+)
 
 __all__ = [
     "Comparison",

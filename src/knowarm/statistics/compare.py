@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from knowarm.statistics.interval import CONFIDENCE, Interval
+from knowarm.statistics.bootstrap import CONFIDENCE, Interval
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,13 @@ from knowarm.config import from_dict, override, to_dict
 from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.agents import AGENTS, controls_of
 from knowarm.experiment.config import EvaluationConfig, ExperimentConfig
-from knowarm.experiment.names import DEFAULT_TASK, ExperimentName, colours_of, tasks_of
-from knowarm.experiment.registry import experiment_config
+from knowarm.experiment.names import (
+    DEFAULT_TASK,
+    ExperimentName,
+    colours_of,
+    experiment_config,
+    tasks_of,
+)
 from knowarm.reading import read_json, write_json
 from knowarm.study.executor import RunKey, Where
 from knowarm.world.tasks import task_names

@@ -14,8 +14,8 @@ from typing import Literal
 
 from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.run import run_path
+from knowarm.experiment.run_folder import FILE as PERCEPTION
 from knowarm.experiment.run_lock import lock_folder
-from knowarm.experiment.run_module import FILE as PERCEPTION
 from knowarm.reading import MAX_JSON
 from knowarm.study.config import FILE, PACKED
 from knowarm.study.driver import open_study

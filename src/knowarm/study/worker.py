@@ -18,8 +18,7 @@ from knowarm.errors import UserError
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.run import run_path, train
 from knowarm.experiment.run_folder import RunExistsError, RunFolder
-from knowarm.experiment.run_lock import FolderInUseError, lock_folder
-from knowarm.experiment.stop_request import StopRequest
+from knowarm.experiment.run_lock import FolderInUseError, StopRequest, lock_folder
 from knowarm.reading import write_json
 from knowarm.study.config import read_study
 from knowarm.study.executor import RunKey

@@ -1,6 +1,6 @@
 """World: robots, scenes, simulation, rendering, tasks and environments.
 
-``scene`` composes a MuJoCo model of a robot and its objects; ``backends`` simulates it; ``tasks``
+``scene`` composes a MuJoCo model of a robot and its objects; ``backend`` simulates it; ``tasks``
 draw episodes and judge the result; ``render`` draws the images; ``envs`` holds the environments,
 ``agents`` what plays in them. Importing this package imports no simulator.
 """

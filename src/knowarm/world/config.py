@@ -5,11 +5,13 @@ from typing import Literal
 
 from knowarm.config import above_zero, at_least, check_numbers, registered
 from knowarm.errors import UserError
+from knowarm.questions import QuestionTable
 from knowarm.world.robots import DEFAULT_ROBOT
-from knowarm.world.scene.looks import VisualRandomization
+from knowarm.world.scene.appearance import VisualRandomization
+from knowarm.world.scene.scene import Scene, find_targets, load_scene
 from knowarm.world.tasks import task_type, task_types
 from knowarm.world.tasks.held_out import HeldOut
-from knowarm.world.tasks.sampling import Colours
+from knowarm.world.tasks.sampling import Colours, Setting, list_facets
 from knowarm.world.tasks.task import Task
 
 MAX_IMAGE_SIZE = 4096
@@ -106,3 +108,25 @@ class EnvConfig:
 def _one_of(field: str, value: str, allowed: tuple[str, ...]) -> None:
     if value not in allowed:
         raise UserError(f"EnvConfig.{field} must be one of {', '.join(allowed)}, got {value!r}.")
+
+
+def scene_of(config: EnvConfig) -> Scene:
+    """Load the scene of a config."""
+    return load_scene(
+        config.robot, config.targets, config.randomization.distractors, config.task.area
+    )
+
+
+def setting_of(config: EnvConfig) -> Setting:
+    """Return what the task of a config draws episodes from."""
+    return Setting(scene_of(config), config.colours, config.held_out)
+
+
+def facets_of(config: EnvConfig) -> tuple[tuple[str, str], ...]:
+    """List the (object, colour) pairs that a config shows; objects in config order."""
+    return list_facets(find_targets(config.targets), config.colours)
+
+
+def questions_of(config: EnvConfig) -> QuestionTable | None:
+    """Return the questions of a config's task; None if its episodes have none."""
+    return config.task.questions(facets_of(config))

@@ -3,14 +3,14 @@ import math
 import pytest
 import torch
 
-from knowarm.learn.a3c.shared_state import rmsprop_update, shared_state_specs
-from knowarm.learn.parallel.flat_parameters import (
+from knowarm.learn.a3c.messages import rmsprop_update, shared_state_specs
+from knowarm.learn.parallel.processes import process_context
+from knowarm.learn.parallel.shared_tensors import (
     FlatParameters,
+    SharedTensors,
     flatten_parameters,
     unflatten_parameters,
 )
-from knowarm.learn.parallel.processes import process_context
-from knowarm.learn.parallel.shared_tensors import SharedTensors
 
 NUMBERS = {"learning_rate": 0.1, "alpha": 0.9, "eps": 0.01}
 

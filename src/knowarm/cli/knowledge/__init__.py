@@ -3,9 +3,8 @@
 from typing import Any
 
 from knowarm.cli.knowledge.fit import Fit, KnowledgeEvaluate
-from knowarm.cli.knowledge.queries import Queries
+from knowarm.cli.knowledge.queries import Draw, Queries, Subgraph
 from knowarm.cli.knowledge.scene import Embed, KnowledgeShow, ProbeCommand
-from knowarm.cli.knowledge.subgraph import Draw, Subgraph
 
 COMMANDS: dict[str, Any] = {
     "show": KnowledgeShow,

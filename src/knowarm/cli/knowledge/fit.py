@@ -12,7 +12,7 @@ from knowarm.cli.tables import TableCommand, print_table
 from knowarm.errors import UserError
 from knowarm.knowledge.formats.openke import is_openke, read_openke_split
 from knowarm.knowledge.kge import KgeConfig
-from knowarm.knowledge.kge.split import Split, split_graph
+from knowarm.knowledge.kge.train import Split, split_graph
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,8 +45,10 @@ class Fit(SplitOptions):
 
     def result(self) -> dict[str, Any]:
         """Split, train with a line of progress that a terminal overwrites, test and write."""
-        from knowarm.knowledge.kge.store import save_model  # imports torch, which takes seconds
-        from knowarm.knowledge.kge.train import train
+        from knowarm.knowledge.kge.train import (
+            save_model,  # imports torch, which takes seconds
+            train,
+        )
 
         check_suffix(self.out, "models", (".safetensors",))
         config, split = self.training, self.split(self.training.seed)
@@ -78,7 +80,7 @@ class KnowledgeEvaluate(SplitOptions):
 
     def result(self) -> dict[str, Any]:
         """Load, rank and print."""
-        from knowarm.knowledge.kge.store import load_model  # imports torch, which takes seconds
+        from knowarm.knowledge.kge.train import load_model  # imports torch, which takes seconds
 
         stored = load_model(self.model)
         split = self.split(stored.config.seed)

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from knowarm.errors import UserError
-from knowarm.knowledge.formats.lines import text_lines
+from knowarm.knowledge.formats.tables import text_lines
 from knowarm.knowledge.graph.graph import KnowledgeGraph, Names
-from knowarm.knowledge.kge.split import Split
+from knowarm.knowledge.kge.train import Split
 
 PARTS = ("train", "valid", "test")
 _NUMBER = re.compile("[0-9]{1,9}")

@@ -12,7 +12,7 @@ from xml.parsers import expat
 from pyoxigraph import BlankNode, NamedNode, RdfFormat, Triple, parse, serialize
 
 from knowarm.errors import UserError
-from knowarm.knowledge.formats.lines import open_bytes
+from knowarm.knowledge.formats.tables import open_bytes
 from knowarm.knowledge.graph.builder import GraphBuilder
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.terms import (

@@ -1,18 +1,26 @@
-"""Training of graph embeddings with early stopping, and filtered ranks of link prediction."""
+"""Training of graph embeddings: split, early stopping, filtered ranks, and their file."""
 
+import json
 from collections import defaultdict
 from collections.abc import Callable
 from copy import deepcopy
+from dataclasses import asdict
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import torch
+from safetensors import safe_open
+from safetensors.torch import save
 from torch.nn.functional import cross_entropy
 
+from knowarm.config import from_dict
+from knowarm.cores import torch_threads
 from knowarm.errors import UserError, unknown_name
+from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.kge.models import MODELS, KgeModel
-from knowarm.threads import torch_threads
+from knowarm.reading import reading, writing
 
 
 class Trained(NamedTuple):
@@ -167,3 +175,122 @@ def train(
         else:
             model.load_state_dict(kept)
         return Trained(model, len(losses), best_epoch, tuple(losses), tuple(looks))
+
+
+class Split(NamedTuple):
+    """Triples in three disjoint parts, as ids (n, 3) int64: head, relation, tail."""
+
+    graph: KnowledgeGraph
+    """The whole graph; ids point into its names."""
+    train: np.ndarray
+    valid: np.ndarray
+    test: np.ndarray
+
+    @property
+    def entities(self) -> int:
+        """Number of entities."""
+        return len(self.graph.names)
+
+    @property
+    def relations(self) -> int:
+        """Number of relations."""
+        return len(self.graph.relation_names)
+
+    @property
+    def everything(self) -> np.ndarray:
+        """All triples, (n, 3) int64."""
+        return np.concatenate([self.train, self.valid, self.test])
+
+
+def all_triples(graph: KnowledgeGraph) -> np.ndarray:
+    """Return a graph's triples as ids (n, 3) int64."""
+    return np.stack([graph.heads, graph.relations, graph.tails], axis=1).astype(np.int64)
+
+
+def split_graph(
+    graph: KnowledgeGraph, *, valid: float = 0.1, test: float = 0.1, seed: int = 0
+) -> Split:
+    """Split a graph at random so that every entity and relation occurs in training.
+
+    Triples are taken in a random order; one is held out only while training keeps another triple
+    of its head, relation and tail. `valid` and `test` are the shares to hold out.
+    """
+    if not (0 <= valid < 1 and 0 < test < 1 and valid + test < 1):
+        raise UserError(
+            f"Shares to hold out are valid={valid} and test={test}; each must lie between 0 and 1 "
+            f"and both together below 1."
+        )
+    triples = all_triples(graph)
+    wanted = [round(share * len(triples)) for share in (test, valid)]
+    ends = np.bincount(triples[:, [0, 2]].ravel(), minlength=len(graph.names))
+    uses = np.bincount(triples[:, 1], minlength=len(graph.relation_names))
+    held: list[int] = []
+    for row in np.random.default_rng(seed).permutation(len(triples)):
+        if len(held) == sum(wanted):
+            break
+        head, relation, tail = triples[row]
+        if min(ends[head], ends[tail]) > 1 + (head == tail) and uses[relation] > 1:
+            ends[head] -= 1
+            ends[tail] -= 1
+            uses[relation] -= 1
+            held.append(int(row))
+    if not held:
+        raise UserError(
+            f"No triple of {len(triples)} can be held out so that every entity stays in training. "
+            f"Give a larger graph, or a folder with train2id.txt and test2id.txt."
+        )
+    testing = held[: max(1, round(len(held) * test / (test + valid)))]
+    validating = held[len(testing) :]
+    keep = np.ones(len(triples), bool)
+    keep[held] = False
+    return Split(graph=graph, train=triples[keep], valid=triples[validating], test=triples[testing])
+
+
+FORMAT = "knowarm-graph-embedding-1"
+AGAIN = "Fit the model again with `knowarm knowledge fit GRAPH --out FILE`."
+"""Remedy for a damaged file."""
+
+
+class StoredModel(NamedTuple):
+    """A trained model with the names of its rows."""
+
+    config: KgeConfig
+    model: KgeModel
+    entities: tuple[str, ...]
+    relations: tuple[str, ...]
+
+
+def save_model(model: KgeModel, config: KgeConfig, graph: KnowledgeGraph, path: Path) -> None:
+    """Write a model."""
+    tensors = {name: value.detach().contiguous() for name, value in model.state_dict().items()}
+    for name, names in (("entities", graph.names), ("relations", graph.relation_names)):
+        tensors[f"names.{name}"] = torch.from_numpy(np.frombuffer(names.blob, np.uint8).copy())
+    with writing(path, "Give another path."):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        # `save_file` raises another type of error than `OSError` when a disk is full.
+        path.write_bytes(save(tensors, {"format": FORMAT, "config": json.dumps(asdict(config))}))
+
+
+def load_model(path: Path) -> StoredModel:
+    """Read a model that `save_model` wrote."""
+    if not path.is_file():
+        raise UserError(f"There is no model file {path}. Write one with `save_model`.")
+    with reading(path, AGAIN), safe_open(path, "pt") as file:
+        about = file.metadata() or {}
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    if about.get("format") != FORMAT:
+        raise UserError(
+            f"{path} holds no graph embedding of KnowArm (format {about.get('format')!r}, expected "
+            f"{FORMAT!r}). Make one with `knowarm knowledge fit GRAPH --out FILE`."
+        )
+    with reading(path, AGAIN):
+        config = from_dict(KgeConfig, json.loads(about["config"]))
+        entities, relations = (
+            tuple(tensors.pop(f"names.{kind}").numpy().tobytes().decode().split("\0")[:-1])
+            for kind in ("entities", "relations")
+        )
+        if not all(torch.isfinite(value).all() for value in tensors.values()):
+            raise ValueError("it contains non-finite values")
+        model = new_model(config, len(entities), len(relations))
+        model.load_state_dict(tensors)
+    return StoredModel(config=config, model=model, entities=entities, relations=relations)

@@ -4,7 +4,6 @@ from dataclasses import fields
 from pathlib import Path
 
 from knowarm.errors import UserError, unknown_name
-from knowarm.knowledge.vectors.encoder import SentenceEncoder
 from knowarm.knowledge.vectors.graph_embedding import GraphEmbedding
 from knowarm.knowledge.vectors.placebos import (
     Learned,
@@ -15,7 +14,7 @@ from knowarm.knowledge.vectors.placebos import (
     WrongObject,
     Zeros,
 )
-from knowarm.knowledge.vectors.source import SOURCES, VectorSource
+from knowarm.knowledge.vectors.source import SOURCES, SentenceEncoder, VectorSource
 from knowarm.knowledge.vectors.words import SHIPPED, WordVectors
 
 SOURCES |= {

@@ -11,7 +11,7 @@ from knowarm.errors import UserError
 from knowarm.knowledge.formats import SHIPPED, shipped_graph
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.kge import KgeConfig
-from knowarm.knowledge.kge.split import all_triples
+from knowarm.knowledge.kge.train import all_triples
 from knowarm.knowledge.vectors.source import Coverage, Found, Request, SentencePart, VectorSource
 
 EMBED_EPOCHS = 100
@@ -84,7 +84,7 @@ def embed_graph(model: str, graph: KnowledgeGraph, *, dim: int, seed: int) -> En
 
 def stored_lookup(path: Path, graph: KnowledgeGraph) -> EntityLookup:
     """Read the vectors of a model that `kge.store.save_model` wrote."""
-    from knowarm.knowledge.kge.store import load_model  # torch takes a second to import
+    from knowarm.knowledge.kge.train import load_model  # torch takes a second to import
 
     stored = load_model(path)
     tables = []

@@ -14,7 +14,7 @@ import numpy as np
 from safetensors.numpy import load_file
 
 from knowarm.errors import UserError, unknown_name
-from knowarm.knowledge.formats.lines import byte_lines, decode
+from knowarm.knowledge.formats.tables import byte_lines, decode
 from knowarm.knowledge.vectors.source import (
     Coverage,
     Found,

@@ -19,15 +19,22 @@ from knowarm.learn.a3c.messages import (
     UpdateReport,
     WorkerState,
     mean_metrics,
+    shared_state_specs,
 )
-from knowarm.learn.a3c.shared_state import shared_state_specs
 from knowarm.learn.a3c.worker import run_a3c_worker
 from knowarm.learn.algorithms import A3CConfig
 from knowarm.learn.checkpoint import Arrays, Checkpoint, select
-from knowarm.learn.parallel.flat_parameters import FlatParameters, unflatten_parameters
-from knowarm.learn.parallel.processes import ChildProcess, process_context, stop_all
-from knowarm.learn.parallel.shared_tensors import SharedTensors
-from knowarm.learn.parallel.supervised import SupervisedProcess
+from knowarm.learn.parallel.processes import (
+    ChildProcess,
+    SupervisedProcess,
+    process_context,
+    stop_all,
+)
+from knowarm.learn.parallel.shared_tensors import (
+    FlatParameters,
+    SharedTensors,
+    unflatten_parameters,
+)
 from knowarm.learn.trainer import StopReason, Trainer, crossed
 from knowarm.policy import Policy
 

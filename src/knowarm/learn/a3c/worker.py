@@ -11,17 +11,15 @@ from knowarm.learn.a3c.messages import (
     StateRequest,
     UpdateReport,
     WorkerState,
+    rmsprop_update,
 )
-from knowarm.learn.a3c.shared_state import rmsprop_update
 from knowarm.learn.algorithms import A3CConfig
 from knowarm.learn.collector import Collector
-from knowarm.learn.curriculum import ThresholdCurriculum
-from knowarm.learn.device import resolve_precision
+from knowarm.learn.environment import ThresholdCurriculum
 from knowarm.learn.guards import FiniteGuard
-from knowarm.learn.losses import LossTerms, a3c_loss
-from knowarm.learn.parallel.flat_parameters import FlatParameters
-from knowarm.learn.parallel.shared_tensors import SharedTensors, zeros
-from knowarm.learn.returns import advantages, n_step_returns
+from knowarm.learn.losses import LossTerms, a3c_loss, advantages, n_step_returns
+from knowarm.learn.optimizer import resolve_precision
+from knowarm.learn.parallel.shared_tensors import FlatParameters, SharedTensors, zeros
 from knowarm.learn.rollout import Rollout, rollout_specs
 from knowarm.policy import Policy
 

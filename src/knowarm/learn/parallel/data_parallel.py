@@ -9,7 +9,10 @@ import logging
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
+from multiprocessing.connection import Connection
+from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -17,20 +20,97 @@ from knowarm.cores import available_cores
 from knowarm.learn.algorithms import PPOConfig
 from knowarm.learn.learner import Learner
 from knowarm.learn.losses import PPOLossTerms
-from knowarm.learn.minibatch import TrainingNetwork, add_gradient, buffers
-from knowarm.learn.parallel.flat_parameters import FlatParameters
-from knowarm.learn.parallel.learner_worker import (
-    GradientCommand,
-    InferCommand,
-    infer_shared,
-    run_learner_worker,
-    shared_specs,
+from knowarm.learn.parallel.processes import (
+    ChildProcess,
+    Restarted,
+    SupervisedProcess,
+    process_context,
+    stop_all,
 )
-from knowarm.learn.parallel.processes import ChildProcess, process_context, stop_all
-from knowarm.learn.parallel.shared_tensors import SharedTensors
-from knowarm.learn.parallel.supervised import Restarted, SupervisedProcess
-from knowarm.learn.rollout import Rollout
-from knowarm.policy import MatmulPrecision, State
+from knowarm.learn.parallel.shared_tensors import FlatParameters, SharedTensors, TensorSpecs
+from knowarm.learn.rollout import (
+    Rollout,
+    TrainingNetwork,
+    add_gradient,
+    buffer_specs,
+    buffers,
+    infer_step,
+)
+from knowarm.policy import MatmulPrecision, Policy, PolicySpec, State
+
+
+class InferCommand(NamedTuple):
+    """To a worker: run the policy for step ``t`` of the environments ``envs``."""
+
+    t: int
+    envs: slice
+
+
+class GradientCommand(NamedTuple):
+    """To a worker: compute the gradient over ``env_ids``, weighted; see `add_gradient`."""
+
+    env_ids: np.ndarray
+    weight: float
+
+
+def shared_specs(network: TrainingNetwork, config: PPOConfig, processes: int) -> TensorSpecs:
+    """Return shapes and dtypes of the tensors that trainer and workers share."""
+    policy, count = network.policy, config.num_envs
+    shape = policy.shape
+    parameters = sum(p.numel() for p in network.parameters())
+    return {
+        **buffer_specs(network, config),
+        "parameters": ((parameters,), torch.float32),
+        "gradients": ((processes, parameters), torch.float32),
+        "terms": ((processes, len(PPOLossTerms.names())), torch.float32),
+        "image": ((count, shape.image_size, shape.image_size, 3), torch.uint8),
+        "h": ((count, policy.hidden_size), torch.float32),
+        "c": ((count, policy.hidden_size), torch.float32),
+        "logits": ((count, shape.joints, shape.levels), torch.float32),
+    }
+
+
+def infer_shared(
+    policy: Policy, rollout: Rollout, shared: SharedTensors, t: int, image: Tensor, envs: slice
+) -> None:
+    """Run the policy for step t of ``envs``; recurrent states and logits are shared tensors."""
+    state = (shared["h"], shared["c"])
+    logits, (h, c) = infer_step(policy, rollout, t, image, state, envs)
+    shared["logits"][envs] = logits
+    shared["h"][envs] = h
+    shared["c"][envs] = c
+
+
+def run_learner_worker(
+    spec: PolicySpec,
+    auxiliary_targets: int,
+    config: PPOConfig,
+    precision: MatmulPrecision,
+    shared: SharedTensors,
+    index: int,
+    connection: Connection,
+) -> None:
+    """Entry point of a learner worker: execute commands until the parent process exits.
+
+    Every command is answered with true once its results are in shared memory.
+    """
+    policy = spec.build()
+    policy.matmul_precision = precision
+    network = TrainingNetwork(policy, auxiliary_targets)
+    gradient = shared["gradients"][index]
+    FlatParameters(network, shared["parameters"], gradient, keep_values=False)
+    rollout, targets = buffers(shared.tensors)
+    while True:
+        command = connection.recv()
+        if isinstance(command, InferCommand):
+            infer_shared(policy, rollout, shared, command.t, shared["image"], command.envs)
+        else:
+            gradient.zero_()
+            env_ids = torch.from_numpy(command.env_ids)
+            terms = add_gradient(network, config, rollout, targets, env_ids, command.weight)
+            shared["terms"][index] = terms.vector()
+        connection.send(True)
+
 
 log = logging.getLogger("knowarm.learn")
 

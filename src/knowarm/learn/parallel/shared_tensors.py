@@ -1,4 +1,4 @@
-"""Tensors in memory shared between processes."""
+"""Tensors in memory shared between processes, and parameters as one flat tensor."""
 
 import ctypes
 import math
@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from multiprocessing.context import BaseContext
 from typing import Any
 
+import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 TensorSpecs = Mapping[str, tuple[tuple[int, ...], torch.dtype]]
 """Shape and dtype of each tensor by name."""
@@ -48,3 +49,58 @@ class SharedTensors:
             name: torch.frombuffer(buffer, dtype=dtype).view(shape)
             for name, (buffer, shape, dtype) in buffers.items()
         }
+
+
+class FlatParameters:
+    """The parameters of a module as one vector, in the order of ``named_parameters``.
+
+    The module's parameters become views: writing the vector changes the module, and a backward
+    pass fills the gradient vector. With ``keep_values`` the parameters are copied to ``values``;
+    else the module takes over its content.
+
+    Attributes:
+        values: (P,) float32, as given or new memory.
+        gradient: (P,) float32, as given or new memory.
+    """
+
+    def __init__(
+        self,
+        module: nn.Module,
+        values: Tensor | None = None,
+        gradient: Tensor | None = None,
+        *,
+        keep_values: bool = True,
+    ) -> None:
+        before = torch.cat([p.detach().flatten() for p in module.parameters()])
+        self.values = torch.empty_like(before) if values is None else values
+        self.gradient = torch.zeros_like(before) if gradient is None else gradient
+        if keep_values:
+            self.values.copy_(before)
+        start = 0
+        for parameter in module.parameters():
+            end = start + parameter.numel()
+            parameter.data = self.values[start:end].view_as(parameter)
+            parameter.grad = self.gradient[start:end].view_as(parameter)
+            start = end
+
+    def clip_gradient(self, max_norm: float) -> Tensor:
+        """Scale the gradient down to ``max_norm`` if it is longer; return its norm before."""
+        norm = torch.linalg.vector_norm(self.gradient)
+        if norm > max_norm:
+            self.gradient.mul_(max_norm / norm)
+        return norm
+
+
+def flatten_parameters(module: nn.Module) -> np.ndarray:
+    """Copy all parameters of a module into one vector (P,) float32 on the host."""
+    return torch.cat([p.detach().flatten() for p in module.parameters()]).cpu().numpy()
+
+
+def unflatten_parameters(module: nn.Module, values: np.ndarray) -> dict[str, np.ndarray]:
+    """Split a vector (P,) into arrays with the names and shapes of a module's parameters."""
+    arrays, start = {}, 0
+    for name, parameter in module.named_parameters():
+        end = start + parameter.numel()
+        arrays[name] = values[start:end].reshape(parameter.shape).copy()
+        start = end
+    return arrays

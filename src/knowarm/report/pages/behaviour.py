@@ -8,14 +8,13 @@ import numpy as np
 from PIL import Image
 
 from knowarm.errors import UserError
-from knowarm.experiment.evaluation_files import read_film
+from knowarm.experiment.summary import read_film
 from knowarm.knowledge.graph.terms import label_of
 from knowarm.report import format
-from knowarm.report.blocks import Block, Figure, Film, Films, Panel, Verdict
+from knowarm.report.blocks import Block, Column, Figure, Film, Films, Panel, Row, Verdict, table_of
 from knowarm.report.charts import density_chart
 from knowarm.report.model import Evaluation, Group, TaskData
 from knowarm.report.pages.paper import published_comparison
-from knowarm.report.tables import Column, Row, table_of
 
 STRIP_FRAMES = 8  # frames of a film strip
 MOST_EPISODES = 3  # shown per task: the first recorded one of each target

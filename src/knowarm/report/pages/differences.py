@@ -6,13 +6,12 @@ from dataclasses import replace
 import numpy as np
 
 from knowarm.errors import UserError
-from knowarm.report.blocks import Block, Figure
+from knowarm.report.blocks import Block, Column, DataTable, Figure, Row, cells, table_of
 from knowarm.report.charts import SUCCESS_AXIS, Series, percent_axis
 from knowarm.report.model import Evaluation, Group, TaskData
 from knowarm.report.pages.knowledge import forest_figure
 from knowarm.report.pages.paper import published_comparison
 from knowarm.report.pages.training import sized_panels
-from knowarm.report.tables import Column, DataTable, Row, cells, table_of
 from knowarm.report.verdicts.claims import ALPHA, FEWEST_SEEDS, OUTCOMES, Claim, pairs, scores
 from knowarm.statistics import (
     Interval,

@@ -12,11 +12,22 @@ from knowarm.errors import UserError
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.knowledge import KnowledgeConfig, scene_subgraph
 from knowarm.learn.algorithms import privileged_uses
-from knowarm.report.blocks import Block, Figure, Pair, Panel, Tone, Verdict
+from knowarm.report.blocks import (
+    Block,
+    Column,
+    DataTable,
+    Figure,
+    Pair,
+    Panel,
+    Row,
+    Tone,
+    Verdict,
+    shared,
+    table_of,
+)
 from knowarm.report.diagrams import SHADES, graph_diagram, heat_map, stacked_bars
 from knowarm.report.format import listed, slugs
 from knowarm.report.model import CONTROLS, Group, RunData, TaskData
-from knowarm.report.tables import Column, DataTable, Row, shared, table_of
 
 MOST_VECTORS = 4  # distinct knowledge vectors that are drawn; the table lists all
 MOST_SLOTS = 24  # slots of a vector that the page shows; the run folder has all of them

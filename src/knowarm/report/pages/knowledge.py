@@ -5,13 +5,12 @@ from dataclasses import replace
 
 from knowarm.experiment.agents import AGENTS
 from knowarm.report import format
-from knowarm.report.blocks import Block, Figure, Panel
+from knowarm.report.blocks import Block, Column, DataTable, Figure, Panel, Row, cells, table_of
 from knowarm.report.charts import POINTS_AXIS
 from knowarm.report.collect import LATEST, UNTRAINED
 from knowarm.report.diagrams import Dot, dot_chart
 from knowarm.report.format import slugs
 from knowarm.report.model import Group, TaskData
-from knowarm.report.tables import Column, DataTable, Row, cells, table_of
 from knowarm.report.verdicts.claims import Claim
 from knowarm.report.verdicts.knowledge import finding
 from knowarm.statistics import welch

@@ -8,11 +8,21 @@ from typing import Any
 
 import numpy as np
 
-from knowarm.report.blocks import Block, Figure, Panel, Text
+from knowarm.report.blocks import (
+    Block,
+    Column,
+    DataTable,
+    Figure,
+    Panel,
+    Row,
+    Text,
+    cells,
+    row_of,
+    shared,
+)
 from knowarm.report.charts import percent_axis
 from knowarm.report.diagrams import dot_chart, group_dot
 from knowarm.report.model import Group, StudyData, TaskData
-from knowarm.report.tables import Column, DataTable, Row, cells, row_of, shared
 from knowarm.report.verdicts.learning import learned
 from knowarm.statistics import Interval, bootstrap
 

@@ -8,14 +8,25 @@ import numpy as np
 from knowarm.errors import UserError
 from knowarm.knowledge.queries.splits import SPLITS
 from knowarm.report import format
-from knowarm.report.blocks import Block, Figure, Panel, Verdict
+from knowarm.report.blocks import (
+    Block,
+    Column,
+    DataTable,
+    Figure,
+    Panel,
+    Row,
+    Verdict,
+    cells,
+    row_of,
+    shared,
+    table_of,
+)
 from knowarm.report.charts import CHOICE_AXIS, percent_axis
 from knowarm.report.collect import split_groups
 from knowarm.report.diagrams import confusion_map, dot_chart, group_dot
 from knowarm.report.model import Evaluation, Group, SplitGroup, TaskData
 from knowarm.report.pages.results import part_panels
 from knowarm.report.pages.training import curve_figure
-from knowarm.report.tables import Column, DataTable, Row, cells, row_of, shared, table_of
 from knowarm.report.verdicts.claims import ALPHA, FEWEST_SEEDS, Finding
 from knowarm.statistics import Interval
 

@@ -3,11 +3,21 @@
 from collections.abc import Callable, Iterable, Sequence
 
 from knowarm.report import format
-from knowarm.report.blocks import Block, Figure, Panel
+from knowarm.report.blocks import (
+    Block,
+    Column,
+    DataTable,
+    Figure,
+    Panel,
+    Row,
+    cells,
+    row_of,
+    shared,
+    table_of,
+)
 from knowarm.report.charts import SUCCESS_AXIS, Axis
 from knowarm.report.diagrams import Dot, dot_chart
 from knowarm.report.model import Evaluation, Group, TaskData
-from knowarm.report.tables import Column, DataTable, Row, cells, row_of, shared, table_of
 from knowarm.statistics import Interval
 from knowarm.world.agents import BLIND_AGENTS
 

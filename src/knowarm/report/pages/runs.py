@@ -3,12 +3,24 @@
 from collections.abc import Sequence
 
 from knowarm.report import format
-from knowarm.report.blocks import Block, Figure, Panel, Text, Tile, Tiles, Verdict
+from knowarm.report.blocks import (
+    Block,
+    Column,
+    DataTable,
+    Figure,
+    Panel,
+    Row,
+    Text,
+    Tile,
+    Tiles,
+    Verdict,
+    row_of,
+    shared,
+)
 from knowarm.report.charts import RETURN_AXIS, SUCCESS_AXIS
 from knowarm.report.diagrams import dot_chart, group_dot
 from knowarm.report.format import counted
 from knowarm.report.model import RunData, StudyData, TaskData
-from knowarm.report.tables import Column, DataTable, Row, row_of, shared
 from knowarm.report.verdicts.claims import Claim, Finding
 from knowarm.report.verdicts.knowledge import findings
 from knowarm.report.verdicts.learning import learning_verdict, vision_verdict

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from knowarm.report.blocks import Block, Figure, Panel
+from knowarm.report.blocks import Block, Column, DataTable, Figure, Panel, Row, cells, table_of
 from knowarm.report.charts import (
     RETURN_AXIS,
     STEPS_AXIS,
@@ -18,7 +18,6 @@ from knowarm.report.charts import (
 )
 from knowarm.report.model import CONTROLS, Curve, Group, RunData, TaskData
 from knowarm.report.pages.paper import time_saved
-from knowarm.report.tables import Column, DataTable, Row, cells, table_of
 from knowarm.statistics import first_crossing, median_steps, on_grid, restricted_mean_steps, trend
 
 GRID = 48  # points of a drawn curve

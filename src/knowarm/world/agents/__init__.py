@@ -3,9 +3,15 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from knowarm.world.agents.blinded import BlindAgent, FrozenAgent
 from knowarm.world.agents.open_loop import OpenLoopAgent
-from knowarm.world.agents.scripted import AgentProtocol, OracleAgent, RandomAgent, ZeroAgent
+from knowarm.world.agents.scripted import (
+    AgentProtocol,
+    BlindAgent,
+    FrozenAgent,
+    OracleAgent,
+    RandomAgent,
+    ZeroAgent,
+)
 
 __all__ = [
     "BLIND_AGENTS",

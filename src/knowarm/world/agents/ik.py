@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from knowarm.world.backends.mujoco import MujocoSimulator
+from knowarm.world.backend import MujocoSimulator
 from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.reward import measure
 

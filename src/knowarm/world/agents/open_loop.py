@@ -17,9 +17,9 @@ from knowarm.world.agents.open_loop_score import OpenLoopScore
 from knowarm.world.cache import cache_file, read_arrays, write_arrays
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ReachVectorEnv
-from knowarm.world.tasks.draws import derive
 from knowarm.world.tasks.episodes import draw_episodes
 from knowarm.world.tasks.running import ACTION_LEVELS
+from knowarm.world.tasks.sampling import derive
 
 BUDGET = 20_000  # Candidates that a search scores: 13 s on one core with three targets
 SEARCH_EPISODES = 1_000  # Episodes on which candidates are scored

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.compiling import njit
-from knowarm.world.config import EnvConfig
-from knowarm.world.scene.attach import ROBOT_PREFIX
+from knowarm.world.config import EnvConfig, scene_of
+from knowarm.world.scene.compose import ROBOT_PREFIX
 from knowarm.world.scene.scene import Scene, target_places
-from knowarm.world.setting import scene_of
 from knowarm.world.tasks.episodes import Episodes
 from knowarm.world.tasks.running import joint_increments
 

@@ -1,4 +1,4 @@
-"""Agent protocol, and the agents that act by a fixed rule: zero, random and oracle."""
+"""Agent protocol, agents that act by a fixed rule (zero, random, oracle), and blinding."""
 
 from typing import Protocol
 
@@ -76,3 +76,36 @@ class OracleAgent:
         """Choose for each joint the action that ends nearest to its solution, (n, J)."""
         way = self._reach.joints - self._env.joint_targets
         return np.abs(way[..., None] - self._levels).argmin(axis=-1)
+
+
+class BlindAgent:
+    """Plays an agent, which keeps its memory and its knowledge, on black images."""
+
+    def __init__(self, agent: AgentProtocol) -> None:
+        self._agent = agent
+
+    def start(self, env: ReachVectorEnv) -> None:
+        """Start the agent."""
+        self._agent.start(env)
+
+    def act(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:
+        """Choose actions (n, J) for black images."""
+        return self._agent.act(np.zeros_like(observations))
+
+
+class FrozenAgent:
+    """Plays an agent that sees the first image of an episode in every step."""
+
+    def __init__(self, agent: AgentProtocol) -> None:
+        self._agent = agent
+
+    def start(self, env: ReachVectorEnv) -> None:
+        """Start the agent and forget the images."""
+        self._agent.start(env)
+        self._first: NDArray[np.uint8] | None = None
+
+    def act(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:
+        """Choose actions (n, J) for the first images since the start."""
+        if self._first is None:
+            self._first = observations.copy()
+        return self._agent.act(self._first)

@@ -10,10 +10,9 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from knowarm.errors import UserError
-from knowarm.world.config import EnvConfig
+from knowarm.world.config import EnvConfig, facets_of
 from knowarm.world.envs.single_env import ReachEnv
 from knowarm.world.envs.vector_env import ReachVectorEnv
-from knowarm.world.setting import facets_of
 
 Observation = dict[str, NDArray[Any]]
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from knowarm.errors import UserError
-from knowarm.world.backends.mujoco import MujocoSimulator
+from knowarm.world.backend import MujocoSimulator
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.arguments import check_action_range
 from knowarm.world.envs.vector_env import describe, draw_images

@@ -9,12 +9,11 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from knowarm.errors import UserError
-from knowarm.world.backends.mujoco import MujocoSimulator
-from knowarm.world.config import EnvConfig
+from knowarm.world.backend import MujocoSimulator
+from knowarm.world.config import EnvConfig, scene_of
 from knowarm.world.envs.arguments import check_state, checked_actions
 from knowarm.world.render.renderer import Renderer, make_renderer
 from knowarm.world.scene.scene import Scene
-from knowarm.world.setting import scene_of
 from knowarm.world.tasks.running import ACTION_LEVELS, RunningEpisodes
 
 RENDER_SIZE = 480  # Width and height of the images that ``render`` returns [px]

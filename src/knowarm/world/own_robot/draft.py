@@ -17,12 +17,12 @@ from knowarm.config import from_dict
 from knowarm.errors import UserError, unknown_name
 from knowarm.reading import one_line
 from knowarm.world.agents.ik import InverseKinematics
-from knowarm.world.backends.mujoco import MujocoSimulator
+from knowarm.world.backend import MujocoSimulator
 from knowarm.world.config import EnvConfig
 from knowarm.world.own_robot.draft_gripper import find_gripper
 from knowarm.world.own_robot.draft_reach import places, reach_m, reach_table
 from knowarm.world.robots.robot import Robot
-from knowarm.world.scene.attach import ROBOT_PREFIX, read_mjcf
+from knowarm.world.scene.compose import ROBOT_PREFIX, read_mjcf
 from knowarm.world.scene.scene import Scene, build_scene, find_targets
 from knowarm.world.tasks.reward import measure
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from knowarm.errors import UserError
 from knowarm.world.agents.ik import InverseKinematics
-from knowarm.world.backends.mujoco import MujocoSimulator
+from knowarm.world.backend import MujocoSimulator
 from knowarm.world.scene.scene import Scene
 
 CELLS = 7  # Places along each side of the area in which the rectangle is searched

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from knowarm.errors import UserError
 from knowarm.world.agents.ik import InverseKinematics
-from knowarm.world.backends.mujoco import MujocoSimulator
-from knowarm.world.config import EnvConfig
+from knowarm.world.backend import MujocoSimulator
+from knowarm.world.config import EnvConfig, scene_of
 from knowarm.world.own_robot.robot_check import (
     Check,
     check_reach,
@@ -20,7 +20,6 @@ from knowarm.world.own_robot.robot_check import (
 from knowarm.world.render.renderer import make_renderer
 from knowarm.world.scene.appearance import TargetColours, resting_colours
 from knowarm.world.scene.scene import Scene, target_places
-from knowarm.world.setting import scene_of
 from knowarm.world.tasks import task_type
 
 PLACES = 4  # Positions per side of the grid over the rectangle at which objects are checked

@@ -1,12 +1,14 @@
-"""Checks of a robot's description: scene, joints, gripper, servos, reach and visibility."""
+"""Checks of a robot's description: scene, joints, gripper, servos, reach, visibility; image."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image, ImageDraw
 
 from knowarm.errors import UserError
 from knowarm.world.agents.ik import IKSolution, InverseKinematics
@@ -14,7 +16,7 @@ from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ReachVectorEnv
 from knowarm.world.render.renderer import make_renderer
 from knowarm.world.scene.appearance import TargetColours, resting_colours
-from knowarm.world.scene.scene import Scene
+from knowarm.world.scene.scene import Scene, project, target_places
 from knowarm.world.tasks.episodes import evaluation_episodes
 from knowarm.world.tasks.running import ACTION_LEVELS, joint_increments
 
@@ -193,3 +195,39 @@ def check_visible(name: str, shown: NDArray[Any], hidden: NDArray[np.int16], rem
 def different_pixels(a: NDArray[Any], b: NDArray[np.int16]) -> NDArray[np.int64]:
     """Count the pixels in which images (..., H, W, 3) differ, (...)."""
     return np.asarray((np.abs(a - b).max(axis=-1) > DIFFERENCE).sum(axis=(-2, -1)))
+
+
+SIDE = 512  # Side of each of the two images [px]
+LINE = (255, 210, 60)  # Colour of the rectangle and of the gripper's approach
+APPROACH_M = 0.1  # Length of the line that shows the gripper's approach [m]
+
+
+def write_scene_image(scene: Scene, config: EnvConfig, path: Path) -> None:
+    """Draw the arm at its start with the targets at corners of the rectangle, and write a PNG."""
+    robot, model = scene.robot, scene.model
+    data = mujoco.MjData(model)
+    data.qpos[scene.qpos_index] = scene.home
+    centre, half = np.array(robot.rectangle_centre_m), np.array(robot.rectangle_half_size_m)
+    corners = target_places(scene, centre + half * [(-1, -1), (-1, 1), (1, 1), (1, -1)])
+    for k, mocap in enumerate(scene.target_mocap):
+        data.mocap_pos[mocap] = corners[k % 4]
+    mujoco.mj_kinematics(model, data)
+    poses = data.geom_xpos[None], data.geom_xmat[None]
+    colours = resting_colours(scene, 1)
+    colours[:, scene.geom_target >= 0, 3] = 1.0
+    small = make_renderer(scene, config, config.image_size, 1).draw(*poses, colours)[0]
+    # One image is drawn faster with full meshes than they are simplified.
+    full = replace(config, mesh_detail="full")
+    large = Image.fromarray(make_renderer(scene, full, SIDE, 1).draw(*poses, colours)[0])
+    pen = ImageDraw.Draw(large)
+    tip = data.site_xpos[scene.tcp_site]
+    ahead = tip + APPROACH_M * data.site_xmat[scene.tcp_site].reshape(3, 3)[:, 2]
+    for points in (np.concatenate([corners, corners[:1]]), np.stack([tip, ahead])):
+        seen = (project(scene, points) * [1, -1] + 1) * SIDE / 2
+        if np.isfinite(seen).all():
+            pen.line([tuple(point) for point in seen.tolist()], fill=LINE, width=2)
+    both = Image.new("RGB", (2 * SIDE, SIDE))
+    both.paste(large, (0, 0))
+    both.paste(Image.fromarray(small).resize((SIDE, SIDE), Image.Resampling.NEAREST), (SIDE, 0))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    both.save(path)

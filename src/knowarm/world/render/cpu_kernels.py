@@ -21,6 +21,7 @@ from knowarm.world.render.numeric import (
     Vector,
     cached_njit,
     dot,
+    light_geom,
     nine,
     scalar,
     times,
@@ -29,7 +30,6 @@ from knowarm.world.render.numeric import (
     triple,
 )
 from knowarm.world.render.scenery import Meshes, Scenery
-from knowarm.world.render.shading import light_geom
 from knowarm.world.render.tiles import BITS, TILE, TileGrid, project_geom, sample_point
 
 

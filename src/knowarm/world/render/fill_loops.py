@@ -34,11 +34,11 @@ from knowarm.world.render.numeric import (
     minus,
     nine,
     scalar,
+    shade,
     to_parent,
     triple,
 )
 from knowarm.world.render.scenery import Meshes
-from knowarm.world.render.shading import shade
 from knowarm.world.render.tiles import (
     BITS,
     NEAR,

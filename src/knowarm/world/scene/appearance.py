@@ -1,13 +1,163 @@
-"""Appearance of episodes: colours of the geoms, cameras and lights."""
+"""Looks of a scene: visual randomization, and the appearance of each episode."""
 
-from typing import NamedTuple
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from knowarm.errors import UserError
 from knowarm.world.render.scenery import material_colours
-from knowarm.world.scene.looks import LookSource, VisualRandomization
 from knowarm.world.scene.scene import Scene
+
+if TYPE_CHECKING:  # The config is read where nothing else of MuJoCo is needed.
+    from knowarm.world.scene.scene import Scene
+
+
+MAX_DISTRACTORS = 4
+FIXED_DRAWS, DRAWS_PER_DISTRACTOR = 16, 5
+"""Uniform draws per episode: those always made, and two for the position and three for the colour
+of each distractor."""
+
+_LIGHT, _SHIFT, _TURN, _SURFACE = 0, 4, 7, 10  # Index of the first draw of each kind
+_CLEARANCE_M = 0.14  # Least distance of a distractor from the target [m]
+_SPREAD = 1.5  # Size of the distractors' rectangle relative to the targets'
+
+
+@dataclass(frozen=True, kw_only=True)
+class VisualRandomization:
+    """Ranges of what varies between episodes besides the paper's colours; all off by default.
+
+    It changes images only, never what the robot can reach.
+    """
+
+    light: float = 0.0
+    """Relative change of the brightness of headlight and directional light, 0 to 1."""
+    light_angle_deg: float = 0.0
+    """Rotation of the directional light about x and about y, 0 to 60 [deg]."""
+    camera_shift_m: float = 0.0
+    """Shift of the camera along each axis, 0 to .5 [m]."""
+    camera_turn_deg: float = 0.0
+    """Rotation of the camera about each of its axes, 0 to 30 [deg]."""
+    surface_colour: float = 0.0
+    """Change of red, green and blue of floor and table, 0 to 1."""
+    distractors: int = 0
+    """Number of objects of other shapes and random colours beside the target, 0 to 4."""
+
+    def __post_init__(self) -> None:
+        for name, most in (
+            ("light", 1.0),
+            ("light_angle_deg", 60.0),
+            ("camera_shift_m", 0.5),
+            ("camera_turn_deg", 30.0),
+            ("surface_colour", 1.0),
+            ("distractors", MAX_DISTRACTORS),
+        ):
+            value = getattr(self, name)
+            if not 0 <= value <= most:
+                raise UserError(
+                    f"VisualRandomization.{name} must lie in 0 to {most:g}, got {value}."
+                )
+
+    @property
+    def draws(self) -> int:
+        """Number of uniform draws per episode; 0 when everything is off."""
+        off = self == VisualRandomization()
+        return 0 if off else FIXED_DRAWS + DRAWS_PER_DISTRACTOR * self.distractors
+
+
+class Look(NamedTuple):
+    """Appearance of k environments; None where the model's own value applies."""
+
+    # Position [m] and row-major rotation of the camera, world, (k, 12)
+    views: NDArray[np.float32] | None
+    # Sum of ambient colours, diffuse colours of headlight and directional light, and the unit
+    # vector towards the latter, (k, 4, 3)
+    lamps: NDArray[np.float32] | None
+    # RGB of the floor and, if there is one, the table top, (k, S, 3)
+    surface_rgb: NDArray[np.float32] | None
+    distractor_position: NDArray[np.float64]  # x and y of the distractors [m], (k, D, 2)
+    distractor_rgb: NDArray[np.float32]  # RGB of the distractors, (k, D, 3)
+
+
+class LookSource:
+    """Computes the looks of episodes from uniform draws."""
+
+    def __init__(self, scene: "Scene", config: VisualRandomization) -> None:
+        model, robot = scene.model, scene.robot
+        self._config = config
+        self._camera_position = scene.camera_position
+        self._camera_matrix = scene.camera_matrix
+        self._ambient = np.array(model.vis.headlight.ambient) + model.light_ambient.sum(axis=0)
+        self._headlight = np.array(model.vis.headlight.diffuse, dtype=np.float64)
+        self._sunlight = model.light_diffuse[0].astype(np.float64)
+        self._sun_direction = model.light_dir[0].astype(np.float64)
+        self._surface_rgb = model.geom_rgba[list(scene.surface_geoms), :3]
+        self._centre = np.array(robot.rectangle_centre_m)
+        self._half = _SPREAD * np.array(robot.rectangle_half_size_m)
+
+    def __call__(self, uniforms: NDArray[np.float64], position: NDArray[np.float64]) -> Look:
+        """Compute the looks of k episodes from draws in [0, 1), (k, ``config.draws``).
+
+        Distractors keep a distance from the targets' x and y, (k, 2) [m].
+        """
+        config = self._config
+        signed = 2 * uniforms - 1
+        moved = config.camera_shift_m > 0 or config.camera_turn_deg > 0
+        lit = config.light > 0 or config.light_angle_deg > 0
+        shape = len(uniforms), config.distractors, DRAWS_PER_DISTRACTOR
+        rest = uniforms[:, FIXED_DRAWS:].reshape(shape)
+        return Look(
+            views=self._views(signed) if moved else None,
+            lamps=self._lamps(signed) if lit else None,
+            surface_rgb=self._surfaces(signed) if config.surface_colour > 0 else None,
+            distractor_position=self._places(2 * rest[..., :2] - 1, position),
+            distractor_rgb=rest[..., 2:].astype(np.float32),
+        )
+
+    def _views(self, signed: NDArray[np.float64]) -> NDArray[np.float32]:
+        shift = self._config.camera_shift_m * signed[:, _SHIFT:_TURN]
+        turn = math.radians(self._config.camera_turn_deg) * signed[:, _TURN:_SURFACE]
+        turned = (self._camera_matrix @ rotations(turn)).reshape(-1, 9)
+        views = np.concat([self._camera_position + shift, turned], axis=1)
+        return views.astype(np.float32)
+
+    def _lamps(self, signed: NDArray[np.float64]) -> NDArray[np.float32]:
+        head = 1 + self._config.light * signed[:, _LIGHT : _LIGHT + 1]
+        sun = 1 + self._config.light * signed[:, _LIGHT + 1 : _LIGHT + 2]
+        turn = math.radians(self._config.light_angle_deg) * signed[:, _LIGHT + 2 : _LIGHT + 4]
+        turn = np.concat([turn, np.zeros_like(turn[:, :1])], axis=1)
+        towards = -(rotations(turn) @ self._sun_direction)
+        lamps = [self._ambient * head, self._headlight * head, self._sunlight * sun, towards]
+        return np.stack(lamps, axis=1).astype(np.float32)
+
+    def _surfaces(self, signed: NDArray[np.float64]) -> NDArray[np.float32]:
+        draws = signed[:, _SURFACE:FIXED_DRAWS].reshape(-1, 2, 3)
+        change = self._config.surface_colour * draws[:, : self._surface_rgb.shape[0]]
+        return np.clip(self._surface_rgb + change, 0, 1).astype(np.float32)
+
+    def _places(
+        self, signed: NDArray[np.float64], position: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return positions in a rectangle larger than the targets', pushed away from the target."""
+        drawn = self._centre + signed * self._half
+        offset = drawn - position[:, None, :]
+        distance = np.linalg.norm(offset, axis=-1, keepdims=True)
+        pushed = position[:, None, :] + offset / np.clip(distance, 1e-9, None) * _CLEARANCE_M
+        return np.where(distance < _CLEARANCE_M, pushed, drawn)
+
+
+def rotations(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Convert rotation vectors (k, 3) [rad] to matrices (k, 3, 3) by Rodrigues' formula."""
+    angle = np.linalg.norm(vectors, axis=1)
+    axis = vectors / np.clip(angle, 1e-12, None)[:, None]
+    x, y, z = axis[:, 0], axis[:, 1], axis[:, 2]
+    zero = np.zeros_like(x)
+    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
+    one = np.eye(3)
+    sine, cosine = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
+    return one + sine * cross + (1 - cosine) * (cross @ cross)
 
 
 def resting_colours(scene: Scene, num_envs: int) -> NDArray[np.float32]:

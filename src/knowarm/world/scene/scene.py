@@ -10,14 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.errors import UserError, unknown_name
-from knowarm.world.objects import TARGETS
-from knowarm.world.objects.target import Target
+from knowarm.world.objects import TARGETS, Target
 from knowarm.world.robots import ROBOTS
-from knowarm.world.robots.description_file import SUFFIX, read_robot, read_target
 from knowarm.world.robots.menagerie import KNOWN_ARMS
-from knowarm.world.robots.robot import Robot
-from knowarm.world.scene.attach import ROBOT_PREFIX
-from knowarm.world.scene.compose import CAMERA, DISTRACTOR, compose
+from knowarm.world.robots.robot import SUFFIX, Robot, read_robot, read_target
+from knowarm.world.scene.compose import CAMERA, DISTRACTOR, ROBOT_PREFIX, compose
 
 ENDLESS_RANGE_RAD = (-2 * np.pi, 2 * np.pi)  # Range of hinges that have none of their own [rad]
 

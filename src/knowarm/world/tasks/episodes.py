@@ -6,9 +6,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from knowarm.world.config import EnvConfig
-from knowarm.world.setting import setting_of
-from knowarm.world.tasks.draws import derive, uniforms
+from knowarm.world.config import EnvConfig, setting_of
+from knowarm.world.tasks.sampling import derive, uniforms
 
 _JOINTS = 4
 """Number of the first draw of the joint offsets; those before it are the task's."""

@@ -7,12 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.errors import UserError
-from knowarm.world.backends.mujoco import MujocoSimulator
-from knowarm.world.config import EnvConfig
+from knowarm.world.backend import MujocoSimulator
+from knowarm.world.config import EnvConfig, setting_of
 from knowarm.world.envs.arguments import check_state, masked_ids, spread_seeds
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.appearance import AppearanceSource, Shown
-from knowarm.world.setting import setting_of
 from knowarm.world.tasks.episodes import Episodes, EpisodeSource
 from knowarm.world.tasks.reward import measure
 from knowarm.world.tasks.state import EpisodeState

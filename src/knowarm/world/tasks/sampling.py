@@ -1,4 +1,9 @@
-"""Sampling of objects: what a task draws episodes from, and one object per episode."""
+"""Sampling of objects: what a task draws episodes from, one object per episode, the draws.
+
+Random numbers are counter-based: a draw is a hash of stream, episode and draw number, so any
+episodes of any streams can be drawn in one batch, in any order, and the state of a stream is two
+integers. The hash is splitmix64's finalizer (Steele, Lea and Flood 2014) applied to each in turn.
+"""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
@@ -7,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.questions import ObjectColour
-from knowarm.world.objects.target import Target
+from knowarm.world.objects import Target
 from knowarm.world.tasks.held_out import TRIES, HeldOut, allowed_colours, check_names, choose_places
 
 if TYPE_CHECKING:  # Configs are read where nothing else needs MuJoCo.
     from knowarm.world.scene.scene import Scene
+
 
 Colours = Literal["fixed", "randomized"]
 
@@ -110,3 +116,34 @@ def _allowed_colours(setting: Setting) -> tuple[NDArray[np.int64], NDArray[np.in
     for k, indices in enumerate(allowed):
         table[k, : len(indices)] = indices
     return table, np.array([len(indices) for indices in allowed])
+
+
+Words = NDArray[np.uint64]
+
+_GAMMA = np.uint64(0x9E3779B97F4A7C15)
+_MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
+_MIX_2 = np.uint64(0x94D049BB133111EB)
+
+
+def uniforms(streams: Words, episodes: Words, count: int) -> NDArray[np.float64]:
+    """Draw ``count`` uniforms in [0, 1) for each stream's seed and episode's number, (n, count)."""
+    key = _mix(_mix(streams) ^ episodes)
+    draws = np.arange(count, dtype=np.uint64)
+    bits = _mix(key[:, None] ^ _mix(draws)[None, :])
+    return (bits >> np.uint64(11)).astype(np.float64) * 2.0**-53
+
+
+def derive(seed: int, label: str) -> int:
+    """Derive a 64-bit seed that is unrelated to the streams seed, seed + 1, ... for a purpose."""
+    digest = np.array([seed % 2**64], dtype=np.uint64)
+    for byte in label.encode():
+        digest = _mix(digest ^ np.uint64(byte))
+    return int(digest[0])
+
+
+def _mix(x: Words) -> Words:
+    """Add the golden gamma and apply splitmix64's finalizer, modulo 2**64."""
+    x = x + _GAMMA
+    x = (x ^ (x >> np.uint64(30))) * _MIX_1
+    x = (x ^ (x >> np.uint64(27))) * _MIX_2
+    return x ^ (x >> np.uint64(31))

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:  # Configs are read where nothing else needs MuJoCo.
-    from knowarm.world.backends.mujoco import MujocoSimulator
+    from knowarm.world.backend import MujocoSimulator
     from knowarm.world.scene.scene import Scene
 
 

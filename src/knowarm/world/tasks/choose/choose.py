@@ -15,8 +15,13 @@ from knowarm.config import check_numbers, registered
 from knowarm.errors import UserError
 from knowarm.questions import ObjectColour, QuestionTable
 from knowarm.world.objects import CHOOSE_TARGETS
-from knowarm.world.tasks.choose.queries import QUERY_SOURCES, NameQueries, QuerySource
-from knowarm.world.tasks.choose.source import SeveralObjects, question_table
+from knowarm.world.tasks.choose.source import (
+    QUERY_SOURCES,
+    NameQueries,
+    QuerySource,
+    SeveralObjects,
+    question_table,
+)
 from knowarm.world.tasks.reward import is_success, measure
 from knowarm.world.tasks.sampling import Colours, ObjectSampler, Setting
 from knowarm.world.tasks.state import EpisodeState

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.questions import QuestionTable
-from knowarm.world.tasks.draws import derive
+from knowarm.world.tasks.sampling import derive
 
 SETS = 2048
 """Sets of objects that are drawn for a task; episodes repeat them in new layouts."""

@@ -1,1 +1,0 @@
-"""Physics: MuJoCo on a pool of CPU threads. Importing this package imports no simulator."""
