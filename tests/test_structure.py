@@ -19,6 +19,7 @@ BELOW = {
     "learn": {"policy"},
     "perception": {"world", "policy", "learn"},
     "experiment": {"knowledge", "world", "policy", "statistics", "learn", "perception"},
+    "integrations": {"world", "policy", "learn", "perception", "experiment", "statistics"},
     "study": {"world", "learn", "experiment"},
     "report": {"knowledge", "world", "policy", "statistics", "learn", "experiment"},
 }

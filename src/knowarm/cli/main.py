@@ -28,7 +28,8 @@ COMMANDS = {
     "perception": ("train:PERCEPTION", "train a module that names objects and colours"),
     "knowledge": ("knowledge:COMMANDS", "inspect a graph, its sentences, vectors and embeddings"),
     "view": ("view:View", "show an agent in the browser, or record it"),
-    "export": ("report:Export", "write a trained policy as ONNX"),
+    "export": ("deploy:Export", "write a trained policy as ONNX, with contract and runner"),
+    "serve": ("deploy:Serve", "serve a trained policy to robots over WebSocket (openpi)"),
     "bench": ("bench:Bench", "measure the speed of this machine"),
     "doctor": ("doctor:Doctor", "check this installation, or a robot of your own"),
 }

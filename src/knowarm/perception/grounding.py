@@ -107,8 +107,12 @@ class GroundingNetwork(PerceptionModule):
 
     def forward(self, images: Tensor, queries: Tensor) -> Tensor:
         """Predict the grasp frames (n, 9) of the objects that queries mean; see `GoalPredictor`."""
+        return self.locate(images, self.knowledge[queries])
+
+    def locate(self, images: Tensor, knowledge: Tensor) -> Tensor:
+        """As `forward`, with the knowledge of the queries, (n, K) float32."""
         features = self.encoder.features(images)
-        query = self.project_queries(self.knowledge[queries])
+        query = self.project_queries(knowledge)
         place = (self.keys(features) * query[:, None]).sum(2).argmax(1)
         return self.frames(features, place[:, None])[:, 0]
 

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 import torch
 
+from knowarm.integrations.onnx_export import PolicyStep, export_onnx
 from knowarm.policy import PolicyAgent
 from knowarm.policy.fusion import FUSIONS
-from knowarm.policy.onnx_export import export_onnx
 from tests.policy.test_policy import TABLE, B, Still, T, inputs, make_policy
 
 onnxruntime = pytest.importorskip("onnxruntime")
@@ -15,7 +15,8 @@ pytest.importorskip("onnxscript")
 @pytest.mark.parametrize("fusion", FUSIONS)
 def test_onnx_runtime_takes_the_same_actions(tmp_path, fusion):
     policy = make_policy(fusion, actor_gain=20.0, pixel_shift=0.3, seed=4)
-    export_onnx(policy, tmp_path / "policy.onnx")
+    step = PolicyStep(policy)
+    export_onnx(step, step.example(), tmp_path / "policy.onnx")
     session = onnxruntime.InferenceSession(tmp_path / "policy.onnx")
     agent = PolicyAgent(policy, greedy=True)
     agent.start(Still())

@@ -1,0 +1,239 @@
+"""Contract: what a robot, camera and caller must provide to play a trained policy."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from knowarm.config import to_dict
+from knowarm.errors import UserError
+from knowarm.experiment.load import TrainedAgent
+from knowarm.integrations.onnx_export import (
+    INPUTS,
+    OUTPUTS,
+    RECOGNITION_INPUTS,
+    PolicyStep,
+    torch_model,
+)
+from knowarm.integrations.runner import Runner
+from knowarm.perception.agent import PerceivingAgent
+from knowarm.perception.classifier import FacetClassifier
+from knowarm.perception.grounding import GroundingNetwork
+from knowarm.perception.images import query_answers
+from knowarm.perception.module import PerceptionModule, digest
+from knowarm.reading import read_json
+from knowarm.world.config import facets_of, scene_of
+from knowarm.world.scene.compose import CONTROL_PERIOD_S
+from knowarm.world.scene.scene import Scene, target_places
+from knowarm.world.tasks.running import joint_increments
+
+FORMAT = "knowarm-contract-1"
+WORKSPACE_MARGIN_M = 0.15
+"""How far the workspace reaches beyond start poses and grasp points [m]."""
+
+
+class Grounding(nn.Module):
+    """Recognition by a grounding network: first images and vectors of queries to grasp frames."""
+
+    def __init__(self, network: GroundingNetwork) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, image: Tensor, query: Tensor) -> Tensor:
+        """Compute the knowledge of the policy, (B, 9), of images and queries (B, K)."""
+        return self.network.locate(image, query)
+
+
+class Naming(nn.Module):
+    """Recognition by a classifier: first images and allowed facets to rows of the policy's table.
+
+    A query is a row of 1 for facets that answer it, 0 for the others.
+    """
+
+    columns: Tensor
+    table: Tensor
+
+    def __init__(self, network: FacetClassifier, columns: Tensor, table: Tensor) -> None:
+        super().__init__()
+        self.network = network
+        self.register_buffer("columns", columns)
+        self.register_buffer("table", table)
+
+    def forward(self, image: Tensor, query: Tensor) -> Tensor:
+        """Compute the knowledge of the policy, (B, K), of images and queries (B, F)."""
+        scores = self.network(image)[:, self.columns]
+        return self.table[scores.masked_fill(query == 0, -torch.inf).argmax(1)]
+
+
+@dataclass(frozen=True)
+class Deployment:
+    """A trained agent, taken apart into what a runner needs."""
+
+    policy: PolicyStep
+    recognition: nn.Module | None
+    """Network that computes the knowledge from the first image and a query, or None."""
+    knowledge: NDArray[np.float32]
+    """Knowledge table, or table of queries for the recognition network, (rows, width)."""
+    contract: dict[str, Any]
+    scene: Scene
+
+    def runner(self) -> Runner:
+        """Return a runner that computes with PyTorch."""
+        recognition = self.recognition
+        return Runner(
+            self.contract,
+            self.knowledge,
+            torch_model(self.policy, INPUTS),
+            None if recognition is None else torch_model(recognition, RECOGNITION_INPUTS),
+        )
+
+
+def deployment(trained: TrainedAgent) -> Deployment:
+    """Take a trained agent apart.
+
+    Raises:
+        UserError: the agent's knowledge comes from the simulator only.
+    """
+    env, policy = trained.config.env, trained.policy
+    facets = facets_of(env)
+    table = policy.knowledge_table.numpy()
+    rows = env.task.knowledge_rows(facets)
+    recognition: nn.Module | None = None
+    module = trained.agent.module if isinstance(trained.agent, PerceivingAgent) else None
+    if isinstance(module, GroundingNetwork):
+        recognition, table = Grounding(module), module.knowledge.numpy()
+    elif isinstance(module, FacetClassifier):
+        columns = torch.tensor([module.spec.facets.index(facet) for facet in facets])
+        recognition = Naming(module, columns, policy.knowledge_table)
+        answers = query_answers(env, facets)
+        table = np.ones((1, len(facets))) if answers is None else answers.satisfies.numpy()
+    elif policy.uses_knowledge and not len(table):
+        raise UserError(
+            "The policy's knowledge comes from the simulator, which no robot has; export an agent "
+            "with a knowledge table, a perception module or a grounding network."
+        )
+    if not table.size or (table == table[:1]).all():  # the same knowledge in every episode
+        table, rows = np.zeros((1, 0)) if not table.size else table[:1], ["any"]
+    table = np.ascontiguousarray(table, dtype=np.float32)
+    scene = scene_of(env)
+    contract = {
+        "format": FORMAT,
+        "origin": {
+            "experiment": trained.config.name,
+            "seed": trained.config.seed,
+            "checkpoint": trained.which,
+            "step": trained.step,
+        },
+        "control_period_s": CONTROL_PERIOD_S,
+        "max_episode_steps": env.max_episode_steps,
+        "joints": _joints(scene, joint_increments(scene.robot, env)),
+        "workspace_m": dict(zip(("lower", "upper"), workspace(scene).tolist(), strict=True)),
+        "camera": _camera(scene, env.image_size),
+        "knowledge": {
+            "file": "knowledge.npy",
+            "rows": rows,
+            "default_row": 0 if len(rows) == 1 else None,
+            "meaning": env.task.knowledge_info,
+            "origin": to_dict(trained.config.knowledge),
+        },
+        "recognition": _recognition(module),
+        "recurrent": {
+            "size": policy.hidden_size,
+            "inputs": INPUTS[2:4],
+            "outputs": OUTPUTS[3:],
+            "reset": "zeros and episode_start true at the first step of every episode",
+        },
+        "success": list(_evaluations(trained)),
+        "digests": {},
+    }
+    return Deployment(PolicyStep(policy), recognition, table, contract, scene)
+
+
+def tcp_position(scene: Scene, joints: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Compute the gripper's position (3,) [m], world, at joint angles (J,) [rad]."""
+    data = mujoco.MjData(scene.model)
+    data.qpos[scene.qpos_index] = joints
+    mujoco.mj_kinematics(scene.model, data)
+    return data.site_xpos[scene.tcp_site].copy()
+
+
+def workspace(scene: Scene) -> NDArray[np.float64]:
+    """Return lower and upper corner, (2, 3) [m], of a box around start poses and grasp points.
+
+    It ends at the height of the support.
+    """
+    robot = scene.robot
+    centre, half = np.array(robot.rectangle_centre_m), np.array(robot.rectangle_half_size_m)
+    signs = np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)])
+    corners = target_places(scene, centre + signs * half)
+    points = [corners[None] + scene.grasp_position[:, None]]
+    spread = robot.start_fraction * (scene.joint_upper - scene.joint_lower) / 2
+    grid = np.linspace(-1, 1, 5)
+    offsets = np.stack(np.meshgrid(*[grid] * len(robot.start_joints)), -1)
+    for factors in offsets.reshape(-1, len(robot.start_joints)):
+        start = scene.home.copy()
+        start[list(robot.start_joints)] += factors * spread[list(robot.start_joints)]
+        points.append(tcp_position(scene, start.clip(scene.joint_lower, scene.joint_upper))[None])
+    every = np.concatenate([each.reshape(-1, 3) for each in points])
+    box = np.stack([every.min(0) - WORKSPACE_MARGIN_M, every.max(0) + WORKSPACE_MARGIN_M])
+    box[0, 2] = robot.support_height_m
+    return box
+
+
+def _joints(scene: Scene, increments: NDArray[np.float64]) -> dict[str, Any]:
+    robot = scene.robot
+    spread = np.zeros(scene.num_joints)
+    started = list(robot.start_joints)
+    spread[started] = (robot.start_fraction * (scene.joint_upper - scene.joint_lower) / 2)[started]
+    return {
+        "robot": robot.name,
+        "names": robot.joints,
+        "unit": "rad (slides: m)",
+        "lower": scene.joint_lower.tolist(),
+        "upper": scene.joint_upper.tolist(),
+        "home": scene.home.tolist(),
+        "start_offset": spread.tolist(),
+        "mpi": float(increments.max()),
+        "increments": increments.tolist(),
+        "command": "position target: previous target + increments[action], clipped to the limits",
+    }
+
+
+def _camera(scene: Scene, size: int) -> dict[str, Any]:
+    robot = scene.robot
+    return {
+        "size": size,
+        "colours": "RGB",
+        "dtype": "uint8",
+        "normalization": "none: the models take values 0 to 255",
+        "position_m": robot.camera_position_m,
+        "look_at_m": robot.camera_look_at_m,
+        "rotation": scene.camera_matrix.tolist(),
+        "frame": "robot base; rotation from camera (x right, y up, z backward)",
+        "fovy_deg": robot.camera_fovy_deg,
+    }
+
+
+def _recognition(module: PerceptionModule | None) -> dict[str, Any] | None:
+    if module is None:
+        return None
+    return {
+        "file": "recognition.onnx",
+        "format": module.FORMAT,
+        "digest": digest(module.to_bytes()),
+        "when": "in the first image of an episode",
+    }
+
+
+def _evaluations(trained: TrainedAgent) -> Iterator[dict[str, Any]]:
+    """Yield success with its 95 % interval, of each stored evaluation of the run."""
+    for path in sorted(Path(trained.folder.path).glob("evaluation/*/summary.json")):
+        summary = read_json(path)
+        names = ("label", "episodes", "success", "success_low", "success_high")
+        yield {name: summary[name] for name in names}

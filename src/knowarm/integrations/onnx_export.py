@@ -1,0 +1,105 @@
+"""ONNX export of one step of a policy, and of its recognition network."""
+
+import logging
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from knowarm.errors import UserError
+from knowarm.integrations.runner import Model
+from knowarm.policy.policy import Policy
+
+INPUTS = ("image", "knowledge", "h", "c", "episode_start")
+OUTPUTS = ("action", "logits", "value", "next_h", "next_c")
+RECOGNITION_INPUTS = ("image", "query")
+RECOGNITION_OUTPUTS = ("knowledge",)
+
+
+class PolicyStep(nn.Module):
+    """`Policy.step_with_knowledge` with a flat signature, and the greedy action as first output.
+
+    Inputs: ``image`` (B, H, W, 3) uint8, ``knowledge`` (B, K) float32, the recurrent state ``h``
+    and ``c`` (B, hidden) float32 (zeros before the first step), ``episode_start`` (B,) bool.
+    Outputs: ``action`` (B, J) int64, the most probable levels, ``logits`` (B, J, A), ``value``
+    (B,), and the next recurrent state, ``next_h`` and ``next_c``.
+    """
+
+    def __init__(self, policy: Policy) -> None:
+        super().__init__()
+        self.policy = policy
+
+    def forward(
+        self, image: Tensor, knowledge: Tensor, h: Tensor, c: Tensor, episode_start: Tensor
+    ) -> tuple[Tensor, ...]:
+        """Compute one step."""
+        logits, value, (h, c) = self.policy.step_with_knowledge(
+            image, knowledge, (h, c), episode_start
+        )
+        return logits.argmax(-1), logits, value, h, c
+
+    def example(self) -> tuple[Tensor, ...]:
+        """Return inputs of batch size 2: a traced batch size of 1 would become a constant."""
+        shape = self.policy.shape
+        return (
+            torch.zeros((2, shape.image_size, shape.image_size, 3), dtype=torch.uint8),
+            torch.zeros(2, shape.knowledge_dim),
+            *self.policy.initial_state(2),
+            torch.ones(2, dtype=torch.bool),
+        )
+
+
+def export_onnx(
+    module: nn.Module,
+    example: tuple[Tensor, ...],
+    path: Path,
+    *,
+    inputs: Sequence[str] = INPUTS,
+    outputs: Sequence[str] = OUTPUTS,
+) -> None:
+    """Write a module as ONNX (opset 18) for any batch size, with names of inputs and outputs.
+
+    Raises:
+        UserError: the packages of ``pip install 'knowarm[onnx]'`` are missing.
+    """
+    batch = torch.export.Dim("batch", min=1)
+    log = logging.getLogger("torch.onnx")  # warns of torchvision's operators, which no model has
+    level = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # deprecations inside of torch
+            program = torch.onnx.export(
+                module.eval(),
+                example,
+                input_names=list(inputs),
+                output_names=list(outputs),
+                dynamic_shapes=tuple({0: batch} for _ in inputs),
+                opset_version=18,
+                dynamo=True,
+                verbose=False,
+            )
+    except ImportError as error:
+        raise UserError(
+            f"Exporting needs a package that is not installed ({error.name}): "
+            "pip install 'knowarm[onnx]'."
+        ) from error
+    finally:
+        log.setLevel(level)
+    assert program is not None
+    program.save(path)
+
+
+def torch_model(module: nn.Module, names: Sequence[str]) -> Model:
+    """Return a module as a model of the runner, computed by PyTorch."""
+
+    @torch.inference_mode()
+    def call(inputs: dict[str, np.ndarray]) -> list[np.ndarray]:
+        found: Any = module(*(torch.from_numpy(np.asarray(inputs[name])) for name in names))
+        return [each.numpy() for each in (found if isinstance(found, tuple) else (found,))]
+
+    return call

@@ -1,0 +1,213 @@
+"""Policy server: the WebSocket protocol of openpi (msgpack with NumPy arrays), without pickle.
+
+The server first sends its metadata. Then each message of the client is an observation, and each
+answer holds ``actions``, (1, J) joint targets. Clients of this protocol never say that an episode
+starts: the state belongs to the connection, and a new connection or ``reset: true`` starts one.
+"""
+
+import contextlib
+import hmac
+import ipaddress
+import socket
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from knowarm.errors import UserError
+from knowarm.integrations.runner import Runner
+
+try:
+    import msgpack
+    from websockets.exceptions import ConnectionClosed
+    from websockets.sync.server import Server, ServerConnection, serve
+except ImportError as missing:
+    raise UserError(
+        f"Serving needs a package that is not installed ({missing.name}): "
+        "pip install 'knowarm[serve]'."
+    ) from missing
+
+MOST_BYTES = 4 * 2**20
+"""Largest message [bytes]; the connection is closed before a larger one is read."""
+MOST_CONNECTIONS = 8
+IMAGE, STATE, PROMPT, RESET = "observation/image", "observation/state", "prompt", "reset"
+_KINDS = "biuf"  # kinds of arrays that are read: no objects, records or complex numbers
+
+
+def pack(values: Any) -> bytes:
+    """Pack values with NumPy arrays as openpi's clients read them."""
+    return bytes(msgpack.packb(values, default=_pack_array))
+
+
+def unpack(data: bytes) -> Any:
+    """Unpack a message.
+
+    Raises:
+        ValueError: the message is damaged, or an array is not of plain numbers.
+    """
+    try:
+        return msgpack.unpackb(data, object_hook=_unpack_array, max_buffer_size=MOST_BYTES)
+    except (ValueError, TypeError, KeyError, AttributeError, msgpack.UnpackException) as error:
+        raise ValueError(f"the message is no msgpack map of numbers and arrays: {error}") from error
+
+
+def _pack_array(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        form = {b"dtype": value.dtype.str, b"shape": value.shape}
+        return {b"__ndarray__": True, b"data": value.tobytes(), **form}
+    if isinstance(value, np.generic):
+        return {b"__npgeneric__": True, b"data": value.item(), b"dtype": value.dtype.str}
+    return list(value)
+
+
+def _unpack_array(value: dict[Any, Any]) -> Any:
+    if b"__ndarray__" not in value and b"__npgeneric__" not in value:
+        return value
+    dtype = np.dtype(value[b"dtype"])
+    if dtype.kind not in _KINDS:
+        raise ValueError(f"arrays of dtype {dtype.str!r} are not read")
+    if b"__npgeneric__" in value:
+        return dtype.type(value[b"data"])
+    return np.frombuffer(value[b"data"], dtype).reshape(value[b"shape"])
+
+
+class PolicyServer:
+    """Server of one policy for several clients, each with a runner of its own.
+
+    Args:
+        make_runner: makes the runner of a connection.
+        host: address to listen on; any but a loopback address needs a key.
+        port: 0 takes a free one.
+        key: clients must send ``Authorization: Api-Key KEY``.
+
+    Raises:
+        UserError: the port is taken, or there is no key for an address that others can reach.
+    """
+
+    def __init__(
+        self,
+        make_runner: Callable[[], Runner],
+        *,
+        host: str = "127.0.0.1",
+        port: int = 8000,
+        key: str | None = None,
+    ) -> None:
+        if key is None and not _is_loopback(host):
+            raise UserError(
+                f"Other machines can reach {host}: give a key, or serve on 127.0.0.1 and let "
+                "clients connect through SSH."
+            )
+        self._make_runner, self._key = make_runner, key
+        self._seats = threading.BoundedSemaphore(MOST_CONNECTIONS)
+        self._computing = threading.Lock()
+        try:
+            self._server: Server = serve(
+                self._handle,
+                host,
+                port,
+                compression=None,
+                max_size=MOST_BYTES,
+                process_request=self._request,
+            )
+        except (OSError, OverflowError) as error:
+            raise UserError(
+                f"Cannot listen on {host}, port {port}: {getattr(error, 'strerror', error)}. Stop "
+                "the other program or give another port."
+            ) from error
+        self.port: int = self._server.socket.getsockname()[1]
+
+    def run(self) -> None:
+        """Serve until `close`."""
+        self._server.serve_forever()
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._server.shutdown()
+
+    def _request(self, connection: ServerConnection, request: Any) -> Any:
+        """Answer ``/healthz``, and refuse clients without the key."""
+        if request.path == "/healthz":
+            return connection.respond(200, "OK\n")
+        given = request.headers.get("Authorization", "")
+        if self._key is None or hmac.compare_digest(
+            given.encode(errors="replace"), f"Api-Key {self._key}".encode()
+        ):
+            return None
+        return connection.respond(401, "The key is missing or wrong: Authorization: Api-Key KEY\n")
+
+    def _handle(self, connection: ServerConnection) -> None:
+        """Serve one connection to its end; an error is one text frame, then the connection ends."""
+        with contextlib.suppress(ConnectionClosed):
+            if not self._seats.acquire(blocking=False):
+                connection.send(f"The server has {MOST_CONNECTIONS} clients; try again later.")
+                connection.close(1013, "too many clients")
+                return
+            try:
+                self._serve(connection)
+            except ValueError as error:
+                connection.send(" ".join(str(error).split()))
+                connection.close(1011, "error")
+            finally:
+                self._seats.release()
+
+    def _serve(self, connection: ServerConnection) -> None:
+        runner, previous_ms = self._make_runner(), None
+        connection.send(pack(metadata(runner)))
+        while True:
+            begin = time.monotonic()
+            message = connection.recv()
+            received = time.monotonic()
+            if isinstance(message, str):
+                raise ValueError("messages must be binary msgpack, got text")
+            with self._computing:
+                targets = act(runner, unpack(message))
+            timing = {"infer_ms": 1e3 * (time.monotonic() - received)}
+            if previous_ms is not None:
+                timing["prev_total_ms"] = previous_ms
+            connection.send(pack({"actions": targets[None], "server_timing": timing}))
+            previous_ms = 1e3 * (time.monotonic() - begin)
+
+
+def act(runner: Runner, observation: Any) -> np.ndarray:
+    """Return the joint targets (J,) float64 for one observation of a client.
+
+    Raises:
+        ValueError: the observation lacks something or does not fit the contract.
+    """
+    if not isinstance(observation, dict):
+        raise ValueError("an observation must be a map")
+    image = observation.get(IMAGE)
+    if not isinstance(image, np.ndarray):
+        raise ValueError(f"the observation lacks the array {IMAGE!r}")
+    if not runner.is_started or observation.get(RESET) is True:
+        state = np.asarray(observation.get(STATE, ()), np.float64).ravel()
+        if len(state) != len(runner.joint_names):
+            names = ", ".join(runner.joint_names)
+            raise ValueError(f"{STATE!r} must hold {names} as an episode starts, got {len(state)}")
+        joints = dict(zip(runner.joint_names, state.tolist(), strict=True))
+        runner.start(joints, observation.get(PROMPT))
+    return runner.step(image)
+
+
+def metadata(runner: Runner) -> dict[str, Any]:
+    """Return what clients are told first: the contract, and what they have to send."""
+    return {
+        **runner.contract,
+        "action_horizon": 1,
+        "observation": {
+            IMAGE: "uint8 RGB",
+            STATE: "joint angles in the order of joints.names; read as an episode starts",
+            PROMPT: "a row of knowledge.rows; read as an episode starts",
+            RESET: "true starts an episode; so does a new connection",
+        },
+    }
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        found = {each[4][0] for each in socket.getaddrinfo(host, None)}
+    except OSError:
+        return False
+    return all(ipaddress.ip_address(str(each).split("%")[0]).is_loopback for each in found)

@@ -1,0 +1,136 @@
+"""Exported policies do what PyTorch does, without it, and refuse what does not fit."""
+
+import ast
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from knowarm.cli.main import main
+from knowarm.experiment.load import load_agent
+from knowarm.integrations import runner as runner_module
+from knowarm.integrations.export import export
+from knowarm.integrations.runner import Runner
+from knowarm.world.agents.play import play
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.tasks.episodes import evaluation_episodes
+from tests.integrations.played import RunnerAgent
+
+pytest.importorskip("onnxruntime")
+pytest.importorskip("onnxscript")
+
+ZOO = Path(__file__).parents[2] / "zoo"
+
+
+@pytest.fixture(scope="module", params=["irb120-choose-subgraph-fast", "irb120-full-fast"])
+def exported(request, tmp_path_factory):
+    trained = load_agent(ZOO / request.param)
+    folder = tmp_path_factory.mktemp("exported")
+    export(trained, folder)
+    return trained, folder
+
+
+def knowledge_of(runner, row):
+    rows = runner.contract["knowledge"]["rows"]
+    return row if len(rows) > 1 else None
+
+
+@pytest.mark.slow
+def test_a_thousand_steps_have_the_actions_of_pytorch(exported):
+    trained, folder = exported
+    runner = Runner.load(folder)
+    episodes = evaluation_episodes(trained.config.env, 80, 3)
+    env = ReachVectorEnv(trained.config.env, 1)
+    agent = RunnerAgent(
+        lambda joints, row: runner.start(joints, knowledge_of(runner, row)),
+        runner.step,
+        runner.joint_names,
+    )
+    theirs, ours = play(agent, env, episodes), play(trained.agent, env, episodes)
+    assert len(ours.steps.actions) >= 1_000
+    np.testing.assert_array_equal(theirs.steps.actions, ours.steps.actions)
+    np.testing.assert_array_equal(theirs.success, ours.success)
+
+
+def test_the_runner_needs_neither_pytorch_nor_this_package(exported, tmp_path):
+    _, folder = exported
+    code = """
+import sys, numpy as np
+sys.path.insert(0, sys.argv[1])
+from runner import Runner
+r = Runner.load(sys.argv[1])
+r.start(dict(zip(r.joint_names, r.contract["joints"]["home"])), knowledge=0)
+assert r.step(np.zeros((64, 64, 3), np.uint8)).shape == (6,)
+assert not {"torch", "knowarm", "mujoco"} & set(sys.modules)
+"""
+    subprocess.run([sys.executable, "-c", code, str(folder)], check=True, cwd=tmp_path)
+
+
+def test_the_runner_is_short_and_imports_two_libraries():
+    text = Path(runner_module.__file__).read_text()
+    assert len(text.splitlines()) <= 100
+    names = {
+        (node.module if isinstance(node, ast.ImportFrom) else node.names[0].name).split(".")[0]
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.Import | ast.ImportFrom)
+    }
+    assert names - set(sys.stdlib_module_names) == {"numpy", "onnxruntime"}
+
+
+def test_the_contract_says_what_the_robot_needs(exported):
+    trained, folder = exported
+    contract = json.loads((folder / "contract.json").read_text())
+    joints = contract["joints"]
+    assert len(joints["names"]) == len(joints["lower"]) == trained.policy.shape.joints
+    assert contract["camera"]["size"] == trained.config.env.image_size
+    assert len(contract["knowledge"]["rows"]) == len(np.load(folder / "knowledge.npy"))
+    lower, upper = (np.array(contract["workspace_m"][end]) for end in ("lower", "upper"))
+    assert (lower < upper).all()
+
+
+IMAGE = np.zeros((64, 64, 3), np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("joints", "knowledge", "image", "words"),
+    [
+        ({}, 0, IMAGE, "joints lack joint_1"),
+        ({"joint_3": float("nan")}, 0, IMAGE, "not finite"),
+        ({"joint_3": 9.0}, 0, IMAGE, "within the limits"),
+        (None, "usedFor nothing", IMAGE, "knowledge must be a row"),
+        (None, 10_000, IMAGE, "knowledge must be a row"),
+        (None, 0, IMAGE[:32], r"image must be \(64, 64, 3\) uint8"),
+        (None, 0, IMAGE.astype(np.float32), "float32"),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(exported, joints, knowledge, image, words):
+    runner = Runner.load(exported[1])
+    home = dict(zip(runner.joint_names, runner.contract["joints"]["home"], strict=True))
+    given = home if joints is None else (home | joints if joints else {})
+    given = {name.replace("joint_1", runner.joint_names[0]): v for name, v in given.items()}
+
+    def play():
+        runner.start(given, knowledge)
+        runner.step(image)
+
+    with pytest.raises(ValueError, match=words.replace("joint_1", runner.joint_names[0])) as error:
+        play()
+    assert "\n" not in str(error.value)
+
+
+def test_a_changed_file_is_refused(exported, tmp_path):
+    for file in exported[1].iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    table = np.load(tmp_path / "knowledge.npy")
+    np.save(tmp_path / "knowledge.npy", table + 1)
+    with pytest.raises(ValueError, match="not the exported file"):
+        Runner.load(tmp_path)
+
+
+def test_export_by_command(capsys, tmp_path):
+    assert main(["export", str(ZOO / "tiago-full-fast"), "--to", str(tmp_path / "out")]) == 0
+    assert "contract.json" in capsys.readouterr().out
+    assert Runner.load(tmp_path / "out").joint_names[0].startswith("arm")

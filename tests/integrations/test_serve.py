@@ -1,0 +1,203 @@
+"""The policy server plays as in process, and stands what clients do wrong."""
+
+import os
+import subprocess
+import threading
+import urllib.request
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from knowarm.cli.main import main
+from knowarm.errors import UserError
+from knowarm.experiment.load import load_agent
+from knowarm.integrations.contract import deployment
+from knowarm.world.agents.play import play
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.tasks.episodes import evaluation_episodes
+from tests.integrations.played import RunnerAgent
+
+pytest.importorskip("websockets")
+pytest.importorskip("msgpack")
+
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
+
+from knowarm.integrations.serve import MOST_BYTES, PolicyServer, pack, unpack
+
+ROOT = Path(__file__).parents[2]
+ZOO = ROOT / "zoo"
+IMAGE = np.zeros((64, 64, 3), np.uint8)
+
+
+@pytest.fixture(scope="module")
+def trained():
+    return load_agent(ZOO / "irb120-choose-subgraph-fast")
+
+
+@pytest.fixture(scope="module")
+def parts(trained):
+    return deployment(trained)
+
+
+def started(parts, **options):
+    server = PolicyServer(parts.runner, port=0, **options)
+    threading.Thread(target=server.run, daemon=True).start()
+    return server
+
+
+@pytest.fixture(scope="module")
+def server(parts):
+    server = started(parts)
+    yield server
+    server.close()
+
+
+def client(server, **options):
+    return connect(f"ws://127.0.0.1:{server.port}", compression=None, max_size=None, **options)
+
+
+def observation(parts, **changes):
+    home = np.array(parts.contract["joints"]["home"])
+    return {
+        "observation/image": IMAGE,
+        "observation/state": home,
+        "prompt": "usedFor drinking",
+    } | changes
+
+
+def ask(connection, values):
+    connection.send(values if isinstance(values, bytes | str) else pack(values))
+    return connection.recv()
+
+
+def test_served_episodes_are_those_in_process(trained, server):
+    env = ReachVectorEnv(trained.config.env, 1)
+    episodes = evaluation_episodes(trained.config.env, 12, 5)
+    with client(server) as connection:
+        about = unpack(connection.recv())
+        state = {}
+
+        def start(joints, row):
+            prompt = about["knowledge"]["rows"][row]
+            state.update({"observation/state": np.array([*joints.values()]), "prompt": prompt})
+            state["reset"] = True
+
+        def step(image):
+            answer = unpack(ask(connection, state | {"observation/image": image}))
+            state["reset"] = False
+            return answer["actions"][0]
+
+        theirs = play(RunnerAgent(start, step, about["joints"]["names"]), env, episodes)
+    ours = play(trained.agent, env, episodes)
+    np.testing.assert_array_equal(theirs.steps.actions, ours.steps.actions)
+
+
+def test_a_new_connection_starts_an_episode_and_clients_do_not_mix(parts, server):
+    answers = []
+    with client(server) as one, client(server) as two:
+        for connection in (one, two):
+            connection.recv()
+        for connection in (one, one, two, one, two):
+            answers.append(unpack(ask(connection, observation(parts)))["actions"])
+    first, second, other_first, _, other_second = answers
+    np.testing.assert_array_equal(first, other_first)
+    np.testing.assert_array_equal(second, other_second)
+    assert (first != second).any()
+
+
+def test_healthz(server):
+    with urllib.request.urlopen(f"http://127.0.0.1:{server.port}/healthz") as answer:
+        assert (answer.status, answer.read()) == (200, b"OK\n")
+
+
+def objects():
+    import msgpack
+
+    array = {b"__ndarray__": True, b"data": b"x", b"dtype": "|O", b"shape": [1]}
+    return msgpack.packb({"observation/image": array})
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"observation/image": IMAGE[:32]}, "(64, 64, 3)"),
+        ({"observation/image": "no array"}, "lacks the array"),
+        ({"observation/state": np.zeros(5)}, "must hold"),
+        ({"observation/state": np.full(6, np.nan)}, "not finite"),
+        ({"prompt": "usedFor flying"}, "knowledge must be"),
+        (b"\xc1", "msgpack"),
+        ("text", "binary"),
+        (objects, "dtype"),
+    ],
+)
+def test_bad_messages_get_one_line_and_the_connection_ends(parts, server, change, words):
+    message = change() if callable(change) else change
+    message = observation(parts, **message) if isinstance(message, dict) else message
+    with client(server) as connection:
+        connection.recv()
+        answer = ask(connection, message)
+        assert isinstance(answer, str)
+        assert words in answer
+        assert "\n" not in answer
+        with pytest.raises(ConnectionClosed):
+            connection.recv()
+    assert_serves(parts, server)
+
+
+def assert_serves(parts, server):
+    with client(server) as connection:
+        connection.recv()
+        assert unpack(ask(connection, observation(parts)))["actions"].shape == (1, 6)
+
+
+def test_too_large_messages_close_the_connection(parts, server):
+    with client(server) as connection:
+        connection.recv()
+        with pytest.raises(ConnectionClosed) as closed:
+            ask(connection, b"\0" * (MOST_BYTES + 1))
+        assert closed.value.rcvd.code == 1009
+    assert_serves(parts, server)
+
+
+def test_a_client_may_vanish_in_a_step(parts, server):
+    connection = client(server)
+    connection.recv()
+    connection.send(pack(observation(parts)))
+    connection.socket.close()
+    assert_serves(parts, server)
+
+
+def test_a_second_server_on_the_port_is_refused(parts, server):
+    with pytest.raises(UserError, match="Cannot listen on"):
+        PolicyServer(parts.runner, port=server.port)
+
+
+def test_other_addresses_need_a_key(parts, capsys, monkeypatch):
+    monkeypatch.delenv("KNOWARM_SERVE_KEY", raising=False)
+    run = str(ZOO / "irb120-full-fast")
+    assert main(["serve", run, "--host", "0.0.0.0", "--port", "0"]) == 2
+    assert "key" in capsys.readouterr().err
+
+
+def test_the_key_is_checked(parts):
+    server = started(parts, key="secret")
+    with pytest.raises(InvalidStatus):
+        client(server)
+    headers = {"Authorization": "Api-Key secret"}
+    with client(server, additional_headers=headers) as connection:
+        assert unpack(connection.recv())["action_horizon"] == 1
+    server.close()
+
+
+def test_the_real_openpi_client_plays(parts, server, tmp_path):
+    python = os.environ.get("KNOWARM_OPENPI_PYTHON")
+    if python is None:
+        pytest.skip("KNOWARM_OPENPI_PYTHON names no Python with openpi-client")
+    code = (ROOT / "examples" / "serve_client.py").read_text()
+    code = code.replace("8000", str(server.port)).replace(
+        '"observation/state": angles', '"observation/state": angles, "prompt": "usedFor drinking"'
+    )
+    done = subprocess.run([python, "-c", code], check=True, capture_output=True, text=True)
+    assert "Last joint targets" in done.stdout
