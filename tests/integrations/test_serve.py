@@ -95,12 +95,13 @@ def test_served_episodes_are_those_in_process(trained, server):
 
 
 def test_a_new_connection_starts_an_episode_and_clients_do_not_mix(parts, server):
-    answers = []
     with client(server) as one, client(server) as two:
         for connection in (one, two):
             connection.recv()
-        for connection in (one, one, two, one, two):
-            answers.append(unpack(ask(connection, observation(parts)))["actions"])
+        answers = [
+            unpack(ask(connection, observation(parts)))["actions"]
+            for connection in (one, one, two, one, two)
+        ]
     first, second, other_first, _, other_second = answers
     np.testing.assert_array_equal(first, other_first)
     np.testing.assert_array_equal(second, other_second)

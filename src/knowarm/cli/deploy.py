@@ -1,15 +1,23 @@
-"""``knowarm export`` and ``knowarm serve``: a trained policy outside of the simulator."""
+"""``knowarm export``, ``serve`` and ``record``: policies and episodes outside of the simulator."""
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+from knowarm.cli.evaluate import is_scripted
+from knowarm.config import at_least
+from knowarm.errors import UserError
 from knowarm.experiment.load import Which, load_agent
 from knowarm.integrations.contract import deployment
 from knowarm.integrations.export import export
+from knowarm.integrations.record import record
+from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
+from knowarm.world.config import EnvConfig
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.tasks.episodes import evaluation_episodes
 
 RunPath = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
 
@@ -59,3 +67,36 @@ class Serve:
             f"Serving {self.run_folder} on ws://{self.host}:{server.port} until Ctrl-C.", flush=True
         )
         server.run()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Record:
+    """Record episodes as a LeRobotDataset v3: Parquet files with PNG images."""
+
+    agent: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="AGENT")]
+    """A run folder (runs/irb120-full-fast/0), or a scripted agent (see `knowarm list`)."""
+    to: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """New folder of the dataset."""
+    episodes: int = 100
+    """Number of episodes."""
+    seed: int = 0
+    """Seed of the episodes."""
+    env: EnvConfig = field(default_factory=EnvConfig)
+    """Environment of a scripted agent; a run has its own."""
+
+    def run(self) -> None:
+        """Play, write and say how many episodes succeeded."""
+        at_least(self, 1, "episodes")
+        agent: AgentProtocol
+        config = self.env
+        if is_scripted(self.agent):
+            agent = SCRIPTED_AGENTS[self.agent].make(self.seed)
+        elif self.env != EnvConfig():
+            raise UserError("A run has its own environment: leave out the --env options.")
+        else:
+            trained = load_agent(self.agent)
+            config, agent = trained.config.env, trained.agent
+        env = ReachVectorEnv(config, min(self.episodes, 100))
+        drawn = evaluation_episodes(config, self.episodes, self.seed)
+        solved = record(agent, env, drawn, self.to)
+        print(f"Wrote {self.episodes} episodes to {self.to}; {solved} of them succeeded.")

@@ -30,6 +30,7 @@ COMMANDS = {
     "view": ("view:View", "show an agent in the browser, or record it"),
     "export": ("deploy:Export", "write a trained policy as ONNX, with contract and runner"),
     "serve": ("deploy:Serve", "serve a trained policy to robots over WebSocket (openpi)"),
+    "record": ("deploy:Record", "record episodes as a LeRobot dataset"),
     "bench": ("bench:Bench", "measure the speed of this machine"),
     "doctor": ("doctor:Doctor", "check this installation, or a robot of your own"),
 }

@@ -48,7 +48,7 @@ def unpack(data: bytes) -> Any:
         ValueError: the message is damaged, or an array is not of plain numbers.
     """
     try:
-        return msgpack.unpackb(data, object_hook=_unpack_array, max_buffer_size=MOST_BYTES)
+        return msgpack.unpackb(data, object_hook=_unpack_array)
     except (ValueError, TypeError, KeyError, AttributeError, msgpack.UnpackException) as error:
         raise ValueError(f"the message is no msgpack map of numbers and arrays: {error}") from error
 

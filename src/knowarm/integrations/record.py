@@ -1,0 +1,280 @@
+"""Recording of episodes as a LeRobotDataset v3: Parquet files with the images as PNG.
+
+Readable by LeRobot and by plain PyArrow. Actions are joint targets; the discrete levels that led to
+them stand beside. The state is stored for other learners: KnowArm's policies do not see it.
+"""
+
+import io
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+from PIL import Image
+
+from knowarm.errors import UserError
+from knowarm.reading import write_json, writing
+from knowarm.world.agents.play import play_steps
+from knowarm.world.agents.scripted import AgentProtocol
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.scene.compose import CONTROL_PERIOD_S
+from knowarm.world.tasks.episodes import Episodes
+
+VERSION = "v3.0"
+IMAGE, STATE, ACTION, LEVELS = "observation.image", "observation.state", "action", "action.levels"
+DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+EPISODES = "meta/episodes/chunk-000/file-000.parquet"
+EPISODES_PER_FILE = 500
+"""Episodes per data file; about 50 MB of images of 64 x 64 pixels."""
+
+_SCALARS = {
+    "next.reward": "float32",
+    "next.done": "bool",
+    "next.success": "bool",
+    "timestamp": "float32",
+    "frame_index": "int64",
+    "episode_index": "int64",
+    "index": "int64",
+    "task_index": "int64",
+}
+
+
+def record(agent: AgentProtocol, env: ReachVectorEnv, episodes: Episodes, folder: Path) -> int:
+    """Play episodes and write them as a dataset; return how many succeeded.
+
+    Args:
+        agent: chooses the actions.
+        env: plays several episodes at a time.
+        episodes: what to play, N.
+        folder: new or empty.
+
+    Raises:
+        UserError: the folder holds something, or cannot be written to.
+    """
+    with writing(folder, "Give another folder."):
+        folder.mkdir(parents=True, exist_ok=True)
+        if any(folder.iterdir()):
+            raise UserError(f"{folder} is not empty; give a new folder for the dataset.")
+        return _Writer(env, folder).write(agent, episodes)
+
+
+class _Writer:
+    """Writes a dataset file by file; only one file's frames are in memory."""
+
+    def __init__(self, env: ReachVectorEnv, folder: Path) -> None:
+        self.env, self.folder = env, folder
+        self.joints = [*env.scene.robot.joints]
+        self.tasks: dict[str, int] = {}
+        self.rows: list[dict[str, Any]] = []
+        self.frames, self.successes = 0, 0
+        self.schema = pa.schema([*self._fields()], metadata=self._hints())
+
+    def write(self, agent: AgentProtocol, episodes: Episodes) -> int:
+        """Play and write everything; return the number of successes."""
+        count, pending, file = len(episodes), [], 0
+        for first in range(0, count, self.env.num_envs):
+            pending += self._play(agent, episodes[first : first + self.env.num_envs])
+            while len(pending) >= EPISODES_PER_FILE:
+                self._write_file(pending[:EPISODES_PER_FILE], file)
+                pending, file = pending[EPISODES_PER_FILE:], file + 1
+        if pending:
+            self._write_file(pending, file)
+        self._write_meta()
+        return self.successes
+
+    def _play(self, agent: AgentProtocol, chunk: Episodes) -> list[tuple[str, dict[str, Any]]]:
+        """Play up to n episodes; return the text and the columns of each."""
+        env, count = self.env, len(chunk)
+        found: list[dict[str, list[Any]]] = [
+            {name: [] for name in (IMAGE, STATE, ACTION, LEVELS, "next.reward", "next.success")}
+            for _ in range(count)
+        ]
+        before: tuple[Any, Any] | None = None
+        texts: list[str] = []
+        for moment in play_steps(agent, env, chunk):
+            if before is None:
+                texts = [env.running.describe(i) for i in range(count)]
+            else:
+                assert moment.actions is not None
+                for i in np.flatnonzero(moment.played):
+                    values = (
+                        before[0][i],
+                        before[1][i],
+                        env.joint_targets[i],
+                        moment.actions[i],
+                        moment.reward[i],
+                        bool(moment.infos["is_success"][i]),
+                    )
+                    for column, value in zip(found[i].values(), values, strict=True):
+                        column.append(value)
+            before = moment.images, env.joint_positions
+        return list(zip(texts, found, strict=True))
+
+    def _write_file(self, played: list[tuple[str, dict[str, Any]]], file: int) -> None:
+        """Write the frames of some episodes to one data file, one row group per episode."""
+        path = self.folder / DATA.format(chunk_index=0, file_index=file)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with pq.ParquetWriter(path, self.schema, compression="snappy") as writer:
+            for text, columns in played:
+                length, episode = len(columns[ACTION]), len(self.rows)
+                task = self.tasks.setdefault(text, len(self.tasks))
+                columns |= {
+                    "next.done": np.arange(length) == length - 1,
+                    "timestamp": np.arange(length) * CONTROL_PERIOD_S,
+                    "frame_index": np.arange(length),
+                    "episode_index": np.full(length, episode),
+                    "index": self.frames + np.arange(length),
+                    "task_index": np.full(length, task),
+                }
+                writer.write_table(pa.table(list(self._arrays(columns)), schema=self.schema))
+                self.rows.append(
+                    {
+                        "episode_index": episode,
+                        "tasks": [text],
+                        "length": length,
+                        "data/chunk_index": 0,
+                        "data/file_index": file,
+                        "dataset_from_index": self.frames,
+                        "dataset_to_index": self.frames + length,
+                        "meta/episodes/chunk_index": 0,
+                        "meta/episodes/file_index": 0,
+                        **{
+                            f"stats/{name}/{key}": value
+                            for name in self.schema.names
+                            for key, value in statistics(columns[name], name == IMAGE).items()
+                        },
+                    }
+                )
+                self.frames += length
+                self.successes += bool(columns["next.success"][-1])
+
+    def _arrays(self, columns: Mapping[str, Any]) -> Iterator[pa.Array]:
+        for field in self.schema:
+            if field.name == IMAGE:
+                files = [{"bytes": _png(image), "path": None} for image in columns[IMAGE]]
+                yield pa.array(files, field.type)
+            elif pa.types.is_fixed_size_list(field.type):
+                values = np.asarray(columns[field.name]).astype(
+                    field.type.value_type.to_pandas_dtype()
+                )
+                yield pa.FixedSizeListArray.from_arrays(values.ravel(), len(self.joints))
+            else:
+                values = np.asarray(columns[field.name])
+                yield pa.array(values.astype(_SCALARS[field.name]), field.type)
+
+    def _fields(self) -> Iterator[pa.Field]:
+        yield pa.field(IMAGE, pa.struct({"bytes": pa.binary(), "path": pa.string()}))
+        for name, kind in ((STATE, pa.float32()), (ACTION, pa.float32()), (LEVELS, pa.int64())):
+            yield pa.field(name, pa.list_(kind, len(self.joints)))
+        for name, kind in _SCALARS.items():
+            yield pa.field(name, pa.type_for_alias(kind))
+
+    def _hints(self) -> dict[str, str]:
+        """Return the metadata by which Hugging Face's datasets decodes the images."""
+        features: dict[str, Any] = {IMAGE: {"_type": "Image"}}
+        for name, kind in ((STATE, "float32"), (ACTION, "float32"), (LEVELS, "int64")):
+            item = {"dtype": kind, "_type": "Value"}
+            features[name] = {"feature": item, "length": len(self.joints), "_type": "List"}
+        for name, kind in _SCALARS.items():
+            features[name] = {"dtype": kind, "_type": "Value"}
+        return {"huggingface": json.dumps({"info": {"features": features}})}
+
+    def _write_meta(self) -> None:
+        size = self.env.config.image_size
+        names = ["height", "width", "channels"]
+        features: dict[str, Any] = {
+            IMAGE: {"dtype": "image", "shape": [size, size, 3], "names": names}
+        }
+        for name, kind in ((STATE, "float32"), (ACTION, "float32"), (LEVELS, "int64")):
+            features[name] = {"dtype": kind, "shape": [len(self.joints)], "names": self.joints}
+        for name, kind in _SCALARS.items():
+            features[name] = {"dtype": kind, "shape": [1], "names": None}
+        info = {
+            "codebase_version": VERSION,
+            "robot_type": self.env.scene.robot.name,
+            "total_episodes": len(self.rows),
+            "total_frames": self.frames,
+            "total_tasks": len(self.tasks),
+            "chunks_size": 1000,
+            "data_files_size_in_mb": 100,
+            "video_files_size_in_mb": 200,
+            "fps": round(1 / CONTROL_PERIOD_S),
+            "splits": {"train": f"0:{len(self.rows)}"},
+            "data_path": DATA,
+            "video_path": None,
+            "features": features,
+        }
+        path = self.folder / EPISODES
+        path.parent.mkdir(parents=True, exist_ok=True)
+        pq.write_table(pa.Table.from_pylist(self.rows), path)
+        # The text is the index of the data frame that LeRobot reads.
+        tasks = {"task_index": [*self.tasks.values()], "task": [*self.tasks]}
+        pandas = {
+            "index_columns": ["task"],
+            "column_indexes": [],
+            "columns": [
+                _pandas_column(*each) for each in (("task_index", "int64"), ("task", "unicode"))
+            ],
+        }
+        table = pa.table(tasks).replace_schema_metadata({"pandas": json.dumps(pandas)})
+        pq.write_table(table, self.folder / "meta/tasks.parquet")
+        write_json(self.folder / "meta/stats.json", self._statistics())
+        write_json(self.folder / "meta/info.json", info)
+
+    def _statistics(self) -> dict[str, Any]:
+        """Combine the statistics of the episodes."""
+        combined = {}
+        for name in self.schema.names:
+            each = {
+                key: np.array([row[f"stats/{name}/{key}"] for row in self.rows], np.float64)
+                for key in ("min", "max", "mean", "std", "count")
+            }
+            weight = each["count"] / each["count"].sum()
+            weight = weight.reshape(-1, *[1] * (each["mean"].ndim - 1))
+            mean = (weight * each["mean"]).sum(0)
+            square = (weight * (each["std"] ** 2 + each["mean"] ** 2)).sum(0)
+            combined[name] = {
+                "min": each["min"].min(0).tolist(),
+                "max": each["max"].max(0).tolist(),
+                "mean": mean.tolist(),
+                "std": np.sqrt(np.maximum(square - mean**2, 0)).tolist(),
+                "count": [int(each["count"].sum())],
+            }
+        return combined
+
+
+def statistics(values: Any, is_image: bool) -> dict[str, list[Any]]:
+    """Compute a column's statistics per element; per channel, (3, 1, 1), in 0..1 for images."""
+    array: NDArray[np.float64] = np.asarray(values, np.float64)
+    count = len(array)
+    if is_image:
+        array = (array / 255).transpose(0, 3, 1, 2)
+        axes: tuple[int, ...] = (0, 2, 3)
+        found = {
+            key: getattr(array, key)(axes).reshape(3, 1, 1) for key in ("min", "max", "mean", "std")
+        }
+    else:
+        array = array.reshape(count, -1)
+        found = {key: getattr(array, key)(0) for key in ("min", "max", "mean", "std")}
+    return {key: value.tolist() for key, value in found.items()} | {"count": [count]}
+
+
+def _png(image: NDArray[np.uint8]) -> bytes:
+    stream = io.BytesIO()
+    Image.fromarray(image).save(stream, "PNG", compress_level=1)
+    return stream.getvalue()
+
+
+def _pandas_column(name: str, kind: str) -> dict[str, Any]:
+    numpy_type = "object" if kind == "unicode" else kind
+    return {
+        "name": name,
+        "field_name": name,
+        "pandas_type": kind,
+        "numpy_type": numpy_type,
+        "metadata": None,
+    }
