@@ -1,5 +1,6 @@
-"""Play one episode with a served policy: pip install openpi-client (in an environment of its own).
+"""Play one episode with a served policy.
 
+pip install openpi-client typing-extensions  # in an environment of its own
 knowarm serve zoo/irb120-full-fast &
 python examples/serve_client.py
 """

@@ -1,0 +1,96 @@
+"""Recorded episodes can be read by plain PyArrow and play again in the simulator."""
+
+import io
+import json
+import os
+import subprocess
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from PIL import Image
+
+from knowarm.cli.main import main
+from knowarm.integrations.record import EPISODES
+from knowarm.world.config import EnvConfig
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.tasks.episodes import evaluation_episodes
+
+COUNT = 5
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("recorded") / "dataset"
+    assert main(["record", "oracle", "--episodes", str(COUNT), "--to", str(folder)]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def frames(dataset):
+    return pq.read_table(dataset / "data/chunk-000/file-000.parquet").to_pylist()
+
+
+def test_the_actions_lead_through_the_recorded_images_again(dataset, frames):
+    env = ReachVectorEnv(EnvConfig(), 1)
+    episodes = evaluation_episodes(EnvConfig(), COUNT, 0)
+    for number in range(COUNT):
+        rows = [frame for frame in frames if frame["episode_index"] == number]
+        image, _ = env.reset(options={"episodes": episodes[number : number + 1]})
+        for row in rows:
+            stored = np.asarray(Image.open(io.BytesIO(row["observation.image"]["bytes"])))
+            np.testing.assert_array_equal(stored, image[0])
+            np.testing.assert_allclose(row["observation.state"], env.joint_positions[0], atol=1e-6)
+            image, _, terminated, _, _ = env.advance([row["action.levels"]], np.array([True]))
+            np.testing.assert_allclose(row["action"], env.joint_targets[0], atol=1e-6)
+            assert row["next.success"] == terminated[0] == row["next.done"]
+
+
+def test_meta_files_describe_the_data(dataset, frames):
+    info = json.loads((dataset / "meta/info.json").read_text())
+    rows = pq.read_table(dataset / EPISODES).to_pylist()
+    tasks = pq.read_table(dataset / "meta/tasks.parquet").to_pylist()
+    assert info["codebase_version"] == "v3.0"
+    assert info["total_frames"] == len(frames) == sum(row["length"] for row in rows)
+    assert info["total_episodes"] == len(rows) == COUNT
+    assert set(info["features"]) == set(frames[0])
+    for row in rows:
+        part = frames[row["dataset_from_index"] : row["dataset_to_index"]]
+        assert {frame["episode_index"] for frame in part} == {row["episode_index"]}
+        assert {frame["task_index"] for frame in part} == {
+            task["task_index"] for task in tasks if [task["task"]] == row["tasks"]
+        }
+    stats = json.loads((dataset / "meta/stats.json").read_text())["action"]
+    actions = np.array([frame["action"] for frame in frames])
+    np.testing.assert_allclose(stats["mean"], actions.mean(0), atol=1e-5)
+    np.testing.assert_allclose(stats["std"], actions.std(0), atol=1e-5)
+    np.testing.assert_allclose(stats["max"], actions.max(0), atol=1e-5)
+
+
+def test_a_folder_with_files_is_left_alone(dataset, capsys):
+    before = (dataset / "meta/info.json").read_bytes()
+    assert main(["record", "oracle", "--episodes", "1", "--to", str(dataset)]) == 2
+    assert "not empty" in capsys.readouterr().err
+    assert (dataset / "meta/info.json").read_bytes() == before
+
+
+def test_the_real_lerobot_reads_it(dataset):
+    python = os.environ.get("KNOWARM_LEROBOT_PYTHON")
+    if python is None:
+        pytest.skip("KNOWARM_LEROBOT_PYTHON names no Python with lerobot")
+    code = """
+import sys
+try:
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+except ImportError:
+    from lerobot_dataset import LeRobotDataset
+d = LeRobotDataset("local/knowarm", root=sys.argv[1])
+first = d[0]
+print(d.num_episodes, len(d), tuple(first["observation.image"].shape), first["task"])
+"""
+    environment = os.environ | {"HF_HUB_OFFLINE": "1"}
+    environment.pop("PYTHONPATH", None)
+    command = [python, "-c", code, str(dataset)]
+    done = subprocess.run(command, check=True, capture_output=True, text=True, env=environment)
+    assert done.stdout.startswith(f"{COUNT} ")
+    assert "(3, 64, 64)" in done.stdout
