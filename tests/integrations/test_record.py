@@ -83,7 +83,7 @@ import sys
 try:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 except ImportError:
-    from lerobot_dataset import LeRobotDataset
+    from ledataset.datasets.lerobot_dataset import LeRobotDataset  # package lerobot-dataset
 d = LeRobotDataset("local/knowarm", root=sys.argv[1])
 first = d[0]
 print(d.num_episodes, len(d), tuple(first["observation.image"].shape), first["task"])

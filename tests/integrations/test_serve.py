@@ -91,7 +91,7 @@ def test_served_episodes_are_those_in_process(trained, server):
 
         theirs = play(RunnerAgent(start, step, about["joints"]["names"]), env, episodes)
     ours = play(trained.agent, env, episodes)
-    np.testing.assert_array_equal(theirs.steps.actions, ours.steps.actions)
+    np.testing.assert_array_equal(theirs.steps.joint_positions, ours.steps.joint_positions)
 
 
 def test_a_new_connection_starts_an_episode_and_clients_do_not_mix(parts, server):
