@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from rich.console import Console, Group
+from rich.console import Group
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
@@ -32,7 +32,7 @@ STYLES = {"running": "cyan", "failed": "red", "stalled": "yellow", "done": "gree
 @contextmanager
 def study_progress(study: StudyConfig) -> Iterator[OnStatus]:
     """Display a running study: as a table on a terminal, else as a line per change."""
-    console = Console(highlight=False)
+    console = make_console()
     if console.is_terminal:
         with Live(console=console, auto_refresh=False) as live:
             yield lambda statuses: live.update(
