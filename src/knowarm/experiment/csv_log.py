@@ -93,10 +93,14 @@ def read_csv(path: Path) -> list[dict[str, str]]:
         ]
 
 
+LARGEST = 1e15
+"""Largest absolute value of a stored number; a larger one is taken for damage."""
+
+
 def number_in(row: Mapping[str, str], column: str) -> float | None:
-    """Return a finite number of a CSV log; None for a cell that is empty, missing or damaged."""
+    """Return a number of a CSV log; None for a cell that is empty, missing or damaged."""
     try:
         number = float(row[column])
     except (KeyError, ValueError):
         return None
-    return number if math.isfinite(number) else None
+    return number if abs(number) <= LARGEST else None
