@@ -5,13 +5,18 @@ Nothing is fetched: a JSON-LD context must lie in the file itself.
 
 import heapq
 import re
+import shutil
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryFile
+from typing import IO
 from xml.parsers import expat
 
 from pyoxigraph import BlankNode, NamedNode, RdfFormat, Triple, parse, serialize
 
 from knowarm.errors import UserError
+from knowarm.knowledge.formats.oxigraph import run_oxigraph
 from knowarm.knowledge.formats.tables import open_bytes
 from knowarm.knowledge.graph.builder import GraphBuilder
 from knowarm.knowledge.graph.graph import KnowledgeGraph
@@ -63,8 +68,8 @@ def read_rdf(path: Path, syntax: RdfFormat) -> KnowledgeGraph:
     with reading(path, "Correct, copy or compress it again."):
         _refuse_binary(path)
         try:
-            with open_bytes(path) as file:
-                for quad in parse(file, format=syntax, base_iri=base):
+            with _triples(path, syntax, base) as (file, as_syntax):
+                for quad in parse(file, format=as_syntax, base_iri=base):
                     head, tail, relation = quad.subject, quad.object, quad.predicate.value
                     if type(head) is NamedNode and type(tail) is NamedNode:  # most triples: fast
                         builder.add(head.value, relation, tail.value)
@@ -74,6 +79,24 @@ def read_rdf(path: Path, syntax: RdfFormat) -> KnowledgeGraph:
             raise _malformed(path, syntax, error) from error
         builder.rename(name_of_iri)
         return builder.build()
+
+
+@contextmanager
+def _triples(
+    path: Path, syntax: RdfFormat, base: str | None
+) -> Iterator[tuple[IO[bytes], RdfFormat]]:
+    """Open a file that is parsed triple by triple: itself, or what a document is converted to."""
+    with open_bytes(path) as file:
+        if syntax not in (RdfFormat.RDF_XML, RdfFormat.JSON_LD):
+            yield file, syntax
+            return
+        with TemporaryFile() as plain:  # decompressed
+            shutil.copyfileobj(file, plain)
+            mib = plain.tell() / 2**20
+            plain.seek(0)
+            task = {"syntax": syntax.file_extension, "base": base}
+            with run_oxigraph(plain, mib, **task) as converted:
+                yield converted, RdfFormat.N_TRIPLES
 
 
 def write_rdf(graph: KnowledgeGraph, path: Path, syntax: RdfFormat) -> None:
