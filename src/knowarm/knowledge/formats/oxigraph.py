@@ -4,12 +4,14 @@ The library ends its process where a document nests too deep or memory is exhaus
 waits for it. This file is also the program of the child, which imports nothing else of KnowArm.
 """
 
+import errno
 import json
 import subprocess
 import sys
 from contextlib import suppress
 from tempfile import TemporaryFile
 from typing import IO, Any
+from xml.parsers import expat
 
 import pyoxigraph as ox
 
@@ -40,10 +42,9 @@ def run_oxigraph(source: IO[bytes], mib: float, **task: Any) -> IO[bytes]:
         raise ValueError(f"it takes more than {SECONDS + mib:.0f} s") from error
     if done.returncode == REFUSED:
         found = json.loads(done.stderr)
-        error = (SyntaxError if found["is_syntax"] else ValueError)(found["message"])
-        if isinstance(error, SyntaxError):
-            error.lineno = found["line"]
-        raise error
+        if "line" in found:
+            raise SyntaxError(found["message"], (None, found["line"], None, None))
+        raise ValueError(found["message"])
     if done.returncode:
         raise ValueError(f"it nests too deep, or needs more than {MEMORY >> 30} GiB of memory")
     output.seek(0)
@@ -62,13 +63,21 @@ def main(task: dict[str, Any]) -> None:
     if "query" not in task:
         syntax = ox.RdfFormat.from_extension(task["syntax"])
         quads = ox.parse(source, format=syntax, base_iri=task["base"])
-        ox.serialize((quad.triple for quad in quads), output, ox.RdfFormat.N_TRIPLES)
+        try:
+            ox.serialize((quad.triple for quad in quads), output, ox.RdfFormat.N_TRIPLES)
+        except SyntaxError as error:
+            if syntax == ox.RdfFormat.RDF_XML and error.lineno is None:  # expat knows the line
+                source.seek(0)
+                expat.ParserCreate().ParseFile(source)
+            raise
         return
     store = ox.Store()
     store.load(source, ox.RdfFormat.N_TRIPLES)
     result = store.query(task["query"], prefixes=task["prefixes"])
-    is_graph = isinstance(result, ox.QueryTriples)
-    result.serialize(output, ox.RdfFormat.N_TRIPLES if is_graph else ox.QueryResultsFormat.JSON)
+    if isinstance(result, ox.QueryTriples):
+        result.serialize(output, ox.RdfFormat.N_TRIPLES)
+    else:
+        result.serialize(output, ox.QueryResultsFormat.JSON)
 
 
 if __name__ == "__main__":
@@ -76,8 +85,12 @@ if __name__ == "__main__":
         main(json.loads(sys.argv[1]))
         sys.stdout.flush()
     except Exception as error:
-        is_syntax, line = isinstance(error, SyntaxError), getattr(error, "lineno", None)
-        message = str(error.msg) if isinstance(error, SyntaxError) else str(error)
-        shown = {"is_syntax": is_syntax, "line": line, "message": message[:2000]}
+        shown: dict[str, Any] = {"message": str(error)}
+        if isinstance(error, SyntaxError):
+            shown = {"line": error.lineno, "message": str(error.msg)}
+        if isinstance(error, expat.ExpatError):
+            shown = {"line": error.lineno, "message": expat.errors.messages[error.code]}
+        if isinstance(error, OSError) and error.errno == errno.EFBIG:
+            shown["message"] = f"its result is larger than {OUTPUT >> 30} GiB"
         print(json.dumps(shown), file=sys.stderr)
         sys.exit(REFUSED)

@@ -11,7 +11,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import IO
-from xml.parsers import expat
 
 from pyoxigraph import BlankNode, NamedNode, RdfFormat, Triple, parse, serialize
 
@@ -143,12 +142,6 @@ def _malformed(path: Path, syntax: RdfFormat, error: SyntaxError) -> UserError:
             f"{path}: the JSON-LD context is a remote document, and nothing is fetched from the "
             f"network. Write the context into the file."
         )
-    if line is None and syntax == RdfFormat.RDF_XML:  # expat knows the line
-        try:
-            with open_bytes(path) as file:
-                expat.ParserCreate().ParseFile(file)
-        except expat.ExpatError as found:
-            line, reason = found.lineno, expat.errors.messages[found.code]
     place = f"{path}, line {line}" if line else str(path)
     return UserError(
         f"{place}: not well-formed {syntax.name}: {reason}. "
