@@ -46,8 +46,8 @@ CAMPAIGNS: dict[str, tuple[int, Callable[[int, int], Result]]] = {
     "kill -9, evaluation": (20, kill_evaluations),
     "kill -9, study": (20, kill_study),
     "mutations of files": (20_000, mutations),
-    "damaged cells": (5000, damage_cells),
-    "names as markup": (500, print_names),
+    "damaged cells": (2000, damage_cells),
+    "names as markup": (300, print_names),
     "Ctrl-C in long work": (40, interrupt_commands),
     "injected file errors": (500, inject_file_errors),
     **{
