@@ -8,6 +8,7 @@ import errno
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from tempfile import TemporaryFile
 from typing import IO, Any
@@ -22,24 +23,24 @@ MEMORY, OUTPUT = 4 << 30, 2 << 30
 REFUSED = 3  # exit code after an exception, which is described on stderr
 
 
-def run_oxigraph(source: IO[bytes], mib: float, **task: Any) -> IO[bytes]:
-    """Run a task of `main` on a file in a child process; return its output.
+def run_oxigraph(write: Callable[[IO[bytes]], object], **task: Any) -> IO[bytes]:
+    """Run a task of `main` on what ``write`` writes in a child process; return its output.
 
     Raises:
         SyntaxError: the document or the query is malformed.
         ValueError: pyoxigraph refused it otherwise, or a limit was reached.
     """
     output = TemporaryFile()  # noqa: SIM115 (the caller closes it)
-    try:
-        done = subprocess.run(
-            [sys.executable, "-P", __file__, json.dumps(task)],
-            stdin=source,
-            stdout=output,
-            stderr=subprocess.PIPE,
-            timeout=SECONDS + mib,
-        )
-    except subprocess.TimeoutExpired as error:
-        raise ValueError(f"it takes more than {SECONDS + mib:.0f} s") from error
+    command = [sys.executable, "-P", __file__, json.dumps(task)]
+    with TemporaryFile() as source:
+        write(source)
+        limit = SECONDS + source.tell() / 2**20
+        source.seek(0)
+        try:
+            streams: dict[str, Any] = {"stdin": source, "stdout": output, "stderr": subprocess.PIPE}
+            done = subprocess.run(command, timeout=limit, **streams)
+        except subprocess.TimeoutExpired as error:
+            raise ValueError(f"it takes more than {limit:.0f} s") from error
     if done.returncode == REFUSED:
         found = json.loads(done.stderr)
         if "line" in found:

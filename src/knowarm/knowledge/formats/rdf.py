@@ -7,10 +7,9 @@ import heapq
 import re
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
-from tempfile import TemporaryFile
-from typing import IO
 
 from pyoxigraph import BlankNode, NamedNode, RdfFormat, Triple, parse, serialize
 
@@ -67,8 +66,13 @@ def read_rdf(path: Path, syntax: RdfFormat) -> KnowledgeGraph:
     with reading(path, "Correct, copy or compress it again."):
         _refuse_binary(path)
         try:
-            with _triples(path, syntax, base) as (file, as_syntax):
-                for quad in parse(file, format=as_syntax, base_iri=base):
+            with open_bytes(path) as file, ExitStack() as stack:
+                triples, lines = file, syntax
+                if syntax in (RdfFormat.RDF_XML, RdfFormat.JSON_LD):
+                    task = {"syntax": syntax.file_extension, "base": base}
+                    converted = run_oxigraph(partial(shutil.copyfileobj, file), **task)
+                    triples, lines = stack.enter_context(converted), RdfFormat.N_TRIPLES
+                for quad in parse(triples, format=lines, base_iri=base):
                     head, tail, relation = quad.subject, quad.object, quad.predicate.value
                     if type(head) is NamedNode and type(tail) is NamedNode:  # most triples: fast
                         builder.add(head.value, relation, tail.value)
@@ -78,24 +82,6 @@ def read_rdf(path: Path, syntax: RdfFormat) -> KnowledgeGraph:
             raise _malformed(path, syntax, error) from error
         builder.rename(name_of_iri)
         return builder.build()
-
-
-@contextmanager
-def _triples(
-    path: Path, syntax: RdfFormat, base: str | None
-) -> Iterator[tuple[IO[bytes], RdfFormat]]:
-    """Open a file that is parsed triple by triple: itself, or what a document is converted to."""
-    with open_bytes(path) as file:
-        if syntax not in (RdfFormat.RDF_XML, RdfFormat.JSON_LD):
-            yield file, syntax
-            return
-        with TemporaryFile() as plain:  # decompressed
-            shutil.copyfileobj(file, plain)
-            mib = plain.tell() / 2**20
-            plain.seek(0)
-            task = {"syntax": syntax.file_extension, "base": base}
-            with run_oxigraph(plain, mib, **task) as converted:
-                yield converted, RdfFormat.N_TRIPLES
 
 
 def write_rdf(graph: KnowledgeGraph, path: Path, syntax: RdfFormat) -> None:

@@ -1,8 +1,8 @@
 """SPARQL queries on a knowledge graph, evaluated by pyoxigraph in a child process."""
 
 import re
+from functools import partial
 from itertools import islice
-from tempfile import TemporaryFile
 from typing import IO, NamedTuple
 
 from pyoxigraph import (
@@ -57,12 +57,9 @@ def sparql(graph: KnowledgeGraph, query: str) -> Answer:
     if len(query) > MAX_QUERY:
         raise UserError(f"SPARQL query: it is longer than {MAX_QUERY:,} characters.")
     try:
-        with TemporaryFile() as source:
-            serialize(rdf_triples(graph), source, RdfFormat.N_TRIPLES)
-            mib = source.tell() / 2**20
-            source.seek(0)
-            with run_oxigraph(source, mib, query=query, prefixes=PREFIXES) as output:
-                return _answer(output)
+        triples = partial(serialize, rdf_triples(graph), format=RdfFormat.N_TRIPLES)
+        with run_oxigraph(triples, query=query, prefixes=PREFIXES) as output:
+            return _answer(output)
     except UserError:
         raise
     except SyntaxError as error:
