@@ -19,7 +19,7 @@ RunKey = tuple[str, int]
 """Experiment and training seed: names a run of a study."""
 
 LOG = "log.txt"  # in a run folder: what its workers printed
-TIMEOUT_S = 20.0  # how long workers that were asked to end may take before they are killed
+TIMEOUT_S = 15.0  # how long workers that were asked to end may take before they are killed
 
 
 @dataclass(frozen=True, kw_only=True)
