@@ -42,6 +42,7 @@ def interrupt(arguments: list[str], folder: Path, after_s: float) -> str | None:
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored behind a `&`
     )
     before = set(folder.iterdir())
     try:
@@ -69,7 +70,7 @@ def interrupt_commands(tries: int, seed: int, triples: int = 10_000_000) -> tupl
         commands = long_commands(folder, triples)
         for number in range(tries):
             name = list(commands)[number % len(commands)]
-            after_s = draws.uniform(8, 25)
+            after_s = draws.uniform(8, 50)
             if (what := interrupt(commands[name], folder, after_s)) is not None:
                 failures.append(f"{name} after {after_s:.1f} s: {what}")
     return tries, failures
