@@ -1,10 +1,11 @@
 """Reading and writing of stored files: every defect is one kind of error, with its remedy."""
 
+import io
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from safetensors.numpy import load
@@ -13,6 +14,10 @@ from knowarm.errors import UserError
 
 MAX_JSON = 64 * 2**20
 """Largest JSON or text file that is read whole [bytes]; what KnowArm writes is far smaller."""
+
+
+EXPANSION = 250
+"""How many times its size a compressed file may expand to, beyond `MAX_JSON`."""
 
 
 class UnreadableFileError(UserError):
@@ -51,11 +56,54 @@ def writing(path: Path, remedy: str = "") -> Iterator[None]:
         raise UserError(f"Cannot write {path}: {reason}. {remedy}".rstrip()) from error
 
 
+@contextmanager
+def replacing(path: Path, remedy: str = "") -> Iterator[Path]:
+    """Write a file under another name, which is renamed at the end: nobody sees a part of it."""
+    temporary = path.with_name(f".{path.stem}.tmp{path.suffix}")
+    if path.exists() and not path.is_file():
+        temporary = path  # a device such as /dev/stdout, or an error of the system
+    with writing(path, remedy):
+        try:
+            yield temporary
+            temporary.replace(path)
+        finally:
+            if temporary != path:
+                temporary.unlink(missing_ok=True)
+
+
 def one_line(error: BaseException) -> str:
     """Return the reason that an exception gives, on one line of at most 300 characters."""
     text = " ".join(str(error).split()).rstrip(".") or type(error).__name__
     text = f"missing {text}" if isinstance(error, KeyError) else text
     return text if len(text) <= 300 else text[:297] + "..."
+
+
+class _Bounded(io.RawIOBase):
+    """Decompressed bytes of a file, which end in an error if there are far more than in it."""
+
+    def __init__(self, stream: Any, path: Path) -> None:
+        self._stream = stream
+        self._left = MAX_JSON + EXPANSION * path.stat().st_size
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        data = self._stream.read(len(buffer))
+        self._left -= len(data)
+        if self._left < 0:
+            raise ValueError(f"it expands to more than 64 MiB and {EXPANSION} times its size")
+        buffer[: len(data)] = data
+        return len(data)
+
+    def close(self) -> None:
+        self._stream.close()
+        super().close()
+
+
+def bounded(stream: Any, path: Path) -> IO[bytes]:
+    """Return a decompressing stream of a file that ends in a `ValueError` for a bomb."""
+    return io.BufferedReader(_Bounded(stream, path))
 
 
 def read_text(path: Path, *, remedy: str, most: int = MAX_JSON) -> str:
@@ -92,7 +140,5 @@ def read_arrays(path: Path, *, remedy: str) -> dict[str, np.ndarray]:
 
 def write_json(path: Path, values: Mapping[str, Any]) -> None:
     """Write a JSON object through a temporary file, so that readers never see a part of it."""
-    temporary = path.with_name(path.name + ".tmp")
-    with writing(path):
+    with replacing(path) as temporary:
         temporary.write_text(json.dumps(values, indent=2) + "\n", encoding="utf-8")
-        temporary.replace(path)

@@ -5,6 +5,7 @@ import pytest
 from knowarm.cli.bench import Bench
 from knowarm.cli.tables import print_table
 from knowarm.errors import UserError
+from knowarm.experiment.logs import TrainingProgress
 
 COLUMNS = ["experiment", "accuracy %", "success wide %", "return", "description of the experiment"]
 ROWS = [
@@ -42,6 +43,19 @@ def test_a_table_in_a_pipe_is_as_wide_as_its_content(capsys, monkeypatch):
 def test_names_are_no_markup(capsys):
     text = "\n".join(printed(capsys, "[bold]title[/]", ["[red]"], [["[/nonsense]"]]))
     assert all(each in text for each in ("[bold]title[/]", "[red]", "[/nonsense]"))
+
+
+def test_names_do_not_act_on_the_terminal(capsys):
+    text = "".join(printed(capsys, "\x1b]0;title\a", ["\x1b[31m"], [["\x1b[2J\r\u202eend"]]))
+    assert text.isprintable()
+    assert "\\x1b[2J\\r\\u202eend" in text
+
+
+def test_names_are_no_markup_in_a_progress_bar(monkeypatch, capsys):
+    monkeypatch.setenv("TTY_COMPATIBLE", "1")  # rich draws the bar as on a terminal
+    with TrainingProgress("[/nonsense]", 10) as progress:
+        progress.metrics({"step": 5})
+    assert "[/nonsense]" in capsys.readouterr().err
 
 
 def test_sizes_of_the_benchmark_out_of_range_are_refused():

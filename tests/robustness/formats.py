@@ -46,6 +46,7 @@ from knowarm.world.robots import ROBOTS
 from knowarm.world.robots.robot import read_robot, read_target
 from knowarm.world.scene.compose import read_mjcf
 from tests.robustness.mutator import mutate
+from tests.robustness.packs import pack_readers
 from tests.tiny import TINY, short
 
 STALL_S = 60
@@ -138,6 +139,7 @@ def make_formats(folder: Path) -> list[Format]:
         *_world(folder / "world"),
         *_run(folder / "runs"),
         *_perception(folder / "perception"),
+        *(Format(*each) for each in pack_readers(folder / "packs")),
         *_texts(folder),
     ]
 

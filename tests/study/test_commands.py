@@ -1,5 +1,6 @@
 """The commands of `knowarm study`."""
 
+import contextlib
 import io
 import json
 import shutil
@@ -9,6 +10,7 @@ from rich.console import Console
 
 from knowarm.cli.main import main
 from knowarm.cli.study import status_tables, study_progress
+from knowarm.errors import UserError
 from knowarm.study.config import SHIPPED, read_study
 from knowarm.study.driver import open_study
 from knowarm.study.status import FAILURE, study_status
@@ -48,6 +50,44 @@ def test_status_retry_stop_report_and_pack(capsys, tmp_path, finished, inline):
     assert "Complete" in capsys.readouterr().out
     assert main(["study", "run", str(out)]) == 0
     assert "Complete" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "state"),
+    [
+        ("metrics.csv", "\n40,", "\nabc,", "done"),
+        ("metrics.csv", "\n40,", "\ninf,", "done"),
+        ("evaluations.csv", "\n40,", "\nnan,", "done"),
+        ("evaluations.csv", "step,", "stop,", "damaged"),
+        ("checkpoints/latest/meta.json", '"step": 40', '"step": 1e999', "done"),
+        ("evaluation/final/summary.json", '"success":', '"x":', "damaged"),
+        ("config.json", '"seed"', '"sead"', "done"),
+    ],
+)
+def test_damage_to_one_run_leaves_the_others(
+    capsys, tmp_path, finished, inline, name, old, new, state
+):
+    out = shutil.copytree(finished, tmp_path / "tiny")
+    file = next(out.glob(f"irb120-bm-ppo/0/{name.replace('final', '*')}"))
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new))
+    table = tmp_path / "status.json"
+    assert main(["study", "status", str(out), "--json", str(table)]) == 0
+    assert [run["state"] for run in json.loads(table.read_text())["runs"]] == [state, "done"]
+    assert ("irb120-bm-ppo/0 damaged: " in capsys.readouterr().out) == (state == "damaged")
+    assert main(["report", str(out), "--out", str(tmp_path / "r.html")]) == 0
+    with contextlib.suppress(SystemExit):  # exit code 1: one run is not done
+        assert main(["study", "run", str(out)]) == 0
+    assert "Wrote" in capsys.readouterr().out
+
+
+def test_a_study_of_very_many_runs_is_refused_where_it_is_read(tmp_path, finished):
+    out = shutil.copytree(finished, tmp_path / "tiny")
+    values = json.loads((out / "study.json").read_text())
+    (out / "study.json").write_text(json.dumps(values | {"seeds": list(range(100_000))}))
+    with pytest.raises(UserError, match="at most 2,000 runs"):
+        read_study(out)
 
 
 @pytest.mark.parametrize(

@@ -1,12 +1,16 @@
 import json
+import os
+import signal
+import time
 
+import psutil
 import pytest
 
 from knowarm.errors import UserError
 from knowarm.experiment.run import train
 from knowarm.experiment.run_lock import lock_folder
-from knowarm.study import driver
-from knowarm.study.config import OverridesFor
+from knowarm.study import driver, executor
+from knowarm.study.config import OverridesFor, write_study
 from knowarm.study.driver import request_stop, retry, run_study
 from knowarm.study.executor import LocalExecutor, Where
 from knowarm.study.status import FAILURE, study_status, totals
@@ -160,6 +164,23 @@ def test_too_little_disk_space_is_refused(tmp_path, executors, monkeypatch):
 def test_a_machine_that_is_too_small_is_refused(tmp_path, needs):
     with pytest.raises(UserError, match=rf"where\.{next(iter(needs))}"):
         LocalExecutor(Where(**needs), tmp_path)
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="Windows cannot stop processes")
+def test_a_stopped_worker_is_killed_after_a_deadline(tmp_path, monkeypatch):
+    monkeypatch.setattr(executor, "TIMEOUT_S", 0.5)
+    write_study(tiny(), tmp_path)
+    local = LocalExecutor(Where(), tmp_path)
+    local.start(run := ("irb120-bm-ppo", 0))
+    os.kill(psutil.Process().children()[-1].pid, signal.SIGSTOP)
+    local.stop()
+    ended, begin = [], time.monotonic()
+    while not ended and time.monotonic() - begin < 20:
+        ended = local.ended()
+        time.sleep(0.1)
+    assert [(each.run, each.killed) for each in ended] == [(run, True)]
+    assert psutil.Process().children() == []
+    local.close()
 
 
 def test_the_reason_of_a_failure_is_in_the_run_folder(tmp_path, executors, monkeypatch):

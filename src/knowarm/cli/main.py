@@ -14,7 +14,7 @@ from typing import Any
 
 import knowarm
 from knowarm.cli.arguments import group_help, parse_command, take_option
-from knowarm.errors import UserError, unknown_name
+from knowarm.errors import UserError, printable, unknown_name
 from knowarm.private_apis import end_process
 from knowarm.world.tasks import VARIABLE, register_task
 
@@ -65,6 +65,7 @@ def _run(arguments: list[str]) -> int:
     except UserError as error:
         return _fail(with_flags(str(error)))
     except KeyboardInterrupt:
+        print("knowarm: interrupted", file=sys.stderr)
         return 130
     except BrokenPipeError:  # the reader (head, less) has closed the pipe
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -78,9 +79,8 @@ def _run(arguments: list[str]) -> int:
 
 
 def _fail(message: str) -> int:
-    """Print an error on one line, control characters of names from files escaped; return 2."""
-    shown = (c if c.isprintable() else c.encode("unicode_escape").decode() for c in message)
-    print(f"knowarm: {''.join(shown)}", file=sys.stderr)
+    """Print an error on one line and return 2."""
+    print(f"knowarm: {printable(message)}", file=sys.stderr)
     return 2
 
 

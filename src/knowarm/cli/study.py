@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from rich.console import Console, Group
+from rich.console import Group
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
 from knowarm.cli.tables import FilePath, TableCommand, lay_out, make_console, print_table
-from knowarm.errors import UserError
+from knowarm.errors import UserError, printable
 from knowarm.experiment.run_lock import StopRequest
 from knowarm.report import write_report
 from knowarm.study.config import FILE, SHIPPED, StudyConfig, read_study
@@ -27,12 +27,13 @@ from knowarm.study.status import RunStatus, seconds_left, study_status, totals
 
 EVERY_S = 60.0  # time between two plain lines without a change
 STYLES = {"running": "cyan", "failed": "red", "stalled": "yellow", "done": "green"}
+BAD = ("failed", "damaged")  # states that need an action of the user
 
 
 @contextmanager
 def study_progress(study: StudyConfig) -> Iterator[OnStatus]:
     """Display a running study: as a table on a terminal, else as a line per change."""
-    console = Console(highlight=False)
+    console = make_console()
     if console.is_terminal:
         with Live(console=console, auto_refresh=False) as live:
             yield lambda statuses: live.update(
@@ -47,7 +48,7 @@ def study_progress(study: StudyConfig) -> Iterator[OnStatus]:
         changed = [each for each in statuses if states.get(each.run) != each.state]
         for each in changed:
             if each.run in states or each.state != "waiting":
-                detail = f": {each.detail}" if each.detail else ""
+                detail = f": {printable(each.detail)}" if each.detail else ""
                 print(f"{each.name} {each.state}{detail}", flush=True)
         states.update({each.run: each.state for each in statuses})
         if changed or time.monotonic() - last_line >= EVERY_S:
@@ -79,7 +80,7 @@ def status_tables(
 
 def _cell(status: RunStatus, left: dict[RunKey, float]) -> Text:
     words: list[str] = [status.state]
-    if status.state not in ("waiting", "done", "trained"):
+    if status.state in ("running", "stalled", "failed"):
         words.append(f"{100 * status.step / status.total_steps:.0f} %")
     if status.success is not None:
         words.append(f"success {100 * status.success:.0f} %")
@@ -173,8 +174,8 @@ class StudyRun:
             return
         with StopRequest() as should_stop, study_progress(study) as progress:
             statuses = run_study(study, out, should_stop=should_stop, on_status=progress)
-        for each in (failed := [each for each in statuses if each.state == "failed"]):
-            print(f"{each.name} failed: {each.detail}")
+        for each in (failed := [each for each in statuses if each.state in BAD]):
+            print(f"{each.name} {each.state}: {printable(each.detail)}")
         if any(each.step for each in statuses):
             print(f"Wrote {write_report([out], out / 'report.html')}: open it in a browser.")
         if all(each.state == "done" for each in statuses):
@@ -218,8 +219,8 @@ class Status(FolderCommand, TableCommand):
         statuses = study_status(study, self.folder)
         print_status(study, statuses)
         for each in statuses:
-            if each.detail and each.state in ("failed", "stalled"):
-                print(f"{each.name} {each.state}: {each.detail}")
+            if each.detail and each.state in (*BAD, "stalled"):
+                print(f"{each.name} {each.state}: {printable(each.detail)}")
         values = {"study": study.name, **totals(statuses, study.where.cores)}
         return values | {"runs": [asdict(each) for each in statuses]}
 

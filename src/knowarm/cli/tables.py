@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from knowarm.errors import UserError
+from knowarm.errors import UserError, printable
 
 FilePath = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
 """Type of an optional file argument, such as ``--json``."""
@@ -47,7 +47,7 @@ def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]
     tables, each with the first column. Without a terminal a table is as wide as its content.
     """
     console = make_console()
-    console.print(Text(title, style="bold"), soft_wrap=True)
+    console.print(Text(printable(title), style="bold"), soft_wrap=True)
     for table in lay_out(columns, [list(row) for row in rows], console.width):
         console.print(table, crop=False)
 
@@ -55,6 +55,7 @@ def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]
 def lay_out(columns: Sequence[str], rows: Sequence[Sequence[Any]], room: int) -> list[Table]:
     """Return tables of at most ``room`` characters that show all columns; see `print_table`."""
     cells = [[each if isinstance(each, Text) else Text(_cell(each)) for each in r] for r in rows]
+    columns = list(map(printable, columns))
     texts = [[name, *(row[i].plain for row in cells)] for i, name in enumerate(columns)]
     words = [max(cell_len(word) for text in t for word in text.split() or [""]) for t in texts]
     lines = [max(map(cell_len, column)) for column in texts]
@@ -98,9 +99,13 @@ def _widths(least: Sequence[int], most: Sequence[int], room: int) -> list[int]:
 
 
 def make_console() -> Console:
-    """Return a console as wide as the terminal, or as ``COLUMNS`` says, or without limit."""
+    """Return a console as wide as the terminal, or as ``COLUMNS`` says, or without limit.
+
+    It takes no markup: what it prints may hold names that look like some.
+    """
     is_limited = sys.stdout.isatty() or "COLUMNS" in os.environ
-    return Console(highlight=False, width=None if is_limited else UNLIMITED)
+    width = None if is_limited else UNLIMITED
+    return Console(highlight=False, markup=False, emoji=False, width=width)
 
 
 def _cell(value: Any) -> str:
@@ -108,7 +113,7 @@ def _cell(value: Any) -> str:
         return {True: "yes", False: "no", None: "-"}[value]
     if isinstance(value, float):
         return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:,.3f}"
-    return f"{value:,}" if isinstance(value, int) else str(value)
+    return f"{value:,}" if isinstance(value, int) else printable(str(value))
 
 
 def check_json_path(path: Path | None) -> None:

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from knowarm.reading import UnreadableFileError, reading
+from knowarm.reading import UnreadableFileError, reading, replacing
 from knowarm.reading import writing as writing_file
 
 log = logging.getLogger("knowarm.experiment")
@@ -60,21 +60,21 @@ class CsvLog:
             csv.DictWriter(file, self._columns, lineterminator="\n").writerow(row)
 
     def _rewrite(self, rows: Sequence[Mapping[str, Any]]) -> None:
-        temporary = self._path.with_suffix(".tmp")
-        with writing(self._path):
-            with temporary.open("w", newline="", encoding="utf-8") as file:
-                if self._columns:
-                    writer = csv.DictWriter(file, self._columns, restval="", lineterminator="\n")
-                    writer.writeheader()
-                    writer.writerows(rows)
-            temporary.replace(self._path)
+        with (
+            replacing(self._path, REMEDY) as temporary,
+            temporary.open("w", newline="", encoding="utf-8") as file,
+        ):
+            if self._columns:
+                writer = csv.DictWriter(file, self._columns, restval="", lineterminator="\n")
+                writer.writeheader()
+                writer.writerows(rows)
 
 
-writing = partial(
-    writing_file,
-    remedy="The last checkpoint is intact: free disk space, or move the run folder back to where "
-    "the training started, and resume.",
+REMEDY = (
+    "The last checkpoint is intact: free disk space, or move the run folder back to where the "
+    "training started, and resume."
 )
+writing = partial(writing_file, remedy=REMEDY)
 """Context manager in which a running training writes a file."""
 
 
@@ -93,10 +93,14 @@ def read_csv(path: Path) -> list[dict[str, str]]:
         ]
 
 
+LARGEST = 1e15
+"""Largest absolute value of a stored number; a larger one is taken for damage."""
+
+
 def number_in(row: Mapping[str, str], column: str) -> float | None:
-    """Return a finite number of a CSV log; None for a cell that is empty, missing or damaged."""
+    """Return a number of a CSV log; None for a cell that is empty, missing or damaged."""
     try:
         number = float(row[column])
     except (KeyError, ValueError):
         return None
-    return number if math.isfinite(number) else None
+    return number if abs(number) <= LARGEST else None

@@ -41,7 +41,7 @@ class TrainingProgress:
         """Start the display."""
         if self._console.is_terminal:
             self._bar = Progress(
-                TextColumn("[bold]{task.description}"),
+                TextColumn("{task.description}", style="bold", markup=False),
                 BarColumn(),
                 TextColumn("{task.completed:,.0f}/{task.total:,.0f} {task.fields[rate]}"),
                 TimeRemainingColumn(),

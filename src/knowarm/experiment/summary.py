@@ -12,7 +12,7 @@ from PIL import Image, ImageSequence
 from knowarm.errors import UserError
 from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.edited_graph import answers_before_edit
-from knowarm.reading import reading, writing
+from knowarm.reading import reading, replacing, writing
 from knowarm.statistics import Interval, bootstrap, wilson
 from knowarm.world.agents.play import EpisodeResults
 from knowarm.world.envs.vector_env import ReachVectorEnv
@@ -89,10 +89,8 @@ def write_table(
     ]
     arrays = [pa.array(columns[f.name]).cast(f.type) for f in fields]
     table = pa.Table.from_arrays(arrays, schema=pa.schema(fields))
-    temporary = path.with_name(path.name + ".tmp")
-    with writing(path):
+    with replacing(path) as temporary:
         pq.write_table(table, temporary, compression="zstd")
-        temporary.replace(path)
 
 
 def read_table(path: Path, names: list[str] | None = None) -> dict[str, np.ndarray]:

@@ -11,14 +11,12 @@ import numpy as np
 from knowarm.errors import UserError
 from knowarm.experiment.algorithms import algorithm_of
 from knowarm.experiment.config import StopWhen
-from knowarm.experiment.csv_log import read_csv
+from knowarm.experiment.csv_log import LARGEST, number_in, read_csv
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.knowledge.queries.queries import parse_query
 from knowarm.questions import AND
 from knowarm.reading import one_line, read_json
 from knowarm.report.model import Curve, Evaluation, FolderProblem, Reference, RunData
-
-LARGEST = 1e15  # largest absolute value of a number; a larger one is taken for damage
 
 CONFIG = {  # kinds of the values of ``config.json`` that a report uses, as `check` takes them
     "agent": str,
@@ -138,12 +136,14 @@ def read_curve(path: Path, problems: list[FolderProblem]) -> Curve:
     values: dict[float, list[float]] = {}
     damaged = 0
     for row in rows:
-        numbers = {name: _number(row.get(name)) for name in columns}
-        step = numbers.get("step")
-        if step is None or not step >= 0:
+        numbers = {name: number_in(row, name) for name in columns}
+        step = numbers["step"]
+        if step is None or step < 0:
             damaged += 1
             continue
-        damaged += None in numbers.values()
+        damaged += any(
+            n is None and row.get(name) not in ("", "nan") for name, n in numbers.items()
+        )
         values[step] = [np.nan if number is None else number for number in numbers.values()]
     if is_truncated:
         problems.append(FolderProblem(path, "last line truncated", "the line is left out"))
@@ -241,15 +241,6 @@ def _attempt(path: Path, done: str, problems: list[FolderProblem]) -> Iterator[N
     except Exception as error:
         what = str(error) if isinstance(error, UserError) else f"damaged: {one_line(error)}"
         problems.append(FolderProblem(path, what, done))
-
-
-def _number(cell: str | None) -> float | None:
-    """Return a cell's number: NaN if it is empty, None if it is damaged."""
-    try:
-        number = float("damaged" if cell is None else cell or "nan")
-    except ValueError:
-        return None
-    return None if abs(number) > LARGEST else number
 
 
 def _run_folders(paths: Sequence[Path], problems: list[FolderProblem]) -> list[Path]:

@@ -3,8 +3,7 @@
 import csv
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescap
 from markupsafe import Markup, escape
 
 from knowarm.errors import UserError
-from knowarm.reading import read_json, write_json
+from knowarm.reading import read_json, replacing, write_json, writing
 from knowarm.report.blocks import Column, DataTable, Page, Row, Verdict, flat
 from knowarm.report.collect import collect
 from knowarm.report.format import FORMATS, MISSING, counted
@@ -58,26 +57,16 @@ def write_report(
     out = Path(out)
     if out.suffix.lower() not in (".html", ".htm"):
         raise UserError(f"The report must be an .html file, got {out}.")
-    with _writing(out.parent):
+    with writing(out.parent):
         out.parent.mkdir(parents=True, exist_ok=True)
     references = {name: Path(path) for name, path in (reference_results or {}).items()}
     study = collect([Path(path) for path in run_paths], references)
     pages = build_pages(study)
     page = _render(study, pages, out)
     _write_data(study, pages, out)
-    temporary = out.with_name(out.name + ".tmp")
-    with _writing(out):
+    with replacing(out) as temporary:
         temporary.write_text(page, encoding="utf-8", errors="replace")  # lone surrogates
-        temporary.replace(out)
     return out
-
-
-@contextmanager
-def _writing(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise UserError(f"Cannot write {path}: {error.strerror}.") from error
 
 
 def _write_data(study: StudyData, pages: Sequence[Page], out: Path) -> None:
@@ -87,7 +76,7 @@ def _write_data(study: StudyData, pages: Sequence[Page], out: Path) -> None:
     assert len(tables) == sum(len(page.tables()) for page in pages), "two tables of one name"
     names = [f"{name}.csv" for name in tables]
     _remove_earlier(out, folder, names)
-    with _writing(folder):
+    with writing(folder):
         folder.mkdir(exist_ok=True)
         write_json(folder / MANIFEST, {"format": FORMAT, "report": out.name, "files": names})
         for table in tables.values():
@@ -133,7 +122,7 @@ def _remove_earlier(out: Path, folder: Path, names: Sequence[str]) -> None:
     if strange := [name for name in names if name not in own and (folder / name).exists()]:
         what = f"{folder / strange[0]} exists and is not part of an earlier report"
         raise UserError(f"{what}. {MOVE}")
-    with _writing(folder):
+    with writing(folder):
         for name in own:
             if Path(name).name == name and name.endswith(".csv"):
                 (folder / name).unlink(missing_ok=True)

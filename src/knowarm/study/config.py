@@ -27,6 +27,7 @@ from knowarm.world.tasks import task_names
 from knowarm.world.tasks.sampling import Colours
 
 FORMAT = 1  # of study.json
+MAX_RUNS = 2000  # of a study
 FILE = "study.json"  # the study that a folder holds
 PACKED = "manifest.json"  # marks an unpacked study, whose unfinished runs cannot be resumed
 
@@ -104,6 +105,8 @@ class StudyConfig:
         if not re.fullmatch(r"[A-Za-z0-9][\w.-]*", self.name):
             allowed = "letters, digits, '-', '_' and '.'"
             raise UserError(f"name must consist of {allowed}, got {self.name!r}.")
+        if (count := len(self.cells()) * len(self.seeds)) > MAX_RUNS:
+            raise UserError(f"A study has at most {MAX_RUNS:,} runs; these would be {count:,}.")
         for what, given in (("experiments", self.cells()), ("seeds", self.seeds)):
             if not given:
                 raise UserError(f"{what}: a study needs at least one; got none.")

@@ -7,6 +7,7 @@ import shutil
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from knowarm.errors import UserError, unknown_name
@@ -83,7 +84,11 @@ def check_folder(study: StudyConfig, out: Path) -> None:
         folder = RunFolder(run_path(out, config))
         if not folder.config_path.exists():
             missing += 1
-        elif different := differences(RunFolder.open(folder.path).experiment(), config):
+            continue
+        different: dict[str, str] = {}
+        with suppress(UserError):  # damaged: this run alone fails
+            different = differences(RunFolder.open(folder.path).experiment(), config)
+        if different:
             raise UserError(
                 f"The run {folder.path} has another config than the study (run | study): "
                 f"{'; '.join(different.values())}. Change the study back, or choose another folder."

@@ -1,8 +1,11 @@
 """Executor of a study: one process per run on this machine."""
 
+import math
 import os
 import subprocess
 import sys
+import time
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -16,7 +19,7 @@ RunKey = tuple[str, int]
 """Experiment and training seed: names a run of a study."""
 
 LOG = "log.txt"  # in a run folder: what its workers printed
-TIMEOUT_S = 10.0  # how long `LocalExecutor.close` waits for its workers before it kills them
+TIMEOUT_S = 15.0  # how long workers that were asked to end may take before they are killed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +67,7 @@ class LocalExecutor:
     def __init__(self, where: Where, out: Path) -> None:
         self._where, self._out = where, out
         self._workers: dict[RunKey, tuple[int, subprocess.Popen[bytes]]] = {}  # with their slots
+        self._deadline = math.inf  # when those that were asked to end are killed
         memory = psutil.virtual_memory()
         self._gpus = _gpus() if where.gpus else []
         limits = {
@@ -109,6 +113,8 @@ class LocalExecutor:
         """Return the workers that have ended since the last call."""
         ended = []
         for run, (_, process) in list(self._workers.items()):
+            if process.poll() is None and time.monotonic() > self._deadline:
+                _kill(process)
             if (code := process.poll()) is None:
                 continue
             del self._workers[run]
@@ -119,19 +125,26 @@ class LocalExecutor:
         return ended
 
     def stop(self) -> None:
-        """Ask all workers to save a checkpoint and end."""
+        """Ask all workers to save a checkpoint and end; a stopped process would never do so."""
         for _, process in self._workers.values():
             process.terminate()
+        self._deadline = min(self._deadline, time.monotonic() + TIMEOUT_S)
 
     def close(self) -> None:
-        """End all workers at once."""
+        """End all workers."""
         self.stop()
-        for _, process in self._workers.values():
-            try:
-                process.wait(TIMEOUT_S)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+        while self._workers:
+            self.ended()
+            time.sleep(0.05)
+
+
+def _kill(process: "subprocess.Popen[bytes]") -> None:
+    """Kill a worker and the processes that it started, which may be stopped as well."""
+    with suppress(psutil.NoSuchProcess):
+        for child in psutil.Process(process.pid).children(recursive=True):
+            child.kill()
+    process.kill()
+    process.wait()
 
 
 def _gpus() -> list[str]:

@@ -6,7 +6,6 @@ import io
 import json
 import shutil
 import tarfile
-import zlib
 from collections.abc import Collection
 from itertools import chain
 from pathlib import Path
@@ -16,16 +15,13 @@ from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.run import run_path
 from knowarm.experiment.run_folder import FILE as PERCEPTION
 from knowarm.experiment.run_lock import lock_folder
-from knowarm.reading import MAX_JSON
+from knowarm.reading import MAX_JSON, bounded, reading, replacing, writing
 from knowarm.study.config import FILE, PACKED
 from knowarm.study.driver import open_study
 from knowarm.study.status import FAILURE
 
 FORMAT = 1  # of the manifest
 SUFFIX = ".tar.gz"
-
-DAMAGED = (tarfile.TarError, gzip.BadGzipFile, zlib.error, EOFError)
-"""What reading a damaged archive raises."""
 
 Part = Literal["policies", "steps", "films"]
 """What a pack may leave out: the best policies, every step of the evaluations, their images."""
@@ -80,23 +76,19 @@ def pack_study(out: Path, file: Path, *, leave_out: Collection[Part] = ()) -> in
         "bytes": {name: len(data) for name, data in contents.items()},
         "sha256": {name: hashlib.sha256(data).hexdigest() for name, data in contents.items()},
     }
-    temporary = file.with_name(f".{file.name}.tmp")
-    try:
+    with writing(file):
         file.parent.mkdir(parents=True, exist_ok=True)
-        with (
-            temporary.open("wb") as raw,
-            gzip.GzipFile("", "wb", fileobj=raw, mtime=0) as zipped,
-            tarfile.open(fileobj=zipped, mode="w", format=tarfile.PAX_FORMAT) as archive,
-        ):
-            text = json.dumps(manifest, indent=2) + "\n"
-            for name, data in ({PACKED: text.encode()} | contents).items():
-                member = tarfile.TarInfo(name)
-                member.size = len(data)
-                archive.addfile(member, io.BytesIO(data))
-        temporary.replace(file)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise UserError(f"Cannot write {file}: {error.strerror or error}.") from error
+    with (
+        replacing(file) as temporary,
+        temporary.open("wb") as raw,
+        gzip.GzipFile("", "wb", fileobj=raw, mtime=0) as zipped,
+        tarfile.open(fileobj=zipped, mode="w", format=tarfile.USTAR_FORMAT) as archive,
+    ):
+        text = json.dumps(manifest, indent=2) + "\n"
+        for name, data in ({PACKED: text.encode()} | contents).items():
+            member = tarfile.TarInfo(name)
+            member.size = len(data)
+            archive.addfile(member, io.BytesIO(data))
     return len(contents)
 
 
@@ -114,17 +106,28 @@ def unpack_study(file: Path, out: Path) -> Path:
     temporary = out.with_name(f".{out.name}.tmp")
     shutil.rmtree(temporary, ignore_errors=True)
     try:
-        temporary.mkdir(parents=True)
-        with tarfile.open(file, "r:gz") as archive:
+        with (
+            reading(file, "Give an intact pack of a study, or another folder."),
+            bounded(gzip.open(file), file) as data,
+            tarfile.open(fileobj=data, mode="r|", tarinfo=_RegularFile) as archive,
+        ):
+            temporary.mkdir(parents=True)
             _extract(archive, temporary)
         temporary.rename(out)
-    except (*DAMAGED, ValueError, LookupError, TypeError, RecursionError) as error:
-        raise UserError(f"{file} is no intact pack of a study: {error}.") from error
-    except OSError as error:
-        raise UserError(f"Cannot unpack {file}: {error.strerror or error}.") from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
     return out
+
+
+class _RegularFile(tarfile.TarInfo):
+    """Member of a pack: a link, sparse file or header extension is refused before it is read."""
+
+    @classmethod
+    def frombuf(cls, buf: bytes | bytearray, encoding: str, errors: str) -> "_RegularFile":
+        member = super().frombuf(buf, encoding, errors)
+        if member.type != tarfile.REGTYPE:
+            raise ValueError(f"{member.name} is no regular file")
+        return member
 
 
 def _extract(archive: tarfile.TarFile, folder: Path) -> None:
@@ -132,8 +135,8 @@ def _extract(archive: tarfile.TarFile, folder: Path) -> None:
     sizes, digests = {PACKED: MAX_JSON}, {}
     for member in archive:
         name = member.name
-        if not member.isreg() or name not in sizes or (folder / name).exists():
-            raise ValueError(f"{name} is no regular file, or not one of the manifest's")
+        if name not in sizes or (folder / name).exists():
+            raise ValueError(f"{name} is not one of the manifest's files")
         if member.size > min(sizes[name], shutil.disk_usage(folder).free):
             raise ValueError(f"{name} is larger than its manifest or the free disk space allows")
         archive.extract(member.replace(mtime=None), folder, filter="data")  # type: ignore[arg-type]

@@ -12,11 +12,11 @@ from typing import Any, Literal
 from knowarm.config import to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.config import EvaluationConfig, ExperimentConfig
-from knowarm.experiment.csv_log import read_csv
+from knowarm.experiment.csv_log import number_in, read_csv
 from knowarm.experiment.run import run_path
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.run_lock import is_locked
-from knowarm.reading import read_json
+from knowarm.reading import read_json, reading
 from knowarm.study.config import StudyConfig
 from knowarm.study.executor import RunKey
 
@@ -25,6 +25,7 @@ State = Literal[
     "running",  # a process holds its folder
     "stalled",  # started, and its process ended or is silent; `study run` resumes it
     "failed",  # an error ended it; ``study retry`` lets it resume
+    "damaged",  # a file of its folder cannot be read; `study run` leaves it alone
     "trained",  # all steps done, evaluations missing
     "done",  # trained and evaluated
 ]
@@ -72,36 +73,42 @@ def study_status(study: StudyConfig, out: Path) -> list[RunStatus]:
 def run_status(
     config: ExperimentConfig, evaluations: Sequence[EvaluationConfig], out: Path
 ) -> RunStatus:
-    """Return the status of one run."""
-    path = run_path(out, config)
-    folder = RunFolder(path)
-    known = _progress(folder)
+    """Return the status of one run; damage to its files is a state of its own."""
+    folder = RunFolder(run_path(out, config))
+    known: dict[str, Any] = {}
+    try:
+        known |= _progress(folder)
+        known["state"], known["detail"] = _state(folder, config, evaluations)
+        if known["state"] == "done" and evaluations:
+            file = folder.evaluation(evaluations[0].folder) / "summary.json"
+            with reading(file, "Remove it, and the study evaluates the run again."):
+                known["success"] = float(read_json(file)["success"])
+    except UserError as error:
+        known |= {"state": "damaged", "detail": str(error)}
+    steps = config.total_steps
+    return RunStatus(experiment=config.name, seed=config.seed, total_steps=steps, **known)
 
-    def status(state: State, detail: str = "") -> RunStatus:
-        name, steps = config.name, config.total_steps
-        texts: dict[str, Any] = {"experiment": name, "state": state, "detail": detail}
-        return RunStatus(seed=config.seed, total_steps=steps, **texts, **known)
 
+def _state(
+    folder: RunFolder, config: ExperimentConfig, evaluations: Sequence[EvaluationConfig]
+) -> tuple[State, str]:
+    """Return the state of a run, and why it failed or stalled, or how it ended early."""
+    path = folder.path
     failure = _failure(path)
     if not folder.config_path.exists():
-        return status("failed" if failure else "running" if is_locked(path) else "waiting", failure)
+        return "failed" if failure else "running" if is_locked(path) else "waiting", failure
     if is_locked(path):
         silent = time.time() - _last_write(path)
         if silent > SILENT_S:
-            return status("stalled", f"its process has written nothing for {silent / 60:.0f} min")
-        return status("running")
+            return "stalled", f"its process has written nothing for {silent / 60:.0f} min"
+        return "running", ""
     if failure:
-        return status("failed", failure)
+        return "failed", failure
     if not is_trained(folder, config):
-        return status("stalled", "resumes with the next study run")
+        return "stalled", "resumes with the next study run"
     early = folder.ended_early_at(config.stop_when)
     detail = "" if early is None or early >= config.total_steps else f"ended early at {early:,}"
-    if missing_evaluations(folder, evaluations):
-        return status("trained", detail)
-    if evaluations:
-        summary = read_json(folder.evaluation(evaluations[0].folder) / "summary.json")
-        known["success"] = summary["success"]
-    return status("done", detail)
+    return "trained" if missing_evaluations(folder, evaluations) else "done", detail
 
 
 def is_trained(folder: RunFolder, config: ExperimentConfig) -> bool:
@@ -113,7 +120,7 @@ def is_trained(folder: RunFolder, config: ExperimentConfig) -> bool:
 def checkpoint_step(folder: RunFolder) -> int:
     """Return the step of the latest checkpoint; -1 without one."""
     for name in ("latest", "previous"):
-        with suppress(UserError, KeyError, TypeError, ValueError):
+        with suppress(UserError, KeyError, TypeError, ValueError, OverflowError):
             return int(read_json(folder.checkpoints / name / "meta.json")["facts"]["step"])
     return -1
 
@@ -175,22 +182,21 @@ def _training(path: Path, *version: int) -> Mapping[str, Any]:
     rows = read_csv(path)
     seconds, before = 0.0, 0.0
     for row in rows:
-        now = float(row.get("wall_time_s") or 0)
+        now = number_in(row, "wall_time_s") or 0.0
         # The clock restarts whenever a training resumes.
         seconds, before = seconds + (now - before if now >= before else now), now
-    last: Mapping[str, str] = rows[-1] if rows else {}
-    return {
-        "step": int(float(last.get("step") or 0)),
-        "steps_per_s": float(last.get("steps_per_s") or 0) or None,
-        "seconds": seconds,
-    }
+    last = rows[-1] if rows else {}
+    rate = number_in(last, "steps_per_s") or 0.0
+    step = int(number_in(last, "step") or 0)
+    return {"step": step, "steps_per_s": rate if rate > 0 else None, "seconds": seconds}
 
 
 @lru_cache(maxsize=2000)
 def _interim_success(path: Path, *version: int) -> Mapping[str, Any]:
     """Read the success of the latest interim evaluation."""
-    success = [row["success"] for row in read_csv(path) if row.get("success")]
-    return {"success": float(success[-1])} if success else {}
+    numbers = [number_in(row, "success") for row in read_csv(path)]
+    success = [number for number in numbers if number is not None]
+    return {"success": success[-1]} if success else {}
 
 
 def _failure(path: Path) -> str:

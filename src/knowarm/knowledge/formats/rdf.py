@@ -5,13 +5,16 @@ Nothing is fetched: a JSON-LD context must lie in the file itself.
 
 import heapq
 import re
+import shutil
 from collections.abc import Iterator
+from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
-from xml.parsers import expat
 
 from pyoxigraph import BlankNode, NamedNode, RdfFormat, Triple, parse, serialize
 
 from knowarm.errors import UserError
+from knowarm.knowledge.formats.oxigraph import run_oxigraph
 from knowarm.knowledge.formats.tables import open_bytes
 from knowarm.knowledge.graph.builder import GraphBuilder
 from knowarm.knowledge.graph.graph import KnowledgeGraph
@@ -63,8 +66,13 @@ def read_rdf(path: Path, syntax: RdfFormat) -> KnowledgeGraph:
     with reading(path, "Correct, copy or compress it again."):
         _refuse_binary(path)
         try:
-            with open_bytes(path) as file:
-                for quad in parse(file, format=syntax, base_iri=base):
+            with open_bytes(path) as file, ExitStack() as stack:
+                triples, lines = file, syntax
+                if syntax in (RdfFormat.RDF_XML, RdfFormat.JSON_LD):
+                    task = {"syntax": syntax.file_extension, "base": base}
+                    converted = run_oxigraph(partial(shutil.copyfileobj, file), **task)
+                    triples, lines = stack.enter_context(converted), RdfFormat.N_TRIPLES
+                for quad in parse(triples, format=lines, base_iri=base):
                     head, tail, relation = quad.subject, quad.object, quad.predicate.value
                     if type(head) is NamedNode and type(tail) is NamedNode:  # most triples: fast
                         builder.add(head.value, relation, tail.value)
@@ -120,12 +128,6 @@ def _malformed(path: Path, syntax: RdfFormat, error: SyntaxError) -> UserError:
             f"{path}: the JSON-LD context is a remote document, and nothing is fetched from the "
             f"network. Write the context into the file."
         )
-    if line is None and syntax == RdfFormat.RDF_XML:  # expat knows the line
-        try:
-            with open_bytes(path) as file:
-                expat.ParserCreate().ParseFile(file)
-        except expat.ExpatError as found:
-            line, reason = found.lineno, expat.errors.messages[found.code]
     place = f"{path}, line {line}" if line else str(path)
     return UserError(
         f"{place}: not well-formed {syntax.name}: {reason}. "

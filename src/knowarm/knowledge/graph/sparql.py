@@ -1,12 +1,21 @@
-"""SPARQL queries on a knowledge graph, evaluated by pyoxigraph in memory."""
+"""SPARQL queries on a knowledge graph, evaluated by pyoxigraph in a child process."""
 
 import re
+from functools import partial
 from itertools import islice
-from typing import NamedTuple
+from typing import IO, NamedTuple
 
-from pyoxigraph import Quad, QueryBoolean, QueryTriples, Store
+from pyoxigraph import (
+    QueryBoolean,
+    QueryResultsFormat,
+    RdfFormat,
+    parse,
+    parse_query_results,
+    serialize,
+)
 
 from knowarm.errors import UserError
+from knowarm.knowledge.formats.oxigraph import run_oxigraph
 from knowarm.knowledge.formats.rdf import PREFIXES, rdf_triples
 from knowarm.knowledge.graph.builder import GraphBuilder
 from knowarm.knowledge.graph.graph import KnowledgeGraph
@@ -16,6 +25,8 @@ from knowarm.reading import one_line
 EXAMPLE = "SELECT ?colour WHERE { :mug :hasColor ?colour }"
 MAX_ROWS = 1_000_000
 """Most rows of an answer."""
+MAX_QUERY = 20_000
+"""Most characters of a query."""
 _IRI = re.compile(r'<[^<>"{}|^`\\\s]*>')
 _SERVICE = re.compile(r"([:?$@]?)[\w%-]*?(service)", re.IGNORECASE)
 _FROM = re.compile(r"([:?$@]?)\b(from)\b", re.IGNORECASE)
@@ -43,10 +54,12 @@ def sparql(graph: KnowledgeGraph, query: str) -> Answer:
             f"graph only and nothing is fetched from the network. Leave it out, or load the other "
             f"graph and unite the two first."
         )
-    store = Store()
-    store.bulk_extend(Quad(*triple) for triple in rdf_triples(graph))
+    if len(query) > MAX_QUERY:
+        raise UserError(f"SPARQL query: it is longer than {MAX_QUERY:,} characters.")
     try:
-        return _answer(store, query)
+        triples = partial(serialize, rdf_triples(graph), format=RdfFormat.N_TRIPLES)
+        with run_oxigraph(triples, query=query, prefixes=PREFIXES) as output:
+            return _answer(output)
     except UserError:
         raise
     except SyntaxError as error:
@@ -55,15 +68,17 @@ def sparql(graph: KnowledgeGraph, query: str) -> Answer:
         raise UserError(f"SPARQL query: {one_line(error)}. Example: {EXAMPLE}") from error
 
 
-def _answer(store: Store, query: str) -> Answer:
-    result = store.query(query, prefixes=PREFIXES)
+def _answer(output: IO[bytes]) -> Answer:
+    is_graph = output.read(1) != b"{"
+    output.seek(0)
+    if is_graph:
+        builder = GraphBuilder()
+        for quad in islice(parse(output, RdfFormat.N_TRIPLES), MAX_ROWS):
+            builder.add_statement(*map(name_of_term, quad.triple))
+        return Answer((), (), builder.build())
+    result = parse_query_results(output, QueryResultsFormat.JSON)
     if isinstance(result, QueryBoolean):
         return Answer(("answer",), (("yes" if result else "no",),))
-    if isinstance(result, QueryTriples):
-        builder = GraphBuilder()
-        for triple in islice(result, MAX_ROWS):
-            builder.add_statement(*map(name_of_term, triple))
-        return Answer((), (), builder.build())
     columns = tuple(variable.value for variable in result.variables)
     rows = [
         tuple("" if t is None else name_of_term(t) for t in row)

@@ -1,7 +1,9 @@
 """Composition of a scene: one ``MjSpec`` of robot, servos, targets, support, lights and camera."""
 
 from collections.abc import Iterable, Sequence
+from concurrent.futures import Future
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import mujoco
@@ -15,6 +17,7 @@ from knowarm.world.robots.robot import Robot, Table
 ROBOT_PREFIX = "robot/"  # Prefix of all names of the robot's own file in the scene
 ROBOT_BIT, SUPPORT_BIT = 1, 2
 """MuJoCo contact bits: the only contacts are those between robot and support."""
+COMPILE_S = 120.0  # Most time that an MJCF file may take to compile
 
 
 def read_mjcf(path: Path, owner: str) -> mujoco.MjSpec:
@@ -23,15 +26,29 @@ def read_mjcf(path: Path, owner: str) -> mujoco.MjSpec:
         is_file = path.is_file()
     if not is_file:
         raise UserError(f"{owner}: mjcf is {str(path)!r}, and there is no such file.")
+    compiled: Future[mujoco.MjSpec] = Future()
+
+    def compile_file() -> None:
+        try:
+            spec = mujoco.MjSpec.from_file(str(path))
+            spec.compile()
+            compiled.set_result(spec)
+        except Exception as error:
+            compiled.set_exception(error)
+
+    # MuJoCo does not notice Ctrl-C; waiting for another thread does.
+    Thread(target=compile_file, daemon=True).start()
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
-        spec.compile()
+        return compiled.result(COMPILE_S)
+    except TimeoutError:
+        raise UserError(
+            f"{owner}: mjcf {str(path)!r} takes more than {COMPILE_S:.0f} s to compile."
+        ) from None
     except (ValueError, mujoco.FatalError) as error:
         raise UserError(
             f"{owner}: mjcf {str(path)!r} does not compile: {one_line(error)}. Correct the file; "
             f"`python -m mujoco.viewer --mjcf={path}` shows the same error."
         ) from None
-    return spec
 
 
 def attach_robot(spec: mujoco.MjSpec, robot: Robot) -> None:
