@@ -12,6 +12,8 @@ PRIVILEGED_OPTIONS: Mapping[str, tuple[Any, str]] = {
     "critic": ("image", "critic"),
     "auxiliary_coef": (0, "auxiliary loss"),
     "progress_coef": (0, "progress reward"),
+    "imitation_coef": (0, "teacher"),
+    "practice_until": (0, "practice starts"),
 }
 """Options that need the simulator's state in training: value that does not, and what it is for."""
 
@@ -121,6 +123,18 @@ class PPOConfig(ScheduleConfig):
     progress_coef: float = 0.0
     """Factor of a reward for every step's decrease of distance (100 per metre) and angle (20 per
     90 degrees), added to the task's reward; 0: none."""
+    imitation_coef: float = 0.0
+    """Coefficient of the imitation loss: the cross-entropy of the policy to the actions of a
+    teacher that solves the inverse kinematics, in the states that the policy visits (DAgger, Ross
+    et al. 2011); 0: none."""
+    reinforcement_coef: float = 1.0
+    """Coefficient of PPO's own loss (policy, value, entropy); 0 leaves imitation and auxiliary loss
+    alone."""
+    practice_until: float = 0.0
+    """Fraction of the training during which episodes start on the teacher's way to the goal, with
+    noise, and are shorter at first; afterwards half of them start there. 0: none."""
+    practice_steps: int = 3
+    """Time limit of the first episodes with ``practice_until``; it grows exponentially [steps]."""
     target_kl: float | None = None
     """End the passes over a rollout when the approximate KL divergence exceeds it [nat]; None:
     no limit."""
@@ -138,10 +152,11 @@ class PPOConfig(ScheduleConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        at_least(self, 1, "num_envs", "rollout_steps", "epochs", "minibatches", "processes")
+        counts = ("num_envs", "rollout_steps", "epochs", "minibatches", "processes")
+        at_least(self, 1, *counts, "practice_steps")
         above_zero(self, "adam_eps", "clip_range", "reward_scale", "max_grad_norm")
-        fraction(self, "gamma", "gae_lambda")
-        at_least(self, 0, "auxiliary_coef", "progress_coef")
+        fraction(self, "gamma", "gae_lambda", "practice_until")
+        at_least(self, 0, "auxiliary_coef", "progress_coef", "imitation_coef", "reinforcement_coef")
         if self.device == "cuda" and self.processes is not None:
             raise UserError(
                 f"processes ({self.processes}) applies to device 'cpu' only; leave it None "

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from knowarm.errors import UserError
-from knowarm.learn.algorithms import ScheduleConfig
+from knowarm.learn.algorithms import PPOConfig, ScheduleConfig
 
 Infos = dict[str, Any]
 StepResult = tuple[Tensor, Tensor, Tensor, Tensor, Infos]
@@ -79,6 +79,22 @@ class PrivilegedVectorEnv(TorchVectorEnv, Protocol):
     @property
     def privileged_state(self) -> Tensor:
         """State of each running episode, (n, D) float32."""
+
+
+class TeachingVectorEnv(PrivilegedVectorEnv, Protocol):
+    """A vector environment with a teacher that solves the running episodes, for training."""
+
+    max_steps: int
+    """Time limit of the episodes [steps]."""
+
+    def teach(self) -> tuple[Tensor, Tensor]:
+        """Return the teacher's actions (n, J) int64, and the way to its solution (n, J) float32.
+
+        The way is in units of the largest joint step.
+        """
+
+    def set_practice(self, share: float, step_limit: int | None) -> None:
+        """Start a share of the next episodes on the way to the goal, and limit their steps."""
 
 
 class NumpyToTorch:
@@ -190,3 +206,28 @@ class ThresholdCurriculum:
         """Decrease the factor if enough of an update's episodes succeeded (0..1)."""
         if self.is_used and success > self._config.threshold_success:
             self.factor = max(1.0, self.factor - self._config.threshold_decrease)
+
+
+PRACTICE_AFTERWARDS = 0.5
+"""Share of the episodes that start on the teacher's way after the practice."""
+
+
+class Practice:
+    """Sets where episodes start and how long they last, by the progress of the training.
+
+    During the practice, the time limit grows exponentially to the task's, and the share of the
+    episodes that start on the teacher's way falls along a line from all to half in its second half.
+    """
+
+    def __init__(self, config: PPOConfig, env: TeachingVectorEnv) -> None:
+        self._until, self._steps = config.practice_until, config.practice_steps
+        self._env = env
+
+    def update(self, progress: float) -> None:
+        """Set both for the next rollout, after a fraction ``progress`` of the training."""
+        if not self._until:
+            return
+        done = min(1.0, progress / self._until)
+        steps = self._steps * (self._env.max_steps / self._steps) ** done
+        share = 1 - (1 - PRACTICE_AFTERWARDS) * max(0.0, 2 * done - 1)
+        self._env.set_practice(share, round(steps))

@@ -10,7 +10,12 @@ from knowarm.errors import UserError
 from knowarm.learn.algorithms import PPOConfig, privileged_uses
 from knowarm.learn.checkpoint import Checkpoint, policy_arrays, select
 from knowarm.learn.collector import Collector
-from knowarm.learn.environment import PrivilegedVectorEnv, ThresholdCurriculum, TorchVectorEnv
+from knowarm.learn.environment import (
+    Practice,
+    PrivilegedVectorEnv,
+    ThresholdCurriculum,
+    TorchVectorEnv,
+)
 from knowarm.learn.evaluation import MAX_PENDING, Metrics
 from knowarm.learn.guards import FiniteGuard, HealthMonitor
 from knowarm.learn.losses import PPOLossTerms, advantages
@@ -18,7 +23,7 @@ from knowarm.learn.optimizer import PolicyOptimizer, resolve_precision
 from knowarm.learn.parallel.data_parallel import make_learner
 from knowarm.learn.parallel.processes import keep_freed_memory
 from knowarm.learn.parallel.shared_tensors import flatten_parameters
-from knowarm.learn.privileged import PrivilegedLearning
+from knowarm.learn.privileged import PrivilegedLearning, teaching_env
 from knowarm.learn.rollout import TrainingNetwork
 from knowarm.learn.trainer import StopReason, Trainer, crossed
 from knowarm.policy import Policy
@@ -80,6 +85,10 @@ class PPOTrainer(Trainer):
             if config.auxiliary_coef:
                 targets = self._privileged.auxiliary_targets().shape[-1]
         self._curriculum = ThresholdCurriculum(config, env)
+        self._practice = None
+        if config.practice_until:
+            self._practice = Practice(config, teaching_env(env))
+            self._practice.update(0.0)
         network = TrainingNetwork(policy.to(self._device), targets, seed)
         self._head = network.head
         self._learner = make_learner(network, config, self.matmul_precision, self._device)
@@ -87,7 +96,7 @@ class PPOTrainer(Trainer):
             env,
             policy,
             seed=seed,
-            final_values=config.critic == "image",
+            final_values=config.critic == "image" and config.reinforcement_coef > 0,
             curriculum=self._curriculum,
         )
         self._minibatch_generator = torch_generator(seed, "minibatches", device=self._device)
@@ -162,7 +171,10 @@ class PPOTrainer(Trainer):
     def _update(self, total_steps: int) -> Metrics:
         """Collect one rollout, learn from it, and return the metrics of both."""
         config, rollout = self.config, self._learner.rollout
-        rate = config.learning_rate_at(self.step / total_steps)
+        progress = self.step / total_steps
+        rate = config.learning_rate_at(progress)
+        if self._practice is not None:
+            self._practice.update(progress)
         self._optimizer.set_learning_rate(rate)
         environment_s, start = self._collector.environment_s, time.perf_counter()
         record = self._privileged.rollout if self._privileged else None
@@ -185,6 +197,8 @@ class PPOTrainer(Trainer):
         options = {}
         if self._head is not None:
             options["auxiliary_loss"] = float(torch.stack([t.auxiliary for t in terms]).mean())
+        if config.imitation_coef:
+            options["imitation_loss"] = float(torch.stack([t.imitation for t in terms]).mean())
         if self._curriculum.is_used:
             options["threshold_factor"] = self._curriculum.factor
             self._curriculum.update(episodes.get("success", 0.0))
@@ -217,6 +231,10 @@ class PPOTrainer(Trainer):
                 following = torch.where(rollout.terminated, 0, following)
             if targets.auxiliary is not None:
                 targets.auxiliary.copy_(privileged.auxiliary_targets())
+            if targets.teacher_actions is not None:
+                actions = privileged.rollout.teacher_actions
+                assert actions is not None
+                targets.teacher_actions.copy_(actions)
         reward = reward * config.reward_scale
         advantage = advantages(
             reward,
