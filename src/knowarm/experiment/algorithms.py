@@ -86,7 +86,7 @@ ALGORITHMS: dict[str, Algorithm] = {
     "distil": Algorithm(
         about="imitation of a teacher by inverse kinematics, in the states the policy visits",
         config=PPOConfig(
-            optimizer="muon",
+            optimizer="muon-float32",
             learning_rate=3e-3,
             learning_rate_final=0.02,
             rollout_steps=10,
@@ -96,6 +96,7 @@ ALGORITHMS: dict[str, Algorithm] = {
             imitation_coef=1.0,
             reinforcement_coef=0.0,
             practice_until=0.5,
+            average_updates=7,
         ),
         make_trainer=_make_ppo,
         total_steps=300_000,

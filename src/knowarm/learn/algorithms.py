@@ -90,9 +90,10 @@ class PPOConfig(ScheduleConfig):
     """Passes over each rollout per update."""
     minibatches: int = 4
     """Groups of environments that a pass is divided into; one gradient step per group."""
-    optimizer: Literal["adam", "muon"] = "adam"
+    optimizer: Literal["adam", "muon", "muon-float32"] = "adam"
     """Adam, or Muon for the matrices of the fully connected layer and the LSTM and Adam for all
-    else, at the same learning rate."""
+    else, at the same learning rate. "muon" multiplies in bfloat16; "muon-float32" is faster, and
+    updates the convolution kernels too."""
     learning_rate: float = 1e-3
 
     adam_eps: float = 1e-5
@@ -131,10 +132,12 @@ class PPOConfig(ScheduleConfig):
     """Coefficient of PPO's own loss (policy, value, entropy); 0 leaves imitation and auxiliary loss
     alone."""
     practice_until: float = 0.0
-    """Fraction of the training during which episodes start on the teacher's way to the goal, with
-    noise, and are shorter at first; afterwards half of them start there. 0: none."""
-    practice_steps: int = 3
-    """Time limit of the first episodes with ``practice_until``; it grows exponentially [steps]."""
+    """Fraction of the training during which the share of episodes that start on the teacher's way
+    to the goal, with noise, falls from all to half, where it stays; 0: all episodes start as the
+    task draws them."""
+    average_updates: int | None = None
+    """Number of updates over which the parameters are averaged (exponentially) for interim
+    evaluations and the best policy, which then act with the averages; None: not averaged."""
     target_kl: float | None = None
     """End the passes over a rollout when the approximate KL divergence exceeds it [nat]; None:
     no limit."""
@@ -153,7 +156,7 @@ class PPOConfig(ScheduleConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         counts = ("num_envs", "rollout_steps", "epochs", "minibatches", "processes")
-        at_least(self, 1, *counts, "practice_steps")
+        at_least(self, 1, *counts, "average_updates")
         above_zero(self, "adam_eps", "clip_range", "reward_scale", "max_grad_norm")
         fraction(self, "gamma", "gae_lambda", "practice_until")
         at_least(self, 0, "auxiliary_coef", "progress_coef", "imitation_coef", "reinforcement_coef")

@@ -84,17 +84,14 @@ class PrivilegedVectorEnv(TorchVectorEnv, Protocol):
 class TeachingVectorEnv(PrivilegedVectorEnv, Protocol):
     """A vector environment with a teacher that solves the running episodes, for training."""
 
-    max_steps: int
-    """Time limit of the episodes [steps]."""
+    practice_share: float
+    """Share of the next episodes that start on the way to the goal, 0 to 1; set by the trainer."""
 
     def teach(self) -> tuple[Tensor, Tensor]:
         """Return the teacher's actions (n, J) int64, and the way to its solution (n, J) float32.
 
         The way is in units of the largest joint step.
         """
-
-    def set_practice(self, share: float, step_limit: int | None) -> None:
-        """Start a share of the next episodes on the way to the goal, and limit their steps."""
 
 
 class NumpyToTorch:
@@ -213,21 +210,14 @@ PRACTICE_AFTERWARDS = 0.5
 
 
 class Practice:
-    """Sets where episodes start and how long they last, by the progress of the training.
-
-    During the practice, the time limit grows exponentially to the task's, and the share of the
-    episodes that start on the teacher's way falls along a line from all to half in its second half.
-    """
+    """Sets the share of episodes that start on the teacher's way, by the progress of training."""
 
     def __init__(self, config: PPOConfig, env: TeachingVectorEnv) -> None:
-        self._until, self._steps = config.practice_until, config.practice_steps
+        self._until = config.practice_until
         self._env = env
 
     def update(self, progress: float) -> None:
-        """Set both for the next rollout, after a fraction ``progress`` of the training."""
-        if not self._until:
-            return
-        done = min(1.0, progress / self._until)
-        steps = self._steps * (self._env.max_steps / self._steps) ** done
-        share = 1 - (1 - PRACTICE_AFTERWARDS) * max(0.0, 2 * done - 1)
-        self._env.set_practice(share, round(steps))
+        """Set it for the next rollout, after a fraction ``progress`` of the training."""
+        if self._until:
+            done = min(1.0, progress / self._until)
+            self._env.practice_share = 1 - (1 - PRACTICE_AFTERWARDS) * done

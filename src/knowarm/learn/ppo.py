@@ -3,6 +3,7 @@
 import time
 from typing import Any, cast
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -102,6 +103,9 @@ class PPOTrainer(Trainer):
         self._minibatch_generator = torch_generator(seed, "minibatches", device=self._device)
         parameters = network.parameters_by_name()
         self._optimizer = PolicyOptimizer(parameters, config, self._learner.processes)
+        self._average = None
+        if config.average_updates is not None:
+            self._average = flatten_parameters(policy)
         self._guard = FiniteGuard(self.failure_folder)
         self._health = HealthMonitor(policy.shape.joints, policy.shape.levels, config.gamma)
 
@@ -140,12 +144,15 @@ class PPOTrainer(Trainer):
         return self._finish(self.save)
 
     def _submit_evaluation(self) -> None:
-        self._evaluations.submit(self.step, flatten_parameters(self.policy))
+        average = self._average
+        values = flatten_parameters(self.policy) if average is None else average.copy()
+        self._evaluations.submit(self.step, values)
         self._wait_for_evaluations(leave=MAX_PENDING)
 
     def _checkpoint(self) -> Checkpoint:
         privileged = self._privileged.get_state() if self._privileged else {}
         head = {} if self._head is None else policy_arrays(self._head)
+        average = {} if self._average is None else {"average": self._average.copy()}
         return Checkpoint(
             policy=policy_arrays(self.policy),
             optimizer=self._optimizer.get_state(),
@@ -154,6 +161,7 @@ class PPOTrainer(Trainer):
                 **{f"collector/{k}": v for k, v in self._collector.get_state().items()},
                 **{f"privileged/{k}": v for k, v in privileged.items()},
                 **{f"auxiliary/{k}": v for k, v in head.items()},
+                **average,
             },
             facts={"step": self.step},
         )
@@ -163,6 +171,8 @@ class PPOTrainer(Trainer):
         if self._head is not None:
             arrays = select(checkpoint.state, "auxiliary/")
             self._head.load_state_dict({k: torch.from_numpy(v) for k, v in arrays.items()})
+        if self._average is not None:
+            self._average = checkpoint.state["average"].copy()
         if self._privileged is not None:
             self._privileged.set_state(select(checkpoint.state, "privileged/"))
         self._collector.set_state(select(checkpoint.state, "collector/"))
@@ -185,6 +195,9 @@ class PPOTrainer(Trainer):
         self._guard.check_rollout(rollout, self.policy.knowledge_table, self.step)
         reward = self._set_targets()
         terms, norms = self._learn()
+        if self._average is not None and config.average_updates is not None:
+            change = flatten_parameters(self.policy) - self._average
+            self._average += change / np.float32(config.average_updates)
         learned = time.perf_counter()
         means = {
             name: float(torch.stack([getattr(term, field) for term in terms]).mean())

@@ -112,18 +112,14 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         """What the simulator knows about each current episode, (n, D) float32."""
         return self._tensor(privileged_state(self.running)).float()
 
-    def set_practice(self, share: float, step_limit: int | None) -> None:
-        """Start a share (0..1) of the next episodes on the way to the goal, and limit their steps.
-
-        ``step_limit`` None is the config's.
-        """
-        self.teacher.practice_share = share
-        self.running.step_limit = min(step_limit or self.max_steps, self.max_steps)
-
     @property
-    def max_steps(self) -> int:
-        """Time limit of the config's episodes [steps]."""
-        return self.config.max_episode_steps
+    def practice_share(self) -> float:
+        """Share of the next episodes that start on the teacher's way, 0 to 1; it can be set."""
+        return self.teacher.practice_share
+
+    @practice_share.setter
+    def practice_share(self, share: float) -> None:
+        self.teacher.practice_share = share
 
     @property
     def teacher(self) -> Teacher:

@@ -71,8 +71,6 @@ class RunningEpisodes(EpisodeState):
         streams, next_episode: seed of each environment's stream, and number in it, (n,) uint64.
         look: draws of the visual randomization, (n, L) float64.
         shown: colours, cameras and lights for the renderer.
-        step_limit: steps after which an episode is truncated; the config's, unless training starts
-            with fewer.
         change_episodes: changes the start of new episodes of the streams in training; None leaves
             them as they are drawn.
     """
@@ -109,7 +107,6 @@ class RunningEpisodes(EpisodeState):
         self._fresh = task.memory(n)
         self.memory = {name: array.copy() for name, array in self._fresh.items()}
         self.threshold_factor = 1.0
-        self.step_limit = config.max_episode_steps
         self.change_episodes: ChangeEpisodes | None = None
         self._all = np.arange(n)
         self.start_next(self._all)
@@ -180,7 +177,7 @@ class RunningEpisodes(EpisodeState):
         """Compute reward, end and time limit in the current state."""
         failure = self.task.failure(self)
         terminated = self.success if failure is None else self.success | failure
-        truncated = (self.steps >= self.step_limit) & ~terminated
+        truncated = (self.steps >= self.config.max_episode_steps) & ~terminated
         return Outcome(self.task.reward(self), terminated, truncated)
 
     def infos(self) -> dict[str, NDArray[Any]]:
