@@ -13,7 +13,10 @@ from knowarm.learn import CheckpointStore, Hooks, PPOConfig, PPOTrainer
 from knowarm.learn.algorithms import privileged_uses
 from knowarm.learn.environment import Practice
 from knowarm.learn.losses import ppo_loss
+from knowarm.learn.optimizer import Float32Muon, orthogonalized
+from knowarm.learn.parallel.shared_tensors import flatten_parameters
 from knowarm.learn.privileged import WAY_BOUND, WAY_SCALE
+from knowarm.learn.rollout import add_gradient
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.torch_env import TorchReachVectorEnv
@@ -111,8 +114,6 @@ def test_several_processes_compute_the_gradient_of_one():
     one, _ = trainer(dataclasses.replace(CONFIG, num_envs=8, minibatches=1))
     one.train(48)
     network, config = one._learner.network, one._learner._config
-    from knowarm.learn.rollout import add_gradient
-
     rollout, targets, ids = one._learner.rollout, one._learner.targets, torch.arange(8)
     gradients = []
     for parts in (ids.chunk(1), ids.chunk(2)):
@@ -136,3 +137,40 @@ def test_an_environment_without_a_teacher_is_an_error(option):
     config = PPOConfig(num_envs=8, minibatches=2, processes=1, **option)
     with pytest.raises(UserError, match="has no teacher"):
         PPOTrainer(config, toy_policy(), env, seed=0)
+
+
+def test_evaluations_receive_the_parameters_averaged_over_updates():
+    built, _ = trainer(dataclasses.replace(CONFIG, average_updates=4))
+    expected, after_updates, received = flatten_parameters(built.policy), [], []
+    learn = built._learn
+    built._learn = lambda: (learn(), after_updates.append(flatten_parameters(built.policy)))[0]
+    built.train(48 * 3)
+    built._evaluations.submit = lambda step, values: received.append(values)
+    built._submit_evaluation()
+    for values in after_updates:
+        expected += (values - expected) / 4
+    np.testing.assert_allclose(built._average, expected, atol=1e-6)
+    assert not np.array_equal(built._average, after_updates[-1])
+    assert np.array_equal(received[-1], built._average)
+
+
+@pytest.mark.parametrize("shape", [(16, 40), (40, 16), (24, 24)])
+def test_orthogonalization_keeps_singular_vectors_and_equalizes_singular_values(shape):
+    matrix = torch.randn(shape, generator=torch.Generator().manual_seed(1))
+    u, s, v = torch.linalg.svd(matrix, full_matrices=False)
+    inside = u.T @ orthogonalized(matrix) @ v.T
+    values = inside.diagonal()
+    assert (inside - values.diag()).abs().max() < 1e-3
+    large = s > 0.3 * s.max()
+    assert values[large].min() > 0.5
+    assert values.max() < 1.3
+
+
+def test_an_update_of_float32_muon_is_as_large_as_one_of_adam():
+    """Root mean square of about .2 times the learning rate, for matrices and kernels."""
+    generator = torch.Generator().manual_seed(2)
+    parameter = torch.nn.Parameter(torch.zeros(32, 16, 5, 5))
+    parameter.grad = torch.randn(parameter.shape, generator=generator)
+    Float32Muon([parameter], lr=0.1).step()
+    assert float(parameter.detach().square().mean().sqrt()) == pytest.approx(0.02, rel=0.3)
+    assert float((parameter.detach() * parameter.grad).sum()) < 0
