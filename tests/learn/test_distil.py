@@ -64,13 +64,13 @@ def test_the_imitation_loss_is_the_mean_cross_entropy_per_joint():
     assert float(terms.total) == pytest.approx(0.5 * expected, rel=1e-6)
 
 
-def test_the_share_of_practice_starts_falls_from_all_to_half():
+def test_the_share_of_practice_starts_falls_from_all_to_none():
     env, seen = SimpleNamespace(practice_share=0.0), []
     practice = Practice(PPOConfig(practice_until=0.5), env)
     for progress in (0.0, 0.25, 0.5, 1.0):
         practice.update(progress)
         seen.append(env.practice_share)
-    assert seen == [1.0, 0.75, 0.5, 0.5]
+    assert seen == [1.0, 0.5, 0.0, 0.0]
 
 
 def test_targets_are_what_the_teacher_says_before_each_step():

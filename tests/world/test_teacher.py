@@ -81,12 +81,18 @@ def test_practice_starts_lie_around_the_way_and_depend_on_the_stream_only():
     np.testing.assert_array_equal(moved.running.positions, plain.running.positions)
     np.testing.assert_array_equal(other.running.joint_targets, points[:32])
     goals = Teacher(plain.running).goals(plain.running.objects[:, 0], plain.running.positions[:, 0])
-    share = ((points - start) * (goals - start)).sum(1) / ((goals - start) ** 2).sum(1)
+    step = plain.scene.robot.mpi_rad
+    way = goals - start
+    far = np.abs(way).argmax(axis=1)
+    rows = np.arange(len(way))
+    share = (points - start)[rows, far] / way[rows, far]
     assert 0.4 < share.mean() < 0.6
     assert share.std() > 0.2
-    noise = points - start - share[:, None] * (goals - start)
-    unit = plain.scene.robot.mpi_rad * PRACTICE_NOISE
-    assert 0.6 < noise.std() / unit < 1.1
+    # A joint with a short way has arrived by then in most episodes.
+    short = (np.abs(way) > step) & (np.abs(way) < 0.3 * np.abs(way).max(axis=1, keepdims=True))
+    late = short & (share > 0.4)[:, None]
+    assert late.any()
+    assert 0.5 < (points - goals)[late].std() / (PRACTICE_NOISE * step) < 2
 
 
 def test_without_practice_episodes_start_as_they_are_drawn():

@@ -133,8 +133,8 @@ class PPOConfig(ScheduleConfig):
     alone."""
     practice_until: float = 0.0
     """Fraction of the training during which the share of episodes that start on the teacher's way
-    to the goal, with noise, falls from all to half, where it stays; 0: all episodes start as the
-    task draws them."""
+    to the goal, with noise, falls from all to none; 0: all episodes start as the task draws
+    them."""
     average_updates: int | None = None
     """Number of updates over which the parameters are averaged (exponentially) for interim
     evaluations and the best policy, which then act with the averages; None: not averaged."""

@@ -205,10 +205,6 @@ class ThresholdCurriculum:
             self.factor = max(1.0, self.factor - self._config.threshold_decrease)
 
 
-PRACTICE_AFTERWARDS = 0.5
-"""Share of the episodes that start on the teacher's way after the practice."""
-
-
 class Practice:
     """Sets the share of episodes that start on the teacher's way, by the progress of training."""
 
@@ -219,5 +215,4 @@ class Practice:
     def update(self, progress: float) -> None:
         """Set it for the next rollout, after a fraction ``progress`` of the training."""
         if self._until:
-            done = min(1.0, progress / self._until)
-            self._env.practice_share = 1 - (1 - PRACTICE_AFTERWARDS) * done
+            self._env.practice_share = max(0.0, 1 - progress / self._until)

@@ -25,7 +25,7 @@ COARSE_LEVELS = 3
 """Number of levels that the teacher uses: none and the largest step in both directions. An image
 does not show which of the smaller steps is the best one."""
 
-PRACTICE_NOISE = 4.0
+PRACTICE_NOISE = 2.0
 """Standard deviation of the noise on every joint of a practice start, in largest steps."""
 
 _STREAM = np.uint64(derive(0, "practice"))
@@ -135,7 +135,10 @@ class Teacher:
         goals = self.goals(episodes.target, episodes.position)
         radius = np.sqrt(-2 * np.log1p(-draws[:, 2 : 2 + joints]))
         noise = radius * np.cos(2 * np.pi * draws[:, 2 + joints :])  # Box and Muller 1958
-        point = start + draws[:, :1] * (goals - start) + PRACTICE_NOISE * self._levels[1] * noise
+        # As the teacher moves: every joint by the largest step until it arrives.
+        way, step = goals - start, self._levels[1]
+        reached = draws[:, :1] * np.abs(way).max(axis=1, keepdims=True)
+        point = start + way.clip(-reached, reached) + PRACTICE_NOISE * step * noise
         point = point.clip(scene.joint_lower, scene.joint_upper)
         moved = draws[:, 1:2] < self.practice_share
         offsets = np.where(moved, point - scene.home, episodes.joint_offsets)
