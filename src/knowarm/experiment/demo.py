@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from knowarm.experiment.agents import first_of_role
-from knowarm.experiment.algorithms import ALGORITHMS
+from knowarm.experiment.algorithms import DEMO_ALGORITHM
 from knowarm.experiment.config import EvaluationConfig, ExperimentConfig, InterimConfig
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.load import load_agent
@@ -13,8 +13,8 @@ from knowarm.experiment.names import experiment_config
 from knowarm.experiment.run import run_path, train
 from knowarm.world.robots import DEMO_ROBOT
 
-STEPS = 500_000
-"""Environment steps of each agent: most episodes then succeed, not all."""
+STEPS = 160_000
+"""Environment steps of each agent."""
 EVALUATION = EvaluationConfig(episodes=200, label="demo")
 
 
@@ -33,10 +33,10 @@ def demo(folder: Path, *, steps: int = STEPS, should_stop: Callable[[], bool]) -
 
 
 def demo_experiments(steps: int) -> list[ExperimentConfig]:
-    """Return the experiments of the demo: baseline and knowledge, with the first algorithm."""
+    """Return the experiments of the demo: baseline and knowledge, with the demo's algorithm."""
     return [
         dataclasses.replace(
-            experiment_config(f"{DEMO_ROBOT}-{first_of_role(role)}-{next(iter(ALGORITHMS))}"),
+            experiment_config(f"{DEMO_ROBOT}-{first_of_role(role)}-{DEMO_ALGORITHM}"),
             total_steps=steps,
             interim=InterimConfig(every_steps=max(1, steps // 10)),
         )

@@ -9,7 +9,12 @@ evaluations, `guards` stop at non-finite values, `checkpoint` saves and resumes.
 from knowarm.learn.a3c import A3CTrainer
 from knowarm.learn.algorithms import A3CConfig, PPOConfig
 from knowarm.learn.checkpoint import Checkpoint, CheckpointStore, read_checkpoint
-from knowarm.learn.environment import NumpyToTorch, PrivilegedVectorEnv, TorchVectorEnv
+from knowarm.learn.environment import (
+    NumpyToTorch,
+    PrivilegedVectorEnv,
+    TeachingVectorEnv,
+    TorchVectorEnv,
+)
 from knowarm.learn.evaluation import Evaluate, MakeEvaluate, Metrics
 from knowarm.learn.ppo import PPOTrainer
 from knowarm.learn.trainer import Hooks, Trainer, TrainingResult
@@ -27,6 +32,7 @@ __all__ = [
     "PPOConfig",
     "PPOTrainer",
     "PrivilegedVectorEnv",
+    "TeachingVectorEnv",
     "TorchVectorEnv",
     "Trainer",
     "TrainingResult",

@@ -12,6 +12,8 @@ PRIVILEGED_OPTIONS: Mapping[str, tuple[Any, str]] = {
     "critic": ("image", "critic"),
     "auxiliary_coef": (0, "auxiliary loss"),
     "progress_coef": (0, "progress reward"),
+    "imitation_coef": (0, "teacher"),
+    "practice_until": (0, "practice starts"),
 }
 """Options that need the simulator's state in training: value that does not, and what it is for."""
 
@@ -88,9 +90,10 @@ class PPOConfig(ScheduleConfig):
     """Passes over each rollout per update."""
     minibatches: int = 4
     """Groups of environments that a pass is divided into; one gradient step per group."""
-    optimizer: Literal["adam", "muon"] = "adam"
+    optimizer: Literal["adam", "muon", "muon-float32"] = "adam"
     """Adam, or Muon for the matrices of the fully connected layer and the LSTM and Adam for all
-    else, at the same learning rate."""
+    else, at the same learning rate. "muon" multiplies in bfloat16; "muon-float32" is faster, and
+    updates the convolution kernels too."""
     learning_rate: float = 1e-3
 
     adam_eps: float = 1e-5
@@ -121,6 +124,20 @@ class PPOConfig(ScheduleConfig):
     progress_coef: float = 0.0
     """Factor of a reward for every step's decrease of distance (100 per metre) and angle (20 per
     90 degrees), added to the task's reward; 0: none."""
+    imitation_coef: float = 0.0
+    """Coefficient of the imitation loss: the cross-entropy of the policy to the actions of a
+    teacher that solves the inverse kinematics, in the states that the policy visits (DAgger, Ross
+    et al. 2011); 0: none."""
+    reinforcement_coef: float = 1.0
+    """Coefficient of PPO's own loss (policy, value, entropy); 0 leaves imitation and auxiliary loss
+    alone."""
+    practice_until: float = 0.0
+    """Fraction of the training during which the share of episodes that start on the teacher's way
+    to the goal, with noise, falls from all to none; 0: all episodes start as the task draws
+    them."""
+    average_updates: int | None = None
+    """Number of updates over which the parameters are averaged (exponentially) for interim
+    evaluations and the best policy, which then act with the averages; None: not averaged."""
     target_kl: float | None = None
     """End the passes over a rollout when the approximate KL divergence exceeds it [nat]; None:
     no limit."""
@@ -138,10 +155,11 @@ class PPOConfig(ScheduleConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        at_least(self, 1, "num_envs", "rollout_steps", "epochs", "minibatches", "processes")
+        counts = ("num_envs", "rollout_steps", "epochs", "minibatches", "processes")
+        at_least(self, 1, *counts, "average_updates")
         above_zero(self, "adam_eps", "clip_range", "reward_scale", "max_grad_norm")
-        fraction(self, "gamma", "gae_lambda")
-        at_least(self, 0, "auxiliary_coef", "progress_coef")
+        fraction(self, "gamma", "gae_lambda", "practice_until")
+        at_least(self, 0, "auxiliary_coef", "progress_coef", "imitation_coef", "reinforcement_coef")
         if self.device == "cuda" and self.processes is not None:
             raise UserError(
                 f"processes ({self.processes}) applies to device 'cpu' only; leave it None "

@@ -14,6 +14,7 @@ from knowarm.learn.checkpoint import select
 from knowarm.learn.environment import (
     Infos,
     PrivilegedVectorEnv,
+    TeachingVectorEnv,
     ThresholdCurriculum,
     TorchVectorEnv,
 )
@@ -151,6 +152,10 @@ class Collector:
         if privileged is not None:
             privileged.state[0] = env.privileged_state
         for t in range(steps):
+            if privileged is not None and privileged.teacher_actions is not None:
+                assert privileged.teacher_way is not None
+                teacher = cast(TeachingVectorEnv, env)
+                privileged.teacher_actions[t], privileged.teacher_way[t] = teacher.teach()
             rollout.facet[t] = self.env.knowledge_input
             rollout.episode_start[t] = self._start
             logit, self._state = infer(rollout, t, self._image, self._state)

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from knowarm.errors import UserError
-from knowarm.learn.algorithms import ScheduleConfig
+from knowarm.learn.algorithms import PPOConfig, ScheduleConfig
 
 Infos = dict[str, Any]
 StepResult = tuple[Tensor, Tensor, Tensor, Tensor, Infos]
@@ -79,6 +79,19 @@ class PrivilegedVectorEnv(TorchVectorEnv, Protocol):
     @property
     def privileged_state(self) -> Tensor:
         """State of each running episode, (n, D) float32."""
+
+
+class TeachingVectorEnv(PrivilegedVectorEnv, Protocol):
+    """A vector environment with a teacher that solves the running episodes, for training."""
+
+    practice_share: float
+    """Share of the next episodes that start on the way to the goal, 0 to 1; set by the trainer."""
+
+    def teach(self) -> tuple[Tensor, Tensor]:
+        """Return the teacher's actions (n, J) int64, and the way to its solution (n, J) float32.
+
+        The way is in units of the largest joint step.
+        """
 
 
 class NumpyToTorch:
@@ -190,3 +203,16 @@ class ThresholdCurriculum:
         """Decrease the factor if enough of an update's episodes succeeded (0..1)."""
         if self.is_used and success > self._config.threshold_success:
             self.factor = max(1.0, self.factor - self._config.threshold_decrease)
+
+
+class Practice:
+    """Sets the share of episodes that start on the teacher's way, by the progress of training."""
+
+    def __init__(self, config: PPOConfig, env: TeachingVectorEnv) -> None:
+        self._until = config.practice_until
+        self._env = env
+
+    def update(self, progress: float) -> None:
+        """Set it for the next rollout, after a fraction ``progress`` of the training."""
+        if self._until:
+            self._env.practice_share = max(0.0, 1 - progress / self._until)

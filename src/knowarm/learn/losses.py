@@ -36,6 +36,8 @@ class PPOLossTerms(LossTerms):
     """Mean squared error of the auxiliary head; 0 without one."""
     clip_fraction: Tensor
     """Fraction of steps whose ratio was clipped."""
+    imitation: Tensor
+    """Mean cross-entropy per joint to the teacher's actions [nat]; 0 without a teacher."""
 
     @classmethod
     def names(cls) -> list[str]:
@@ -96,12 +98,16 @@ def ppo_loss(
     ent_coef: float,
     auxiliary: Tensor | None = None,
     auxiliary_coef: float = 0.0,
+    teacher_actions: Tensor | None = None,
+    imitation_coef: float = 0.0,
+    reinforcement_coef: float = 1.0,
 ) -> PPOLossTerms:
     """Compute PPO's clipped surrogate loss (Schulman et al. 2017, equations 7 and 9).
 
     ``policy = -mean(min(r A, clip(r, 1 - clip_range, 1 + clip_range) A))`` with ``r`` the ratio of
-    new to old probability; ``value`` and ``total`` as in `a3c_loss`, plus ``auxiliary_coef`` times
-    the ``auxiliary`` loss.
+    new to old probability; ``value`` and ``total`` as in `a3c_loss`, times ``reinforcement_coef``,
+    plus ``auxiliary_coef`` times the ``auxiliary`` loss and ``imitation_coef`` times the
+    cross-entropy to ``teacher_actions``.
     """
     log_p = log_probabilities(logits)
     log_ratio = log_p.gather(-1, actions[..., None]).squeeze(-1).sum(-1) - old_log_probability
@@ -113,11 +119,16 @@ def ppo_loss(
     with torch.no_grad():
         approx_kl = (ratio - 1 - log_ratio).mean()
         clip_fraction = ((ratio - 1).abs() > clip_range).to(ratio.dtype).mean()
-    total = policy + vf_coef * value - ent_coef * spread
+    total = reinforcement_coef * (policy + vf_coef * value - ent_coef * spread)
     if auxiliary is None:
         auxiliary = torch.zeros_like(total)
     else:
         total = total + auxiliary_coef * auxiliary
+    if teacher_actions is None:
+        imitation = torch.zeros_like(total)
+    else:
+        imitation = -log_p.gather(-1, teacher_actions[..., None]).mean()
+        total = total + imitation_coef * imitation
     return PPOLossTerms(
         total=total,
         auxiliary=auxiliary,
@@ -126,6 +137,7 @@ def ppo_loss(
         entropy=spread,
         approx_kl=approx_kl,
         clip_fraction=clip_fraction,
+        imitation=imitation,
     )
 
 

@@ -1,12 +1,12 @@
 """Optimizer of PPO: Adam, or Muon for the hidden layers' matrices; precision of its products."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Literal
 
 import numpy as np
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from knowarm.learn.algorithms import PPOConfig
 from knowarm.learn.checkpoint import select
@@ -15,6 +15,54 @@ from knowarm.private_apis import cpu_has_bfloat16, without_compiler
 
 Adam = without_compiler(torch.optim.Adam)
 Muon = without_compiler(torch.optim.Muon)
+
+NEWTON_SCHULZ = (3.4445, -4.775, 2.0315)
+"""Coefficients of the quintic iteration of Muon (Jordan 2024)."""
+NEWTON_SCHULZ_STEPS = 3
+
+
+class Float32Muon(torch.optim.Optimizer):
+    """Muon with products in float32 and three iterations, also for convolution kernels.
+
+    PyTorch's Muon computes in bfloat16, with five iterations. Without bfloat16 in hardware that
+    takes fourteen times as long as float32, and with it still twice as long for matrices of this
+    size (docs/lab-notes.md). The update is scaled to the root mean square of Adam's.
+    """
+
+    def __init__(
+        self, parameters: Iterable[nn.Parameter], lr: float, momentum: float = 0.95
+    ) -> None:
+        super().__init__(parameters, {"lr": lr, "momentum": momentum})
+
+    @torch.no_grad()
+    def step(self, closure: None = None) -> None:  # type: ignore[override]
+        """Update every parameter from its gradient."""
+        for group in self.param_groups:
+            for parameter in group["params"]:
+                gradient, state = parameter.grad, self.state[parameter]
+                if not state:
+                    state["momentum_buffer"] = torch.zeros_like(parameter)
+                average = state["momentum_buffer"].lerp_(gradient, 1 - group["momentum"])
+                update = gradient.lerp(average, group["momentum"]).flatten(1)
+                scale = 0.2 * max(update.shape) ** 0.5
+                update = orthogonalized(update).view_as(parameter)
+                parameter.add_(update, alpha=-group["lr"] * scale)
+
+
+def orthogonalized(matrix: Tensor) -> Tensor:
+    """Return the nearly orthogonal matrix with the singular vectors of a matrix (m, n)."""
+    a, b, c = NEWTON_SCHULZ
+    is_tall = matrix.shape[0] > matrix.shape[1]
+    x = matrix.T if is_tall else matrix
+    x = x / x.norm().clamp(min=1e-7)
+    for _ in range(NEWTON_SCHULZ_STEPS):
+        gram = x @ x.T
+        x = torch.addmm(x, torch.addmm(gram, gram, gram, beta=b, alpha=c), x, beta=a)
+    return x.T if is_tall else x
+
+
+KERNELS = ("encoder.conv1.weight", "encoder.conv2.weight")
+"""Convolution kernels, which `Float32Muon` updates as well."""
 
 MUON_PARAMETERS = ("fc.weight", "memory.weight_ih", "memory.weight_hh")
 """Matrices that Muon updates: those of the hidden layers."""
@@ -31,14 +79,19 @@ class PolicyOptimizer:
         self, parameters: Mapping[str, nn.Parameter], config: PPOConfig, processes: int = 1
     ) -> None:
         self._parameters = parameters
-        matrices = [parameters[name] for name in MUON_PARAMETERS if config.optimizer == "muon"]
+        names = {"adam": (), "muon": MUON_PARAMETERS, "muon-float32": MUON_PARAMETERS + KERNELS}
+        matrices = [parameters[name] for name in names[config.optimizer]]
         others = [p for p in parameters.values() if not any(p is matrix for matrix in matrices)]
         self._optimizers: list[torch.optim.Optimizer] = [
             Adam(others, lr=config.learning_rate, eps=config.adam_eps, fused=True)
         ]
         # This scale gives updates of the size of Adam's, so that both share a learning rate.
         self._optimizers += [
-            Muon([each], lr=config.learning_rate, weight_decay=0.0, adjust_lr_fn="match_rms_adamw")
+            Float32Muon([each], lr=config.learning_rate)
+            if config.optimizer == "muon-float32"
+            else Muon(
+                [each], lr=config.learning_rate, weight_decay=0.0, adjust_lr_fn="match_rms_adamw"
+            )
             for each in matrices
         ]
         self._pool = ThreadPoolExecutor(1) if matrices and processes > 1 else None

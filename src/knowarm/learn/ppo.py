@@ -3,6 +3,7 @@
 import time
 from typing import Any, cast
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -10,7 +11,12 @@ from knowarm.errors import UserError
 from knowarm.learn.algorithms import PPOConfig, privileged_uses
 from knowarm.learn.checkpoint import Checkpoint, policy_arrays, select
 from knowarm.learn.collector import Collector
-from knowarm.learn.environment import PrivilegedVectorEnv, ThresholdCurriculum, TorchVectorEnv
+from knowarm.learn.environment import (
+    Practice,
+    PrivilegedVectorEnv,
+    ThresholdCurriculum,
+    TorchVectorEnv,
+)
 from knowarm.learn.evaluation import MAX_PENDING, Metrics
 from knowarm.learn.guards import FiniteGuard, HealthMonitor
 from knowarm.learn.losses import PPOLossTerms, advantages
@@ -18,7 +24,7 @@ from knowarm.learn.optimizer import PolicyOptimizer, resolve_precision
 from knowarm.learn.parallel.data_parallel import make_learner
 from knowarm.learn.parallel.processes import keep_freed_memory
 from knowarm.learn.parallel.shared_tensors import flatten_parameters
-from knowarm.learn.privileged import PrivilegedLearning
+from knowarm.learn.privileged import PrivilegedLearning, teaching_env
 from knowarm.learn.rollout import TrainingNetwork
 from knowarm.learn.trainer import StopReason, Trainer, crossed
 from knowarm.policy import Policy
@@ -80,6 +86,10 @@ class PPOTrainer(Trainer):
             if config.auxiliary_coef:
                 targets = self._privileged.auxiliary_targets().shape[-1]
         self._curriculum = ThresholdCurriculum(config, env)
+        self._practice = None
+        if config.practice_until:
+            self._practice = Practice(config, teaching_env(env))
+            self._practice.update(0.0)
         network = TrainingNetwork(policy.to(self._device), targets, seed)
         self._head = network.head
         self._learner = make_learner(network, config, self.matmul_precision, self._device)
@@ -87,12 +97,15 @@ class PPOTrainer(Trainer):
             env,
             policy,
             seed=seed,
-            final_values=config.critic == "image",
+            final_values=config.critic == "image" and config.reinforcement_coef > 0,
             curriculum=self._curriculum,
         )
         self._minibatch_generator = torch_generator(seed, "minibatches", device=self._device)
         parameters = network.parameters_by_name()
         self._optimizer = PolicyOptimizer(parameters, config, self._learner.processes)
+        self._average = None
+        if config.average_updates is not None:
+            self._average = flatten_parameters(policy)
         self._guard = FiniteGuard(self.failure_folder)
         self._health = HealthMonitor(policy.shape.joints, policy.shape.levels, config.gamma)
 
@@ -131,12 +144,15 @@ class PPOTrainer(Trainer):
         return self._finish(self.save)
 
     def _submit_evaluation(self) -> None:
-        self._evaluations.submit(self.step, flatten_parameters(self.policy))
+        average = self._average
+        values = flatten_parameters(self.policy) if average is None else average.copy()
+        self._evaluations.submit(self.step, values)
         self._wait_for_evaluations(leave=MAX_PENDING)
 
     def _checkpoint(self) -> Checkpoint:
         privileged = self._privileged.get_state() if self._privileged else {}
         head = {} if self._head is None else policy_arrays(self._head)
+        average = {} if self._average is None else {"average": self._average.copy()}
         return Checkpoint(
             policy=policy_arrays(self.policy),
             optimizer=self._optimizer.get_state(),
@@ -145,6 +161,7 @@ class PPOTrainer(Trainer):
                 **{f"collector/{k}": v for k, v in self._collector.get_state().items()},
                 **{f"privileged/{k}": v for k, v in privileged.items()},
                 **{f"auxiliary/{k}": v for k, v in head.items()},
+                **average,
             },
             facts={"step": self.step},
         )
@@ -154,6 +171,8 @@ class PPOTrainer(Trainer):
         if self._head is not None:
             arrays = select(checkpoint.state, "auxiliary/")
             self._head.load_state_dict({k: torch.from_numpy(v) for k, v in arrays.items()})
+        if self._average is not None:
+            self._average = checkpoint.state["average"].copy()
         if self._privileged is not None:
             self._privileged.set_state(select(checkpoint.state, "privileged/"))
         self._collector.set_state(select(checkpoint.state, "collector/"))
@@ -162,7 +181,10 @@ class PPOTrainer(Trainer):
     def _update(self, total_steps: int) -> Metrics:
         """Collect one rollout, learn from it, and return the metrics of both."""
         config, rollout = self.config, self._learner.rollout
-        rate = config.learning_rate_at(self.step / total_steps)
+        progress = self.step / total_steps
+        rate = config.learning_rate_at(progress)
+        if self._practice is not None:
+            self._practice.update(progress)
         self._optimizer.set_learning_rate(rate)
         environment_s, start = self._collector.environment_s, time.perf_counter()
         record = self._privileged.rollout if self._privileged else None
@@ -173,6 +195,9 @@ class PPOTrainer(Trainer):
         self._guard.check_rollout(rollout, self.policy.knowledge_table, self.step)
         reward = self._set_targets()
         terms, norms = self._learn()
+        if self._average is not None and config.average_updates is not None:
+            change = flatten_parameters(self.policy) - self._average
+            self._average += change / np.float32(config.average_updates)
         learned = time.perf_counter()
         means = {
             name: float(torch.stack([getattr(term, field) for term in terms]).mean())
@@ -185,6 +210,8 @@ class PPOTrainer(Trainer):
         options = {}
         if self._head is not None:
             options["auxiliary_loss"] = float(torch.stack([t.auxiliary for t in terms]).mean())
+        if config.imitation_coef:
+            options["imitation_loss"] = float(torch.stack([t.imitation for t in terms]).mean())
         if self._curriculum.is_used:
             options["threshold_factor"] = self._curriculum.factor
             self._curriculum.update(episodes.get("success", 0.0))
@@ -217,6 +244,10 @@ class PPOTrainer(Trainer):
                 following = torch.where(rollout.terminated, 0, following)
             if targets.auxiliary is not None:
                 targets.auxiliary.copy_(privileged.auxiliary_targets())
+            if targets.teacher_actions is not None:
+                actions = privileged.rollout.teacher_actions
+                assert actions is not None
+                targets.teacher_actions.copy_(actions)
         reward = reward * config.reward_scale
         advantage = advantages(
             reward,

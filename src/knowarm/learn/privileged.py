@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from knowarm.errors import UserError
 from knowarm.learn.algorithms import PPOConfig
 from knowarm.learn.checkpoint import select
-from knowarm.learn.environment import PrivilegedVectorEnv
+from knowarm.learn.environment import PrivilegedVectorEnv, TeachingVectorEnv, TorchVectorEnv
 from knowarm.learn.optimizer import Adam
 from knowarm.policy.encoder import orthogonal
 from knowarm.seeding import torch_generator
@@ -32,6 +32,10 @@ CRITIC_LEARNING_RATE = 1e-3
 CRITIC_EPOCHS = 2
 CRITIC_MINIBATCHES = 4
 
+WAY_SCALE = 10.0
+"""Way to the teacher's solution that is one unit of the auxiliary loss [largest steps]."""
+WAY_BOUND = 2.0
+
 PROGRESS_PER_METRE = 100.0
 PROGRESS_PER_DEGREE = 20.0 / 90.0
 
@@ -43,6 +47,10 @@ class PrivilegedRollout(NamedTuple):
     """(T, B, D) float32: before each step."""
     next_state: Tensor
     """(T, B, D) float32: after each step, within the same episode."""
+    teacher_actions: Tensor | None = None
+    """(T, B, J) int64: what the teacher would do instead of each step; None without a teacher."""
+    teacher_way: Tensor | None = None
+    """(T, B, J) float32: way to the teacher's solution before each step, in largest steps."""
 
 
 class RunningNormalizer:
@@ -144,9 +152,14 @@ class PrivilegedLearning:
     def __init__(self, config: PPOConfig, env: PrivilegedVectorEnv, seed: int) -> None:
         columns = privileged_columns_of(env)
         env.report_privileged_state = True
+        teacher = {}
+        if config.imitation_coef:
+            lessons = teaching_env(env).teach()
+            names, table = ("teacher_actions", "teacher_way"), (config.rollout_steps, 1, 1)
+            teacher = {k: v.repeat(table) for k, v in zip(names, lessons, strict=True)}
         shape = (config.rollout_steps, config.num_envs, len(columns))
         self.rollout = PrivilegedRollout(
-            *(torch.zeros(shape, device=env.device) for _ in ("state", "next_state"))
+            *(torch.zeros(shape, device=env.device) for _ in ("state", "next_state")), **teacher
         )
         uses_critic = config.critic == "state"
         self.critic = StateCritic(len(columns), env.device, seed) if uses_critic else None
@@ -160,8 +173,8 @@ class PrivilegedLearning:
         """Standardize the states of a new rollout; call it first."""
         rollout = self.rollout
         self._normalizer.update(rollout.state.flatten(0, 1))
-        self._standardized = PrivilegedRollout(
-            self._normalizer(rollout.state), self._normalizer(rollout.next_state)
+        self._standardized = rollout._replace(
+            state=self._normalizer(rollout.state), next_state=self._normalizer(rollout.next_state)
         )
 
     def progress_reward(self) -> Tensor:
@@ -173,8 +186,15 @@ class PrivilegedLearning:
         )
 
     def auxiliary_targets(self) -> Tensor:
-        """Return the standardized targets of the auxiliary head, (T, B, K)."""
-        return self._standardized.state.index_select(-1, self._auxiliary)
+        """Return the standardized targets of the auxiliary head, (T, B, K).
+
+        With a teacher, they include the way to its solution.
+        """
+        targets = self._standardized.state.index_select(-1, self._auxiliary)
+        way = self.rollout.teacher_way
+        if way is None:
+            return targets
+        return torch.cat((targets, (way / WAY_SCALE).clamp(-WAY_BOUND, WAY_BOUND)), -1)
 
     def values(self) -> tuple[Tensor, Tensor]:
         """Return the critic's values before and after each step, (T, B) each."""
@@ -202,6 +222,16 @@ class PrivilegedLearning:
 def auxiliary_columns(columns: tuple[str, ...]) -> list[int]:
     """Return the indices of the columns that the auxiliary head predicts."""
     return [i for i, name in enumerate(columns) if name.split("/")[0] in AUXILIARY_QUANTITIES]
+
+
+def teaching_env(env: TorchVectorEnv) -> TeachingVectorEnv:
+    """Return an environment as one with a teacher; an error if it has none."""
+    if not hasattr(env, "teach"):
+        raise UserError(
+            f"{type(env).__name__} has no teacher, which imitation_coef and practice_until need: "
+            "implement knowarm.learn.TeachingVectorEnv, or leave them at 0."
+        )
+    return cast(TeachingVectorEnv, env)
 
 
 def privileged_columns_of(env: PrivilegedVectorEnv) -> tuple[str, ...]:

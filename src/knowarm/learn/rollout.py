@@ -137,6 +137,8 @@ class Targets:
     """(T, B) float32."""
     auxiliary: Tensor | None = None
     """(T, B, K) float32: what the auxiliary head predicts."""
+    teacher_actions: Tensor | None = None
+    """(T, B, J) int64: what the teacher would do."""
 
 
 class TrainingNetwork(nn.Module):
@@ -163,10 +165,13 @@ def buffer_specs(network: TrainingNetwork, config: PPOConfig) -> TensorSpecs:
     """Return shapes and dtypes of the tensors of a rollout and its targets."""
     steps, batch = config.rollout_steps, config.num_envs
     shapes: dict[str, tuple[int, ...]] = {"advantage": (steps, batch), "returns": (steps, batch)}
+    specs = dict(rollout_specs(steps, batch, network.policy))
+    if config.imitation_coef:
+        specs["teacher_actions"] = specs["action"]
     if network.auxiliary_targets:
         shapes["auxiliary"] = (steps, batch, network.auxiliary_targets)
     targets = {name: (shape, torch.float32) for name, shape in shapes.items()}
-    return {**rollout_specs(steps, batch, network.policy), **targets}
+    return {**specs, **targets}
 
 
 def buffers(tensors: Mapping[str, Tensor]) -> tuple[Rollout, Targets]:
@@ -203,6 +208,7 @@ def add_gradient(
         predicted = network.head(features.float())
         error = predicted - targets.auxiliary[:, env_ids].flatten(0, 1)
         auxiliary = error.square().mean()
+    teacher = targets.teacher_actions
     terms = ppo_loss(
         logits,
         values,
@@ -215,6 +221,9 @@ def add_gradient(
         ent_coef=config.ent_coef,
         auxiliary=auxiliary,
         auxiliary_coef=config.auxiliary_coef,
+        teacher_actions=None if teacher is None else teacher[:, env_ids],
+        imitation_coef=config.imitation_coef,
+        reinforcement_coef=config.reinforcement_coef,
     )
     (terms.total * weight).backward()
     return terms.scaled(weight)

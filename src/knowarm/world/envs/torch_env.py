@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from knowarm.errors import UserError
+from knowarm.world.agents.teacher import Teacher
 from knowarm.world.backend import MujocoSimulator
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.arguments import check_action_range
@@ -81,6 +82,7 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         self.privileged_columns = privileged_columns(scene.num_joints)
         self.report_final_observations = True
         self.report_privileged_state = False
+        self._teacher: Teacher | None = None
         self._everywhere = torch.ones(num_envs, dtype=torch.bool, device=self.device)
 
     @cached_property
@@ -109,6 +111,30 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
     def privileged_state(self) -> Tensor:
         """What the simulator knows about each current episode, (n, D) float32."""
         return self._tensor(privileged_state(self.running)).float()
+
+    @property
+    def practice_share(self) -> float:
+        """Share of the next episodes that start on the teacher's way, 0 to 1; it can be set."""
+        return self.teacher.practice_share
+
+    @practice_share.setter
+    def practice_share(self, share: float) -> None:
+        self.teacher.practice_share = share
+
+    @property
+    def teacher(self) -> Teacher:
+        """Solves the episodes by inverse kinematics, for training only; made on first use."""
+        if self._teacher is None:
+            self._teacher = Teacher(self.running)
+        return self._teacher
+
+    def teach(self) -> tuple[Tensor, Tensor]:
+        """Return the teacher's actions (n, J) int64, and the way to its solution (n, J) float32.
+
+        The way is in units of the largest joint step.
+        """
+        error = self.teacher.error()
+        return self._tensor(self.teacher.actions(error)), self._tensor(error).float()
 
     @property
     def threshold_factor(self) -> float:

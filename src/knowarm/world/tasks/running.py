@@ -1,5 +1,6 @@
 """Running episodes: state of n environments, and how a step changes it."""
 
+from collections.abc import Callable
 from dataclasses import fields
 from typing import Any, NamedTuple
 
@@ -55,6 +56,10 @@ class Outcome(NamedTuple):
         return self.terminated | self.truncated
 
 
+ChangeEpisodes = Callable[[Episodes, NDArray[np.uint64], NDArray[np.uint64]], Episodes]
+"""Changes episodes (k,), given their streams and numbers."""
+
+
 class RunningEpisodes(EpisodeState):
     """n environments in which an arm plays the episodes of a task.
 
@@ -66,6 +71,8 @@ class RunningEpisodes(EpisodeState):
         streams, next_episode: seed of each environment's stream, and number in it, (n,) uint64.
         look: draws of the visual randomization, (n, L) float64.
         shown: colours, cameras and lights for the renderer.
+        change_episodes: changes the start of new episodes of the streams in training; None leaves
+            them as they are drawn.
     """
 
     def __init__(self, config: EnvConfig, simulator: MujocoSimulator) -> None:
@@ -100,6 +107,7 @@ class RunningEpisodes(EpisodeState):
         self._fresh = task.memory(n)
         self.memory = {name: array.copy() for name, array in self._fresh.items()}
         self.threshold_factor = 1.0
+        self.change_episodes: ChangeEpisodes | None = None
         self._all = np.arange(n)
         self.start_next(self._all)
 
@@ -149,6 +157,8 @@ class RunningEpisodes(EpisodeState):
         """Start the next episode of the stream of each of some environments (k,)."""
         numbers = self.next_episode[ids]
         episodes = self._source(self.streams[ids], numbers)
+        if self.change_episodes is not None:
+            episodes = self.change_episodes(episodes, self.streams[ids], numbers)
         self.next_episode = _put(self.next_episode, ids, numbers + 1)
         self._start(ids, episodes)
 

@@ -1,0 +1,145 @@
+"""Teacher: actions by inverse kinematics for episodes that a student plays, and practice starts."""
+
+import logging
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knowarm.world.agents.ik import REACHED_DEG, REACHED_M, IKSolution, InverseKinematics
+from knowarm.world.scene.scene import target_places
+from knowarm.world.tasks.episodes import Episodes
+from knowarm.world.tasks.running import ACTION_LEVELS, RunningEpisodes, joint_increments
+from knowarm.world.tasks.sampling import derive, uniforms
+
+log = logging.getLogger("knowarm.world")
+
+NODES = 9
+"""Places per side of the rectangle for which the teacher solves the inverse kinematics."""
+
+MISSED = 0.1
+"""Share of nodes without a solution above which the teacher warns."""
+
+COARSE_LEVELS = 3
+"""Number of levels that the teacher uses: none and the largest step in both directions. An image
+does not show which of the smaller steps is the best one."""
+
+PRACTICE_NOISE = 2.0
+"""Standard deviation of the noise on every joint of a practice start, in largest steps."""
+
+_STREAM = np.uint64(derive(0, "practice"))
+"""Tells the draws of practice starts from those of the episodes."""
+
+
+class GoalTable:
+    """Joint angles of each object's goal frame by the object's place, one branch per object.
+
+    Arms reach a pose with several sets of joint angles. All nodes of an object are solved from the
+    same reference, so that similar images have similar solutions; places between the nodes are
+    interpolated.
+
+    Args:
+        running: episodes of the task.
+        seed: of the random starts that find the references.
+
+    A warning tells the share of nodes without a solution within 1 cm and 3 degrees if it is large.
+    """
+
+    def __init__(self, running: RunningEpisodes, seed: int = 0) -> None:
+        self._running = running
+        scene = running.scene
+        robot, count = scene.robot, len(scene.targets)
+        self._low = np.array(robot.rectangle_centre_m) - np.array(robot.rectangle_half_size_m)
+        size = 2 * np.array(robot.rectangle_half_size_m)
+        self._cell = np.maximum(size / (NODES - 1), 1e-9)
+        solver = partial(InverseKinematics, scene, seed=seed, ignore_roll=running.ignore_roll)
+        every = np.arange(count)
+        centre = np.tile(robot.rectangle_centre_m, (count, 1))
+        reference = self._solve(solver(), every, centre, np.tile(scene.home, (count, 1))).joints
+        axes = [
+            low + step * np.arange(NODES) for low, step in zip(self._low, self._cell, strict=True)
+        ]
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+        objects, places = np.repeat(every, len(grid)), np.tile(grid, (count, 1))
+        found = self._solve(solver(starts=1), objects, places, reference[objects], 1)
+        missed = float((~found.within(REACHED_M, REACHED_DEG)).mean())
+        if missed > MISSED:
+            log.warning("The teacher reaches %.0f %% of the places.", 100 * (1 - missed))
+        self._joints = found.joints.reshape(count, NODES, NODES, -1)
+
+    def __call__(
+        self, objects: NDArray[np.int64], places: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the joint angles for objects (k,) at places (k, 2) [m], (k, J) [rad]."""
+        scaled = ((places - self._low) / self._cell).clip(0, NODES - 1)
+        corner = np.minimum(scaled.astype(np.int64), NODES - 2)
+        (x, y), (i, j) = (scaled - corner).T[..., None], corner.T
+        table = self._joints
+        return np.asarray(
+            (1 - x) * ((1 - y) * table[objects, i, j] + y * table[objects, i, j + 1])
+            + x * ((1 - y) * table[objects, i + 1, j] + y * table[objects, i + 1, j + 1])
+        )
+
+    def _solve(
+        self,
+        solver: InverseKinematics,
+        objects: NDArray[np.int64],
+        places: NDArray[np.float64],
+        start: NDArray[np.float64],
+        *attempts: int,
+    ) -> IKSolution:
+        running, scene = self._running, self._running.scene
+        grasp = target_places(scene, places) + scene.grasp_position[objects]
+        position, matrix = running.task.goal(scene, objects, grasp, running.grasp_rotation[objects])
+        return solver.solve(position, matrix, start, *attempts)
+
+
+class Teacher:
+    """Knows the joint angles that solve every running episode; an image is not looked at.
+
+    It also moves the starts of a share of the episodes to the way from start to solution
+    (`practice`), so that a student sees all of the way before it can follow it.
+
+    Attributes:
+        practice_share: share of the episodes that start on the way, 0 to 1.
+    """
+
+    def __init__(self, running: RunningEpisodes) -> None:
+        self.goals = GoalTable(running)
+        self.practice_share = 0.0
+        self._running = running
+        self._levels = joint_increments(running.scene.robot, running.config)
+        running.change_episodes = self.practice
+
+    def error(self) -> NDArray[np.float64]:
+        """Return the way from joint targets to solution in units of the largest step, (n, J)."""
+        running = self._running
+        goals = self.goals(running.objects[:, 0], running.positions[:, 0])
+        return np.asarray((goals - running.joint_targets) / self._levels[1])
+
+    def actions(self, error: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Return for each joint the coarse level that ends nearest to the solution, (n, J)."""
+        levels = np.array(ACTION_LEVELS[:COARSE_LEVELS])
+        return np.abs(error[..., None] - levels).argmin(axis=-1)
+
+    def practice(
+        self, episodes: Episodes, streams: NDArray[np.uint64], numbers: NDArray[np.uint64]
+    ) -> Episodes:
+        """Move the starts of a share of new episodes (k,) to noisy points on their way."""
+        if not self.practice_share:
+            return episodes
+        scene, joints = self._running.scene, episodes.joint_offsets.shape[1]
+        draws = uniforms(streams ^ _STREAM, numbers, 2 + 2 * joints)
+        start = scene.home + episodes.joint_offsets
+        goals = self.goals(episodes.target, episodes.position)
+        radius = np.sqrt(-2 * np.log1p(-draws[:, 2 : 2 + joints]))
+        noise = radius * np.cos(2 * np.pi * draws[:, 2 + joints :])  # Box and Muller 1958
+        # As the teacher moves: every joint by the largest step until it arrives.
+        way, step = goals - start, self._levels[1]
+        reached = draws[:, :1] * np.abs(way).max(axis=1, keepdims=True)
+        point = start + way.clip(-reached, reached) + PRACTICE_NOISE * step * noise
+        point = point.clip(scene.joint_lower, scene.joint_upper)
+        moved = draws[:, 1:2] < self.practice_share
+        offsets = np.where(moved, point - scene.home, episodes.joint_offsets)
+        return replace(episodes, joint_offsets=offsets)

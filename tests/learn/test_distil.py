@@ -1,0 +1,176 @@
+"""Imitation of a teacher: loss, practice schedule, targets, and the trainer on the real task."""
+
+import dataclasses
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from knowarm.errors import UserError
+from knowarm.experiment.algorithms import ALGORITHMS
+from knowarm.learn import CheckpointStore, Hooks, PPOConfig, PPOTrainer
+from knowarm.learn.algorithms import privileged_uses
+from knowarm.learn.environment import Practice
+from knowarm.learn.losses import ppo_loss
+from knowarm.learn.optimizer import Float32Muon, orthogonalized
+from knowarm.learn.parallel.shared_tensors import flatten_parameters
+from knowarm.learn.privileged import WAY_BOUND, WAY_SCALE
+from knowarm.learn.rollout import add_gradient
+from knowarm.policy import Policy, PolicyConfig, PolicyShape
+from knowarm.world.config import EnvConfig
+from knowarm.world.envs.torch_env import TorchReachVectorEnv
+from tests.learn.toys import toy_env, toy_policy
+
+CONFIG = dataclasses.replace(
+    ALGORITHMS["distil"].config,
+    num_envs=8,
+    rollout_steps=6,
+    minibatches=2,
+    processes=1,
+    matmul_precision="float32",
+)
+
+
+def trainer(config=CONFIG, folder=None, stop_after=None, seed=5):
+    env = TorchReachVectorEnv(EnvConfig(max_episode_steps=9, image_size=20), 8, num_threads=1)
+    shape = PolicyShape(joints=6, image_size=20)
+    policy = Policy(PolicyConfig(features=16, fusion="none"), shape, seed=seed)
+    rows = []
+    hooks = Hooks(on_metrics=rows.append, should_stop=lambda: len(rows) == stop_after)
+    store = None if folder is None else CheckpointStore(folder, {"robot": "irb120"})
+    return PPOTrainer(config, policy, env, seed=seed, hooks=hooks, checkpoints=store), rows
+
+
+def test_the_imitation_loss_is_the_mean_cross_entropy_per_joint():
+    logits = torch.tensor([[[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]]])
+    none = torch.zeros(1)
+    terms = ppo_loss(
+        logits,
+        none,
+        torch.zeros(1, 2, dtype=torch.int64),
+        none,
+        none,
+        none,
+        clip_range=0.2,
+        vf_coef=1.0,
+        ent_coef=1.0,
+        teacher_actions=torch.tensor([[1, 0]]),
+        imitation_coef=0.5,
+        reinforcement_coef=0.0,
+    )
+    expected = (np.log(3) + np.log(1 + 2 * np.exp(-2))) / 2
+    assert float(terms.imitation) == pytest.approx(expected, rel=1e-6)
+    assert float(terms.total) == pytest.approx(0.5 * expected, rel=1e-6)
+
+
+def test_the_share_of_practice_starts_falls_from_all_to_none():
+    env, seen = SimpleNamespace(practice_share=0.0), []
+    practice = Practice(PPOConfig(practice_until=0.5), env)
+    for progress in (0.0, 0.25, 0.5, 1.0):
+        practice.update(progress)
+        seen.append(env.practice_share)
+    assert seen == [1.0, 0.5, 0.0, 0.0]
+
+
+def test_targets_are_what_the_teacher_says_before_each_step():
+    built, _ = trainer()
+    lessons, env = [], built._collector.env
+    teach = env.teach
+    env.teach = lambda: lessons.append(teach()) or lessons[-1]
+    built.train(48)
+    actions, way = (torch.stack(each) for each in zip(*lessons, strict=True))
+    targets = built._learner.targets
+    assert torch.equal(targets.teacher_actions, actions)
+    expected = (way / WAY_SCALE).clamp(-WAY_BOUND, WAY_BOUND)
+    assert torch.equal(targets.auxiliary[..., -6:], expected)
+
+
+def test_imitation_raises_the_agreement_with_the_teacher():
+    """Episodes of the same states: without learning the loss would stay at log 7."""
+    config = dataclasses.replace(CONFIG, practice_until=0.0, learning_rate_schedule="constant")
+    built, rows = trainer(config)
+    built.train(48 * 30)
+    losses = [row["imitation_loss"] for row in rows]
+    assert losses[0] == pytest.approx(np.log(7), abs=0.3)
+    assert np.mean(losses[-5:]) < 1.2
+
+
+def test_a_stopped_and_resumed_training_equals_an_uninterrupted_one_to_the_byte(tmp_path):
+    whole, rows = trainer(folder=tmp_path / "whole")
+    whole.train(6 * 48)
+    stopped, first = trainer(folder=tmp_path / "cut", stop_after=2)
+    stopped.train(6 * 48)
+    resumed, second = trainer(folder=tmp_path / "cut")
+    resumed.resume()
+    resumed.train(6 * 48)
+    assert [row["imitation_loss"] for row in first + second] == [r["imitation_loss"] for r in rows]
+    for part in ("policy", "optimizer", "state"):
+        name = f"latest/{part}.safetensors"
+        assert (tmp_path / "whole" / name).read_bytes() == (tmp_path / "cut" / name).read_bytes()
+
+
+def test_several_processes_compute_the_gradient_of_one():
+    one, _ = trainer(dataclasses.replace(CONFIG, num_envs=8, minibatches=1))
+    one.train(48)
+    network, config = one._learner.network, one._learner._config
+    rollout, targets, ids = one._learner.rollout, one._learner.targets, torch.arange(8)
+    gradients = []
+    for parts in (ids.chunk(1), ids.chunk(2)):
+        network.zero_grad(set_to_none=False)
+        for part in parts:
+            add_gradient(network, config, rollout, targets, part, len(part) / 8)
+        gradients.append(torch.cat([p.grad.flatten() for p in network.parameters()]).clone())
+    torch.testing.assert_close(gradients[0], gradients[1], rtol=1e-4, atol=1e-6)
+
+
+def test_the_algorithm_is_marked_as_privileged_in_training():
+    uses = privileged_uses(vars(ALGORITHMS["distil"].config))
+    assert uses == ["auxiliary loss", "teacher", "practice starts"]
+    assert privileged_uses(vars(PPOConfig())) == []
+
+
+@pytest.mark.parametrize("option", [{"imitation_coef": 1.0}, {"practice_until": 0.5}])
+def test_an_environment_without_a_teacher_is_an_error(option):
+    env = toy_env(8, recall=False, length=5)
+    env.privileged_columns = ("distance/0", "angle/0")
+    config = PPOConfig(num_envs=8, minibatches=2, processes=1, **option)
+    with pytest.raises(UserError, match="has no teacher"):
+        PPOTrainer(config, toy_policy(), env, seed=0)
+
+
+def test_evaluations_receive_the_parameters_averaged_over_updates():
+    built, _ = trainer(dataclasses.replace(CONFIG, average_updates=4))
+    expected, after_updates, received = flatten_parameters(built.policy), [], []
+    learn = built._learn
+    built._learn = lambda: (learn(), after_updates.append(flatten_parameters(built.policy)))[0]
+    built.train(48 * 3)
+    built._evaluations.submit = lambda step, values: received.append(values)
+    built._submit_evaluation()
+    for values in after_updates:
+        expected += (values - expected) / 4
+    np.testing.assert_allclose(built._average, expected, atol=1e-6)
+    assert not np.array_equal(built._average, after_updates[-1])
+    assert np.array_equal(received[-1], built._average)
+
+
+@pytest.mark.parametrize("shape", [(16, 40), (40, 16), (24, 24)])
+def test_orthogonalization_keeps_singular_vectors_and_equalizes_singular_values(shape):
+    matrix = torch.randn(shape, generator=torch.Generator().manual_seed(1))
+    u, s, v = torch.linalg.svd(matrix, full_matrices=False)
+    inside = u.T @ orthogonalized(matrix) @ v.T
+    values = inside.diagonal()
+    assert (inside - values.diag()).abs().max() < 1e-3
+    large = s > 0.3 * s.max()
+    assert values[large].min() > 0.5
+    assert values.max() < 1.3
+
+
+def test_an_update_of_float32_muon_is_as_large_as_one_of_adam():
+    """Root mean square of about .2 times the learning rate, for matrices and kernels."""
+    generator = torch.Generator().manual_seed(2)
+    parameter = torch.nn.Parameter(torch.zeros(32, 16, 5, 5))
+    parameter.grad = torch.randn(parameter.shape, generator=generator)
+    Float32Muon([parameter], lr=0.1).step()
+    assert float(parameter.detach().square().mean().sqrt()) == pytest.approx(0.02, rel=0.3)
+    assert float((parameter.detach() * parameter.grad).sum()) < 0
