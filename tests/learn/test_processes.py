@@ -37,20 +37,19 @@ def test_a_process_is_started_although_the_fork_server_ended_meanwhile(monkeypat
     context = process_context()
     start, attempts = context.Process.start, []
 
-    def start_second_time(process):
+    def start_late(process):
         attempts.append(process)
-        if len(attempts) == 1:
-            raise EOFError("unexpected EOF")
+        if len(attempts) < 8:
+            raise EOFError if len(attempts) == 1 else ConnectionRefusedError
         start(process)
 
-    monkeypatch.setattr(context.Process, "start", start_second_time)
+    monkeypatch.setattr(context.Process, "start", start_late)
     child = ChildProcess.start(context, "helper", send_one)
     assert child.connection.recv() == 1
     child.stop()
-    assert len(attempts) == 2
-    monkeypatch.setattr(
-        context.Process, "start", lambda process: start_second_time(attempts.clear())
-    )
+    assert len(attempts) == 8
+    monkeypatch.setattr(context.Process, "start", lambda process: start_late(attempts.clear()))
+    monkeypatch.setattr("knowarm.learn.parallel.processes.START_S", 0.1)
     with pytest.raises(EOFError):
         ChildProcess.start(context, "helper", send_one)
 

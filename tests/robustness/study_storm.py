@@ -23,14 +23,14 @@ experiments = ["irb120-bm-ppo", "irb120-full-ppo"]
 seeds = SEEDS
 
 [overrides]
-total_steps = 1200
+total_steps = 600
 checkpoint_every_steps = 60
 interim = {every_steps = 300, episodes = 2}
 algorithm = {num_envs = 4, rollout_steps = 5, minibatches = 2, processes = 1}
 
 [[overrides_for]]  # helper processes
 experiments = "irb120-full-ppo"
-fields.total_steps = 6400
+fields.total_steps = 3200
 fields.checkpoint_every_steps = 300
 fields.interim.every_steps = 1600
 fields.algorithm = {num_envs = 32, processes = 2}
