@@ -1,5 +1,7 @@
 """Tests of ``benchmarks/learn.py`` with tiny sizes."""
 
+from dataclasses import replace
+
 import pytest
 
 from benchmarks.learn import LearnBenchConfig, bench_learn, in_turns
@@ -9,9 +11,13 @@ from knowarm.errors import UserError
 @pytest.mark.slow
 def test_all_learners_are_in_one_table(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("benchmarks.learn.A3C_WORKERS", 2)
+    full = LearnBenchConfig.ppo
+    monkeypatch.setattr(
+        LearnBenchConfig, "ppo", lambda *names: replace(full(*names), num_envs=8, minibatches=2)
+    )
     result = bench_learn(LearnBenchConfig(cores=1, seconds=0.1, turns=1))
     rows = {row["name"]: row for row in result["rows"]}
-    assert set(rows) == {"raycaster", "fast", "ppo", "a3c", "a3c-batched"}
+    assert set(rows) == {"raycaster", "fast", "ppo", "distil", "a3c", "a3c-batched"}
     assert all(row["steps_per_s"] > 0 for row in rows.values())
     assert result["steps_per_s"] == rows["ppo"]["steps_per_s"]
     ratio = rows["a3c-batched"]["steps_per_s"] / rows["a3c"]["steps_per_s"]
