@@ -17,7 +17,8 @@ from pathlib import Path
 import torch
 
 from knowarm.experiment.build import build, slots_of
-from knowarm.experiment.edited_graph import edited_knowledge_table
+from knowarm.experiment.config import EvaluationConfig
+from knowarm.experiment.graph_at_test import graph_at_test, knowledge_at_test
 from knowarm.experiment.names import experiment_config
 from knowarm.knowledge.queries.splits import SPLITS
 from knowarm.perception.grounding import GroundingNetwork
@@ -82,7 +83,8 @@ def main() -> None:
                     env, network.spec, arguments.test_images, derive_seed(0, "perception", number)
                 )
                 if split == "S5":
-                    network.knowledge = torch.from_numpy(edited_knowledge_table(config, env))
+                    graph = graph_at_test(config, env, EvaluationConfig(split="S5"))
+                    network.knowledge = torch.from_numpy(knowledge_at_test(config, env, graph))
                 shares.append(f"{split} {measure(network, labels)}")
             print(f"{agent}, seed {seed}: {', '.join(shares)}, {seconds:.0f} s", flush=True)
 

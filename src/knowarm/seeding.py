@@ -21,6 +21,7 @@ Purpose = Literal[
     "interim_actions",  # sampled actions of interim evaluations
     "splits",  # what the splits of a choose task hold out; number of the split
     "perception",  # weights and images of a perception module; number of the images and of the test
+    "damage",  # which triples of a graph an evaluation damages; number of the kind
 ]
 """What random numbers are drawn for, with the meaning of the indices. The position of a purpose is
 part of its stream: append new purposes at the end.

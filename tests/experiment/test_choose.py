@@ -11,9 +11,9 @@ from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.build import build
-from knowarm.experiment.config import ExperimentConfig
-from knowarm.experiment.edited_graph import edited_knowledge_table
+from knowarm.experiment.config import EvaluationConfig, ExperimentConfig
 from knowarm.experiment.evaluate import evaluate
+from knowarm.experiment.graph_at_test import graph_at_test, knowledge_at_test
 from knowarm.experiment.graph_queries import GraphQueries
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.names import experiment_config, experiment_names
@@ -80,6 +80,7 @@ def test_training_and_evaluation_report_the_choice(choose_run: Run, tmp_path: Pa
 
 def test_the_policy_receives_knowledge_of_the_edited_graph_of_s5(tmp_path: Path) -> None:
     """Vectors of the subgraph follow the edit, and one-hot codes stay; both for the test only."""
+    how = EvaluationConfig(split="S5")
     for agent, follows in (("subgraph", True), ("query-onehot", False)):
         config = experiment_config(f"irb120-choose-{agent}-fast", env=CHOOSE_ENV)
         judged = replace(
@@ -87,14 +88,14 @@ def test_the_policy_receives_knowledge_of_the_edited_graph_of_s5(tmp_path: Path)
             task=replace(config.env.task, queries=GraphQueries(pairs="none", split="S5")),
         )
         table = build(config).table
-        again = edited_knowledge_table(config, judged)
+        again = knowledge_at_test(config, judged, graph_at_test(config, judged, how))
         assert again.shape == table.shape
         moved = np.abs(again - table).max(axis=1) > 0.01
         assert moved.any() == follows
         assert not moved.all()
     elsewhere = replace(config, knowledge=replace(config.knowledge, graph="household"))
     with pytest.raises(UserError, match="trained with knowledge from household"):
-        edited_knowledge_table(elsewhere, judged)
+        graph_at_test(elsewhere, judged, how)
 
 
 def test_an_evaluation_on_the_edited_graph_counts_the_old_answers(choose_run: Run) -> None:

@@ -79,6 +79,9 @@ def _print(summary: dict[str, Any]) -> None:
     if "chose_old_answer" in summary:
         old = 100 * summary["chose_old_answer"]
         print(f"Chose what the query meant before the graph was edited in {old:.1f} %.\n")
+    if "saw_no_answer" in summary:
+        none, several = (100 * summary[f"saw_{each}"] for each in ("no_answer", "several_answers"))
+        print(f"The agent saw no answer in {none:.1f} %, several in {several:.1f} %.\n")
     if "blind_agents" in summary:
         rows = [
             [name, numbers["episodes"], _share(numbers, "success"), _share(numbers, "difference")]

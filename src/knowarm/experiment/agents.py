@@ -44,6 +44,8 @@ class Agent:
     """Choices of the policy network."""
     grounding: GroundingConfig | None = None
     """Network that finds what the query means (`ExperimentConfig.grounding`)."""
+    reasoning: Literal["vector", "graph"] = "vector"
+    """What that network is given of a query (`ExperimentConfig.reasoning`)."""
     task: Mapping[str, Any] = field(default_factory=dict)
     """Fields of the task that have other values; only tasks with these fields have the agent."""
     tasks: tuple[str, ...] = ()
@@ -219,6 +221,20 @@ AGENTS: dict[str, Agent] = {
         **_GROUNDED,
         colour="c-pink",
     ),
+    "answers": _subject(
+        "the graph answers the query, and the network finds the answer by its name",
+        QUERY,
+        **_GROUNDED,
+        reasoning="graph",
+        colour="c-brown",
+    ),
+    "answers-shuffled": _control(
+        "answers: from a graph with permuted tails",
+        QUERY,
+        ShuffledGraph(),
+        **_GROUNDED,
+        reasoning="graph",
+    ),
 }
 """Every agent by name. The first agent of a role stands for it in the demo."""
 
@@ -240,7 +256,8 @@ def controls_of(subject: str, role: Role) -> list[str]:
 
     def matches(control: Agent) -> bool:
         policy = replace(control.policy, wide=False)
-        if policy != agent.policy or control.grounding != agent.grounding:
+        network = control.grounding, control.reasoning
+        if policy != agent.policy or network != (agent.grounding, agent.reasoning):
             return False
         own, other = agent.knowledge, control.knowledge
         fields = ["scope", "detail", "dim"]

@@ -4,14 +4,15 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Literal
 
-from knowarm.config import above_zero, at_least, check_numbers, registered
+from knowarm.config import above_zero, at_least, check_numbers, fraction, registered
 from knowarm.errors import UserError
 from knowarm.experiment.agents import Role
 from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.graph_queries import GraphQueries as GraphQueries  # registers itself
 from knowarm.knowledge.config import KnowledgeConfig
+from knowarm.knowledge.graph.damage import Damage
 from knowarm.learn.algorithms import AlgorithmConfig, PPOConfig
-from knowarm.perception.config import GroundingConfig
+from knowarm.perception.config import GroundingConfig, Unclear
 from knowarm.policy.config import PolicyConfig
 from knowarm.world.config import EnvConfig
 
@@ -86,6 +87,9 @@ class ExperimentConfig:
     """Train first a network that locates the object that answers the query in an episode's first
     image; the policy receives its grasp frame instead of the query's vector. Needs knowledge of
     scope "query". None: the policy receives the vector."""
+    reasoning: Literal["vector", "graph"] = "vector"
+    """What the grounding network is given of a query: its vector, which is compared with places; or
+    the facets that answer it by the graph, which the network looks for by their names."""
     algorithm: AlgorithmConfig = field(
         default_factory=PPOConfig,
         metadata=registered(lambda: [type(entry.config) for entry in ALGORITHMS.values()]),
@@ -109,6 +113,11 @@ class ExperimentConfig:
             raise UserError(
                 "grounding locates the object that answers a query: it needs knowledge of scope "
                 f"'query', got {scope!r} with detail {self.knowledge.detail!r}. Leave it None."
+            )
+        if self.reasoning == "graph" and self.grounding is None:
+            raise UserError(
+                "reasoning='graph' needs a network that finds the answers: set grounding, or "
+                "reasoning to 'vector'."
             )
 
     @property
@@ -142,9 +151,23 @@ class EvaluationConfig:
     """Questions of the choose task: those of this split's test; None takes those of training."""
     edited: str | None = None
     """Path of the edited graph of split S5; None takes the one that swaps values."""
+    reasoning: Literal["vector", "graph", "graph-shuffled", "colours"] | None = None
+    """What an agent with a grounding network answers queries by: the query's "vector"; the
+    "graph", while the network only names what stands where; as controls of it "graph-shuffled",
+    with permuted tails, or "colours", without facts. None takes the agent's own."""
+    unclear: Unclear = "guess"
+    """What an agent that answers by a graph does if it sees no answer, or several: move to the most
+    likely place ("guess"), or stay ("stop")."""
+    damage: Damage | None = None
+    """Damage the graph that the agent knows: "missing", "wrong" or "adversarial" triples (see
+    `knowarm.knowledge.graph.damage`). Episodes are judged by the undamaged one."""
+    damage_share: float = 0.3
+    """Share of the triples about the task's objects that are damaged."""
+    damage_seed: int = 0
+    """Seed of which triples are damaged."""
     label: str | None = None
     """Name of the folder of the evaluation's files; None takes ``post-training-<actions>``, plus
-    ``-held-out`` for held-out episodes, or the split in lower case."""
+    ``-held-out`` for held-out episodes, or the split in lower case, reasoning and damage."""
     blind_episodes: int = 200
     """Number of episodes, from the first, that the blind agents play beside a trained one; 0 plays
     none."""
@@ -161,6 +184,7 @@ class EvaluationConfig:
         at_least(self, 1, "episodes", "seeds", "num_envs")
         at_least(self, 0, "blind_episodes")
         above_zero(self, "distance_m", "angle_deg", "wide_angle_deg")
+        fraction(self, "damage_share")
         if self.edited is not None and self.split != "S5":
             raise UserError(
                 f"edited is the graph of split S5, got split={self.split!r}; set split to 'S5'."
@@ -183,4 +207,7 @@ class EvaluationConfig:
             f"post-training-{self.actions}"
             + ("-held-out" if self.held_out else "")
             + (f"-{self.split.lower()}" if self.split else "")
+            + (f"-{self.reasoning}" if self.reasoning else "")
+            + ("-stop" if self.unclear == "stop" else "")
+            + (f"-{self.damage}-{100 * self.damage_share:g}" if self.damage else "")
         )

@@ -13,7 +13,7 @@ from knowarm.config import override, to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.blind import blind_numbers
 from knowarm.experiment.config import EvaluationConfig
-from knowarm.experiment.edited_graph import edited_knowledge_table
+from knowarm.experiment.graph_at_test import answer_table, graph_at_test, knowledge_at_test
 from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.experiment.run import Run
 from knowarm.experiment.summary import (
@@ -25,6 +25,7 @@ from knowarm.experiment.summary import (
     write_film,
     write_table,
 )
+from knowarm.perception.answering import AnsweringAgent
 from knowarm.reading import write_json
 from knowarm.world.agents import AgentProtocol
 from knowarm.world.agents.play import play
@@ -145,13 +146,16 @@ def evaluate(
     env = ReachVectorEnv(judged, min(config.num_envs, config.episodes))
     table: torch.Tensor | None = None
     try:
-        if trained is not None and config.split == "S5":
-            edited = edited_knowledge_table(trained.config, judged)
-            table = trained.set_knowledge_table(torch.from_numpy(edited))
+        if trained is not None:
+            agent, table = _for_test(trained, judged, config)
         fixed = _episodes(env, config)
         result = play(agent, env, fixed, record_images=config.record_films)
+        if isinstance(agent, AnsweringAgent):  # the last batch repeats its last episode
+            visible = np.concatenate(agent.log)[: len(fixed)]
         blind = blind_numbers(agent, result.success, env, fixed, blind_episodes, config.seed)
         episodes = episode_columns(result, env, config)
+        if isinstance(agent, AnsweringAgent):
+            episodes["visible_answers"] = visible
         steps = step_values(result) if config.record_steps else None
     finally:
         env.close()
@@ -171,6 +175,35 @@ def evaluate(
     if write and folder is not None:
         measured.write()
     return measured
+
+
+def _for_test(
+    trained: TrainedAgent, env: EnvConfig, config: EvaluationConfig
+) -> tuple[AgentProtocol, torch.Tensor | None]:
+    """Return the agent with what it knows in this evaluation, and a table to restore after it."""
+    graph, network = graph_at_test(trained.config, env, config), trained.network
+    reasoning = config.reasoning or trained.config.reasoning
+    if reasoning == "vector":
+        if config.reasoning and network is None:
+            raise _no_network(trained)
+        if graph is None and config.reasoning is None:
+            return trained.agent, None
+        agent = trained.agent if config.reasoning is None else trained.by_vectors()
+        changed = torch.from_numpy(knowledge_at_test(trained.config, env, graph))
+        return agent, trained.set_knowledge_table(changed)
+    if network is None:
+        raise _no_network(trained)
+    control = None if reasoning == "graph" else reasoning
+    facets = network.spec.facets
+    answers = answer_table(trained.config, env, facets, graph=graph, control=control)
+    return trained.answering(answers, config.unclear), None
+
+
+def _no_network(trained: TrainedAgent) -> UserError:
+    return UserError(
+        f"The agent {trained.config.agent!r} has no grounding network, so reasoning cannot be "
+        "chosen. Leave reasoning out, or take a run such as zoo/irb120-choose-subgraph-fast."
+    )
 
 
 def _with_thresholds(env_config: EnvConfig, config: EvaluationConfig) -> EnvConfig:

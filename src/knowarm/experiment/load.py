@@ -11,9 +11,12 @@ import torch
 from knowarm.config import from_dict
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig
+from knowarm.experiment.graph_at_test import answer_table
 from knowarm.experiment.run_folder import RunFolder, given_module, stored_module
 from knowarm.learn import read_checkpoint
 from knowarm.perception.agent import PerceivingAgent
+from knowarm.perception.answering import AnswerGrounding, AnsweringAgent
+from knowarm.perception.config import Unclear
 from knowarm.perception.grounding import GroundingNetwork
 from knowarm.perception.module import PerceptionModule, in_batches
 from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
@@ -92,10 +95,35 @@ class TrainedAgent:
             rows = torch.zeros(len(images), dtype=torch.int64)
         return rows
 
+    @property
+    def network(self) -> GroundingNetwork | None:
+        """The grounding network of an agent that has one."""
+        module = self.agent.module if isinstance(self.agent, PerceivingAgent) else None
+        module = module.network if isinstance(module, AnswerGrounding) else module
+        return module if isinstance(module, GroundingNetwork) else None
+
+    def answering(self, answers: np.ndarray, unclear: Unclear = "guess") -> AnsweringAgent:
+        """Return an agent with this policy and network that answers queries by (Q, F) answers.
+
+        Args:
+            answers: whether each facet of the network answers each query.
+            unclear: what the agent does where it sees no answer, or several.
+        """
+        assert self.network is not None
+        options: dict[str, Any] = {"greedy": self.agent.greedy, "generator": self.agent.generator}
+        module = AnswerGrounding(self.network, answers).eval()
+        return AnsweringAgent(module, self.policy, unclear=unclear, **options)
+
+    def by_vectors(self) -> PolicyAgent:
+        """Return an agent with this policy that compares the query's vector with places."""
+        if self.network is None:
+            return self.agent
+        return policy_agent(self.policy, self.network, self.agent.greedy, self.agent.generator)
+
     def set_knowledge_table(self, knowledge: torch.Tensor) -> torch.Tensor:
         """Replace the knowledge table (F, K) of grounding network or policy; return the old one."""
-        module = self.agent.module if isinstance(self.agent, PerceivingAgent) else None
-        if isinstance(module, GroundingNetwork):
+        module = self.network
+        if module is not None:
             replaced, module.knowledge = module.knowledge, knowledge.to(module.knowledge.device)
         else:
             replaced = self.policy.knowledge_table
@@ -147,17 +175,29 @@ def load_agent(
     if perception is not None:
         module = given_module(config, perception)
     elif config.has_module:
-        module = stored_module(config, folder)
+        module = reasoning_module(config, stored_module(config, folder))
     agent = policy_agent(policy, module, greedy, torch.Generator().manual_seed(seed))
     return TrainedAgent(agent, policy, config, folder, step, which)
 
 
+def reasoning_module(config: ExperimentConfig, module: PerceptionModule) -> PerceptionModule:
+    """Return the module with the answers of the graph, for an agent that answers by a graph."""
+    if config.reasoning == "vector" or not isinstance(module, GroundingNetwork):
+        return module
+    return AnswerGrounding(module, answer_table(config, config.env, module.spec.facets)).eval()
+
+
 def policy_agent(
-    policy: Policy, perception: PerceptionModule | None, greedy: bool, generator: torch.Generator
+    policy: Policy,
+    perception: PerceptionModule | None,
+    greedy: bool,
+    generator: torch.Generator | None,
 ) -> PolicyAgent:
     """Return the agent that plays with a policy, and with a perception module where it has one."""
     if perception is None:
         return PolicyAgent(policy, greedy=greedy, generator=generator)
+    if isinstance(perception, AnswerGrounding):
+        return AnsweringAgent(perception, policy, greedy=greedy, generator=generator)
     return PerceivingAgent(perception, policy, greedy=greedy, generator=generator)
 
 

@@ -177,6 +177,7 @@ def _config(name: ExperimentName) -> ExperimentConfig:
         knowledge=knowledge,
         policy=dataclasses.replace(agent.policy, **algorithm.policy),
         grounding=agent.grounding,
+        reasoning=agent.reasoning,
         algorithm=algorithm.config,
     )
     return override(config, algorithm.by_task.get(name.task, {}))

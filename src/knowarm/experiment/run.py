@@ -10,6 +10,7 @@ from knowarm.errors import UserError
 from knowarm.experiment.build import Parts, build, make_trainer, slots_of
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.csv_log import writing
+from knowarm.experiment.load import reasoning_module
 from knowarm.experiment.logs import RunLogs, TrainingProgress
 from knowarm.experiment.names import experiment_config
 from knowarm.experiment.run_folder import FILE, RunFolder, module_for_training, provenance
@@ -114,6 +115,8 @@ def _train_locked(
             if module is None:
                 stopped = TrainingResult(step=0, reason="stopped", best_return=None, best_step=None)
                 return Run(folder, stopped)
+        if module is not None:
+            module = reasoning_module(config, module)
         logs = RunLogs(folder, progress)
         trainer = make_trainer(
             config,

@@ -11,7 +11,7 @@ from PIL import Image, ImageSequence
 
 from knowarm.errors import UserError
 from knowarm.experiment.config import EvaluationConfig
-from knowarm.experiment.edited_graph import answers_before_edit
+from knowarm.experiment.graph_at_test import answers_before_edit
 from knowarm.reading import reading, replacing, writing
 from knowarm.statistics import Interval, bootstrap, wilson
 from knowarm.world.agents.play import EpisodeResults
@@ -37,6 +37,7 @@ TASK_COLUMNS = {
     "chosen": ("string", "object whose grasp point was nearest to the gripper at the end"),
     "choice_correct": ("bool", "whether that object answers the query"),
     "chose_old_answer": ("bool", "whether it answered the query before the graph was edited"),
+    "visible_answers": ("int64", "objects in the first image that answer, as the agent sees it"),
 }
 """Further columns of tasks with several objects; a task of your own adds others."""
 
@@ -195,7 +196,8 @@ def summarize(episodes: Columns) -> dict[str, Any]:
     and ``failure_distance_*`` (mean, sample std, max), ``accuracy`` (the paper's: final distance
     only), ``success`` (distance and angle at the same step), ``success_wide`` (the wider angle).
     In tasks with queries also ``choice``, the share of episodes that ended nearest to the wanted
-    object, ``success_if_chosen``, groups ``per_query``, and on S5 ``chose_old_answer``.
+    object, ``success_if_chosen``, groups ``per_query``, and on S5 ``chose_old_answer``;
+    of agents that answer by a graph ``saw_no_answer`` and ``saw_several_answers``.
     """
     summary = _numbers(episodes)
     groups = {"per_target": "target", "per_facet": "facet"}
@@ -229,6 +231,9 @@ def _numbers(episodes: Columns) -> dict[str, Any]:
         values |= {"choice": share.estimate, **_bounds("choice", share)}
         reached = episodes["success"][correct]
         values["success_if_chosen"] = float(reached.mean()) if len(reached) else 0.0
+    if "visible_answers" in episodes:
+        values["saw_no_answer"] = float(np.mean(episodes["visible_answers"] == 0))
+        values["saw_several_answers"] = float(np.mean(episodes["visible_answers"] > 1))
     if "chose_old_answer" in episodes:
         values["chose_old_answer"] = float(episodes["chose_old_answer"].mean())
     values["failures"] = len(failures)

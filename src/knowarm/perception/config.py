@@ -2,10 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 from knowarm.config import above_zero, at_least, check_numbers
 from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig, facets_of, scene_of
+
+Unclear = Literal["guess", "stop"]
+"""What an agent does that sees no answer, or several: move to the most likely place, or stay."""
 
 RETRAIN = "Make one for this task with `knowarm perception train EXPERIMENT --out FILE`."
 

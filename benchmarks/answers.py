@@ -1,0 +1,130 @@
+"""Answers of the graph without an arm: the object found in the first images of splits.
+
+Takes the grounding network of a run and prints how often the grasp point that it predicts is
+nearest to the wanted object's, per split: by the query's vector, by the graph's answers and by
+controls of these. "perfect names" is what the answers are worth with a network that never errs:
+one of the visible answers, or any object where none is visible. With --damage it damages the graph
+that the agent knows, by kind and share, over several damage seeds.
+
+    python -m benchmarks.answers zoo/irb120-choose-subgraph-fast
+    python -m benchmarks.answers zoo/irb120-choose-subgraph-fast --damage --splits S1 S2
+"""
+
+import argparse
+import csv
+from dataclasses import replace
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import torch
+
+from knowarm.experiment.config import EvaluationConfig
+from knowarm.experiment.graph_at_test import answer_table, graph_at_test, knowledge_at_test
+from knowarm.experiment.load import TrainedAgent, load_agent
+from knowarm.knowledge.graph.damage import Damage
+from knowarm.knowledge.queries.splits import SPLITS
+from knowarm.perception.answering import AnswerGrounding
+from knowarm.perception.images import LabelledImages, sample_images
+from knowarm.seeding import derive_seed
+from knowarm.statistics import wilson
+from knowarm.world.config import EnvConfig
+
+BATCH = 250
+SHARES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
+Task = tuple[EnvConfig, LabelledImages]
+
+
+def right_object(trained: TrainedAgent, labels: LabelledImages, frames: torch.Tensor) -> np.ndarray:
+    """Return whether the grasp points of frames (n, 9) are nearest to the wanted object's."""
+    network = trained.network
+    position = frames[:, :3] * network.position_std + network.position_mean
+    distance = (labels.grasp_position - position[:, None]).norm(dim=2)
+    return (distance.argmin(1) == 0).numpy()
+
+
+@torch.no_grad()
+def measure(trained: TrainedAgent, task: Task, how: EvaluationConfig) -> dict[str, np.ndarray]:
+    """Return which images lead to the right object, by a reasoning and with perfect names."""
+    (env, labels), network = task, trained.network
+    graph = graph_at_test(trained.config, env, how)
+    parts = list(zip(labels.images.split(BATCH), labels.queries.split(BATCH), strict=True))
+    if how.reasoning == "vector":
+        kept = network.knowledge
+        network.knowledge = torch.from_numpy(knowledge_at_test(trained.config, env, graph))
+        frames = torch.cat([network(*part) for part in parts])
+        network.knowledge = kept
+        return {"right": right_object(trained, labels, frames)}
+    control = None if how.reasoning == "graph" else how.reasoning
+    facets = network.spec.facets
+    answers = answer_table(trained.config, env, facets, graph=graph, control=control)
+    seen = [AnswerGrounding(network, answers).see(*part) for part in parts]
+    visible = torch.cat([each.visible for each in seen]).numpy()
+    shown = answers[labels.queries[:, None].numpy(), labels.facets.numpy()]
+    count = shown.sum(axis=1)
+    guess = np.full(len(count), 1 / shown.shape[1])
+    perfect = np.where(count > 0, shown[:, 0] / np.maximum(count, 1), guess)
+    frames = torch.cat([each.frames for each in seen])
+    return {
+        "right": right_object(trained, labels, frames),
+        "perfect": perfect,
+        "sees_none": visible == 0,
+        "sees_several": visible > 1,
+    }
+
+
+def percent(values: np.ndarray) -> str:
+    """Return a share with its Wilson interval."""
+    share = wilson(int(values.sum()), len(values))
+    return f"{100 * values.mean():.1f} [{100 * share.low:.0f}, {100 * share.high:.0f}]"
+
+
+def main() -> None:
+    """Print the table of splits, or write the curves of damaged graphs as CSV."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("run", type=Path)
+    parser.add_argument("--splits", nargs="+", default=list(SPLITS))
+    parser.add_argument("--images", type=int, default=500)
+    parser.add_argument("--damage", action="store_true")
+    parser.add_argument("--damage-seeds", type=int, default=5)
+    arguments = parser.parse_args()
+    trained = load_agent(arguments.run)
+    tasks: dict[str, Task] = {}
+    for split in arguments.splits:
+        env = trained.config.env
+        env = replace(env, task=env.task.for_split(split, None))
+        seed = derive_seed(0, "perception", list(SPLITS).index(split) + 1)
+        tasks[split] = env, sample_images(env, trained.network.spec, arguments.images, seed)
+    if not arguments.damage:
+        for split, task in tasks.items():
+            for reasoning in ("vector", "graph", "graph-shuffled", "colours"):
+                how = EvaluationConfig(split=split, reasoning=reasoning)
+                found = measure(trained, task, how)
+                print(split, reasoning, *(f"{n} {percent(v)}" for n, v in found.items()))
+        return
+    columns = ["split", "kind", "share", "damage_seed", "reasoning", "right", "perfect_names"]
+    with open("/dev/stdout", "w") as out:
+        rows = csv.writer(out, lineterminator="\n")
+        rows.writerow(columns)
+        for split, task in tasks.items():
+            for kind in get_args(Damage):
+                for share in SHARES:
+                    for seed in range(arguments.damage_seeds if share else 1):
+                        for reasoning in ("vector", "graph"):
+                            how = EvaluationConfig(
+                                split=split,
+                                reasoning=reasoning,
+                                damage=kind,
+                                damage_share=share,
+                                damage_seed=seed,
+                            )
+                            found = measure(trained, task, how)
+                            perfect = found.get("perfect")
+                            shown = "" if perfect is None else f"{perfect.mean():.4f}"
+                            right = f"{found['right'].mean():.4f}"
+                            rows.writerow([split, kind, share, seed, reasoning, right, shown])
+                            out.flush()
+
+
+if __name__ == "__main__":
+    main()

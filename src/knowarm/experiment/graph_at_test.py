@@ -1,0 +1,113 @@
+"""Graphs at test time: edited (split S5), damaged or shuffled, and what an agent knows by them."""
+
+from typing import Any, Literal
+
+import numpy as np
+
+from knowarm.errors import UserError
+from knowarm.experiment.config import EvaluationConfig, ExperimentConfig
+from knowarm.experiment.graph_queries import GraphQueries
+from knowarm.knowledge import KnowledgeGraph, query_embedding, scene_embedding
+from knowarm.knowledge.formats import open_graph
+from knowarm.knowledge.graph.builder import shuffle_tails
+from knowarm.knowledge.graph.damage import damaged
+from knowarm.knowledge.queries.queries import QueryGraph
+from knowarm.knowledge.queries.splits import QuerySplits
+from knowarm.questions import ObjectColour, Query, QuestionTable
+from knowarm.seeding import derive_seed
+from knowarm.world.config import EnvConfig, facets_of, questions_of
+from knowarm.world.tasks.choose.choose import Choose
+
+
+def graph_at_test(
+    config: ExperimentConfig, env: EnvConfig, how: EvaluationConfig
+) -> KnowledgeGraph | None:
+    """Return the graph that an agent knows in an evaluation; None for the one of its training.
+
+    The episodes are judged by the undamaged graph; on S5 by the edited one.
+    """
+    graph = None
+    if how.split == "S5":
+        queries, splits = _splits(env)
+        if config.knowledge.graph != queries.graph and config.knowledge.detail != "none":
+            raise UserError(
+                f"S5 edits the graph of the questions ({queries.graph}), but the policy was "
+                f"trained with knowledge from {config.knowledge.graph}. Train with knowledge.graph "
+                "set to the former."
+            )
+        graph = splits.edited
+    if how.damage is not None:
+        if config.knowledge.detail == "none":
+            raise UserError(
+                f"damage changes a graph, and agent {config.agent!r} has none. Leave it out."
+            )
+        graph = graph or open_graph(config.knowledge.graph)
+        graph = damaged(graph, how.damage, how.damage_share, how.damage_seed, env.targets)
+    return graph
+
+
+def knowledge_at_test(
+    config: ExperimentConfig, env: EnvConfig, graph: KnowledgeGraph | None
+) -> np.ndarray:
+    """Compute the knowledge table by another graph: (Q, K), or (F, K) if perceived."""
+    if config.knowledge.scope == "perceived":
+        facets = facets_of(env)
+        seen = scene_embedding(config.knowledge, facets, run_seed=config.seed, graph=graph)
+        return seen.table(facets)
+    tested = _questions(env).queries
+    options: dict[str, Any] = {"graph": graph, "trained_on": _questions(config.env).queries}
+    return query_embedding(config.knowledge, tested, run_seed=config.seed, **options).table(tested)
+
+
+def answer_table(
+    config: ExperimentConfig,
+    env: EnvConfig,
+    facets: tuple[ObjectColour, ...],
+    *,
+    graph: KnowledgeGraph | None = None,
+    control: Literal["graph-shuffled", "colours"] | None = None,
+) -> np.ndarray:
+    """Return which facets answer each query of a task by the graph of an agent, (Q, F) bool.
+
+    Args:
+        config: the agent; its source of vectors may be a placebo with a shuffled graph.
+        env: the task that asks.
+        facets: the F columns.
+        graph: in place of the agent's own graph.
+        control: "graph-shuffled" permutes the tails within each relation; "colours" knows no
+            facts, so that only a query's colour restricts the answers.
+    """
+    queries, source = _questions(env).queries, config.knowledge.source
+    graph = graph or open_graph(config.knowledge.graph)
+    graph = source.change_graph(graph, source.draw_seed(config.knowledge.seed, config.seed))
+    if control == "graph-shuffled":
+        graph = shuffle_tails(graph, derive_seed(config.seed, "placebos"))
+    if control == "colours":
+        queries = tuple(Query(tuple(c for c in q.conditions if c.is_colour)) for q in queries)
+    return QueryGraph(graph, facets).answers(queries)
+
+
+def answers_before_edit(env: EnvConfig) -> dict[str, set[str]]:
+    """Return the objects that answered each query of S5 before the edit, in any colour, by name."""
+    before = _splits(env)[1].train
+    return {
+        query.name: {before.facets[facet][0] for facet in np.flatnonzero(row)}
+        for query, row in zip(before.queries, before.satisfies, strict=True)
+    }
+
+
+def _questions(env: EnvConfig) -> QuestionTable:
+    table = questions_of(env)
+    if table is None:
+        raise UserError(
+            f"The task {env.task.kind_of()!r} has no queries that a graph could answer. Take a "
+            "run of the choose task."
+        )
+    return table
+
+
+def _splits(env: EnvConfig) -> tuple[GraphQueries, QuerySplits]:
+    task = env.task
+    assert isinstance(task, Choose)
+    assert isinstance(task.queries, GraphQueries)
+    return task.queries, task.queries.splits(facets_of(env), task.objects)

@@ -1,0 +1,146 @@
+"""Answer grounding: the graph says which facets answer a query, a network says where they stand.
+
+Every place of the image has a score per facet, its object's logit plus its colour's. The place
+whose log-sum-exp over the answering facets is largest holds the answer, and its features give the
+grasp frame. Nothing of this is trained on queries.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from knowarm.perception.agent import PerceivingAgent
+from knowarm.perception.config import Unclear
+from knowarm.perception.grounding import GroundingNetwork
+from knowarm.perception.module import BATCH, GoalPredictor, PerceptionModule
+from knowarm.questions import ObjectColour
+from knowarm.world.config import EnvConfig
+
+
+class SeenAnswers(NamedTuple):
+    """What answer grounding finds in n images."""
+
+    frames: Tensor
+    """Grasp frame at the chosen place, (n, 9) float32."""
+    scores: Tensor
+    """Log-sum-exp over the answering facets at every place, (n, P) float32."""
+    named: Tensor
+    """Facets of the m visible objects, surest first, (n, m) int64."""
+    places: Tensor
+    """Where they stand, (n, m) int64."""
+    visible: Tensor
+    """Number of the named facets that answer, (n,) int64."""
+
+
+class AnswerGrounding(PerceptionModule):
+    """Grounding by the answers of a graph, with the weights of a grounding network.
+
+    Args:
+        network: names objects and colours at places, and predicts grasp frames.
+        answers: (Q, F) bool or float32, whether each facet of the network answers each query.
+    """
+
+    GOAL = GroundingNetwork.GOAL
+
+    knowledge: Tensor
+    """(Q, F) float32 buffer, 1 where a facet answers; may be replaced by other answers."""
+
+    def __init__(self, network: GroundingNetwork, answers: np.ndarray | Tensor) -> None:
+        super().__init__(network.spec, network.encoder)
+        self.network = network
+        self.register_buffer("knowledge", torch.as_tensor(answers, dtype=torch.float32).clone())
+
+    def predictor(self, env: EnvConfig, facets: tuple[ObjectColour, ...]) -> GoalPredictor:
+        """As `PerceptionModule.predictor`; a goal is a grasp frame."""
+        self.spec.check_fits(env, ())
+        return self
+
+    def forward(self, images: Tensor, queries: Tensor) -> Tensor:
+        """Predict the grasp frames (n, 9) of the objects that answer; see `GoalPredictor`."""
+        return self.see(images, queries).frames
+
+    def see(self, images: Tensor, queries: Tensor) -> SeenAnswers:
+        """Find the answers to queries (n,) int64 in images (n, H, W, 3) uint8."""
+        answers = self.knowledge[queries] > 0
+        features = self.encoder.features(images)
+        objects, colours = self.encoder.logits(features)
+        object_of, colour_of = self.encoder.facet_parts
+        by_place = objects[:, object_of] + colours[:, colour_of]  # (n, F, P)
+        # Where nothing answers, every facet counts, so that there is a place to guess.
+        counted = answers | ~answers.any(1, keepdim=True)
+        scores = by_place.masked_fill(~counted[:, :, None], -torch.inf).logsumexp(1)
+        frames = self.network.frames(features, scores.argmax(1)[:, None])[:, 0]
+        named, places = self._name(by_place)
+        return SeenAnswers(frames, scores, named, places, answers.gather(1, named).sum(1))
+
+    def _name(self, by_place: Tensor) -> tuple[Tensor, Tensor]:
+        """Name m different objects at different places, best scores (n, F, P) first, (n, m) each.
+
+        With this network it is right more often than the m best facets of the image as a whole.
+        """
+        rows, left = torch.arange(len(by_place)), by_place.clone()
+        objects, named = self.encoder.facet_parts[0], []
+        for _ in range(self.spec.objects):
+            best = left.flatten(1).argmax(1)
+            facet, place = best // left.shape[2], best % left.shape[2]
+            named.append((facet, place))
+            left[rows, :, place] = -torch.inf
+            left.masked_fill_((objects == objects[facet][:, None])[:, :, None], -torch.inf)
+        facets, places = (torch.stack(each, dim=1) for each in zip(*named, strict=True))
+        return facets, places
+
+    def to_bytes(self) -> bytes:
+        """As `PerceptionModule.to_bytes`: the network, since answers come from a graph."""
+        return self.network.to_bytes()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copy with the answers."""
+        return type(self), (self.network, self.knowledge)
+
+
+class AnsweringAgent(PerceivingAgent):
+    """Policy agent that moves to the object that answers by a graph, and says if it sees none.
+
+    Args:
+        module: the answers and where they stand.
+        unclear: what to do where no visible object answers, or several do.
+
+    Attributes:
+        visible_answers: how many visible objects answer in each environment, (n,) int64.
+    """
+
+    module: AnswerGrounding
+    visible_answers: np.ndarray
+
+    def __init__(
+        self, module: AnswerGrounding, *arguments: Any, unclear: Unclear = "guess", **options: Any
+    ) -> None:
+        super().__init__(module, *arguments, **options)
+        self.unclear = unclear
+        self.log: list[np.ndarray] = []
+        """``visible_answers`` of every start, in order."""
+
+    @torch.inference_mode()
+    def knowledge_input(self, observations: np.ndarray) -> Tensor:
+        """As `PerceivingAgent.knowledge_input`; counts the visible answers in the first image."""
+        if self.goal is None:
+            queries = torch.as_tensor(self._env.knowledge_input)
+            images = torch.as_tensor(observations)
+            parts = zip(images.split(BATCH), queries.split(BATCH), strict=True)
+            seen = [self.module.see(*part) for part in parts]
+            self.goal = torch.cat([each.frames for each in seen]).clone()
+            self.visible_answers = torch.cat([each.visible for each in seen]).numpy()
+            self.log.append(self.visible_answers)
+        return self.goal
+
+    def act(self, observations: np.ndarray) -> np.ndarray:
+        """As `PolicyAgent.act`; with ``unclear`` "stop" nothing moves without exactly one answer.
+
+        Action 0 adds nothing to the joint targets.
+        """
+        actions = super().act(observations)
+        if self.unclear == "stop":
+            actions = np.where((self.visible_answers == 1)[:, None], actions, 0)
+        return actions

@@ -1,0 +1,130 @@
+"""Reasoning by vectors or by the graph: agents, evaluations, controls and damaged graphs."""
+
+import numpy as np
+import pytest
+import torch
+
+from knowarm.errors import UserError
+from knowarm.experiment.agents import AGENTS, controls_of
+from knowarm.experiment.build import build, slots_of
+from knowarm.experiment.config import EvaluationConfig
+from knowarm.experiment.evaluate import evaluate
+from knowarm.experiment.graph_at_test import answer_table
+from knowarm.experiment.load import load_agent
+from knowarm.experiment.names import experiment_config, experiment_names
+from knowarm.experiment.run import train
+from knowarm.perception.answering import AnsweringAgent
+from knowarm.perception.config import ModuleSpec
+from knowarm.perception.grounding import GroundingNetwork
+from knowarm.world.config import facets_of, questions_of
+from tests.experiment.test_zoo import ZOO
+from tests.tiny import CHOOSE, CHOOSE_ENV
+
+ASKED = [
+    name
+    for name, agent in AGENTS.items()
+    if agent.knowledge.scope == "query" and f"irb120-choose-{name}-fast" in experiment_names()
+]
+BRIEF = {"episodes": 120, "num_envs": 60, "blind_episodes": 0, "write": False}
+ARM = {"record_films": 0, "record_steps": False}
+
+
+@pytest.fixture(scope="module")
+def trained():
+    return load_agent(ZOO / "irb120-choose-subgraph-fast")
+
+
+def test_answers_has_the_controls_of_its_network():
+    assert controls_of("answers", "content_control") == ["answers-shuffled"]
+    assert "answers-shuffled" not in controls_of("subgraph", "content_control")
+
+
+def test_an_agent_trains_with_the_answers_of_its_graph_and_plays_from_its_folder(tmp_path):
+    run = train("irb120-choose-answers-fast", tmp_path, **CHOOSE)
+    trained = load_agent(run.folder.path)
+    assert isinstance(trained.agent, AnsweringAgent)
+    config = trained.config
+    satisfies = questions_of(config.env).satisfies
+    assert (trained.agent.module.knowledge.numpy() == satisfies).all()
+    result = evaluate(trained, **{**BRIEF, "episodes": 8})
+    assert set(result.episodes["visible_answers"]) <= {0, 1, 2, 3, 4}
+    by_vector = evaluate(trained, reasoning="vector", **{**BRIEF, "episodes": 8})
+    assert "visible_answers" not in by_vector.episodes
+    shuffled = experiment_config("irb120-choose-answers-shuffled-fast", env=CHOOSE_ENV)
+    assert (answer_table(shuffled, shuffled.env, facets_of(shuffled.env)) != satisfies).any()
+
+
+@pytest.mark.slow(40)
+def test_the_graph_answers_new_pairs_and_an_edited_graph_and_its_controls_do_not(trained):
+    def right(split, reasoning):
+        return evaluate(trained, split=split, reasoning=reasoning, **BRIEF, **ARM).summary["choice"]
+
+    assert right("S5", "graph") > 0.9
+    graph, shuffled, colours = (
+        right("S2", each) for each in ("graph", "graph-shuffled", "colours")
+    )
+    assert graph > 0.9
+    assert shuffled < graph - 0.2
+    assert colours < graph - 0.1
+
+
+@pytest.mark.slow(40)
+def test_damage_lowers_right_choices_of_vectors_and_answers(trained):
+    def right(reasoning, **damage):
+        found = evaluate(trained, split="S1", reasoning=reasoning, **damage, **BRIEF, **ARM)
+        return found.summary["choice"]
+
+    before = trained.network.knowledge.clone()
+    adversarial = {"damage": "adversarial", "damage_share": 0.6}
+    assert right("graph") > 0.9
+    assert right("graph", **adversarial) < 0.7
+    assert right("vector") - right("vector", **adversarial) > 0.02
+    assert (trained.network.knowledge == before).all()
+
+
+def test_labels_name_reasoning_and_damage():
+    how = EvaluationConfig(split="S1", reasoning="graph", damage="missing", damage_share=0.3)
+    assert how.folder == "post-training-greedy-s1-graph-missing-30"
+
+
+def test_reasoning_needs_a_network_and_damage_a_graph(choose_run):
+    reach = ZOO / "irb120-full-fast"
+    with pytest.raises(UserError, match="has no grounding network"):
+        evaluate(reach, reasoning="graph", **BRIEF)
+    with pytest.raises(UserError, match="Unknown value of reasoning"):
+        evaluate(choose_run, reasoning="guessing", **BRIEF)
+    with pytest.raises(UserError, match="damage_share must be between 0 and 1"):
+        evaluate(choose_run, damage="missing", damage_share=1.5, **BRIEF)
+
+
+@pytest.mark.parametrize("name", ASKED)
+def test_the_query_enters_through_its_vector_only(name):
+    """Without training: swapped rows swap what the agent does, and zeros make all queries one."""
+    config = experiment_config(f"irb120-choose-{name}-fast", env=CHOOSE_ENV)
+    parts = build(config)
+    table, queries = torch.from_numpy(parts.table), torch.arange(len(parts.table))
+    generator = torch.Generator().manual_seed(0)
+    image = torch.randint(0, 256, (1, 64, 64, 3), dtype=torch.uint8, generator=generator)
+    images = image.expand(len(queries), -1, -1, -1)
+    if parts.grounded:
+        spec = ModuleSpec.of(config.env, config.grounding)
+        network = GroundingNetwork(spec, table, slots_of(parts.embedding))
+        act, owner, attribute = lambda: network(images, queries), network, "knowledge"
+    else:
+        policy = parts.new_policy(0)
+        start = torch.ones(len(queries), dtype=torch.bool)
+        state = policy.initial_state(len(queries))
+
+        def act():
+            return policy.step(images, queries, state, start)[0]
+
+        owner, attribute = policy, "knowledge_table"
+    with torch.no_grad():
+        real = act()
+        setattr(owner, attribute, table.flip(0))
+        torch.testing.assert_close(act().flip(0), real, rtol=1e-4, atol=1e-5)
+        setattr(owner, attribute, torch.zeros_like(table))
+        zeroed = act()
+    torch.testing.assert_close(zeroed, zeroed[:1].expand_as(zeroed), rtol=1e-4, atol=1e-5)
+    if AGENTS[name].role == "knowledge":
+        assert np.ptp(real.numpy(), axis=0).max() > 1e-4
