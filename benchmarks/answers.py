@@ -12,13 +12,16 @@ that the agent knows, by kind and share, over several damage seeds.
 
 import argparse
 import csv
+import sys
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import get_args
 
 import numpy as np
 import torch
 
+from knowarm.config import override
 from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.graph_at_test import answer_table, graph_at_test, knowledge_at_test
 from knowarm.experiment.load import TrainedAgent, load_agent
@@ -98,32 +101,26 @@ def main() -> None:
     if not arguments.damage:
         for split, task in tasks.items():
             for reasoning in ("vector", "graph", "graph-shuffled", "colours"):
-                how = EvaluationConfig(split=split, reasoning=reasoning)
+                how = override(EvaluationConfig(), {"split": split, "reasoning": reasoning})
                 found = measure(trained, task, how)
                 print(split, reasoning, *(f"{n} {percent(v)}" for n, v in found.items()))
         return
     columns = ["split", "kind", "share", "damage_seed", "reasoning", "right", "perfect_names"]
-    with open("/dev/stdout", "w") as out:
-        rows = csv.writer(out, lineterminator="\n")
-        rows.writerow(columns)
-        for split, task in tasks.items():
-            for kind in get_args(Damage):
-                for share in SHARES:
-                    for seed in range(arguments.damage_seeds if share else 1):
-                        for reasoning in ("vector", "graph"):
-                            how = EvaluationConfig(
-                                split=split,
-                                reasoning=reasoning,
-                                damage=kind,
-                                damage_share=share,
-                                damage_seed=seed,
-                            )
-                            found = measure(trained, task, how)
-                            perfect = found.get("perfect")
-                            shown = "" if perfect is None else f"{perfect.mean():.4f}"
-                            right = f"{found['right'].mean():.4f}"
-                            rows.writerow([split, kind, share, seed, reasoning, right, shown])
-                            out.flush()
+    rows = csv.writer(sys.stdout, lineterminator="\n")
+    rows.writerow(columns)
+    seeds = range(arguments.damage_seeds)
+    for split, kind, share, seed, reasoning in product(
+        tasks, get_args(Damage), SHARES, seeds, ("vector", "graph")
+    ):
+        if share == 0 and seed > 0:  # nothing is drawn
+            continue
+        damage = {"damage": kind, "damage_share": share, "damage_seed": seed}
+        how = override(EvaluationConfig(), {"split": split, "reasoning": reasoning, **damage})
+        found = measure(trained, tasks[split], how)
+        perfect = f"{found['perfect'].mean():.4f}" if "perfect" in found else ""
+        right = f"{found['right'].mean():.4f}"
+        rows.writerow([split, kind, share, seed, reasoning, right, perfect])
+        sys.stdout.flush()
 
 
 if __name__ == "__main__":

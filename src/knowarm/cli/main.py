@@ -23,6 +23,7 @@ COMMANDS = {
     "list": ("list:List", "list robots, targets, agents, algorithms and experiments"),
     "train": ("train:parse_train", "train one agent, or resume a stopped run"),
     "evaluate": ("evaluate:Evaluate", "evaluate a trained or scripted agent on fixed episodes"),
+    "ask": ("ask:Ask", "ask a trained agent a question that a graph answers"),
     "study": ("study:COMMANDS", "run a table of experiments and seeds, restartable"),
     "report": ("report:Report", "write one HTML report from run folders"),
     "perception": ("train:PERCEPTION", "train a module that names objects and colours"),

@@ -1,0 +1,109 @@
+"""``knowarm ask``: a question to a trained agent, answered by a graph, an image and an arm."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from knowarm.cli.tables import FilePath, TableCommand, print_table
+from knowarm.errors import UserError, printable
+from knowarm.experiment.ask import Asked, Asker
+from knowarm.experiment.load import load_agent
+from knowarm.integrations.ask_page import serve_page, write_page
+from knowarm.knowledge.formats import open_graph
+from knowarm.knowledge.graph.edits import edited
+from knowarm.perception.config import Unclear
+
+SHOWN = 12  # most objects whose evidence is printed
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ask(TableCommand):
+    """Ask a trained agent: the graph answers, the network finds the answer, the arm goes there."""
+
+    agent: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="RUN")]
+    """A run of the choose task with a grounding network, e.g. zoo/irb120-choose-subgraph-fast."""
+    question: Annotated[
+        tyro.conf.Positional[str], tyro.conf.arg(metavar="[QUESTION]", help_behavior_hint="")
+    ] = ""
+    """Such as "usedFor drinking and not hasColor blue", "usedFor (relatedTo tea)", "count hasPart
+    >= 3", or SPARQL that selects ?object. May be left out with --browser."""
+    graph: str | None = None
+    """Path of another graph, or the name of a shipped one; default: the run's."""
+    edit: tuple[str, ...] = ()
+    """Changes of the graph, such as "- mug usedFor drinking" "+ lamp usedFor drinking". The scene
+    is then one in which another object answers than before, unless --scene is given."""
+    scene: int | None = None
+    """Number of the scene; default: the first in which exactly one object answers."""
+    seed: int = 0
+    """Seed of the scenes."""
+    unclear: Unclear = "guess"
+    """If the network sees no answer, or several: move to the most likely place, or stay."""
+    page: FilePath = None
+    """Write an HTML page with answers, evidence, map of places and film."""
+    browser: bool = False
+    """Open a page in the browser on which questions and edits can be changed; Ctrl-C ends it."""
+    port: int = 0
+    """Port of that page, which only this machine can reach; 0 takes the first free one from
+    8080."""
+
+    def result(self) -> dict[str, Any]:
+        """Answer, play, and print or show."""
+        if not self.question and not self.browser:
+            raise UserError('Give a question, such as "usedFor drinking and not hasColor blue".')
+        trained = load_agent(self.agent)
+        graph = open_graph(self.graph or trained.config.knowledge.graph)
+        asker = Asker(trained, self.seed)
+
+        def ask(question: str, edits: tuple[str, ...], scene: int | None) -> Asked:
+            answers = [asker.answers(edited(graph, edits), question)]
+            if scene is None and edits:
+                before = asker.answers(graph, question)
+                if (before.satisfies != answers[0].satisfies).any():
+                    answers.insert(0, before)
+            number = asker.scene(answers) if scene is None else scene
+            return asker.ask(answers[-1], number, self.unclear)
+
+        try:
+            if self.browser:
+                serve_page(ask, self.question, self.edit, self.scene, self.port)
+                return {}
+            found = ask(self.question, self.edit, self.scene)
+        finally:
+            asker.close()
+        _print(found)
+        if self.page is not None:
+            write_page(Path(self.page), found, self.edit)
+            print(f"Wrote {self.page}")
+        return {
+            "question": found.answers.question,
+            "answers": {"/".join(f): list(why) for f, why in found.answers.evidence.items()},
+            "scene": found.scene,
+            "shown": ["/".join(facet) for facet in found.shown],
+            "named": ["/".join(facet) for facet in found.named],
+            "visible_answers": found.visible,
+            "reached": "/".join(found.reached),
+            "right": found.right,
+            "success": found.film[-1].success,
+            "steps": found.film[-1].step,
+        }
+
+
+def _print(found: Asked) -> None:
+    """Print the answers with their evidence, the scene and what the arm did."""
+    rows: dict[str, tuple[list[str], str]] = {}
+    for (name, colour), why in found.answers.evidence.items():
+        rows.setdefault(name, ([], "; ".join(why)))[0].append(colour)
+    lines = [[name, ", ".join(colours), why] for name, (colours, why) in rows.items()]
+    title = f"Answers in the graph to: {found.answers.question}"
+    print_table(title, ["object", "colours", "evidence (of the first colour)"], lines[:SHOWN])
+    if len(lines) > SHOWN:
+        print(f"and {len(lines) - SHOWN} more objects.")
+    for what, facets in (("stand", found.shown), ("the network names", found.named)):
+        marked = [
+            " ".join(reversed(each)) + " (answers)" * (each in found.answers.evidence)
+            for each in facets
+        ]
+        print(printable(f"In scene {found.scene} {what}: {', '.join(marked)}."))
+    print(printable(found.outcome))

@@ -1,0 +1,151 @@
+"""Questions to a trained agent: the graph answers, the network finds the answer, the arm moves."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from knowarm.errors import UserError
+from knowarm.experiment.load import TrainedAgent
+from knowarm.knowledge.graph.graph import KnowledgeGraph
+from knowarm.knowledge.queries.expressions import Answers, answer
+from knowarm.perception.config import Unclear
+from knowarm.perception.grounding import centres
+from knowarm.questions import ObjectColour
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.tasks.episodes import Episodes, evaluation_episodes
+from knowarm.world.viewing.record import Frame, record_episode
+
+SCENES = 4_000
+"""Scenes among which one is chosen that shows an answer."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Asked:
+    """A question, its answers, where the network sees them, and what the arm did."""
+
+    answers: Answers
+    """The answers in the graph."""
+    scene: int
+    """Number of the scene among the evaluation episodes."""
+    shown: tuple[ObjectColour, ...]
+    """What stands in the scene; the object that answers comes first, if one does."""
+    named: tuple[ObjectColour, ...]
+    """What the network names, surest first."""
+    points: np.ndarray
+    """Where it does, column and row in units of the image, (m, 2)."""
+    heat: np.ndarray
+    """Share of every place in the choice, (h, w), sum 1."""
+    visible: int
+    """Number of named objects that answer."""
+    stopped: bool
+    """Whether the arm stayed because it did not see exactly one answer."""
+    reached: ObjectColour
+    """What the gripper was nearest to at the end."""
+    film: tuple[Frame, ...]
+    """The episode."""
+
+    @property
+    def right(self) -> bool:
+        """Whether the arm ended nearest to an object that answers."""
+        return self.reached in self.answers.evidence
+
+    @property
+    def outcome(self) -> str:
+        """What the arm did, in a sentence."""
+        end, name = self.film[-1], " ".join(reversed(self.reached))
+        if self.stopped:
+            return f"The arm stayed: the network sees {self.visible} answers, not one."
+        what = "reached" if end.success else "ended nearest to"
+        verdict = "which answers" if self.right else "which does not answer"
+        return (
+            f"The arm {what} the {name}, {verdict}, after {end.step} steps: "
+            f"{100 * end.distance:.1f} cm and {end.angle:.0f} degrees from the grasp of the "
+            f"{' '.join(reversed(self.shown[0]))}."
+        )
+
+
+class Asker:
+    """Asks a trained agent; scenes are drawn once.
+
+    Args:
+        trained: an agent of the choose task with a grounding network.
+        seed: seed of the scenes.
+    """
+
+    def __init__(self, trained: TrainedAgent, seed: int = 0) -> None:
+        if trained.network is None:
+            raise UserError(
+                f"The agent {trained.config.agent!r} has no grounding network, which finds "
+                "answers in the image. Ask a run such as zoo/irb120-choose-subgraph-fast."
+            )
+        self.trained, self.facets = trained, trained.network.spec.facets
+        self._network = trained.network
+        self._env = ReachVectorEnv(trained.config.env, 1)
+        self._scenes = evaluation_episodes(self._env.config, SCENES, seed)
+        targets = zip(self._env.scene.targets, self._env.scene.colour_names, strict=True)
+        columns = [[self.facets.index((t.name, c)) for c in colours] for t, colours in targets]
+        first = np.array([each[0] for each in columns])
+        self._shown = first[self._scenes.objects] + self._scenes.colours
+
+    def close(self) -> None:
+        """Close the environment."""
+        self._env.close()
+
+    def answers(self, graph: KnowledgeGraph, question: str) -> Answers:
+        """Answer a question by a graph, among all that the network knows."""
+        return answer(graph, self.facets, question)
+
+    def scene(self, answers: Sequence[Answers]) -> int:
+        """Return the first scene in which one object answers each, of several different ones.
+
+        Raises:
+            UserError: there is none.
+        """
+        one = np.stack([each.satisfies[self._shown] for each in answers])  # (a, N, m)
+        fits = (one.sum(2) == 1).all(0) & (one.sum(0) <= 1).all(1)
+        if not fits.any():
+            raise UserError(
+                f"In none of {SCENES:,} scenes does exactly one object answer "
+                f"{answers[-1].question!r}"
+                + (", another one than before the edit. " if len(answers) > 1 else ". ")
+                + "Ask a question with other answers, or give the number of a scene."
+            )
+        return int(fits.argmax())
+
+    def ask(self, answers: Answers, scene: int, unclear: Unclear = "guess") -> Asked:
+        """Play a scene with an agent that looks for the answers."""
+        if not 0 <= scene < SCENES:
+            raise UserError(f"The scene must be 0 to {SCENES - 1}, got {scene}.")
+        episode, shown = self._scenes[scene : scene + 1], self._shown[scene]
+        order = np.argsort(~answers.satisfies[shown], kind="stable")  # an answer first
+        episode = _reorder(episode, order)
+        queries = len(self._env.config.task.knowledge_rows(self._env.facets))
+        agent = self.trained.answering(np.tile(answers.satisfies, (queries, 1)), unclear)
+        film = record_episode(agent, self._env, episode)
+        infos = self._env.config.task.infos(self._env.running)
+        nearest = int(np.flatnonzero(infos["objects"][0] == infos["reached_object"][0])[0])
+        with torch.inference_mode():
+            image = torch.as_tensor(film[0].policy)[None]
+            seen = agent.module.see(image, torch.zeros(1, dtype=torch.int64))
+        side = int(seen.scores.shape[1] ** 0.5)
+        size = self._network.spec.image_size
+        return Asked(
+            answers=answers,
+            scene=scene,
+            shown=tuple(self.facets[f] for f in shown[order]),
+            named=tuple(self.facets[f] for f in seen.named[0].tolist()),
+            points=(centres(size)[seen.places[0]] / size).numpy(),
+            heat=seen.scores[0].softmax(0).reshape(side, side).numpy(),
+            visible=int(seen.visible[0]),
+            stopped=unclear == "stop" and int(seen.visible[0]) != 1,
+            reached=self.facets[shown[order][nearest]],
+            film=tuple(film),
+        )
+
+
+def _reorder(episode: Episodes, order: np.ndarray) -> Episodes:
+    """Return an episode with its objects in another order; the first is the one to reach."""
+    names = ("objects", "colours", "positions")
+    return replace(episode, **{name: getattr(episode, name)[:, order] for name in names})

@@ -1,0 +1,48 @@
+"""Edits of a graph in words: "+ mug usedFor lighting" adds a triple, "- mug usedFor drinking"
+removes one."""
+
+import shlex
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+
+from knowarm.errors import UserError
+from knowarm.knowledge.graph.builder import difference, graph_of, union
+from knowarm.knowledge.graph.graph import KnowledgeGraph, Names
+
+
+def edited(graph: KnowledgeGraph, edits: Iterable[str]) -> KnowledgeGraph:
+    """Apply edits in their order; names are those of the graph, their last parts, or new ones.
+
+    Raises:
+        UserError: an edit is malformed, or removes a triple that the graph does not hold.
+    """
+    for text in edits:
+        words = list[str]()
+        with suppress(ValueError):
+            words = shlex.split(text)
+        if len(words) != 4 or words[0] not in ("+", "-"):
+            raise UserError(
+                f"The edit {text!r} must be + or - and a head, a relation and a tail, such as "
+                "'+ mug usedFor lighting'; put names with spaces in double quotes."
+            )
+        head, tail = (_known(name, graph.entity_id, graph.names) for name in words[1::2])
+        triple = head, _known(words[2], graph.relation_id, graph.relation_names), tail
+        if words[0] == "+":
+            graph = union(graph, graph_of([triple]))
+            continue
+        if triple not in graph:
+            stated = "; ".join(" ".join(each) for each in graph if each[0] == head)
+            raise UserError(
+                f"The edit {text!r} removes a triple that the graph does not hold. It states: "
+                f"{stated or f'nothing about {head}'}."
+            )
+        graph = difference(graph, graph_of([triple]))
+    return graph
+
+
+def _known(name: str, find: Callable[[str], int], names: Names) -> str:
+    """Return the graph's full name, or the name itself if the graph does not hold it."""
+    try:
+        return names[find(name)]
+    except UserError:
+        return name

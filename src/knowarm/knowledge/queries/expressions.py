@@ -1,0 +1,245 @@
+"""Questions: facts, chains, counts, "and", "or", "not" and SPARQL, answered with their evidence.
+
+    usedFor drinking and not hasColor blue
+    hasPart spout or (isMadeOf wood and isLocatedIn garden)
+    usedFor (relatedTo tea)                    a use that is related to tea
+    count hasPart >= 3                         objects with three parts or more
+    count contains (isA beverage) = 1
+    SELECT ?object WHERE { ?object :usedFor :drinking }
+
+"not" binds tighter than "and", and that tighter than "or". A value reaches to the next keyword or
+bracket; in double quotes it may hold any of them.
+"""
+
+import operator
+import re
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from knowarm.errors import UserError, unknown_name
+from knowarm.knowledge.graph.graph import KnowledgeGraph
+from knowarm.knowledge.graph.sparql import sparql
+from knowarm.knowledge.graph.terms import local_name
+from knowarm.questions import COLOUR_RELATION, ObjectColour
+
+Evidence = tuple[str, ...]
+"""Why something answers: triples of the graph, what the image shows, and what is not stated."""
+
+Part = Callable[[int, str | None], Evidence | None]
+"""Part of a question: why it is true of an entity in the colour that is shown, or None."""
+
+SIGNS: dict[str, Callable[[int, int], bool]] = {
+    ">=": operator.ge,
+    "<=": operator.le,
+    ">": operator.gt,
+    "<": operator.lt,
+    "=": operator.eq,
+}
+"""Comparisons of a count."""
+
+_TOKEN = re.compile(r'"[^"]*"|[()]|[<>]=?|=|[^\s()<>="]+|"')
+_KEYWORDS = {"and", "or", "not", "count", "(", ")", *SIGNS}
+_SPARQL = re.compile(r"\s*(PREFIX|BASE|SELECT|ASK|CONSTRUCT|DESCRIBE)\b", re.IGNORECASE)
+
+
+class Answers(NamedTuple):
+    """The answers to a question among F facets."""
+
+    question: str
+    satisfies: np.ndarray
+    """Whether each facet answers, (F,) bool."""
+    evidence: dict[ObjectColour, Evidence]
+    """Why, by answering facet."""
+
+
+def answer(graph: KnowledgeGraph, facets: Sequence[ObjectColour], text: str) -> Answers:
+    """Answer a question by a graph; objects that it does not describe never answer.
+
+    Raises:
+        UserError: the question is malformed, names what the graph does not hold, or has no answer.
+    """
+    known = {name: _entity(graph, name) for name in dict.fromkeys(name for name, _ in facets)}
+    if not any(entity is not None for entity in known.values()):
+        raise UserError(
+            f"The graph describes none of the {len(known)} objects of the task, such as "
+            f"{next(iter(known))!r}. Name objects as `knowarm list` does, or give another graph."
+        )
+    colours = {colour for _, colour in facets}
+    part = _sparql(graph, text) if _SPARQL.match(text) else _Reader(text, graph, colours).whole()
+    evidence = {}
+    for name, colour in facets:
+        entity = known[name]
+        why = None if entity is None else part(entity, colour)
+        if why is not None:
+            evidence[name, colour] = why
+    if not evidence:
+        raise UserError(
+            f"No object of the task answers the question {text!r}. Ask another one, or add the "
+            "missing triple to the graph."
+        )
+    return Answers(text, np.array([facet in evidence for facet in facets]), evidence)
+
+
+class _Reader:
+    """Reads a question word by word, by recursive descent."""
+
+    def __init__(self, text: str, graph: KnowledgeGraph, colours: set[str]) -> None:
+        self.text, self.graph, self.colours = text, graph, colours
+        self.words, self.place = [*_TOKEN.findall(text), ""], 0
+
+    def whole(self) -> Part:
+        """Read to the end."""
+        part = self.joined("or")
+        if self.next:
+            raise self.wrong("'and' or 'or'")
+        return part
+
+    @property
+    def next(self) -> str:
+        """The next word, which is not taken; empty at the end."""
+        return self.words[self.place]
+
+    def take(self, *words: str) -> str:
+        """Take the next word if it is one of some, or, without any, if it is a name."""
+        fits = self.next in words if words else self.next and self.next not in _KEYWORDS
+        found = self.next if fits else ""
+        self.place += bool(found)
+        return found
+
+    def wrong(self, expected: str) -> UserError:
+        """Return the error for a word that does not fit."""
+        got = repr(self.next) if self.next else "its end"
+        return UserError(
+            f"The question {self.text!r}: expected {expected}, got {got}. Example: usedFor "
+            "drinking and not hasColor blue"
+        )
+
+    def joined(self, word: str) -> Part:
+        """Read parts joined by "or", or by "and"."""
+        parts = list[Part]()
+        while not parts or self.take(word):
+            parts.append(self.joined("and") if word == "or" else self.one())
+
+        def evidence(entity: int, colour: str | None) -> Evidence | None:
+            whys = [part(entity, colour) for part in parts]
+            found = [why for why in whys if why is not None]
+            if word == "or":
+                return found[0] if found else None
+            return sum(found, ()) if len(found) == len(parts) else None
+
+        return parts[0] if len(parts) == 1 else evidence
+
+    def one(self) -> Part:
+        """Read a negation, a bracket, a count, a chain or a fact."""
+        if self.take("not"):
+            begin, part = self.place, self.one()
+            missing = f"not stated: {' '.join(self.words[begin : self.place])}"
+            return lambda entity, colour: (missing,) if part(entity, colour) is None else None
+        if self.next == "(":
+            return self.bracket()
+        counts = self.take("count")
+        relation = self.relation()
+        of: Part = self.bracket() if self.next == "(" else lambda entity, colour: ()
+        if counts:
+            return self.count(relation, of)
+        return (
+            self.chain(relation, of) if self.words[self.place - 1] == ")" else self.fact(relation)
+        )
+
+    def fact(self, relation: str) -> Part:
+        """Read a value; the colour of what is shown is seen, not looked up."""
+        names = list[str]()
+        while word := self.take():
+            names.append(word.strip('"'))
+        if not (value := " ".join(names)):
+            raise self.wrong(f"a value of {relation}")
+        if relation == COLOUR_RELATION and value in self.colours:
+            seen = f"the image shows {value}"
+            in_graph = _entity(self.graph, value)
+        else:
+            seen, in_graph = "", self.graph.entity_id(value)  # must exist
+
+        def evidence(entity: int, colour: str | None) -> Evidence | None:
+            if seen and colour is not None:
+                return (seen,) if colour == value else None
+            links = self.links(entity, relation)
+            return next(((text,) for text, tail in links if tail == in_graph), None)
+
+        return evidence
+
+    def chain(self, relation: str, of: Part) -> Part:
+        """Return the part that is true where a relation leads to something of which one is."""
+
+        def evidence(entity: int, colour: str | None) -> Evidence | None:
+            whys = ((text, of(tail, None)) for text, tail in self.links(entity, relation))
+            return next(((text, *why) for text, why in whys if why is not None), None)
+
+        return evidence
+
+    def count(self, relation: str, of: Part) -> Part:
+        """Read a comparison with the number of values of a relation."""
+        sign = self.take(*SIGNS)
+        number = self.take() if sign else ""
+        if not number.isdecimal():
+            raise self.wrong("a comparison such as >= 2")
+
+        def evidence(entity: int, colour: str | None) -> Evidence | None:
+            whys = [(text, of(tail, None)) for text, tail in self.links(entity, relation)]
+            found = [(text, *why) for text, why in whys if why is not None]
+            fits = SIGNS[sign](len(found), int(number))
+            return (*sum(found, ()), f"counted: {len(found)}") if fits else None
+
+        return evidence
+
+    def bracket(self) -> Part:
+        """Read a part in brackets."""
+        self.take("(")
+        part = self.joined("or")
+        if not self.take(")"):
+            raise self.wrong("')'")
+        return part
+
+    def relation(self) -> str:
+        """Read one word, the last part of the name of a relation."""
+        if not (word := self.take()):
+            raise self.wrong("a relation")
+        names = {local_name(name) for name in self.graph.relations_used} | {COLOUR_RELATION}
+        if word.strip('"') not in names:
+            raise unknown_name("relation of the question", word.strip('"'), names)
+        return word.strip('"')
+
+    def links(self, entity: int, relation: str) -> Iterator[tuple[str, int]]:
+        """Yield the triples of a relation whose head is an entity, as text, and their tails."""
+        graph = self.graph
+        for row in graph.out_rows(entity):
+            if local_name(graph.relation_names[graph.relations[row]]) == relation:
+                tail = int(graph.tails[row])
+                names = local_name(graph.names[entity]), relation, local_name(graph.names[tail])
+                yield " ".join(names), tail
+
+
+def _entity(graph: KnowledgeGraph, name: str) -> int | None:
+    try:
+        return graph.entity_id(name)
+    except UserError:
+        return None
+
+
+def _sparql(graph: KnowledgeGraph, text: str) -> Part:
+    """Return what is true of the rows of a SPARQL query, by ?object and, if selected, ?colour."""
+    found = sparql(graph, text)
+    if "object" not in found.columns:
+        raise UserError(
+            "A question in SPARQL must select ?object, and may select ?colour; got "
+            f"{', '.join(found.columns) or 'no variables'}. Example: SELECT ?object WHERE "
+            "{ ?object :usedFor :drinking }"
+        )
+    rows: dict[tuple[int | None, str | None], Evidence] = {}
+    for row in found.rows:
+        named = dict(zip(found.columns, row, strict=True))
+        key = _entity(graph, named["object"]), local_name(named.get("colour", "")) or None
+        why = tuple(f"?{name} = {local_name(value)}" for name, value in named.items())
+        rows.setdefault(key, why)
+    return lambda entity, colour: rows.get((entity, colour)) or rows.get((entity, None))
