@@ -28,6 +28,7 @@ from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.knowledge.graph.damage import Damage
 from knowarm.knowledge.queries.splits import SPLITS
 from knowarm.perception.answering import AnswerGrounding
+from knowarm.perception.grounding import GroundingNetwork
 from knowarm.perception.images import LabelledImages, sample_images
 from knowarm.seeding import derive_seed
 from knowarm.statistics import wilson
@@ -38,9 +39,16 @@ SHARES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
 Task = tuple[EnvConfig, LabelledImages]
 
 
+def network_of(trained: TrainedAgent) -> GroundingNetwork:
+    """Return the agent's grounding network."""
+    if trained.network is None:
+        raise SystemExit("Give a run with a grounding network.")
+    return trained.network
+
+
 def right_object(trained: TrainedAgent, labels: LabelledImages, frames: torch.Tensor) -> np.ndarray:
     """Return whether the grasp points of frames (n, 9) are nearest to the wanted object's."""
-    network = trained.network
+    network = network_of(trained)
     position = frames[:, :3] * network.position_std + network.position_mean
     distance = (labels.grasp_position - position[:, None]).norm(dim=2)
     return (distance.argmin(1) == 0).numpy()
@@ -49,7 +57,7 @@ def right_object(trained: TrainedAgent, labels: LabelledImages, frames: torch.Te
 @torch.no_grad()
 def measure(trained: TrainedAgent, task: Task, how: EvaluationConfig) -> dict[str, np.ndarray]:
     """Return which images lead to the right object, by a reasoning and with perfect names."""
-    (env, labels), network = task, trained.network
+    (env, labels), network = task, network_of(trained)
     graph = graph_at_test(trained.config, env, how)
     parts = list(zip(labels.images.split(BATCH), labels.queries.split(BATCH), strict=True))
     if how.reasoning == "vector":
@@ -97,7 +105,7 @@ def main() -> None:
         env = trained.config.env
         env = replace(env, task=env.task.for_split(split, None))
         seed = derive_seed(0, "perception", list(SPLITS).index(split) + 1)
-        tasks[split] = env, sample_images(env, trained.network.spec, arguments.images, seed)
+        tasks[split] = env, sample_images(env, network_of(trained).spec, arguments.images, seed)
     if not arguments.damage:
         for split, task in tasks.items():
             for reasoning in ("vector", "graph", "graph-shuffled", "colours"):

@@ -144,7 +144,7 @@ def test_compressed_files_that_expand_like_a_bomb(tmp_path, suffix, monkeypatch)
 @pytest.mark.parametrize(
     ("name", "text", "words"),
     [
-        ("a.jsonld", '{"a:b":' * 20_000 + "1" + "}" * 20_000, "nests too deep"),
+        ("a.jsonld", '{"a:b":' * 5_000 + "1" + "}" * 5_000, "nests too deep"),
         (
             "a.rdf",
             RDF + '<rdf:Description xmlns:x="http://x/" x:a="' + "b" * 2**25 + '"/></rdf:RDF>',
@@ -152,7 +152,8 @@ def test_compressed_files_that_expand_like_a_bomb(tmp_path, suffix, monkeypatch)
         ),
     ],
 )
-def test_documents_that_end_the_parser(tmp_path, name, text, words):
+def test_documents_that_end_the_parser(tmp_path, name, text, words, monkeypatch):
+    monkeypatch.setattr(oxigraph, "SECONDS", 600.0)
     (tmp_path / name).write_text(text)
     with pytest.raises(UserError, match=words):
         read_graph(tmp_path / name)
@@ -169,6 +170,7 @@ def test_a_document_that_takes_too_long(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_queries_that_exhaust_memory_or_time(monkeypatch):
+    monkeypatch.setattr(oxigraph, "SECONDS", 600.0)
     doubled = " ".join(f"BIND(CONCAT(?v{i}, ?v{i}) AS ?v{i + 1})" for i in range(40))
     with pytest.raises(UserError, match="SPARQL query: it nests too deep, or needs more than"):
         sparql(household(), f'SELECT * {{ BIND("a" AS ?v0) {doubled} }}')

@@ -33,7 +33,7 @@ class Ask(TableCommand):
     """Path of another graph, or the name of a shipped one; default: the run's."""
     edit: tuple[str, ...] = ()
     """Changes of the graph, such as "- mug usedFor drinking" "+ lamp usedFor drinking". The scene
-    is then one in which another object answers than before, unless --scene is given."""
+    is then one with another answer than without them, unless --scene is given."""
     scene: int | None = None
     """Number of the scene; default: the first in which exactly one object answers."""
     seed: int = 0
@@ -92,12 +92,9 @@ class Ask(TableCommand):
 
 def _print(found: Asked) -> None:
     """Print the answers with their evidence, the scene and what the arm did."""
-    rows: dict[str, tuple[list[str], str]] = {}
-    for (name, colour), why in found.answers.evidence.items():
-        rows.setdefault(name, ([], "; ".join(why)))[0].append(colour)
-    lines = [[name, ", ".join(colours), why] for name, (colours, why) in rows.items()]
+    lines = found.table
     title = f"Answers in the graph to: {found.answers.question}"
-    print_table(title, ["object", "colours", "evidence (of the first colour)"], lines[:SHOWN])
+    print_table(title, ["object", "colours", "evidence"], lines[:SHOWN])
     if len(lines) > SHOWN:
         print(f"and {len(lines) - SHOWN} more objects.")
     for what, facets in (("stand", found.shown), ("the network names", found.named)):

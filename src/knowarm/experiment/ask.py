@@ -1,6 +1,7 @@
 """Questions to a trained agent: the graph answers, the network finds the answer, the arm moves."""
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,6 +28,8 @@ class Asked:
 
     answers: Answers
     """The answers in the graph."""
+    known: Mapping[str, int]
+    """Number of colours in which the network knows each object."""
     scene: int
     """Number of the scene among the evaluation episodes."""
     shown: tuple[ObjectColour, ...]
@@ -59,11 +62,23 @@ class Asked:
             return f"The arm stayed: the network sees {self.visible} answers, not one."
         what = "reached" if end.success else "ended nearest to"
         verdict = "which answers" if self.right else "which does not answer"
+        wanted = self.shown[0]
+        grasp = "its grasp" if self.reached == wanted else f"that of the {wanted[1]} {wanted[0]}"
         return (
             f"The arm {what} the {name}, {verdict}, after {end.step} steps: "
-            f"{100 * end.distance:.1f} cm and {end.angle:.0f} degrees from the grasp of the "
-            f"{' '.join(reversed(self.shown[0]))}."
+            f"{100 * end.distance:.1f} cm and {end.angle:.0f} degrees from {grasp}."
         )
+
+    @property
+    def table(self) -> list[list[str]]:
+        """Answers by object: its name, the colours in which it answers, why the first one does."""
+        rows: dict[str, tuple[list[str], str]] = {}
+        for (name, colour), why in self.answers.evidence.items():
+            rows.setdefault(name, ([], "; ".join(why)))[0].append(colour)
+        return [
+            [name, "any" if len(colours) == self.known[name] else ", ".join(colours), why]
+            for name, (colours, why) in rows.items()
+        ]
 
 
 class Asker:
@@ -98,13 +113,19 @@ class Asker:
         return answer(graph, self.facets, question)
 
     def scene(self, answers: Sequence[Answers]) -> int:
-        """Return the first scene in which one object answers each, of several different ones.
+        """Return the first scene in which one object answers, another one for each of several.
+
+        If no scene shows other ones, the first in which one object gives the last answer, and the
+        answers differ.
 
         Raises:
             UserError: there is none.
         """
-        one = np.stack([each.satisfies[self._shown] for each in answers])  # (a, N, m)
-        fits = (one.sum(2) == 1).all(0) & (one.sum(0) <= 1).all(1)
+        shown = np.stack([each.satisfies[self._shown] for each in answers])  # (a, N, m)
+        one = shown.sum(2) == 1
+        fits = one.all(0) & (shown.sum(0) <= 1).all(1)
+        if not fits.any():
+            fits = one[-1] & (shown != shown[-1]).any((0, 2))
         if not fits.any():
             raise UserError(
                 f"In none of {SCENES:,} scenes does exactly one object answer "
@@ -133,6 +154,7 @@ class Asker:
         size = self._network.spec.image_size
         return Asked(
             answers=answers,
+            known=Counter(name for name, _ in self.facets),
             scene=scene,
             shown=tuple(self.facets[f] for f in shown[order]),
             named=tuple(self.facets[f] for f in seen.named[0].tolist()),

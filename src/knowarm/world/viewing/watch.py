@@ -113,10 +113,10 @@ def refusal(path: str, headers: Any) -> str | None:
     A page of another site that is open in the same browser could otherwise use the viewer through
     the user's own machine. Uploads of models are refused as well.
     """
-    hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
+    hosts, origins = (headers.get_all(name) or [] for name in ("Host", "Origin"))
     names = [urlsplit(f"//{host}").hostname for host in hosts]
     if len(names) != 1 or names[0] not in (ADDRESS, "localhost"):
-        return f"This viewer answers only as {ADDRESS} or localhost."
+        return f"This page answers only as {ADDRESS} or localhost."
     if origins not in ([], [f"http://{hosts[0]}"]):
         return "The request comes from a page of another site."
     return "This viewer takes no models." if urlsplit(path).path == "/drop" else None

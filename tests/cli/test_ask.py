@@ -1,0 +1,178 @@
+"""`knowarm ask`: answers, scene, arm, edits, other people's graphs, the page and its server."""
+
+import http.client
+import json
+import threading
+from pathlib import Path
+
+import pytest
+
+from knowarm.cli.main import main
+from knowarm.experiment.ask import Asker
+from knowarm.experiment.load import load_agent
+from knowarm.integrations.ask_page import make_server, page
+from knowarm.knowledge.formats import shipped_graph
+from knowarm.knowledge.graph.edits import edited
+
+RUN = str(Path(__file__).parents[2] / "zoo" / "irb120-choose-subgraph-fast")
+OWN = """
+mug \t keeps_warm \t coffee
+lamp \t keeps_warm \t nothing
+lamp \t makes \t light
+flashlight \t makes \t light
+candle \t makes \t light
+candle \t burns \t wax
+globe \t shows \t countries
+clock \t shows \t time
+bell \t makes \t noise
+book \t holds \t stories
+bowl \t holds \t soup
+pot \t holds \t soup
+jar \t holds \t jam
+vase \t holds \t flowers
+basket \t holds \t bread
+bottle \t holds \t water
+brush \t cleans \t shoes
+mallet \t hits \t pegs
+box \t holds \t toys
+ball \t rolls_on \t grass
+"""
+
+
+@pytest.fixture(scope="module")
+def asker():
+    with_network = Asker(load_agent(RUN))
+    yield with_network
+    with_network.close()
+
+
+def ask(asker, question, edits=()):
+    answers = asker.answers(edited(shipped_graph("objects"), edits), question)
+    return asker.ask(answers, asker.scene([answers]))
+
+
+def test_a_question_is_answered_from_the_command_line(tmp_path, capsys):
+    path, web = tmp_path / "answer.json", tmp_path / "answer.html"
+    question = "usedFor drinking and not hasColor blue"
+    assert main(["ask", RUN, question, "--json", str(path), "--page", str(web)]) == 0
+    found = json.loads(path.read_text())
+    answering = set(found["answers"])
+    assert "mug/red" in answering
+    assert "mug/blue" not in answering
+    assert len(answering & set(found["shown"])) == 1
+    assert found["shown"][0] in answering
+    assert found["right"]
+    assert found["success"]
+    assert found["reached"] == found["shown"][0]
+    printed = capsys.readouterr().out
+    assert "mug usedFor drinking" in printed
+    assert "which answers, after" in printed
+    text = web.read_text()
+    assert "mug usedFor drinking" in text
+    assert "data:image/webp" in text
+    assert "http" not in text.replace("http-equiv", "")
+
+
+def test_an_edit_leads_the_arm_to_another_object(asker, tmp_path, capsys):
+    path, edits = tmp_path / "edited.json", ["- mug usedFor drinking", "+ lamp usedFor drinking"]
+    assert main(["ask", RUN, "usedFor drinking", "--edit", *edits, "--json", str(path)]) == 0
+    found = json.loads(path.read_text())
+    assert found["reached"].startswith("lamp")
+    assert found["right"]
+    assert any(name.startswith("mug") for name in found["shown"])
+    unedited = asker.answers(shipped_graph("objects"), "usedFor drinking")
+    again = asker.ask(unedited, found["scene"])
+    assert again.reached[0] == "mug"
+    assert again.right
+    capsys.readouterr()
+
+
+def test_a_graph_with_relations_never_seen_needs_no_training(tmp_path, capsys):
+    graph, path = tmp_path / "own.tsv", tmp_path / "found.json"
+    graph.write_text("\n".join("\t".join(line.split()) for line in OWN.strip().splitlines()))
+    options = ["--graph", str(graph), "--json", str(path)]
+    assert main(["ask", RUN, "makes light and not burns wax", *options]) == 0
+    found = json.loads(path.read_text())
+    assert {each.split("/")[0] for each in found["answers"]} == {"lamp", "flashlight"}
+    assert found["right"]
+    capsys.readouterr()
+    assert main(["ask", RUN, "burns paper", *options]) == 2
+    error = capsys.readouterr().err
+    assert "Unknown entity 'paper'" in error
+    assert error.count("\n") == 1
+
+
+def test_without_one_visible_answer_the_arm_can_stay(asker):
+    question = "isMadeOf wood or isMadeOf metal or isMadeOf glass or isMadeOf plastic"
+    answers = asker.answers(shipped_graph("objects"), question)
+    stays = asker.ask(answers, 0, "stop")
+    assert stays.visible != 1
+    assert stays.stopped
+    assert "The arm stayed" in stays.outcome
+    assert all((f.policy == stays.film[0].policy).all() for f in stays.film[:3])
+    assert not asker.ask(answers, 0, "guess").stopped
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([RUN], "Give a question"),
+        ([RUN, "usedFor drinkin"], "Did you mean 'drinking'"),
+        ([RUN, "usedFor drinking", "--edit", "mug red"], "must be + or -"),
+        ([RUN, "usedFor drinking", "--scene", "4000"], "scene must be 0 to 3999, got 4000"),
+        ([RUN, "usedFor drinking", "--page", "x.pdf"], "must be an .html file"),
+        ([RUN.replace("choose-subgraph", "full"), "usedFor drinking"], "has no grounding network"),
+    ],
+)
+def test_mistakes_are_one_line(arguments, message, capsys):
+    assert main(["ask", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+
+
+def test_names_are_escaped_in_the_page(asker):
+    found = ask(asker, 'usedFor "<img src=x>"', ['+ mug usedFor "<img src=x>"'])
+    assert "<img src=x>" in found.table[0][2]
+    text = page(found, "<script>alert(1)</script>", ["<b>"], live=True)
+    assert "&lt;img src=x&gt;" in text
+    assert "<script>" not in text
+    assert "<img src=x>" not in text
+
+
+@pytest.fixture
+def served(asker):
+    def answering(question, edits, scene):
+        answers = asker.answers(edited(shipped_graph("objects"), edits), question)
+        return asker.ask(answers, asker.scene([answers]) if scene is None else scene)
+
+    server = make_server(answering, "usedFor drinking")
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    yield server.server_port
+    server.shutdown()
+    thread.join()
+    server.server_close()
+
+
+def get(port, path, host=None):
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=60)
+    connection.request("GET", path, headers={"Host": host or f"127.0.0.1:{port}"})
+    response = connection.getresponse()
+    return response.status, response.read().decode()
+
+
+def test_the_served_page_answers_questions_edits_and_mistakes(served):
+    status, text = get(served, "/")
+    assert status == 200
+    assert "which answers" in text
+    status, text = get(served, "/?q=usedFor+lighting&edit=-+lamp+usedFor+lighting&scene=")
+    assert status == 200
+    assert "Answers in the graph" in text
+    assert "lamp usedFor lighting</td>" not in text
+    status, text = get(served, "/?q=usedFor+flyng")
+    assert status == 200
+    assert "Unknown entity" in text
+    assert "Traceback" not in text
+    assert get(served, "/", host="evil.example")[0] == 403
+    assert get(served, "/other")[0] == 404

@@ -1,0 +1,149 @@
+"""Questions: what answers them, with which evidence, and what a mistake is answered with."""
+
+import numpy as np
+import pytest
+
+from knowarm.errors import UserError
+from knowarm.experiment.names import experiment_config
+from knowarm.knowledge.formats import shipped_graph
+from knowarm.knowledge.graph.builder import graph_of
+from knowarm.knowledge.graph.edits import edited
+from knowarm.knowledge.queries.expressions import answer
+from knowarm.world.config import facets_of, questions_of
+
+GRAPH = graph_of(
+    [
+        ("mug", "usedFor", "drinking"),
+        ("mug", "hasPart", "handle"),
+        ("mug", "hasColor", "blue"),
+        ("lamp", "usedFor", "lighting"),
+        ("lamp", "hasPart", "shade"),
+        ("lamp", "hasPart", "base"),
+        ("watering_can", "usedFor", "watering"),
+        ("watering_can", "hasPart", "handle"),
+        ("watering_can", "hasPart", "spout"),
+        ("drinking", "relatedTo", "tea"),
+        ("tea", "isA", "hot drink"),
+    ]
+)
+FACETS = [(name, c) for name in ("mug", "lamp", "watering_can") for c in ("blue", "red")]
+
+
+def names(text, graph=GRAPH):
+    """Return the objects that answer, and their colours unless all of them do."""
+    found = answer(graph, FACETS, text)
+    assert [f in found.evidence for f in FACETS] == found.satisfies.tolist()
+    colours = {name: [c for n, c in found.evidence if n == name] for name, _ in found.evidence}
+    return {n + (f" {c[0]}" if len(c) == 1 else "") for n, c in colours.items()}
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("usedFor drinking", {"mug"}),
+        ("hasPart handle and not usedFor drinking", {"watering_can"}),
+        ("not hasPart handle", {"lamp"}),
+        ("not (hasPart handle and usedFor drinking)", {"lamp", "watering_can"}),
+        ("usedFor drinking or usedFor lighting", {"mug", "lamp"}),
+        # "and" binds tighter than "or"
+        ("usedFor lighting or hasPart handle and hasPart spout", {"lamp", "watering_can"}),
+        ("(usedFor lighting or hasPart handle) and hasPart spout", {"watering_can"}),
+        ("usedFor (relatedTo tea)", {"mug"}),
+        ("usedFor (relatedTo (isA hot drink))", {"mug"}),
+        ('usedFor (relatedTo (isA "hot drink"))', {"mug"}),
+        ("count hasPart >= 2", {"lamp", "watering_can"}),
+        ("count hasPart = 1", {"mug"}),
+        ("count usedFor (relatedTo tea) = 0", {"lamp", "watering_can"}),
+        # the colour that the image shows counts, not the one that the graph states
+        ("usedFor drinking and not hasColor blue", {"mug red"}),
+        ("hasColor red and hasPart handle", {"mug red", "watering_can red"}),
+        ("SELECT ?object WHERE { ?object :hasPart :handle }", {"mug", "watering_can"}),
+        ("select ?object ?colour { ?object :hasColor ?colour }", {"mug blue"}),
+    ],
+)
+def test_the_graph_answers(text, expected):
+    assert names(text) == expected
+
+
+def test_evidence_is_what_makes_an_answer_true():
+    found = answer(GRAPH, FACETS, "usedFor (relatedTo tea) and not hasColor blue")
+    assert found.evidence == {
+        ("mug", "red"): (
+            "mug usedFor drinking",
+            "drinking relatedTo tea",
+            "not stated: hasColor blue",
+        )
+    }
+    counted = answer(GRAPH, FACETS, "count hasPart > 1").evidence["lamp", "blue"]
+    assert counted == ("lamp hasPart base", "lamp hasPart shade", "counted: 2")
+    seen = answer(GRAPH, FACETS, "hasColor red").evidence["lamp", "red"]
+    assert seen == ("the image shows red",)
+
+
+def test_objects_that_the_graph_does_not_describe_never_answer():
+    facets = [*FACETS, ("globe", "red")]
+    assert not answer(GRAPH, facets, "not usedFor drinking").satisfies[-1]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("usedFor", "expected a value of usedFor, got its end"),
+        ("", "expected a relation, got its end"),
+        ("usedFor drinking and", "expected a relation, got its end"),
+        ("usedFor drinking )", r"expected 'and' or 'or', got '\)'"),
+        ("usedFor (relatedTo tea", r"expected '\)', got its end"),
+        ("useFor drinking", "Did you mean 'usedFor'"),
+        ("usedFor drnking", "Did you mean 'drinking'"),
+        ("count hasPart 2", "expected a comparison such as >= 2, got '2'"),
+        ("count hasPart >= many", "expected a comparison such as >= 2"),
+        ("usedFor tea", "No object of the task answers"),
+        ("SELECT ?x WHERE { ?x :hasPart :handle }", r"must select \?object"),
+    ],
+)
+def test_what_cannot_be_answered_is_one_clear_line(text, message):
+    with pytest.raises(UserError, match=message) as error:
+        answer(GRAPH, FACETS, text)
+    assert "\n" not in str(error.value)
+
+
+def test_a_graph_of_other_things_is_refused():
+    with pytest.raises(UserError, match="describes none of the 3 objects"):
+        answer(graph_of([("planet", "orbits", "sun")]), FACETS, "orbits sun")
+
+
+def test_every_condition_of_the_choose_task_has_the_answers_of_its_table():
+    env = experiment_config("irb120-choose-subgraph-fast").env
+    questions, facets = questions_of(env), facets_of(env)
+    graph, checked = shipped_graph("objects"), 0
+    for query, satisfies in zip(questions.queries, questions.satisfies, strict=True):
+        if satisfies.any():
+            np.testing.assert_array_equal(answer(graph, facets, query.name).satisfies, satisfies)
+            checked += 1
+    assert checked > 40
+
+
+def test_edits_change_answers():
+    graph = edited(GRAPH, ["- mug usedFor drinking", "+ lamp usedFor drinking"])
+    assert names("usedFor drinking", graph) == {"lamp"}
+    assert names("usedFor drinking") == {"mug"}  # the graph itself is unchanged
+    new = edited(GRAPH, ['+ lamp standsOn "the desk"'])
+    assert names('standsOn "the desk"', new) == {"lamp"}
+
+
+@pytest.mark.parametrize(
+    ("edit", "message"),
+    [
+        ("mug usedFor drinking", "must be . or - and a head"),
+        ("+ mug usedFor", "must be . or - and a head"),
+        ('+ mug "usedFor drinking', "must be . or - and a head"),
+        (
+            "- mug usedFor lighting",
+            "does not hold. It states: mug hasColor blue; mug hasPart handle; mug usedFor drinking",
+        ),
+        ("- globe usedFor lighting", "nothing about globe"),
+    ],
+)
+def test_edits_that_do_not_fit_are_refused(edit, message):
+    with pytest.raises(UserError, match=message):
+        edited(GRAPH, [edit])
