@@ -17,9 +17,10 @@ from knowarm.study.status import study_status
 from tests.robustness.storms import GONE_S
 
 MARK = "KNOWARM_FAULT_TEST"
+ALONE, HELPED = "irb120-bm-ppo", "irb120-full-ppo"  # without and with helper processes
 STUDY = """
 name = "faults"
-experiments = ["irb120-bm-ppo", "irb120-full-ppo"]
+experiments = EXPERIMENTS
 seeds = SEEDS
 
 [overrides]
@@ -125,11 +126,15 @@ def results(out: Path) -> dict[str, object]:
     return found
 
 
-def kill_study(kills: int, seed: int) -> tuple[int, list[str]]:
+def kill_study(
+    kills: int, seed: int, experiments: tuple[str, ...] = (ALONE, HELPED)
+) -> tuple[int, list[str]]:
     """Kill processes of a study at random moments, and compare it with an undisturbed one.
 
-    The study has two experiments, one of them with helper processes, and a training seed for six
-    kills.
+    Args:
+        kills: how often; the study has a training seed for six of them.
+        seed: of moments and processes.
+        experiments: `HELPED`, the one with helper processes, among them.
 
     Returns:
         The number of kills, and what differed or stayed behind.
@@ -141,7 +146,9 @@ def kill_study(kills: int, seed: int) -> tuple[int, list[str]]:
     killed, known, failures = 0, {}, []
     with tempfile.TemporaryDirectory() as folder:
         study, disturbed, calm = (Path(folder) / name for name in ("s.toml", "disturbed", "calm"))
-        study.write_text(STUDY.replace("SEEDS", str(list(range(-(-kills // 6))))))
+        seeds = list(range(-(-kills // 6)))
+        text = STUDY.replace("EXPERIMENTS", str(list(experiments)))
+        study.write_text(text.replace("SEEDS", str(seeds)))
         driver = _start(study, disturbed, mark)
         while kinds and driver.poll() is None:
             time.sleep(draws.uniform(0.3, 3))

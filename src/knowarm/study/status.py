@@ -9,7 +9,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
-from knowarm.config import to_dict
+from knowarm.config import from_dict
 from knowarm.errors import UserError
 from knowarm.experiment.config import EvaluationConfig, ExperimentConfig
 from knowarm.experiment.csv_log import number_in, read_csv
@@ -128,13 +128,18 @@ def checkpoint_step(folder: RunFolder) -> int:
 def missing_evaluations(
     folder: RunFolder, evaluations: Sequence[EvaluationConfig]
 ) -> list[EvaluationConfig]:
-    """Return the evaluations that a run lacks, or has with other settings."""
+    """Return the evaluations that a run lacks, or has with other settings.
 
-    def made_with(evaluation: EvaluationConfig) -> Any:
+    Settings that did not exist when an evaluation was stored have their defaults.
+    """
+
+    def made_with(evaluation: EvaluationConfig) -> EvaluationConfig | None:
         with suppress(UserError):
-            return read_json(folder.evaluation(evaluation.folder) / "summary.json").get("config")
+            stored = read_json(folder.evaluation(evaluation.folder) / "summary.json").get("config")
+            return from_dict(EvaluationConfig, stored) if isinstance(stored, dict) else None
+        return None
 
-    return [each for each in evaluations if made_with(each) != to_dict(each)]
+    return [each for each in evaluations if made_with(each) != each]
 
 
 def totals(statuses: Sequence[RunStatus], cores: int) -> dict[str, Any]:
