@@ -39,10 +39,11 @@ def knowledge_of(runner, row):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("exported", ["irb120-choose-subgraph-fast"], indirect=True)
 def test_a_thousand_steps_have_the_actions_of_pytorch(exported):
     trained, folder = exported
     runner = Runner.load(folder)
-    episodes = evaluation_episodes(trained.config.env, 80, 3)
+    episodes = evaluation_episodes(trained.config.env, 70, 3)
     env = ReachVectorEnv(trained.config.env, 1)
     agent = RunnerAgent(
         lambda joints, row: runner.start(joints, knowledge_of(runner, row)),

@@ -12,8 +12,9 @@ pytest.importorskip("onnxscript")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fusion", FUSIONS)
+@pytest.mark.parametrize("fusion", ["none", "film", "attention", "similarity"])
 def test_onnx_runtime_takes_the_same_actions(tmp_path, fusion):
+    assert fusion in FUSIONS  # the others concatenate
     policy = make_policy(fusion, actor_gain=20.0, pixel_shift=0.3, seed=4)
     step = PolicyStep(policy)
     export_onnx(step, step.example(), tmp_path / "policy.onnx")
