@@ -141,6 +141,32 @@ def test_the_losses_are_those_of_a_plain_loop(config, network, labels):
     torch.testing.assert_close(naming, torch.stack(named).mean(), rtol=1e-4, atol=1e-4)
 
 
+def test_naming_by_place_is_the_probability_of_facet_and_place(network, labels):
+    with torch.no_grad():
+        features = network.encoder.features(labels.images[:6])
+        places = place_of(labels.pixels[:6], 64)
+        found = network.encoder.facet_likelihood(features, labels.facets[:6], places)
+        objects, colours = network.encoder.logits(features)
+        object_of, colour_of = network.encoder.facet_parts
+        joint = objects[:, object_of] + colours[:, colour_of]  # (n, F, P)
+        expected = joint.flatten(1).log_softmax(1).view_as(joint)
+    for image, (facets, positions) in enumerate(zip(labels.facets[:6], places, strict=True)):
+        torch.testing.assert_close(
+            found[image], expected[image, facets, positions], rtol=1e-4, atol=1e-4
+        )
+
+
+def test_the_naming_of_the_config_is_trained(network, labels, config):
+    answers = query_answers(config.env, network.spec.facets)
+    rows, queries = torch.arange(8), torch.arange(0, 49, 3)
+    with torch.no_grad():
+        image, place = (
+            network.losses(labels, rows, queries, answers, naming=naming)[1]
+            for naming in ("image", "place")
+        )
+    assert place > image + 1  # one of 256 places is asked for, too
+
+
 def test_names_are_sums_over_places(network, labels):
     """The product of matrices equals the logarithm of the sum of exponentials, also if small."""
     with torch.no_grad():

@@ -87,6 +87,12 @@ _ANALOGY = GraphEmbedding(model="analogy")
 _FIXED = PolicyConfig(hidden="fixed")
 _GROUNDED: dict[str, Any] = {"policy": _FIXED, "grounding": GroundingConfig()}
 """Choices of agents with knowledge of the query: a network locates its object in the image."""
+_ANSWERED: dict[str, Any] = {
+    "policy": _FIXED,
+    "grounding": GroundingConfig(naming="place", naming_coef=1.0),
+    "reasoning": "graph",
+}
+"""Choices of agents whose graph answers the query: a network locates the answers by name."""
 
 AGENTS: dict[str, Agent] = {
     "bm": _agent(
@@ -224,16 +230,14 @@ AGENTS: dict[str, Agent] = {
     "answers": _subject(
         "the graph answers the query, and the network finds the answer by its name",
         QUERY,
-        **_GROUNDED,
-        reasoning="graph",
+        **_ANSWERED,
         colour="c-brown",
     ),
     "answers-shuffled": _control(
         "answers: from a graph with permuted tails",
         QUERY,
         ShuffledGraph(),
-        **_GROUNDED,
-        reasoning="graph",
+        **_ANSWERED,
     ),
 }
 """Every agent by name. The first agent of a role stands for it in the demo."""

@@ -11,6 +11,10 @@ from knowarm.world.config import EnvConfig, facets_of, scene_of
 Unclear = Literal["guess", "stop"]
 """What an agent does that sees no answer, or several: move to the most likely place, or stay."""
 
+Naming = Literal["image", "place"]
+"""What the second loss of a grounding network asks for: the names in an image, or the name and
+the place of each object."""
+
 RETRAIN = "Make one for this task with `knowarm perception train EXPERIMENT --out FILE`."
 
 
@@ -60,6 +64,9 @@ class GroundingConfig(ModuleTrainingConfig):
     """Number of times that images are drawn and each is trained on once."""
     naming_coef: float = 0.5
     """Weight of a second loss that names the visible objects and their colours."""
+    naming: Naming = "image"
+    """``image``: names that occur in the image; ``place``: names and the places where they occur,
+    which an agent needs that finds objects by name."""
     frame_coef: float = 10.0
     """Weight of the squared error of the grasp frames of all visible objects."""
 

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from knowarm.perception.config import ModuleSpec
+from knowarm.perception.config import ModuleSpec, Naming
 from knowarm.perception.images import LabelledImages, QueryAnswers
 from knowarm.perception.module import GoalPredictor, PerceptionModule, PlaceEncoder
 from knowarm.policy.encoder import RELU_GAIN, orthogonal
@@ -123,6 +123,7 @@ class GroundingNetwork(PerceptionModule):
         queries: Tensor,
         answers: QueryAnswers,
         *,
+        naming: Naming = "image",
         bfloat16: bool = False,
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Compute the losses of places, names and grasp frames for queries on some images.
@@ -136,6 +137,7 @@ class GroundingNetwork(PerceptionModule):
             rows: (n,) int64, images.
             queries: (q,) int64, rows of the knowledge table.
             answers: to all queries, among the facets of the network.
+            naming: as `GroundingConfig.naming`.
             bfloat16: for convolutions and keys.
         """
         places = place_of(labels.pixels[rows], self.spec.image_size)
@@ -152,7 +154,8 @@ class GroundingNetwork(PerceptionModule):
             asked &= satisfies[..., 0]
         place = places.gather(1, satisfies.float().argmax(2))
         likelihood = scores.log_softmax(1).gather(1, place[:, None])[:, 0]
-        named = self.encoder.facet_scores(features).log_softmax(1).gather(1, facets)
+        where = places if naming == "place" else None
+        named = self.encoder.facet_likelihood(features, facets, where)
         position = (labels.grasp_position[rows] - self.position_mean) / self.position_std
         truth = torch.cat((position, labels.grasp_axes[rows]), 2)
         error = (self.frames(features, places) - truth).square().mean()

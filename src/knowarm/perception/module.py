@@ -5,7 +5,7 @@ import json
 import struct
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, cast
 
 import torch
 from safetensors.torch import load, save
@@ -72,6 +72,25 @@ class PlaceEncoder(nn.Module):
         sums = (objects - most[0]).exp() @ (colours - most[1]).exp().transpose(1, 2)
         scores = sums.clamp(min=torch.finfo(sums.dtype).tiny).log() + most[0] + most[1]
         return scores[:, *self.facet_parts]
+
+    def facet_likelihood(self, features: Tensor, facets: Tensor, places: Tensor | None) -> Tensor:
+        """Return the logarithm of the probability of facets among all facets, (n, m) float32.
+
+        Args:
+            features: (n, C, h, w).
+            facets: (n, m) int64.
+            places: (n, m) int64, where they are; the probability is then that of facet and place
+                among all facets at all places.
+        """
+        scores = self.facet_scores(features)
+        if places is None:
+            return scores.log_softmax(1).gather(1, facets)
+        rows = torch.arange(len(places), device=places.device)[:, None]
+        at_place = sum(
+            logits[rows, part[facets], places]
+            for logits, part in zip(self.logits(features), self.facet_parts, strict=True)
+        )
+        return cast(Tensor, at_place) - scores.logsumexp(1, keepdim=True)
 
 
 def number_facets(facets: tuple[ObjectColour, ...]) -> Tensor:

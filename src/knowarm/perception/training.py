@@ -130,7 +130,9 @@ def train_grounding(
             network.position_std = positions.std(0).clamp(min=1e-3)
         for rows in torch.arange(config.images).split(config.batch):
             queries = torch.randperm(len(knowledge), generator=generator)[:QUERIES]
-            place, naming, frame = network.losses(labels, rows, queries, answers, bfloat16=bfloat16)
+            place, naming, frame = network.losses(
+                labels, rows, queries, answers, naming=config.naming, bfloat16=bfloat16
+            )
             loss = place + config.naming_coef * naming + config.frame_coef * frame
             yield len(rows), loss, place
 
