@@ -11,11 +11,10 @@ Train the paper's agent and its baseline, evaluate both on the same episodes, an
 
     import knowarm
 
-    if __name__ == "__main__":
-        for name in ("irb120-full-fast", "irb120-bm-fast"):
-            run = knowarm.train(name, runs="runs")
-            knowarm.evaluate(run, episodes=1000)
-        knowarm.write_report(["runs"], "runs/report.html")
+    for name in ("irb120-full-fast", "irb120-bm-fast"):
+        run = knowarm.train(name, runs="runs")
+        knowarm.evaluate(run, episodes=1000)
+    knowarm.write_report(["runs"], "runs/report.html")
 
 Use one part alone::
 

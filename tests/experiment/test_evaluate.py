@@ -45,7 +45,6 @@ def result():
         ("blind_episodes", -1),
         ("distance_m", 0.0),
         ("angle_deg", -1.0),
-        ("wide_angle_deg", 10.0),
         ("seeds", 7),
     ],
 )
@@ -227,3 +226,8 @@ def test_untrained_and_scripted_agents_are_evaluated_alone():
     scripted = evaluate(ZeroAgent(), ENV, config)
     assert "blind_agents" not in untrained.summary
     assert "blind_agents" not in scripted.summary
+
+
+def test_the_wide_angle_is_at_least_the_angle_of_success():
+    assert EvaluationConfig(angle_deg=60).wide_angle_deg == 60
+    assert EvaluationConfig(angle_deg=15).wide_angle_deg == 20

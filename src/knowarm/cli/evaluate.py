@@ -41,6 +41,11 @@ class Evaluate(TableCommand):
         if is_scripted(self.agent):
             if self.perception is not None:
                 raise UserError("A scripted agent perceives nothing: leave out --perception.")
+            for name in ("success_distance_m", "success_angle_deg"):
+                if getattr(self.env, name) != getattr(EnvConfig(), name):
+                    given = name.replace("_", "-")
+                    wanted = given.removeprefix("success-")
+                    raise UserError(f"--env.{given} is of training: give --{wanted} here.")
             agent = SCRIPTED_AGENTS[self.agent].make(self.evaluation.seed)
             result = evaluate(agent, self.env, self.evaluation, agent_name=self.agent)
         elif self.env != EnvConfig():
@@ -87,7 +92,7 @@ def _print(summary: dict[str, Any]) -> None:
             [name, numbers["episodes"], _share(numbers, "success"), _share(numbers, "difference")]
             for name, numbers in summary["blind_agents"].items()
         ]
-        titles = ["blind agent", "episodes", "success %", "agent minus this %"]
+        titles = ["blind agent", "episodes", "success %", "agent minus this, points"]
         print_table("Blind agents, on the first of these episodes", titles, rows)
         for name, entry in BLIND_AGENTS.items():
             print(f"{name}: {entry.about}.")

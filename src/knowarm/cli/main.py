@@ -38,7 +38,8 @@ COMMANDS = {
 """Where each command is defined, and its help text.
 
 The definition is a frozen dataclass whose fields are the arguments and whose ``run()`` does the
-work, a function that makes one from the arguments, or a dict of such definitions by name.
+work and may return an exit code, a function that makes one from the arguments, or a dict of such
+definitions by name.
 """
 
 FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EIO)  # system errors without the name of a file
@@ -62,7 +63,8 @@ def _run(arguments: list[str]) -> int:
         elif arguments[0] == "--version":
             print(f"knowarm {knowarm.__version__}")
         else:
-            _parse(arguments[0], arguments[1:]).run()
+            code = _parse(arguments[0], arguments[1:]).run()
+            return code if isinstance(code, int) else 0
     except UserError as error:
         return _fail(with_flags(str(error)))
     except KeyboardInterrupt:

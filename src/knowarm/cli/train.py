@@ -1,5 +1,6 @@
 """``knowarm train``, ``demo`` and ``perception train``: training."""
 
+import shlex
 import sys
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -44,36 +45,45 @@ class Train:
     """Resume the run from its latest checkpoint, with the options it was started with."""
     perception: FilePath = None
     """Perception module of `knowarm perception train`, for agents with perceived knowledge."""
+    again: tyro.conf.Suppress[str] = ""
+    """The command that resumes this run."""
 
-    def run(self) -> None:
-        """Train until the last step or Ctrl-C."""
+    def run(self) -> int:
+        """Train until the last step or Ctrl-C; return the exit code."""
         options: dict[str, Any] = {"resume": self.resume, "perception": self.perception}
         with StopRequest() as should_stop:
             run = train(self.config, self.runs, should_stop=should_stop, **options)
         where, result = run.folder.path, run.result
         if result.reason == "stopped":
-            again = f"knowarm train {self.config.name} --seed {self.config.seed} --resume"
-            again += "" if self.runs == Path("runs") else f" --runs {self.runs}"
+            again = f"{self.again} --seed {self.config.seed} --resume"
+            again += "" if self.runs == Path("runs") else f" --runs {shlex.quote(str(self.runs))}"
             print(f"Stopped at step {result.step:,} and saved. Resume with: {again}")
-            return
+            return 130
         print(f"Trained for {result.step:,} steps: {where}")
         if (best := result.best_return) is not None:
             print(f"Best interim evaluation: return {best:.1f} at step {result.best_step:,}")
         print(f"Evaluate it with: knowarm evaluate {where}")
+        return 0
 
 
 def parse_train(arguments: list[str]) -> Train:
     """Parse the options over the values of the experiment, or those of the run to resume."""
     name, rest = take_experiment(arguments, USAGE)
+    again = f"knowarm train {name}"
     rest, task = take_option(rest, "--env.task", "package.module:Name")
     if task is not None:
+        again += f" --env.task {task}"
         kind = task_type(task).kind_of()
         name = str(replace(ExperimentName.parse(name), task=kind))
     command = _parse_options(name, rest, experiment_config(name))
+    if command.config.name != name:
+        again += f" --name {shlex.quote(command.config.name)}"
     if command.resume:
-        stored = RunFolder.open(run_path(command.runs, command.config)).experiment()
-        command = _parse_options(name, rest, stored)
-    return command
+        path = run_path(command.runs, command.config)
+        if not path.exists():
+            raise UserError(f"There is no run to resume in {path}: leave out --resume.")
+        command = _parse_options(name, rest, RunFolder.open(path).experiment())
+    return replace(command, again=again)
 
 
 def _parse_options(name: str, arguments: list[str], config: ExperimentConfig) -> Train:
@@ -95,15 +105,16 @@ class Demo:
     steps: int = STEPS
     """Environment steps per agent."""
 
-    def run(self) -> None:
-        """Run the demo."""
+    def run(self) -> int:
+        """Run the demo; return the exit code."""
         with StopRequest() as should_stop:
             runs = demo(self.out, steps=self.steps, should_stop=should_stop)
         if runs is None:
             print("Stopped and saved. Run the same command again to resume.")
-        else:
-            path = write_report(runs, self.out / "report.html")
-            print(f"Wrote {path}: open it in a browser.")
+            return 130
+        path = write_report(runs, self.out / "report.html")
+        print(f"Wrote {path}: open it in a browser.")
+        return 0
 
 
 PERCEPTION_USAGE = """usage: knowarm perception train EXPERIMENT --out FILE [OPTIONS]

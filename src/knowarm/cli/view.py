@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -12,13 +12,20 @@ from knowarm.errors import UserError
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.names import task_for
 from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
+from knowarm.world.agents.play import PlayedStep
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ReachVectorEnv
 from knowarm.world.robots import DEFAULT_ROBOT
 from knowarm.world.scene.scene import find_robot
 from knowarm.world.tasks import task_type
 from knowarm.world.tasks.episodes import evaluation_episodes
-from knowarm.world.viewing.record import record_episode, write_strip, write_video
+from knowarm.world.viewing.record import (
+    check_strip,
+    check_video,
+    record_episode,
+    write_strip,
+    write_video,
+)
 from knowarm.world.viewing.watch import watch
 
 
@@ -58,6 +65,10 @@ class View:
         """Play the episodes and show or record them."""
         if self.episodes < 1:
             raise UserError(f"--episodes must be at least 1, got {self.episodes}.")
+        if self.strip is not None:
+            check_strip(self.strip)
+        if self.video is not None:
+            check_video(self.video)
         make_agent, config = self._agent()
         given = {name: getattr(self, name) for name in ("targets", "colours", "dynamics")}
         config = replace(config, **{name: value for name, value in given.items() if value})
@@ -66,14 +77,20 @@ class View:
         agent = make_agent()
         if self.video is None and self.strip is None:
 
-            def announce(number: int) -> None:
-                wanted = env.running.describe(0)
-                print(f"Episode {number + 1} of {len(episodes)}: {wanted}", flush=True)
+            def announce(number: int, last: PlayedStep) -> None:
+                figures = f"{100 * last.infos['distance'][0]:.1f} cm, {last.infos['angle'][0]:.0f}"
+                end = "reached" if last.infos["is_success"][0] else "not reached"
+                wanted = f"Episode {number + 1} of {len(episodes)}: {env.running.describe(0)}"
+                print(f"{wanted}: {end} in {last.step} steps, {figures} deg", flush=True)
 
-            print("Waiting for a browser. Press Ctrl-C to stop.", flush=True)
-            watch(
-                agent, env, episodes, port=self.port, open_browser=self.browser, on_episode=announce
-            )
+            print(f"{self.agent} plays {len(episodes)} episodes, then repeats them; Ctrl-C stops.")
+            title = f"KnowArm: {env.scene.robot.name}, {self.agent}"
+            options: dict[str, Any] = {
+                "port": self.port,
+                "open_browser": self.browser,
+                "title": title,
+            }
+            watch(agent, env, episodes, on_end=announce, **options)
             return
         films = [record_episode(agent, env, episodes[i : i + 1]) for i in range(len(episodes))]
         reached = sum(film[-1].success for film in films)

@@ -142,7 +142,7 @@ class EvaluationConfig:
     angle_deg: float = 17.0
     """Largest angle of a success [deg]; the paper's section 4. Its section 3 says 20."""
     wide_angle_deg: float = 20.0
-    """Largest angle of ``success_wide`` [deg], reported as well."""
+    """Largest angle of ``success_wide`` [deg], reported as well; at least ``angle_deg``."""
     actions: Literal["greedy", "sampled"] = "greedy"
     """Take the most probable action, or sample one."""
     held_out: bool = False
@@ -189,11 +189,7 @@ class EvaluationConfig:
             raise UserError(
                 f"edited is the graph of split S5, got split={self.split!r}; set split to 'S5'."
             )
-        if self.wide_angle_deg < self.angle_deg:
-            raise UserError(
-                f"wide_angle_deg ({self.wide_angle_deg}) must not be below angle_deg "
-                f"({self.angle_deg}); give a larger wide_angle_deg as well."
-            )
+        object.__setattr__(self, "wide_angle_deg", max(self.wide_angle_deg, self.angle_deg))
         if self.episodes % self.seeds:
             raise UserError(
                 f"{self.episodes} episodes cannot be shared equally by {self.seeds} seeds; give a "

@@ -73,9 +73,11 @@ class TrainingProgress:
             self._bar.update(self._task, completed=step, rate=speed, figures=self._figures)
         elif now - self._last_line_time >= self._every_s:
             self._last_line_time = now
-            left = f", {(self._total - step) / rate / 60:.1f} min left" if rate else ""
-            share = 100 * step / self._total
-            self.line(f"{step:,} steps ({share:.1f} %), {speed}{left}, {self._figures}")
+            left = max(self._total - step, 0)
+            remaining = f"{left / rate / 60:.1f} min left" if rate else ""
+            share = min(100 * step / self._total, 100)
+            figures = (f"{step:,} steps ({share:.1f} %)", speed, remaining, self._figures)
+            self.line(", ".join(each for each in figures if each))
 
     def _average(self, count: float, return_mean: float, success: float) -> None:
         """Average over the latest episodes: those that end in one update succeeded early."""

@@ -5,6 +5,7 @@ Layout of ``runs/<experiment>/<seed>/``::
     config.json            the resolved ExperimentConfig
     provenance.json        versions, commit, machine, policy sizes, parameter counts, knowledge
     knowledge.safetensors  the knowledge table (F, K), one row per facet or query
+    graphs/                copies of the user's graphs, read where the original is gone or changed
     perception.safetensors the perception module or grounding network, for agents that have one
     metrics.csv            one row per update (PPO) or log interval (A3C)
     evaluations.csv        one row per interim evaluation
@@ -13,8 +14,11 @@ Layout of ``runs/<experiment>/<seed>/``::
     evaluation/<label>/    post-training evaluations
 """
 
+import filecmp
+import hashlib
 import os
 import platform
+import shutil
 import subprocess
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -106,8 +110,8 @@ class RunFolder:
         return self.path / "evaluation" / label
 
     def config(self) -> dict[str, Any]:
-        """Read the resolved configuration as JSON values."""
-        return read_json(self.config_path)
+        """Read the resolved configuration as JSON values, with graphs that can be read."""
+        return self._with_graphs(read_json(self.config_path))
 
     def experiment(self) -> ExperimentConfig:
         """Read the configuration that the run was started with."""
@@ -116,8 +120,36 @@ class RunFolder:
         return from_dict(ExperimentConfig, values)
 
     def write_experiment(self, config: ExperimentConfig) -> None:
-        """Write the configuration; a folder with one holds a run."""
-        self.write_json("config.json", {"format": FORMAT, **to_dict(config)})
+        """Write the configuration and its graphs; a folder with a configuration holds a run."""
+        values = to_dict(config)
+        for path in sorted(graph_files(values)):
+            copy = self._graph(path)
+            with writing(copy):
+                copy.parent.mkdir(parents=True, exist_ok=True)
+                copy_file = shutil.copytree if path.is_dir() else shutil.copyfile
+                if not copy.exists():
+                    copy_file(path, copy)
+        self.write_json("config.json", {"format": FORMAT, **values})
+
+    def _graph(self, original: Path) -> Path:
+        """Where the copy of a graph is; graphs of one name lie in folders of their own."""
+        place = hashlib.sha256(str(original).encode()).hexdigest()[:8]
+        return self.path / "graphs" / place / original.name
+
+    def _with_graphs(self, values: Any) -> Any:
+        """Replace paths of graphs that are gone, or have changed, by those of the copies."""
+        if isinstance(values, dict):
+            return {
+                key: self._readable(value)
+                if key == "graph" and isinstance(value, str)
+                else self._with_graphs(value)
+                for key, value in values.items()
+            }
+        return values
+
+    def _readable(self, graph: str) -> str:
+        copy = self._graph(Path(graph))
+        return str(copy) if copy.exists() and not same_files(Path(graph), copy) else graph
 
     def ended_early_at(self, rule: StopWhen | None) -> int | None:
         """Return the step at which an early end was reached, or None."""
@@ -129,7 +161,7 @@ class RunFolder:
 
     def provenance(self) -> dict[str, Any]:
         """Read what a run was trained with, and on."""
-        return read_json(self.path / "provenance.json")
+        return self._with_graphs(read_json(self.path / "provenance.json"))
 
     def write_json(self, name: str, values: Mapping[str, Any]) -> None:
         """Write one of the folder's JSON files atomically."""
@@ -149,6 +181,25 @@ class RunFolder:
             if table.ndim != 2 or table.dtype != np.float32 or not np.isfinite(table).all():
                 raise ValueError("its table must be a matrix of finite float32 numbers")
             return table
+
+
+def graph_files(values: Any) -> set[Path]:
+    """Return the files and folders that the fields "graph" of a configuration name."""
+    if not isinstance(values, dict):
+        return set()
+    found = set().union(*map(graph_files, values.values()))
+    graph = values.get("graph")
+    return found | ({Path(graph)} if isinstance(graph, str) and Path(graph).exists() else set())
+
+
+def same_files(first: Path, second: Path) -> bool:
+    """Tell whether two files, or two folders of files, are equal."""
+    if first.is_dir() and second.is_dir():
+        names = [sorted(each.name for each in path.iterdir()) for path in (first, second)]
+        return names[0] == names[1] and not any(
+            filecmp.cmpfiles(first, second, names[0], False)[1:]
+        )
+    return first.is_file() and second.is_file() and filecmp.cmp(first, second, shallow=False)
 
 
 PACKAGES = ("knowarm", "torch", "mujoco", "numpy", "numba", "gymnasium", "safetensors")

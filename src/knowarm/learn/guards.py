@@ -113,9 +113,10 @@ class HealthMonitor:
                 "hardly explores. Increase ent_coef.",
             ),
             (
-                largest > bound,
-                f"a value of {largest:.3g} exceeds the largest possible return ({bound:.3g}), so "
-                "the critic diverges. Decrease learning_rate.",
+                largest > 10 * bound,
+                f"a value of {largest:.3g} is more than ten times the largest return that the "
+                f"rewards so far allow ({bound:.3g}). If it grows, the critic diverges: decrease "
+                "learning_rate.",
             ),
         ]
         for kind, (is_due, message) in enumerate(warnings):

@@ -158,14 +158,15 @@ def read_study(source: Path | str, *, of: Path | str | None = None) -> StudyConf
     """Read a study.
 
     Args:
-        source: name of a shipped study, a TOML file, or the folder of a study that was started.
+        source: name of a shipped study, a TOML file, or the folder of a study that was started;
+            a folder with the name of a shipped study as ``./NAME``, or as a ``Path``.
         of: for a study of controls, the study whose agents they control.
 
     Raises:
         UserError: there is no such study, or it is not valid; for a TOML file with file and line.
     """
     path = Path(source)
-    if (path / FILE).is_file():
+    if source not in SHIPPED and (path / FILE).is_file():
         values = read_json(path / FILE)
         if values.pop("format", None) != FORMAT:
             raise UserError(f"{path / FILE} was written by another version; run the study again.")

@@ -30,6 +30,7 @@ RUN_FILES = (
     "config.json",
     "provenance.json",
     "knowledge.safetensors",
+    "graphs/**/*",
     "metrics.csv",
     "evaluations.csv",
     FAILURE,

@@ -50,7 +50,7 @@ class SceneOptions(TableCommand):
     colours: Literal["fixed", "randomized"] = "randomized"
     """One colour per object, or all that it can have."""
     agent: str | None = None
-    """Take the settings of this agent (see `knowarm list`) and ignore those below."""
+    """Take the settings of this agent (see `knowarm list`), without those below."""
     knowledge: Annotated[KnowledgeConfig, tyro.conf.arg(name="")] = field(
         default_factory=lambda: FULL
     )
@@ -71,6 +71,11 @@ class SceneOptions(TableCommand):
 
         if self.agent not in AGENTS:
             raise unknown_name("agent", self.agent, AGENTS)
+        if self.knowledge != FULL:
+            raise UserError(
+                f"--agent {self.agent} has its own graph, source and settings: leave out --agent, "
+                "or the options of the knowledge."
+            )
         return AGENTS[self.agent].knowledge
 
     def facets(self) -> list[tuple[str, str]]:

@@ -4,6 +4,7 @@ import ctypes
 import logging
 import multiprocessing
 import os
+import pickle
 import signal
 import sys
 import time
@@ -13,6 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.context import BaseContext
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import torch
@@ -77,6 +79,24 @@ def _run_child(
             connection.send(ProcessFailure(traceback.format_exc(), user_error))
 
 
+def _start(process: Any) -> None:
+    """Start a process that does not run the user's script again, as multiprocessing would.
+
+    A script without `if __name__ == "__main__":` would train once more in every child process. Only
+    what a script itself defines and hands to a child process, such as a task, needs the script.
+    """
+    script = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        process.start()
+        return
+    except (AttributeError, pickle.PicklingError):
+        pass  # something that the script defines
+    finally:
+        sys.modules["__main__"] = script
+    process.start()
+
+
 class ProcessFailure(NamedTuple):
     """Message of a child process that raised an exception and exits."""
 
@@ -109,7 +129,7 @@ class ChildProcess:
                 target=_run_child, args=(run, arguments, there), name=name, daemon=True
             )
             try:
-                process.start()
+                _start(process)
                 return cls(name, process, here)
             except (EOFError, ConnectionError):
                 here.close()  # a process that was started all the same exits
@@ -205,7 +225,8 @@ class SupervisedProcess:
         if self._exits >= MAX_EXITS:
             raise RuntimeError(
                 f"The {name} {reason}; {self._exits} times in a row. The last checkpoint is "
-                'intact. A script that trains needs `if __name__ == "__main__":` around its code.'
+                "intact. A script that defines a task or an agent itself needs "
+                '`if __name__ == "__main__":` around the lines that train.'
             )
         log.warning("The %s %s; restarting it.", name, reason)
         self.restarts += 1

@@ -49,6 +49,22 @@ def record_episode(agent: AgentProtocol, env: ReachVectorEnv, episode: Episodes)
     ]
 
 
+def check_strip(path: Path) -> None:
+    """Raise a `UserError` unless images can be written in the format of a file's suffix."""
+    if path.suffix.lower() not in Image.registered_extensions():
+        raise UserError(f"A film strip is an image such as strip.png, got {path.name!r}.")
+
+
+def check_video(path: Path) -> None:
+    """Raise a `UserError` unless a video can be written to a file."""
+    try:
+        import av  # noqa: F401
+    except ImportError:
+        raise UserError("Videos need PyAV: pip install 'knowarm[video]'.") from None
+    if path.suffix.lower() != ".mp4":
+        raise UserError(f"The video must be an .mp4 file, got {path.name!r}.")
+
+
 def write_strip(path: Path, episodes: Sequence[Sequence[Frame]], columns: int = 6) -> None:
     """Write a film strip: one row per episode, frames evenly spaced from start to end.
 
@@ -75,12 +91,8 @@ def write_strip(path: Path, episodes: Sequence[Sequence[Frame]], columns: int = 
 
 def write_video(path: Path, episodes: Sequence[Sequence[Frame]]) -> None:
     """Write an H.264 video with the policy's observation beside the enlarged view."""
-    try:
-        import av
-    except ImportError:
-        raise UserError("Videos need PyAV: pip install 'knowarm[video]'.") from None
-    if path.suffix.lower() != ".mp4":
-        raise UserError(f"The video must be an .mp4 file, got {path.name!r}.")
+    check_video(path)
+    import av
 
     def write() -> None:
         with av.open(str(path), "w") as container:

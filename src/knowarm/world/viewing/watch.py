@@ -5,7 +5,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
-from itertools import cycle
+from itertools import count, product
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from knowarm.errors import UserError
 from knowarm.private_apis import local_web_viewer
-from knowarm.world.agents.play import play_steps
+from knowarm.world.agents.play import PlayedStep, play_steps
 from knowarm.world.agents.scripted import AgentProtocol
 from knowarm.world.envs.vector_env import ReachVectorEnv
 from knowarm.world.scene.appearance import TargetColours
@@ -36,13 +36,14 @@ def watch(
     *,
     port: int = 0,
     open_browser: bool = True,
-    on_episode: Callable[[int], None] = lambda number: None,
+    title: str = "KnowArm",
+    on_end: Callable[[int, PlayedStep], None] = lambda number, moment: None,
 ) -> None:
     """Serve the viewer until it is closed or interrupted; blocks.
 
     Playing starts when a browser shows the page, and the episodes are played again and again, at
-    the speed of the real robot. Port 0 is the first free one from 8080; ``on_episode`` is called
-    with the number of each episode when it starts.
+    the speed of the real robot. Port 0 is the first free one from 8080; ``on_end`` is called with
+    the number and the last moment of each episode, when it ends for the first time.
     """
     try:
         from mujoco.studio import launch_web
@@ -66,17 +67,15 @@ def watch(
     def announce(*given: Any) -> None:
         print(f"The viewer runs at http://{ADDRESS}:{port}/", flush=True)
 
-    title = f"KnowArm: {env.scene.robot.name}"
     config = ViewerConfig(title=title, gfx="web", http_port=port, open_browser=open_browser)
     # The browser reloads its page for another model, so one model is kept as long as no target
     # changes its colour: hidden targets are placed far below the floor.
     model, data = None, None
     colours = np.zeros(len(env.scene.targets), dtype=np.int64)
     with local_web_viewer(listener, refused, announce), launch_web.launch(config) as viewer:
-        for number in cycle(range(len(episodes))):
+        for round_, number in product(count(), range(len(episodes))):
             for moment in play_steps(agent, env, episodes[number : number + 1]):
                 if moment.step == 0:
-                    on_episode(number)
                     current = colours.copy()
                     current[env.running.objects[0]] = env.running.colours[0]
                     if model is None or (current != colours).any():
@@ -90,6 +89,8 @@ def watch(
                         return
                 if moment.step > 0 and not _show(viewer, CONTROL_PERIOD_S):
                     return
+            if round_ == 0:
+                on_end(number, moment)
             if not _show(viewer, PAUSE_S):
                 return
 

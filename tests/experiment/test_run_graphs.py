@@ -1,0 +1,55 @@
+"""A run keeps the graphs of the user that it was trained with."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from knowarm.experiment.names import experiment_config
+from knowarm.experiment.run_folder import RunFolder
+
+GRAPH = "head,relation,tail\nmug,usedFor,drinking\n"
+
+
+@pytest.fixture
+def run(tmp_path):
+    """A run folder of a config with a user's graph."""
+    path = tmp_path / "kitchen.csv"
+    path.write_text(GRAPH)
+    config = experiment_config("irb120-full-fast")
+    config = replace(config, knowledge=replace(config.knowledge, graph=str(path)))
+    folder = RunFolder.create(tmp_path / "run")
+    folder.write_experiment(config)
+    return folder, path, config
+
+
+def test_the_original_is_read_while_it_is_the_same(run):
+    folder, _, config = run
+    assert folder.experiment() == config
+
+
+@pytest.mark.parametrize("change", ["gone", "edited"])
+def test_the_copy_is_read_where_the_original_is_gone_or_edited(run, change):
+    folder, path, _ = run
+    path.unlink() if change == "gone" else path.write_text("head,relation,tail\nmug,is,red\n")
+    read = folder.experiment().knowledge.graph
+    assert read != str(path)
+    assert Path(read).read_text() == GRAPH
+
+
+def test_a_graph_of_several_files_is_kept(run, tmp_path):
+    folder, _, config = run
+    graph = tmp_path / "openke"
+    graph.mkdir()
+    (graph / "entity2id.txt").write_text("1\nmug 0\n")
+    config = replace(config, knowledge=replace(config.knowledge, graph=str(graph)))
+    folder.write_experiment(config)
+    assert folder.experiment() == config
+    (graph / "entity2id.txt").write_text("changed")
+    assert folder.experiment() != config
+
+
+def test_shipped_graphs_are_not_copied(tmp_path):
+    folder = RunFolder.create(tmp_path)
+    folder.write_experiment(experiment_config("irb120-choose-subgraph-fast"))
+    assert not (tmp_path / "graphs").exists()
