@@ -8,7 +8,7 @@ TORCH := torch==2.13.0
 # Only comparisons with MuJoCo's own renderer use OpenGL; EGL needs no display.
 export MUJOCO_GL ?= egl
 
-.PHONY: help demo best test check format lint types fast-tests torture mutate bench bench-compare clean
+.PHONY: help demo best test check format lint types fast-tests docs snippets torture mutate bench bench-compare clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*##' Makefile | sed 's/:.*##/\t/'
@@ -63,6 +63,12 @@ MUTANTS :=
 mutate: $(VENV)/.dev ## change the numeric modules in small ways, one by one: do the tests notice?
 	$(VENV)/bin/mutmut run $(foreach each,$(MUTANTS),'$(each)')
 	$(VENV)/bin/mutmut results
+
+docs: $(VENV)/.dev ## build the documentation site in docs/_build
+	$(PY) -m sphinx -W --keep-going -q -b html docs docs/_build
+
+snippets: $(VENV)/.dev ## run every command and code block of the documentation, shortened
+	$(PY) -m pytest -q -n 2 --dist worksteal --durations 25 tests/snippets/test_snippets.py
 
 bench: $(VENV)/.runtime ## measure the speed of this machine: simulation, images, training
 	$(PY) -m knowarm bench --json runs/bench/speed.json

@@ -15,7 +15,8 @@ def files(*folders: str, suffix: str = ".py") -> dict[str, str]:
     found = {}
     for folder in folders:
         for path in sorted((ROOT / folder).rglob(f"*{suffix}")):
-            found[path.relative_to(ROOT).as_posix()] = path.read_text(encoding="utf-8")
+            if "_build" not in path.parts:
+                found[path.relative_to(ROOT).as_posix()] = path.read_text(encoding="utf-8")
     return found
 
 

@@ -8,10 +8,12 @@ from importlib import import_module
 
 import pytest
 
+import knowarm
 from knowarm.cli.main import COMMANDS
 from tests.source_tree import ROOT, files, names
 
 FOREIGN = {
+    "RecordVideo",
     "OMP_WAIT_POLICY",
     "mj_ray",
     "sync_tensorboard",
@@ -187,3 +189,41 @@ def test_a_command_or_option_that_does_not_exist_is_found():
     assert not unknown_command("knowarm train irb120-full-fast")
     assert list(unknown_options("knowarm train --env.no-such-field")) == ["--env.no-such-field"]
     assert list(unknown_options("knowarm train --algorithm.gamma .9 --resume")) == []
+
+
+def anchors(text):
+    """Return the anchors of a page's headings."""
+    headings = re.findall(r"^#+ +(.*)$", FENCE.sub("", text), re.MULTILINE)
+    words = [re.sub(r"[^\w\- ]", "", heading.lower()) for heading in headings]
+    return {each.strip().replace(" ", "-") for each in words}
+
+
+def broken_links(path, text):
+    """Yield the links of a page to files or headings that do not exist."""
+    for target in re.findall(r"\]\(([^)\s]+)\)", FENCE.sub("", text)):
+        if re.match(r"\w+:", target):
+            continue
+        file, _, anchor = target.partition("#")
+        where = (ROOT / path).parent / file
+        if not where.exists():
+            yield target
+            continue
+        headings = anchors(where.read_text(encoding="utf-8") if file and anchor else text)
+        if anchor not in {"", *headings}:
+            yield target
+
+
+def test_links_lead_somewhere():
+    pages = documents() | {"docs/lab-notes.md": (ROOT / "docs/lab-notes.md").read_text("utf-8")}
+    lines = [f"{path}: {link}" for path, text in pages.items() for link in broken_links(path, text)]
+    assert not lines, "\n".join([f"{len(lines)} offenders:", *lines])
+
+
+def test_a_broken_link_is_found():
+    text = "# A title\n[a](README.md) [b](none.md) [c](#a-title) [d](#none)"
+    assert list(broken_links("README.md", text)) == ["none.md", "#none"]
+
+
+def test_the_api_reference_lists_every_public_name():
+    page = (ROOT / "docs/reference/api.md").read_text(encoding="utf-8")
+    assert set(re.findall(r":: knowarm\.(\w+)", page)) == set(knowarm.__all__)

@@ -12,6 +12,7 @@ import pytest
 import torch
 
 import knowarm
+from knowarm.errors import UserError
 from knowarm.experiment.summary import read_film
 from knowarm.reading import read_json
 from tests.study.tiny import InlineExecutor
@@ -321,3 +322,12 @@ def test_run_a_study(tmp_path, monkeypatch):
     (status,) = knowarm.run_study(study, tmp_path)
     assert status.state == "done"
     assert knowarm.read_study(tmp_path) == study
+
+
+@example("push_to_hub", "from_pretrained")
+def test_what_is_no_repository_is_refused():
+    pytest.importorskip("huggingface_hub")
+    with pytest.raises(UserError, match="no repository"):
+        knowarm.from_pretrained("no//name")
+    with pytest.raises(UserError, match="not a run folder"):
+        knowarm.push_to_hub("nowhere", "someone/reach")

@@ -30,6 +30,8 @@ Experiments
     train               train a named experiment or a config, or resume a run
     evaluate            play fixed episodes and measure returns, accuracy and success
     load_agent          load the trained agent of a run
+    push_to_hub         share a run on the Hugging Face Hub (extra "hub")
+    from_pretrained     load the trained agent of a repository of the Hub
     write_report        write one HTML page that compares runs
     experiment_config   the config of a named experiment, with overrides
     experiment_names    the names of all experiments

@@ -15,6 +15,8 @@ from .experiment.names import experiment_config as experiment_config
 from .experiment.names import experiment_names as experiment_names
 from .experiment.run import Run as Run
 from .experiment.run import train as train
+from .integrations.hub import from_pretrained as from_pretrained
+from .integrations.hub import push_to_hub as push_to_hub
 from .knowledge import query_embedding as query_embedding
 from .knowledge.config import KnowledgeConfig as KnowledgeConfig
 from .knowledge.embedding import SceneEmbedding as SceneEmbedding

@@ -59,7 +59,7 @@ def test_list_shows_and_writes_the_names(capsys, tmp_path):
         (["train", "irb121-full-ppo"], ["Unknown robot", "'irb120'"]),
         (["train", "--seed", "1"], ["first argument"]),
         (["train", "irb120-bm-ppo", "--env.targets", "mgu"], ["mgu", "'mug'"]),
-        (["train", "irb120-bm-ppo", "--resume", "--runs", "nowhere"], ["is not a run folder"]),
+        (["train", "irb120-bm-ppo", "--resume", "--runs", "nowhere"], ["no run to resume"]),
         (["evaluate", "runs/none/0"], ["is not a run folder"]),
         (["evaluate", "orakle"], ["'oracle'"]),
         (["evaluate", "zero", "--json", "/proc/none/x.json"], ["--json"]),
@@ -198,3 +198,15 @@ def test_make_best_is_the_recipe_of_the_shipped_policy() -> None:
     for values in (config, shipped):
         del values["algorithm"]["processes"]
     assert config == shipped
+
+
+def test_evaluate_and_record_take_a_task_by_name(tmp_path, capsys):
+    options = ["--episodes", "2"]
+    assert main(["evaluate", "oracle", "--env.task", "choose", *options]) == 0
+    assert "Chose the wanted object" in capsys.readouterr().out
+    assert (
+        main(["record", "oracle", "--env.task", "choose", *options, "--to", str(tmp_path / "d")])
+        == 0
+    )
+    assert main(["evaluate", "oracle", "--env.task", "chose"]) == 2
+    assert "'choose'" in capsys.readouterr().err

@@ -120,8 +120,8 @@ def test_the_viewer():
         # The viewer does not answer when a browser closes the connection.
         no_wait = {"open_timeout": None, "close_timeout": 0}
         with connect(f"ws://{host}/state", origin=f"http://{host}", **no_wait):
-            played = [next(line for line in lines if "Episode 1 of 1" in line) for _ in range(2)]
-        assert len(played) == 2  # again and again
+            played = next(line for line in lines if "Episode 1 of 1" in line)
+        assert ": reached in" in played
         assert viewer.poll() is None
     finally:
         viewer.kill()

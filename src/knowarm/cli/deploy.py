@@ -1,13 +1,14 @@
 """``knowarm export``, ``serve`` and ``record``: policies and episodes outside of the simulator."""
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Self
 
 import tyro
 
-from knowarm.cli.evaluate import is_scripted
+from knowarm.cli.evaluate import is_scripted, parse_with_task
 from knowarm.config import at_least
 from knowarm.errors import UserError
 from knowarm.experiment.load import Which, load_agent
@@ -83,6 +84,11 @@ class Record:
     """Seed of the episodes."""
     env: EnvConfig = field(default_factory=EnvConfig)
     """Environment of a scripted agent; a run has its own."""
+
+    @classmethod
+    def parse(cls, prog: str, arguments: Sequence[str]) -> Self:
+        """Make a command from its options; `--env.task` takes the name of a task."""
+        return parse_with_task(cls, prog, arguments, agent=tyro.MISSING, to=tyro.MISSING)
 
     def run(self) -> None:
         """Play, write and say how many episodes succeeded."""

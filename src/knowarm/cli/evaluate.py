@@ -1,18 +1,22 @@
 """``knowarm evaluate``: the post-training evaluation of a trained or scripted agent."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import tyro
 
+from knowarm.cli.arguments import Command, parse_options, take_option
 from knowarm.cli.tables import FilePath, TableCommand, print_table
 from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.load import Which, load_agent
+from knowarm.experiment.names import task_for
 from knowarm.world.agents import BLIND_AGENTS, SCRIPTED_AGENTS
 from knowarm.world.config import EnvConfig
+from knowarm.world.tasks import task_type
 
 MOST_FACETS = 30  # pairs of target and colour up to which each gets a row
 
@@ -35,6 +39,11 @@ class Evaluate(TableCommand):
     """Environment of a scripted agent; a run is evaluated in its own."""
     save: bool = True
     """Save the evaluation in the run folder, where `knowarm report` reads it."""
+
+    @classmethod
+    def parse(cls, prog: str, arguments: Sequence[str]) -> Self:
+        """Make a command from its options; `--env.task` takes the name of a task."""
+        return parse_with_task(cls, prog, arguments, agent=tyro.MISSING)
 
     def result(self) -> dict[str, Any]:
         """Evaluate, print and save."""
@@ -60,6 +69,21 @@ class Evaluate(TableCommand):
         if result.folder is not None and self.save:
             print(f"Saved in {result.folder}")
         return result.summary
+
+
+def parse_with_task(
+    command: type[Command], prog: str, arguments: Sequence[str], **missing: Any
+) -> Command:
+    """Make a command with a field ``env``; ``missing`` are the fields that have no default.
+
+    `--env.task` takes the name of a task, or package.module:Name.
+    """
+    rest, task = take_option(arguments, "--env.task", "package.module:Name")
+    if task is None:
+        return parse_options(command, prog, rest)
+    env = EnvConfig(task=task_for(task_type(task).kind_of()))
+    make: Callable[..., Command] = command
+    return parse_options(command, prog, rest, default=make(**missing, env=env))
 
 
 def is_scripted(agent: str) -> bool:

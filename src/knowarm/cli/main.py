@@ -32,6 +32,8 @@ COMMANDS = {
     "export": ("deploy:Export", "write a trained policy as ONNX, with contract and runner"),
     "serve": ("deploy:Serve", "serve a trained policy to robots over WebSocket (openpi)"),
     "record": ("deploy:Record", "record episodes as a LeRobot dataset"),
+    "hub": ("hub:COMMANDS", "share policies and studies on the Hugging Face Hub"),
+    "benchmark": ("benchmark:COMMANDS", "score any policy on frozen episodes, beside controls"),
     "bench": ("bench:Bench", "measure the speed of this machine"),
     "doctor": ("doctor:Doctor", "check this installation, or a robot of your own"),
 }

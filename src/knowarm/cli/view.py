@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Annotated, Any, Literal
 
 import tyro
@@ -11,6 +12,7 @@ from knowarm.cli.tables import FilePath
 from knowarm.errors import UserError
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.names import task_for
+from knowarm.integrations.rerun import check_rrd, write_rrd
 from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
 from knowarm.world.agents.play import PlayedStep
 from knowarm.world.config import EnvConfig
@@ -55,6 +57,8 @@ class View:
     """Write an .mp4 video of the policy's images beside a large view, instead of the viewer."""
     strip: FilePath = None
     """Write an image with one film strip per episode, instead of opening the viewer."""
+    rrd: FilePath = None
+    """Write images, joints and distances to an .rrd file for the Rerun viewer."""
     port: int = 0
     """Port of the web viewer, which only this machine can reach; 0 takes the first free port from
     8080."""
@@ -69,13 +73,15 @@ class View:
             check_strip(self.strip)
         if self.video is not None:
             check_video(self.video)
+        if self.rrd is not None:
+            check_rrd(self.rrd)
         make_agent, config = self._agent()
         given = {name: getattr(self, name) for name in ("targets", "colours", "dynamics")}
         config = replace(config, **{name: value for name, value in given.items() if value})
         env = ReachVectorEnv(config, 1)
         episodes = evaluation_episodes(env.config, self.episodes, self.seed)
         agent = make_agent()
-        if self.video is None and self.strip is None:
+        if self.video is None and self.strip is None and self.rrd is None:
 
             def announce(number: int, last: PlayedStep) -> None:
                 figures = f"{100 * last.infos['distance'][0]:.1f} cm, {last.infos['angle'][0]:.0f}"
@@ -95,7 +101,12 @@ class View:
         films = [record_episode(agent, env, episodes[i : i + 1]) for i in range(len(episodes))]
         reached = sum(film[-1].success for film in films)
         print(f"{reached} of {len(films)} episodes reached their target.")
-        for path, write in ((self.video, write_video), (self.strip, write_strip)):
+        write_recording = partial(write_rrd, joints=env.scene.robot.joints)
+        for path, write in (
+            (self.video, write_video),
+            (self.strip, write_strip),
+            (self.rrd, write_recording),
+        ):
             if path is not None:
                 write(path, films)
                 print(f"Wrote {path}")

@@ -142,12 +142,12 @@ def evaluate(
         trained, agent = agent, agent.agent
     if env_config is None:
         raise UserError("This agent has no task of its own: pass env_config=EnvConfig(...).")
-    judged = _with_thresholds(env_config, config)
+    judged = env_for_test(env_config, config)
     env = ReachVectorEnv(judged, min(config.num_envs, config.episodes))
     table: torch.Tensor | None = None
     try:
         if trained is not None:
-            agent, table = _for_test(trained, judged, config)
+            agent, table = agent_for_test(trained, judged, config)
         fixed = _episodes(env, config)
         result = play(agent, env, fixed, record_images=config.record_films)
         if isinstance(agent, AnsweringAgent):  # the last batch repeats its last episode
@@ -177,10 +177,13 @@ def evaluate(
     return measured
 
 
-def _for_test(
+def agent_for_test(
     trained: TrainedAgent, env: EnvConfig, config: EvaluationConfig
 ) -> tuple[AgentProtocol, torch.Tensor | None]:
-    """Return the agent with what it knows in this evaluation, and a table to restore after it."""
+    """Return the agent with what it knows in this evaluation, and a table to restore after it.
+
+    ``env`` is of `env_for_test`.
+    """
     graph, network = graph_at_test(trained.config, env, config), trained.network
     reasoning = config.reasoning or trained.config.reasoning
     if reasoning == "vector":
@@ -206,7 +209,8 @@ def _no_network(trained: TrainedAgent) -> UserError:
     )
 
 
-def _with_thresholds(env_config: EnvConfig, config: EvaluationConfig) -> EnvConfig:
+def env_for_test(env_config: EnvConfig, config: EvaluationConfig) -> EnvConfig:
+    """Return the task of an evaluation: with its thresholds, split and held-out episodes."""
     held_out = env_config.held_out
     if config.held_out:
         if held_out is None:

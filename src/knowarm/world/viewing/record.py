@@ -30,6 +30,7 @@ class Frame:
     distance: float  # Gripper to grasp point [m]
     angle: float  # Angle between gripper and grasp frame [deg]
     success: bool  # Whether the target is reached
+    joints: NDArray[np.float64]  # Joint angles, (J,) [rad] (slides: [m])
     goal: str = ""  # What the episode's goal is, as "red mug", for captions
 
 
@@ -43,6 +44,7 @@ def record_episode(agent: AgentProtocol, env: ReachVectorEnv, episode: Episodes)
             distance=float(moment.infos["distance"][0]),
             angle=float(moment.infos["angle"][0]),
             success=bool(moment.infos["is_success"][0]),
+            joints=env.joint_positions[0].copy(),
             goal=env.running.describe(0),
         )
         for moment in play_steps(agent, env, episode)

@@ -5,7 +5,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
-from itertools import count, product
+from itertools import cycle
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -73,7 +73,7 @@ def watch(
     model, data = None, None
     colours = np.zeros(len(env.scene.targets), dtype=np.int64)
     with local_web_viewer(listener, refused, announce), launch_web.launch(config) as viewer:
-        for round_, number in product(count(), range(len(episodes))):
+        for turn, number in enumerate(cycle(range(len(episodes)))):
             for moment in play_steps(agent, env, episodes[number : number + 1]):
                 if moment.step == 0:
                     current = colours.copy()
@@ -89,7 +89,7 @@ def watch(
                         return
                 if moment.step > 0 and not _show(viewer, CONTROL_PERIOD_S):
                     return
-            if round_ == 0:
+            if turn < len(episodes):
                 on_end(number, moment)
             if not _show(viewer, PAUSE_S):
                 return

@@ -1,0 +1,11 @@
+# CPU image; `docker run knowarm` trains two small agents, evaluates them and writes a report.
+FROM python:3.12-slim
+RUN useradd --create-home knowarm
+WORKDIR /home/knowarm
+COPY pyproject.toml README.md LICENSE ./source/
+COPY src ./source/src
+RUN pip install --no-cache-dir torch==2.13.0 --index-url https://download.pytorch.org/whl/cpu \
+    && pip install --no-cache-dir ./source && rm -r ./source
+USER knowarm
+ENTRYPOINT ["knowarm"]
+CMD ["demo"]

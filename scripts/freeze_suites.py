@@ -1,0 +1,78 @@
+"""Draw and store the suites of the benchmark; a published suite is never written again.
+
+python -m scripts.freeze_suites reach-v1
+"""
+
+import sys
+
+import numpy as np
+
+from knowarm.benchmark.policies import FixedList
+from knowarm.benchmark.suites import FOLDER, Cell, Split, Suite, digest_of, freeze
+from knowarm.experiment.config import EvaluationConfig
+from knowarm.experiment.evaluate import env_for_test
+from knowarm.experiment.names import experiment_config
+from knowarm.world.agents import OracleAgent
+from knowarm.world.agents.open_loop import search_open_loop
+from knowarm.world.agents.play import play
+from knowarm.world.config import questions_of
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.tasks.episodes import evaluation_episodes
+
+EPISODES = 500
+OPTIONS = {"training_seeds": 5, "control_episodes": 200}
+SEED = 7_000_003  # of the episodes; no training and no other evaluation draws from it
+REACH = {"fixed": "bm", "randomized": "bm-dr"}
+SPLITS: tuple[Split, ...] = ("S1", "S2", "S3", "S4", "S5")
+
+
+def cell(name: str, experiment: str, how: EvaluationConfig) -> Cell:
+    """Draw the episodes of a cell, search its fixed list, and let the oracle play."""
+    config = env_for_test(experiment_config(experiment).env, how)
+    episodes = evaluation_episodes(config, EPISODES, SEED)
+    listed = search_open_loop(config)
+    env = ReachVectorEnv(config, 100)
+    scores = {
+        "oracle": float(play(OracleAgent(), env, episodes).success.mean()),
+        "open-loop": float(play(FixedList(listed), env, episodes).success.mean()),
+        "chance": config.task.chance,
+    }
+    print(name, scores, flush=True)
+    questions = digest_of(questions_of(config))
+    return Cell(name, config, how.split, episodes, np.asarray(listed), scores, questions)
+
+
+def reach() -> Suite:
+    """The paper's cells: both robots, fixed and randomized colours."""
+    how = EvaluationConfig(distance_m=0.05, angle_deg=15.0)
+    cells = [
+        cell(f"{robot}-{colours}", f"{robot}-{agent}-fast", how)
+        for robot in ("irb120", "tiago")
+        for colours, agent in REACH.items()
+    ]
+    about = "Reach the grasp pose of the visible object, within 5 cm and 15 degrees."
+    return freeze("reach-v1", about, cells, **OPTIONS)
+
+
+def choose() -> Suite:
+    """The choose task: both robots, splits S1 to S5."""
+    cells = []
+    for robot in ("irb120", "tiago"):
+        for split in SPLITS:
+            how = EvaluationConfig(distance_m=0.05, angle_deg=15.0, split=split)
+            cells.append(cell(f"{robot}-{split}", f"{robot}-choose-bm-fast", how))
+    about = (
+        "Reach the object, of four, that a query describes, within 5 cm and 15 degrees. S1: new "
+        "layouts; S2: new pairs of condition and object; S3: new objects; S4: new values; S5: an "
+        "edited graph."
+    )
+    return freeze("choose-v1", about, cells, **OPTIONS)
+
+
+if __name__ == "__main__":
+    for name in sys.argv[1:]:
+        if (FOLDER / f"{name}.json").exists():
+            raise SystemExit(f"{name} is published: make a new version.")
+        suite = {"reach-v1": reach, "choose-v1": choose}[name]()
+        suite.write(FOLDER)
+        print(suite.name, suite.digest)

@@ -1,0 +1,81 @@
+"""Leaderboard: rows of the benchmark as one HTML page and as Markdown, controls first."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, select_autoescape
+
+from knowarm.benchmark.rows import read_row
+from knowarm.benchmark.suites import CONTROLS, read_suite
+from knowarm.errors import UserError
+from knowarm.reading import writing
+
+
+def read_rows(folder: Path) -> list[dict[str, Any]]:
+    """Read every row of a folder.
+
+    Raises:
+        UserError: there is none, or one is not valid.
+    """
+    rows = [read_row(path) for path in sorted(folder.glob("*.json"))]
+    if not rows:
+        raise UserError(f"There are no rows (*.json) in {folder}.")
+    return rows
+
+
+def tables(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return one table per suite, robot and choice of colours; rows ranked by their intervals.
+
+    A row's rank is one more than the number of rows whose interval lies wholly above its own.
+    """
+    found = []
+    for suite in (read_suite(name) for name in dict.fromkeys(row["suite"] for row in rows)):
+        for name in dict.fromkeys(cell.table for cell in suite.cells.values()):
+            cells = [key for key, cell in suite.cells.items() if cell.table == name]
+            complete = [
+                row
+                for row in rows
+                if row["suite"] == suite.name and row["summary"].get(name, {}).get("cells") == cells
+            ]
+            lines = [_line(row, name, cells, suite.training_seeds) for row in complete]
+            for line in lines:
+                line["rank"] = 1 + sum(other["low"] > line["high"] for other in lines)
+            lines.sort(key=lambda line: (line["rank"], -line["mean"], line["name"]))
+            controls = [c for c in CONTROLS if any(c in line["controls"] for line in lines)]
+            table = {"suite": suite, "name": name, "cells": cells, "controls": controls}
+            found.append(table | {"lines": lines, "short": [c.partition("-")[2] for c in cells]})
+    return [table for table in found if table["lines"]]
+
+
+def _line(row: dict[str, Any], table: str, cells: list[str], wanted: int) -> dict[str, Any]:
+    summary, policy = row["summary"][table], row["policy"]
+    seeds = len(policy["specs"])
+    trained = any(seed is not None for seed in policy["seeds"])
+    return {
+        "name": row["name"],
+        "inputs": policy["inputs"],
+        "training": policy["training"],
+        "seeds": f"{seeds} of {wanted}" if trained and seeds < wanted else str(seeds),
+        "controls": summary["controls"],
+        "cells": [row["cells"][name]["success"]["mean"] for name in cells],
+        **{end: summary["success"][end] for end in ("mean", "low", "high")},
+    }
+
+
+def write_leaderboard(rows: Sequence[dict[str, Any]], path: Path) -> list[Path]:
+    """Write ``path`` (HTML) and the same as Markdown beside it; return both paths."""
+    options: dict[str, Any] = {"trim_blocks": True, "lstrip_blocks": True}
+    templates = Environment(
+        loader=PackageLoader("knowarm.benchmark"),
+        autoescape=select_autoescape(("html.j2",)),
+        **options,
+    )
+    written = [path.with_suffix(".html"), path.with_suffix(".md")]
+    for file in written:
+        page = templates.get_template(f"leaderboard{file.suffix}.j2")
+        with writing(file):
+            file.parent.mkdir(parents=True, exist_ok=True)
+            text = page.render(tables=tables(rows), controls=CONTROLS)
+            file.write_text(text.rstrip() + "\n", encoding="utf-8")
+    return written

@@ -1,0 +1,271 @@
+"""Rows of the benchmark: play a suite, store every episode's outcome, verify a stored row."""
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import knowarm
+from knowarm.benchmark.policies import Entrant, FixedList, ShuffledQueries
+from knowarm.benchmark.suites import CONTROLS, Cell, Suite, read_suite
+from knowarm.errors import UserError, unknown_name
+from knowarm.reading import read_json, write_json
+from knowarm.statistics import Interval, bootstrap, wilson
+from knowarm.world.agents import AgentProtocol, BlindAgent, FrozenAgent
+from knowarm.world.agents.play import play
+from knowarm.world.config import questions_of
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.tasks.episodes import Episodes
+
+FORMAT = 1
+NUM_ENVS = 100
+Bits = NDArray[np.bool_]
+
+
+def run_suite(
+    suite: Suite,
+    entrants: Sequence[Entrant],
+    *,
+    name: str,
+    cells: Sequence[str] = (),
+    report: Callable[[str], None] = lambda line: None,
+) -> dict[str, Any]:
+    """Play a suite with the training seeds of a policy; return a row.
+
+    Args:
+        suite: what to play.
+        entrants: the policy, one per training seed.
+        name: of the row in tables.
+        cells: names, or beginnings of names, of the cells to play; none plays all.
+        report: called with a line per cell and seed.
+
+    Raises:
+        UserError: an unknown cell, or a policy that cannot play one.
+    """
+    for wanted in cells:
+        if not any(each.startswith(wanted) for each in suite.cells):
+            raise unknown_name("cell", wanted, suite.cells)
+    chosen = [
+        cell
+        for cell in suite.cells.values()
+        if not cells or any(cell.name.startswith(each) for each in cells)
+    ]
+    first = entrants[0]
+    played: dict[str, list[dict[str, Any]]] = {cell.name: [] for cell in chosen}
+    for each in entrants:
+        for cell in chosen:
+            played[cell.name].append(_play_cell(suite, cell, each))
+            report(f"{cell.name}: {each.spec} succeeds in {_percent(played[cell.name][-1])}")
+    row = {
+        "format": FORMAT,
+        "suite": suite.name,
+        "digest": suite.digest,
+        "name": name,
+        "policy": {
+            "specs": [each.spec for each in entrants],
+            "digests": [each.digest for each in entrants],
+            "seeds": [each.seed for each in entrants],
+            "inputs": list(first.inputs),
+            "training": first.training,
+        },
+        "version": knowarm.__version__,
+        "cells": {name: {"outcomes": outcomes} for name, outcomes in played.items()},
+    }
+    return row | {"cells": _figures(suite, row), "summary": _summary(suite, row)}
+
+
+def _play_cell(suite: Suite, cell: Cell, entrant: Entrant) -> dict[str, Any]:
+    """Play one cell with one seed of a policy and with its controls; return outcomes as hex."""
+    cell.check()
+    env = ReachVectorEnv(cell.env, min(NUM_ENVS, len(cell.episodes)))
+    try:
+        outcome = {"policy": _bits(entrant.make(cell), env, cell.episodes)}
+        few = cell.episodes[: suite.control_episodes]
+        for name, agent in _controls(cell, entrant).items():
+            outcome[name] = _bits(agent, env, few)
+    finally:
+        env.close()
+    return outcome
+
+
+def _controls(cell: Cell, entrant: Entrant) -> dict[str, AgentProtocol]:
+    agents: dict[str, AgentProtocol] = {"open-loop": FixedList(cell.open_loop)}
+    if "image" in entrant.inputs:
+        agents["black"] = BlindAgent(entrant.make(cell))
+        agents["frozen"] = FrozenAgent(entrant.make(cell))
+    if {"words", "graph"} & set(entrant.inputs) and questions_of(cell.env) is not None:
+        agents["shuffled query"] = ShuffledQueries(entrant.make(cell))
+    return agents | {name: make(cell) for name, make in entrant.controls.items()}
+
+
+def _bits(agent: AgentProtocol, env: ReachVectorEnv, episodes: Episodes) -> dict[str, str]:
+    """Play episodes; return success, and where the task has queries right choices, as hex."""
+    result = play(agent, env, episodes)
+    chosen = result.infos.get("is_right_object")
+    found = {"success": _hex(result.success)}
+    return found if chosen is None else found | {"right": _hex(chosen.astype(bool))}
+
+
+def _hex(bits: Bits) -> str:
+    return np.packbits(bits).tobytes().hex()
+
+
+def _outcomes(text: str, count: int) -> Bits:
+    data = np.frombuffer(bytes.fromhex(text), np.uint8)
+    return np.unpackbits(data)[:count].astype(bool)
+
+
+def _percent(outcome: dict[str, Any]) -> str:
+    data = np.frombuffer(bytes.fromhex(outcome["policy"]["success"]), np.uint8)
+    return f"{int(np.unpackbits(data).sum()):,} episodes"
+
+
+def _figures(suite: Suite, row: dict[str, Any]) -> dict[str, Any]:
+    """Compute the figures of every cell from the outcomes of its episodes."""
+    cells = {}
+    for name, cell in row["cells"].items():
+        count = len(suite.cells[name].episodes)
+        measures: dict[str, Any] = {}
+        for measure in cell["outcomes"][0]["policy"]:
+            shares = [_outcomes(o["policy"][measure], count) for o in cell["outcomes"]]
+            measures[measure] = _cell(interval_of(shares), [float(s.mean()) for s in shares])
+        few = min(suite.control_episodes, count)
+        controls = {
+            control: float(
+                np.mean([_outcomes(o[control]["success"], few).mean() for o in cell["outcomes"]])
+            )
+            for control in CONTROLS
+            if control in cell["outcomes"][0]
+        }
+        cells[name] = {**measures, "controls": controls, "outcomes": cell["outcomes"]}
+    return cells
+
+
+def interval_of(seeds: Sequence[Bits]) -> Interval:
+    """Interval of a share: over training seeds if they differ, else over episodes."""
+    shares = np.array([each.mean() for each in seeds])
+    if len(set(shares.tolist())) > 1:
+        return bootstrap([shares])
+    every = np.concatenate(seeds)
+    return wilson(int(every.sum()), len(every))
+
+
+def _cell(interval: Interval, seeds: list[float]) -> dict[str, Any]:
+    return {"mean": interval.estimate, "low": interval.low, "high": interval.high, "seeds": seeds}
+
+
+def _summary(suite: Suite, row: dict[str, Any]) -> dict[str, Any]:
+    """Compute the mean over the cells of each table, with controls, by table."""
+    found: dict[str, Any] = {}
+    figures = _figures(suite, row)
+    for table in dict.fromkeys(suite.cells[name].table for name in row["cells"]):
+        names = [name for name in row["cells"] if suite.cells[name].table == table]
+        seeds = [
+            np.concatenate([_success(suite, row, name, i) for name in names])
+            for i in range(len(row["policy"]["specs"]))
+        ]
+        controls = {
+            control: float(np.mean([figures[name]["controls"][control] for name in names]))
+            for control in CONTROLS
+            if all(control in figures[name]["controls"] for name in names)
+        }
+        success = _cell(interval_of(seeds), [float(each.mean()) for each in seeds])
+        found[table] = {"cells": names, "success": success, "controls": controls}
+    return found
+
+
+def _success(suite: Suite, row: dict[str, Any], cell: str, seed: int) -> Bits:
+    outcome = row["cells"][cell]["outcomes"][seed]["policy"]["success"]
+    return _outcomes(outcome, len(suite.cells[cell].episodes))
+
+
+def write_row(row: dict[str, Any], path: Path) -> None:
+    """Write a row as JSON."""
+    write_json(path, row)
+
+
+def read_row(path: Path) -> dict[str, Any]:
+    """Read a row, and compare every figure with the outcomes that it follows from.
+
+    Raises:
+        UserError: the file is no row, belongs to another suite, or holds a figure that does not
+            follow from its episodes; the message names it.
+    """
+    row = read_json(path)
+    if not isinstance(row, dict) or row.get("format") != FORMAT:
+        raise UserError(f"{path} is no row of this version's benchmark (format {FORMAT}).")
+    try:
+        suite = read_suite(row["suite"])
+        if row["digest"] != suite.digest:
+            raise UserError(f"{path} was measured on another {suite.name}: the digests differ.")
+        computed = row | {"cells": _figures(suite, row), "summary": _summary(suite, row)}
+    except (KeyError, ValueError, TypeError, IndexError) as error:
+        raise UserError(f"{path} is damaged: {error!r}. Measure the row again.") from None
+    if found := first_difference(row, json.loads(json.dumps(computed))):
+        where, stored, follows = found
+        raise UserError(f"{path}: {where} is {stored}, but its episodes give {follows}.")
+    return row
+
+
+def first_difference(stored: Any, other: Any, where: str = "") -> tuple[str, Any, Any] | None:
+    """Return path and values of the first difference of two JSON values; None if equal."""
+    if isinstance(stored, dict) and isinstance(other, dict):
+        for key in dict.fromkeys([*stored, *other]):
+            here = f"{where}.{key}" if where else str(key)
+            if key not in stored or key not in other:
+                return here, stored.get(key), other.get(key)
+            if found := first_difference(stored[key], other[key], here):
+                return found
+        return None
+    if isinstance(stored, list) and isinstance(other, list) and len(stored) == len(other):
+        pairs = enumerate(zip(stored, other, strict=True))
+        differences = (first_difference(a, b, f"{where}[{i}]") for i, (a, b) in pairs)
+        return next(filter(None, differences), None)
+    return None if stored == other else (where, stored, other)
+
+
+def verify(
+    row: dict[str, Any],
+    entrants: Sequence[Entrant],
+    *,
+    tolerance: float = 0.0,
+    report: Callable[[str], None] = lambda line: None,
+) -> None:
+    """Play a row again and compare every episode.
+
+    Args:
+        row: of `read_row`.
+        entrants: the policy, one per training seed.
+        tolerance: largest share of the episodes of a cell that may end otherwise, for machines
+            that round differently.
+        report: called with a line per cell and seed.
+
+    Raises:
+        UserError: a cell differs; the message names it with both numbers.
+    """
+    suite = read_suite(row["suite"])
+    options: dict[str, Any] = {"name": row["name"], "cells": list(row["cells"]), "report": report}
+    again = run_suite(suite, entrants, **options)
+    for name, cell in row["cells"].items():
+        count = len(suite.cells[name].episodes)
+        for seed, pair in enumerate(
+            zip(cell["outcomes"], again["cells"][name]["outcomes"], strict=True)
+        ):
+            if other := pair[0].keys() ^ pair[1].keys():
+                raise UserError(
+                    f"cells.{name}.outcomes[{seed}]: the row and this policy do not have the same "
+                    f"controls ({', '.join(sorted(other))}); the policy declares other inputs."
+                )
+            for who in pair[0]:
+                few = count if who == "policy" else min(count, suite.control_episodes)
+                for measure in pair[0][who]:
+                    old, new = (_outcomes(each[who][measure], few) for each in pair)
+                    if (old != new).mean() > tolerance:
+                        raise UserError(
+                            f"cells.{name}.outcomes[{seed}].{who}.{measure}: the row says "
+                            f"{old.sum()} of {few} episodes, playing gives {new.sum()}; "
+                            f"{(old != new).sum()} episodes end otherwise."
+                        )

@@ -1,0 +1,164 @@
+"""Suites: tasks, episodes, thresholds and controls, stored as data that no later change touches.
+
+A suite is a JSON file and a safetensors file of the same name. Their digest names the suite; what
+changes a score makes a new version, ``choose-v2``, beside the old one.
+"""
+
+import hashlib
+import json
+from dataclasses import dataclass, fields
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors.numpy import load, save
+
+from knowarm.config import from_dict, to_dict
+from knowarm.errors import UserError, unknown_name
+from knowarm.questions import QuestionTable
+from knowarm.world.config import EnvConfig, questions_of
+from knowarm.world.tasks.episodes import Episodes
+
+FOLDER = Path(__file__).parent / "suites"
+FORMAT = 1
+Split = Literal["train", "S1", "S2", "S3", "S4", "S5"]
+
+CONTROLS = {
+    "open-loop": "the best fixed list of actions that a search found",
+    "black": "the policy on black images",
+    "frozen": "the policy, which sees only the first image of an episode",
+    "shuffled query": "the policy with the queries of other episodes",
+    "shuffled graph": "the policy with a graph whose tails are permuted within each relation",
+}
+"""Controls that can stand beside a score, in the order of tables, and what they are."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One task of a suite with its episodes.
+
+    Attributes:
+        env: the task, every field of it; thresholds included.
+        split: of the choose task, else None.
+        episodes: what every policy plays.
+        open_loop: the best fixed list of actions, (T, J).
+        reference: success of the oracle and of the fixed list, and chance, when it was frozen.
+        questions: digest of the question table that the episodes refer to.
+    """
+
+    name: str
+    env: EnvConfig
+    split: Split | None
+    episodes: Episodes
+    open_loop: NDArray[np.int64]
+    reference: dict[str, float | None]
+    questions: str | None
+
+    @property
+    def table(self) -> str:
+        """Table that the cell belongs to: one per robot and choice of colours."""
+        return f"{self.env.robot}, {self.env.colours} colours"
+
+    def check(self) -> None:
+        """Raise a `UserError` if this version asks other questions than the frozen ones."""
+        if digest_of(questions_of(self.env)) != self.questions:
+            raise UserError(
+                f"The questions of cell {self.name!r} differ from the frozen ones: the shipped "
+                "graph or its reading has changed. Use the version that the suite was made with."
+            )
+
+
+@dataclass(frozen=True)
+class Suite:
+    """A frozen list of cells.
+
+    Attributes:
+        training_seeds: number of training seeds that a complete row has.
+        control_episodes: number of episodes, from the first, that the controls play.
+    """
+
+    name: str
+    about: str
+    training_seeds: int
+    control_episodes: int
+    cells: dict[str, Cell]
+    data: tuple[bytes, bytes]
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of both files."""
+        return hashlib.sha256(b"".join(self.data)).hexdigest()
+
+    def write(self, folder: Path) -> None:
+        """Write the two files."""
+        folder.mkdir(parents=True, exist_ok=True)
+        for suffix, data in zip((".json", ".safetensors"), self.data, strict=True):
+            (folder / f"{self.name}{suffix}").write_bytes(data)
+
+
+def suite_names() -> list[str]:
+    """Names of the shipped suites."""
+    return sorted(path.stem for path in FOLDER.glob("*.json"))
+
+
+def read_suite(name: str) -> Suite:
+    """Read a shipped suite.
+
+    Raises:
+        UserError: there is no suite of this name.
+    """
+    if name not in suite_names():
+        raise unknown_name("suite", name, suite_names())
+    path = FOLDER / f"{name}.json"
+    return parse_suite(path.read_bytes(), path.with_suffix(".safetensors").read_bytes())
+
+
+def parse_suite(text: bytes, arrays: bytes) -> Suite:
+    """Make a suite of the content of its files."""
+    values, columns = json.loads(text), load(arrays)
+    cells = {}
+    for name, cell in values.pop("cells").items():
+        found = {field.name: columns[f"{name}/{field.name}"] for field in fields(Episodes)}
+        env = from_dict(EnvConfig, cell.pop("env"), where=f"{values['name']}.{name}")
+        listed = columns[f"{name}/open_loop"].astype(np.int64)
+        cells[name] = Cell(name, env, episodes=Episodes(**found), open_loop=listed, **cell)
+    del values["format"]
+    return Suite(**values, cells=cells, data=(text, arrays))
+
+
+def freeze(
+    name: str, about: str, cells: list[Cell], *, training_seeds: int, control_episodes: int
+) -> Suite:
+    """Make a suite of cells; ``scripts/freeze_suites.py`` writes the shipped ones."""
+    arrays: dict[str, NDArray[Any]] = {}
+    described = {}
+    for cell in cells:
+        for field in fields(Episodes):
+            arrays[f"{cell.name}/{field.name}"] = getattr(cell.episodes, field.name)
+        arrays[f"{cell.name}/open_loop"] = cell.open_loop.astype(np.uint8)
+        described[cell.name] = {
+            "env": to_dict(cell.env),
+            "split": cell.split,
+            "reference": cell.reference,
+            "questions": cell.questions,
+        }
+    values = {
+        "format": FORMAT,
+        "name": name,
+        "about": about,
+        "training_seeds": training_seeds,
+        "control_episodes": control_episodes,
+        "cells": described,
+    }
+    arrays = {key: np.ascontiguousarray(array) for key, array in arrays.items()}
+    return parse_suite((json.dumps(values, indent=1) + "\n").encode(), save(arrays))
+
+
+def digest_of(table: QuestionTable | None) -> str | None:
+    """SHA-256 of queries, facets and answers; None without questions."""
+    if table is None:
+        return None
+    words = json.dumps([[query.name for query in table.queries], table.facets])
+    return hashlib.sha256(words.encode() + np.packbits(table.satisfies).tobytes()).hexdigest()

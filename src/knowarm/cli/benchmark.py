@@ -1,0 +1,137 @@
+"""``knowarm benchmark``: score any policy on frozen episodes, verify rows, make a leaderboard."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from knowarm.benchmark.leaderboard import read_rows, write_leaderboard
+from knowarm.benchmark.policies import Entrant, entrant
+from knowarm.benchmark.rows import read_row, run_suite, verify, write_row
+from knowarm.benchmark.suites import read_suite, suite_names
+from knowarm.cli.tables import print_table
+
+SuiteName = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SUITE")]
+RowPath = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="ROW")]
+Policies = Annotated[tuple[str, ...], tyro.conf.arg(metavar="POLICY...")]
+
+_report = partial(print, file=sys.stderr, flush=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShowSuites:
+    """Show the suites, their cells and reference scores."""
+
+    def run(self) -> None:
+        """Print a table per suite."""
+        for suite in map(read_suite, suite_names()):
+            rows = [
+                [
+                    cell.name,
+                    f"{len(cell.episodes):,}",
+                    f"{100 * cell.env.success_distance_m:g} cm, {cell.env.success_angle_deg:g} deg",
+                    *(_percent(cell.reference[name]) for name in ("oracle", "open-loop", "chance")),
+                ]
+                for cell in suite.cells.values()
+            ]
+            titles = ["cell", "episodes", "success within", "oracle %", "open-loop %", "chance %"]
+            print_table(f"{suite.name}: {suite.about}", titles, rows)
+            print(f"Digest {suite.digest[:16]}; {suite.training_seeds} training seeds per row.\n")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunSuite:
+    """Play a suite with a policy and its controls, and write a row."""
+
+    suite: SuiteName
+    """Name of a suite: see `knowarm benchmark show`."""
+    policy: Policies
+    """Run folders of the training seeds of one agent, a folder of `knowarm export`,
+    package.module:Name, or a scripted agent."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("row.json")
+    """File of the row."""
+    name: str | None = None
+    """Name of the row. Default: the policy."""
+    cells: tuple[str, ...] = ()
+    """Cells, or beginnings of their names, such as irb120. Default: all."""
+
+    def run(self) -> None:
+        """Play, print and write."""
+        name = self.name or self.policy[0]
+        entrants = _entrants(self.policy)
+        row = run_suite(
+            read_suite(self.suite), entrants, name=name, cells=self.cells, report=_report
+        )
+        write_row(row, self.out)
+        for table, summary in row["summary"].items():
+            names = summary["cells"]
+            rows = []
+            for cell in names:
+                figures = row["cells"][cell]
+                right = figures.get("right")
+                controls = [f"{k} {100 * v:.1f}" for k, v in figures["controls"].items()]
+                shown = [_interval(figures["success"]), _interval(right) if right else "-"]
+                rows.append([cell, ", ".join(controls), *shown])
+            print_table(f"{name}: {table}", ["cell", "controls %", "success %", "right %"], rows)
+        print(f"Wrote {self.out}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class VerifyRow:
+    """Check the figures of a row, play it again and compare every episode."""
+
+    row: RowPath
+    """File of a row."""
+    policy: Policies = ()
+    """Where the policies are on this machine. Default: as in the row."""
+    tolerance: float = 0.0
+    """Largest share of the episodes of a cell that may end otherwise, for a machine that rounds
+    differently."""
+    play: bool = True
+    """Play again; otherwise only check that every figure follows from the stored episodes."""
+
+    def run(self) -> None:
+        """Check and say so."""
+        row = read_row(self.row)
+        if self.play:
+            entrants = _entrants(self.policy or row["policy"]["specs"])
+            verify(row, entrants, tolerance=self.tolerance, report=_report)
+        how = "played again with the same outcomes" if self.play else "consistent; not played again"
+        print(f"{self.row}: {how}.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class WriteTable:
+    """Write a leaderboard, as HTML and as Markdown, from a folder of rows."""
+
+    rows: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]
+    """Folder of rows."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("leaderboard.html")
+    """File of the page."""
+
+    def run(self) -> None:
+        """Write and print the paths."""
+        for path in write_leaderboard(read_rows(self.rows), self.out):
+            print(f"Wrote {path}")
+
+
+def _entrants(specs: Sequence[str]) -> list[Entrant]:
+    sys.path.insert(0, "")  # a policy in the current folder
+    return [entrant(spec) for spec in specs]
+
+
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{100 * share:.1f}"
+
+
+def _interval(figures: dict[str, float]) -> str:
+    mean, low, high = (100 * figures[end] for end in ("mean", "low", "high"))
+    return f"{mean:.1f} [{low:.1f}, {high:.1f}]"
+
+
+COMMANDS = {"show": ShowSuites, "run": RunSuite, "verify": VerifyRow, "table": WriteTable}
+"""Commands of the group `knowarm benchmark`, by name."""

@@ -1,0 +1,149 @@
+"""Hugging Face Hub: share trained policies, recognition networks and packed studies.
+
+A repository holds what a folder of ``zoo/`` holds: the files that `load_agent` reads, the stored
+evaluations, and a model card.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from knowarm.errors import UserError
+from knowarm.experiment.load import TrainedAgent, load_agent
+from knowarm.experiment.run_folder import RunFolder
+
+RUN_FILES = (
+    "config.json",
+    "provenance.json",
+    "knowledge.safetensors",
+    "perception.safetensors",
+    "graphs/**",
+    "checkpoints/best/*",
+    "evaluation/*/summary.json",
+)
+"""Patterns of the files of a run that are shared; other checkpoints and curves stay."""
+
+FILES = (".safetensors", ".gz")
+"""Kinds of single files that can be shared: a perception module, a packed study."""
+
+
+def push_to_hub(path: Path | str, repo_id: str, *, private: bool = False) -> str:
+    """Upload a run, or a single file, to a repository of the Hub; return its address.
+
+    Args:
+        path: a run folder, a ``.safetensors`` module or a packed study (``.tar.gz``).
+        repo_id: ``owner/name``; the repository is made if there is none.
+        private: whether a new repository is visible to its owner only.
+
+    Raises:
+        UserError: no such run or file, no access, or no connection.
+    """
+    path, api = Path(path), _hub().HfApi(library_name="knowarm")
+    if path.is_file() and path.suffix in FILES:
+        card, files = _card(repo_id, f"`{path.name}` for KnowArm."), [path]
+        where = {path: path.name}
+    else:
+        folder = RunFolder.open(path)
+        files = [f for pattern in RUN_FILES for f in sorted(path.glob(pattern)) if f.is_file()]
+        if not any(file.parent.name == "best" for file in files):
+            raise UserError(f"{path} has no best policy to share: train it first.")
+        where = {file: file.relative_to(path).as_posix() for file in files}
+        card = _card(repo_id, _run_text(folder))
+    with _Access(repo_id):
+        api.create_repo(repo_id, private=private, exist_ok=True)
+        operations = [
+            _hub().CommitOperationAdd(path_in_repo=where[file], path_or_fileobj=file.read_bytes())
+            for file in files
+        ]
+        readme = _hub().CommitOperationAdd(path_in_repo="README.md", path_or_fileobj=card.encode())
+        done = api.create_commit(
+            repo_id, operations=[*operations, readme], commit_message="Upload with KnowArm"
+        )
+    return str(done.repo_url)
+
+
+def pull_from_hub(repo_id: str, *, revision: str | None = None, to: Path | None = None) -> Path:
+    """Download a repository, or take it from the cache; return its folder.
+
+    Without a connection, and with ``HF_HUB_OFFLINE=1``, the cache alone is searched.
+
+    Raises:
+        UserError: no such repository or revision, no access, or no connection and no copy.
+    """
+    with _Access(repo_id):
+        options: dict[str, Any] = {} if to is None else {"local_dir": to}
+        found = _hub().snapshot_download(repo_id, revision=revision, **options)
+    return Path(found)
+
+
+def from_pretrained(repo_id: str, *, revision: str | None = None, **options: Any) -> TrainedAgent:
+    """Load a trained agent from the Hub; ``options`` are those of `load_agent`."""
+    return load_agent(pull_from_hub(repo_id, revision=revision), **options)
+
+
+class _Access:
+    """Turns the Hub's errors into a `UserError`."""
+
+    def __init__(self, repo_id: str) -> None:
+        self._repo_id = repo_id
+
+    def __enter__(self) -> None:
+        from huggingface_hub.utils import validate_repo_id
+
+        try:
+            validate_repo_id(self._repo_id)
+        except ValueError as error:
+            raise UserError(f"{self._repo_id!r} is no repository owner/name: {error}") from None
+
+    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
+        if error is None or isinstance(error, UserError | KeyboardInterrupt):
+            return
+        status = getattr(getattr(error, "response", None), "status_code", None)
+        remedy = {
+            401: "Log in with `hf auth login`, or check the name.",
+            403: "Your token may not write there.",
+            404: "Check owner, name and revision.",
+        }.get(status or 0, "Check the connection; HF_HUB_OFFLINE=1 searches the cache alone.")
+        line = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+        raise UserError(f"The Hub did not serve {self._repo_id}: {line} {remedy}") from error
+
+
+def _hub() -> Any:
+    try:
+        import huggingface_hub
+    except ImportError:
+        raise UserError("The Hub needs huggingface_hub: pip install 'knowarm[hub]'.") from None
+    return huggingface_hub
+
+
+def _card(repo_id: str, text: str) -> str:
+    """Return a model card with the metadata that the Hub reads."""
+    tags = "[knowarm, robotics, reinforcement-learning, knowledge-graph]"
+    head = f"---\nlibrary_name: knowarm\ntags: {tags}\nlicense: apache-2.0\n---\n"
+    use = f'import knowarm\n\ntrained = knowarm.from_pretrained("{repo_id}")'
+    return f"{head}\n# {repo_id}\n\n{text}\n\n## Use\n\n```python\n{use}\n```\n"
+
+
+def _run_text(folder: RunFolder) -> str:
+    """Describe a run, with success and controls of every stored evaluation."""
+    config = folder.experiment()
+    lines = [
+        f"Policy `{config.name}`, training seed {config.seed}: robot `{config.env.robot}`, task "
+        f"`{config.env.task.kind_of()}`, algorithm `{config.algorithm.name}`, "
+        f"{config.total_steps:,} steps. One training seed: no claim about the agent.",
+        "",
+        "| evaluation | episodes | success % | open-loop % | black images % |",
+        "|---|---|---|---|---|",
+    ]
+    for path in sorted(folder.path.glob("evaluation/*/summary.json")):
+        found = json.loads(path.read_text(encoding="utf-8"))
+        low, high = (100 * found[f"success_{end}"] for end in ("low", "high"))
+        blind = found.get("blind_agents", {})
+        controls = [
+            f"{100 * blind[name]['success']:.1f}" if name in blind else "-"
+            for name in ("open-loop", "blind")
+        ]
+        success = f"{100 * found['success']:.1f} [{low:.1f}, {high:.1f}]"
+        cells = [found["label"], f"{found['episodes']:,}", success, *controls]
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)

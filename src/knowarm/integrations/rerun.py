@@ -1,0 +1,55 @@
+"""Recordings of played episodes for the Rerun viewer (``.rrd``)."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from knowarm.errors import UserError
+from knowarm.reading import writing
+from knowarm.world.viewing.record import FRAMES_PER_S, Frame
+
+
+def check_rrd(path: Path) -> None:
+    """Raise a `UserError` unless a recording can be written to a file."""
+    _rerun()
+    if path.suffix != ".rrd":
+        raise UserError(f"A recording for Rerun is an .rrd file, got {path.name!r}.")
+
+
+def write_rrd(path: Path, episodes: Sequence[Sequence[Frame]], joints: Sequence[str]) -> None:
+    """Write images, joint angles, goal, distance and angle of every step.
+
+    Timelines are ``episode``, ``step`` and the ``time`` of the real robot; entities are
+    ``camera/policy``, ``camera/large``, ``joints/NAME`` [rad], ``distance`` [m], ``angle`` [deg]
+    and ``goal``.
+    """
+    check_rrd(path)
+    rerun = _rerun()
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        recording = rerun.RecordingStream("knowarm")
+        recording.save(str(path))
+        time = 0
+        for number, frames in enumerate(episodes):
+            recording.set_time("episode", sequence=number)
+            recording.log("goal", rerun.TextLog(frames[0].goal or "reach"))
+            for frame in frames:
+                recording.set_time("step", sequence=frame.step)
+                recording.set_time("time", duration=time / FRAMES_PER_S)
+                time += 1
+                recording.log("camera/policy", rerun.Image(frame.policy))
+                recording.log("camera/large", rerun.Image(frame.large).compress(jpeg_quality=90))
+                recording.log("distance", rerun.Scalars(frame.distance))
+                recording.log("angle", rerun.Scalars(frame.angle))
+                for name, value in zip(joints, frame.joints, strict=True):
+                    recording.log(f"joints/{name}", rerun.Scalars(float(value)))
+        recording.flush()
+        recording.disconnect()
+
+
+def _rerun() -> Any:
+    try:
+        import rerun
+    except ImportError:
+        raise UserError("Recordings need Rerun: pip install 'knowarm[rerun]'.") from None
+    return rerun

@@ -1,0 +1,246 @@
+"""The benchmark: frozen suites, rows that verify, controls, leaderboard."""
+
+import copy
+import json
+
+import numpy as np
+import pytest
+
+from knowarm.benchmark.leaderboard import read_rows, tables, write_leaderboard
+from knowarm.benchmark.policies import (
+    Batch,
+    Entrant,
+    PolicyAdapter,
+    ShuffledQueries,
+    entrant,
+)
+from knowarm.benchmark.rows import read_row, run_suite, verify, write_row
+from knowarm.benchmark.suites import freeze, parse_suite, read_suite, suite_names
+from knowarm.cli.main import main
+from knowarm.errors import UserError
+from knowarm.world.config import questions_of
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from tests.source_tree import ROOT
+
+TABLE = "irb120, fixed colours"
+PUBLISHED = {
+    "choose-v1": "0c3e515677f1a4df356185bf2878b40e087c41f88d3bdb9ea92dd665efbbe89f",
+    "reach-v1": "c4f95097a46e685e7f6c8a13d271681dda13ee8c739daf43da68a9ec89cba13e",
+}
+
+
+def test_published_suites_do_not_change():
+    assert {name: read_suite(name).digest for name in suite_names()} == PUBLISHED
+
+
+@pytest.mark.parametrize("name", sorted(PUBLISHED))
+def test_the_frozen_questions_are_those_of_this_version(name):
+    for cell in read_suite(name).cells.values():
+        cell.check()
+
+
+def test_other_questions_are_refused():
+    cell = copy.copy(read_suite("choose-v1").cells["irb120-S1"])
+    object.__setattr__(cell, "questions", "0" * 64)
+    with pytest.raises(UserError, match="irb120-S1"):
+        cell.check()
+
+
+@pytest.mark.parametrize("name", sorted(PUBLISHED))
+def test_the_fixed_lists_still_reach_what_they_reached(name):
+    for cell in list(read_suite(name).cells.values())[::4]:
+        env = ReachVectorEnv(cell.env, 100)
+        played = run_agent(entrant("open-loop").make(cell), env, cell.episodes)
+        assert abs(played.mean() - cell.reference["open-loop"]) <= 0.01
+
+
+def run_agent(agent, env, episodes):
+    from knowarm.world.agents.play import play
+
+    return play(agent, env, episodes).success
+
+
+@pytest.fixture(scope="module")
+def small():
+    """A suite of two cells with few episodes."""
+    suites = [
+        read_suite("reach-v1").cells["irb120-fixed"],
+        read_suite("choose-v1").cells["irb120-S1"],
+    ]
+    cells = []
+    for cell in suites:
+        few = copy.copy(cell)
+        object.__setattr__(few, "episodes", cell.episodes[:12])
+        cells.append(few)
+    return freeze("reach-v1", "small", cells, training_seeds=2, control_episodes=6)
+
+
+def test_a_suite_reads_back_what_was_frozen(small):
+    again = parse_suite(*small.data)
+    assert again.digest == small.digest
+    for name, cell in small.cells.items():
+        assert again.cells[name].env == cell.env
+        np.testing.assert_array_equal(again.cells[name].episodes.objects, cell.episodes.objects)
+
+
+def playing(name):
+    """A scripted agent, declared as two seeds of a policy that uses images and words."""
+    make = entrant(name).make
+    return [Entrant(spec=name, make=make, inputs=("image", "words"), seed=i) for i in (0, 1)]
+
+
+@pytest.fixture(scope="module")
+def row(small):
+    """A row of the oracle, declared as a policy that uses images."""
+    return run_suite(small, playing("oracle"), name="oracle")
+
+
+@pytest.fixture
+def stored(row, small, tmp_path, monkeypatch):
+    """The row in a file, and the small suite in place of the shipped one."""
+    monkeypatch.setattr("knowarm.benchmark.rows.read_suite", lambda name: small)
+    monkeypatch.setattr("knowarm.benchmark.leaderboard.read_suite", lambda name: small)
+    path = tmp_path / "rows" / "row.json"
+    path.parent.mkdir()
+    write_row(row, path)
+    return path
+
+
+def test_a_row_has_score_controls_and_intervals(row):
+    cell = row["cells"]["irb120-S1"]
+    assert cell["success"]["mean"] > 0.9
+    assert cell["success"]["low"] < cell["success"]["high"]
+    assert set(cell["controls"]) == {"open-loop", "black", "frozen", "shuffled query"}
+    assert cell["right"]["mean"] > 0.9
+    assert "shuffled query" not in row["cells"]["irb120-fixed"]["controls"]
+
+
+def test_a_row_verifies_and_another_policy_does_not(stored):
+    row = read_row(stored)
+    verify(row, playing("oracle"))
+    with pytest.raises(UserError, match="declares other inputs"):
+        verify(row, [entrant("oracle")] * 2)
+    with pytest.raises(UserError, match=r"cells\.irb120-fixed\.outcomes\[0\]\.policy\.success"):
+        verify(row, playing("zero"))
+
+
+@pytest.mark.parametrize(
+    ("where", "words"),
+    [
+        (("cells", "irb120-S1", "success", "mean"), "cells.irb120-S1.success.mean"),
+        (("cells", "irb120-S1", "controls", "black"), "cells.irb120-S1.controls.black"),
+        (("summary", TABLE, "success", "low"), f"summary.{TABLE}.success.low"),
+    ],
+)
+def test_a_changed_number_is_named(stored, where, words):
+    row = json.loads(stored.read_text())
+    place = row
+    for key in where[:-1]:
+        place = place[key]
+    place[where[-1]] = 0.123
+    stored.write_text(json.dumps(row))
+    with pytest.raises(UserError, match=words.replace(".", r"\.")):
+        read_row(stored)
+
+
+def test_rows_of_another_suite_or_format_are_refused(stored):
+    row = json.loads(stored.read_text())
+    stored.write_text(json.dumps(row | {"digest": "0"}))
+    with pytest.raises(UserError, match="digests differ"):
+        read_row(stored)
+    stored.write_text(json.dumps(row | {"format": 0}))
+    with pytest.raises(UserError, match="no row"):
+        read_row(stored)
+    del row["cells"]["irb120-S1"]["outcomes"]
+    stored.write_text(json.dumps(row))
+    with pytest.raises(UserError, match="damaged"):
+        read_row(stored)
+
+
+def test_the_leaderboard_ranks_by_intervals_and_shows_controls(stored, small):
+    weak = run_suite(small, [entrant("zero")], name="zero <b>")
+    write_row(weak, stored.parent / "zero.json")
+    table, _ = tables(read_rows(stored.parent))
+    assert [(line["name"], line["rank"]) for line in table["lines"]] == [
+        ("oracle", 1),
+        ("zero <b>", 2),
+    ]
+    html, markdown = write_leaderboard(read_rows(stored.parent), stored.parent / "page.html")
+    assert "zero &lt;b&gt;" in html.read_text()
+    assert html.read_text().index("open-loop") < html.read_text().index(">success<")
+    assert "| 1 | oracle | 2 |" in markdown.read_text()
+
+
+class Noting:
+    """A policy that notes what it receives."""
+
+    def reset(self, batch: Batch):
+        self.batch = batch
+
+    def act(self, observations):
+        self.image = observations["image"]
+        return np.zeros((self.batch.size, len(self.batch.joints)), np.int64)
+
+
+def test_a_policy_receives_image_joints_and_query(small):
+    cell, policy = small.cells["irb120-S1"], Noting()
+    env = ReachVectorEnv(cell.env, 12)
+    run_agent(PolicyAdapter(policy), env, cell.episodes)
+    table = questions_of(cell.env)
+    assert policy.batch.queries == tuple(table.queries[i].name for i in cell.episodes.question)
+    assert policy.batch.conditions[0][0][1] in policy.batch.queries[0]
+    assert policy.image.shape == (12, 64, 64, 3)
+    shuffled = Noting()
+    run_agent(ShuffledQueries(PolicyAdapter(shuffled)), env, cell.episodes)
+    assert sorted(shuffled.batch.queries) == sorted(policy.batch.queries)
+    assert shuffled.batch.queries != policy.batch.queries
+
+
+@pytest.mark.parametrize(
+    "wrong", [np.zeros((3, 6)), np.full((12, 6), 7), np.zeros((12, 5), int), None]
+)
+def test_wrong_actions_are_refused(small, wrong):
+    cell, policy = small.cells["irb120-fixed"], Noting()
+    policy.act = lambda observations: wrong
+    with pytest.raises(UserError, match="integers 0 to 6 of shape"):
+        run_agent(PolicyAdapter(policy), ReachVectorEnv(cell.env, 12), cell.episodes)
+
+
+@pytest.mark.parametrize("spec", ["nothing", "no_module:Name", "json:Name", "json:JSONDecoder"])
+def test_unknown_policies_are_refused(spec):
+    with pytest.raises(UserError):
+        entrant(spec)
+
+
+def test_a_run_plays_only_cells_of_its_robot_and_task(small):
+    trained = entrant(str(ROOT / "zoo/irb120-full-fast"))
+    trained.make(small.cells["irb120-fixed"])
+    with pytest.raises(UserError, match="was trained for irb120 and reach"):
+        trained.make(small.cells["irb120-S1"])
+
+
+def test_the_commands(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(ROOT / "examples/benchmark")
+    short = freeze_short()
+    for module in ("rows", "leaderboard"):
+        monkeypatch.setattr(f"knowarm.benchmark.{module}.read_suite", lambda name: short)
+    monkeypatch.setattr("knowarm.cli.benchmark.read_suite", lambda name: short)
+    row, page = tmp_path / "rows/row.json", tmp_path / "page.html"
+    row.parent.mkdir()
+    assert main(["benchmark", "show"]) == 0
+    assert (
+        main(["benchmark", "run", "reach-v1", "--policy", "my_policy:Random", "--out", str(row)])
+        == 0
+    )
+    assert main(["benchmark", "verify", str(row)]) == 0
+    assert main(["benchmark", "table", str(row.parent), "--out", str(page)]) == 0
+    assert main(["benchmark", "run", "reach-v1", "--policy", "oracle", "--cells", "panda"]) == 2
+    assert "played again with the same outcomes" in capsys.readouterr().out
+    assert page.exists()
+
+
+def freeze_short():
+    """A suite of one cell with four episodes."""
+    cell = copy.copy(read_suite("reach-v1").cells["irb120-fixed"])
+    object.__setattr__(cell, "episodes", cell.episodes[:4])
+    return freeze("reach-v1", "short", [cell], training_seeds=1, control_episodes=2)

@@ -1,0 +1,177 @@
+"""The Hub, against a stub of its interface on the loopback and in offline mode."""
+
+import base64
+import hashlib
+import json
+import os
+import subprocess
+import sys
+import threading
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import ClassVar
+from urllib.parse import urlsplit
+
+import pytest
+
+import knowarm
+from tests.source_tree import ROOT
+
+pytest.importorskip("huggingface_hub")
+ZOO = ROOT / "zoo/irb120-full-fast"
+COMMIT = "0" * 39 + "1"
+
+
+class Hub(BaseHTTPRequestHandler):
+    """Answers what huggingface_hub asks for on uploading and downloading; keeps files in memory."""
+
+    repos: ClassVar[dict] = {}
+
+    def log_message(self, *arguments):
+        pass
+
+    def answer(self, values, status=200, headers=()):
+        body = values if isinstance(values, bytes) else json.dumps(values).encode()
+        self.send_response(status)
+        for name, value in {"Content-Length": str(len(body)), **dict(headers)}.items():
+            self.send_header(name, value)
+        self.end_headers()
+        if self.command != "HEAD":
+            self.wfile.write(body)
+
+    def do_POST(self):
+        body = self.rfile.read(int(self.headers.get("Content-Length", 0)))
+        path = urlsplit(self.path).path
+        if path == "/api/repos/create":
+            asked = json.loads(body)
+            name = (
+                f"{asked['organization']}/{asked['name']}"
+                if asked.get("organization")
+                else asked["name"]
+            )
+            self.repos.setdefault(name, {})
+            return self.answer({"url": f"{self.address()}/{name}", "name": name})
+        if path == "/api/validate-yaml":
+            return self.answer({"errors": [], "warnings": []})
+        repo = "/".join(path.split("/")[3:5])
+        if "/preupload/" in path:
+            files = [
+                {"path": f["path"], "uploadMode": "regular", "shouldIgnore": False}
+                for f in json.loads(body)["files"]
+            ]
+            return self.answer({"files": files})
+        for line in body.splitlines():
+            item = json.loads(line)
+            if item["key"] == "file":
+                self.repos[repo][item["value"]["path"]] = base64.b64decode(item["value"]["content"])
+        return self.answer(
+            {"commitUrl": f"{self.address()}/{repo}/commit/{COMMIT}", "commitOid": COMMIT}
+        )
+
+    def address(self):
+        return f"http://{self.headers['Host']}"
+
+    def do_HEAD(self):
+        self.do_GET()
+
+    def do_GET(self):
+        parts = urlsplit(self.path).path.strip("/").split("/")
+        repo = "/".join(parts[2:4] if parts[0] == "api" else parts[:2])
+        if repo not in self.repos:
+            return self.answer(
+                {"error": "Repository not found"}, 404, {"X-Error-Code": "RepoNotFound"}
+            )
+        files = self.repos[repo]
+        if parts[0] == "api":
+            if "tree" in parts:
+                return self.answer(
+                    [
+                        {"type": "file", "path": n, "size": len(d), "oid": "0" * 40}
+                        for n, d in files.items()
+                    ]
+                )
+            return self.answer(
+                {"id": repo, "sha": COMMIT, "siblings": [{"rfilename": n} for n in files]}
+            )
+        data = files["/".join(parts[4:])]
+        tag = hashlib.sha256(data).hexdigest()
+        return self.answer(data, headers={"X-Repo-Commit": COMMIT, "ETag": f'"{tag}"'})
+
+
+@pytest.fixture
+def hub(tmp_path):
+    """A stub of the Hub, and a function that runs a command or code against it."""
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Hub)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    Hub.repos = {}
+
+    def run(*arguments, code=None, **variables):
+        # huggingface_hub reads its settings from the environment when it is imported
+        environment = {
+            **os.environ,
+            "HF_ENDPOINT": f"http://127.0.0.1:{server.server_address[1]}",
+            "HF_HOME": str(tmp_path / "cache"),
+            "HF_HUB_DISABLE_XET": "1",
+            "HF_TOKEN": "hf_test",
+            "COLUMNS": "200",
+            **variables,
+        }
+        words = ["-c", code] if code else ["-m", "knowarm", "hub", *map(str, arguments)]
+        return subprocess.run(
+            [sys.executable, *words], env=environment, capture_output=True, text=True, timeout=120
+        )
+
+    yield run
+    server.shutdown()
+    server.server_close()
+
+
+LOAD = """
+import knowarm
+
+trained = knowarm.from_pretrained("someone/reach")
+print(trained.step, sum(float(p.double().sum()) for p in trained.policy.parameters()))
+"""
+
+
+@pytest.mark.slow(20)
+def test_a_run_goes_to_the_hub_and_back(hub):
+    done = hub("push", ZOO, "someone/reach")
+    assert done.returncode == 0, done.stderr
+    assert "/someone/reach" in done.stdout
+    card = Hub.repos["someone/reach"]["README.md"].decode()
+    assert "irb120-full-fast" in card
+    assert "library_name: knowarm" in card
+    assert not any("latest" in name for name in Hub.repos["someone/reach"])
+    loaded = hub(code=LOAD)
+    assert loaded.returncode == 0, loaded.stderr
+    own = knowarm.load_agent(ZOO)
+    weights = sum(float(each.detach().double().sum()) for each in own.policy.parameters())
+    assert loaded.stdout.split() == [str(own.step), str(weights)]
+
+    offline = hub(code=LOAD, HF_HUB_OFFLINE="1", HF_ENDPOINT="http://127.0.0.1:9")
+    assert offline.stdout == loaded.stdout
+    other = hub("pull", "someone/other", HF_HUB_OFFLINE="1")
+    assert other.returncode == 2
+    assert "someone/other" in other.stderr
+
+
+@pytest.mark.slow(8)
+def test_a_pack_is_shared_as_a_file(hub, tmp_path):
+    pack = tmp_path / "study.tar.gz"
+    pack.write_bytes(b"packed")
+    assert hub("push", pack, "someone/study").returncode == 0
+    assert hub("pull", "someone/study", "--to", tmp_path / "there").returncode == 0
+    assert (tmp_path / "there/study.tar.gz").read_bytes() == b"packed"
+
+
+@pytest.mark.slow(8)
+def test_mistakes_end_in_one_line(hub, tmp_path):
+    for arguments, words in (
+        (("pull", "someone/nothing"), "Check owner, name and revision"),
+        (("pull", "no//name"), "is no repository owner/name"),
+        (("push", tmp_path, "someone/empty"), "is not a run folder"),
+    ):
+        done = hub(*arguments)
+        assert done.returncode == 2, done.stderr
+        assert words in done.stderr
+        assert "Traceback" not in done.stderr
