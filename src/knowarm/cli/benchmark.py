@@ -62,6 +62,7 @@ class RunSuite:
     def run(self) -> None:
         """Play, print and write."""
         name = self.name or self.policy[0]
+        self.out.parent.mkdir(parents=True, exist_ok=True)  # before minutes of playing
         entrants = _entrants(self.policy)
         row = run_suite(
             read_suite(self.suite), entrants, name=name, cells=self.cells, report=_report
