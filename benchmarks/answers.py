@@ -8,6 +8,7 @@ that the agent knows, by kind and share, over several damage seeds.
 
     python -m benchmarks.answers zoo/irb120-choose-subgraph-fast
     python -m benchmarks.answers zoo/irb120-choose-subgraph-fast --damage --splits S1 S2
+    python -m benchmarks.answers answers/irb120-choose-answers-fast/* --damage --reasoning graph
 """
 
 import argparse
@@ -90,45 +91,62 @@ def percent(values: np.ndarray) -> str:
     return f"{100 * values.mean():.1f} [{100 * share.low:.0f}, {100 * share.high:.0f}]"
 
 
-def main() -> None:
-    """Print the table of splits, or write the curves of damaged graphs as CSV."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("run", type=Path)
-    parser.add_argument("--splits", nargs="+", default=list(SPLITS))
-    parser.add_argument("--images", type=int, default=500)
-    parser.add_argument("--damage", action="store_true")
-    parser.add_argument("--damage-seeds", type=int, default=5)
-    arguments = parser.parse_args()
-    trained = load_agent(arguments.run)
+def tasks_of(trained: TrainedAgent, splits: list[str], images: int) -> dict[str, Task]:
+    """Draw the first images of splits."""
     tasks: dict[str, Task] = {}
-    for split in arguments.splits:
+    for split in splits:
         env = trained.config.env
         env = replace(env, task=env.task.for_split(split, None))
         seed = derive_seed(0, "perception", list(SPLITS).index(split) + 1)
-        tasks[split] = env, sample_images(env, network_of(trained).spec, arguments.images, seed)
-    if not arguments.damage:
-        for split, task in tasks.items():
-            for reasoning in ("vector", "graph", "graph-shuffled", "colours"):
+        tasks[split] = env, sample_images(env, network_of(trained).spec, images, seed)
+    return tasks
+
+
+def write_curves(runs: list[TrainedAgent], arguments: argparse.Namespace) -> None:
+    """Write the curves of damaged graphs as CSV."""
+    columns = ["robot", "agent", "training_seed", "split", "kind", "share", "damage_seed"]
+    rows = csv.writer(sys.stdout, lineterminator="\n")
+    rows.writerow([*columns, "reasoning", "right", "perfect_names", "sees_none"])
+    for trained in runs:
+        config = trained.config
+        tasks = tasks_of(trained, arguments.splits, arguments.images)
+        for split, kind, share, seed, reasoning in product(
+            tasks, get_args(Damage), SHARES, range(arguments.damage_seeds), arguments.reasoning
+        ):
+            if share == 0 and seed > 0:  # nothing is drawn
+                continue
+            damage = {"damage": kind, "damage_share": share, "damage_seed": seed}
+            how = override(EvaluationConfig(), {"split": split, "reasoning": reasoning, **damage})
+            found = measure(trained, tasks[split], how)
+            shares = [
+                f"{found[name].mean():.4f}" if name in found else ""
+                for name in ("right", "perfect", "sees_none")
+            ]
+            facts = [config.env.robot, config.agent, config.seed, split, kind, share, seed]
+            rows.writerow([*facts, reasoning, *shares])
+            sys.stdout.flush()
+
+
+def main() -> None:
+    """Print the table of splits, or write the curves of damaged graphs as CSV."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("runs", type=Path, nargs="+")
+    parser.add_argument("--splits", nargs="+", default=list(SPLITS))
+    parser.add_argument("--images", type=int, default=500)
+    parser.add_argument("--reasoning", nargs="+", default=["vector", "graph"])
+    parser.add_argument("--damage", action="store_true")
+    parser.add_argument("--damage-seeds", type=int, default=5)
+    arguments = parser.parse_args()
+    runs = [load_agent(run) for run in arguments.runs]
+    if arguments.damage:
+        write_curves(runs, arguments)
+        return
+    for trained in runs:
+        for split, task in tasks_of(trained, arguments.splits, arguments.images).items():
+            for reasoning in (*arguments.reasoning, "graph-shuffled", "colours"):
                 how = override(EvaluationConfig(), {"split": split, "reasoning": reasoning})
                 found = measure(trained, task, how)
                 print(split, reasoning, *(f"{n} {percent(v)}" for n, v in found.items()))
-        return
-    columns = ["split", "kind", "share", "damage_seed", "reasoning", "right", "perfect_names"]
-    rows = csv.writer(sys.stdout, lineterminator="\n")
-    rows.writerow(columns)
-    seeds = range(arguments.damage_seeds)
-    for split, kind, share, seed, reasoning in product(
-        tasks, get_args(Damage), SHARES, seeds, ("vector", "graph")
-    ):
-        if share == 0 and seed > 0:  # nothing is drawn
-            continue
-        damage = {"damage": kind, "damage_share": share, "damage_seed": seed}
-        how = override(EvaluationConfig(), {"split": split, "reasoning": reasoning, **damage})
-        found = measure(trained, tasks[split], how)
-        perfect = f"{found['perfect'].mean():.4f}" if "perfect" in found else ""
-        right = f"{found['right'].mean():.4f}"
-        rows.writerow([split, kind, share, seed, reasoning, right, perfect])
-        sys.stdout.flush()
 
 
 if __name__ == "__main__":
