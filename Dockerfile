@@ -4,8 +4,7 @@ RUN useradd --create-home knowarm
 WORKDIR /home/knowarm
 COPY pyproject.toml README.md LICENSE ./source/
 COPY src ./source/src
-RUN pip install --no-cache-dir torch==2.13.0 --index-url https://download.pytorch.org/whl/cpu \
-    && pip install --no-cache-dir ./source && rm -r ./source
+RUN pip install --no-cache-dir torch==2.13.0 ./source && rm -r ./source
 USER knowarm
 ENTRYPOINT ["knowarm"]
 CMD ["demo"]

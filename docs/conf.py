@@ -3,8 +3,6 @@
 from importlib.metadata import version as version_of
 from pathlib import Path
 
-HERE = Path(__file__).parent
-
 project = "KnowArm"
 author = "KnowArm contributors"
 copyright = "KnowArm contributors, Apache-2.0"
@@ -44,7 +42,7 @@ html_theme_options = {
 
 
 def write_llms_txt(app, exception):
-    """Write llms.txt: the title and the source of every page, for language models."""
+    """Write llms.txt: title and address of every page, for language models."""
     if exception is None and app.builder.format == "html":
         titles = app.env.titles
         lines = [f"- [{titles[page].astext()}]({page}.html)" for page in sorted(titles)]
@@ -52,16 +50,6 @@ def write_llms_txt(app, exception):
         (Path(app.outdir) / "llms.txt").write_text(text, encoding="utf-8")
 
 
-def link_to_sources(app, doctree, docname):
-    """Turn links to files outside the documentation into plain code: the site has no such pages."""
-    from docutils import nodes
-
-    for link in list(doctree.findall(nodes.reference)):
-        if link.get("refuri", "").startswith("../") and "://" not in link["refuri"]:
-            link.replace_self(nodes.literal("", link.astext()))
-
-
 def setup(app):
-    """Register the hooks."""
+    """Register the hook."""
     app.connect("build-finished", write_llms_txt)
-    app.connect("doctree-resolved", link_to_sources)

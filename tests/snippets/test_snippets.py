@@ -39,7 +39,7 @@ SHORT = [
     (r"^knowarm bench(?!mark)", "--seconds .1"),
     (r"^python examples/train_with_sb3.py", "--steps 640"),
 ]
-"""What is appended to commands to shorten them; the last of two equal options is meant."""
+"""Options that shorten commands, in place of those that a command has."""
 ENDLESS = r"^knowarm serve"
 
 

@@ -11,11 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.benchmark.suites import Cell
+from knowarm.config import to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.evaluate import agent_for_test
 from knowarm.experiment.load import load_agent
 from knowarm.integrations.runner import Runner
+from knowarm.learn.algorithms import privileged_uses
 from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
 from knowarm.world.config import facets_of, questions_of
 from knowarm.world.envs.vector_env import ReachVectorEnv
@@ -202,13 +204,23 @@ def _run(spec: str) -> Entrant:
             raise UserError(f"{spec} was trained for {own.robot} and {own.task.kind_of()}.")
         if facets_of(own) != facets_of(other):
             raise UserError(f"{spec} was trained with other objects or colours.")
+        # A fresh copy: knowledge of one cell must not stay for the next.
         agent, _ = agent_for_test(
-            trained, other, EvaluationConfig(split=cell.split, reasoning=reasoning)
+            load_agent(spec), other, EvaluationConfig(split=cell.split, reasoning=reasoning)
         )
         return agent
 
-    uses_graph = config.knowledge.detail != "none"
     asks = questions_of(config.env) is not None and trained.network is not None
+    uses = {
+        "image": True,
+        "words": asks,
+        "graph": config.knowledge.detail != "none",
+        "simulator": config.role == "privileged",
+    }
+    privileged = privileged_uses(to_dict(config.algorithm))
+    training = f"{config.name}, {config.total_steps:,} steps"
+    if privileged:
+        training += f"; training used the simulator's state for {', '.join(privileged)}"
     controls = {}
     if config.reasoning == "graph":
         controls["shuffled graph"] = lambda cell: make(cell, "graph-shuffled")
@@ -218,8 +230,8 @@ def _run(spec: str) -> Entrant:
     return Entrant(
         spec=spec,
         make=make,
-        inputs=("image", *(["words"] if asks else []), *(["graph"] if uses_graph else [])),
-        training=f"{config.name}, {trained.step:,} steps",
+        inputs=tuple(name for name in INPUTS if uses[name]),
+        training=training,
         digest=hashlib.sha256(b"".join(parts)).hexdigest(),
         controls=controls,
         seed=config.seed,

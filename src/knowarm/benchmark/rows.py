@@ -58,7 +58,7 @@ def run_suite(
     for each in entrants:
         for cell in chosen:
             played[cell.name].append(_play_cell(suite, cell, each))
-            report(f"{cell.name}: {each.spec} succeeds in {_percent(played[cell.name][-1])}")
+            report(f"{cell.name}: {each.spec} succeeds in {_solved(played[cell.name][-1])}")
     row = {
         "format": FORMAT,
         "suite": suite.name,
@@ -118,7 +118,7 @@ def _outcomes(text: str, count: int) -> Bits:
     return np.unpackbits(data)[:count].astype(bool)
 
 
-def _percent(outcome: dict[str, Any]) -> str:
+def _solved(outcome: dict[str, Any]) -> str:
     data = np.frombuffer(bytes.fromhex(outcome["policy"]["success"]), np.uint8)
     return f"{int(np.unpackbits(data).sum()):,} episodes"
 

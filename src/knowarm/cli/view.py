@@ -89,7 +89,7 @@ class View:
                 wanted = f"Episode {number + 1} of {len(episodes)}: {env.running.describe(0)}"
                 print(f"{wanted}: {end} in {last.step} steps, {figures} deg", flush=True)
 
-            print(f"{self.agent} plays {len(episodes)} episodes, then repeats them; Ctrl-C stops.")
+            print(f"{self.agent} repeats its episodes ({len(episodes)}) until Ctrl-C.")
             title = f"KnowArm: {env.scene.robot.name}, {self.agent}"
             options: dict[str, Any] = {
                 "port": self.port,

@@ -23,6 +23,9 @@ RUN_FILES = (
 )
 """Patterns of the files of a run that are shared; other checkpoints and curves stay."""
 
+CLIENTS = ("huggingface_hub", "httpx", "httpx2", "requests")
+"""Packages whose errors are those of the Hub or of the connection."""
+
 FILES = (".safetensors", ".gz")
 """Kinds of single files that can be shared: a perception module, a packed study."""
 
@@ -88,6 +91,7 @@ class _Access:
         self._repo_id = repo_id
 
     def __enter__(self) -> None:
+        _hub()
         from huggingface_hub.utils import validate_repo_id
 
         try:
@@ -96,7 +100,8 @@ class _Access:
             raise UserError(f"{self._repo_id!r} is no repository owner/name: {error}") from None
 
     def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
-        if error is None or isinstance(error, UserError | KeyboardInterrupt):
+        library = type(error).__module__.partition(".")[0]
+        if not isinstance(error, OSError) and library not in CLIENTS:
             return
         status = getattr(getattr(error, "response", None), "status_code", None)
         remedy = {

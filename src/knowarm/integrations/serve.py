@@ -192,7 +192,7 @@ def act(runner: Runner, observation: Any) -> np.ndarray:
 
 
 def metadata(runner: Runner) -> dict[str, Any]:
-    """Return what clients are told first: the contract, and what they have to send."""
+    """Return the first message to a client: the contract, and what it has to send."""
     return {
         **runner.contract,
         "action_horizon": 1,

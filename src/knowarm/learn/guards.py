@@ -90,9 +90,10 @@ class FiniteGuard:
 
 
 class HealthMonitor:
-    """Warns once of a collapsed entropy, and once of values that no return can reach.
+    """Warns once of a collapsed entropy, and once of values far beyond every return.
 
-    No return exceeds the largest reward divided by ``1 - gamma``.
+    No return exceeds the largest reward divided by ``1 - gamma``. Early in training the largest
+    reward is not known yet, so that values may exceed this bound up to tenfold.
     """
 
     def __init__(self, joints: int, levels: int, gamma: float) -> None:

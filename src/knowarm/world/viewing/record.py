@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -59,10 +60,8 @@ def check_strip(path: Path) -> None:
 
 def check_video(path: Path) -> None:
     """Raise a `UserError` unless a video can be written to a file."""
-    try:
-        import av  # noqa: F401
-    except ImportError:
-        raise UserError("Videos need PyAV: pip install 'knowarm[video]'.") from None
+    if find_spec("av") is None:
+        raise UserError("Videos need PyAV: pip install 'knowarm[video]'.")
     if path.suffix.lower() != ".mp4":
         raise UserError(f"The video must be an .mp4 file, got {path.name!r}.")
 
