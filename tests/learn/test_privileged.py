@@ -8,7 +8,8 @@ import torch
 
 from knowarm.errors import UserError
 from knowarm.learn import PPOConfig, PPOTrainer
-from knowarm.learn.optimizer import MUON_PARAMETERS, PolicyOptimizer
+from knowarm.learn import optimizer as optimizer_module
+from knowarm.learn.optimizer import MUON_PARAMETERS, Float32Muon, PolicyOptimizer
 from knowarm.learn.parallel.data_parallel import make_learner
 from knowarm.learn.privileged import (
     AUXILIARY_QUANTITIES,
@@ -192,6 +193,26 @@ def test_muon_updates_the_hidden_matrices_and_adam_the_rest():
         *MUON_PARAMETERS
     }
     assert set(kinds) == set(parameters)
+
+
+def test_muon_multiplies_in_float32_where_the_processor_has_no_bfloat16(monkeypatch):
+    """The same update up to the rounding of bfloat16, by the products that are fast there."""
+    weights = {}
+    for has_bfloat16 in (True, False):
+        monkeypatch.setattr(optimizer_module, "cpu_has_bfloat16", lambda has=has_bfloat16: has)
+        parameters = TrainingNetwork(toy_policy(), 0).parameters_by_name()
+        optimizer = PolicyOptimizer(parameters, dataclasses.replace(CONFIG, optimizer="muon"))
+        for _ in range(2):
+            for parameter in parameters.values():
+                parameter.grad = parameter.detach().sin()
+            optimizer.step()
+        is_float32 = any(isinstance(each, Float32Muon) for each in optimizer._optimizers)
+        assert is_float32 is not has_bfloat16
+        weights[has_bfloat16] = parameters["fc.weight"].detach().clone()
+    start = TrainingNetwork(toy_policy(), 0).parameters_by_name()["fc.weight"].detach()
+    steps = [weights[each] - start for each in (True, False)]
+    assert float(steps[0].norm()) == pytest.approx(float(steps[1].norm()), rel=0.02)
+    assert float((steps[0] - steps[1]).norm() / steps[0].norm()) < 0.05
 
 
 def test_a_second_thread_updates_to_the_same_bytes():

@@ -92,8 +92,8 @@ class PPOConfig(ScheduleConfig):
     """Groups of environments that a pass is divided into; one gradient step per group."""
     optimizer: Literal["adam", "muon", "muon-float32"] = "adam"
     """Adam, or Muon for the matrices of the fully connected layer and the LSTM and Adam for all
-    else, at the same learning rate. "muon" multiplies in bfloat16; "muon-float32" is faster, and
-    updates the convolution kernels too."""
+    else, at the same learning rate. "muon" makes five iterations, in bfloat16 where the processor
+    computes it; "muon-float32" makes three in float32, and updates the convolution kernels too."""
     learning_rate: float = 1e-3
 
     adam_eps: float = 1e-5

@@ -18,21 +18,24 @@ Muon = without_compiler(torch.optim.Muon)
 
 NEWTON_SCHULZ = (3.4445, -4.775, 2.0315)
 """Coefficients of the quintic iteration of Muon (Jordan 2024)."""
-NEWTON_SCHULZ_STEPS = 3
 
 
 class Float32Muon(torch.optim.Optimizer):
-    """Muon with products in float32 and three iterations, also for convolution kernels.
+    """Muon with products in float32.
 
-    PyTorch's Muon computes in bfloat16, with five iterations. Without bfloat16 in hardware that
-    takes fourteen times as long as float32, and with it still twice as long for matrices of this
-    size (docs/lab-notes.md). The update is scaled to the root mean square of Adam's.
+    PyTorch's Muon computes in bfloat16. Without bfloat16 in hardware that takes fourteen times as
+    long as float32 (docs/lab-notes.md). The update is scaled to the root mean square of Adam's.
     """
 
     def __init__(
-        self, parameters: Iterable[nn.Parameter], lr: float, momentum: float = 0.95
+        self,
+        parameters: Iterable[nn.Parameter],
+        lr: float,
+        momentum: float = 0.95,
+        iterations: int = 5,
     ) -> None:
         super().__init__(parameters, {"lr": lr, "momentum": momentum})
+        self._iterations = iterations
 
     @torch.no_grad()
     def step(self, closure: None = None) -> None:  # type: ignore[override]
@@ -45,24 +48,24 @@ class Float32Muon(torch.optim.Optimizer):
                 average = state["momentum_buffer"].lerp_(gradient, 1 - group["momentum"])
                 update = gradient.lerp(average, group["momentum"]).flatten(1)
                 scale = 0.2 * max(update.shape) ** 0.5
-                update = orthogonalized(update).view_as(parameter)
+                update = orthogonalized(update, self._iterations).view_as(parameter)
                 parameter.add_(update, alpha=-group["lr"] * scale)
 
 
-def orthogonalized(matrix: Tensor) -> Tensor:
+def orthogonalized(matrix: Tensor, iterations: int) -> Tensor:
     """Return the nearly orthogonal matrix with the singular vectors of a matrix (m, n)."""
     a, b, c = NEWTON_SCHULZ
     is_tall = matrix.shape[0] > matrix.shape[1]
     x = matrix.T if is_tall else matrix
     x = x / x.norm().clamp(min=1e-7)
-    for _ in range(NEWTON_SCHULZ_STEPS):
+    for _ in range(iterations):
         gram = x @ x.T
         x = torch.addmm(x, torch.addmm(gram, gram, gram, beta=b, alpha=c), x, beta=a)
     return x.T if is_tall else x
 
 
 KERNELS = ("encoder.conv1.weight", "encoder.conv2.weight")
-"""Convolution kernels, which `Float32Muon` updates as well."""
+"""Convolution kernels, which "muon-float32" updates as well."""
 
 MUON_PARAMETERS = ("fc.weight", "memory.weight_ih", "memory.weight_hh")
 """Matrices that Muon updates: those of the hidden layers."""
@@ -85,15 +88,7 @@ class PolicyOptimizer:
         self._optimizers: list[torch.optim.Optimizer] = [
             Adam(others, lr=config.learning_rate, eps=config.adam_eps, fused=True)
         ]
-        # This scale gives updates of the size of Adam's, so that both share a learning rate.
-        self._optimizers += [
-            Float32Muon([each], lr=config.learning_rate)
-            if config.optimizer == "muon-float32"
-            else Muon(
-                [each], lr=config.learning_rate, weight_decay=0.0, adjust_lr_fn="match_rms_adamw"
-            )
-            for each in matrices
-        ]
+        self._optimizers += [_muon(matrix, config) for matrix in matrices]
         self._pool = ThreadPoolExecutor(1) if matrices and processes > 1 else None
 
     def set_learning_rate(self, rate: float) -> None:
@@ -131,6 +126,15 @@ class PolicyOptimizer:
             for optimizer in self._optimizers:
                 if any(parameter is p for p in optimizer.param_groups[0]["params"]):
                     optimizer.state[parameter] = values
+
+
+def _muon(matrix: nn.Parameter, config: PPOConfig) -> torch.optim.Optimizer:
+    """Return the optimizer of one matrix; its updates have the size of Adam's."""
+    if config.optimizer == "muon-float32":
+        return Float32Muon([matrix], lr=config.learning_rate, iterations=3)
+    if resolve_precision("auto", matrix.device) == "float32":
+        return Float32Muon([matrix], lr=config.learning_rate)
+    return Muon([matrix], lr=config.learning_rate, weight_decay=0.0, adjust_lr_fn="match_rms_adamw")
 
 
 PrecisionChoice = Literal["auto"] | MatmulPrecision
