@@ -1,5 +1,6 @@
 """Drafts of descriptions: joints, TCP, task, layout, overrides; the draft passes all checks."""
 
+import dataclasses
 from pathlib import Path
 
 import mujoco
@@ -16,7 +17,8 @@ from knowarm.world.own_robot.draft_gripper import find_gripper
 from knowarm.world.own_robot.robot_check import SIDE, check_robot, write_scene_image
 from knowarm.world.robots import ROBOTS
 from knowarm.world.robots.robot import read_robot
-from knowarm.world.scene.scene import load_scene
+from knowarm.world.scene.compose import STOP_RAD
+from knowarm.world.scene.scene import build_scene, find_targets, load_scene
 from knowarm.world.tasks.episodes import evaluation_episodes
 from tests.world.helpers import EXAMPLES
 
@@ -76,6 +78,12 @@ def test_arm_without_gripper_gets_a_tcp_in_front_of_its_end() -> None:
     np.testing.assert_allclose(gripper.tcp["tcp_position_m"], [0, 0, 0.08], atol=1e-6)
 
 
+def test_flange_whose_mesh_extends_backward() -> None:
+    back = '<geom type="box" size=".02 .02 .05" pos="0 0 -.06"/><body name="flange" pos="0 0 .02"/>'
+    gripper = find_gripper(hand(inside=back))
+    assert gripper.tcp["tcp_position_m"][2] > 0.05  # in front, where the wrist goes on
+
+
 def test_file_without_an_arm_is_refused() -> None:
     model = mujoco.MjModel.from_xml_string(
         '<mujoco><worldbody><body><joint name="a"/><geom size=".1"/></body></worldbody></mujoco>'
@@ -110,16 +118,16 @@ def test_draft_of_a_six_joint_arm_passes_all_checks(tmp_path: Path) -> None:
     assert Image.open(image).size == (2 * SIDE, SIDE)
 
 
-@pytest.mark.slow
-def test_friction_asks_for_faster_servos(tmp_path: Path) -> None:
+def test_friction_stops_a_joint_near_its_target(tmp_path: Path) -> None:
     spec = mujoco.MjSpec.from_file(str(SHIPPED.mjcf))
     for joint in spec.joints:
         joint.frictionloss = 3.0
     (tmp_path / "arm.xml").write_text(spec.to_xml())
-    rubbed, free = (
-        draft_robot(path, ["mug"], {}).robot for path in (tmp_path / "arm.xml", SHIPPED.mjcf)
-    )
-    assert rubbed.servo_frequency_hz > 1.2 * free.servo_frequency_hz
+    rubbed = dataclasses.replace(SHIPPED, mjcf=tmp_path / "arm.xml")
+    gains = build_scene(rubbed, find_targets(["mug"])).model.actuator_gainprm[:, 0]
+    assert (3.0 / gains <= STOP_RAD + 1e-9).all()
+    free = build_scene(SHIPPED, find_targets(["mug"])).model.actuator_gainprm[:, 0]
+    assert (gains[-3:] > 2 * free[-3:]).all()  # the wrist's inertia is small
 
 
 @pytest.mark.slow
@@ -139,3 +147,5 @@ def test_overrides_are_fields_in_tomls_notation() -> None:
         read_overrides(["home=[0.0"])
     with pytest.raises(UserError, match="camera_fovy_deg"):
         read_overrides(["camera_fovy=50"])
+    with pytest.raises(UserError, match="Did you mean 'base_position_m'"):
+        read_overrides(["base=[0.0, 0.0, 0.4]"])

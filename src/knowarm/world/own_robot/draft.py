@@ -16,19 +16,16 @@ from numpy.typing import NDArray
 from knowarm.config import from_dict
 from knowarm.errors import UserError, unknown_name
 from knowarm.reading import one_line
-from knowarm.world.agents.ik import InverseKinematics
 from knowarm.world.backend import MujocoSimulator
 from knowarm.world.config import EnvConfig
 from knowarm.world.own_robot.draft_gripper import find_gripper
-from knowarm.world.own_robot.draft_reach import places, reach_m, reach_table
+from knowarm.world.own_robot.draft_reach import Layout, find_layout, spread_rad
 from knowarm.world.robots.robot import Robot
-from knowarm.world.scene.compose import ROBOT_PREFIX, read_mjcf
+from knowarm.world.scene.compose import read_mjcf
 from knowarm.world.scene.scene import Scene, build_scene, find_targets
 from knowarm.world.tasks.reward import measure
 
-LARGEST = np.array([0.18, 0.4])
-"""Largest half-sizes of the rectangle, relative to the reach: those of the shipped robots."""
-
+HEIGHTS_M = (0.0, 0.2, 0.4, 0.6)  # Heights of the base above the floor that are tried [m]
 HOME_OFFSET_RAD, HOME_CANDIDATES = 1.3, 600
 """Largest joint distance of the start pose from a grasp's solution, and number of poses tried."""
 
@@ -37,10 +34,6 @@ TRAVEL_RAD = 1.75  # Wanted largest travel of a joint from the start pose to a g
 STEPS = 25  # Steps that the farthest grasp should take: half an episode, as for the shipped robots
 START_RAD = 0.4
 """Largest offset of a joint of median range at the start: as of the shipped robots [rad]."""
-
-STOP_RAD, MAX_SERVO_HZ = 0.01, 10.0
-"""Wanted distance from its target at which friction stops a joint, and highest servo frequency:
-the simulation's steps of 20 ms are too long for much faster ones."""
 
 MARGIN = 0.85  # Share of the image within which everything must lie
 FOVY_DEG = 40.0
@@ -132,40 +125,38 @@ def draft_robot(path: Path, targets: Sequence[str], overrides: Mapping[str, Any]
     values |= overrides
     joints = values["joints"]
     values.setdefault("home", _rest(model, joints))
-    scene = _wide_scene(path, values | NO_RECTANGLE, targets)
+    x, y, z = _robot(path, values | NO_RECTANGLE | WIDE_VIEW).base_position_m
+    given = {"base_position_m", "table"} & set(overrides)
+
+    def scene_at(height: float) -> Scene:
+        base = {"base_position_m": [x, y, height]}
+        return _wide_scene(path, values | NO_RECTANGLE | base, targets)
+
+    layout = find_layout(scene_at, (z,) if given else HEIGHTS_M)
+    scene, angle, roll = layout.scene, layout.angle_deg, layout.ignore_roll
     half_range = np.median(scene.joint_upper - scene.joint_lower) / 2
     values.setdefault("start_fraction", min(Robot.start_fraction, round(START_RAD / half_range, 3)))
-    reach = reach_m(scene)
-    how["reach"] = f"{reach:.2f} m from the base, at the height of the grasps"
-    angle, roll, yaws, cells = reach_table(scene, reach)
-    x, y = places(reach)
-    left, right, low, high = cells
-    values.setdefault(
-        "rectangle_centre_m", _numbers([(x[left] + x[right]) / 2, (y[low] + y[high]) / 2])
-    )
-    half = np.array([x[right] - x[left], y[high] - y[low]]) / 2
-    values.setdefault("rectangle_half_size_m", _numbers(np.minimum(half, LARGEST * reach)))
-    main = max(set(yaws), key=yaws.count)
-    values.setdefault("target_yaw_deg", main)
-    others = {
-        target.name: yaw
-        for target, yaw in zip(scene.targets, yaws, strict=True)
-        if yaw != values["target_yaw_deg"]
-    }
+    values.setdefault("base_position_m", _numbers(scene.robot.base_position_m))
+    values.setdefault("rectangle_centre_m", _numbers(layout.centre_m))
+    values.setdefault("rectangle_half_size_m", _numbers(layout.half_size_m))
+    yaws = [branch.yaw_deg for branch in layout.branches]
+    values.setdefault("target_yaw_deg", max(set(yaws), key=yaws.count))
+    named = zip(scene.targets, yaws, strict=True)
+    others = {target.name: yaw for target, yaw in named if yaw != values["target_yaw_deg"]}
     if others:
         values.setdefault("target_yaws_deg", others)
     how["rectangle"] = (
-        f"{(right - left + 1) * (high - low + 1)} places in reach of all targets by inverse "
-        f"kinematics, within {angle:.0f} degrees{', any roll' if roll else ''}"
+        f"in reach of all targets within {angle:.0f} degrees{', any roll' if roll else ''}, with "
+        f"the base at {scene.robot.base_position_m[2]:.2f} m; joints differ by at most "
+        f"{spread_rad(layout.branches):.2f} rad between the grasps"
     )
     scene = _wide_scene(path, values, targets)
     if "home" not in overrides:
-        home, travel, text = _home(scene, roll)
+        home, travel, text = _home(scene, layout)
         values["home"], how["home"] = _numbers(home), text
         values.setdefault("mpi_rad", round(travel / STEPS, 3))
         how["actions"] = f"{travel / values['mpi_rad']:.0f} steps of mpi_rad to the farthest grasp"
         scene = _wide_scene(path, values, targets)
-    values.setdefault("servo_frequency_hz", _servo_frequency_hz(scene))
     values = _camera(scene) | values
     how["camera"] = "right in front and above, so that it shows rectangle, targets and arm"
     robot = _robot(path, values)
@@ -184,20 +175,16 @@ def _robot(path: Path, values: Mapping[str, Any]) -> Robot:
 
 def _rest(model: mujoco.MjModel, joints: Sequence[str]) -> list[float]:
     """Return 0 for each joint, or the middle of its range where that excludes 0."""
-    known = {model.joint(j).name: j for j in range(model.njnt)}
-    rest = []
-    for name in joints:
-        low, high = model.jnt_range[known[name]] if name in known else (0.0, 0.0)
-        limited = name in known and model.jnt_limited[known[name]]
-        rest.append((low + high) / 2 if limited and not low <= 0 <= high else 0.0)
-    return _numbers(rest)
+    limited = {model.joint(j).name: model.jnt_range[j] for j in range(model.njnt)}
+    ranges = [limited.get(name, (0.0, 0.0)) for name in joints]
+    return _numbers([0.0 if low <= 0 <= high else (low + high) / 2 for low, high in ranges])
 
 
 def _numbers(values: Any) -> list[float]:
     return [round(float(value), 4) for value in values]
 
 
-def _home(scene: Scene, ignore_roll: bool) -> tuple[NDArray[np.float64], float, str]:
+def _home(scene: Scene, layout: Layout) -> tuple[NDArray[np.float64], float, str]:
     """Find a start pose above the support and turned away from every grasp, yet near in joints.
 
     Return the pose, the largest travel of a joint to a grasp [rad or m], and a description.
@@ -206,8 +193,7 @@ def _home(scene: Scene, ignore_roll: bool) -> tuple[NDArray[np.float64], float, 
     support = scene.robot.support_height_m
     position = np.array([x, y, support]) + scene.grasp_position
     matrix = scene.grasp_matrix.reshape(-1, 9)
-    solver = InverseKinematics(scene, ignore_roll=ignore_roll)
-    grasps = solver.solve(position, matrix, np.tile(scene.home, (len(position), 1))).joints
+    grasps = np.concatenate([branch.joints for branch in layout.branches])
     middle = (grasps.max(axis=0) + grasps.min(axis=0)) / 2
     share = scipy.stats.qmc.Halton(scene.num_joints, scramble=False).random(HOME_CANDIDATES)
     poses = middle + HOME_OFFSET_RAD * (2 * share - 1)
@@ -219,10 +205,10 @@ def _home(scene: Scene, ignore_roll: bool) -> tuple[NDArray[np.float64], float, 
     touches = contacts.reshape(-1) > 0
     place, frame = simulation.tcp_position, simulation.tcp_matrix
     reach = float(np.hypot(x, y))
-    angles, distances = np.empty((2, len(grasps), len(poses)))
-    for k in range(len(grasps)):
+    angles, distances = np.empty((2, len(position), len(poses)))
+    for k in range(len(position)):
         goal = np.tile(position[k], (len(poses), 1)), np.tile(matrix[k], (len(poses), 1))
-        distances[k], angles[k] = measure(place, frame, *goal, ignore_roll)
+        distances[k], angles[k] = measure(place, frame, *goal, layout.ignore_roll)
     low, high = HOME_ANGLE_DEG
     travel = np.abs(poses[:, None] - grasps).max(axis=(1, 2))
     penalty = (
@@ -246,27 +232,6 @@ def _home(scene: Scene, ignore_roll: bool) -> tuple[NDArray[np.float64], float, 
         f"grasps at the rectangle's middle"
     )
     return poses[best], float(travel[best]), text
-
-
-def _servo_frequency_hz(scene: Scene) -> float:
-    """Return a natural frequency at which damping and friction do not delay the servos.
-
-    With inertia m, damping d and friction f of a joint at home, a servo of frequency w follows with
-    the time constant (d / m) / w^2 + 2 / w and stops within f / (m w^2) of its target.
-    """
-    model = scene.model
-    data = mujoco.MjData(model)
-    data.qpos[scene.qpos_index] = scene.home
-    mujoco.mj_forward(model, data)
-    inertia = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, inertia)
-    dofs = [model.joint(ROBOT_PREFIX + name).dofadr[0] for name in scene.robot.joints]
-    mass = np.maximum(np.diag(inertia)[dofs], 1e-6)
-    delay = 2 / (2 * np.pi * Robot.servo_frequency_hz)
-    damped = (1 + np.sqrt(1 + delay * model.dof_damping[dofs] / mass)) / delay
-    rubbed = np.sqrt(model.dof_frictionloss[dofs] / (STOP_RAD * mass))
-    wanted = float(np.maximum(damped, rubbed).max()) / (2 * np.pi)
-    return round(min(wanted, MAX_SERVO_HZ), 1)
 
 
 def _camera(scene: Scene) -> dict[str, Any]:

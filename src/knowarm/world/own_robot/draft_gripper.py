@@ -125,8 +125,8 @@ def _approach(
     centres = data.geom_xpos[geoms] if len(geoms) else data.xpos[bodies]
     axis = data.xaxis[last].copy()
     out = centres.mean(axis=0) - origin
-    if np.linalg.norm(out) < 1e-6:  # a last body that lies on its joint continues its parent
-        out = data.xpos[hand] - data.xpos[model.body_parentid[hand]]
+    if not fingers:  # the mesh of a flange may extend backward; what it carries continues the wrist
+        out += data.xpos[bodies[-1]] - data.xpos[model.body_parentid[model.jnt_bodyid[last]]]
     if np.linalg.norm(out) < 1e-6:
         out = axis
     # The last joint mostly turns the hand about the approach; a wrist's hinge lies across it.

@@ -1,26 +1,65 @@
-"""Reach of a drafted robot: distance, and the rectangle and yaws that it can grasp at."""
+"""Reach of a drafted robot: base height, rectangle and targets' directions, searched at once."""
 
-import math
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from knowarm.errors import UserError
 from knowarm.world.agents.ik import InverseKinematics
 from knowarm.world.backend import MujocoSimulator
 from knowarm.world.scene.scene import Scene
 
-CELLS = 7  # Places along each side of the area in which the rectangle is searched
-YAWS_DEG = (-135.0, 180.0, 135.0, -90.0, 90.0)
-"""Directions of the targets that are tried, by preference [deg]."""
+YAWS_DEG = (180.0, -135.0, 135.0, -90.0, 90.0)  # Directions of the targets that are tried [deg]
+LARGEST = np.array([0.18, 0.4])
+"""Half-sizes of the rectangle, relative to the reach: those of the shipped robots."""
 
+RECTANGLES = tuple(product((1.0, 0.75, 0.5), (0.6, 0.5, 0.7)))
+"""Sizes relative to the largest, and distances of the centre relative to the reach, best first."""
+
+NODES = np.array(list(product((0, -1, 1), (0, -1, 1))))  # Places in a rectangle; its centre first
+STARTS = 16  # Random joint angles from which solutions are searched at the centre
 TOLERANCES = ((15.0, False), (15.0, True), (30.0, True), (45.0, True), (60.0, True), (90.0, True))
 """Success angles [deg] and whether the roll is ignored, from the task as it is to the easiest."""
 
-ENOUGH_CELLS = 6  # Least number of places in a rectangle for a task to be proposed
 DISTANCE_M = 0.03  # Distance from the grasp point within which a place counts as reached [m]
+SPREAD_RAD = 2.5  # Greatest wanted difference of a joint between two grasps
+
+
+class Branch(NamedTuple):
+    """Grasps of a target at N places with J joint angles that change little between them."""
+
+    yaw_deg: float  # Direction of the target
+    angle_deg: float  # Largest error of the orientation
+    joints: NDArray[np.float64]  # Joint angles, (N, J) [rad]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layout:
+    """Where a robot can grasp its targets, and how."""
+
+    scene: Scene  # Scene with the base at its height
+    angle_deg: float  # Strictest success angle
+    ignore_roll: bool  # Whether the roll about the approach axis has to be ignored
+    centre_m: NDArray[np.float64]  # Centre of the rectangle, (2,)
+    half_size_m: NDArray[np.float64]  # Half-sizes of the rectangle, (2,)
+    branches: Sequence[Branch]  # How each target is grasped
+
+    @property
+    def cost(self) -> tuple[float, bool, float]:
+        """What is better is smaller: an easier task, distant grasps, a small rectangle."""
+        far = spread_rad(self.branches) > SPREAD_RAD
+        return self.angle_deg + self.ignore_roll, far, -self.half_size_m[0]
+
+
+def spread_rad(branches: Sequence[Branch]) -> float:
+    """Return the largest difference of a joint between two grasps of any targets [rad]."""
+    return float(np.ptp(np.concatenate([each.joints for each in branches]), axis=0).max())
 
 
 def _samples(scene: Scene, count: int) -> NDArray[np.float64]:
@@ -30,85 +69,107 @@ def _samples(scene: Scene, count: int) -> NDArray[np.float64]:
 
 
 def reach_m(scene: Scene) -> float:
-    """Return the horizontal distance that the gripper reaches at the height of the grasps [m]."""
+    """Return how far the gripper reaches at the height of the grasps; 0 if never [m]."""
     joints = _samples(scene, 3000)
     simulation = MujocoSimulator(scene, len(joints))
     simulation.set_joints(joints)
     place = simulation.tcp_position
-    low, high = 0.0, max(0.1, float(scene.grasp_position[:, 2].max()) * 1.5)
-    near = (place[:, 2] > low) & (place[:, 2] < high)
-    if near.sum() < 10:
-        raise UserError(
-            f"Robot {scene.robot.name!r}: the gripper never comes to a height of {low:.2f} to "
-            f"{high:.2f} m, where the targets' grasps are. Give base_position_m, or a table."
-        )
-    return float(np.percentile(np.hypot(place[near, 0], place[near, 1]), 95))
+    high = max(0.1, float(scene.grasp_position[:, 2].max()) * 1.5)
+    near = (place[:, 2] > 0) & (place[:, 2] < high)
+    distance = np.hypot(place[near, 0], place[near, 1])
+    return float(np.percentile(distance, 95)) if len(distance) >= 10 else 0.0
 
 
-def places(reach: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return x and y of the places in front of the robot that are tried [m]."""
-    return np.linspace(0.35, 0.95, CELLS) * reach, np.linspace(-0.55, 0.55, CELLS) * reach
+def find_layout(scene_at: Callable[[float], Scene], heights: Sequence[float]) -> Layout:
+    """Search base height, rectangle and directions of the targets for the strictest task.
 
-
-def reach_table(
-    scene: Scene, reach: float
-) -> tuple[float, bool, list[float], tuple[int, int, int, int]]:
-    """Find the strictest task with a rectangle that the arm can reach, and the targets' yaws.
-
-    Return the success angle [deg], whether the roll is ignored, a yaw per target [deg], and first
-    and last cell of the rectangle along x and y.
+    The first height is taken at which the task as it is can be done with grasps near each other in
+    joint angles, else the best one found.
     """
-    x, y = (grid.ravel() for grid in np.meshgrid(*places(reach), indexing="ij"))
-    support = scene.robot.support_height_m
-    found: dict[tuple[int, float, bool], tuple[Any, Any]] = {}
+    best: Layout | None = None
+    most: dict[str, int] = {}
     for roll in (False, True):
-        solver = InverseKinematics(scene, starts=4, ignore_roll=roll)
-        for k in range(len(scene.targets)):
-            for yaw in YAWS_DEG:
-                turn = _turn(yaw)
-                position = np.stack([x, y, np.full_like(x, support)], axis=1)
-                position = position + turn @ scene.grasp_position[k]
-                matrix = np.tile((turn @ scene.grasp_matrix[k]).ravel(), (len(x), 1))
-                home = np.tile(scene.home, (len(x), 1))
-                solution = solver.solve(position, matrix, home, attempts=1)
-                near = (solution.distance < DISTANCE_M) & ~solution.contact
-                found[k, yaw, roll] = near, solution.angle
-        for angle, free in TOLERANCES:
-            if free is not roll:
-                continue
-            yaws, reached = [], np.ones(len(x), dtype=np.bool_)
-            for k in range(len(scene.targets)):
-                masks = [
-                    near & (a < angle - 2) for near, a in (found[k, w, roll] for w in YAWS_DEG)
-                ]
-                best = max(range(len(YAWS_DEG)), key=lambda i: int((masks[i] & reached).sum()))
-                yaws.append(YAWS_DEG[best])
-                reached = reached & masks[best]
-            cells = _largest_rectangle(reached.reshape(CELLS, CELLS))
-            if cells and (cells[1] - cells[0] + 1) * (cells[3] - cells[2] + 1) >= ENOUGH_CELLS:
-                return angle, free, yaws, cells
+        for height in heights:
+            scene = scene_at(height)
+            counts = {f"{target.name} at {height:.2f} m": 0 for target in scene.targets}
+            for layout in _layouts(scene, roll, counts):
+                best = layout if best is None or layout.cost < best.cost else best
+                if best.cost < (TOLERANCES[0][0], True):
+                    return best
+            most |= counts
+        if best is not None:
+            return best
     raise UserError(
-        f"Robot {scene.robot.name!r}: inverse kinematics reaches no rectangle in front of the "
-        f"robot (x from {places(reach)[0][0]:.2f} to {places(reach)[0][-1]:.2f} m) with any of the "
-        "orientation tolerances tried. Turn the base (base in the MJCF: x forward), name other "
-        "targets, or check the joints' ranges and the TCP."
+        f"Robot {scene.robot.name!r}: inverse kinematics reaches no rectangle in front of it with "
+        f"any of the orientation tolerances tried. Places reached, of {len(NODES)}, by target and "
+        f"height of the base: {', '.join(f'{name} {n}' for name, n in most.items())}. Turn the "
+        "base (x forward), give another base_position_m or a table, name other targets, or check "
+        "the joints' ranges and the TCP."
     )
 
 
-def _turn(yaw_deg: float) -> NDArray[np.float64]:
-    cosine, sine = math.cos(math.radians(yaw_deg)), math.sin(math.radians(yaw_deg))
-    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+def _layouts(scene: Scene, roll: bool, counts: dict[str, int]) -> Iterator[Layout]:
+    """Yield the layouts at a base height; count the places reached at best per target."""
+    reach = reach_m(scene)
+    for size, centre in RECTANGLES if reach else ():
+        middle, half = np.array([centre * reach, 0.0]), size * LARGEST * reach
+        found = _branches(scene, roll, middle + NODES * half, counts)
+        for angle in (angle for angle, free in TOLERANCES if free is roll):
+            fits = [[each for each in some if each.angle_deg < angle - 2] for some in found]
+            if all(fits):
+                yield Layout(
+                    scene=scene,
+                    angle_deg=angle,
+                    ignore_roll=roll,
+                    centre_m=middle,
+                    half_size_m=half,
+                    branches=_nearest(fits),
+                )
+                break
 
 
-def _largest_rectangle(mask: NDArray[np.bool_]) -> tuple[int, int, int, int] | None:
-    """Return first and last row and first and last column of the largest all-true rectangle."""
-    best, most = None, 0
-    rows, columns = mask.shape
-    for a in range(rows):
-        for b in range(a, rows):
-            for c in range(columns):
-                for d in range(c, columns):
-                    size = (b - a + 1) * (d - c + 1)
-                    if size > most and mask[a : b + 1, c : d + 1].all():
-                        best, most = (a, b, c, d), size
-    return best
+def _branches(
+    scene: Scene, roll: bool, places: NDArray[np.float64], counts: dict[str, int]
+) -> list[list[Branch]]:
+    """Find solutions per target at the first of N places (N, 2) and follow them to the others."""
+    cases = list(product(range(len(scene.targets)), YAWS_DEG))
+    target, yaw = np.array(cases).T
+    turn = Rotation.from_euler("z", yaw[:, None], degrees=True).as_matrix()
+    target = target.astype(np.intp)
+    ground = np.column_stack([places, np.full(len(places), scene.robot.support_height_m)])
+    position = ground + (turn @ scene.grasp_position[target][..., None]).transpose(0, 2, 1)
+    matrix = (turn @ scene.grasp_matrix[target]).reshape(-1, 9)
+    solver = InverseKinematics(scene, starts=1, ignore_roll=roll)
+    starts = np.concatenate([scene.home[None], _samples(scene, STARTS)])
+    row = np.repeat(np.arange(len(cases)), len(starts))
+    start = np.tile(starts, (len(cases), 1))
+    first = solver.solve(position[row, 0], matrix[row], start, attempts=1)
+    limit_deg = max(angle for angle, free in TOLERANCES if free is roll) - 2
+    good = np.flatnonzero(first.within(DISTANCE_M, limit_deg))
+    found: list[list[Branch]] = [[] for _ in scene.targets]
+    if not len(good):
+        return found
+    # Solutions that round to the same angles are one branch.
+    same = np.column_stack([row[good], first.joints[good].round()])
+    good = good[np.unique(same, axis=0, return_index=True)[1]]
+    case, n = row[good], len(places)
+    start = np.repeat(first.joints[good], n, axis=0)
+    poses = position[case].reshape(-1, 3), np.repeat(matrix[case], n, axis=0)
+    follow = solver.solve(*poses, start, attempts=1)
+    near = follow.within(DISTANCE_M, limit_deg).reshape(-1, n)
+    angle, joints = follow.angle.reshape(-1, n), follow.joints.reshape(len(good), n, -1)
+    for i, k in enumerate(target[case]):
+        name = list(counts)[k]
+        counts[name] = max(counts[name], int(near[i].sum()))
+        if near[i].all():
+            found[k].append(Branch(float(yaw[case[i]]), float(angle[i].max()), joints[i]))
+    return found
+
+
+def _nearest(branches: Sequence[Sequence[Branch]]) -> list[Branch]:
+    """Choose a branch per target, so that all grasps are near each other in joint angles."""
+    chosen = [[first] for first in branches[0]]
+    for others in branches[1:]:
+        for some in chosen:
+            some.append(min(others, key=lambda other: spread_rad([*some, other])))
+    return min(chosen, key=spread_rad)

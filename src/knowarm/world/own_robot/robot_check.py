@@ -1,6 +1,6 @@
 """Checks of a robot's description: scene, joints, gripper, servos, reach, visibility; image."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from knowarm.errors import UserError
+from knowarm.world.agents import OpenLoopAgent, OracleAgent
 from knowarm.world.agents.ik import IKSolution, InverseKinematics
+from knowarm.world.agents.play import play
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ReachVectorEnv
 from knowarm.world.render.renderer import make_renderer
@@ -30,6 +32,11 @@ MOVING_SHARE = 0.9
 
 MIN_PIXELS = 12  # Least number of pixels that show a target, in 95 % of the episodes
 MAX_LAG_RAD = 0.02  # Largest mean distance of a joint from its target after a control period [rad]
+MIN_ORACLE, LEARNABLE_SHARE = 0.95, 0.6
+"""Least success of the oracle, and share of the time limit in which three quarters of its episodes
+have to end."""
+
+BLIND_BUDGET, MAX_BLIND = 2_000, 0.6  # Fixed lists of actions tried, and their greatest success
 DIFFERENCE = 25
 """Change of a colour channel from which a pixel counts as showing the target, of 255."""
 
@@ -53,7 +60,8 @@ def check_robot(
 ) -> list[Check]:
     """Check the robot of a TOML description or name for a task with some objects.
 
-    Return the results in order; only the first if the scene cannot be built.
+    Return the results in order; only the first if the scene cannot be built. Agents play if all
+    else is well.
     """
     config = EnvConfig(robot=str(path), targets=tuple(targets))
     config = replace(config, success_angle_deg=angle_deg, ignore_roll=ignore_roll)
@@ -73,6 +81,8 @@ def check_robot(
     for name in targets:
         one = ReachVectorEnv(replace(config, targets=(name,), colours="randomized"), SAMPLES)
         checks += [_check_reach(one), *_check_visible(one)]
+    if all(check.ok for check in checks):
+        checks += check_agents(replace(config, image_size=1))
     return checks
 
 
@@ -124,6 +134,30 @@ def _check_reach(env: ReachVectorEnv) -> Check:
     remedy = "move or shrink the rectangle, or turn the target with target_yaws_deg."
     return check_reach(
         env.scene, env.config, 0, episodes.position, env.joint_positions, solution, remedy
+    )
+
+
+def check_agents(config: EnvConfig) -> Iterator[Check]:
+    """Play the oracle, whose way must be short enough to learn, and a fixed list of actions."""
+    env = ReachVectorEnv(config, SAMPLES)
+    episodes = evaluation_episodes(config, SAMPLES, 2)
+    oracle = play(OracleAgent(), env, episodes)
+    share, steps = oracle.success.mean(), float(np.percentile(oracle.length, 75))
+    most = LEARNABLE_SHARE * config.max_episode_steps
+    yield check_result(
+        "way to the grasps",
+        bool(share >= MIN_ORACLE and steps <= most),
+        f"inverse kinematics succeeds in {100 * share:.0f} % of {SAMPLES} episodes, three quarters "
+        f"of them within {steps:.0f} steps",
+        f"At least {100 * MIN_ORACLE:.0f} % and at most {most:.0f} steps are learned well: change "
+        "home or mpi_rad, or turn the targets (target_yaws_deg).",
+    )
+    blind = play(OpenLoopAgent(budget=BLIND_BUDGET), env, episodes).success.mean()
+    yield check_result(
+        "without looking",
+        bool(blind <= MAX_BLIND),
+        f"the best of {BLIND_BUDGET:,} fixed lists of actions solves {100 * blind:.0f} %",
+        f"Above {100 * MAX_BLIND:.0f} % the task says little about vision: enlarge the rectangle.",
     )
 
 

@@ -169,6 +169,10 @@ CONTROL_PERIOD_S = 0.1
 """Time between actions [s]. The largest MPI of a shipped robot, .10 rad, is then 1 rad/s, which is
 below the limit of all joints."""
 
+STOP_RAD, SLOWER = 0.01, 0.3
+"""Wanted largest distance from its target at which friction stops a joint, and share by which
+damping slows it."""
+
 SUBSTEPS = 5  # Physics steps per control period
 CAMERA = "policy"  # Name of the camera that shows the observations
 DISTRACTOR = "distractor_"  # Prefix of the names of distractors
@@ -200,7 +204,9 @@ def _add_servos(spec: mujoco.MjSpec, robot: Robot) -> None:
     """Add a critically damped position servo per joint, tuned to the inertia it moves.
 
     With m the diagonal of the joint-space inertia at home and w the natural frequency [rad/s], the
-    gains are kp = m w^2 and kv = 2 m w.
+    gains are kp = m w^2 and kv = 2 m w. Where the file's friction f or damping d is large for the
+    inertia, m is raised until f stops a joint at most `STOP_RAD` from its target, and d slows it by
+    at most `SLOWER`.
     """
     model = spec.compile()
     data = mujoco.MjData(model)
@@ -215,7 +221,11 @@ def _add_servos(spec: mujoco.MjSpec, robot: Robot) -> None:
     mujoco.mj_fullM(model, data, inertia)
     frequency = 2 * np.pi * robot.servo_frequency_hz
     for name, dof in zip(robot.joints, ids, strict=True):
-        mass = float(inertia[dof, dof])
+        mass = max(
+            float(inertia[dof, dof]),
+            float(model.dof_frictionloss[dof]) / (STOP_RAD * frequency**2),
+            float(model.dof_damping[dof]) / (2 * SLOWER * frequency),
+        )
         actuator = spec.add_actuator(
             name=name, target=ROBOT_PREFIX + name, trntype=mujoco.mjtTrn.mjTRN_JOINT
         )
