@@ -23,7 +23,7 @@ FOREIGN = {
 FOLDERS = ("src", "tests", "examples", "scripts", "benchmarks", "docs", "zoo")
 """Folders whose files the documentation may name; a path that begins with one must exist."""
 
-FENCE = re.compile(r"^ *```(\w*)\n(.*?)^ *```", re.MULTILINE | re.DOTALL)
+FENCE = re.compile(r"^ *```(?:\{code-cell\} )?(\w*)\n(.*?)^ *```", re.MULTILINE | re.DOTALL)
 SPAN = re.compile(r"(?<!`)(`+)(?!`)(.+?)(?<!`)\1(?!`)", re.DOTALL)
 WORD = re.compile(r"(?<![\w./<>{*-])[A-Za-z_][\w./-]*(?![\w<>{*])")
 

@@ -30,7 +30,7 @@ def limited_to(cores: int) -> dict[str, str]:
 def processor() -> str:
     """Return the model name of the processor, or the architecture where there is no model name."""
     with suppress(OSError):
-        if found := re.search(r"model name\s*:(.*)", Path("/proc/cpuinfo").read_text()):
+        if found := re.search(r"model name\s*:(.*)", Path("/proc/cpuinfo").read_text("utf-8")):
             return found[1].strip()
     return platform.processor() or platform.machine()
 

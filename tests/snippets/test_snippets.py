@@ -20,11 +20,14 @@ from tests.source_tree import ROOT
 
 FOLDERS = ("tutorials", "how-to", "reference")
 GUIDES = sorted(path for folder in FOLDERS for path in (ROOT / "docs" / folder).glob("*.md"))
-PAGES = ["README.md", "docs/index.md", *(p.relative_to(ROOT).as_posix() for p in GUIDES)]
+PAGES = [
+    *("README.md", "docs/index.md", "docs/faq.md", "docs/reliability.md", "docs/results/README.md"),
+    *(path.relative_to(ROOT).as_posix() for path in GUIDES),
+]
 PARTS = re.compile(
-    r"^<!-- snippets: (\w+) (.*?) -->|^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL
+    r"^<!-- snippets: (\w+) (.*?) -->|^```([^\n`]*)\n(.*?)^```", re.MULTILINE | re.DOTALL
 )
-COMMAND = re.compile(r"(knowarm|python (?:-m )?(?:examples|benchmarks)|sed|export) ")
+COMMAND = re.compile(r"(?:knowarm|sed|export) |python (?:examples/|-m benchmarks\.)")
 SHORT = [
     (r"^knowarm train .*", "--total-steps 1600 --interim.episodes 2 --algorithm.processes 1"),
     (r"^knowarm train .*-choose-(?!bm)", "--grounding.images 500 --grounding.rounds 1"),
@@ -74,7 +77,7 @@ def test_commands_are_found_and_shortened():
 
 @pytest.mark.parametrize("page", PAGES)
 def test_the_snippets_of_a_page_run(page, tmp_path):
-    for name in ("zoo", "examples", "benchmarks"):
+    for name in ("zoo", "examples", "benchmarks", "docs"):
         (tmp_path / name).symlink_to(ROOT / name)
     where = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     environment = {**os.environ, "PATH": where, "COLUMNS": "80"}

@@ -82,7 +82,7 @@ class Doctor(TableCommand):
             print(f"The arm can do the task with an easier orientation; train it with {task}\n")
         with TemporaryDirectory() as folder:
             file = self.write or Path(folder) / f"{Path(robot).stem}{SUFFIX}"
-            file.write_text(draft.toml(file))
+            file.write_text(draft.toml(file), "utf-8")
             self._draw(str(file), targets)
             angle, roll = draft.success_angle_deg, draft.ignore_roll
             return check_robot(file, targets, angle_deg=angle, ignore_roll=roll)

@@ -133,7 +133,7 @@ class StudyShow:
         study = read_study(self.study, of=self.of)
         file = SHIPPED.get(self.study, Path(self.study))
         if file.is_file():
-            print(file.read_text())
+            print(file.read_text("utf-8"))
         steps = {config.name: config.total_steps for config in study.runs()}
         seeds = ", ".join(map(str, study.seeds))
         title = f"Study {study.name}: {len(study.runs())} runs, seeds {seeds}"

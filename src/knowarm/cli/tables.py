@@ -123,7 +123,7 @@ def check_json_path(path: Path | None) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         is_new = not path.exists()
-        path.open("a").close()
+        path.open("a", encoding="utf-8").close()
         if is_new:
             path.unlink()
     except OSError as error:
@@ -134,5 +134,5 @@ def check_json_path(path: Path | None) -> None:
 def write_json_table(path: Path | None, values: Mapping[str, Any]) -> None:
     """Write the values of tables to a JSON file; None writes nothing."""
     if path is not None:
-        path.write_text(json.dumps(values, indent=2) + "\n")
+        path.write_text(json.dumps(values, indent=2) + "\n", "utf-8")
         print(f"Wrote {path}")

@@ -34,5 +34,5 @@ def export(trained: TrainedAgent, folder: Path) -> Deployment:
         files = sorted(each for each in folder.iterdir() if each.suffix in (".onnx", ".npy"))
         digests = {each.name: digest(each.read_bytes()) for each in files}
         contract = parts.contract | {"digests": digests}
-        (folder / "contract.json").write_text(json.dumps(contract, indent=2) + "\n")
+        (folder / "contract.json").write_text(json.dumps(contract, indent=2) + "\n", "utf-8")
     return parts

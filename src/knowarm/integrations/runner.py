@@ -46,7 +46,7 @@ class Runner:
         import onnxruntime
 
         folder = Path(folder)
-        contract = json.loads((folder / "contract.json").read_text())
+        contract = json.loads((folder / "contract.json").read_text("utf-8"))
         for name, digest in contract["digests"].items():
             if hashlib.sha256((folder / name).read_bytes()).hexdigest() != digest:
                 raise ValueError(f"{folder / name} is not the exported file; export again")

@@ -127,7 +127,10 @@ class LocalExecutor:
     def stop(self) -> None:
         """Ask all workers to save a checkpoint and end; a stopped process would never do so."""
         for _, process in self._workers.values():
-            process.terminate()
+            if os.name == "nt" and process.stdin:
+                process.stdin.close()  # a worker then stops; `terminate` would kill it
+            else:
+                process.terminate()
         self._deadline = min(self._deadline, time.monotonic() + TIMEOUT_S)
 
     def close(self) -> None:

@@ -82,9 +82,17 @@ def main() -> None:
 def _end_with_parent() -> None:
     """Ask this process to save and end once the other end of its input is closed."""
     os.read(0, 1)
-    os.kill(os.getpid(), signal.SIGTERM)
+    _request_stop()
     threading.Event().wait(GRACE_S)
     os._exit(1)
+
+
+def _request_stop() -> None:
+    """Send this process SIGTERM; on Windows `os.kill` would end it without its handler."""
+    if os.name == "nt":
+        signal.raise_signal(signal.SIGTERM)
+    else:
+        os.kill(os.getpid(), signal.SIGTERM)
 
 
 if __name__ == "__main__":

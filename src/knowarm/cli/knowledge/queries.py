@@ -245,7 +245,7 @@ def _text(query: str) -> str:
         return query
     if not Path(query).is_file():
         raise UserError(f"There is no query file {query}.")
-    return Path(query).read_text()
+    return Path(query).read_text("utf-8")
 
 
 def _print_triples(graph: KnowledgeGraph) -> dict[str, Any]:
