@@ -1,6 +1,6 @@
 """Draw the README's animation: a trained policy answers questions of the choose task.
 
-python scripts/draw_animation.py --run zoo/irb120-choose-subgraph-fast --out docs/images/choose.gif
+python scripts/draw_animation.py --run zoo/irb120-choose-answers-fast --out docs/images/choose.gif
 """
 
 import argparse
@@ -13,34 +13,32 @@ from knowarm import evaluation_episodes, load_agent
 from knowarm.world.envs.vector_env import ReachVectorEnv
 from knowarm.world.viewing.record import Frame, record_episode
 
-SIDE, MARGIN, LINE = 300, 8, 30
+SIDE, MARGIN, LINE = 300, 8, 36
 PAPER, INK, GREEN = (255, 255, 255), (30, 30, 30), (0, 110, 50)
 FRAME_MS, LAST_MS = 90, 1_400
 
 
-def draw(frame: Frame) -> Image.Image:
-    """Draw question, large view and the policy's image."""
-    sheet = Image.new("RGB", (2 * SIDE + 3 * MARGIN, SIDE + 2 * LINE + MARGIN), PAPER)
-    pen, font = ImageDraw.Draw(sheet), ImageFont.load_default(17)
+def draw(frame: Frame, last: bool) -> Image.Image:
+    """Draw question, large view, the policy's image and, below them, the outcome."""
+    sheet = Image.new("RGB", (2 * SIDE + 3 * MARGIN, SIDE + 2 * LINE), PAPER)
+    pen, font = ImageDraw.Draw(sheet), ImageFont.load_default(25)
     query, _, answer = frame.goal.partition(": ")
-    pen.text((MARGIN, 6), f"Query: {query}", INK, font)
-    if frame.success:
-        pen.text((SIDE + 2 * MARGIN, 6), f"Reached {answer}", GREEN, font)
+    pen.text((MARGIN, 4), query, INK, font)
+    found = f"{'Reached' if frame.success else 'Missed'} {answer}" if last else f"step {frame.step}"
+    pen.text((MARGIN, LINE + SIDE + 4), found, GREEN if frame.success else INK, font)
     for column, image in enumerate((frame.large, frame.policy)):
         resample = Image.Resampling.LANCZOS if column == 0 else Image.Resampling.NEAREST
         small = Image.fromarray(image).resize((SIDE, SIDE), resample)
         sheet.paste(small, (MARGIN + column * (SIDE + MARGIN), LINE))
-    small_font = ImageFont.load_default(13)
-    for column, text in enumerate((f"step {frame.step}", "what the policy sees: 64 x 64")):
-        at = (MARGIN + column * (SIDE + MARGIN), SIDE + LINE + 4)
-        pen.text(at, text, INK, small_font)
+    at = (2 * (SIDE + MARGIN), LINE + SIDE + 10)
+    pen.text(at, "64 x 64 pixels: the policy's input", INK, ImageFont.load_default(16), anchor="ra")
     return sheet
 
 
 def main() -> None:
     """Play the episodes and write the animation."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--run", default="zoo/irb120-choose-subgraph-fast")
+    parser.add_argument("--run", default="zoo/irb120-choose-answers-fast")
     parser.add_argument("--out", type=Path, default=Path("docs/images/choose.gif"))
     parser.add_argument("--episodes", type=int, default=4)
     parser.add_argument("--seed", type=int, default=0)
@@ -52,14 +50,11 @@ def main() -> None:
     durations: list[int] = []
     for i in range(len(episodes)):
         frames = record_episode(trained.agent, env, episodes[i : i + 1])
-        images += [draw(frame) for frame in frames]
+        images += [draw(frame, frame is frames[-1]) for frame in frames]
         durations += [FRAME_MS] * (len(frames) - 1) + [LAST_MS]
-    palette = images[0].quantize(96)
-    stack = [np.asarray(image) for image in images]
-    small = [
-        Image.fromarray(image).quantize(palette=palette, dither=Image.Dither.NONE)
-        for image in stack
-    ]
+    every = np.concatenate([np.asarray(image) for image in images[::4]])  # colours of all episodes
+    palette = Image.fromarray(every).quantize(192)
+    small = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     small[0].save(arguments.out, save_all=True, append_images=small[1:], duration=durations, loop=0)
     print(f"Wrote {arguments.out}: {len(images)} images, {arguments.out.stat().st_size:,} bytes")

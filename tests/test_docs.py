@@ -13,6 +13,10 @@ from knowarm.cli.main import COMMANDS
 from tests.source_tree import ROOT, files, names
 
 FOREIGN = {
+    "CnnPolicy",
+    "EvalCallback",
+    "evaluate_policy",
+    "make_vec_env",
     "RecordVideo",
     "OMP_WAIT_POLICY",
     "mj_ray",
