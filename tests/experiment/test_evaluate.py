@@ -1,3 +1,4 @@
+import dataclasses
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from knowarm.experiment.summary import read_film, read_table, summarize
 from knowarm.statistics import wilson
 from knowarm.world.agents import (
     BLIND_AGENTS,
+    ApproachAgent,
     BlindAgent,
     BlindEntry,
     OpenLoopAgent,
@@ -19,6 +21,8 @@ from knowarm.world.agents import (
     ZeroAgent,
 )
 from knowarm.world.config import EnvConfig
+from knowarm.world.robots import ROBOTS
+from knowarm.world.scene.scene import load_scene
 from knowarm.world.tasks.held_out import HeldOut
 
 ZOO = Path(__file__).parents[2] / "zoo" / "tiago-full-fast"
@@ -231,3 +235,38 @@ def test_untrained_and_scripted_agents_are_evaluated_alone():
 def test_the_wide_angle_is_at_least_the_angle_of_success():
     assert EvaluationConfig(angle_deg=60).wide_angle_deg == 60
     assert EvaluationConfig(angle_deg=15).wide_angle_deg == 20
+
+
+def test_the_lift_test_counts_what_physics_holds():
+    config = EvaluationConfig(
+        episodes=6, num_envs=6, record_films=0, distance_m=0.002, angle_deg=1.0, lift=True
+    )
+    env = EnvConfig(targets=("mug", "bottle"), image_size=8, max_episode_steps=120)
+    result = evaluate(ApproachAgent(), env, config)
+    outcomes = result.episodes["lift"]
+    assert ((outcomes == "not reached") == ~result.episodes["success"]).all()
+    assert ((outcomes == "lifted") == (result.episodes["lift_rise_m"] >= 0.08)).all()
+    summary = result.summary
+    lifted = np.count_nonzero(outcomes == "lifted")
+    assert lifted >= 4
+    assert summary["lifted"] == lifted / 6
+    assert summary["grasps"] == lifted / np.count_nonzero(result.episodes["success"])
+    assert sum(summary["lift_outcomes"].values()) == summary["lift_episodes"] == 6
+    assert summary["label"] == "post-training-greedy-lift"
+
+
+def test_objects_that_cannot_be_lifted_are_left_out(monkeypatch):
+    entry = ROBOTS["irb120"]
+    robot = dataclasses.replace(entry.robot, not_liftable={"mug": "for this test"})
+    monkeypatch.setitem(ROBOTS, "irb120", dataclasses.replace(entry, robot=robot))
+    load_scene.cache_clear()
+    config = EvaluationConfig(
+        episodes=6, num_envs=6, record_films=0, distance_m=9.0, angle_deg=180.0, lift=True
+    )
+    env = EnvConfig(targets=("mug", "bottle"), image_size=8, max_episode_steps=1)
+    summary = evaluate(ZeroAgent(), env, config).summary
+    load_scene.cache_clear()
+    assert summary["per_target"]["mug"]["lift_episodes"] == 0
+    assert "lifted" not in summary["per_target"]["mug"]
+    assert summary["lift_episodes"] == summary["per_target"]["bottle"]["episodes"]
+    assert summary["lift_outcomes"]["missed"] == summary["lift_episodes"]

@@ -111,6 +111,8 @@ def _print(summary: dict[str, Any]) -> None:
     if "saw_no_answer" in summary:
         none, several = (100 * summary[f"saw_{each}"] for each in ("no_answer", "several_answers"))
         print(f"The agent saw no answer in {none:.1f} %, several in {several:.1f} %.\n")
+    if "lift_outcomes" in summary:
+        _print_lifts(summary)
     if "blind_agents" in summary:
         rows = [
             [name, numbers["episodes"], _share(numbers, "success"), _share(numbers, "difference")]
@@ -126,6 +128,16 @@ def _print(summary: dict[str, Any]) -> None:
         "wide: angle <= {wide_angle_deg} deg.\nfailure m: final distance of failed episodes. "
         "[95 % Wilson interval]; mean ± standard deviation.".format(**summary["config"])
     )
+
+
+def _print_lifts(summary: dict[str, Any]) -> None:
+    """Print how many episodes end in a lifted object, and how the other lifts end."""
+    rows = []
+    for name, group in {"all": summary, **summary["per_target"]}.items():
+        shares = [_share(group, share) if share in group else "-" for share in ("lifted", "grasps")]
+        rows.append([name, group["lift_episodes"], *shares, *group["lift_outcomes"].values()])
+    titles = ["target", "episodes", "lifted %", "grasps %", *summary["lift_outcomes"]]
+    print_table("Lifts; grasps: share of the successes whose object was lifted", titles, rows)
 
 
 def _print_groups(title: str, groups: dict[str, dict[str, Any]]) -> None:

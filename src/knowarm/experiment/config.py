@@ -167,10 +167,13 @@ class EvaluationConfig:
     """Seed of which triples are damaged."""
     label: str | None = None
     """Name of the folder of the evaluation's files; None takes ``post-training-<actions>``, plus
-    ``-held-out`` for held-out episodes, or the split in lower case, reasoning and damage."""
+    ``-held-out`` for held-out episodes, or the split in lower case, reasoning, damage and lift."""
     blind_episodes: int = 200
     """Number of episodes, from the first, that the blind agents play beside a trained one; 0 plays
     none."""
+    lift: bool = False
+    """Lift the object where an episode succeeds: its joint path is replayed among solid objects,
+    the fingers close, the arm lifts 10 cm and holds 2 s."""
     record_steps: bool = True
     """Keep joint angles, action, distance and angle of every step."""
     record_films: int = 6
@@ -206,4 +209,5 @@ class EvaluationConfig:
             + (f"-{self.reasoning}" if self.reasoning else "")
             + ("-stop" if self.unclear == "stop" else "")
             + (f"-{self.damage}-{100 * self.damage_share:g}" if self.damage else "")
+            + ("-lift" if self.lift else "")
         )

@@ -14,6 +14,7 @@ from knowarm.errors import UserError
 from knowarm.experiment.blind import blind_numbers
 from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.graph_at_test import answer_table, graph_at_test, knowledge_at_test
+from knowarm.experiment.lifting import lift_columns
 from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.experiment.run import Run
 from knowarm.experiment.summary import (
@@ -156,6 +157,8 @@ def evaluate(
         episodes = episode_columns(result, env, config)
         if isinstance(agent, AnsweringAgent):
             episodes["visible_answers"] = visible
+        if config.lift:
+            episodes |= lift_columns(result, env.scene, fixed)
         steps = step_values(result) if config.record_steps else None
     finally:
         env.close()

@@ -12,6 +12,7 @@ from PIL import Image, ImageSequence
 from knowarm.errors import UserError
 from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.graph_at_test import answers_before_edit
+from knowarm.experiment.lifting import lift_numbers
 from knowarm.reading import reading, replacing, writing
 from knowarm.statistics import Interval, bootstrap, wilson
 from knowarm.world.agents.play import EpisodeResults
@@ -38,8 +39,11 @@ TASK_COLUMNS = {
     "choice_correct": ("bool", "whether that object answers the query"),
     "chose_old_answer": ("bool", "whether it answered the query before the graph was edited"),
     "visible_answers": ("int64", "objects in the first image that answer, as the agent sees it"),
+    "lift": ("string", "how the lift of the object ended: see lifting.OUTCOMES"),
+    "lift_rise_m": ("float64", "rise of the object's centre of mass in the lift [m]"),
 }
-"""Further columns of tasks with several objects; a task of your own adds others."""
+"""Further columns of tasks with several objects and of the lift test; a task of your own adds
+others."""
 
 STEP_COLUMNS = {
     "episode": ("int32", "index of the episode in the fixed list, from 0"),
@@ -197,7 +201,8 @@ def summarize(episodes: Columns) -> dict[str, Any]:
     only), ``success`` (distance and angle at the same step), ``success_wide`` (the wider angle).
     In tasks with queries also ``choice``, the share of episodes that ended nearest to the wanted
     object, ``success_if_chosen``, groups ``per_query``, and on S5 ``chose_old_answer``;
-    of agents that answer by a graph ``saw_no_answer`` and ``saw_several_answers``.
+    of agents that answer by a graph ``saw_no_answer`` and ``saw_several_answers``; of a lift test
+    the numbers of `lift_numbers`.
     """
     summary = _numbers(episodes)
     groups = {"per_target": "target", "per_facet": "facet"}
@@ -236,6 +241,8 @@ def _numbers(episodes: Columns) -> dict[str, Any]:
         values["saw_several_answers"] = float(np.mean(episodes["visible_answers"] > 1))
     if "chose_old_answer" in episodes:
         values["chose_old_answer"] = float(episodes["chose_old_answer"].mean())
+    if "lift" in episodes:
+        values |= lift_numbers(episodes)
     values["failures"] = len(failures)
     for name, function in (("mean", np.mean), ("std", _std), ("max", np.max)):
         values[f"failure_distance_{name}"] = float(function(failures)) if len(failures) else None

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from knowarm.world.agents.open_loop import OpenLoopAgent
 from knowarm.world.agents.scripted import (
     AgentProtocol,
+    ApproachAgent,
     BlindAgent,
     FrozenAgent,
     OracleAgent,
@@ -17,6 +18,7 @@ __all__ = [
     "BLIND_AGENTS",
     "SCRIPTED_AGENTS",
     "AgentProtocol",
+    "ApproachAgent",
     "BlindAgent",
     "FrozenAgent",
     "OpenLoopAgent",
@@ -45,6 +47,9 @@ SCRIPTED_AGENTS: dict[str, ScriptedAgent] = {
     ),
     "oracle": ScriptedAgent(
         make=OracleAgent, about="Moves to the true grasp frame by inverse kinematics."
+    ),
+    "approach": ScriptedAgent(
+        make=ApproachAgent, about="As the oracle, at the end along the frame's approach direction."
     ),
 }
 """Scripted agents by name."""

@@ -83,6 +83,12 @@ class InverseKinematics:
                 getattr(solution, name)[missed[better]] = getattr(again, name)[better]
         return solution
 
+    def pose(self, joints: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Compute positions (n, 3) [m] and row-major rotations (n, 9) at joint angles (n, J)."""
+        simulation = MujocoSimulator(self.scene, len(joints))
+        simulation.set_joints(joints)
+        return simulation.tcp_position.copy(), simulation.tcp_matrix.copy()
+
     def _solve_once(
         self,
         position: NDArray[np.float64],

@@ -9,6 +9,10 @@ from knowarm.world.agents.ik import InverseKinematics
 from knowarm.world.envs.vector_env import ReachVectorEnv
 from knowarm.world.tasks.running import ACTION_LEVELS, joint_increments
 
+APPROACH_M = 0.10  # Way of the gripper straight to the goal frame
+WAYPOINTS = 8  # Poses of this way
+NEAR = 20  # Joints within MPI / NEAR of a pose have passed it
+
 
 class AgentProtocol(Protocol):
     """Chooses the actions of a vector environment, scripted or by a policy."""
@@ -75,6 +79,44 @@ class OracleAgent:
     def act(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:
         """Choose for each joint the action that ends nearest to its solution, (n, J)."""
         way = self._reach.joints - self._env.joint_targets
+        return np.abs(way[..., None] - self._levels).argmin(axis=-1)
+
+
+class ApproachAgent:
+    """Moves to the true goal frame along its approach direction, as a gripper has to.
+
+    The oracle takes the shortest way of the joints, on which fingers can hit the object. This agent
+    first moves to a pose behind the goal frame and then straight along the frame's z axis.
+
+    Args:
+        seed: of the starting points of the solver.
+    """
+
+    def __init__(self, seed: int = 0) -> None:
+        self._seed = seed
+
+    def start(self, env: ReachVectorEnv) -> None:
+        """Solve the inverse kinematics of the way of every episode."""
+        self._env = env
+        self._levels = joint_increments(env.scene.robot, env.config)
+        solver = InverseKinematics(env.scene, seed=self._seed, ignore_roll=env.config.ignore_roll)
+        joints = solver.solve(env.goal_position, env.goal_matrix, env.joint_positions).joints
+        back = -env.goal_matrix.reshape(-1, 3, 3)[:, :, 2]
+        solver = InverseKinematics(env.scene, starts=1, ignore_roll=env.config.ignore_roll)
+        way = [joints]
+        for distance in np.linspace(0.0, APPROACH_M, WAYPOINTS + 1)[1:]:
+            position = env.goal_position + distance * back
+            way.append(solver.solve(position, env.goal_matrix, way[-1], attempts=1).joints)
+        self._way = np.stack(way[::-1])
+        self._next = np.zeros(env.num_envs, dtype=np.int64)
+
+    def act(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:
+        """Choose for each joint the action that ends nearest to the next pose, (n, J)."""
+        rows = np.arange(len(self._next))
+        way = self._way[self._next, rows] - self._env.joint_targets
+        near = np.abs(way).max(axis=1) < self._levels.max() / NEAR
+        self._next = np.minimum(self._next + near, WAYPOINTS)
+        way = self._way[self._next, rows] - self._env.joint_targets
         return np.abs(way[..., None] - self._levels).argmin(axis=-1)
 
 

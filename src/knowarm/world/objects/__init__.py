@@ -26,6 +26,10 @@ class Target:
     """Names of the geoms that have this colour; the others keep the file's."""
     grasp_site: str = "grasp"
     """Site of the grasp frame; it is never visible."""
+    mass_kg: float | None = None
+    """Mass where it is lifted [kg], evenly over its shapes; None takes the file's."""
+    base_radius_m: float = 0.0
+    """Radius of a flat bottom for lifting, for an object drawn round below [m]; 0 for none."""
 
     def __post_init__(self) -> None:
         check_numbers(self)
@@ -84,11 +88,24 @@ _COLOURED_GEOMS: dict[str, tuple[str, ...]] = {
 }
 """Geoms in the object's colour, by object: one row and one MJCF file per object."""
 
+_MASS_KG = {
+    **{"mug": 0.3, "bottle": 0.5, "cereal_box": 0.4, "teapot": 0.4, "kettle": 0.7, "pitcher": 0.5},
+    **{"wine_glass": 0.15, "bowl": 0.35, "vase": 0.5, "pot": 0.7, "pan": 0.5, "jar": 0.4},
+    **{"can": 0.4, "candle": 0.2, "lamp": 0.6, "flashlight": 0.2, "mallet": 0.5, "brush": 0.15},
+    **{"basket": 0.3, "bucket": 0.3, "watering_can": 0.3, "clock": 0.3, "book": 0.5},
+    **{"toolbox": 1.0, "dumbbell": 1.0, "bell": 0.3, "globe": 0.4},
+}
+"""Mass of each object, as of an empty household thing of its size [kg]; our choice."""
+
+_BASE_RADIUS_M = {"teapot": 0.03, "vase": 0.03}
+"""Flat bottom of the objects whose shapes touch the ground in one point [m]."""
+
 TARGETS: dict[str, Target] = {
     # grasped on its handle, inclined by 45 degrees
     "mug": Target(
         name="mug",
         mjcf=_FOLDER / "mug.xml",
+        mass_kg=_MASS_KG["mug"],
         colours={"red": (1.0, 0.0, 0.0), "blue": (0.0, 0.0, 1.0)},
         coloured_geoms=("cup", "handle_top", "handle_side", "handle_bottom"),
     ),
@@ -96,6 +113,7 @@ TARGETS: dict[str, Target] = {
     "bottle": Target(
         name="bottle",
         mjcf=_FOLDER / "bottle.xml",
+        mass_kg=_MASS_KG["bottle"],
         colours={"yellow": (1.0, 1.0, 0.0), "purple": (0.4, 0.0, 0.9)},
         coloured_geoms=("belly", "shoulder", "neck"),
     ),
@@ -103,11 +121,19 @@ TARGETS: dict[str, Target] = {
     "cereal_box": Target(
         name="cereal_box",
         mjcf=_FOLDER / "cereal_box.xml",
+        mass_kg=_MASS_KG["cereal_box"],
         colours={"brown": (0.55, 0.27, 0.07), "light_blue": (0.5, 0.7, 0.9)},
         coloured_geoms=("carton",),
     ),
 } | {
-    name: Target(name=name, mjcf=_FOLDER / f"{name}.xml", colours=COLOURS, coloured_geoms=geoms)
+    name: Target(
+        name=name,
+        mjcf=_FOLDER / f"{name}.xml",
+        colours=COLOURS,
+        coloured_geoms=geoms,
+        mass_kg=_MASS_KG[name],
+        base_radius_m=_BASE_RADIUS_M.get(name, 0.0),
+    )
     for name, geoms in _COLOURED_GEOMS.items()
 }
 """The paper's three targets and the objects of the choose task, by name. To add one, put its MJCF

@@ -36,6 +36,7 @@ _IRB120 = Robot(
     mjcf=_FOLDER / "irb120" / "irb120.xml",
     joints=("joint_1", "joint_2", "joint_3", "joint_4", "joint_5", "joint_6"),
     tcp_site="tcp",
+    fingers=("finger_left", "finger_right"),
     # upright and with the wrist turned: far from every grasp, see docs/decisions.md
     home=(0.0, 0.0, 0.2, -0.4, -0.28, 1.44),
     mpi_rad=0.05,
@@ -63,6 +64,7 @@ _TIAGO = Robot(
     mjcf=_FOLDER / "tiago" / "tiago.xml",
     joints=tuple(f"arm_{i}_joint" for i in range(1, 8)),
     tcp_site="tcp",
+    fingers=("finger_left", "finger_right"),
     home=(0.206, -0.036, -1.35, 1.81, 0.52, 0.0, 0.95),
     mpi_rad=0.042,
     table=Table(half_size_m=(0.25, 0.35), centre_m=(0.78, -0.08), height_m=0.60),

@@ -86,6 +86,11 @@ class Robot:
     """Indices of the joints that start at a random offset from home (paper: joints 1 and 2)."""
     held_joints: Mapping[str, float] = field(default_factory=dict)
     """Values at which joints outside ``joints`` are fixed [rad or m]."""
+    fingers: tuple[str, ...] = ()
+    """Names of the two fingers in the model, bodies or geoms, drawn open; empty for none. They
+    move only where objects are lifted."""
+    not_liftable: Mapping[str, str] = field(default_factory=dict)
+    """Objects that these fingers cannot lift at their grasp frame, with the reason."""
     base_position_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Position of the model's origin, world [m]."""
     table: Table | None = None

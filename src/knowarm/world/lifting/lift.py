@@ -1,0 +1,177 @@
+"""Lift test: replay joint paths among solid objects, close the fingers, lift 10 cm and hold."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from mujoco.batch import Batch
+from numpy.typing import NDArray
+
+from knowarm.cores import available_cores
+from knowarm.world.agents.ik import InverseKinematics
+from knowarm.world.lifting.model import FINGERS, SUBSTEPS, LiftingModel, lifting_model
+from knowarm.world.scene.scene import Scene
+
+CLOSE_STEPS, LIFT_STEPS, HOLD_STEPS = 10, 20, 20  # Control periods of .1 s
+LIFT_M = 0.10  # Way of the gripper upwards
+LIFTED_M = 0.08  # Rise of the object's centre of mass from which it is lifted
+MOVED_M = 0.02  # Way of the object before the fingers close from which it counts as pushed
+WAYPOINTS = 5  # Poses of the way upwards
+
+OUTCOMES = {
+    "lifted": "it rose by 8 cm and was between the pads to the end",
+    "pushed": "the arm had moved it by more than 2 cm before the fingers closed",
+    "missed": "closed fingers did not both touch it",
+    "arm": "the gripper rose by less than 8 cm",
+    "slipped": "it was touched by both fingers, and lost or left low",
+}
+"""How a lift can end, in the order in which causes are looked for."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lifts:
+    """Results of n lifts."""
+
+    outcome: NDArray[np.str_]  # Name in ``OUTCOMES``, (n,)
+    rise: NDArray[np.float64]  # Rise of the object's centre of mass at the end [m], (n,)
+    moved: NDArray[np.float64]  # Way of the centre of mass before the fingers close [m], (n,)
+
+    @property
+    def lifted(self) -> NDArray[np.bool_]:
+        """Whether the object was lifted, (n,)."""
+        return self.outcome == "lifted"
+
+
+def lift(
+    scene: Scene,
+    paths: Sequence[NDArray[np.float64]],
+    objects: NDArray[np.int64],
+    positions: NDArray[np.float64],
+) -> Lifts:
+    """Replay n joint paths among solid objects, and lift the first object where each ends.
+
+    Episodes with the same objects are simulated as one batch; the result of one depends on itself
+    only.
+
+    Args:
+        scene: robot and objects; its own model is not changed.
+        paths: joint angles per control period from the start to the grasp, (T, J) [rad] each.
+        objects: indices of the visible objects into the scene's targets, (n, m).
+        positions: their x and y, (n, m, 2) [m].
+    """
+    upward = plan_lifts(scene, np.stack([path[-1] for path in paths]))
+    outcome = np.full(len(paths), "", dtype=f"U{max(map(len, OUTCOMES))}")
+    rise, moved = np.zeros(len(paths)), np.zeros(len(paths))
+    for shown in np.unique(objects, axis=0):
+        rows = np.flatnonzero((objects == shown).all(axis=1))
+        targets = tuple(scene.targets[k] for k in shown)
+        trial = LiftTrial(lifting_model(scene.robot, targets), len(rows))
+        for _ in trial.play([paths[i] for i in rows], upward[rows], positions[rows]):
+            pass
+        outcome[rows], rise[rows], moved[rows] = trial.outcome(), trial.rise, trial.moved
+    return Lifts(outcome=outcome, rise=rise, moved=moved)
+
+
+def plan_lifts(scene: Scene, joints: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Solve for joint angles that move the gripper 10 cm upwards without turning it.
+
+    Args:
+        scene: the robot.
+        joints: angles at which each lift starts, (n, J) [rad].
+
+    Returns:
+        Angles at ``WAYPOINTS`` equal distances, without the start, (n, WAYPOINTS, J) [rad].
+    """
+    solver = InverseKinematics(scene, starts=1)
+    position, matrix = solver.pose(joints)
+    angles = []
+    for height in np.linspace(0.0, LIFT_M, WAYPOINTS + 1)[1:]:
+        goal = position + np.array([0.0, 0.0, height])
+        joints = solver.solve(goal, matrix, joints, attempts=1).joints
+        angles.append(joints)
+    return np.stack(angles, axis=1)
+
+
+class LiftTrial:
+    """n simulations of the lifting of the first of m objects, and what was measured in them.
+
+    Attributes:
+        batch: the simulations, for drawing.
+        rise, moved: as in `Lifts`; complete once `play` has ended.
+    """
+
+    def __init__(self, model: LiftingModel, num_trials: int) -> None:
+        self.lifting = model
+        self.batch = Batch(model.model, num_trials, min(num_trials, available_cores()))
+        self._qpos = self.batch.bind("qpos")
+        self._qvel = self.batch.bind("qvel")
+        self._ctrl = self.batch.bind("ctrl")
+        self._centre = self.batch.bind("xipos")
+        self._site = self.batch.bind("site_xpos")
+        self._touch = self.batch.bind("sensordata")
+        self.rise = np.zeros(num_trials)
+        self.moved = np.zeros(num_trials)
+
+    def play(
+        self,
+        paths: Sequence[NDArray[np.float64]],
+        upward: NDArray[np.float64],
+        positions: NDArray[np.float64],
+    ) -> Iterator[str]:
+        """Simulate n lifts; yield the phase after each control period.
+
+        Shorter paths wait at their end for the longest.
+
+        Args:
+            paths: see `lift`.
+            upward: of `plan_lifts`, (n, WAYPOINTS, J).
+            positions: see `lift`.
+        """
+        lifting, joints = self.lifting, upward.shape[2]
+        last = np.stack([path[-1] for path in paths])
+        self._qpos[:, lifting.arm_qpos] = np.stack([path[0] for path in paths])
+        for i, start in enumerate(lifting.object_qpos):
+            self._qpos[:, start : start + 7] = lifting.rest[i]
+            self._qpos[:, start : start + 2] = positions[:, i]
+        self._qvel[:] = 0.0
+        self._ctrl[:] = 0.0
+        self.batch.forward()
+        placed = self._centre[:, lifting.object_body].copy()
+        gripper = self._site[:, lifting.tcp_site, 2]
+        for step in range(max(map(len, paths))):
+            self._ctrl[:, :joints] = np.stack([path[min(step, len(path) - 1)] for path in paths])
+            yield self._advance("approach")
+        before = self._centre[:, lifting.object_body].copy()
+        self.moved[:] = np.linalg.norm(before - placed, axis=1)
+        for step in range(CLOSE_STEPS):
+            self._ctrl[:, joints:] = lifting.closed_m * (step + 1) / (CLOSE_STEPS - 2)
+            yield self._advance("close")
+        self._touched = self._touches()
+        gripper = self._site[:, lifting.tcp_site, 2].copy()
+        way = np.concatenate([last[:, None], upward], axis=1)
+        for step in range(LIFT_STEPS):
+            at = (step + 1) * WAYPOINTS / LIFT_STEPS
+            low = min(int(at), WAYPOINTS - 1)
+            share = at - low
+            self._ctrl[:, :joints] = (1 - share) * way[:, low] + share * way[:, low + 1]
+            yield self._advance("lift")
+        self._held = self._touches()
+        for _ in range(HOLD_STEPS):
+            yield self._advance("hold")
+            self._held &= self._touches()
+        self.rise[:] = self._centre[:, lifting.object_body, 2] - before[:, 2]
+        self._gripper_rise = self._site[:, lifting.tcp_site, 2] - gripper
+
+    def outcome(self) -> NDArray[np.str_]:
+        """Name how each lift ended, (n,); see ``OUTCOMES``."""
+        held = self._held & (self.rise >= LIFTED_M)
+        causes = [held, self.moved > MOVED_M, ~self._touched, self._gripper_rise < LIFTED_M]
+        return np.select(causes, list(OUTCOMES)[:4], "slipped")
+
+    def _advance(self, phase: str) -> str:
+        self.batch.step(nstep=SUBSTEPS, stage=3)
+        return phase
+
+    def _touches(self) -> NDArray[np.bool_]:
+        """Return whether both fingers touch the object, (n,)."""
+        return np.asarray((self._touch[:, : len(FINGERS)] > 0).all(axis=1))

@@ -1,0 +1,211 @@
+"""Lifting model: a scene whose fingers move and whose objects are solid and free to move."""
+
+from copy import copy
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from knowarm.errors import UserError
+from knowarm.world.objects import Target
+from knowarm.world.robots.robot import Robot
+from knowarm.world.scene.compose import (
+    CONTROL_PERIOD_S,
+    ROBOT_BIT,
+    ROBOT_PREFIX,
+    SUPPORT_BIT,
+    compose,
+)
+
+OBJECT_BIT = 4  # Contact bit of objects, beside those of robot and support
+TIMESTEP_S = 0.002
+SUBSTEPS = round(CONTROL_PERIOD_S / TIMESTEP_S)  # Physics steps per control period
+IMPRATIO = 10.0  # Stiffness of friction over that of normal forces; less lets held objects creep
+PAD_FRICTION = (1.0, 0.005, 0.0001)  # Sliding, torsional [m] and rolling [m] friction of fingers
+PAD_SOLREF, PAD_SOLIMP = (0.004, 1.0), (0.95, 0.99)  # Stiff contacts of the fingers
+GRIP_FORCE_N = 40.0  # Largest force of each finger
+FINGER_GAIN_N_M = 4_000.0  # Gain of the fingers' position servos
+FINGER_DAMPING_N_S_M = 80.0
+SQUEEZE_M = 0.02  # Way past closed of the servos, so that thin parts are gripped with full force
+SUNK_M = 0.002  # Depth below the support from which a shape does not stand on it
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class LiftingModel:
+    """A compiled model and the indices of its parts; m objects, the first is lifted."""
+
+    model: mujoco.MjModel
+    arm_qpos: NDArray[np.intp]  # Index in qpos of each joint of the arm, (J,)
+    object_qpos: NDArray[np.intp]  # Index in qpos of each object's x, (m,)
+    object_body: int  # Body of the object to lift
+    rest: NDArray[np.float64]  # Pose of each object on the support, x and y apart, (m, 7)
+    tcp_site: int  # Site between the fingers
+    closed_m: float  # Position of the fingers' servos that grips with full force
+
+
+def lifting_model(robot: Robot, targets: tuple[Target, ...]) -> LiftingModel:
+    """Build the model of a robot and the objects of an episode.
+
+    The arm with its servos is that of `compose`. The robot's ``fingers`` slide along the y axis of
+    the tool centre point, coupled as in a parallel gripper, by up to ``GRIP_FORCE_N`` each. Objects
+    have their mass, distributed evenly over the shapes of their file, which collide with robot,
+    support and each other. Friction cones are elliptic.
+
+    Raises:
+        UserError: the robot names no fingers, or its file lacks them.
+    """
+    spec = compose(robot, targets)
+    spec.option.timestep = TIMESTEP_S
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.option.impratio = IMPRATIO
+    drawn = spec.compile()
+    data = mujoco.MjData(drawn)
+    mujoco.mj_kinematics(drawn, data)
+    opening = _move_fingers(spec, data, robot)
+    rest = np.stack([_free(spec, data, robot, target) for target in targets])
+    for finger in FINGERS:
+        _sense_touch(spec, finger, _body_name(spec, targets[0]))
+    model = spec.compile()
+    joints = [model.joint(ROBOT_PREFIX + name).id for name in robot.joints]
+    bodies = [model.body(_body_name(spec, target)).id for target in targets]
+    return LiftingModel(
+        model=model,
+        arm_qpos=model.jnt_qposadr[joints].astype(np.intp),
+        object_qpos=model.jnt_qposadr[model.body_jntadr[bodies]].astype(np.intp),
+        object_body=bodies[0],
+        rest=rest,
+        tcp_site=model.site(ROBOT_PREFIX + robot.tcp_site).id,
+        closed_m=opening / 2 + SQUEEZE_M,
+    )
+
+
+FINGERS = ("left", "right")
+"""Names of the fingers' bodies, joints and sensors in the model."""
+
+
+def _move_fingers(spec: mujoco.MjSpec, data: mujoco.MjData, robot: Robot) -> float:
+    """Give the fingers slides towards each other and a servo; return the gap between them [m]."""
+    if len(robot.fingers) != 2:
+        raise UserError(
+            f"Robot {robot.name!r} names no fingers, so nothing can be lifted; set fingers to the "
+            "names of two bodies or geoms of its MJCF file."
+        )
+    model = data.model
+    tcp = model.site(ROBOT_PREFIX + robot.tcp_site).id
+    across = data.site_xmat[tcp].reshape(3, 3)[:, 1]
+    geoms = [_finger_geoms(spec, model, robot, name) for name in robot.fingers]
+    opening = min(
+        mujoco.mj_geomDistance(model, data, a, b, 1.0, None) for a in geoms[0] for b in geoms[1]
+    )
+    for name, finger, ids in zip(robot.fingers, FINGERS, geoms, strict=True):
+        inward = -across * np.sign((data.geom_xpos[ids[0]] - data.site_xpos[tcp]) @ across)
+        body = spec.body(ROBOT_PREFIX + name)
+        frame = model.geom_bodyid[ids[0]]
+        if body is None:
+            body = _geom_to_body(spec, model, ids[0])
+        body.name = finger
+        body.add_joint(
+            name=finger,
+            type=mujoco.mjtJoint.mjJNT_SLIDE,
+            axis=data.xmat[frame].reshape(3, 3).T @ inward,
+            limited=mujoco.mjtLimited.mjLIMITED_TRUE,
+            range=[0.0, opening / 2],
+            damping=[FINGER_DAMPING_N_S_M, 0, 0],
+            armature=0.1,
+            solref_limit=PAD_SOLREF,
+        )
+        for geom in body.geoms:
+            geom.friction = PAD_FRICTION
+            geom.condim = 4
+            geom.solref = PAD_SOLREF
+            geom.solimp[:2] = PAD_SOLIMP
+            geom.priority = 1
+        servo = spec.add_actuator(name=finger, target=finger, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        servo.set_to_position(kp=FINGER_GAIN_N_M)
+        servo.forcelimited = True
+        servo.forcerange = [-GRIP_FORCE_N, GRIP_FORCE_N]
+    spec.add_equality(
+        type=mujoco.mjtEq.mjEQ_JOINT, name1=FINGERS[0], name2=FINGERS[1], data=[0, 1] + [0] * 10
+    )
+    return float(opening)
+
+
+def _finger_geoms(spec: mujoco.MjSpec, model: mujoco.MjModel, robot: Robot, name: str) -> list[int]:
+    """Return the ids of a finger's colliding geoms."""
+    body = spec.body(ROBOT_PREFIX + name)
+    if body is not None:
+        number = model.body(ROBOT_PREFIX + name).id
+        return [g for g in range(model.ngeom) if model.geom_bodyid[g] == number]
+    if spec.geom(ROBOT_PREFIX + name) is None:
+        raise UserError(
+            f"Robot {robot.name!r}: fingers names {name!r}, which {robot.mjcf.name} has neither as "
+            "body nor as geom."
+        )
+    return [model.geom(ROBOT_PREFIX + name).id]
+
+
+def _geom_to_body(spec: mujoco.MjSpec, model: mujoco.MjModel, number: int) -> mujoco.MjsBody:
+    """Move a primitive geom into a body of its own, at the frame of the body it was in."""
+    old = spec.geom(model.geom(number).name)
+    kept = "name type size material rgba mass contype conaffinity"
+    values = {field: copy(getattr(old, field)) for field in kept.split()}
+    parent = old.parent
+    spec.delete(old)
+    body = parent.add_body(gravcomp=1)
+    body.add_geom(pos=model.geom_pos[number], quat=model.geom_quat[number], **values)
+    return body
+
+
+def _body_name(spec: mujoco.MjSpec, target: Target) -> str:
+    """Return the name of a target's body in the model."""
+    return str(spec.site(f"{target.name}/{target.grasp_site}").parent.name)
+
+
+def _free(
+    spec: mujoco.MjSpec, data: mujoco.MjData, robot: Robot, target: Target
+) -> NDArray[np.float64]:
+    """Make a target a solid free body with its mass; return its pose on the support, (7,)."""
+    model = data.model
+    support = model.geom("table" if robot.table else "floor").id
+    body = spec.body(_body_name(spec, target))
+    number = model.body(body.name).id
+    body.mocap = False
+    body.add_freejoint()
+    if target.mass_kg is not None:
+        density = 1000.0 * target.mass_kg / model.body_mass[number]
+        for geom in body.geoms:
+            geom.density = density
+    lowest = 0.0
+    for geom in body.geoms:
+        gap = mujoco.mj_geomDistance(model, data, model.geom(geom.name).id, support, 1.0, None)
+        stands = gap > -SUNK_M
+        geom.contype = OBJECT_BIT
+        geom.conaffinity = ROBOT_BIT | OBJECT_BIT | (SUPPORT_BIT if stands else 0)
+        lowest = min(lowest, gap) if stands else lowest
+    if target.base_radius_m:
+        half = 0.002
+        body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+            size=[target.base_radius_m, half, 0],
+            pos=[0, 0, half],
+            mass=0,
+            contype=0,
+            conaffinity=SUPPORT_BIT,
+            rgba=[0, 0, 0, 0],
+        )
+    height = data.xpos[number, 2] - lowest
+    return np.array([0.0, 0.0, height, *data.xquat[number]])
+
+
+def _sense_touch(spec: mujoco.MjSpec, finger: str, body: str) -> None:
+    """Add a sensor that counts the contacts between a finger and the object to lift."""
+    spec.add_sensor(
+        name=finger,
+        type=mujoco.mjtSensor.mjSENS_CONTACT,
+        objtype=mujoco.mjtObj.mjOBJ_BODY,
+        objname=finger,
+        reftype=mujoco.mjtObj.mjOBJ_BODY,
+        refname=body,
+        intprm=[1, 0, 1],
+    )
