@@ -32,6 +32,7 @@ from knowarm.world.agents import AgentProtocol
 from knowarm.world.agents.play import play
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.lifting.model import lifting_model
 from knowarm.world.tasks.episodes import Episodes, evaluation_episodes
 
 FORMAT = 1
@@ -124,8 +125,9 @@ def evaluate(
         The result, with the columns of every episode.
 
     Raises:
-        UserError: a run folder that cannot be loaded or written to, an agent without a task, or
-            held-out episodes of an environment that holds none out.
+        UserError: a run folder that cannot be loaded or written to, an agent without a task,
+            held-out episodes of an environment that holds none out, or a lift by a robot without
+            fingers.
     """
     config = override(config or EvaluationConfig(), overrides)
     if isinstance(agent, Run):
@@ -150,6 +152,8 @@ def evaluate(
         if trained is not None:
             agent, table = agent_for_test(trained, judged, config)
         fixed = _episodes(env, config)
+        if config.lift:  # a robot without fingers is found before anything is played
+            lifting_model(env.scene.robot, env.scene.targets[:1])
         result = play(agent, env, fixed, record_images=config.record_films)
         if isinstance(agent, AnsweringAgent):  # the last batch repeats its last episode
             visible = np.concatenate(agent.log)[: len(fixed)]
