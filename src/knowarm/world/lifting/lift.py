@@ -66,7 +66,7 @@ def lift(
         rows = np.flatnonzero((objects == shown).all(axis=1))
         targets = tuple(scene.targets[k] for k in shown)
         trial = LiftTrial(lifting_model(scene.robot, targets), len(rows))
-        for _ in trial.play([paths[i] for i in rows], upward[rows], positions[rows]):
+        for _ in trial.play([paths[i] for i in rows.tolist()], upward[rows], positions[rows]):
             pass
         outcome[rows], rise[rows], moved[rows] = trial.outcome(), trial.rise, trial.moved
     return Lifts(outcome=outcome, rise=rise, moved=moved)
