@@ -4,14 +4,18 @@ python -m scripts.freeze_suites reach-v1
 """
 
 import sys
+from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 
 from knowarm.benchmark.policies import FixedList
-from knowarm.benchmark.suites import FOLDER, Cell, Split, Suite, digest_of, freeze
+from knowarm.benchmark.suites import FOLDER, Cell, Split, Suite, digest_of, freeze, read_suite
 from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.evaluate import env_for_test
 from knowarm.experiment.names import experiment_config
+from knowarm.knowledge.formats import open_graph
+from knowarm.knowledge.graph.damage import Damage, damaged
 from knowarm.world.agents import OracleAgent
 from knowarm.world.agents.open_loop import search_open_loop
 from knowarm.world.agents.play import play
@@ -69,10 +73,28 @@ def choose() -> Suite:
     return freeze("choose-v1", about, cells, **OPTIONS)
 
 
+def damaged_graph() -> Suite:
+    """Split S1 of choose-v1, episode for episode, with graphs of which 30 % are damaged."""
+    cells, graph = [], open_graph("objects")
+    for robot in ("irb120", "tiago"):
+        whole = read_suite("choose-v1").cells[f"{robot}-S1"]
+        for kind in get_args(Damage):
+            broken = damaged(graph, kind, 0.3, SEED, whole.env.targets)
+            cells.append(replace(whole, name=f"{robot}-{kind}", graph=broken))
+    about = (
+        "The episodes of choose-v1's split S1, with a graph of which 30 % of the triples about the "
+        "objects are damaged: missing; wrong (another tail of the relation); adversarial (values "
+        "swapped in pairs). The undamaged graph judges."
+    )
+    return freeze("damaged-graph-v1", about, cells, **OPTIONS)
+
+
+SUITES = {"reach-v1": reach, "choose-v1": choose, "damaged-graph-v1": damaged_graph}
+
 if __name__ == "__main__":
     for name in sys.argv[1:]:
         if (FOLDER / f"{name}.json").exists():
             raise SystemExit(f"{name} is published: make a new version.")
-        suite = {"reach-v1": reach, "choose-v1": choose}[name]()
+        suite = SUITES[name]()
         suite.write(FOLDER)
         print(suite.name, suite.digest)

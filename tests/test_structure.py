@@ -21,7 +21,7 @@ BELOW = {
     "experiment": {"knowledge", "world", "policy", "statistics", "learn", "perception"},
     "integrations": {"world", "policy", "learn", "perception", "experiment", "statistics"},
     "study": {"world", "learn", "experiment"},
-    "benchmark": {"world", "learn", "statistics", "experiment", "integrations"},
+    "benchmark": {"knowledge", "world", "learn", "statistics", "experiment", "integrations"},
     "report": {"knowledge", "world", "policy", "statistics", "learn", "experiment"},
 }
 """Packages that each package may import, beside itself and the root's modules; `cli` may all."""

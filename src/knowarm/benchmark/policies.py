@@ -1,8 +1,9 @@
 """Policies of a benchmark: run folders, exported folders, anything with ``reset`` and ``act``."""
 
 import hashlib
+import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol
@@ -10,6 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from knowarm.benchmark.external import OnnxPolicy, PredictingPolicy
 from knowarm.benchmark.suites import Cell
 from knowarm.config import to_dict
 from knowarm.errors import UserError
@@ -17,17 +19,18 @@ from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.evaluate import agent_for_test
 from knowarm.experiment.load import load_agent
 from knowarm.integrations.runner import Runner
+from knowarm.knowledge import KnowledgeGraph
 from knowarm.learn.algorithms import privileged_uses
 from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
 from knowarm.world.config import facets_of, questions_of
 from knowarm.world.envs.vector_env import ReachVectorEnv
-from knowarm.world.tasks.running import ACTION_LEVELS
+from knowarm.world.tasks.running import ACTION_LEVELS, joint_increments
 
 INPUTS = ("image", "words", "graph", "simulator")
 """What a policy may use: the image, the query's words, a graph, the simulator's state."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Batch:
     """What a policy receives when n episodes start; the simulator's state is not part of it."""
 
@@ -35,10 +38,16 @@ class Batch:
     """Number of episodes n, which are played side by side."""
     joints: Mapping[str, NDArray[np.float64]]
     """Start angle of each joint by name, (n,) [rad] (slides: [m])."""
+    increments: NDArray[np.float64]
+    """Joint increment of each of the seven levels, (7,) [rad]."""
+    limits: NDArray[np.float64]
+    """Lower and upper limits of the joints, (2, J) [rad]."""
     queries: tuple[str, ...] | None = None
     """Query of each episode, such as ``usedFor drinking and hasColor blue``."""
     conditions: tuple[tuple[tuple[str, str], ...], ...] | None = None
     """The same as (relation, value) pairs."""
+    graph: KnowledgeGraph | None = None
+    """Graph that replaces the policy's own in these episodes."""
 
 
 class BenchmarkPolicy(Protocol):
@@ -50,30 +59,33 @@ class BenchmarkPolicy(Protocol):
     def act(self, observations: Mapping[str, NDArray[Any]]) -> NDArray[np.int64]:
         """Choose actions (n, J), levels 0 to 6 of each joint.
 
-        ``observations["image"]`` is (n, 64, 64, 3) uint8 RGB.
+        ``observations["image"]`` is (n, 64, 64, 3) uint8 RGB, ``observations["joint_targets"]``
+        the joint angles that the actions have commanded, (n, J) float32 [rad].
         """
 
 
 class PolicyAdapter:
     """Plays a `BenchmarkPolicy` as an agent, and checks its actions."""
 
-    def __init__(self, policy: BenchmarkPolicy) -> None:
-        self._policy = policy
+    def __init__(self, policy: BenchmarkPolicy, graph: KnowledgeGraph | None = None) -> None:
+        self._policy, self._graph = policy, graph
 
     def start(self, env: ReachVectorEnv) -> None:
         """Hand the policy the start of the episodes."""
-        table, asked = questions_of(env.config), None
-        if table is not None:
-            asked = [table.queries[row] for row in np.asarray(env.knowledge_input)]
-        names = env.scene.robot.joints
+        self._env, scene = env, env.scene
+        table = questions_of(env.config)
+        asked = [] if table is None else [table.queries[row] for row in env.knowledge_input]
+        names = scene.robot.joints
         self._shape = (env.num_envs, len(names))
         batch = Batch(
             size=env.num_envs,
             joints=dict(zip(names, env.joint_positions.T.copy(), strict=True)),
-            queries=None if asked is None else tuple(query.name for query in asked),
-            conditions=None
-            if asked is None
-            else tuple(tuple((c.relation, c.value) for c in query.conditions) for query in asked),
+            increments=joint_increments(scene.robot, env.config),
+            limits=np.stack([scene.joint_lower, scene.joint_upper]),
+            queries=tuple(query.name for query in asked) or None,
+            conditions=tuple(tuple((c.relation, c.value) for c in q.conditions) for q in asked)
+            or None,
+            graph=self._graph,
         )
         self._policy.reset(batch)
 
@@ -83,7 +95,9 @@ class PolicyAdapter:
         Raises:
             UserError: they are no integers of this shape from 0 to 6.
         """
-        actions = np.asarray(self._policy.act({"image": observations}))
+        seen: dict[str, NDArray[Any]] = {"image": observations}
+        seen["joint_targets"] = self._env.joint_targets.astype(np.float32)
+        actions = np.asarray(self._policy.act(seen))
         levels = len(ACTION_LEVELS)
         if (
             actions.shape != self._shape
@@ -161,6 +175,8 @@ class Entrant:
     """Controls that only this kind of policy has."""
     seed: int | None = None
     """Training seed."""
+    num_envs: int = 100
+    """Episodes played side by side."""
 
 
 def entrant(spec: str) -> Entrant:
@@ -176,12 +192,19 @@ def entrant(spec: str) -> Entrant:
         return _exported(spec, path)
     if path.is_dir():
         return _run(spec)
-    module, _, name = spec.partition(":")
-    if name:
-        return _user_policy(spec, module, name)
+    if path.suffix == ".onnx":
+        return _entrant(spec, OnnxPolicy(path))
+    if spec.startswith(("ws://", "wss://")):
+        from knowarm.integrations.serve import MOST_CONNECTIONS, Client
+
+        policy = _Runners(lambda: Client(spec), ("image", "words"), "served")
+        return _entrant(spec, policy, MOST_CONNECTIONS)
+    if ":" in spec:
+        return _entrant(spec, _user_policy(spec))
     raise UserError(
-        f"There is no policy {spec!r}. Give a run folder, a folder of `knowarm export`, "
-        f"package.module:Name, or one of {', '.join(SCRIPTED_AGENTS)}."
+        f"There is no policy {spec!r}. Give a run folder, a folder of `knowarm export`, an ONNX "
+        "file, ws://HOST:PORT, package.module:Name, package.module:Name:FILE, or one of "
+        f"{', '.join(SCRIPTED_AGENTS)}."
     )
 
 
@@ -206,7 +229,10 @@ def _run(spec: str) -> Entrant:
             raise UserError(f"{spec} was trained with other objects or colours.")
         # A fresh copy: knowledge of one cell must not stay for the next.
         agent, _ = agent_for_test(
-            load_agent(spec), other, EvaluationConfig(split=cell.split, reasoning=reasoning)
+            load_agent(spec),
+            other,
+            EvaluationConfig(split=cell.split, reasoning=reasoning),
+            graph=cell.graph,
         )
         return agent
 
@@ -239,62 +265,76 @@ def _run(spec: str) -> Entrant:
 
 
 class _Runners:
-    """Plays an exported policy, one runner per episode."""
+    """Plays what commands joint targets, one runner or client per episode."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._runners: list[Runner] = []
+    def __init__(self, make: Callable[[], Any], inputs: tuple[str, ...], training: str) -> None:
+        self._make, self.inputs, self.training = make, inputs, training
+        self._runners = [make()]
 
     def reset(self, batch: Batch) -> None:
         """Start a runner per episode."""
         while len(self._runners) < batch.size:
-            self._runners.append(Runner.load(self._folder))
+            self._runners.append(self._make())
         for i in range(batch.size):
             joints = {name: float(angles[i]) for name, angles in batch.joints.items()}
             row = None if batch.queries is None else batch.queries[i]
             self._runners[i].start(joints, row)
-        self._count = batch.size
+        self._batch = batch
 
     def act(self, observations: Mapping[str, NDArray[Any]]) -> NDArray[np.int64]:
-        """Step every runner."""
-        images, runners = observations["image"], self._runners[: self._count]
-        for runner, image in zip(runners, images, strict=True):
-            runner.step(image)
-        return np.stack([runner.levels for runner in runners]).astype(np.int64)
+        """Step every runner; return the levels that lead nearest to its joint targets."""
+        images, joints = observations["image"], observations["joint_targets"].astype(np.float64)
+        wanted = np.empty_like(joints)
+        for i, image in enumerate(images):
+            self._runners[i].targets = joints[i]
+            wanted[i] = self._runners[i].step(image)
+        reached = joints[..., None] + self._batch.increments
+        reached = reached.clip(*self._batch.limits[..., None])
+        return np.abs(reached - wanted[..., None]).argmin(-1)
 
 
 def _exported(spec: str, folder: Path) -> Entrant:
-    contract = (folder / "contract.json").read_bytes()
-    policy = _Runners(folder)
-    runner = Runner.load(folder)
+    data = (folder / "contract.json").read_bytes()
+    contract = json.loads(data)
+    rows, names = contract["knowledge"]["rows"], set(contract["joints"]["names"])
+    inputs = ("image", "words") if len(rows) > 1 else ("image",)
+    policy = _Runners(lambda: Runner.load(folder), inputs, "exported")
 
     def make(cell: Cell) -> AgentProtocol:
-        table, rows = questions_of(cell.env), runner.contract["knowledge"]["rows"]
-        names = set(runner.joint_names)
+        table = questions_of(cell.env)
         if table is not None and not {query.name for query in table.queries} <= set(rows):
             raise UserError(f"{spec} has no vectors of the queries of {cell.name}.")
         if not names <= set(ReachVectorEnv(cell.env, 1).scene.robot.joints):
             raise UserError(f"{spec} moves the joints {', '.join(sorted(names))}.")
-        return PolicyAdapter(policy)
+        return PolicyAdapter(policy, cell.graph)
 
-    return Entrant(
-        spec=spec, make=make, training="exported", digest=hashlib.sha256(contract).hexdigest()
-    )
+    return replace(_entrant(spec, policy), make=make, digest=hashlib.sha256(data).hexdigest())
 
 
-def _user_policy(spec: str, module: str, name: str) -> Entrant:
+def _user_policy(spec: str) -> Any:
+    """Make what ``module:Name`` names, or load a file with its ``load``: ``module:Name:FILE``."""
+    module, name, *file = spec.split(":", 2)
     try:
         made = getattr(import_module(module), name)
-    except (ImportError, AttributeError) as error:
-        raise UserError(f"Cannot import the policy {spec!r}: {error}.") from None
-    policy = made() if callable(made) else made
+        policy = made.load(file[0]) if file else made() if callable(made) else made
+    except (ImportError, AttributeError, OSError, ValueError) as error:
+        raise UserError(f"Cannot make the policy {spec!r}: {error}.") from None
+    return PredictingPolicy(policy) if hasattr(policy, "predict") else policy
+
+
+def _entrant(spec: str, policy: Any, num_envs: int = 100) -> Entrant:
     for method in ("reset", "act"):
         if not callable(getattr(policy, method, None)):
             raise UserError(f"{spec} has no method {method}(); a policy has reset and act.")
     inputs = tuple(getattr(policy, "inputs", ("image",)))
     if unknown := set(inputs) - set(INPUTS):
         raise UserError(f"{spec}.inputs names {', '.join(unknown)}; allowed: {', '.join(INPUTS)}.")
-    training = str(getattr(policy, "training", ""))
     return Entrant(
-        spec=spec, make=lambda cell: PolicyAdapter(policy), inputs=inputs, training=training
+        spec=spec,
+        make=lambda cell: PolicyAdapter(policy, cell.graph),
+        inputs=inputs,
+        training=str(getattr(policy, "training", "")),
+        digest=getattr(policy, "digest", ""),
+        seed=getattr(policy, "seed", None),
+        num_envs=num_envs,
     )

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import knowarm
 from knowarm.benchmark.policies import Entrant, FixedList, ShuffledQueries
 from knowarm.benchmark.suites import CONTROLS, Cell, Suite, read_suite
 from knowarm.errors import UserError, unknown_name
-from knowarm.reading import read_json, write_json
+from knowarm.reading import read_json
 from knowarm.statistics import Interval, bootstrap, wilson
 from knowarm.world.agents import AgentProtocol, BlindAgent, FrozenAgent
 from knowarm.world.agents.play import play
@@ -21,7 +22,6 @@ from knowarm.world.envs.vector_env import ReachVectorEnv
 from knowarm.world.tasks.episodes import Episodes
 
 FORMAT = 1
-NUM_ENVS = 100
 Bits = NDArray[np.bool_]
 
 
@@ -57,8 +57,10 @@ def run_suite(
     played: dict[str, list[dict[str, Any]]] = {cell.name: [] for cell in chosen}
     for each in entrants:
         for cell in chosen:
-            played[cell.name].append(_play_cell(suite, cell, each))
-            report(f"{cell.name}: {each.spec} succeeds in {_solved(played[cell.name][-1])}")
+            outcome = _play_cell(suite, cell, each)
+            played[cell.name].append(outcome)
+            solved = _outcomes(outcome["policy"]["success"]).sum()
+            report(f"{cell.name}: {each.spec} succeeds in {solved:,} episodes")
     row = {
         "format": FORMAT,
         "suite": suite.name,
@@ -80,7 +82,7 @@ def run_suite(
 def _play_cell(suite: Suite, cell: Cell, entrant: Entrant) -> dict[str, Any]:
     """Play one cell with one seed of a policy and with its controls; return outcomes as hex."""
     cell.check()
-    env = ReachVectorEnv(cell.env, min(NUM_ENVS, len(cell.episodes)))
+    env = ReachVectorEnv(cell.env, min(entrant.num_envs, len(cell.episodes)))
     try:
         outcome = {"policy": _bits(entrant.make(cell), env, cell.episodes)}
         few = cell.episodes[: suite.control_episodes]
@@ -98,29 +100,23 @@ def _controls(cell: Cell, entrant: Entrant) -> dict[str, AgentProtocol]:
         agents["frozen"] = FrozenAgent(entrant.make(cell))
     if {"words", "graph"} & set(entrant.inputs) and questions_of(cell.env) is not None:
         agents["shuffled query"] = ShuffledQueries(entrant.make(cell))
+    if cell.graph is not None and "graph" in entrant.inputs:
+        agents["intact graph"] = entrant.make(replace(cell, graph=None))
     return agents | {name: make(cell) for name, make in entrant.controls.items()}
 
 
 def _bits(agent: AgentProtocol, env: ReachVectorEnv, episodes: Episodes) -> dict[str, str]:
     """Play episodes; return success, and where the task has queries right choices, as hex."""
     result = play(agent, env, episodes)
-    chosen = result.infos.get("is_right_object")
-    found = {"success": _hex(result.success)}
-    return found if chosen is None else found | {"right": _hex(chosen.astype(bool))}
+    found = {"success": result.success}
+    if "is_right_object" in result.infos:
+        found["right"] = result.infos["is_right_object"].astype(bool)
+    return {name: np.packbits(bits).tobytes().hex() for name, bits in found.items()}
 
 
-def _hex(bits: Bits) -> str:
-    return np.packbits(bits).tobytes().hex()
-
-
-def _outcomes(text: str, count: int) -> Bits:
+def _outcomes(text: str, count: int | None = None) -> Bits:
     data = np.frombuffer(bytes.fromhex(text), np.uint8)
     return np.unpackbits(data)[:count].astype(bool)
-
-
-def _solved(outcome: dict[str, Any]) -> str:
-    data = np.frombuffer(bytes.fromhex(outcome["policy"]["success"]), np.uint8)
-    return f"{int(np.unpackbits(data).sum()):,} episodes"
 
 
 def _figures(suite: Suite, row: dict[str, Any]) -> dict[str, Any]:
@@ -180,11 +176,6 @@ def _summary(suite: Suite, row: dict[str, Any]) -> dict[str, Any]:
 def _success(suite: Suite, row: dict[str, Any], cell: str, seed: int) -> Bits:
     outcome = row["cells"][cell]["outcomes"][seed]["policy"]["success"]
     return _outcomes(outcome, len(suite.cells[cell].episodes))
-
-
-def write_row(row: dict[str, Any], path: Path) -> None:
-    """Write a row as JSON."""
-    write_json(path, row)
 
 
 def read_row(path: Path) -> dict[str, Any]:

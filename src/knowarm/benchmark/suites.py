@@ -15,8 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from safetensors.numpy import load, save
 
+import knowarm.experiment.graph_queries  # noqa: F401  (registers questions that suites ask)
 from knowarm.config import from_dict, to_dict
 from knowarm.errors import UserError, unknown_name
+from knowarm.knowledge import KnowledgeGraph
+from knowarm.knowledge.graph.builder import graph_of
 from knowarm.questions import QuestionTable
 from knowarm.world.config import EnvConfig, questions_of
 from knowarm.world.tasks.episodes import Episodes
@@ -31,6 +34,7 @@ CONTROLS = {
     "frozen": "the policy, which sees only the first image of an episode",
     "shuffled query": "the policy with the queries of other episodes",
     "shuffled graph": "the policy with a graph whose tails are permuted within each relation",
+    "intact graph": "the policy with the graph before its damage",
 }
 """Controls that can stand beside a score, in the order of tables, and what they are."""
 
@@ -46,6 +50,7 @@ class Cell:
         open_loop: the best fixed list of actions, (T, J).
         reference: success of the oracle and of the fixed list, and chance, when it was frozen.
         questions: digest of the question table that the episodes refer to.
+        graph: what a policy may use in place of its own graph; None leaves it its own.
     """
 
     name: str
@@ -55,6 +60,7 @@ class Cell:
     open_loop: NDArray[np.int64]
     reference: dict[str, float | None]
     questions: str | None
+    graph: KnowledgeGraph | None = None
 
     @property
     def table(self) -> str:
@@ -122,6 +128,9 @@ def parse_suite(text: bytes, arrays: bytes) -> Suite:
     for name, cell in values.pop("cells").items():
         found = {field.name: columns[f"{name}/{field.name}"] for field in fields(Episodes)}
         env = from_dict(EnvConfig, cell.pop("env"), where=f"{values['name']}.{name}")
+        if (graph := cell.pop("graph", None)) is not None:
+            triples = [tuple(text.split("\t")) for text in graph["triples"]]
+            cell["graph"] = graph_of(triples, nodes=graph["entities"])
         listed = columns[f"{name}/open_loop"].astype(np.int64)
         cells[name] = Cell(name, env, episodes=Episodes(**found), open_loop=listed, **cell)
     del values["format"]
@@ -144,6 +153,9 @@ def freeze(
             "reference": cell.reference,
             "questions": cell.questions,
         }
+        if cell.graph is not None:
+            lines = ["\t".join(triple) for triple in cell.graph]
+            described[cell.name]["graph"] = {"triples": lines, "entities": cell.graph.entities}
     values = {
         "format": FORMAT,
         "name": name,

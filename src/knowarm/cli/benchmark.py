@@ -11,9 +11,11 @@ import tyro
 
 from knowarm.benchmark.leaderboard import read_rows, write_leaderboard
 from knowarm.benchmark.policies import Entrant, entrant
-from knowarm.benchmark.rows import read_row, run_suite, verify, write_row
+from knowarm.benchmark.rows import read_row, run_suite, verify
 from knowarm.benchmark.suites import read_suite, suite_names
 from knowarm.cli.tables import print_table
+from knowarm.errors import UserError
+from knowarm.reading import write_json
 
 SuiteName = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SUITE")]
 RowPath = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="ROW")]
@@ -50,8 +52,8 @@ class RunSuite:
     suite: SuiteName
     """Name of a suite: see `knowarm benchmark show`."""
     policy: Policies
-    """Run folders of the training seeds of one agent, a folder of `knowarm export`,
-    package.module:Name, or a scripted agent."""
+    """Run folders of the training seeds of one agent, a folder of `knowarm export`, ONNX files,
+    ws://HOST:PORT, package.module:Name, package.module:Name:FILE, or a scripted agent."""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("row.json")
     """File of the row."""
     name: str | None = None
@@ -67,7 +69,7 @@ class RunSuite:
         row = run_suite(
             read_suite(self.suite), entrants, name=name, cells=self.cells, report=_report
         )
-        write_row(row, self.out)
+        write_json(self.out, row)
         for table, summary in row["summary"].items():
             names = summary["cells"]
             rows = []
@@ -88,7 +90,8 @@ class VerifyRow:
     row: RowPath
     """File of a row."""
     policy: Policies = ()
-    """Where the policies are on this machine. Default: as in the row."""
+    """Where the policies are on this machine. Default: as in the row, unless that names code or a
+    server."""
     tolerance: float = 0.0
     """Largest share of the episodes of a cell that may end otherwise, for a machine that rounds
     differently."""
@@ -99,7 +102,13 @@ class VerifyRow:
         """Check and say so."""
         row = read_row(self.row)
         if self.play:
-            entrants = _entrants(self.policy or row["policy"]["specs"])
+            specs = self.policy or tuple(row["policy"]["specs"])
+            if code := [spec for spec in specs if ":" in spec and not self.policy]:
+                raise UserError(
+                    f"{self.row} names code or a server ({code[0]}), which a row of somebody else "
+                    f"must not choose: give it yourself, --policy {code[0]}, or use --no-play."
+                )
+            entrants = _entrants(specs)
             verify(row, entrants, tolerance=self.tolerance, report=_report)
         how = "played again with the same outcomes" if self.play else "consistent; not played again"
         print(f"{self.row}: {how}.")

@@ -26,6 +26,7 @@ from knowarm.experiment.summary import (
     write_film,
     write_table,
 )
+from knowarm.knowledge import KnowledgeGraph
 from knowarm.perception.answering import AnsweringAgent
 from knowarm.reading import write_json
 from knowarm.world.agents import AgentProtocol
@@ -185,13 +186,16 @@ def evaluate(
 
 
 def agent_for_test(
-    trained: TrainedAgent, env: EnvConfig, config: EvaluationConfig
+    trained: TrainedAgent,
+    env: EnvConfig,
+    config: EvaluationConfig,
+    graph: KnowledgeGraph | None = None,
 ) -> tuple[AgentProtocol, torch.Tensor | None]:
     """Return the agent with what it knows in this evaluation, and a table to restore after it.
 
-    ``env`` is of `env_for_test`.
+    ``env`` is of `env_for_test`; ``graph`` replaces the graph of the questions.
     """
-    graph, network = graph_at_test(trained.config, env, config), trained.network
+    graph, network = graph_at_test(trained.config, env, config, graph), trained.network
     reasoning = config.reasoning or trained.config.reasoning
     if reasoning == "vector":
         if config.reasoning and network is None:

@@ -20,22 +20,26 @@ from knowarm.world.tasks.choose.choose import Choose
 
 
 def graph_at_test(
-    config: ExperimentConfig, env: EnvConfig, how: EvaluationConfig
+    config: ExperimentConfig,
+    env: EnvConfig,
+    how: EvaluationConfig,
+    given: KnowledgeGraph | None = None,
 ) -> KnowledgeGraph | None:
     """Return the graph that an agent knows in an evaluation; None for the one of its training.
 
-    The episodes are judged by the undamaged graph; on S5 by the edited one.
+    The episodes are judged by the undamaged graph; on S5 by the edited one. ``given`` replaces the
+    graph of the questions.
     """
-    graph = None
-    if how.split == "S5":
+    graph = given
+    if given is not None or how.split == "S5":
         queries, splits = _splits(env)
         if config.knowledge.graph != queries.graph and config.knowledge.detail != "none":
             raise UserError(
-                f"S5 edits the graph of the questions ({queries.graph}), but the policy was "
+                f"This test changes the graph of the questions ({queries.graph}); the policy was "
                 f"trained with knowledge from {config.knowledge.graph}. Train with knowledge.graph "
                 "set to the former."
             )
-        graph = splits.edited
+        graph = given or splits.edited
     if how.damage is not None:
         if config.knowledge.detail == "none":
             raise UserError(

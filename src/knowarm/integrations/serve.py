@@ -11,7 +11,7 @@ import ipaddress
 import socket
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,8 @@ from knowarm.integrations.runner import Runner
 
 try:
     import msgpack
-    from websockets.exceptions import ConnectionClosed
+    from websockets.exceptions import ConnectionClosed, WebSocketException
+    from websockets.sync.client import connect
     from websockets.sync.server import Server, ServerConnection, serve
 except ImportError as missing:
     raise UserError(
@@ -168,6 +169,38 @@ class PolicyServer:
                 timing["prev_total_ms"] = previous_ms
             connection.send(pack({"actions": targets[None], "server_timing": timing}))
             previous_ms = 1e3 * (time.monotonic() - begin)
+
+
+class Client:
+    """Plays a policy server as a `Runner` plays an exported policy.
+
+    Raises:
+        UserError: no server answers, or it refuses an observation.
+    """
+
+    def __init__(self, url: str) -> None:
+        self._url = url
+        try:
+            link = connect(url, compression=None, max_size=MOST_BYTES)
+            self._link = contextlib.ExitStack().enter_context(link)
+            self._link.recv()  # metadata
+        except (OSError, WebSocketException, ValueError) as error:
+            raise UserError(f"No policy server answers at {url}: {error}.") from None
+
+    def start(self, joints: Mapping[str, float], knowledge: str | None = None) -> None:
+        """Start an episode with the next step."""
+        self.targets, self._reset = np.array(list(joints.values())), True
+        self._prompt = {} if knowledge is None else {PROMPT: knowledge}
+
+    def step(self, image: np.ndarray) -> np.ndarray:
+        """Return the joint targets (J,) that follow an image (H, W, 3) uint8 RGB."""
+        seen = {IMAGE: image, STATE: self.targets, RESET: self._reset, **self._prompt}
+        self._link.send(pack(seen))
+        answer, self._reset = self._link.recv(), False
+        actions = [] if isinstance(answer, str) else unpack(answer).get("actions", [])
+        if np.shape(actions)[1:] != self.targets.shape:
+            raise UserError(f"The policy server at {self._url} refuses: {answer!r:.300}")
+        return np.asarray(actions)[0]
 
 
 def act(runner: Runner, observation: Any) -> np.ndarray:

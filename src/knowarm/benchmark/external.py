@@ -1,0 +1,85 @@
+"""Policies of other libraries: ONNX files and models of Stable-Baselines3."""
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knowarm.errors import UserError
+from knowarm.world.tasks.running import ACTION_LEVELS
+
+Observations = Mapping[str, NDArray[Any]]
+
+
+class OnnxPolicy:
+    """Plays an ONNX file: observations and states in, levels (n, J) or scores (n, J, 7) out.
+
+    Inputs that are no observation are recurrent states, float32, zeros as an episode starts; the
+    outputs after the first are their next values, in the same order.
+    """
+
+    def __init__(self, path: Path) -> None:
+        try:
+            import onnxruntime
+
+            options = onnxruntime.SessionOptions()
+            options.intra_op_num_threads = 1  # sums in the same order on every machine
+            self._session = session = onnxruntime.InferenceSession(path, options)
+        except ImportError:
+            raise UserError("An ONNX file needs pip install 'knowarm[onnx]'.") from None
+        except Exception as error:  # ONNX Runtime's errors have no common class
+            raise UserError(f"Cannot read {path}: {' '.join(str(error).split())}") from None
+        sizes = {each.name: each.shape[1:] for each in session.get_inputs()}
+        self._seen = sizes.keys() & {"image", "joint_targets"}
+        self._sizes = {name: size for name, size in sizes.items() if name not in self._seen}
+        if len(session.get_outputs()) != 1 + len(self._sizes):
+            raise UserError(
+                f"{path} must have an output for the actions and one per state (all inputs but "
+                f"image and joint_targets; here {', '.join(self._sizes) or 'none'})."
+            )
+        self.inputs = tuple(self._seen & {"image"})
+        self.training = session.get_modelmeta().custom_metadata_map.get("training", "")
+        self.digest = hashlib.sha256(path.read_bytes()).hexdigest()
+
+    def reset(self, batch: Any) -> None:
+        """Start with states of zeros."""
+        self._state = {k: np.zeros((batch.size, *v), np.float32) for k, v in self._sizes.items()}
+
+    def act(self, observations: Observations) -> NDArray[np.int64]:
+        """Run the model."""
+        given = {name: observations[name] for name in self._seen} | self._state
+        first, *states = self._session.run(None, given)
+        self._state = dict(zip(self._state, states, strict=True))
+        return first.argmax(-1) if first.ndim == 3 else first
+
+
+class PredictingPolicy:
+    """Plays a model with ``predict``, as those of Stable-Baselines3, greedily.
+
+    It observes the image or a ``Dict`` of observations. Continuous actions are increments in units
+    of the MPI and are played as the nearest levels.
+    """
+
+    def __init__(self, model: Any) -> None:
+        self._model, self._names = model, getattr(model.observation_space, "spaces", ("image",))
+        self.inputs = ("image",) if "image" in self._names else ()
+        self.training = f"{type(model).__name__}, {model.num_timesteps:,} steps"
+        self.seed = model.seed
+
+    def reset(self, batch: Any) -> None:
+        """Forget the recurrent state."""
+        self._state, self._start = None, np.ones(batch.size, np.bool_)
+
+    def act(self, observations: Observations) -> NDArray[np.int64]:
+        """Predict."""
+        seen: Any = observations["image"]
+        if isinstance(self._names, dict):
+            seen = {name: observations[name] for name in self._names}
+        actions, self._state = self._model.predict(seen, self._state, self._start, True)
+        self._start = np.zeros_like(self._start)
+        if np.issubdtype(actions.dtype, np.integer):
+            return actions
+        return np.abs(actions[..., None] - np.array(ACTION_LEVELS)).argmin(-1)
