@@ -1,0 +1,156 @@
+"""LeRobot environment plugin: the frozen episodes of KnowArm-Bench.
+
+LeRobot imports every installed package named ``lerobot_env_*`` when it starts. The import registers
+the environment type ``knowarm``: ``--env.type=knowarm --env.task=reach-v1/irb120-fixed``.
+"""
+
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, VectorEnv
+from lerobot.configs import FeatureType, PolicyFeature
+from lerobot.envs.configs import EnvConfig
+from lerobot.utils.constants import ACTION, OBS_IMAGE, OBS_STATE
+from numpy.typing import NDArray
+
+from knowarm import UserError
+from knowarm.benchmark.suites import Cell, read_suite
+from knowarm.world.config import questions_of
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.tasks.running import joint_increments
+
+Observation = dict[str, NDArray[Any]]
+
+
+class BenchmarkEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
+    """Plays the episodes of a cell: seed s starts episode s, no seed the next one.
+
+    Args:
+        suite: name of a suite.
+        cell: name of one of its cells.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012 (Gymnasium's name)
+
+    def __init__(self, suite: str, cell: str) -> None:
+        self._cell = read_suite(suite).cells[cell]
+        config = self._cell.env
+        self._arm = ReachVectorEnv(config, 1, 1, AutoresetMode.DISABLED, "rgb_array")
+        self._questions = questions_of(config)
+        self.task, self.render_mode = f"{suite}/{cell}", "rgb_array"
+        self._max_episode_steps = config.max_episode_steps
+        scene = self._arm.scene
+        self._increments = joint_increments(scene.robot, config)
+        self._lower, self._upper = scene.joint_lower, scene.joint_upper
+        self._number = -1
+        joints = spaces.Box(-np.inf, np.inf, self._lower.shape, np.float32)
+        self.observation_space = spaces.Dict(
+            {"pixels": self._arm.single_observation_space, "agent_pos": joints}
+        )
+        self.action_space = spaces.Box(
+            self._lower.astype(np.float32), self._upper.astype(np.float32)
+        )
+
+    @property
+    def task_description(self) -> str:
+        """The query of the current episode in words."""
+        if self._questions is None:
+            return "reach the object"
+        return self._questions.queries[self._arm.knowledge_input[0]].name
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start the episode of a seed, or the next one."""
+        super().reset(seed=seed)
+        self._number = (self._number + 1 if seed is None else seed) % len(self._cell.episodes)
+        start = self._cell.episodes[self._number : self._number + 1]
+        images, infos = self._arm.reset(options={"episodes": start})
+        return self._observe(images), {"is_success": bool(infos["is_success"][0])}
+
+    def step(
+        self, action: NDArray[np.float32]
+    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Move each joint by the increment that leads nearest to its target [rad]."""
+        targets = self._arm.joint_targets[0, :, None] + self._increments
+        reached = targets.clip(self._lower[:, None], self._upper[:, None])
+        levels = np.abs(reached - np.asarray(action)[:, None]).argmin(1)
+        images, reward, terminated, truncated, infos = self._arm.step(levels[None])
+        success = {"is_success": bool(infos["is_success"][0])}
+        end = bool(terminated[0]), bool(truncated[0])
+        return self._observe(images), float(reward[0]), *end, success
+
+    def render(self) -> NDArray[np.uint8]:
+        """Draw the policy's view, (480, 480, 3) uint8."""
+        return self._arm.render()[0]
+
+    def _observe(self, images: NDArray[np.uint8]) -> Observation:
+        joints = self._arm.joint_positions[0].astype(np.float32)
+        return {"pixels": images[0], "agent_pos": joints}
+
+
+@EnvConfig.register_subclass("knowarm")
+@dataclass
+class KnowArmEnv(EnvConfig):
+    """Cells of a suite with the same joints, one LeRobot task each."""
+
+    task: str | None = "reach-v1/irb120"
+    """SUITE/CELL, or the beginning of the cell's name."""
+    fps: int = 10
+    features_map: dict[str, str] = field(
+        default_factory=lambda: {ACTION: ACTION, "agent_pos": OBS_STATE, "pixels": OBS_IMAGE}
+    )
+
+    def __post_init__(self) -> None:
+        joints = {cell.env.robot: cell.episodes.joint_offsets.shape[1] for cell in self.cells()}
+        if len(set(joints.values())) > 1:
+            raise UserError(
+                f"env.task {self.task!r} names cells of {' and '.join(joints)}, whose joints "
+                "differ; name one robot, such as reach-v1/irb120."
+            )
+        (shape,) = {(count,) for count in joints.values()}
+        size = self.cells()[0].env.image_size
+        self.features = {
+            ACTION: PolicyFeature(type=FeatureType.ACTION, shape=shape),
+            "agent_pos": PolicyFeature(type=FeatureType.STATE, shape=shape),
+            "pixels": PolicyFeature(type=FeatureType.VISUAL, shape=(size, size, 3)),
+        }
+
+    def cells(self) -> list[Cell]:
+        """Return the cells of ``task``.
+
+        Raises:
+            UserError: an unknown suite or cell.
+        """
+        suite, _, wanted = str(self.task).partition("/")
+        cells = read_suite(suite).cells
+        found = [cell for name, cell in cells.items() if name.startswith(wanted)]
+        if not found:
+            raise UserError(f"{suite} has no cell {wanted!r}; it has {', '.join(cells)}.")
+        return found
+
+    @property
+    def gym_kwargs(self) -> dict[str, Any]:
+        """No arguments: `create_envs` makes the environments."""
+        return {}
+
+    def create_envs(
+        self, n_envs: int, use_async_envs: bool = False
+    ) -> dict[str, dict[int, VectorEnv[Any, Any, Any]]]:
+        """Make a vector environment per cell."""
+        several = use_async_envs and n_envs > 1
+        suite = str(self.task).partition("/")[0]
+        options: dict[str, Any] = {"autoreset_mode": AutoresetMode.SAME_STEP}
+        if several:
+            options["context"] = "forkserver"
+        make = AsyncVectorEnv if several else SyncVectorEnv
+        return {
+            suite: {
+                number: make([partial(BenchmarkEnv, suite, cell.name)] * n_envs, **options)
+                for number, cell in enumerate(self.cells())
+            }
+        }
