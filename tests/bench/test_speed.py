@@ -6,7 +6,7 @@ import pytest
 
 from knowarm.cli.main import main
 from knowarm.experiment.names import experiment_config
-from knowarm.experiment.speed import measure_training
+from knowarm.experiment.speed import measure_peak, measure_training, training_flops
 from tests.tiny import ALGORITHM
 
 
@@ -15,14 +15,44 @@ def test_the_command_prints_and_writes_every_speed(capsys, tmp_path):
     file = tmp_path / "speed.json"
     assert main(["bench", "--seconds", "0.1", "--num-envs", "4", "--json", str(file)]) == 0
     out = capsys.readouterr().out
-    assert all(words in out for words in ("Simulation", "Images", "Training", "hours"))
+    assert all(words in out for words in ("Simulation", "Images", "Training", "MFLOP", "hours"))
     values = json.loads(file.read_text())
     speeds = [value for name, value in values.items() if "_per_" in name]
-    assert len(speeds) == 4
+    assert len(speeds) == 5
     assert all(speed > 0 for speed in speeds)
+    expected = values["training_steps_per_s"] * values["training_flops"]
+    assert values["share_of_peak"] == pytest.approx(expected / values["peak_flops_per_s"])
 
 
-@pytest.mark.parametrize("name", ["irb120-bm-ppo", "irb120-choose-subgraph-ppo"])
+def test_operations_are_counted_from_the_shapes_of_the_policy():
+    """Hidden size 128: products of 64 patches of blocks, 36 positions, 1152, 256 and 43 inputs."""
+    config = experiment_config("irb120-bm-ppo", algorithm={"epochs": 3})
+    patches, positions = 256 * 27 * 16, 36 * 576 * 32
+    dense = 1152 * 128 + 2 * 128 * 512 + 128 * (42 + 1)
+    forward = 2 * (patches + positions + dense)
+    # Without gradients of the pixels and of the first recurrent state's inputs.
+    backward = 2 * forward - 2 * patches
+    assert training_flops(config) == pytest.approx(4 * forward + 3 * backward, rel=0.02)
+
+
+def test_muon_is_counted_per_minibatch():
+    adam = experiment_config("irb120-bm-fast", algorithm={"optimizer": "adam"})
+    muon = experiment_config("irb120-bm-fast", algorithm={"optimizer": "muon-float32"})
+    half = experiment_config(
+        "irb120-bm-fast", algorithm={"optimizer": "muon-float32", "minibatches": 4}
+    )
+    without, some, less = map(training_flops, (adam, muon, half))
+    assert some - without == pytest.approx(2 * (less - without))
+    assert some > without
+
+
+def test_the_measured_peak_is_that_of_a_product():
+    assert 1e8 < measure_peak(1, 0.01) < 1e14
+
+
+@pytest.mark.parametrize(
+    "name", ["irb120-bm-ppo", "irb120-choose-subgraph-ppo", "irb120-choose-answers-ppo"]
+)
 def test_training_is_measured_also_for_agents_with_a_module(name):
     config = experiment_config(name, algorithm=ALGORITHM)
     assert measure_training(config, 0.01) > 0

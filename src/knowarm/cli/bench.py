@@ -9,7 +9,13 @@ from knowarm.cli.tables import TableCommand, print_table
 from knowarm.cores import available_cores, processor
 from knowarm.errors import UserError
 from knowarm.experiment.names import DEFAULT_EXPERIMENT, experiment_config
-from knowarm.experiment.speed import measure_images, measure_steps, measure_training
+from knowarm.experiment.speed import (
+    measure_images,
+    measure_peak,
+    measure_steps,
+    measure_training,
+    training_flops,
+)
 from knowarm.world.envs.vector_env import ReachVectorEnv
 
 
@@ -37,10 +43,16 @@ class Bench(TableCommand):
         images = measure_images(config.env, num_envs=self.num_envs, seconds=self.seconds)
         _announce("training, whose first update compiles code")
         training = measure_training(config, self.seconds)
+        _announce("the processor's peak")
+        peak, flops = measure_peak(cores, min(self.seconds, 1.0)), training_flops(config)
+        share = training * flops / peak
         rows = [
             ("Simulation with images", round(simulation.steps_per_s), "steps/s"),
             ("Images alone, one core", round(images), "images/s"),
             ("Training: simulation, policy and learning", round(training), "steps/s"),
+            ("Network: operations per training step", round(flops / 1e6, 1), "MFLOP"),
+            ("Peak: one product of float32 matrices", round(peak / 1e9, 1), "GFLOP/s"),
+            ("Share of the peak that the network uses", round(100 * share, 1), "%"),
             (f"Time to train all {steps:,} steps", steps / training / 3600, "hours"),
         ]
         title = f"{self.experiment} on {cores} cores, {self.num_envs} robots simulated at once"
@@ -52,6 +64,9 @@ class Bench(TableCommand):
             "simulation_steps_per_cpu_s": simulation.steps_per_cpu_s,
             "images_per_s_core": images,
             "training_steps_per_s": training,
+            "training_flops": flops,
+            "peak_flops_per_s": peak,
+            "share_of_peak": share,
             "total_steps": steps,
             "machine": {"processor": processor(), "cores": cores, "cpus": os.cpu_count()},
         }

@@ -1,4 +1,4 @@
-"""Speed of this machine: environment steps, images and training steps per second."""
+"""Speed of this machine: environment steps, images and training steps per second, and FLOPs."""
 
 import os
 import time
@@ -8,11 +8,15 @@ from typing import NamedTuple
 import gymnasium
 import numpy as np
 import psutil
+import torch
+from torch.utils.flop_counter import FlopCounterMode
 
+from knowarm.cores import torch_threads
 from knowarm.experiment.agents import AGENTS, first_of_role
 from knowarm.experiment.build import build, make_trainer
 from knowarm.experiment.config import ExperimentConfig
-from knowarm.learn import A3CConfig, Hooks, Metrics
+from knowarm.learn import A3CConfig, Hooks, Metrics, PPOConfig
+from knowarm.learn.optimizer import PolicyOptimizer
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ReachVectorEnv
 from knowarm.world.tasks.running import ACTION_LEVELS
@@ -20,6 +24,8 @@ from knowarm.world.tasks.running import ACTION_LEVELS
 WARM_UP_ROWS = 2
 """Rows of the training metrics that are not measured: the first updates compile."""
 NEVER = 10**12
+PRODUCT = 1536
+"""Rows and columns of the matrices whose product measures the processor's peak."""
 
 
 class Speed(NamedTuple):
@@ -68,15 +74,21 @@ def measure_images(config: EnvConfig, *, num_envs: int, seconds: float) -> float
     return count * num_envs / (cpu_seconds() - cpu)
 
 
+def _measurable(config: ExperimentConfig) -> ExperimentConfig:
+    """Replace an agent with a module by the baseline agent of the same task."""
+    if not config.has_module:
+        return config
+    knowledge = AGENTS[first_of_role("baseline")].knowledge
+    return replace(config, knowledge=knowledge, grounding=None, reasoning="vector")
+
+
 def measure_training(config: ExperimentConfig, seconds: float) -> float:
     """Return the steps per second by the clock of a training without evaluations, after warm-up.
 
     Instead of an agent with a perception module or a grounding network, which would have to be
     trained first, the baseline agent is measured on the same task.
     """
-    if config.has_module:
-        knowledge = AGENTS[first_of_role("baseline")].knowledge
-        config = replace(config, knowledge=knowledge, grounding=None)
+    config = _measurable(config)
     if isinstance(config.algorithm, A3CConfig):  # by default minutes pass between two rows
         config = replace(config, algorithm=replace(config.algorithm, log_every_steps=1000))
     rows: list[Metrics] = []
@@ -91,3 +103,42 @@ def measure_training(config: ExperimentConfig, seconds: float) -> float:
     make_trainer(config, policy, evaluate_every=NEVER, hooks=hooks).train(NEVER)
     first, last = rows[WARM_UP_ROWS - 1], rows[-1]
     return (last["step"] - first["step"]) / (last["wall_time_s"] - first["wall_time_s"])
+
+
+def training_flops(config: ExperimentConfig) -> float:
+    """Count the operations of the network per environment step: one inference and all passes.
+
+    Matrix products and convolutions of inference, forward and backward passes and Muon are counted
+    by running them on one image; a multiplication and an addition are two operations. Simulation,
+    images and element-wise work are not included.
+    """
+    algorithm = config.algorithm
+    policy = build(_measurable(config)).new_policy(0)
+    image = torch.zeros((1, 1, *policy.encoder.patch_shape), dtype=torch.uint8)
+    facet = torch.zeros((1, 1, *policy.facet_spec[0]), dtype=policy.facet_spec[1])
+    start = torch.ones((1, 1), dtype=torch.bool)
+    with FlopCounterMode(display=False) as forward:
+        logits, values, _ = policy.unroll(image, facet, policy.initial_state(1), start)
+    with FlopCounterMode(display=False) as backward:
+        (logits.sum() + values.sum()).backward()
+    passes, muon = 1, 0.0
+    if isinstance(algorithm, PPOConfig):
+        optimizer = PolicyOptimizer(dict(policy.named_parameters()), algorithm)
+        with FlopCounterMode(display=False) as update:
+            optimizer.step()
+        minibatch = algorithm.num_envs * algorithm.rollout_steps / algorithm.minibatches
+        passes, muon = algorithm.epochs, update.get_total_flops() / minibatch
+    once = forward.get_total_flops()
+    return once + passes * (once + backward.get_total_flops() + muon)
+
+
+def measure_peak(cores: int, seconds: float) -> float:
+    """Return the operations per second of a product of two float32 matrices on some cores."""
+    one = torch.ones(PRODUCT, PRODUCT)
+    out, best, start = torch.empty_like(one), float("inf"), time.perf_counter()
+    with torch_threads(cores):
+        while best == float("inf") or time.perf_counter() - start < seconds:
+            begin = time.perf_counter()
+            torch.mm(one, one, out=out)
+            best = min(best, time.perf_counter() - begin)
+    return 2 * PRODUCT**3 / best
