@@ -152,3 +152,11 @@ def test_the_reaching_scene_knows_no_fingers():
 def test_a_robot_without_fingers_is_refused(gantry, fingers, message):
     with pytest.raises(UserError, match=message):
         lifting_model(replace(gantry, fingers=fingers), (TARGETS["mug"],))
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_objects_left_out_exist_and_have_a_reason(name):
+    left_out = ROBOTS[name].robot.not_liftable
+    assert set(left_out) <= set(TARGETS)
+    assert all(left_out.values())
+    assert {"mug", "bottle", "cereal_box"}.isdisjoint(left_out)

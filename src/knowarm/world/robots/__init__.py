@@ -39,10 +39,10 @@ _IRB120 = Robot(
     fingers=("finger_left", "finger_right"),
     # grasps that exact poses do not lift at all places: docs/results/grasp.md
     not_liftable={
-        "bowl": "solid rim, 74 mm wide at the grasp, between fingers 64 mm apart",
+        "bowl": "solid rim, wider at the grasp than the fingers are apart",
         "jar": "lid 100 mm wide",
-        "can": "rim 72 mm wide",
-        "lamp": "shade 92 mm wide at the finger tips",
+        "can": "rim 72 mm wide, fingers 64 mm apart",
+        "lamp": "shade wider than the fingers are apart at their tips",
         "book": "as thick as the fingers are apart; turns in the grip",
         "bucket": "fingers come down on both halves of the handle",
         "flashlight": "finger tips end 6 mm before the tube's axis and squeeze it out",
@@ -77,6 +77,13 @@ _TIAGO = Robot(
     joints=tuple(f"arm_{i}_joint" for i in range(1, 8)),
     tcp_site="tcp",
     fingers=("finger_left", "finger_right"),
+    not_liftable={
+        "bowl": "solid rim, wider at the grasp than the fingers are apart",
+        "jar": "lid 100 mm wide",
+        "lamp": "shade wider than the fingers are apart at their tips",
+        "pot": "finger tips stand on the lid before they reach the knob",
+        "bucket": "fingers come down on both halves of the handle",
+    },
     home=(0.206, -0.036, -1.35, 1.81, 0.52, 0.0, 0.95),
     mpi_rad=0.042,
     table=Table(half_size_m=(0.25, 0.35), centre_m=(0.78, -0.08), height_m=0.60),
