@@ -74,7 +74,7 @@ def test_the_share_of_practice_starts_falls_from_all_to_none():
 
 
 def test_targets_are_what_the_teacher_says_before_each_step():
-    built, _ = trainer()
+    built, _ = trainer(dataclasses.replace(CONFIG, glimpse_until=0.0))
     lessons, env = [], built._collector.env
     teach = env.teach
     env.teach = lambda: lessons.append(teach()) or lessons[-1]
@@ -86,9 +86,51 @@ def test_targets_are_what_the_teacher_says_before_each_step():
     assert torch.equal(targets.auxiliary[..., -6:], expected)
 
 
+def test_glimpses_are_first_images_of_new_episodes_with_the_teachers_actions():
+    built, rows = trainer(dataclasses.replace(CONFIG, glimpse_until=1.0))
+    env, places, lessons = built._collector.env, [], []
+    teach = env.teach
+
+    def watched():
+        places.append(env.running.positions[:, 0].copy())
+        lessons.append(teach())
+        return lessons[-1]
+
+    env.teach = watched
+    built.train(48)
+    rollout, targets = built._learner.rollout, built._learner.targets
+    assert len(np.unique(np.concatenate(places), axis=0)) == 48, "no place is shown twice"
+    assert torch.equal(targets.teacher_actions, torch.stack([actions for actions, _ in lessons]))
+    assert torch.equal(rollout.patches[-1], built.policy.patches(built._collector._image))
+    assert bool(rollout.episode_start.all())
+    assert rows[0]["episodes"] == 0
+
+
+def test_the_policy_acts_after_the_glimpses():
+    built, rows = trainer(dataclasses.replace(CONFIG, glimpse_until=0.5, practice_until=0.0))
+    built.train(4 * 48)
+    assert [row["environment_s"] > 0 for row in rows] == [False, False, True, True]
+    assert not bool(built._learner.rollout.episode_start.all())
+
+
+def test_glimpses_leave_the_recurrent_weights_alone():
+    built, _ = trainer(dataclasses.replace(CONFIG, glimpse_until=1.0))
+    before = {name: value.clone() for name, value in built.policy.state_dict().items()}
+    built.train(48)
+    changed = {n for n, value in built.policy.state_dict().items() if not value.equal(before[n])}
+    assert "memory.weight_hh" not in changed
+    assert {"encoder.conv1.weight", "fc.weight", "memory.weight_ih", "actor.weight"} <= changed
+
+
+def test_glimpses_cannot_be_reinforced():
+    with pytest.raises(UserError, match="glimpses have no actions to reinforce"):
+        PPOConfig(glimpse_until=0.5, imitation_coef=1.0)
+
+
 def test_imitation_raises_the_agreement_with_the_teacher():
     """Episodes of the same states: without learning the loss would stay at log 7."""
-    config = dataclasses.replace(CONFIG, practice_until=0.0, learning_rate_schedule="constant")
+    options = {"practice_until": 0.0, "glimpse_until": 0.0, "learning_rate_schedule": "constant"}
+    config = dataclasses.replace(CONFIG, **options)
     built, rows = trainer(config)
     built.train(48 * 30)
     losses = [row["imitation_loss"] for row in rows]

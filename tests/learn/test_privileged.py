@@ -178,10 +178,11 @@ def test_two_processes_compute_the_gradient_of_one():
         torch.testing.assert_close(one, two, rtol=1e-4, atol=1e-6)
 
 
-def test_muon_updates_the_hidden_matrices_and_adam_the_rest():
+@pytest.mark.parametrize("choice", ["muon", "muon-float32"])
+def test_muon_updates_its_matrices_and_adam_the_rest(choice):
     network = TrainingNetwork(toy_policy(), 0)
     parameters = network.parameters_by_name()
-    optimizer = PolicyOptimizer(parameters, dataclasses.replace(CONFIG, optimizer="muon"))
+    optimizer = PolicyOptimizer(parameters, dataclasses.replace(CONFIG, optimizer=choice))
     for parameter in parameters.values():
         parameter.grad = torch.ones_like(parameter)
     optimizer.step()
@@ -190,7 +191,7 @@ def test_muon_updates_the_hidden_matrices_and_adam_the_rest():
         parameter, _, quantity = name.rpartition("/")
         kinds.setdefault(parameter, set()).add(quantity)
     assert {name for name, kind in kinds.items() if kind == {"momentum_buffer"}} == {
-        *MUON_PARAMETERS
+        *MUON_PARAMETERS[choice]
     }
     assert set(kinds) == set(parameters)
 

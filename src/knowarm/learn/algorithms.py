@@ -14,6 +14,7 @@ PRIVILEGED_OPTIONS: Mapping[str, tuple[Any, str]] = {
     "progress_coef": (0, "progress reward"),
     "imitation_coef": (0, "teacher"),
     "practice_until": (0, "practice starts"),
+    "glimpse_until": (0, "glimpses"),
 }
 """Options that need the simulator's state in training: value that does not, and what it is for."""
 
@@ -135,6 +136,10 @@ class PPOConfig(ScheduleConfig):
     """Fraction of the training during which the share of episodes that start on the teacher's way
     to the goal, with noise, falls from all to none; 0: all episodes start as the task draws
     them."""
+    glimpse_until: float = 0.0
+    """Fraction of the training in which the policy does not act: every environment starts a new
+    episode for each image, and learns what the teacher would do. Such images differ more than
+    those of an episode and cost half as much; 0: the policy acts from the start."""
     average_updates: int | None = None
     """Number of updates over which the parameters are averaged (exponentially) for interim
     evaluations and the best policy, which then act with the averages; None: not averaged."""
@@ -158,8 +163,13 @@ class PPOConfig(ScheduleConfig):
         counts = ("num_envs", "rollout_steps", "epochs", "minibatches", "processes")
         at_least(self, 1, *counts, "average_updates")
         above_zero(self, "adam_eps", "clip_range", "reward_scale", "max_grad_norm")
-        fraction(self, "gamma", "gae_lambda", "practice_until")
+        fraction(self, "gamma", "gae_lambda", "practice_until", "glimpse_until")
         at_least(self, 0, "auxiliary_coef", "progress_coef", "imitation_coef", "reinforcement_coef")
+        if self.glimpse_until and self.reinforcement_coef:
+            raise UserError(
+                f"glimpse_until is {self.glimpse_until} and reinforcement_coef "
+                f"{self.reinforcement_coef}: glimpses have no actions to reinforce. Set one to 0."
+            )
         if self.device == "cuda" and self.processes is not None:
             raise UserError(
                 f"processes ({self.processes}) applies to device 'cpu' only; leave it None "

@@ -97,8 +97,9 @@ class Collector:
     """Steps the environments with the policy; episodes continue from one rollout to the next.
 
     ``stream`` tells several collectors of a run apart (A3C: worker, number of its restarts).
-    Without ``final_values`` the last images of truncated episodes are not valued, so an environment
-    with the attribute ``report_final_observations`` need not draw them.
+    Without ``final_values`` neither the last images of truncated episodes nor those after the last
+    step are valued, so an environment with the attribute ``report_final_observations`` need not
+    draw the former.
 
     Attributes:
         environment_s: total time of the environments' steps [s].
@@ -152,10 +153,8 @@ class Collector:
         if privileged is not None:
             privileged.state[0] = env.privileged_state
         for t in range(steps):
-            if privileged is not None and privileged.teacher_actions is not None:
-                assert privileged.teacher_way is not None
-                teacher = cast(TeachingVectorEnv, env)
-                privileged.teacher_actions[t], privileged.teacher_way[t] = teacher.teach()
+            if privileged is not None:
+                _record_lesson(privileged, env, t)
             rollout.facet[t] = self.env.knowledge_input
             rollout.episode_start[t] = self._start
             logit, self._state = infer(rollout, t, self._image, self._state)
@@ -181,9 +180,27 @@ class Collector:
         count = len(logits)
         stacked, knowledge = torch.stack(logits), self.env.knowledge_input
         rollout.log_probability[:count] = log_probability(stacked, rollout.action[:count])
-        _, value, _ = self.policy.step(self._image, knowledge, self._state, self._start)
-        rollout.last_value.copy_(value)
+        if self._final_values:
+            _, value, _ = self.policy.step(self._image, knowledge, self._state, self._start)
+            rollout.last_value.copy_(value)
         return count
+
+    @torch.no_grad()
+    def glimpse(self, rollout: Rollout, privileged: PrivilegedRollout) -> None:
+        """Fill a rollout with first images of new episodes and what the teacher would do there.
+
+        The policy does not act: what depends on actions keeps its values.
+        """
+        env = cast(PrivilegedVectorEnv, self.env)
+        self._start = torch.ones_like(self._start)
+        rollout.episode_start.fill_(True)
+        for t in range(len(rollout.reward)):
+            self._image, _ = env.reset()
+            rollout.patches[t] = self.policy.patches(self._image)
+            rollout.facet[t] = env.knowledge_input
+            privileged.state[t] = privileged.next_state[t] = env.privileged_state
+            _record_lesson(privileged, env, t)
+        self.statistics = EpisodeStatistics(env.num_envs, env.device)
 
     def _add_final_values(self, rollout: Rollout, t: int, cut: Tensor, infos: Infos) -> None:
         """Value the final observations of step t where ``cut`` (B,): truncated, not terminated."""
@@ -223,3 +240,10 @@ class Collector:
         if self.curriculum is not None and self.curriculum.is_used:
             self.curriculum.factor = float(state["threshold_factor"])
         self.env.set_state(select(state, "env/"))
+
+
+def _record_lesson(privileged: PrivilegedRollout, env: PrivilegedVectorEnv, t: int) -> None:
+    """Record what the teacher would do before step t, if there is one."""
+    if privileged.teacher_actions is not None and privileged.teacher_way is not None:
+        lesson = cast(TeachingVectorEnv, env).teach()
+        privileged.teacher_actions[t], privileged.teacher_way[t] = lesson

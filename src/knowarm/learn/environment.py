@@ -82,7 +82,10 @@ class PrivilegedVectorEnv(TorchVectorEnv, Protocol):
 
 
 class TeachingVectorEnv(PrivilegedVectorEnv, Protocol):
-    """A vector environment with a teacher that solves the running episodes, for training."""
+    """A vector environment with a teacher that solves the running episodes, for training.
+
+    ``reset()`` without a seed starts the next episode in every environment.
+    """
 
     practice_share: float
     """Share of the next episodes that start on the way to the goal, 0 to 1; set by the trainer."""

@@ -53,22 +53,35 @@ class Float32Muon(torch.optim.Optimizer):
 
 
 def orthogonalized(matrix: Tensor, iterations: int) -> Tensor:
-    """Return the nearly orthogonal matrix with the singular vectors of a matrix (m, n)."""
+    """Return the nearly orthogonal matrix with the singular vectors of a matrix (m, n).
+
+    An iteration multiplies by a polynomial of the square of the matrix, x x' (k, k) with k the
+    smaller side. All polynomials commute, so their product is computed with (k, k) matrices only.
+    """
     a, b, c = NEWTON_SCHULZ
     is_tall = matrix.shape[0] > matrix.shape[1]
     x = matrix.T if is_tall else matrix
     x = x / x.norm().clamp(min=1e-7)
-    for _ in range(iterations):
-        gram = x @ x.T
-        x = torch.addmm(x, torch.addmm(gram, gram, gram, beta=b, alpha=c), x, beta=a)
+    gram, product = x @ x.T, None
+    for i in range(iterations):
+        factor = torch.addmm(gram, gram, gram, beta=b, alpha=c)
+        factor.diagonal().add_(a)
+        product = factor if product is None else product @ factor
+        if i + 1 < iterations:
+            gram = factor @ gram @ factor
+    x = x if product is None else product @ x
     return x.T if is_tall else x
 
 
-KERNELS = ("encoder.conv1.weight", "encoder.conv2.weight")
-"""Convolution kernels, which "muon-float32" updates as well."""
-
-MUON_PARAMETERS = ("fc.weight", "memory.weight_ih", "memory.weight_hh")
-"""Matrices that Muon updates: those of the hidden layers."""
+MUON_PARAMETERS: dict[str, tuple[str, ...]] = {
+    "adam": (),
+    "muon": ("fc.weight", "memory.weight_ih", "memory.weight_hh"),
+    "muon-float32": (
+        *("fc.weight", "memory.weight_ih", "memory.weight_hh"),
+        *("encoder.conv1.weight", "encoder.conv2.weight"),
+    ),
+}
+"""Matrices and kernels that Muon updates, by ``PPOConfig.optimizer``; Adam updates the others."""
 
 
 class PolicyOptimizer:
@@ -82,8 +95,7 @@ class PolicyOptimizer:
         self, parameters: Mapping[str, nn.Parameter], config: PPOConfig, processes: int = 1
     ) -> None:
         self._parameters = parameters
-        names = {"adam": (), "muon": MUON_PARAMETERS, "muon-float32": MUON_PARAMETERS + KERNELS}
-        matrices = [parameters[name] for name in names[config.optimizer]]
+        matrices = [parameters[name] for name in MUON_PARAMETERS[config.optimizer]]
         others = [p for p in parameters.values() if not any(p is matrix for matrix in matrices)]
         self._optimizers: list[torch.optim.Optimizer] = [
             Adam(others, lr=config.learning_rate, eps=config.adam_eps, fused=True)

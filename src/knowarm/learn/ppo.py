@@ -188,7 +188,10 @@ class PPOTrainer(Trainer):
         self._optimizer.set_learning_rate(rate)
         environment_s, start = self._collector.environment_s, time.perf_counter()
         record = self._privileged.rollout if self._privileged else None
-        self._collector.collect(rollout, self._learner.infer, privileged=record)
+        if record is not None and progress < config.glimpse_until:
+            self._collector.glimpse(rollout, record)
+        else:
+            self._collector.collect(rollout, self._learner.infer, privileged=record)
         environment_s = self._collector.environment_s - environment_s
         collected = time.perf_counter()
         self.step += rollout.reward.numel()
