@@ -168,7 +168,7 @@ def test_several_processes_compute_the_gradient_of_one():
 
 def test_the_algorithm_is_marked_as_privileged_in_training():
     uses = privileged_uses(vars(ALGORITHMS["distil"].config))
-    assert uses == ["auxiliary loss", "teacher", "practice starts"]
+    assert uses == ["auxiliary loss", "teacher", "practice starts", "glimpses"]
     assert privileged_uses(vars(PPOConfig())) == []
 
 

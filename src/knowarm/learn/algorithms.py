@@ -92,9 +92,10 @@ class PPOConfig(ScheduleConfig):
     minibatches: int = 4
     """Groups of environments that a pass is divided into; one gradient step per group."""
     optimizer: Literal["adam", "muon", "muon-float32"] = "adam"
-    """Adam, or Muon for the matrices of the fully connected layer and the LSTM and Adam for all
-    else, at the same learning rate. "muon" makes five iterations, in bfloat16 where the processor
-    computes it; "muon-float32" makes three in float32, and updates the convolution kernels too."""
+    """Adam, or Muon for some matrices and Adam for all else, at the same learning rate. "muon"
+    updates the fully connected layer and the LSTM by five iterations, in bfloat16 where the
+    processor computes it; "muon-float32" the fully connected layer and the convolution kernels by
+    three in float32."""
     learning_rate: float = 1e-3
 
     adam_eps: float = 1e-5

@@ -76,10 +76,7 @@ def orthogonalized(matrix: Tensor, iterations: int) -> Tensor:
 MUON_PARAMETERS: dict[str, tuple[str, ...]] = {
     "adam": (),
     "muon": ("fc.weight", "memory.weight_ih", "memory.weight_hh"),
-    "muon-float32": (
-        *("fc.weight", "memory.weight_ih", "memory.weight_hh"),
-        *("encoder.conv1.weight", "encoder.conv2.weight"),
-    ),
+    "muon-float32": ("fc.weight", "encoder.conv1.weight", "encoder.conv2.weight"),
 }
 """Matrices and kernels that Muon updates, by ``PPOConfig.optimizer``; Adam updates the others."""
 

@@ -25,7 +25,7 @@ COARSE_LEVELS = 3
 """Number of levels that the teacher uses: none and the largest step in both directions. An image
 does not show which of the smaller steps is the best one."""
 
-PRACTICE_NOISE = 2.0
+PRACTICE_NOISE = 4.0
 """Standard deviation of the noise on every joint of a practice start, in largest steps."""
 
 _STREAM = np.uint64(derive(0, "practice"))
