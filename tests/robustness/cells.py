@@ -137,9 +137,9 @@ def damage_cells(tries: int, seed: int) -> tuple[int, list[str]]:
         called = commands(folder, Path(temporary))
         slow = [name for name in called if name not in QUICK]
         shutil.copytree(finished, folder)  # without damage, every command succeeds
-        for name in called:
-            what = outcome(_command(called[name], codes=(0,)))
-            failures += [] if what is None else [f"{name}, nothing damaged: {what}"]
+        for arguments in called.values():
+            with contextlib.redirect_stdout(io.StringIO()):
+                _command(arguments, codes=(0,))()
         shutil.rmtree(folder)
         for number in range(tries):
             path = draws.choice(curves if number % 2 else list(found))

@@ -10,10 +10,12 @@ import pytest
 from knowarm.errors import UserError
 from knowarm.world.agents import OracleAgent
 from knowarm.world.agents.play import play
+from knowarm.world.backend import MujocoSimulator
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ReachVectorEnv
 from knowarm.world.own_robot.draft import draft_robot, read_overrides
 from knowarm.world.own_robot.draft_gripper import find_gripper
+from knowarm.world.own_robot.draft_reach import find_layout
 from knowarm.world.own_robot.robot_check import SIDE, check_robot, write_scene_image
 from knowarm.world.robots import ROBOTS
 from knowarm.world.robots.robot import read_robot
@@ -90,6 +92,21 @@ def test_file_without_an_arm_is_refused() -> None:
     )
     with pytest.raises(UserError, match="chain of at least two"):
         find_gripper(model)
+
+
+def test_layout_keeps_what_is_given_and_names_what_is_not_reached() -> None:
+    scene = load_scene("irb120", ("bottle", "mug"))
+    given = {"rectangle_centre_m": (0.45, 0.05), "rectangle_half_size_m": (0.05, 0.1)}
+    layout = find_layout(lambda height: scene, (0.0,), given | {"target_yaw_deg": 180.0})
+    assert tuple(layout.centre_m) == given["rectangle_centre_m"]
+    assert [branch.yaw_deg for branch in layout.branches] == [180.0, 180.0]
+    simulation = MujocoSimulator(scene, 9)
+    simulation.set_joints(layout.branches[0].joints)
+    reached = simulation.tcp_position[:, :2]
+    np.testing.assert_allclose(np.ptp(reached, axis=0), [0.1, 0.2], atol=0.03)
+    far = {**given, "rectangle_centre_m": (3.0, 0.0)}
+    with pytest.raises(UserError, match=r"bottle at 0\.50 m 0, mug at 0\.50 m 0\. Turn"):
+        find_layout(lambda height: scene, (0.5,), far)
 
 
 @pytest.mark.slow

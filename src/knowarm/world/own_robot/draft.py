@@ -41,11 +41,8 @@ VIEW = np.array([0.62, -0.62, 0.48])
 """Direction from what is looked at to the camera: right in front and above."""
 
 
-NO_RECTANGLE = {
-    "rectangle_centre_m": [0.0, 0.0],
-    "rectangle_half_size_m": [0.0, 0.0],
-    "target_yaw_deg": 0.0,
-}
+_POINT = {"rectangle_centre_m": [0.0, 0.0], "rectangle_half_size_m": [0.0, 0.0]}
+NO_RECTANGLE = _POINT | {"target_yaw_deg": 0.0}
 WIDE_VIEW = {
     "camera_position_m": [20.0, -20.0, 20.0],
     "camera_look_at_m": [0.0, 0.0, 0.0],
@@ -125,14 +122,14 @@ def draft_robot(path: Path, targets: Sequence[str], overrides: Mapping[str, Any]
     values |= overrides
     joints = values["joints"]
     values.setdefault("home", _rest(model, joints))
-    x, y, z = _robot(path, values | NO_RECTANGLE | WIDE_VIEW).base_position_m
+    x, y, z = _robot(path, NO_RECTANGLE | WIDE_VIEW | values).base_position_m
     given = {"base_position_m", "table"} & set(overrides)
 
     def scene_at(height: float) -> Scene:
         base = {"base_position_m": [x, y, height]}
         return _wide_scene(path, values | NO_RECTANGLE | base, targets)
 
-    layout = find_layout(scene_at, (z,) if given else HEIGHTS_M)
+    layout = find_layout(scene_at, (z,) if given else HEIGHTS_M, overrides)
     scene, angle, roll = layout.scene, layout.angle_deg, layout.ignore_roll
     half_range = np.median(scene.joint_upper - scene.joint_lower) / 2
     values.setdefault("start_fraction", min(Robot.start_fraction, round(START_RAD / half_range, 3)))

@@ -1,9 +1,9 @@
 """Reach of a drafted robot: base height, rectangle and targets' directions, searched at once."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -80,11 +80,13 @@ def reach_m(scene: Scene) -> float:
     return float(np.percentile(distance, 95)) if len(distance) >= 10 else 0.0
 
 
-def find_layout(scene_at: Callable[[float], Scene], heights: Sequence[float]) -> Layout:
+def find_layout(
+    scene_at: Callable[[float], Scene], heights: Sequence[float], given: Mapping[str, Any]
+) -> Layout:
     """Search base height, rectangle and directions of the targets for the strictest task.
 
-    The first height is taken at which the task as it is can be done with grasps near each other in
-    joint angles, else the best one found.
+    Fields of the description that are given are not searched. The first height is taken at which
+    the task as it is can be done with grasps near each other in joint angles, else the best one.
     """
     best: Layout | None = None
     most: dict[str, int] = {}
@@ -92,7 +94,7 @@ def find_layout(scene_at: Callable[[float], Scene], heights: Sequence[float]) ->
         for height in heights:
             scene = scene_at(height)
             counts = {f"{target.name} at {height:.2f} m": 0 for target in scene.targets}
-            for layout in _layouts(scene, roll, counts):
+            for layout in _layouts(scene, roll, given, counts):
                 best = layout if best is None or layout.cost < best.cost else best
                 if best.cost < (TOLERANCES[0][0], True):
                     return best
@@ -108,12 +110,18 @@ def find_layout(scene_at: Callable[[float], Scene], heights: Sequence[float]) ->
     )
 
 
-def _layouts(scene: Scene, roll: bool, counts: dict[str, int]) -> Iterator[Layout]:
+def _layouts(
+    scene: Scene, roll: bool, given: Mapping[str, Any], counts: dict[str, int]
+) -> Iterator[Layout]:
     """Yield the layouts at a base height; count the places reached at best per target."""
     reach = reach_m(scene)
+    turned = given.get("target_yaws_deg", {})
+    yaws = [turned.get(target.name, given.get("target_yaw_deg")) for target in scene.targets]
+    cases = [(k, y) for k, yaw in enumerate(yaws) for y in (YAWS_DEG if yaw is None else (yaw,))]
     for size, centre in RECTANGLES if reach else ():
-        middle, half = np.array([centre * reach, 0.0]), size * LARGEST * reach
-        found = _branches(scene, roll, middle + NODES * half, counts)
+        middle = np.array(given.get("rectangle_centre_m", (centre * reach, 0.0)))
+        half = np.array(given.get("rectangle_half_size_m", size * LARGEST * reach))
+        found = _branches(scene, roll, middle + NODES * half, cases, counts)
         for angle in (angle for angle, free in TOLERANCES if free is roll):
             fits = [[each for each in some if each.angle_deg < angle - 2] for some in found]
             if all(fits):
@@ -129,10 +137,16 @@ def _layouts(scene: Scene, roll: bool, counts: dict[str, int]) -> Iterator[Layou
 
 
 def _branches(
-    scene: Scene, roll: bool, places: NDArray[np.float64], counts: dict[str, int]
+    scene: Scene,
+    roll: bool,
+    places: NDArray[np.float64],
+    cases: Sequence[tuple[int, float]],
+    counts: dict[str, int],
 ) -> list[list[Branch]]:
-    """Find solutions per target at the first of N places (N, 2) and follow them to the others."""
-    cases = list(product(range(len(scene.targets)), YAWS_DEG))
+    """Find solutions at the first of N places (N, 2) and follow them to the others.
+
+    Cases are targets with a direction [deg]. Return the branches of each target.
+    """
     target, yaw = np.array(cases).T
     turn = Rotation.from_euler("z", yaw[:, None], degrees=True).as_matrix()
     target = target.astype(np.intp)
