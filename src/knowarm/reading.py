@@ -2,6 +2,7 @@
 
 import io
 import json
+import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -130,6 +131,15 @@ def read_json(
         got = type(values).__name__
         raise UnreadableFileError(f"{path} must hold a JSON object, got {got}. {remedy}")
     return values
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read a TOML file of at most one MiB."""
+    text = read_text(path, remedy="Give the path of a TOML file.", most=2**20)
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise UserError(f"{str(path)!r} is not TOML: {one_line(error)}.") from None
 
 
 def read_arrays(path: Path, *, remedy: str) -> dict[str, np.ndarray]:

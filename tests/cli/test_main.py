@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -39,6 +40,41 @@ def test_every_command_exists(capsys):
             cli._parse(name, ["--help"])
         assert ended.value.code in (0, None), name
         assert "usage" in capsys.readouterr().out
+
+
+def test_a_typing_error_in_a_command_imports_nothing_heavy():
+    heavy = "{'torch', 'numba', 'mujoco', 'scipy'} & set(sys.modules)"
+    script = f"import sys; from knowarm.cli.main import main; main(['trian']); print({heavy})"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert "Did you mean 'train'" in done.stderr
+    assert done.stdout == "set()\n"
+
+
+def test_help_of_train_shows_ten_options_a_group_or_all(capsys):
+    def shown(*words):
+        with pytest.raises(SystemExit):
+            main(["train", "irb120-full-fast", *words])
+        return re.findall(r"^(?:│| ) ?--([\w.-]+)", capsys.readouterr().out, re.MULTILINE)
+
+    first, group, everything = shown("--help"), shown("--help", "env"), shown("--help-all")
+    assert len(first) == 10
+    assert {"seed", "total-steps", "knowledge.graph"} < set(first)
+    assert all(name.startswith("env.") for name in group)
+    assert len(group) < len(everything)
+    assert {*first, *group} < set(everything)
+    assert main(["train", "irb120-full-fast", "--help", "knowlege"]) == 2
+    assert "Did you mean 'knowledge'" in capsys.readouterr().err
+
+
+def test_options_of_train_come_from_a_file(tmp_path, capsys):
+    file = tmp_path / "run.toml"
+    file.write_text('total_steps = 6400\n[env]\ntargets = ["mug"]\n')
+    words = ["irb120-full-fast", "--config", str(file)]
+    assert parse_train(words).config.env.targets == ("mug",)
+    assert parse_train([*words, "--total-steps", "3200"]).config.total_steps == 3200
+    file.write_text("[algorithm]\nnum_env = 64\n")
+    assert main(["train", *words]) == 2
+    assert "'num_envs'" in capsys.readouterr().err
 
 
 def test_list_shows_and_writes_the_names(capsys, tmp_path):

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from knowarm.report.blocks import Tiles, Verdict
+from knowarm.report.blocks import Figure, Verdict, flat
 from knowarm.report.collect import collect
 from knowarm.report.model import StudyData, TaskData
 from knowarm.report.pages import build_pages, inputs
@@ -384,8 +384,13 @@ def test_equal_seeds_have_no_interval(tmp_path):
     task = evaluated(tmp_path, {"bm": [0.5] * 3, "full": [0.9] * 3}, 0.0, 0.2)
     study = StudyData((task,))
     pages = build_pages(study)
-    tiles = next(block for block in pages[0].blocks if isinstance(block, Tiles))
-    assert "no interval" in tiles.tiles[0].detail
+    first, table, *_ = pages[0].blocks
+    words = "full: better than the baseline, but its network is larger, too."
+    assert first.sentence == f"Does the knowledge help? {words}"
+    assert isinstance(table, Figure)
+    assert table.open_table
+    hidden = [block for block in flat(pages[0].blocks[-1:]) if isinstance(block, Verdict)]
+    assert any("depends on vision" in each.sentence for each in hidden)
     claim = next(claim for claim in claims(study) if claim.outcome == "success")
     assert "full against bm: +40.0 points (no interval" in claim.sentence()
     assert "no interval" in vision_verdict(task).reasons[0]

@@ -2,15 +2,20 @@
 
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import redirect_stdout, suppress
 from functools import partial
-from typing import Any, TypeVar
+from io import BytesIO, TextIOWrapper
+from textwrap import fill, indent
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from knowarm.errors import UserError, unknown_name
-from knowarm.knowledge.vectors import VectorSource, source_named
+
+if TYPE_CHECKING:
+    from knowarm.knowledge.vectors import VectorSource
 
 Command = TypeVar("Command")
 HELP = ("-h", "--help")
@@ -80,6 +85,41 @@ def group_help(prog: str, about: str, commands: Mapping[str, str]) -> str:
     return "\n".join([start, *lines, f"\n`{prog} COMMAND --help` shows a command's arguments."])
 
 
+def print_help(show: Callable[[], Any], prog: str, words: Sequence[str], first: str) -> NoReturn:
+    """Print the options ``first`` of a full help text, or the group after `--help`, and exit.
+
+    ``show`` prints the full text; ``first`` is a pattern of the names of options.
+    """
+    with redirect_stdout(TextIOWrapper(BytesIO(), "utf-8")) as text, suppress(SystemExit):
+        show()
+    text.seek(0)
+    groups: dict[str, list[str]] = {}
+    for line in text.read().splitlines():
+        if found := re.match(r"╭─ ([\w.-]+ )?options ─", line):
+            groups[(found[1] or "").strip()] = lines = []
+        elif line.startswith("│ "):
+            lines.append(line.strip("│").rstrip())
+    at = next(i for i, word in enumerate(words) if word in HELP)
+    group = "".join(words[at + 1 : at + 2])
+    if group and group not in groups:
+        raise unknown_name("group of options", group, filter(None, groups))
+    print(f"usage: {prog} [OPTIONS]\n")
+    entries = [
+        (name, entry)
+        for name, lines in groups.items()
+        for entry in re.split(r"\n(?= -)", "\n".join(lines))
+        if entry.startswith(" --")
+    ]
+    for name, entry in entries:
+        if f"{name}.".startswith(f"{group}.") if group else re.match(f" --({first})[ ,]", entry):
+            head, *body = entry.splitlines()
+            words = " ".join(map(str.strip, body)).replace("``", "")
+            print(head, indent(fill(words, 72), " " * 6), sep="\n")
+    print(f"\n`{prog} --help-all` shows all {len(entries)} options, `--help GROUP` a group:")
+    print("\n".join(f"  {name}" for name in groups if name))
+    sys.exit(0)
+
+
 def take_experiment(arguments: Sequence[str], usage: str) -> tuple[str, list[str]]:
     """Return the name of an experiment, which comes first, and the other words.
 
@@ -116,7 +156,9 @@ def take_option(arguments: Sequence[str], flag: str, example: str) -> tuple[list
     return rest, found
 
 
-def take_source(arguments: Sequence[str], flag: str) -> tuple[list[str], VectorSource | None]:
+def take_source(arguments: Sequence[str], flag: str) -> tuple[list[str], "VectorSource | None"]:
     """Take the short name of a source of vectors out of arguments, as `take_option` does."""
+    from knowarm.knowledge.vectors import source_named
+
     rest, name = take_option(arguments, flag, "wordnet-gloss-50")
     return rest, None if name is None else source_named(name)

@@ -1,5 +1,6 @@
 """``knowarm report``: one page that compares runs."""
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -29,6 +30,7 @@ class Report(TableCommand):
         path = write_report(self.runs, self.out)
         values = read_json(path.with_suffix(".json"))
         for problem in values["problems"]:
-            print(f"Note: {', '.join(map(str, problem.values()))}")
+            where = os.path.relpath(path.parent / problem["path"])
+            print(f"Note: {where}, {problem['what']}, {problem['done']}")
         print(f"Wrote {path}: open it in a browser.")
         return values

@@ -9,9 +9,16 @@ from typing import Annotated, Any
 
 import tyro
 
-from knowarm.cli.arguments import parse_options, take_experiment, take_option, take_source
+from knowarm.cli.arguments import (
+    HELP,
+    parse_options,
+    print_help,
+    take_experiment,
+    take_option,
+    take_source,
+)
 from knowarm.cli.tables import FilePath, TableCommand, print_table
-from knowarm.config import to_dict
+from knowarm.config import override, to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.demo import STEPS, demo
@@ -21,6 +28,7 @@ from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.run_lock import StopRequest
 from knowarm.perception.config import PerceptionConfig
 from knowarm.perception.training import train_classifier
+from knowarm.reading import read_toml
 from knowarm.report import write_report
 from knowarm.world.config import EnvConfig
 from knowarm.world.tasks import task_type
@@ -31,7 +39,15 @@ Train one agent, or resume a stopped run.
 
 EXPERIMENT is one of the names ROBOT-AGENT[-dr]-ALGORITHM that `knowarm list` explains, such as
 {DEFAULT_EXPERIMENT}. Its options have that experiment's values as defaults:
-  knowarm train {DEFAULT_EXPERIMENT} --help"""
+  knowarm train {DEFAULT_EXPERIMENT} --help             the ten options that matter first
+  knowarm train {DEFAULT_EXPERIMENT} --help knowledge   a group of options
+  knowarm train {DEFAULT_EXPERIMENT} --help-all         all options
+  knowarm train {DEFAULT_EXPERIMENT} --config run.toml  options from a file"""
+FIRST = (
+    "runs|resume|name|seed|total-steps|env.robot|env.targets|env.colours|knowledge.graph|"
+    "algorithm.learning-rate"
+)
+"""The options that `--help` shows."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,12 +86,19 @@ def parse_train(arguments: list[str]) -> Train:
     """Parse the options over the values of the experiment, or those of the run to resume."""
     name, rest = take_experiment(arguments, USAGE)
     again = f"knowarm train {name}"
+    rest, file = take_option(rest, "--config", "run.toml")
+    values = {} if file is None else read_toml(Path(file))
     rest, task = take_option(rest, "--env.task", "package.module:Name")
     if task is not None:
         again += f" --env.task {task}"
         kind = task_type(task).kind_of()
         name = str(replace(ExperimentName.parse(name), task=kind))
-    command = _parse_options(name, rest, experiment_config(name))
+    config = override(experiment_config(name), values)
+    if any(word in HELP for word in rest):
+        prog = f"knowarm train {name}"
+        print_help(lambda: _parse_options(name, ["--help"], config), prog, rest, FIRST)
+    rest = ["--help" if word == "--help-all" else word for word in rest]
+    command = _parse_options(name, rest, config)
     if command.config.name != name:
         again += f" --name {shlex.quote(command.config.name)}"
     if command.resume:

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 from knowarm.report.model import Evaluated, Reference, TaskData
 from knowarm.statistics import Interval
@@ -115,7 +115,7 @@ class Figure:
     caption: str  # how to read the drawings
     panels: Sequence[Panel]  # drawings, side by side where there is room
     legend: Sequence[tuple[str, str]] = ()  # names, which toggle their series, and classes
-    open_table: bool = False  # whether the table is expanded at first
+    open_table: bool = False  # whether the table is above the drawings, instead of folded
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,22 +134,6 @@ class Verdict:
     shown_reasons: int = 99  # reasons shown at first; the others are folded
     tone: Tone = "note"  # how it is coloured
     kind: str = ""  # one of `finding.Kind`, for programs; "" for other statements
-
-
-class Tile(NamedTuple):
-    """One large number with its label, a detail in small type and a palette class."""
-
-    label: str
-    value: str
-    detail: str
-    colour: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class Tiles:
-    """Large numbers side by side."""
-
-    tiles: Sequence[Tile]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,7 +174,15 @@ class TaskPart:
     blocks: Sequence["Block"]
 
 
-Block = Text | Verdict | Tiles | DataTable | Figure | Films | Pair | TaskPart
+@dataclass(frozen=True, kw_only=True)
+class Folded:
+    """Blocks that are hidden until their title is clicked."""
+
+    title: str
+    blocks: Sequence["Block"]
+
+
+Block = Text | Verdict | DataTable | Figure | Films | Pair | TaskPart | Folded
 
 
 def flat(blocks: Sequence[Block]) -> list[Block]:
@@ -199,7 +191,7 @@ def flat(blocks: Sequence[Block]) -> list[Block]:
     for block in blocks:
         if isinstance(block, Pair):
             found += flat([*block.left, *block.right])
-        elif isinstance(block, TaskPart):
+        elif isinstance(block, TaskPart | Folded):
             found += flat(block.blocks)
         else:
             found.append(block)

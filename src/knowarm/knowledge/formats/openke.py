@@ -2,13 +2,16 @@
 
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from knowarm.errors import UserError
 from knowarm.knowledge.formats.tables import text_lines
 from knowarm.knowledge.graph.graph import KnowledgeGraph, Names
-from knowarm.knowledge.kge.train import Split
+
+if TYPE_CHECKING:
+    from knowarm.knowledge.kge.train import Split
 
 PARTS = ("train", "valid", "test")
 _NUMBER = re.compile("[0-9]{1,9}")
@@ -19,7 +22,7 @@ def is_openke(folder: Path) -> bool:
     return all((folder / f"{name}2id.txt").is_file() for name in ("entity", "relation", "train"))
 
 
-def read_openke_split(folder: Path) -> Split:
+def read_openke_split(folder: Path) -> "Split":
     """Read the triples of a folder as they are split; parts without a file are empty.
 
     `entity2id.txt` and `relation2id.txt` hold `name<tab>id`, `train2id.txt`, `valid2id.txt` and
@@ -40,6 +43,8 @@ def read_openke_split(folder: Path) -> Split:
         )
     triples, nodes = np.concatenate(list(parts.values())), np.arange(len(names), dtype=np.int32)
     graph = KnowledgeGraph(names, relation_names, triples, nodes=nodes)
+    from knowarm.knowledge.kge.train import Split  # torch takes a second to import
+
     return Split(graph=graph, **parts)
 
 

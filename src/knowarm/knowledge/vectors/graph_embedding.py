@@ -11,7 +11,6 @@ from knowarm.errors import UserError
 from knowarm.knowledge.formats import SHIPPED, shipped_graph
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.kge import KgeConfig
-from knowarm.knowledge.kge.train import all_triples
 from knowarm.knowledge.vectors.source import Coverage, Found, Request, SentencePart, VectorSource
 
 EMBED_EPOCHS = 100
@@ -73,7 +72,7 @@ class EntityLookup:
 
 def embed_graph(model: str, graph: KnowledgeGraph, *, dim: int, seed: int) -> EntityLookup:
     """Train a model on all triples of a graph."""
-    from knowarm.knowledge.kge.train import train  # torch takes a second to import
+    from knowarm.knowledge.kge.train import all_triples, train  # torch takes a second to import
 
     config = KgeConfig(model=model, dim=dim, seed=seed, epochs=EMBED_EPOCHS)
     relations = len(graph.relation_names)

@@ -56,7 +56,7 @@ COMPARISON_NOTE = (
     "differences remain possible. Described: not tested."
 )
 
-PROFILE_LEVELS = np.linspace(0, 1, 21)  # of success, of the performance profile
+PROFILE_LEVELS = np.linspace(0, 1, 101)  # of success, of the performance profile
 FEWEST_RATES = 5  # evaluation seeds below which the analysis of variance is not shown
 
 

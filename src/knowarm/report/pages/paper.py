@@ -103,7 +103,7 @@ def _figure(tasks: list[TaskData]) -> Figure:
             note="Paper: section 5.2, table of experiments.",
         ),
         caption="Dot and line: this report, with its 95 % interval. Small dots: training seeds. "
-        "Ring: the paper.",
+        "Ring: the paper, with another simulator, other start poses and another algorithm.",
         panels=panels,
         open_table=True,
     )

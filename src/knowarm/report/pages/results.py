@@ -21,6 +21,7 @@ from knowarm.report.model import Evaluation, Group, TaskData
 from knowarm.statistics import Interval
 from knowarm.world.agents import BLIND_AGENTS
 
+MOST_PANELS = 30  # drawings of a figure, above which only its table is shown
 INTERVALS = ("return_mean", "success", "accuracy", "success_wide", "length_mean")
 PLAIN = (  # columns without an interval
     Column("return_std", "std", "number1"),
@@ -117,7 +118,7 @@ def _rules(evaluation: Evaluation | None) -> str:
     )
 
 
-def _parts(task: TaskData, part: str, what: str) -> Figure | None:
+def _parts(task: TaskData, part: str, what: str) -> Block | None:
     evaluations = [evaluation for group in task.groups for evaluation in group.evaluations]
     names = sorted({name for each in evaluations for name in each.summary.get(part, {})})
     if part == "per_facet" and len({name.split("/")[0] for name in names}) == len(names):
@@ -130,6 +131,8 @@ def _parts(task: TaskData, part: str, what: str) -> Figure | None:
     columns: list[str | Column] = [Column("part", what), "agent", "success"]
     sources, name = [evaluation.folder for evaluation in evaluations], part.replace("_", "-")
     table = table_of(task, name, f"Success by {what}", columns, rows, sources)
+    if len(panels) > MOST_PANELS:
+        return table
     caption = "Dot: mean over training seeds; line: 95 % interval."
     return Figure(table=table, caption=caption, panels=panels)
 

@@ -2,17 +2,15 @@
 
 from collections.abc import Sequence
 
-from knowarm.report import format
 from knowarm.report.blocks import (
     Block,
     Column,
     DataTable,
     Figure,
+    Folded,
     Panel,
     Row,
     Text,
-    Tile,
-    Tiles,
     Verdict,
     row_of,
     shared,
@@ -20,7 +18,8 @@ from knowarm.report.blocks import (
 from knowarm.report.charts import RETURN_AXIS, SUCCESS_AXIS
 from knowarm.report.diagrams import dot_chart, group_dot
 from knowarm.report.format import counted
-from knowarm.report.model import RunData, StudyData, TaskData
+from knowarm.report.model import RunData, StudyData
+from knowarm.report.verdicts.answer import answer
 from knowarm.report.verdicts.claims import Claim, Finding
 from knowarm.report.verdicts.knowledge import findings
 from knowarm.report.verdicts.learning import learning_verdict, vision_verdict
@@ -65,42 +64,32 @@ def _origin(run: RunData) -> dict[str, str | None]:
     return {"commit": known.get("commit", "")[:10], "machine": machine} | versions
 
 
-KEYS = ("success", "accuracy", "return_mean")  # numbers of the table
+KEYS = ("success", "choice", "accuracy", "return_mean")  # numbers of the table, where known
+VISION = Column("needs_eyes", "depends on vision [points]", "points", interval=True)
 
 
 def summary_blocks(
     study: StudyData, decided: list[Claim], understood: Sequence[Finding]
 ) -> list[Block]:
     """State what the runs show, in sentences generated from their numbers, then the numbers."""
-    blocks: list[Block] = []
+    found: list[Finding] = []
+    reasons: list[Block] = []
+    doubts: list[Block] = []
     for task in study.tasks:
-        blocks += [each.verdict(shown_reasons=1) for each in findings(task, decided)]
-        blocks += query_summary([each for each in understood if each.task is task])
-        blocks += filter(None, (learning_verdict(task), vision_verdict(task)))
-    if len(study.tasks) == 1:
-        blocks.append(_tiles(study.tasks[0]))
-    if any(task.label for task in study.tasks):  # of several tasks the overview comes first
-        blocks.insert(len(blocks) if len(study.tasks) == 1 else 0, _results(study))
+        found += (mine := findings(task, decided))
+        reasons += [each.verdict(shown_reasons=1) for each in mine]
+        reasons += query_summary([each for each in understood if each.task is task])
+        for verdict in filter(None, (learning_verdict(task), vision_verdict(task))):
+            (reasons if verdict.tone == "good" else doubts).append(verdict)
+    blocks = [answer([*found, *understood], len(study.tasks)), *doubts]
+    if any(task.label for task in study.tasks):
+        blocks.append(_results(study))
     if study.problems:
         remarks = f"{counted(len(study.problems), 'remark')} on the run folders"
         sentence = f"Before these numbers are used, read the {remarks}."
         reason = "The page Runs lists what is missing or damaged, and how it was handled."
         blocks.append(Verdict(tone="bad", sentence=sentence, reasons=[reason]))
-    return blocks
-
-
-def _tiles(task: TaskData) -> Tiles:
-    tiles = []
-    for group in task.groups:
-        if (success := group.level("success")) is not None:
-            count = len(group.evaluations)
-            over = "episodes" if count == 1 else "seeds"
-            ends = format.ends(success, format.percent)
-            ends += f" over {over}" if success.low < success.high else ""
-            detail = f"success; {ends}, {counted(count, 'training seed')}"
-            value, colour = format.percent(success.estimate), task.colours[group.name]
-            tiles.append(Tile(group.name, value, detail, colour))
-    return Tiles(tiles=tiles)
+    return [*blocks, Folded(title="Reasons, task by task", blocks=reasons)]
 
 
 def _results(study: StudyData) -> Figure:
@@ -110,23 +99,27 @@ def _results(study: StudyData) -> Figure:
     measures = {"success": SUCCESS_AXIS} | ({"return_mean": RETURN_AXIS} if alone else {})
     for task in study.tasks:
         lines = (*task.groups, *task.references)
-        rows += [{"task": task.title} | row_of(task, each, *KEYS) for each in lines]
+        keys = (*KEYS, VISION.key)
+        rows += [{"task": task.title} | row_of(task, each, *keys) for each in lines]
         for key, axis in measures.items():
             dots = [group_dot(each, key, task.colours) for each in lines]
             name = f"{axis.title} of each agent on {task.title}"
             title = axis.title if alone else task.title
             panels.append(Panel(svg=dot_chart(dots, name, axis, left=124), title=title))
+    known = [key for key in KEYS if any(row[key] is not None for row in rows)]
     return Figure(
         table=DataTable(
             name="summary",
             title="Success, accuracy and return after training",
-            columns=shared("task", "agent", "seeds", *KEYS),
+            columns=shared(*["task"] * (not alone), "agent", "seeds", *known, VISION),
             rows=rows,
             sources=[run.path for run in study.runs],
             note="Success: distance and angle within the thresholds at once. Accuracy: final "
-            "distance within the threshold, as in the paper.",
+            "distance within the threshold, as in the paper. Depends on vision: success minus that "
+            "of the better agent that sees nothing.",
         ),
         caption="Dot: mean over training seeds. Line: 95 % interval, over seeds where there are "
         "several, over episodes where there is one. Small dots: single seeds.",
         panels=panels,
+        open_table=True,
     )

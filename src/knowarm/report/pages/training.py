@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 
+from knowarm.report import format
 from knowarm.report.blocks import Block, Column, DataTable, Figure, Panel, Row, cells, table_of
 from knowarm.report.charts import (
     RETURN_AXIS,
@@ -171,8 +172,8 @@ def _thresholds(task: TaskData, groups: Sequence[Group]) -> DataTable:
         "Descriptive. A run that ended below a level is censored at its end and never counts "
         "as having reached it. Median: Kaplan-Meier with Brookmeyer and Crowley's interval "
         "(log-log); empty where the runs do not determine it. Restricted mean: mean steps, at most "
-        f"{until / 1e6:g} M per run, as far as every agent has a run; it is defined however many "
-        "runs are censored. Saved: of the restricted mean, by agents that reached the level."
+        f"{format.steps(until)} per run, as far as every agent has a run; it is defined however "
+        "many runs are censored. Saved: of the restricted mean, by agents that reached the level."
     )
     title = "Steps to a level of success"
     return table_of(task, "thresholds", title, columns, rows, _logs(task), note)

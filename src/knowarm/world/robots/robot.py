@@ -1,7 +1,6 @@
 """Robot description: model file, joints, gripper, and the scene around the robot."""
 
 import importlib.util
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -9,7 +8,7 @@ from typing import Any, TypeVar
 
 from knowarm.config import check_numbers, from_dict
 from knowarm.errors import UserError
-from knowarm.reading import one_line, read_text
+from knowarm.reading import read_toml
 from knowarm.world.objects import Target
 from knowarm.world.robots.menagerie import SCHEME, menagerie_file
 
@@ -184,11 +183,7 @@ def read_target(path: Path) -> Target:
 
 
 def _read(path: Path, kind: type[T]) -> T:
-    text = read_text(path, remedy="Give the path of a TOML file.", most=2**20)
-    try:
-        values = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise UserError(f"{str(path)!r} is not TOML: {one_line(error)}.") from None
+    values = read_toml(path)
     if not isinstance(values.get("mjcf"), str):
         raise UserError(
             f"{str(path)!r}: field mjcf must be the path of an MJCF file, got "
