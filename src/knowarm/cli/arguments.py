@@ -100,7 +100,7 @@ def print_help(show: Callable[[], Any], prog: str, words: Sequence[str], first: 
         elif line.startswith("│ "):
             lines.append(line.strip("│").rstrip())
     at = next(i for i, word in enumerate(words) if word in HELP)
-    group = "".join(words[at + 1 : at + 2])
+    group = "".join(word for word in words[at + 1 : at + 2] if not word.startswith("-"))
     if group and group not in groups:
         raise unknown_name("group of options", group, filter(None, groups))
     print(f"usage: {prog} [OPTIONS]\n")

@@ -34,6 +34,10 @@ class Doctor(TableCommand):
     set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FIELD=VALUE")] = ()
     """Fields of the description that are given instead of drafted, in TOML's notation, such as
     'home=[0.0, 1.5]' (MJCF file only)."""
+    angle_deg: float = EnvConfig.success_angle_deg
+    """Largest angle between gripper and grasp frame in the checks of a robot [deg]."""
+    ignore_roll: bool = False
+    """Ignore the rotation about the approach axis in the checks of a robot."""
     write: FilePath = None
     """Write the drafted description to this TOML file (MJCF file only)."""
     image: FilePath = None
@@ -71,7 +75,9 @@ class Doctor(TableCommand):
         if not robot.endswith(MJCF_SUFFIXES):
             self._refuse("--robot with an MJCF file", "set", "write")
             self._draw(robot, targets)
-            return check_robot(robot, targets)
+            return check_robot(
+                robot, targets, angle_deg=self.angle_deg, ignore_roll=self.ignore_roll
+            )
         if (new := self.write) is not None and (new.suffix != SUFFIX or new.exists()):
             raise UserError(f"--write must name a {SUFFIX} file that does not exist, got {new}.")
         draft = draft_robot(Path(robot), targets, read_overrides(self.set))
@@ -79,7 +85,16 @@ class Doctor(TableCommand):
         print_table(title, ["topic", "choice"], list(draft.how.items()))
         print(draft.toml(self.write))
         if task := draft.task_options():
-            print(f"The arm can do the task with an easier orientation; train it with {task}\n")
+            name, bare = Path(robot).stem, task.replace("env.success-", "").replace("env.", "")
+            file, run = self.write or f"{name}{SUFFIX}", f"{name}-full-fast"
+            print(
+                "The arm can do the task with an easier orientation, which every command needs:\n"
+                f"  knowarm doctor --robot {file} {bare}\n"
+                f"  knowarm view {file} {bare}\n"
+                f"  knowarm evaluate oracle --env.robot {file} {task.replace('env.success-', '')}\n"
+                f"  knowarm train irb120-full-fast --name {run} --env.robot {file} {task}\n"
+                f"  knowarm evaluate runs/{run}/0 {bare.removesuffix(' --ignore-roll')}\n"
+            )
         with TemporaryDirectory() as folder:
             file = self.write or Path(folder) / f"{Path(robot).stem}{SUFFIX}"
             file.write_text(draft.toml(file), "utf-8")

@@ -53,6 +53,10 @@ class View:
     """Colours of the objects. Default: fixed, or the run's."""
     dynamics: Literal["dynamic", "kinematic"] | None = None
     """Motion of the arm: simulated servos, or exact positions. Default: dynamic, or the run's."""
+    angle_deg: float | None = None
+    """Largest angle at which the target counts as reached [deg]. Default: 15, or the run's."""
+    ignore_roll: bool = False
+    """Ignore the rotation about the approach axis in this angle."""
     video: FilePath = None
     """Write an .mp4 video of the policy's images beside a large view, instead of the viewer."""
     strip: FilePath = None
@@ -76,7 +80,9 @@ class View:
         if self.rrd is not None:
             check_rrd(self.rrd)
         make_agent, config = self._agent()
-        given = {name: getattr(self, name) for name in ("targets", "colours", "dynamics")}
+        given = {
+            name: getattr(self, name) for name in ("targets", "colours", "dynamics", "ignore_roll")
+        } | {"success_angle_deg": self.angle_deg}
         config = replace(config, **{name: value for name, value in given.items() if value})
         env = ReachVectorEnv(config, 1)
         episodes = evaluation_episodes(env.config, self.episodes, self.seed)
