@@ -1,10 +1,13 @@
 """``knowarm doctor`` of robots: refused options; the draft of a bare file is written and drawn."""
 
+import shlex
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from knowarm.cli.doctor import Doctor
+from knowarm.cli.main import _parse
 from knowarm.errors import UserError
 from knowarm.world.robots.robot import read_robot
 from tests.world.helpers import EXAMPLES
@@ -42,3 +45,26 @@ def test_draft_is_written_and_drawn(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert read_robot(file).camera_fovy_deg == 45
     assert image.stat().st_size > 1000
     assert "TCP" in capsys.readouterr().out
+
+
+def test_the_commands_for_an_eased_orientation_parse(monkeypatch, capsys, tmp_path) -> None:
+    draft = SimpleNamespace(
+        how={},
+        toml=lambda file: "",
+        task_options=lambda: "--env.success-angle-deg 60 --env.ignore-roll",
+        success_angle_deg=60.0,
+        ignore_roll=True,
+    )
+    monkeypatch.setattr("knowarm.cli.doctor.draft_robot", lambda *args: draft)
+    monkeypatch.setattr("knowarm.cli.doctor.check_robot", lambda *args, **options: [])
+    Doctor(robot="arm.xml", write=tmp_path / "arm.toml").run()
+    printed = [line for line in capsys.readouterr().out.splitlines() if "  knowarm" in line]
+    found = {}
+    for words in (shlex.split(line)[1:] for line in printed):
+        if words[0] != "train":  # the run's config would read the description
+            found.setdefault(words[0], _parse(words[0], words[1:]))
+    order = ["doctor", "view", "evaluate", "train", "evaluate"]
+    assert [line.split()[1] for line in printed] == order
+    for name in ("doctor", "view"):
+        assert (found[name].angle_deg, found[name].ignore_roll) == (60.0, True)
+    assert (found["evaluate"].evaluation.angle_deg, found["evaluate"].env.ignore_roll) == (60, True)
