@@ -113,7 +113,7 @@ def unknown_options(command):
     """Yield the options of a command line that are no field of any config or command."""
     for option in re.findall(r"(?<![\w-])--([a-z][\w.-]*)", command):
         for part in option.replace("-", "_").split("."):
-            if not {part, part.removeprefix("no_")} & {*known_words(), "help"}:
+            if not {part, part.removeprefix("no_")} & {*known_words(), "help", "help_all"}:
                 yield f"--{option}"
 
 
