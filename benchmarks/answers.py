@@ -4,7 +4,8 @@ Takes the grounding network of a run and prints how often the grasp point that i
 nearest to the wanted object's, per split: by the query's vector, by the graph's answers and by
 controls of these. "perfect names" is what the answers are worth with a network that never errs:
 one of the visible answers, or any object where none is visible. With --damage it damages the graph
-that the agent knows, by kind and share, over several damage seeds.
+that the agent knows, by kind and share, over several damage seeds; with --repair it is completed
+by link prediction before it answers.
 
     python -m benchmarks.answers zoo/irb120-choose-subgraph-fast
     python -m benchmarks.answers zoo/irb120-choose-subgraph-fast --damage --splits S1 S2
@@ -24,9 +25,15 @@ import torch
 
 from knowarm.config import override
 from knowarm.experiment.config import EvaluationConfig
-from knowarm.experiment.graph_at_test import answer_table, graph_at_test, knowledge_at_test
+from knowarm.experiment.graph_at_test import (
+    answer_table,
+    graph_at_test,
+    knowledge_at_test,
+    with_graph,
+)
 from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.knowledge.graph.damage import Damage
+from knowarm.knowledge.kge.models import MODELS
 from knowarm.knowledge.queries.splits import SPLITS
 from knowarm.perception.answering import AnswerGrounding
 from knowarm.perception.grounding import GroundingNetwork
@@ -91,14 +98,16 @@ def percent(values: np.ndarray) -> str:
     return f"{100 * values.mean():.1f} [{100 * share.low:.0f}, {100 * share.high:.0f}]"
 
 
-def tasks_of(trained: TrainedAgent, splits: list[str], images: int) -> dict[str, Task]:
+def tasks_of(
+    trained: TrainedAgent, splits: list[str], images: int, seed: int = 0
+) -> dict[str, Task]:
     """Draw the first images of splits."""
     tasks: dict[str, Task] = {}
     for split in splits:
         env = trained.config.env
         env = replace(env, task=env.task.for_split(split, None))
-        seed = derive_seed(0, "perception", list(SPLITS).index(split) + 1)
-        tasks[split] = env, sample_images(env, network_of(trained).spec, images, seed)
+        stream = derive_seed(seed, "perception", list(SPLITS).index(split) + 1)
+        tasks[split] = env, sample_images(env, network_of(trained).spec, images, stream)
     return tasks
 
 
@@ -106,16 +115,17 @@ def write_curves(runs: list[TrainedAgent], arguments: argparse.Namespace) -> Non
     """Write the curves of damaged graphs as CSV."""
     columns = ["robot", "agent", "training_seed", "split", "kind", "share", "damage_seed"]
     rows = csv.writer(sys.stdout, lineterminator="\n")
-    rows.writerow([*columns, "reasoning", "right", "perfect_names", "sees_none"])
+    rows.writerow([*columns, "reasoning", "repair", "right", "perfect_names", "sees_none"])
     for trained in runs:
         config = trained.config
         tasks = tasks_of(trained, arguments.splits, arguments.images)
-        for split, kind, share, seed, reasoning in product(
-            tasks, get_args(Damage), SHARES, range(arguments.damage_seeds), arguments.reasoning
+        seeds, repairs = range(arguments.damage_seeds), arguments.repair or [None]
+        for split, kind, share, seed, reasoning, repair in product(
+            tasks, arguments.damage, arguments.shares, seeds, arguments.reasoning, repairs
         ):
-            if share == 0 and seed > 0:  # nothing is drawn
+            if share == 0 and seed > 0 and repair is None:  # nothing is drawn
                 continue
-            damage = {"damage": kind, "damage_share": share, "damage_seed": seed}
+            damage = {"damage": kind, "damage_share": share, "damage_seed": seed, "repair": repair}
             how = override(EvaluationConfig(), {"split": split, "reasoning": reasoning, **damage})
             found = measure(trained, tasks[split], how)
             shares = [
@@ -123,7 +133,7 @@ def write_curves(runs: list[TrainedAgent], arguments: argparse.Namespace) -> Non
                 for name in ("right", "perfect", "sees_none")
             ]
             facts = [config.env.robot, config.agent, config.seed, split, kind, share, seed]
-            rows.writerow([*facts, reasoning, *shares])
+            rows.writerow([*facts, reasoning, repair or "", *shares])
             sys.stdout.flush()
 
 
@@ -134,15 +144,24 @@ def main() -> None:
     parser.add_argument("--splits", nargs="+", default=list(SPLITS))
     parser.add_argument("--images", type=int, default=500)
     parser.add_argument("--reasoning", nargs="+", default=["vector", "graph"])
-    parser.add_argument("--damage", action="store_true")
+    kinds = get_args(Damage)
+    parser.add_argument("--damage", nargs="*", choices=kinds, help="kinds; none given: all")
+    parser.add_argument("--shares", type=float, nargs="+", default=SHARES)
+    parser.add_argument("--graph", help="another graph, asked all that it can be asked (S1)")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0], help="of the images")
     parser.add_argument("--damage-seeds", type=int, default=5)
+    parser.add_argument("--repair", nargs="+", choices=sorted(MODELS))
     arguments = parser.parse_args()
     runs = [load_agent(run) for run in arguments.runs]
-    if arguments.damage:
+    if arguments.graph is not None:
+        arguments.splits = ["S1"]
+        runs = [replace(run, config=with_graph(run.config, arguments.graph)) for run in runs]
+    if arguments.damage is not None:
+        arguments.damage = arguments.damage or kinds
         write_curves(runs, arguments)
         return
-    for trained in runs:
-        for split, task in tasks_of(trained, arguments.splits, arguments.images).items():
+    for trained, seed in product(runs, arguments.seeds):
+        for split, task in tasks_of(trained, arguments.splits, arguments.images, seed).items():
             for reasoning in (*arguments.reasoning, "graph-shuffled", "colours"):
                 how = override(EvaluationConfig(), {"split": split, "reasoning": reasoning})
                 found = measure(trained, task, how)

@@ -22,8 +22,8 @@ from knowarm.experiment.graph_at_test import graph_at_test, knowledge_at_test
 from knowarm.experiment.names import experiment_config
 from knowarm.knowledge.queries.splits import SPLITS
 from knowarm.perception.grounding import GroundingNetwork
+from knowarm.perception.grounding_training import train_grounding
 from knowarm.perception.images import LabelledImages, sample_images
-from knowarm.perception.training import train_grounding
 from knowarm.seeding import derive_seed
 from knowarm.world.config import EnvConfig
 

@@ -1,5 +1,8 @@
 """Reasoning by vectors or by the graph: agents, evaluations, controls and damaged graphs."""
 
+import dataclasses
+from functools import partial
+
 import numpy as np
 import pytest
 import torch
@@ -9,8 +12,8 @@ from knowarm.experiment.agents import AGENTS, controls_of
 from knowarm.experiment.build import build, slots_of
 from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.evaluate import evaluate
-from knowarm.experiment.graph_at_test import answer_table
-from knowarm.experiment.load import load_agent
+from knowarm.experiment.graph_at_test import answer_table, graph_at_test
+from knowarm.experiment.load import load_agent, reasoning_module
 from knowarm.experiment.names import experiment_config, experiment_names
 from knowarm.experiment.run import train
 from knowarm.perception.answering import AnsweringAgent
@@ -82,6 +85,47 @@ def test_damage_lowers_right_choices_of_vectors_and_answers(trained):
     assert (trained.network.knowledge == before).all()
 
 
+def test_another_graph_asks_and_answers(trained, tmp_path):
+    """Relations that the software has never seen, about five of the objects; one is unknown."""
+    names = ["mug", "vase", "kettle", "book", "lamp"]
+    rows = [f"{name}\tgoesWith\t{value}" for name, value in zip(names, "aabbc", strict=True)]
+    rows += [f"{name}\tweighs\t{value}" for name, value in zip(names, "xyxyx", strict=True)]
+    graph = tmp_path / "other.tsv"
+    graph.write_text("\n".join([*rows, "sofa\tgoesWith\ta"]))
+    how = {"graph": str(graph), "reasoning": "graph", **BRIEF, **ARM}
+    result = evaluate(trained, **how)
+    assert set(result.episodes["chosen"]) <= set(names)
+    assert {query.split(" ")[0] for query in result.episodes["query"]} == {
+        "goesWith",
+        "weighs",
+        "hasColor",
+    }
+    assert result.summary["choice"] > 0.85
+    assert result.summary["label"] == "post-training-greedy-other-graph"
+    missing = evaluate(trained, damage="missing", damage_share=1.0, **how)
+    assert missing.summary["choice"] < result.summary["choice"] - 0.1
+    with pytest.raises(UserError, match="everything that it can be asked is a question of S1"):
+        evaluate(trained, split="S4", graph=str(graph), **BRIEF)
+    graph.write_text("\n".join(rows[:3]))
+    with pytest.raises(UserError, match="describes 3 objects of the task"):
+        evaluate(trained, **how)
+    with pytest.raises(UserError, match="has no queries that a graph could answer"):
+        evaluate(ZOO / "irb120-full-fast", graph=str(graph), **BRIEF)
+
+
+def test_a_repaired_graph_answers_otherwise(trained):
+    env = trained.config.env
+    how = EvaluationConfig(damage="missing", damage_share=0.6, repair="complex")
+    graphs = [
+        graph_at_test(trained.config, env, each)
+        for each in (how, dataclasses.replace(how, repair=None))
+    ]
+    assert set(graphs[0]) > set(graphs[1])
+    assert how.folder.endswith("-missing-60-complex")
+    with pytest.raises(UserError, match="damage and repair change a graph"):
+        graph_at_test(experiment_config("irb120-choose-bm-fast"), env, how)
+
+
 def test_labels_name_reasoning_and_damage():
     how = EvaluationConfig(split="S1", reasoning="graph", damage="missing", damage_share=0.3)
     assert how.folder == "post-training-greedy-s1-graph-missing-30"
@@ -99,7 +143,10 @@ def test_reasoning_needs_a_network_and_damage_a_graph(choose_run):
 
 @pytest.mark.parametrize("name", ASKED)
 def test_the_query_enters_through_its_vector_only(name):
-    """Without training: swapped rows swap what the agent does, and zeros make all queries one."""
+    """Without training: swapped rows swap what the agent does, and zeros make all queries one.
+
+    The rows are vectors, or the answers of the graph for an agent that answers by it.
+    """
     config = experiment_config(f"irb120-choose-{name}-fast", env=CHOOSE_ENV)
     parts = build(config)
     table, queries = torch.from_numpy(parts.table), torch.arange(len(parts.table))
@@ -109,7 +156,9 @@ def test_the_query_enters_through_its_vector_only(name):
     if parts.grounded:
         spec = ModuleSpec.of(config.env, config.grounding)
         network = GroundingNetwork(spec, table, slots_of(parts.embedding))
-        act, owner, attribute = lambda: network(images, queries), network, "knowledge"
+        owner, attribute = reasoning_module(config, network), "knowledge"
+        table = owner.knowledge
+        act = partial(owner, images, queries)
     else:
         policy = parts.new_policy(0)
         start = torch.ones(len(queries), dtype=torch.bool)

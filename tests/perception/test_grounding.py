@@ -14,15 +14,27 @@ from knowarm.experiment.load import load_agent
 from knowarm.experiment.names import experiment_config
 from knowarm.experiment.run import train
 from knowarm.experiment.run_folder import FILE
+from knowarm.perception import grounding_training
 from knowarm.perception.agent import PerceivingVectorEnv
 from knowarm.perception.config import GroundingConfig, ModuleSpec
 from knowarm.perception.grounding import FRAME, STRIDE, WIDTH, GroundingNetwork, centres, place_of
+from knowarm.perception.grounding_training import train_grounding
 from knowarm.perception.images import ImageSampler, query_answers, sample_images
-from knowarm.perception.training import train_grounding
 from knowarm.reading import UnreadableFileError
+from knowarm.world.cache import cache_file
 from knowarm.world.config import questions_of
 from knowarm.world.envs.vector_env import ReachVectorEnv
 from tests.tiny import CHOOSE, CHOOSE_ENV, CHOOSE_NAME
+
+
+@pytest.fixture(autouse=True)
+def empty_cache(tmp_path, monkeypatch):
+    """An empty cache of networks; other caches stay."""
+    folder = tmp_path / "cache"
+    monkeypatch.setattr(
+        grounding_training, "cache_file", lambda *parts: folder / Path(cache_file(*parts)).name
+    )
+    return folder
 
 
 @pytest.fixture(scope="module")
@@ -181,7 +193,7 @@ def test_names_are_sums_over_places(network, labels):
     assert found.isfinite().all()
 
 
-def test_training_lowers_the_loss_of_places_and_repeats_to_the_byte(config):
+def test_training_lowers_the_loss_of_places_and_repeats_to_the_byte(config, empty_cache):
     parts = build(config)
     lines = []
     arguments = (config.env, parts.table, slots_of(parts.embedding))
@@ -190,9 +202,55 @@ def test_training_lowers_the_loss_of_places_and_repeats_to_the_byte(config):
     losses = [float(line.rsplit(" ", 1)[1]) for line in lines[1:]]
     assert losses[-1] < 0.85 * losses[0]
     hasty = dataclasses.replace(settings, images=64, rounds=2)
-    first, again, other = (train_grounding(*arguments, hasty, seed=i).to_bytes() for i in (1, 1, 2))
-    assert first == again != other
-    assert train_grounding(*arguments, hasty, seed=1, should_stop=lambda: True) is None
+    first, other = (train_grounding(*arguments, hasty, seed=i).to_bytes() for i in (1, 2))
+    for file in empty_cache.iterdir():
+        file.unlink()
+    assert train_grounding(*arguments, hasty, seed=1).to_bytes() == first != other
+    assert train_grounding(*arguments, hasty, seed=3, should_stop=lambda: True) is None
+
+
+def test_agents_share_names_and_frames_and_a_cached_network_is_the_trained_one(config, empty_cache):
+    parts, lines = build(config), []
+    table, slots = parts.table, slots_of(parts.embedding)
+    settings = GroundingConfig(images=64, rounds=1, batch=32, shared_rounds=1)
+
+    def train(knowledge, **options):
+        found = train_grounding(
+            config.env, knowledge, slots, settings, seed=0, report=lines.append, **options
+        )
+        return None if found is None else found.state_dict()
+
+    def differing(one, other):
+        return {n.split(".")[0] for n in one if n != "knowledge" and (one[n] != other[n]).any()}
+
+    first, other = train(table), train(table[::-1].copy())
+    assert differing(first, other) == {"key", "query"}
+    assert [line.startswith("training") for line in lines if "(" in line] == [1, 1, 0, 1]
+    untrained = GroundingNetwork(ModuleSpec.of(config.env, settings), table, slots).state_dict()
+    assert {"encoder", "frame", "key", "query"} <= differing(first, untrained)
+    assert differing(train(table), first) == set()
+    assert all("read from" in line for line in lines[-2:])
+    assert train(table, should_stop=lambda: True) is not None  # nothing is left to train
+    for file in empty_cache.iterdir():
+        file.write_bytes(b"damaged")
+    assert differing(train(table), first) == set()
+    assert "read from" not in lines[-1]
+    assert train(table + 1, should_stop=lambda: True) is None
+
+
+def test_other_objects_seeds_and_settings_are_other_networks(config, empty_cache):
+    parts = build(config)
+    settings = GroundingConfig(images=32, rounds=0, batch=32, shared_rounds=1)
+    fewer = dataclasses.replace(config.env, targets=config.env.targets[:-1])
+    hasty = dataclasses.replace(settings, learning_rate=0.1)
+    for env, how, seed in (
+        (config.env, settings, 0),
+        (config.env, settings, 1),
+        (config.env, hasty, 0),
+        (fewer, settings, 0),
+    ):
+        train_grounding(env, parts.table, 1, how, seed=seed)
+    assert len([*empty_cache.iterdir()]) == 4
 
 
 @torch.no_grad()
@@ -289,6 +347,7 @@ def test_only_queries_are_grounded(name):
         ("learning_rate", 0.0),
         ("naming_coef", -1.0),
         ("frame_coef", -1.0),
+        ("shared_rounds", -1),
     ],
 )
 def test_numbers_out_of_range_are_refused(field, value):

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal
 
 from knowarm.config import above_zero, at_least, check_numbers, fraction, registered
@@ -151,6 +152,9 @@ class EvaluationConfig:
     """Questions of the choose task: those of this split's test; None takes those of training."""
     edited: str | None = None
     """Path of the edited graph of split S5; None takes the one that swaps values."""
+    graph: str | None = None
+    """Path of another graph, or the name of a shipped one: all that it can be asked about the
+    objects that it describes is asked, and it answers. None takes the run's own graph."""
     reasoning: Literal["vector", "graph", "graph-shuffled", "colours"] | None = None
     """What an agent with a grounding network answers queries by: the query's "vector"; the
     "graph", while the network only names what stands where; as controls of it "graph-shuffled",
@@ -164,10 +168,14 @@ class EvaluationConfig:
     damage_share: float = 0.3
     """Share of the triples about the task's objects that are damaged."""
     damage_seed: int = 0
-    """Seed of which triples are damaged."""
+    """Seed of which triples are damaged, and of the repair."""
+    repair: Literal["analogy", "transe", "distmult", "complex"] | None = None
+    """Complete the graph that the agent knows by link prediction with this graph embedding (see
+    `knowarm.knowledge.kge.completion`), after the damage."""
     label: str | None = None
     """Name of the folder of the evaluation's files; None takes ``post-training-<actions>``, plus
-    ``-held-out`` for held-out episodes, or the split in lower case, reasoning, damage and lift."""
+    ``-held-out`` for held-out episodes, or the split in lower case, graph, reasoning, damage,
+    repair and lift."""
     blind_episodes: int = 200
     """Number of episodes, from the first, that the blind agents play beside a trained one; 0 plays
     none."""
@@ -192,6 +200,11 @@ class EvaluationConfig:
             raise UserError(
                 f"edited is the graph of split S5, got split={self.split!r}; set split to 'S5'."
             )
+        if self.graph is not None and self.split not in (None, "S1"):
+            raise UserError(
+                f"With another graph everything that it can be asked is a question of S1, got "
+                f"split={self.split!r}. Leave split out."
+            )
         object.__setattr__(self, "wide_angle_deg", max(self.wide_angle_deg, self.angle_deg))
         if self.episodes % self.seeds:
             raise UserError(
@@ -206,8 +219,10 @@ class EvaluationConfig:
             f"post-training-{self.actions}"
             + ("-held-out" if self.held_out else "")
             + (f"-{self.split.lower()}" if self.split else "")
+            + (f"-{Path(self.graph).stem}" if self.graph else "")
             + (f"-{self.reasoning}" if self.reasoning else "")
             + ("-stop" if self.unclear == "stop" else "")
             + (f"-{self.damage}-{100 * self.damage_share:g}" if self.damage else "")
+            + (f"-{self.repair}" if self.repair else "")
             + ("-lift" if self.lift else "")
         )

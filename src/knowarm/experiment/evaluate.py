@@ -13,7 +13,12 @@ from knowarm.config import override, to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.blind import blind_numbers
 from knowarm.experiment.config import EvaluationConfig
-from knowarm.experiment.graph_at_test import answer_table, graph_at_test, knowledge_at_test
+from knowarm.experiment.graph_at_test import (
+    answer_table,
+    graph_at_test,
+    knowledge_at_test,
+    with_graph,
+)
 from knowarm.experiment.lifting import lift_columns
 from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.experiment.run import Run
@@ -140,6 +145,8 @@ def evaluate(
         blind_episodes = config.blind_episodes if agent.which != "untrained" else 0
         if agent.which != "best":
             config = dataclasses.replace(config, label=f"{config.folder}-{agent.which}")
+        if config.graph is not None:
+            agent = dataclasses.replace(agent, config=with_graph(agent.config, config.graph))
         env_config = env_config or agent.config.env
         agent_name = f"{agent.config.name}/{agent.config.seed}"
         folder = agent.folder.evaluation(config.folder)
@@ -200,7 +207,7 @@ def agent_for_test(
     if reasoning == "vector":
         if config.reasoning and network is None:
             raise _no_network(trained)
-        if graph is None and config.reasoning is None:
+        if graph is None and config.reasoning is None and config.graph is None:
             return trained.agent, None
         agent = trained.agent if config.reasoning is None else trained.by_vectors()
         changed = torch.from_numpy(knowledge_at_test(trained.config, env, graph))

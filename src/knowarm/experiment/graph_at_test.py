@@ -1,9 +1,11 @@
 """Graphs at test time: edited (split S5), damaged or shuffled, and what an agent knows by them."""
 
+from collections.abc import Collection
 from typing import Any, Literal
 
 import numpy as np
 
+from knowarm.config import override
 from knowarm.errors import UserError
 from knowarm.experiment.config import EvaluationConfig, ExperimentConfig
 from knowarm.experiment.graph_queries import GraphQueries
@@ -11,6 +13,7 @@ from knowarm.knowledge import KnowledgeGraph, query_embedding, scene_embedding
 from knowarm.knowledge.formats import open_graph
 from knowarm.knowledge.graph.builder import shuffle_tails
 from knowarm.knowledge.graph.damage import damaged
+from knowarm.knowledge.graph.terms import local_name
 from knowarm.knowledge.queries.queries import QueryGraph
 from knowarm.knowledge.queries.splits import QuerySplits
 from knowarm.questions import ObjectColour, Query, QuestionTable
@@ -40,14 +43,50 @@ def graph_at_test(
                 "set to the former."
             )
         graph = given or splits.edited
+    changes = how.damage is not None or how.repair is not None
+    if changes and config.knowledge.detail == "none":
+        raise UserError(
+            f"damage and repair change a graph, and agent {config.agent!r} has none. Leave them "
+            "out."
+        )
     if how.damage is not None:
-        if config.knowledge.detail == "none":
-            raise UserError(
-                f"damage changes a graph, and agent {config.agent!r} has none. Leave it out."
-            )
         graph = graph or open_graph(config.knowledge.graph)
         graph = damaged(graph, how.damage, how.damage_share, how.damage_seed, env.targets)
+    if how.repair is not None:
+        from knowarm.knowledge.kge.completion import completed  # training is needed here only
+
+        graph = graph or open_graph(config.knowledge.graph)
+        graph = completed(graph, env.targets, model=how.repair, seed=how.damage_seed)
     return graph
+
+
+def with_graph(config: ExperimentConfig, path: str) -> ExperimentConfig:
+    """Return an experiment whose questions and answers come from another graph.
+
+    It shows the objects that the graph describes and asks all that the graph can be asked.
+
+    Args:
+        config: of a task with queries.
+        path: of the graph, or the name of a shipped one.
+    """
+    _questions(config.env)
+    known = described(open_graph(path), config.env.targets)
+    shown = [name for name, is_known in zip(config.env.targets, known, strict=True) if is_known]
+    if len(shown) < config.env.task.visible:
+        raise UserError(
+            f"The graph {path} describes {len(shown)} objects of the task "
+            f"({', '.join(shown) or 'none'}), and an episode shows {config.env.task.visible}. Give "
+            "a graph with triples about more of them."
+        )
+    queries = {"graph": path, "hold_out": []}
+    env = {"targets": shown, "task": {"queries": queries}}
+    return override(config, {"env": env, "knowledge": {"graph": path}})
+
+
+def described(graph: KnowledgeGraph, names: Collection[str]) -> list[bool]:
+    """Return which names a graph describes."""
+    known = set(map(local_name, graph.entities))
+    return [local_name(name) in known for name in names]
 
 
 def knowledge_at_test(
@@ -73,6 +112,8 @@ def answer_table(
 ) -> np.ndarray:
     """Return which facets answer each query of a task by the graph of an agent, (Q, F) bool.
 
+    Objects that the graph does not describe never answer.
+
     Args:
         config: the agent; its source of vectors may be a placebo with a shuffled graph.
         env: the task that asks.
@@ -88,7 +129,11 @@ def answer_table(
         graph = shuffle_tails(graph, derive_seed(config.seed, "placebos"))
     if control == "colours":
         queries = tuple(Query(tuple(c for c in q.conditions if c.is_colour)) for q in queries)
-    return QueryGraph(graph, facets).answers(queries)
+    known = np.array(described(graph, [name for name, _ in facets]))
+    answers = np.zeros((len(queries), len(facets)), bool)
+    shown = [facet for facet, is_known in zip(facets, known, strict=True) if is_known]
+    answers[:, known] = QueryGraph(graph, shown).answers(queries)
+    return answers
 
 
 def answers_before_edit(env: EnvConfig) -> dict[str, set[str]]:

@@ -16,8 +16,8 @@ from knowarm.experiment.names import experiment_config
 from knowarm.experiment.run_folder import FILE, RunFolder, module_for_training, provenance
 from knowarm.experiment.run_lock import lock_folder
 from knowarm.learn import CheckpointStore, Hooks, TrainingResult
+from knowarm.perception.grounding_training import train_grounding
 from knowarm.perception.module import PerceptionModule, digest
-from knowarm.perception.training import train_grounding
 from knowarm.policy import Policy
 
 BEFORE_FIRST_STEP = -1

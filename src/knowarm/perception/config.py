@@ -69,11 +69,16 @@ class GroundingConfig(ModuleTrainingConfig):
     which an agent needs that finds objects by name."""
     frame_coef: float = 10.0
     """Weight of the squared error of the grasp frames of all visible objects."""
+    shared_rounds: int = 0
+    """Rounds that train names and grasp frames alone, whose result all agents with the same robot,
+    objects and seed share; ``rounds`` then train how queries are compared with places. 0: the
+    ``rounds`` train everything together."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        at_least(self, 1, "rounds", where="GroundingConfig.")
-        at_least(self, 0, "naming_coef", "frame_coef", where="GroundingConfig.")
+        least = 0 if self.shared_rounds > 0 else 1
+        at_least(self, least, "rounds", where="GroundingConfig.")
+        at_least(self, 0, "naming_coef", "frame_coef", "shared_rounds", where="GroundingConfig.")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -116,6 +116,11 @@ class GroundingNetwork(PerceptionModule):
         place = (self.keys(features) * query[:, None]).sum(2).argmax(1)
         return self.frames(features, place[:, None])[:, 0]
 
+    def features(self, images: Tensor, bfloat16: bool = False) -> Tensor:
+        """Compute the encoder's features, with its convolutions in bfloat16 if asked for."""
+        with torch.autocast("cpu", torch.bfloat16, enabled=bfloat16):
+            return self.encoder.features(images)
+
     def losses(
         self,
         labels: LabelledImages,
@@ -128,10 +133,6 @@ class GroundingNetwork(PerceptionModule):
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Compute the losses of places, names and grasp frames for queries on some images.
 
-        They are the cross-entropy of the place of the object that each query means, that of the
-        names of the visible objects, and the squared error of their frames. An image counts
-        for the queries that the task may have for one of its objects and that mean no other one.
-
         Args:
             labels: images and their labels.
             rows: (n,) int64, images.
@@ -140,11 +141,28 @@ class GroundingNetwork(PerceptionModule):
             naming: as `GroundingConfig.naming`.
             bfloat16: for convolutions and keys.
         """
+        features = self.features(labels.images[rows], bfloat16)
+        place = self.place_loss(features, labels, rows, queries, answers, bfloat16=bfloat16)
+        return place, *self.recognition_losses(features.float(), labels, rows, naming)
+
+    def place_loss(
+        self,
+        features: Tensor,
+        labels: LabelledImages,
+        rows: Tensor,
+        queries: Tensor,
+        answers: QueryAnswers,
+        *,
+        bfloat16: bool = False,
+    ) -> Tensor:
+        """Compute the cross-entropy of the places of the objects that queries mean.
+
+        An image counts for the queries that the task may have for one of its objects and that mean
+        no other one. Arguments as `losses`, and the features of the images.
+        """
         places = place_of(labels.pixels[rows], self.spec.image_size)
         with torch.autocast("cpu", torch.bfloat16, enabled=bfloat16):
-            features = self.encoder.features(labels.images[rows])
             keys = self.keys(features)
-        features = features.float()
         scores = keys.float() @ self.project_queries(self.knowledge[queries]).T  # (n, P, q)
         facets = labels.facets[rows]
         satisfies = answers.satisfies[queries][:, facets].transpose(0, 1)  # (n, q, m)
@@ -154,12 +172,18 @@ class GroundingNetwork(PerceptionModule):
             asked &= satisfies[..., 0]
         place = places.gather(1, satisfies.float().argmax(2))
         likelihood = scores.log_softmax(1).gather(1, place[:, None])[:, 0]
+        return -(likelihood * asked).sum() / asked.sum().clamp(min=1)
+
+    def recognition_losses(
+        self, features: Tensor, labels: LabelledImages, rows: Tensor, naming: Naming
+    ) -> tuple[Tensor, Tensor]:
+        """Compute the cross-entropy of the visible names and the squared error of their frames."""
+        places = place_of(labels.pixels[rows], self.spec.image_size)
         where = places if naming == "place" else None
-        named = self.encoder.facet_likelihood(features, facets, where)
+        named = self.encoder.facet_likelihood(features, labels.facets[rows], where)
         position = (labels.grasp_position[rows] - self.position_mean) / self.position_std
         truth = torch.cat((position, labels.grasp_axes[rows]), 2)
-        error = (self.frames(features, places) - truth).square().mean()
-        return -(likelihood * asked).sum() / asked.sum().clamp(min=1), -named.mean(), error
+        return -named.mean(), (self.frames(features, places) - truth).square().mean()
 
 
 def place_of(pixel: Tensor, image_size: int) -> Tensor:

@@ -1,0 +1,63 @@
+"""Completion of a graph by link prediction: likely triples about some objects are added."""
+
+from collections.abc import Collection
+from itertools import product
+
+import numpy as np
+import torch
+
+from knowarm.knowledge.graph.graph import KnowledgeGraph
+from knowarm.knowledge.kge import KgeConfig
+from knowarm.knowledge.kge.train import split_graph, train
+
+HELD_OUT = 0.2
+"""Share of the triples that decide which score is high enough."""
+
+
+def completed(
+    graph: KnowledgeGraph, objects: Collection[str], *, model: str, seed: int = 0
+) -> KnowledgeGraph:
+    """Add the triples (object, relation, value) whose scores by a graph embedding are high enough.
+
+    The model is trained on a part of the graph. High enough is the score at which telling the
+    triples of the other part from those that the graph does not state has the largest F1, as in
+    triple classification (Socher et al. 2013). Values are those that some object has.
+
+    Args:
+        graph: what is known.
+        objects: names of the objects that facts are added about.
+        model: key of `kge.models.MODELS`.
+        seed: of the split, the initial vectors and the order of triples.
+
+    Raises:
+        UserError: an unknown model, or too few triples to hold any out.
+    """
+    split = split_graph(graph, valid=0.0, test=HELD_OUT, seed=seed)
+    config = KgeConfig(model=model, seed=seed)
+    with torch.enable_grad():  # whatever the caller measures
+        trained = train(
+            config, split.train, split.entities, split.relations, valid=split.test,
+            known=split.everything,
+        ).model  # fmt: skip
+    ids = sorted(graph.entity_id(name) for name in objects)
+    about = np.isin(graph.heads, ids)
+    pairs = np.unique(np.stack([graph.relations[about], graph.tails[about]], 1), axis=0)
+    trained_on = set(map(tuple, split.train.tolist()))
+    every = ((head, *pair) for head, pair in product(ids, pairs.tolist()))
+    triples = torch.tensor([each for each in every if each not in trained_on])
+    heads, relations, tails = triples.T
+    with torch.no_grad():
+        score = trained(heads, relations).gather(1, tails[:, None])[:, 0]
+        score += trained(tails, relations + split.relations).gather(1, heads[:, None])[:, 0]
+    held = set(map(tuple, split.test.tolist()))
+    true = np.array([tuple(each) in held for each in triples.tolist()])
+    order = (-score).argsort(stable=True).numpy()
+    hits, chosen = true[order].cumsum(), np.arange(1, len(order) + 1)
+    best = int((hits / (chosen + true.sum())).argmax()) + 1 if true.any() else 0
+    added = triples.numpy()[order[:best]]
+    known = np.stack([graph.heads, graph.relations, graph.tails], axis=1)
+    return KnowledgeGraph(
+        graph.names, graph.relation_names,
+        np.unique(np.concatenate([known, added.astype(known.dtype)]), axis=0),
+        nodes=graph.nodes, labels=graph.labels,
+    )  # fmt: skip

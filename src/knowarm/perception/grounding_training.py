@@ -1,0 +1,161 @@
+"""Training of grounding networks on images of the simulator, with a cache of the results."""
+
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import replace
+from functools import partial
+from importlib.metadata import version
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from knowarm.cores import torch_threads
+from knowarm.learn.optimizer import resolve_precision
+from knowarm.perception.config import GroundingConfig, ModuleSpec
+from knowarm.perception.grounding import GroundingNetwork
+from knowarm.perception.images import ImageSampler, LabelledImages, query_answers, sample_images
+from knowarm.perception.training import GROUNDING_IMAGES, Step, minimize
+from knowarm.seeding import derive_seed, torch_generator
+from knowarm.world.cache import cache_file, read_arrays, write_arrays
+from knowarm.world.config import EnvConfig
+
+REVISION = 1
+"""Part of the cache's key; another one wherever the same config trains another network."""
+
+QUERIES = 48
+"""Queries per gradient step."""
+
+KEYED_IMAGES = 64
+"""First images of the training, whose pixels and labels are part of the cache's key."""
+
+Losses = Callable[[LabelledImages, Tensor], tuple[Tensor, Tensor]]
+"""Computes, for some rows of images, the loss that is minimized and the one that is reported."""
+
+
+class _Stage(NamedTuple):
+    """A part of a training."""
+
+    name: str
+    rounds: int
+    losses: Losses
+    parts: tuple[str, ...]
+    """How the names of what it trains begin."""
+    follows_from: tuple[object, ...]
+    """What its result depends on beside images, settings and seed."""
+
+
+def train_grounding(
+    env: EnvConfig,
+    knowledge: np.ndarray,
+    slots: int,
+    config: GroundingConfig,
+    *,
+    seed: int,
+    report: Callable[[str], None] = lambda text: None,
+    should_stop: Callable[[], bool] = lambda: False,
+) -> GroundingNetwork | None:
+    """Train a network to find what queries mean, or read it from the user's cache.
+
+    The cache's key contains the first images with their labels, so a changed object or renderer is
+    another key. Convolutions are computed in bfloat16 where the processor has it.
+
+    Args:
+        env: a task with queries.
+        knowledge: (Q, K) float32, one row of ``slots`` equal parts per query.
+        slots: number of parts.
+        config: images, rounds and losses (`GroundingNetwork.losses`).
+        seed: of the run.
+        report: receives a line at the start and after every round.
+        should_stop: called before every round; the result is then None.
+    """
+    network = GroundingNetwork(ModuleSpec.of(env, config), knowledge, slots, seed=seed)
+    answers = query_answers(env, network.spec.facets)
+    assert answers is not None
+    bfloat16 = resolve_precision("auto", torch.device("cpu")) == "bfloat16"
+    generator = torch_generator(seed, "perception", GROUNDING_IMAGES)
+
+    def some_queries() -> Tensor:
+        return torch.randperm(len(knowledge), generator=generator)[:QUERIES]
+
+    def everything(labels: LabelledImages, rows: Tensor) -> tuple[Tensor, Tensor]:
+        place, naming, frame = network.losses(
+            labels, rows, some_queries(), answers, naming=config.naming, bfloat16=bfloat16
+        )
+        return place + config.naming_coef * naming + config.frame_coef * frame, place
+
+    def recognition(labels: LabelledImages, rows: Tensor) -> tuple[Tensor, Tensor]:
+        features = network.features(labels.images[rows], bfloat16).float()
+        naming, frame = network.recognition_losses(features, labels, rows, config.naming)
+        return config.naming_coef * naming + config.frame_coef * frame, naming
+
+    def comparison(labels: LabelledImages, rows: Tensor) -> tuple[Tensor, Tensor]:
+        features = network.features(labels.images[rows], bfloat16)
+        place = network.place_loss(
+            features, labels, rows, some_queries(), answers, bfloat16=bfloat16
+        )
+        return place, place
+
+    asked, seen = ("key.", "query."), ("encoder.", "frame.", "position_")
+    by_queries = knowledge, slots, answers.satisfies.numpy(), answers.askable.numpy()
+    stages = [_Stage("everything", config.rounds, everything, seen + asked, by_queries)]
+    if config.shared_rounds:
+        stages = [
+            _Stage("names and frames", config.shared_rounds, recognition, seen, ()),
+            _Stage("queries", config.rounds, comparison, asked, by_queries),
+        ]
+    images_alone = replace(config, rounds=config.rounds * (not config.shared_rounds))
+    depends_on: list[object] = [REVISION, version("torch"), bfloat16, env, images_alone, seed]
+    for number, stage in enumerate(stages):
+        if stage.rounds == 0:
+            continue
+        stream = derive_seed(seed, "perception", GROUNDING_IMAGES, *[number][:number])
+        first = sample_images(env, network.spec, KEYED_IMAGES, stream)
+        depends_on += [stage.rounds, *(each.numpy() for each in first), *stage.follows_from]
+        file = cache_file("grounding", *depends_on)
+        parts = {n: v for n, v in network.state_dict().items() if n.startswith(stage.parts)}
+        if _copy(read_arrays(file), parts):
+            report(f"grounding network ({stage.name}): read from {file}")
+            continue
+        for name, parameter in network.named_parameters():
+            parameter.requires_grad_(name.startswith(stage.parts))
+        report(
+            f"training the grounding network ({stage.name}) on {stage.rounds} x "
+            f"{config.images:,} images"
+        )
+        with torch_threads(1), closing(ImageSampler(env, network.spec, stream)) as sampler:
+            steps = partial(_steps, network, sampler, stage, config)
+            name = "grounding, round"
+            if not minimize(network, config, steps, stage.rounds, name, report, should_stop):
+                return None
+        write_arrays(file, {name: value.numpy() for name, value in parts.items()})
+    return network.eval().requires_grad_(False)
+
+
+def _steps(
+    network: GroundingNetwork,
+    sampler: ImageSampler,
+    stage: _Stage,
+    config: GroundingConfig,
+    number: int,
+) -> Iterator[Step]:
+    """Draw the images of a round and yield the losses of its gradient steps."""
+    labels = sampler.sample(config.images)
+    if number == 1 and "position_" in stage.parts:
+        positions = labels.grasp_position.flatten(0, -2)
+        network.position_mean.copy_(positions.mean(0))
+        network.position_std.copy_(positions.std(0).clamp(min=1e-3))
+    for rows in torch.arange(config.images).split(config.batch):
+        yield len(rows), *stage.losses(labels, rows)
+
+
+def _copy(arrays: dict[str, np.ndarray] | None, parts: dict[str, Tensor]) -> bool:
+    """Copy cached arrays into parameters; return whether they fit."""
+    if arrays is None or {n: a.shape for n, a in arrays.items()} != {
+        n: tuple(v.shape) for n, v in parts.items()
+    }:
+        return False
+    for name, value in parts.items():
+        value.copy_(torch.from_numpy(arrays[name]))
+    return True
