@@ -51,7 +51,7 @@ def tables(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 def _line(row: dict[str, Any], table: str, cells: list[str], wanted: int) -> dict[str, Any]:
     summary, policy = row["summary"][table], row["policy"]
     seeds = len(policy["specs"])
-    trained = any(seed is not None for seed in policy["seeds"])
+    trained = policy["training"] not in ("scripted", "none")
     return {
         "name": row["name"],
         "inputs": policy["inputs"],
