@@ -12,6 +12,7 @@ from knowarm.cli.tables import FilePath, TableCommand, print_table
 from knowarm.errors import UserError
 from knowarm.experiment.installation_check import check_installation
 from knowarm.world.config import EnvConfig
+from knowarm.world.own_robot.camera_check import check_camera
 from knowarm.world.own_robot.draft import draft_robot, read_overrides
 from knowarm.world.own_robot.object_check import check_objects
 from knowarm.world.own_robot.robot_check import MJCF_SUFFIXES, Check, check_robot, write_scene_image
@@ -42,11 +43,17 @@ class Doctor(TableCommand):
     """Write the drafted description to this TOML file (MJCF file only)."""
     image: FilePath = None
     """Draw the robot at its start, with the rectangle of the targets, to this PNG file."""
+    camera: FilePath = None
+    """Compare a photograph of the robot at its start with the simulated view, drawn to --image."""
+    points: FilePath = None
+    """CSV file with the columns point, x and y: pixels of known points in the photograph."""
     runs: Path = Path("runs")
     """Output folder of training runs, checked for free disk space."""
 
     def run(self) -> Mapping[str, Any]:
         """Run the checks, print and write them; failed ones end in a `UserError`."""
+        if self.camera is None:
+            self._refuse("--camera", "points")
         values = super().run()
         if failed := [check for check in values["checks"] if not check["ok"]]:
             remedies = " ".join(f"{check['name']}: {check['remedy']}" for check in failed)
@@ -55,7 +62,13 @@ class Doctor(TableCommand):
 
     def result(self) -> dict[str, Any]:
         """Run the checks and print them."""
-        if self.task is not None:
+        if self.camera is not None:
+            self._refuse("no --camera", "set", "write", "task", "targets")
+            config = EnvConfig(robot=self.robot or DEFAULT_ROBOT)
+            overlay = self.image or Path("camera.png")
+            checks = check_camera(config, self.camera, self.points, overlay)
+            what = f"camera of robot {config.robot}"
+        elif self.task is not None:
             self._refuse("no --task", "set", "write", "image")
             robot = self.robot or DEFAULT_ROBOT
             checks = check_objects(robot, self.task, self.targets)
