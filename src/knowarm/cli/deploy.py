@@ -3,6 +3,7 @@
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Self
 
@@ -12,7 +13,8 @@ from knowarm.cli.evaluate import is_scripted, parse_with_task
 from knowarm.config import at_least
 from knowarm.errors import UserError
 from knowarm.experiment.load import Which, load_agent
-from knowarm.integrations.contract import deployment
+from knowarm.integrations.contract import deployment, tcp_position
+from knowarm.integrations.driver import Driver, Safety, Topics
 from knowarm.integrations.export import export
 from knowarm.integrations.record import record
 from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
@@ -24,15 +26,21 @@ RunPath = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Export:
-    """Write a trained policy as ONNX, with its contract and a runner without PyTorch."""
+class OfRun:
+    """Command on the policy of a run."""
 
     run_folder: RunPath
     """Run folder, such as runs/irb120-full-fast/0."""
-    to: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("exported")
-    """Folder to write."""
     which: Which = "best"
     """Checkpoint of the run: best interim evaluation, latest, or untrained."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Export(OfRun):
+    """Write a trained policy as ONNX, with its contract and a runner without PyTorch."""
+
+    to: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("exported")
+    """Folder to write."""
 
     def run(self) -> None:
         """Export and say what was written."""
@@ -45,17 +53,13 @@ class Export:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Serve:
+class Serve(OfRun):
     """Serve a trained policy over the WebSocket protocol of openpi, until Ctrl-C."""
 
-    run_folder: RunPath
-    """Run folder, such as runs/irb120-full-fast/0."""
     host: str = "127.0.0.1"
     """Address to listen on. Others than the loopback need a key, in KNOWARM_SERVE_KEY."""
     port: int = 8000
     """Port; 0 takes a free one."""
-    which: Which = "best"
-    """Checkpoint of the run: best interim evaluation, latest, or untrained."""
 
     def run(self) -> None:
         """Serve and print the address."""
@@ -68,6 +72,27 @@ class Serve:
             f"Serving {self.run_folder} on ws://{self.host}:{server.port} until Ctrl-C.", flush=True
         )
         server.run()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ros(OfRun):
+    """Drive a robot for one episode over ROS 2, with safety rules before every motion."""
+
+    knowledge: str | None = None
+    """Row of the knowledge table, such as "usedFor drinking"; not needed where it never changes."""
+    safety: Annotated[Safety, tyro.conf.OmitArgPrefixes] = field(default_factory=Safety)
+    """What must hold before a joint target is sent."""
+    resize: bool = False
+    """Average the central square of larger images to the policy's size."""
+    topic: Topics = field(default_factory=Topics)
+
+    def run(self) -> None:
+        """Drive until the last step, a broken rule, or a stop."""
+        from knowarm.integrations.ros import drive
+
+        parts = deployment(load_agent(self.run_folder, which=self.which))
+        rules = partial(tcp_position, parts.scene), self.safety, self.knowledge
+        drive(Driver(parts.runner(), *rules, resize=self.resize), self.topic)
 
 
 @dataclass(frozen=True, kw_only=True)

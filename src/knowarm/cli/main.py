@@ -31,6 +31,7 @@ COMMANDS = {
     "view": ("view:View", "show an agent in the browser, or record it"),
     "export": ("deploy:Export", "write a trained policy as ONNX, with contract and runner"),
     "serve": ("deploy:Serve", "serve a trained policy to robots over WebSocket (openpi)"),
+    "ros": ("deploy:Ros", "drive a robot over ROS 2, with safety rules before every motion"),
     "record": ("deploy:Record", "record episodes as a LeRobot dataset"),
     "hub": ("hub:COMMANDS", "share policies and studies on the Hugging Face Hub"),
     "benchmark": ("benchmark:COMMANDS", "score any policy on frozen episodes, beside controls"),

@@ -87,13 +87,13 @@ class MujocoSimulator:
             self._mocap[(*at, slice(2))] = distractor_position
         self.batch.forward(ids=ids, stage=_POSES)
 
-    def step(self, joint_targets: NDArray[np.float64]) -> None:
-        """Advance every environment by one control period towards joint targets (n, J) [rad]."""
+    def step(self, joint_targets: NDArray[np.float64], substeps: int = SUBSTEPS) -> None:
+        """Advance by physics steps (default: a control period) to joint targets (n, J) [rad]."""
         if self.dynamics == "kinematic":
             self.set_joints(joint_targets)
         else:
             self._ctrl[:] = joint_targets
-            self.batch.step(nstep=SUBSTEPS, stage=_POSES)
+            self.batch.step(nstep=substeps, stage=_POSES)
 
     def set_joints(self, joint_positions: NDArray[np.float64]) -> None:
         """Set the joint angles (n, J) [rad] and compute poses without advancing time."""

@@ -1,0 +1,213 @@
+"""Driver: plays a runner on a robot, with safety rules before anything is sent; needs no ROS.
+
+`Driver.tick` returns the joint targets to send, or None. A *hold* sends nothing until its reason is
+gone; an *end* is final. A step out of the workspace, or away from a blocked arm, is shortened.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from knowarm.config import above_zero, at_least, check_numbers
+from knowarm.errors import UserError
+from knowarm.integrations.runner import Runner
+from knowarm.world.own_robot.camera_check import central_square
+
+Targets = NDArray[np.float64]
+EARLIEST = 0.8  # Shortest time between two targets, in control periods
+SHARES = (1.0, 0.5, 0.25)  # Shares of a step that are tried
+
+
+@dataclass(frozen=True, kw_only=True)
+class Safety:
+    """Rules that hold before a joint target is sent, beside limits, speed and workspace."""
+
+    max_age_s: float = 0.3  # Age of image or joint angles from which nothing moves [s]
+    patience_s: float = 5.0  # Length of a hold after which the episode ends [s]
+    following_steps: float = 4.0  # Largest distance of a target from the joint's angle, in MPI
+    confirm_steps: int = 5  # First steps that a person confirms one by one
+    max_steps: int | None = None  # Length of the episode; None takes that of the training
+    dry_run: bool = False  # Print the steps and send nothing
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        above_zero(self, "max_age_s", "patience_s", "following_steps")
+        at_least(self, 0, "confirm_steps")
+        at_least(self, 1, "max_steps")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Topics:
+    """Names of the ROS topics."""
+
+    image: str = "/camera/image_raw"  # sensor_msgs/Image, rgb8 or bgr8
+    joint_states: str = "/joint_states"  # sensor_msgs/JointState, matched by name
+    trajectory: str = "/joint_trajectory_controller/joint_trajectory"  # JointTrajectory
+    stop: str = "/knowarm/stop"  # std_msgs/Empty; any message ends the episode
+    use_clock: bool = False  # Take the time from /clock, as simulators publish it
+
+
+class Driver:
+    """Plays one episode of a runner on a robot.
+
+    ``gripper`` computes the gripper's position (3,) [m], robot base, at joint angles (J,);
+    ``knowledge`` is a row of the table; ``resize`` averages the central square of larger images.
+
+    Attributes: ``status``, one line for the person beside the robot; ``end``, why the episode ended
+    (empty while it runs); ``completed``, whether all steps were played; ``steps``, their number.
+    """
+
+    def __init__(
+        self,
+        runner: Runner,
+        gripper: Callable[[Targets], Targets],
+        safety: Safety,
+        knowledge: str | None = None,
+        *,
+        resize: bool = False,
+    ) -> None:
+        about, self.joint_names = runner.contract, runner.joint_names
+        self._runner, self._gripper, self.safety = runner, gripper, safety
+        self._knowledge, self._resize = knowledge, resize
+        self.period_s, self._mpi = float(about["control_period_s"]), float(about["joints"]["mpi"])
+        self.max_steps = safety.max_steps or int(about["max_episode_steps"])
+        self._box = np.array([about["workspace_m"][end] for end in ("lower", "upper")])
+        self.status, self.end, self.completed, self.steps = "waiting", "", False, 0
+        self._inputs: dict[str, Any] = dict.fromkeys(("image", "joint angles"), "not yet seen")
+        self._proposal: Targets | None = None
+        self._is_confirmed = False
+        self._sent_at, self._held_since = -np.inf, np.inf
+        home = dict(zip(runner.joint_names, about["joints"]["home"], strict=True))
+        try:
+            runner.start(home, knowledge)
+        except ValueError as error:
+            raise UserError(f"Wrong knowledge: {error}.") from error
+        runner.is_started = False
+
+    def see(self, image: NDArray[np.uint8] | str, stamp_s: float) -> None:
+        """Take an image (H, W, 3) RGB, taken at ``stamp_s``, or the reason why there is none."""
+        size = self._runner.contract["camera"]["size"]
+        if not isinstance(image, str) and self._resize:
+            image = np.asarray(central_square(Image.fromarray(image), size))
+        if not isinstance(image, str) and (image.shape, image.dtype) != ((size, size, 3), np.uint8):
+            image = f"is {image.shape} instead of ({size}, {size}, 3); resize it"
+        self._inputs["image"] = image if isinstance(image, str) else (image, stamp_s)
+
+    def feel(self, names: Sequence[str], positions: Sequence[float], stamp_s: float) -> None:
+        """Take joint angles by name [rad], measured at ``stamp_s``; other joints are ignored."""
+        found = dict(zip(names, positions, strict=False))
+        if found.keys().isdisjoint(self.joint_names):
+            return  # of a gripper or another robot
+        angles = np.array([found.get(name, np.nan) for name in self.joint_names])
+        bad = ", ".join(np.array(self.joint_names)[~np.isfinite(angles)])
+        self._inputs["joint angles"] = (angles, stamp_s) if not bad else f"lack a number for {bad}"
+
+    def confirm(self) -> None:
+        """Confirm the step that ``status`` shows; without effect where there is none."""
+        self._is_confirmed = self._proposal is not None
+
+    def stop(self, reason: str) -> None:
+        """End the episode."""
+        self.end = self.status = self.end or reason
+
+    def tick(self, now_s: float, obstacle: str = "") -> Targets | None:
+        """Return the joint targets (J,) to send now, or None; once per control period.
+
+        ``now_s`` is the time by the clock of the stamps, ``obstacle`` a reason to hold.
+        """
+        if self.end or 0 <= now_s - self._sent_at < EARLIEST * self.period_s:
+            return None
+        if not (problem := obstacle or self._old_input(now_s)):
+            image, angles = (given[0] for given in self._inputs.values())
+            try:
+                if self._proposal is None:
+                    self._proposal = self._propose(image, angles)
+                self._check(self._proposal)
+            except ValueError as error:
+                self.stop(f"stopped: {error}")
+                return None
+            for share in SHARES:
+                targets = self._previous + share * (self._proposal - self._previous)
+                if not (problem := self._barred(targets, angles)):
+                    return self._released(targets, now_s)
+            self._runner.targets, self._proposal = self._previous, None
+        self.status = f"hold: {problem}"
+        self._held_since = min(self._held_since, now_s)
+        if now_s - self._held_since > self.safety.patience_s:
+            self.stop(f"stopped after {self.safety.patience_s:g} s: {problem}")
+        return None
+
+    def _propose(self, image: NDArray[np.uint8], angles: Targets) -> Targets:
+        """Compute the next targets."""
+        runner = self._runner
+        if not runner.is_started:
+            runner.start(dict(zip(self.joint_names, angles.tolist(), strict=True)), self._knowledge)
+        if self.safety.dry_run:  # nothing follows the targets, so each step starts where the arm is
+            runner.targets = angles.clip(runner.lower, runner.upper)
+        self._previous, self._is_confirmed = runner.targets.copy(), False
+        return np.asarray(runner.step(image), np.float64)
+
+    def _released(self, targets: Targets, now_s: float) -> Targets | None:
+        """Return checked targets if the step needs no confirmation or has it."""
+        self._held_since, dry = np.inf, self.safety.dry_run
+        moves = zip(self.joint_names, targets - self._previous, strict=True)
+        change = ", ".join(f"{name} {move:+.3f}" for name, move in moves)
+        self.status = f"step {self.steps + 1} of {self.max_steps}: {change}"
+        if not (dry or self._is_confirmed or self.steps >= self.safety.confirm_steps):
+            self.status += "; Enter moves, anything else stops"
+            return None
+        self.status = f"dry run, {self.status}" if dry else "moving"
+        self._runner.targets, self._proposal = targets.copy(), None
+        self._sent_at, self.steps = now_s, self.steps + 1
+        if self.steps == self.max_steps:
+            self.completed = True
+            self.stop(f"all {self.max_steps} steps are played")
+        return None if dry else targets
+
+    def _old_input(self, now_s: float) -> str:
+        """Say which input is missing, wrong, old or from the future."""
+        most = self.safety.max_age_s
+        for name, given in self._inputs.items():
+            if isinstance(given, str):
+                return f"{name} {given}"
+            if not -most <= (age := now_s - given[1]) <= most:
+                far = "in the future; synchronize the clocks" if age < 0 else "old"
+                return f"{name} more than {most:g} s {far}"
+        return ""
+
+    def _check(self, targets: Targets) -> None:
+        """Raise `ValueError` for targets (J,) that no intact policy computes."""
+        lower, upper, most = self._runner.lower, self._runner.upper, self._mpi * (1 + 1e-6)
+        for broken, text in (
+            (~np.isfinite(targets), "the target is not finite"),
+            ((targets < lower) | (targets > upper), "the target is beyond its limit"),
+            (abs(targets - self._previous) > most, f"faster than {most / self.period_s:g} / s"),
+        ):
+            if broken.any():
+                raise ValueError(f"{', '.join(np.array(self.joint_names)[broken])}: {text}")
+
+    def _barred(self, targets: Targets, angles: Targets) -> str:
+        """Say what is in the way of targets, for measured joint angles; both (J,)."""
+        far = abs(targets - angles) > self.safety.following_steps * self._mpi
+        if far.any():
+            return f"{', '.join(np.array(self.joint_names)[far])}: blocked, or moved by hand"
+        place = self._gripper(targets)
+        if ((place >= self._box[0]) & (place <= self._box[1])).all():
+            return ""
+        return f"the gripper would leave the workspace, to {place.round(2).tolist()} m"
+
+
+def decoded(
+    encoding: str, height: int, width: int, step: int, data: bytes
+) -> NDArray[np.uint8] | str:
+    """Return the pixels (H, W, 3) RGB of a ROS image, or the reason why it cannot be read."""
+    if encoding not in ("rgb8", "bgr8"):
+        return f"has the encoding {encoding!r} instead of rgb8 or bgr8"
+    if not 0 < 3 * width <= step or not 0 < len(data) == height * step:
+        return f"has {len(data)} bytes, which are not {height} rows of {step}"
+    rows = np.frombuffer(data, np.uint8).reshape(height, step)[:, : 3 * width]
+    return rows.reshape(height, width, 3)[..., :: -1 if encoding == "bgr8" else 1].copy()

@@ -1,0 +1,104 @@
+"""ROS 2 node of a `Driver`: images and joint angles in, joint trajectories of one point out."""
+
+import sys
+import threading
+from typing import Any
+
+from knowarm.errors import UserError
+from knowarm.integrations.driver import Driver, Topics, decoded
+
+try:
+    import rclpy
+    from builtin_interfaces.msg import Duration
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.node import Node
+    from rclpy.parameter import Parameter
+    from rclpy.qos import qos_profile_sensor_data
+    from rclpy.signals import SignalHandlerOptions
+    from sensor_msgs.msg import Image, JointState
+    from std_msgs.msg import Empty
+    from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+except ImportError as missing:
+    raise UserError(
+        f"ROS 2 is not installed for this Python ({missing.name}): pip install 'knowarm[ros]'."
+    ) from missing
+
+
+class DriverNode(Node):
+    """Feeds a driver with messages, and publishes what it returns in each control period."""
+
+    def __init__(self, driver: Driver, topics: Topics) -> None:
+        clock = Parameter("use_sim_time", value=topics.use_clock)
+        super().__init__("knowarm", parameter_overrides=[clock])
+        self.driver, self._topic, self._shown, self._out = driver, topics.trajectory, "", None
+        latest = qos_profile_sensor_data
+        self.create_subscription(Image, topics.image, self._see, latest)
+        self.create_subscription(JointState, topics.joint_states, self._feel, latest)
+        stop = f"stopped by {topics.stop}"
+        self.create_subscription(Empty, topics.stop, lambda _: driver.stop(stop), 1)
+        if not driver.safety.dry_run:
+            self._out = self.create_publisher(JointTrajectory, self._topic, 1)
+        self.create_timer(driver.period_s, self._tick)
+
+    def show(self) -> None:
+        """Print the driver's status where it has changed."""
+        if self.driver.status != self._shown:
+            self._shown = self.driver.status
+            print(self._shown, flush=True)
+
+    def _seconds(self, stamp: Any = None) -> float:
+        """Return the time of a stamp [s]; the present for an empty one."""
+        given = stamp.sec + stamp.nanosec * 1e-9 if stamp else 0.0
+        return float(given or self.get_clock().now().nanoseconds * 1e-9)
+
+    def _see(self, image: Any) -> None:
+        size = image.height, image.width, image.step
+        pixels = decoded(image.encoding, *size, bytes(image.data))
+        self.driver.see(pixels, self._seconds(image.header.stamp))
+
+    def _feel(self, state: Any) -> None:
+        self.driver.feel(state.name, state.position, self._seconds(state.header.stamp))
+
+    def _tick(self) -> None:
+        obstacle = ""
+        if self._out is not None and self.count_publishers(self._topic) > 1:
+            obstacle = f"another program publishes to {self._topic}"
+        elif self._out is not None and not self.count_subscribers(self._topic):
+            obstacle = f"no controller at {self._topic}"
+        targets = self.driver.tick(self._seconds(), obstacle)
+        if targets is not None and self._out is not None:
+            point = JointTrajectoryPoint(positions=targets.tolist())
+            whole, part = divmod(round(self.driver.period_s * 1e9), 10**9)
+            point.time_from_start = Duration(sec=whole, nanosec=part)
+            names = list(self.driver.joint_names)
+            self._out.publish(JointTrajectory(joint_names=names, points=[point]))
+        self.show()
+
+
+def drive(driver: Driver, topics: Topics) -> None:
+    """Drive the robot until the episode ends; a line at the terminal confirms a step or stops.
+
+    Raises:
+        UserError: the episode was stopped before its last step.
+    """
+    threading.Thread(target=_listen, args=[driver], daemon=True).start()
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        node, executor = DriverNode(driver, topics), SingleThreadedExecutor()
+        executor.add_node(node)
+        while not driver.end:
+            executor.spin_once(timeout_sec=driver.period_s)
+        node.show()
+    finally:
+        rclpy.shutdown()
+    if not driver.completed:
+        raise UserError(f"The episode was {driver.end}.")
+
+
+def _listen(driver: Driver) -> None:
+    for line in sys.stdin:
+        if line.strip():
+            driver.stop("stopped at the terminal")
+        driver.confirm()
+    if driver.steps < driver.safety.confirm_steps and not driver.safety.dry_run:
+        driver.stop("stopped: nobody is at the terminal to confirm the first steps")

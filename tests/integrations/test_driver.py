@@ -1,0 +1,268 @@
+"""Safety rules of a driven robot: each test would move the robot without its rule."""
+
+import numpy as np
+import pytest
+
+from knowarm.errors import UserError
+from knowarm.integrations.driver import Driver, Safety, decoded
+from knowarm.integrations.runner import Runner
+
+IMAGE = np.zeros((4, 4, 3), np.uint8)
+NAMES = ["shoulder", "elbow"]
+CONTRACT = {
+    "control_period_s": 0.1,
+    "max_episode_steps": 50,
+    "joints": {
+        "names": NAMES,
+        "lower": [-1.0, -1.0],
+        "upper": [1.0, 1.0],
+        "home": [0.0, 0.5],
+        "mpi": 0.05,
+        "increments": [0.0, 0.05, -0.05],
+    },
+    "workspace_m": {"lower": [-9.0, -9.0, -9.0], "upper": [9.0, 9.0, 9.0]},
+    "camera": {"size": 4},
+    "knowledge": {"rows": ["usedFor drinking", "usedFor eating"], "default_row": None},
+    "recurrent": {"size": 1},
+    "recognition": None,
+}
+
+
+class Robot:
+    """A runner whose policy always raises both joints, or does ``step``, behind a driver."""
+
+    def __init__(self, step=None, *, box=None, gripper=None, resize=False, **safety):
+        contract = CONTRACT if box is None else CONTRACT | {"workspace_m": box}
+        self.calls = []
+
+        def policy(inputs):
+            self.calls.append(inputs)
+            return np.array([[1, 1]]), None, None, inputs["h"], inputs["c"]
+
+        runner = Runner(contract, np.zeros((2, 3), np.float32), policy)
+        if step is not None:
+            runner.step = lambda image: np.array(step)
+        gripper = gripper or (lambda angles: np.array([*angles, 0.0]))
+        safety = {"confirm_steps": 0} | safety
+        self.driver = Driver(runner, gripper, Safety(**safety), "usedFor drinking", resize=resize)
+        self.now = 100.0
+
+    def tick(self, image=IMAGE, joints=(0.0, 0.5), names=NAMES, late=0.0, state_late=0.0):
+        """Let a period pass; images and states arrive unless they are None."""
+        self.now += 0.1
+        if image is not None:
+            self.driver.see(image, self.now - late)
+        if joints is not None:
+            self.driver.feel(names, joints, self.now - state_late)
+        return self.driver.tick(self.now)
+
+
+def test_a_robot_that_nothing_stops_moves():
+    robot = Robot()
+    np.testing.assert_allclose(robot.tick(), [0.05, 0.55])
+    np.testing.assert_allclose(robot.tick(), [0.1, 0.6])
+    assert (robot.driver.steps, robot.driver.end) == (2, "")
+
+
+@pytest.mark.parametrize(
+    ("robot", "words"),
+    [
+        (Robot([1.01, 0.5]), "shoulder: the target is beyond its limit"),
+        (Robot([0.0, np.nan]), "elbow: the target is not finite"),
+        (Robot([0.06, 0.5]), "shoulder: faster than 0.5 / s"),
+    ],
+)
+def test_a_target_that_breaks_a_rule_ends_the_episode(robot, words):
+    assert robot.tick() is None
+    assert robot.driver.end.startswith("stopped")
+    assert words in robot.driver.end
+    robot.driver._runner.step = lambda image: np.array([0.0, 0.5])
+    assert robot.tick() is None, "an end is final"
+
+
+@pytest.mark.parametrize("place", [[0, 0, -10.0], [0, 10.0, 0], [np.nan, 0, 0]])
+def test_the_gripper_stays_in_the_workspace(place):
+    robot = Robot(gripper=lambda angles: np.array(place), patience_s=0.5)
+    for _ in range(5):
+        assert robot.tick() is None
+    assert robot.driver.status.startswith("hold: the gripper would leave the workspace")
+    assert [robot.tick() for _ in range(3)] == [None] * 3
+    assert robot.driver.end.startswith("stopped after 0.5 s")
+
+
+def test_a_step_out_of_the_workspace_is_shortened():
+    box = {"lower": [-9, -9, -9], "upper": [0.03, 9, 9]}
+    robot = Robot(box=box)
+    np.testing.assert_allclose(robot.tick(), [0.025, 0.525])
+    assert robot.tick() is None, "no share of the step fits"
+    assert robot.driver.steps == 1
+
+
+def test_a_blocked_arm_is_not_pushed_further():
+    robot = Robot(following_steps=2.1, patience_s=0.5)
+    assert robot.tick() is not None
+    assert robot.tick() is not None
+    assert robot.tick() is None
+    assert robot.driver.status == "hold: shoulder, elbow: blocked, or moved by hand"
+    np.testing.assert_allclose(robot.tick(joints=(0.1, 0.6)), [0.15, 0.65])
+    assert [robot.tick() for _ in range(8)] == [None] * 8
+    assert "blocked" in robot.driver.end
+
+
+def test_a_start_beyond_the_limits_is_refused():
+    robot = Robot()
+    assert robot.tick(joints=(0.0, 1.2)) is None
+    assert "within the limits" in robot.driver.end
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"image": None}, "image not yet seen"),
+        ({"joints": None}, "joint angles not yet seen"),
+        ({"late": 0.5}, "image more than 0.3 s old"),
+        ({"state_late": 0.5}, "joint angles more than 0.3 s old"),
+        ({"late": -0.5}, "in the future"),
+        ({"late": np.nan}, "image more than"),
+        ({"image": IMAGE[:3]}, "(3, 4, 3) instead of (4, 4, 3)"),
+        ({"image": IMAGE.astype(float)}, "instead of"),
+        ({"joints": (0.0, np.nan)}, "lack a number for elbow"),
+        ({"joints": (0.0, np.inf)}, "lack a number for elbow"),
+        ({"joints": (0.0,)}, "lack a number for elbow"),
+        ({"names": ["shoulder", "finger"]}, "lack a number for elbow"),
+        ({"names": ["a", "b"]}, "joint angles not yet seen"),
+    ],
+)
+def test_old_or_wrong_input_holds_until_it_is_right_again(given, words):
+    robot = Robot()
+    assert robot.tick(**given) is None
+    assert words in robot.driver.status
+    assert "\n" not in robot.driver.status
+    assert not robot.calls
+    np.testing.assert_allclose(robot.tick(), [0.05, 0.55])
+
+
+def test_a_camera_that_stops_holds_and_then_ends_the_episode():
+    robot = Robot(max_age_s=0.25, patience_s=1)
+    robot.tick()
+    sent = [robot.tick(image=None) is not None for _ in range(4)]
+    assert sent == [True, True, False, False]
+    for _ in range(12):
+        assert robot.tick(image=None) is None
+    assert "image" in robot.driver.end
+    assert robot.tick() is None
+
+
+def test_joints_are_matched_by_name():
+    robot = Robot()
+    targets = robot.tick(names=["finger", "elbow", "shoulder"], joints=(9.0, 0.2, 0.1))
+    np.testing.assert_allclose(targets, [0.15, 0.25])
+
+
+def test_targets_keep_the_control_period():
+    robot = Robot()
+    robot.tick()
+    robot.now -= 0.05
+    assert robot.tick() is None
+    assert robot.tick() is not None
+    assert robot.driver.steps == 2
+
+
+def test_the_first_steps_are_confirmed_one_by_one():
+    robot = Robot(confirm_steps=2)
+    robot.driver.confirm()  # nothing is proposed yet
+    for number in (1, 2):
+        for _ in range(3):
+            assert robot.tick() is None
+        assert f"step {number} of 50: shoulder +0.050" in robot.driver.status
+        robot.driver.confirm()
+        assert robot.tick() is not None
+        assert len(robot.calls) == number
+    assert robot.tick() is not None
+
+
+def test_a_confirmed_step_waits_for_new_input_and_is_checked_again():
+    robot = Robot(confirm_steps=1, following_steps=2)
+    robot.tick()
+    robot.driver.confirm()
+    robot.now += 1
+    assert robot.driver.tick(robot.now) is None
+    assert robot.tick(joints=(0.0, 0.0)) is None
+    assert "moved by hand" in robot.driver.status
+    assert robot.tick() is None, "the next proposal needs a confirmation of its own"
+
+
+def test_the_step_limit_ends_the_episode():
+    robot = Robot(max_steps=2)
+    assert [robot.tick() is not None for _ in range(4)] == [True, True, False, False]
+    assert robot.driver.completed
+    assert robot.driver.end == "all 2 steps are played"
+
+
+def test_a_stop_is_final_and_keeps_its_first_reason():
+    robot = Robot()
+    robot.driver.stop("stopped by /knowarm/stop")
+    robot.driver.stop("later")
+    assert robot.tick() is None
+    assert robot.driver.end == "stopped by /knowarm/stop"
+    assert not robot.driver.completed
+
+
+def test_an_obstacle_of_the_caller_holds():
+    robot = Robot()
+    robot.tick(image=None)
+    robot.driver.see(IMAGE, robot.now)
+    assert robot.driver.tick(robot.now, "no controller") is None
+    assert robot.driver.status == "hold: no controller"
+    assert robot.tick() is not None
+
+
+def test_a_dry_run_computes_from_where_the_arm_is_and_sends_nothing():
+    robot = Robot(dry_run=True, confirm_steps=5, max_steps=20)
+    for _ in range(20):
+        assert robot.tick() is None
+    assert len(robot.calls) == 20
+    assert "step 19 of 20" not in robot.driver.status
+    assert robot.driver.completed
+
+
+def test_unknown_knowledge_is_refused_before_anything_is_seen():
+    runner = Robot().driver._runner
+    for given in ("usedFor flying", None):
+        with pytest.raises(UserError, match="knowledge must be a row"):
+            Driver(runner, lambda angles: angles, Safety(), given)
+
+
+@pytest.mark.parametrize(
+    "values", [{"max_age_s": 0.0}, {"patience_s": np.nan}, {"confirm_steps": -1}, {"max_steps": 0}]
+)
+def test_rules_without_meaning_are_refused(values):
+    with pytest.raises(UserError, match=next(iter(values))):
+        Safety(**values)
+
+
+def test_ros_images_are_decoded_or_refused():
+    pixels = np.arange(24, dtype=np.uint8).reshape(2, 4, 3)
+    padded = np.pad(pixels.reshape(2, 12), ((0, 0), (0, 4)))
+    np.testing.assert_array_equal(decoded("rgb8", 2, 4, 16, padded.tobytes()), pixels)
+    np.testing.assert_array_equal(decoded("bgr8", 2, 4, 12, pixels.tobytes()), pixels[..., ::-1])
+    for wrong in (
+        ("16UC1", 2, 4, 12, pixels.tobytes()),
+        ("rgb8", 2, 4, 11, pixels.tobytes()),
+        ("rgb8", 3, 4, 12, pixels.tobytes()),
+        ("rgb8", 0, 0, 0, b""),
+    ):
+        assert isinstance(decoded(*wrong), str)
+
+
+def test_larger_images_are_cut_and_averaged():
+    image = np.zeros((8, 12, 3), np.uint8)
+    image[:, 2:10] = 100
+    image[0:2, 2:4] = 200
+    robot = Robot(resize=True)
+    assert robot.tick(image=image) is not None
+    small = robot.calls[0]["image"][0]
+    assert small.shape == (4, 4, 3)
+    assert small[0, 0, 0] == 200
+    assert (small.reshape(-1, 3)[1:] == 100).all()
+    assert Robot().tick(image=image) is None
