@@ -64,9 +64,9 @@ mutate: $(VENV)/.dev ## change the numeric modules in small ways, one by one: do
 	$(VENV)/bin/mutmut run $(foreach each,$(MUTANTS),'$(each)')
 	$(VENV)/bin/mutmut results
 
-docs: $(VENV)/.dev ## build and check the documentation site in docs/_build; runs its notebooks
-	$(PY) -m sphinx -W --keep-going -q -b html docs docs/_build
-	$(PY) scripts/check_site.py docs/_build
+docs: $(VENV)/.dev ## build and check the documentation site in docs/_build/html
+	$(PY) -m sphinx -W --keep-going -q -b html docs docs/_build/html
+	$(PY) scripts/check_site.py docs/_build/html
 
 snippets: $(VENV)/.dev ## run every command and code block of the documentation, shortened
 	$(PY) -m pytest -q -n 2 --dist worksteal --durations 25 tests/snippets/test_snippets.py

@@ -1,6 +1,6 @@
 """Check the built site: links, headings, images, notebooks, nothing from other servers.
 
-python scripts/check_site.py docs/_build
+python scripts/check_site.py docs/_build/html
 """
 
 import re
@@ -63,9 +63,9 @@ def offenders(site: Path) -> Iterator[str]:
                 yield f"{name}: no file {address}"
             elif target in pages and unquote(parts.fragment) not in pages[target].anchors:
                 yield f"{name}: no heading {address}"
-    for path in sorted((site.parent / "notebooks").glob("*.md")):
-        built = pages.get((site / "notebooks" / f"{path.stem}.html").resolve())
-        if built is None or "cell_output" not in built.path.read_text(encoding="utf-8"):
+    for path in sorted((site / "_sources" / "notebooks").glob("*.md")):
+        built = pages[(site / "notebooks" / f"{path.stem}.html").resolve()]
+        if "cell_output" not in built.path.read_text(encoding="utf-8"):
             yield f"notebooks/{path.name}: was not executed"
 
 

@@ -34,9 +34,12 @@ def test_a_site_in_order_has_no_offenders(tmp_path):
 def test_every_kind_of_offender_is_found(tmp_path):
     page = """<a href="gone.html">a</a><a href="other.html#gone">b</a><img src="a.png">
     <script src="https://example.org/a.js"></script>"""
-    (tmp_path / "notebooks").mkdir()
-    (tmp_path / "notebooks" / "reach.md").write_text("")
-    found = " ".join(offenders(build(tmp_path, page)))
+    site = build(tmp_path, page)
+    for folder in ("notebooks", "_sources/notebooks"):
+        (site / folder).mkdir(parents=True)
+    (site / "notebooks" / "reach.html").write_text(GOOD.replace("a.png", "../a.png"))
+    (site / "_sources" / "notebooks" / "reach.md").write_text("")
+    found = " ".join(offenders(site))
     for each in ("no file gone.html", "no heading other.html#gone", "without alternative text"):
         assert each in found
     assert "loads https://example.org/a.js" in found
