@@ -1,5 +1,6 @@
 """Sphinx configuration of the documentation site: `make docs`."""
 
+import hashlib
 from importlib.metadata import version as version_of
 from pathlib import Path
 
@@ -9,17 +10,27 @@ copyright = "KnowArm contributors, Apache-2.0"
 version = release = version_of("knowarm")
 
 extensions = [
-    "myst_parser",
+    "myst_nb",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
     "sphinx_copybutton",
 ]
-source_suffix = {".md": "markdown"}
+source_suffix = {".md": "myst-nb"}
 exclude_patterns = ["_build", "results/[!b]*/**"]
 myst_enable_extensions = ["colon_fence", "html_image"]
 myst_heading_anchors = 4
-suppress_warnings = ["myst.xref_missing"]  # tests/test_docs.py checks every link
+suppress_warnings = ["myst.xref_missing"]  # scripts/check_site.py checks every link
+
+# Notebooks run when the site is built; their output is kept until the package changes.
+SOURCES = sorted(Path(__file__).parents[1].glob("src/**/*.py"))
+DIGEST = hashlib.sha256(b"".join(path.read_bytes() for path in SOURCES)).hexdigest()[:12]
+nb_execution_mode = "cache"
+nb_execution_cache_path = str(Path(__file__).parent / "_build" / f".notebooks-{DIGEST}")
+nb_execution_timeout = -1
+nb_execution_raise_on_error = True
+nb_merge_streams = True
+nb_ipywidgets_js = {}  # nothing from other servers
 autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented"
 autodoc_member_order = "bysource"
