@@ -2,6 +2,7 @@
 
 import sys
 import threading
+import time
 from typing import Any
 
 from knowarm.errors import UserError
@@ -23,6 +24,9 @@ except ImportError as missing:
         f"ROS 2 is not installed for this Python ({missing.name}): pip install 'knowarm[ros]'."
     ) from missing
 
+DISCOVERY_S = 1.0
+"""Time before the first control period, in which ROS discovers other programs [s]."""
+
 
 class DriverNode(Node):
     """Feeds a driver with messages, and publishes what it returns in each control period."""
@@ -38,6 +42,7 @@ class DriverNode(Node):
         self.create_subscription(Empty, topics.stop, lambda _: driver.stop(stop), 1)
         if not driver.safety.dry_run:
             self._out = self.create_publisher(JointTrajectory, self._topic, 1)
+        self._from = time.monotonic() + DISCOVERY_S
         self.create_timer(driver.period_s, self._tick)
 
     def show(self) -> None:
@@ -60,6 +65,8 @@ class DriverNode(Node):
         self.driver.feel(state.name, state.position, self._seconds(state.header.stamp))
 
     def _tick(self) -> None:
+        if time.monotonic() < self._from:
+            return
         obstacle = ""
         if self._out is not None and self.count_publishers(self._topic) > 1:
             obstacle = f"another program publishes to {self._topic}"
