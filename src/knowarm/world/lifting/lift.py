@@ -137,7 +137,6 @@ class LiftTrial:
         self._ctrl[:] = 0.0
         self.batch.forward()
         placed = self._centre[:, lifting.object_body].copy()
-        gripper = self._site[:, lifting.tcp_site, 2]
         for step in range(max(map(len, paths))):
             self._ctrl[:, :joints] = np.stack([path[min(step, len(path) - 1)] for path in paths])
             yield self._advance("approach")
