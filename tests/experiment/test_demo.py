@@ -17,14 +17,16 @@ def stand_still(config, budget, seed):
 
 @pytest.mark.slow
 def test_the_demo_trains_evaluates_and_resumes(tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "EVALUATION", dataclasses.replace(module.EVALUATION, episodes=4))
+    monkeypatch.setattr(
+        module, "EVALUATION", dataclasses.replace(module.EVALUATION, episodes=4, blind_episodes=4)
+    )
     monkeypatch.setattr(open_loop, "search_open_loop", stand_still)
     stops = iter([False, True])
-    assert demo(tmp_path, steps=3200, should_stop=lambda: next(stops, True)) is None
-    paths = demo(tmp_path, steps=3200, should_stop=lambda: False)
+    assert demo(tmp_path, steps=1536, should_stop=lambda: next(stops, True)) is None
+    paths = demo(tmp_path, steps=1536, should_stop=lambda: False)
     assert paths is not None
-    roles = [AGENTS[config.agent].role for config in demo_experiments(3200)]
+    roles = [AGENTS[config.agent].role for config in demo_experiments(1536)]
     assert roles == ["baseline", "knowledge"]
     assert [len(list(path.glob("evaluation/*/summary.json"))) for path in paths] == [2, 2]
     page = write_report(paths, tmp_path / "report.html").read_text()
-    assert all(config.name in page for config in demo_experiments(3200))
+    assert all(config.name in page for config in demo_experiments(1536))

@@ -28,7 +28,7 @@ ASKED = [
     for name, agent in AGENTS.items()
     if agent.knowledge.scope == "query" and f"irb120-choose-{name}-fast" in experiment_names()
 ]
-BRIEF = {"episodes": 120, "num_envs": 60, "blind_episodes": 0, "write": False}
+BRIEF = {"episodes": 60, "num_envs": 60, "blind_episodes": 0, "write": False}
 ARM = {"record_films": 0, "record_steps": False}
 
 

@@ -3,9 +3,6 @@
 import base64
 import hashlib
 import json
-import os
-import subprocess
-import sys
 import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import ClassVar
@@ -14,6 +11,8 @@ from urllib.parse import urlsplit
 import pytest
 
 import knowarm
+from knowarm.cli.main import main
+from tests.forked import Forked
 from tests.source_tree import ROOT
 
 pytest.importorskip("huggingface_hub")
@@ -99,15 +98,14 @@ class Hub(BaseHTTPRequestHandler):
 
 @pytest.fixture
 def hub(tmp_path):
-    """A stub of the Hub, and a function that runs a command or code against it."""
+    """A stub of the Hub, and a function that runs a command, or loads a policy, against it."""
     server = ThreadingHTTPServer(("127.0.0.1", 0), Hub)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     Hub.repos = {}
 
-    def run(*arguments, code=None, **variables):
+    def run(*arguments, load=None, **variables):
         # huggingface_hub reads its settings from the environment when it is imported
         environment = {
-            **os.environ,
             "HF_ENDPOINT": f"http://127.0.0.1:{server.server_address[1]}",
             "HF_HOME": str(tmp_path / "cache"),
             "HF_HUB_DISABLE_XET": "1",
@@ -115,22 +113,23 @@ def hub(tmp_path):
             "COLUMNS": "200",
             **variables,
         }
-        words = ["-c", code] if code else ["-m", "knowarm", "hub", *map(str, arguments)]
-        return subprocess.run(
-            [sys.executable, *words], env=environment, capture_output=True, text=True, timeout=120
+        done = Forked(
+            load or (lambda: main(["hub", *map(str, arguments)])),
+            tmp_path,
+            environment=environment,
+            forget=["huggingface_hub"],
         )
+        assert done.ended(300)
+        return done
 
     yield run
     server.shutdown()
     server.server_close()
 
 
-LOAD = """
-import knowarm
-
-trained = knowarm.from_pretrained("someone/reach")
-print(trained.step, sum(float(p.double().sum()) for p in trained.policy.parameters()))
-"""
+def load():
+    trained = knowarm.from_pretrained("someone/reach")
+    print(trained.step, sum(float(p.double().sum()) for p in trained.policy.parameters()))
 
 
 @pytest.mark.slow(20)
@@ -142,13 +141,13 @@ def test_a_run_goes_to_the_hub_and_back(hub):
     assert "irb120-full-fast" in card
     assert "library_name: knowarm" in card
     assert not any("latest" in name for name in Hub.repos["someone/reach"])
-    loaded = hub(code=LOAD)
+    loaded = hub(load=load)
     assert loaded.returncode == 0, loaded.stderr
     own = knowarm.load_agent(ZOO)
     weights = sum(float(each.detach().double().sum()) for each in own.policy.parameters())
     assert loaded.stdout.split() == [str(own.step), str(weights)]
 
-    offline = hub(code=LOAD, HF_HUB_OFFLINE="1", HF_ENDPOINT="http://127.0.0.1:9")
+    offline = hub(load=load, HF_HUB_OFFLINE="1", HF_ENDPOINT="http://127.0.0.1:9")
     assert offline.stdout == loaded.stdout
     other = hub("pull", "someone/other", HF_HUB_OFFLINE="1")
     assert other.returncode == 2

@@ -42,7 +42,7 @@ def test_memory_task_is_solved():
     """Rollouts of 10 steps hold episodes of 3: most rollouts start in the middle of one."""
     policy = toy_policy()
     config = dataclasses.replace(SMALL, num_envs=64, learning_rate=2e-3, gamma=0.9)
-    PPOTrainer(config, policy, toy_env(64, recall=True, length=3), seed=0).train(60_000)
+    PPOTrainer(config, policy, toy_env(64, recall=True, length=3), seed=0).train(40_000)
     assert success_rate(policy, recall=True, length=3) > 0.95
 
 

@@ -197,7 +197,7 @@ def test_training_lowers_the_loss_of_places_and_repeats_to_the_byte(config, empt
     parts = build(config)
     lines = []
     arguments = (config.env, parts.table, slots_of(parts.embedding))
-    settings = GroundingConfig(images=512, rounds=6, batch=32)
+    settings = GroundingConfig(images=256, rounds=8, batch=32)
     train_grounding(*arguments, settings, seed=1, report=lines.append)
     losses = [float(line.rsplit(" ", 1)[1]) for line in lines[1:]]
     assert losses[-1] < 0.85 * losses[0]

@@ -174,7 +174,7 @@ def test_without_a_script_and_on_paper_everything_is_there(made, open_page):
 
 def test_sixty_runs_make_a_page_of_bounded_size(open_page, tmp_path):
     truth = Truth(success={"bm": 0.5, "partial": 0.55, "full": 0.7, "wide": 0.5, "random": 0.5})
-    size = Size(points=200, episodes=100, films=3, steps=True)
+    size = Size(points=200, episodes=40, films=1, steps=True)
     runs = write_study(tmp_path / "runs", truth, seeds=6, size=size)
     runs += write_study(tmp_path / "runs", truth, seeds=6, colours="randomized", size=size)
     assert len(runs) == 60

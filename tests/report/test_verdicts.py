@@ -282,13 +282,13 @@ def test_the_promise_holds_over_many_tasks_and_many_studies():
     """The same rule on bare scores, often enough to measure its rate."""
     generator = np.random.default_rng(0)
     loud = 0
-    for _ in range(1_000):
+    for _ in range(400):
         gates = [
             welch(generator.normal(0.6, 0.05, 5), generator.normal(0.6, 0.05, 5)).p_value
             for _ in range(8)  # four tasks, two outcomes
         ]
         loud += bool((holm(gates) <= 0.05).any())
-    assert loud / 1_000 <= 0.06
+    assert loud / 400 <= 0.08  # .05 and three standard deviations
 
 
 def test_curves_are_compared_as_far_as_every_agent_has_a_run(tmp_path):

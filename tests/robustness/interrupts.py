@@ -1,12 +1,13 @@
 """Campaign of Ctrl-C: commands that are in long work of a library end at once, in one line."""
 
+import os
 import random
 import signal
-import subprocess
-import sys
 import tempfile
-import time
 from pathlib import Path
+
+from knowarm.cli.main import main
+from tests.forked import Forked
 
 END_S = 15.0
 """Time within which a command must end."""
@@ -36,28 +37,19 @@ def long_commands(folder: Path, triples: int) -> dict[str, list[str]]:
 
 def interrupt(arguments: list[str], folder: Path, after_s: float) -> str | None:
     """Run a command, interrupt it once, and return what is wrong with its end, or None."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "knowarm", *arguments],
-        cwd=folder,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored behind a `&`
-    )
     before = set(folder.iterdir())
-    try:
-        time.sleep(after_s)
-        if process.poll() is not None:
-            return f"ended by itself: {process.communicate()[1][-300:]}"
-        process.send_signal(signal.SIGINT)
-        errors = process.communicate(timeout=END_S)[1]
-    except subprocess.TimeoutExpired:
-        return f"goes on for more than {END_S:.0f} s"
-    finally:
-        process.kill()
-        process.wait()
-    if process.returncode != 130 or errors != "knowarm: interrupted\n":
-        return f"exit code {process.returncode}, {errors[-300:]!r}"
+    with tempfile.TemporaryDirectory() as output:
+        running = Forked(lambda: main(arguments), Path(output), cwd=folder)
+        try:
+            if running.ended(after_s):
+                return f"ended by itself: {running.stderr[-300:]}"
+            os.kill(running.process.pid, signal.SIGINT)
+            if not running.ended(END_S):
+                return f"goes on for more than {END_S:.0f} s"
+        finally:
+            running.process.kill()
+        if running.returncode != 130 or running.stderr != "knowarm: interrupted\n":
+            return f"exit code {running.returncode}, {running.stderr[-300:]!r}"
     left = [path.name for path in set(folder.iterdir()) - before]
     return f"leaves {left}" if left else None
 

@@ -4,7 +4,7 @@ import pytest
 
 from tests.robustness.formats import make_formats, try_mutations
 
-TRIES = 12
+TRIES = 5
 """Mutations of each format."""
 
 

@@ -171,6 +171,7 @@ def test_a_document_that_takes_too_long(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_queries_that_exhaust_memory_or_time(monkeypatch):
     monkeypatch.setattr(oxigraph, "SECONDS", 600.0)
+    monkeypatch.setattr(oxigraph, "MEMORY", 1 << 30)
     doubled = " ".join(f"BIND(CONCAT(?v{i}, ?v{i}) AS ?v{i + 1})" for i in range(40))
     with pytest.raises(UserError, match="SPARQL query: it nests too deep, or needs more than"):
         sparql(household(), f'SELECT * {{ BIND("a" AS ?v0) {doubled} }}')

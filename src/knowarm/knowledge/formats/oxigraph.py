@@ -31,7 +31,7 @@ def run_oxigraph(write: Callable[[IO[bytes]], object], **task: Any) -> IO[bytes]
         ValueError: pyoxigraph refused it otherwise, or a limit was reached.
     """
     output = TemporaryFile()  # noqa: SIM115 (the caller closes it)
-    command = [sys.executable, "-P", __file__, json.dumps(task)]
+    command = [sys.executable, "-P", __file__, json.dumps(task | {"memory": MEMORY})]
     with TemporaryFile() as source:
         write(source)
         limit = SECONDS + source.tell() / 2**20
@@ -59,7 +59,7 @@ def main(task: dict[str, Any]) -> None:
 
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         resource.setrlimit(resource.RLIMIT_FSIZE, (OUTPUT, OUTPUT))
-        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+        resource.setrlimit(resource.RLIMIT_AS, (task["memory"], task["memory"]))
     source, output = sys.stdin.buffer, sys.stdout.buffer
     if "query" not in task:
         syntax = ox.RdfFormat.from_extension(task["syntax"])
