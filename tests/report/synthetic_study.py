@@ -301,7 +301,8 @@ def write_evaluation(
     write_table(folder / "episodes.parquet", columns, EPISODE_COLUMNS)
     if size.steps:
         shift = 0.2 * (agent == "full")
-        _write_steps(folder, columns, JOINTS[env["robot"]], generator, shift)
+        known["joints"] = [f"hinge_{i}" for i in range(JOINTS[env["robot"]])]
+        _write_steps(folder, columns, len(known["joints"]), generator, shift)
     for number in range(size.films):
         write_film(folder / "films" / f"{number}.webp", _images(int(columns["length"][number])))
     numbers = summarize(columns)

@@ -208,6 +208,10 @@ def test_curves_are_drawn_from_the_values_of_their_table(made):
         assert abs(y - (bottom + float(row["success"]) * (top - bottom))) < 0.01
 
 
+def test_the_angles_of_joints_have_their_names(made):
+    assert "joint 1 (hinge_0): difference of means" in made.page.read_text()
+
+
 def test_the_paper_stands_beside_ours(made):
     rows = rows_of(made.page.parent / "report-data" / "paper.csv")
     found = {(row["task"].split(" · ")[0], row["agent"]): row for row in rows}

@@ -40,6 +40,39 @@ def test_defects_are_named_with_a_remedy(
     assert words in bad[name].remedy + bad[name].found
 
 
+THREE_JOINTS = """
+<mujoco><worldbody><body><geom type="cylinder" size=".08 .05" pos="0 0 .05" mass="5"/>
+  <body pos="0 0 .1"><joint name="yaw" axis="0 0 1" range="-3 3" damping="2"/>
+    <geom type="cylinder" size=".06 .1" pos="0 0 .1" mass="3"/>
+  <body pos="0 0 .2"><joint name="shoulder" axis="0 1 0" range="-2 2" damping="2"/>
+    <geom type="capsule" fromto="0 0 0 0 0 .35" size=".04" mass="2"/>
+  <body pos="0 0 .35"><joint name="elbow" axis="0 1 0" range="-2.6 2.6" damping="1"/>
+    <geom type="capsule" fromto="0 0 0 0 0 .35" size=".035" mass="1.5"/>
+    <site name="tcp" pos="0 0 .38"/></body></body></body></body></worldbody>
+  <compiler angle="radian"/></mujoco>"""
+DESCRIPTION = """
+mjcf = "arm.xml"
+joints = ["yaw", "shoulder", "elbow"]
+tcp_site = "tcp"
+home = [-0.8, 0.2, 2.1]
+mpi_rad = 0.068
+rectangle_centre_m = [0.432, 0.0]
+rectangle_half_size_m = [0.13, 0.288]
+target_yaw_deg = 180.0
+camera_position_m = [1.4, -1.1, 1.2]
+camera_look_at_m = [0.3, 0.0, 0.3]
+camera_fovy_deg = 40.0
+"""
+
+
+def test_few_joints_reach_by_the_nearest_pose_that_an_easier_orientation_allows(tmp_path) -> None:
+    (tmp_path / "arm.xml").write_text(THREE_JOINTS)
+    (file := tmp_path / "arm.toml").write_text(DESCRIPTION)
+    checks = check_robot(file, ["bottle"], angle_deg=90.0, ignore_roll=True)
+    assert [check for check in checks if not check.ok] == []
+    assert "way to the grasps" in {check.name for check in checks}
+
+
 def test_a_way_that_takes_most_of_an_episode_is_named() -> None:
     robot = str(EXAMPLES / "scara.toml")
     config = EnvConfig(robot=robot, targets=("bottle",), mpi_rad=0.015, image_size=1)

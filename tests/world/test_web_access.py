@@ -1,6 +1,7 @@
 """The web viewer answers this machine only, waits for a browser, and plays until it is stopped."""
 
 import http.client
+import re
 import socket
 import subprocess
 import sys
@@ -89,11 +90,20 @@ def test_an_episode_begins_once_a_browser_is_there(monkeypatch):
     monkeypatch.setattr(watching, "WAIT_S", 7.0)  # differs from a step's time
     monkeypatch.setattr(watching, "_show", show)
     monkeypatch.setattr(watching, "local_web_viewer", guard)
-    monkeypatch.setattr(launch_web, "launch", lambda config: nullcontext(Mock()))
+    pages = []
+
+    def launch(config, plugins):
+        pages.extend(plugins)
+        return nullcontext(Mock())
+
+    monkeypatch.setattr(launch_web, "launch", launch)
     env = ReachVectorEnv(EnvConfig(dynamics="kinematic"), 1)
     episodes = evaluation_episodes(env.config, 1, seed=0)
-    watching.watch(RandomAgent(), env, episodes, open_browser=False)
+    watching.watch(RandomAgent(), env, episodes, open_browser=False, title="random")
     assert shown == 5 * [watching.WAIT_S] + 3 * [CONTROL_PERIOD_S]
+    goal = env.running.describe(0)
+    moment = rf"{goal}, step 3 of 50, \d+\.\d cm, \d+ deg"
+    assert re.fullmatch(rf"random\nEpisode 1 of 1: {moment}", pages[0].text)
 
 
 @pytest.mark.slow
@@ -121,7 +131,7 @@ def test_the_viewer():
         no_wait = {"open_timeout": None, "close_timeout": 0}
         with connect(f"ws://{host}/state", origin=f"http://{host}", **no_wait):
             played = next(line for line in lines if "Episode 1 of 1" in line)
-        assert ": reached in" in played
+        assert played.endswith("deg: reached\n")
         assert viewer.poll() is None
     finally:
         viewer.kill()

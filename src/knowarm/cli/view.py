@@ -10,11 +10,9 @@ import tyro
 from knowarm.cli.evaluate import is_scripted
 from knowarm.cli.tables import FilePath
 from knowarm.errors import UserError
-from knowarm.experiment.load import load_agent
 from knowarm.experiment.names import task_for
 from knowarm.integrations.rerun import check_rrd, write_rrd
 from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
-from knowarm.world.agents.play import PlayedStep
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ReachVectorEnv
 from knowarm.world.robots import DEFAULT_ROBOT
@@ -88,21 +86,10 @@ class View:
         episodes = evaluation_episodes(env.config, self.episodes, self.seed)
         agent = make_agent()
         if self.video is None and self.strip is None and self.rrd is None:
-
-            def announce(number: int, last: PlayedStep) -> None:
-                figures = f"{100 * last.infos['distance'][0]:.1f} cm, {last.infos['angle'][0]:.0f}"
-                end = "reached" if last.infos["is_success"][0] else "not reached"
-                wanted = f"Episode {number + 1} of {len(episodes)}: {env.running.describe(0)}"
-                print(f"{wanted}: {end} in {last.step} steps, {figures} deg", flush=True)
-
             print(f"{self.agent} repeats its episodes ({len(episodes)}) until Ctrl-C.")
             title = f"KnowArm: {env.scene.robot.name}, {self.agent}"
-            options: dict[str, Any] = {
-                "port": self.port,
-                "open_browser": self.browser,
-                "title": title,
-            }
-            watch(agent, env, episodes, on_end=announce, **options)
+            options: dict[str, Any] = {"port": self.port, "open_browser": self.browser}
+            watch(agent, env, episodes, title=title, on_end=partial(print, flush=True), **options)
             return
         films = [record_episode(agent, env, episodes[i : i + 1]) for i in range(len(episodes))]
         reached = sum(film[-1].success for film in films)
@@ -123,6 +110,8 @@ class View:
             robot = self.robot or DEFAULT_ROBOT
             config = EnvConfig(robot=robot, task=task_for(task_type(self.task).kind_of()))
             return lambda: SCRIPTED_AGENTS[self.agent].make(self.seed), config
+        from knowarm.experiment.load import load_agent  # imports torch, which takes seconds
+
         trained = load_agent(self.agent, seed=self.seed)
         config = trained.config.env
         if self.robot is not None and find_robot(self.robot) != find_robot(config.robot):

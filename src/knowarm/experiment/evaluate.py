@@ -182,6 +182,7 @@ def evaluate(
         "label": config.folder,
         "config": to_dict(config),
         "env": to_dict(judged),
+        "joints": list(env.scene.robot.joints),
         **summarize(episodes),
         **blind,
         **({} if (chance := judged.task.chance) is None else {"choice_chance": chance}),

@@ -58,6 +58,7 @@ NEEDED_NUMBERS = ("episodes", "return_mean", "success", "accuracy")
 
 SUMMARY = NUMBERS | {  # kinds of the values of an evaluation's ``summary.json``
     "env": {},
+    "joints": [str],
     "config": {
         **dict.fromkeys(("distance_m", "angle_deg", "wide_angle_deg"), float),
         **{"seeds": int, "actions": str, "split": str},

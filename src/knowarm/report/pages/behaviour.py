@@ -39,6 +39,7 @@ def _joints(task: TaskData, first: Group, second: Group) -> Figure:
     evaluations = [group.best for group in (first, second) if group.best]
     one, other = (evaluation.joint_angles() for evaluation in evaluations)
     published = published_comparison(task, first, second).get("std_changes", {})
+    names = dict(enumerate(evaluations[0].summary.get("joints", []), start=1))
     rows: list[Row] = []
     panels = []
     for joint in [joint for joint in one if joint in other]:
@@ -51,7 +52,8 @@ def _joints(task: TaskData, first: Group, second: Group) -> Figure:
         shown = {second.name: other[joint], first.name: one[joint]}
         svg = density_chart(shown, task.colours, f"Angles of joint {joint}", "angle [rad]")
         mean, std = (format.signed(row[f"{key}_change"]) for key in ("mean", "std"))
-        title = f"joint {joint}: difference of means {mean}, of std {std}"
+        named = f"joint {joint} ({names[joint]})" if joint in names else f"joint {joint}"
+        title = f"{named}: difference of means {mean}, of std {std}"
         panels.append(Panel(svg=svg, title=title))
     columns = [Column("joint", "joint", "integer")]
     for key in ("mean", "std"):

@@ -1,12 +1,14 @@
 """Inverse kinematics by damped least squares from several starts."""
 
 from dataclasses import dataclass
+from typing import Any, Self
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.world.backend import MujocoSimulator
+from knowarm.world.config import EnvConfig
 from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.reward import measure
 
@@ -42,21 +44,36 @@ class InverseKinematics:
     and rotation error (6,), clipped to the joints' ranges after every iteration. The starts per
     pose are the given joints, home and random ones; among the solutions without contact, the one
     nearest to the first start is selected. ``ignore_roll`` leaves the rotation about the approach
-    axis open, and puts the position first where an arm has too few joints for both.
+    axis open, and puts the position first where an arm has too few joints for both. An error of
+    ``eased_deg`` of the orientation does not count, so that the nearest such pose is selected.
     """
 
     def __init__(
-        self, scene: Scene, starts: int = 8, seed: int = 0, *, ignore_roll: bool = False
+        self,
+        scene: Scene,
+        starts: int = 8,
+        seed: int = 0,
+        *,
+        ignore_roll: bool = False,
+        eased_deg: float = 0.0,
     ) -> None:
         self.scene = scene
         self._starts = starts
         self._seed = seed
         self._ignore_roll = ignore_roll
+        self._eased_deg = eased_deg
         model = scene.model
         self._body = int(model.site_bodyid[scene.tcp_site])
         joints = [model.joint(f"robot/{name}").id for name in scene.robot.joints]
         self._is_hinge = model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_HINGE
         self._dofs = model.jnt_dofadr[joints]
+
+    @classmethod
+    def of_task(cls, scene: Scene, config: EnvConfig, **options: Any) -> Self:
+        """Make the solver of a task, which uses what an easier orientation allows."""
+        above_deg = max(0.0, config.success_angle_deg - EnvConfig.success_angle_deg)
+        eased_deg = above_deg if config.ignore_roll else 0.0
+        return cls(scene, ignore_roll=config.ignore_roll, eased_deg=eased_deg, **options)
 
     def solve(
         self,
@@ -71,14 +88,15 @@ class InverseKinematics:
         Poses that are not reached are tried from ``attempts`` sets of random starts.
         """
         solution = self._solve_once(position, matrix, start, self._seed)
+        reached_deg = REACHED_DEG + self._eased_deg
         for attempt in range(1, attempts):
-            missed = np.flatnonzero(~solution.within(REACHED_M, REACHED_DEG))
+            missed = np.flatnonzero(~solution.within(REACHED_M, reached_deg))
             if not len(missed):
                 break
             again = self._solve_once(
                 position[missed], matrix[missed], start[missed], self._seed + attempt
             )
-            better = again.within(REACHED_M, REACHED_DEG)
+            better = again.within(REACHED_M, reached_deg)
             for name in ("joints", "distance", "angle", "contact"):
                 getattr(solution, name)[missed[better]] = getattr(again, name)[better]
         return solution
@@ -127,12 +145,9 @@ class InverseKinematics:
         )
         change = np.abs(q - np.tile(start, (self._starts, 1))).max(axis=1)
         touches = contacts.reshape(len(q)) > 0
+        tilted = (angle - self._eased_deg).clip(min=0.0) / REACHED_DEG
         # Smallest change first, then solutions in contact, then poses that are not reached.
-        cost = (
-            change
-            + 100.0 * touches
-            + 1000.0 * (distance / REACHED_M + angle / REACHED_DEG).clip(min=1.0)
-        )
+        cost = change + 100.0 * touches + 1000.0 * (distance / REACHED_M + tilted).clip(min=1.0)
         best = cost.reshape(self._starts, n).argmin(axis=0) * n + np.arange(n)
         return IKSolution(
             joints=q[best], distance=distance[best], angle=angle[best], contact=touches[best]

@@ -73,7 +73,7 @@ class OracleAgent:
         """Solve the inverse kinematics of every episode."""
         self._env = env
         self._levels = joint_increments(env.scene.robot, env.config)
-        solver = InverseKinematics(env.scene, seed=self._seed, ignore_roll=env.config.ignore_roll)
+        solver = InverseKinematics.of_task(env.scene, env.config, seed=self._seed)
         self._reach = solver.solve(env.goal_position, env.goal_matrix, env.joint_positions)
 
     def act(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:
@@ -99,10 +99,10 @@ class ApproachAgent:
         """Solve the inverse kinematics of the way of every episode."""
         self._env = env
         self._levels = joint_increments(env.scene.robot, env.config)
-        solver = InverseKinematics(env.scene, seed=self._seed, ignore_roll=env.config.ignore_roll)
+        solver = InverseKinematics.of_task(env.scene, env.config, seed=self._seed)
         joints = solver.solve(env.goal_position, env.goal_matrix, env.joint_positions).joints
         back = -env.goal_matrix.reshape(-1, 3, 3)[:, :, 2]
-        solver = InverseKinematics(env.scene, starts=1, ignore_roll=env.config.ignore_roll)
+        solver = InverseKinematics.of_task(env.scene, env.config, starts=1)
         way = [joints]
         for distance in np.linspace(0.0, APPROACH_M, WAYPOINTS + 1)[1:]:
             position = env.goal_position + distance * back

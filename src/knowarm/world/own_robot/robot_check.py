@@ -129,7 +129,7 @@ def _check_reach(env: ReachVectorEnv) -> Check:
     """Solve the inverse kinematics at positions over the whole rectangle."""
     episodes = evaluation_episodes(env.config, SAMPLES, 1)
     env.reset(options={"episodes": episodes})
-    solver = InverseKinematics(env.scene, ignore_roll=env.config.ignore_roll)
+    solver = InverseKinematics.of_task(env.scene, env.config)
     solution = solver.solve(env.goal_position, env.goal_matrix, env.joint_positions)
     remedy = "move or shrink the rectangle, or turn the target with target_yaws_deg."
     return check_reach(
@@ -178,7 +178,7 @@ def check_reach(
         np.abs(solution.joints - start).max(axis=1) / joint_increments(scene.robot, config).max()
     )
     reached = solution.within(config.success_distance_m, config.success_angle_deg)
-    reached &= steps <= MOVING_SHARE * config.max_episode_steps
+    reached &= steps <= (most := MOVING_SHARE * config.max_episode_steps)
     share, where = float(reached.mean()), ""
     if not reached.all():
         missed = ~reached
@@ -186,7 +186,8 @@ def check_reach(
         distance, angle = np.median(solution.distance[missed]), np.median(solution.angle[missed])
         where = (
             f"Not reached: positions around x {x:.2f}, y {y:.2f} m (median error {distance:.3f} m, "
-            f"{angle:.0f} deg, {100 * solution.contact[missed].mean():.0f} % in contact): {remedy}"
+            f"{angle:.0f} deg; {np.median(steps[missed]):.0f} steps of at most {most:.0f}; "
+            f"{100 * solution.contact[missed].mean():.0f} % in contact): {remedy}"
         )
     return check_result(
         f"reach of {scene.targets[target].name}",

@@ -1,6 +1,7 @@
 """Live view of an agent in MuJoCo's web viewer, for browsers on this machine only."""
 
 import copy
+import logging
 import socket
 import threading
 import time
@@ -37,13 +38,14 @@ def watch(
     port: int = 0,
     open_browser: bool = True,
     title: str = "KnowArm",
-    on_end: Callable[[int, PlayedStep], None] = lambda number, moment: None,
+    on_end: Callable[[str], None] = lambda text: None,
 ) -> None:
     """Serve the viewer until it is closed or interrupted; blocks.
 
     Playing starts when a browser shows the page, and the episodes are played again and again, at
-    the speed of the real robot. Port 0 is the first free one from 8080; ``on_end`` is called with
-    the number and the last moment of each episode, when it ends for the first time.
+    the speed of the real robot, while the page says which one, and how far it is. Port 0 is the
+    first free one from 8080; ``on_end`` is called with the last text of each episode, when it ends
+    for the first time.
     """
     try:
         from mujoco.studio import launch_web
@@ -53,6 +55,7 @@ def watch(
             f"The web viewer needs mujoco-studio ({error}): pip install mujoco-studio. Or record "
             "with --video or --strip, which need no viewer."
         ) from None
+    logging.getLogger("mujoco.studio").setLevel(logging.WARNING)  # not every page that connects
     # The viewer would bind in a thread, whose errors would not arrive here.
     listener = listen(port)
     port = listener.getsockname()[1]
@@ -72,8 +75,12 @@ def watch(
     # changes its colour: hidden targets are placed far below the floor.
     model, data = None, None
     colours = np.zeros(len(env.scene.targets), dtype=np.int64)
-    with local_web_viewer(listener, refused, announce), launch_web.launch(config) as viewer:
-        for turn, number in enumerate(cycle(range(len(episodes)))):
+    page, count = _caption(), len(episodes)
+    with (
+        local_web_viewer(listener, refused, announce),
+        launch_web.launch(config, plugins=[page]) as viewer,
+    ):
+        for turn, number in enumerate(cycle(range(count))):
             for moment in play_steps(agent, env, episodes[number : number + 1]):
                 if moment.step == 0:
                     current = colours.copy()
@@ -84,15 +91,42 @@ def watch(
                         data = mujoco.MjData(model)
                         viewer.set_model(model, data=data)
                 _copy_pose(env, data)
+                text = f"Episode {number + 1} of {count}: {_describe(env, moment)}"
+                page.text = f"{title}\n{text}"
                 while not connected.is_set():
                     if not _show(viewer, WAIT_S):
                         return
                 if moment.step > 0 and not _show(viewer, CONTROL_PERIOD_S):
                     return
-            if turn < len(episodes):
-                on_end(number, moment)
+            if turn < count:
+                on_end(text)
             if not _show(viewer, PAUSE_S):
                 return
+
+
+def _describe(env: ReachVectorEnv, moment: PlayedStep) -> str:
+    """Describe what is shown: the goal, the step, distance and angle, and whether it is reached."""
+    end = "" if moment.running[0] else ": reached" if moment.infos["is_success"][0] else ": failed"
+    step = f"{env.running.describe(0)}, step {moment.step} of {env.config.max_episode_steps}"
+    distance, angle = (moment.infos[name][0] for name in ("distance", "angle"))
+    return f"{step}, {100 * distance:.1f} cm, {angle:.0f} deg{end}"
+
+
+def _caption() -> Any:
+    """Return a plugin of the viewer that shows its ``text`` in the page."""
+    from mujoco.studio import messages, plugin
+    from mujoco.studio.dear_imgui import dear_imgui as imgui
+
+    class Caption(plugin.ViewerPlugin):
+        text = ""
+
+        @messages.handler()
+        def show(self, event: messages.BuildGuiEvent) -> None:
+            imgui.Begin("Episode", flags=imgui.WindowFlags.AlwaysAutoResize)
+            imgui.TextUnformatted(self.text)
+            imgui.End()
+
+    return Caption()
 
 
 def listen(port: int) -> socket.socket:
