@@ -1,15 +1,20 @@
 """Public names of the package: each has an example here, and importing the package is cheap."""
 
 import ast
+import inspect
+import re
 import subprocess
 import sys
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
+from types import FunctionType
 
 import gymnasium
 import numpy as np
 import pytest
 import torch
+from sphinx.pycode import ModuleAnalyzer
 
 import knowarm
 from knowarm.errors import UserError
@@ -58,6 +63,48 @@ def test_every_public_name_has_an_example_and_a_line_of_help():
         if callable(value):
             assert value.__doc__
             assert not value.__doc__.startswith(f"{name}(")
+
+
+def undocumented(value):
+    """Return the public members of a class for which the API reference would have no words."""
+    members, described = set(), set()
+    for each in value.__mro__:
+        own = {*vars(each), *vars(each).get("__annotations__", {})}
+        if not each.__module__.startswith(("knowarm", __name__)):
+            described |= own  # of Gymnasium, say
+            continue
+        members |= {name for name in own if not name.startswith("_")}
+        attributes = ModuleAnalyzer.for_module(each.__module__).find_attr_docs()
+        described |= {name for owner, name in attributes if owner == each.__name__}
+        described |= set(re.findall(r"^ +(\w+): ", each.__doc__ or "", re.MULTILINE))
+        described |= {
+            name
+            for name in own
+            if isinstance(vars(each).get(name), METHODS) and inspect.getdoc(vars(each)[name])
+        }
+    return members - described
+
+
+METHODS = (FunctionType, classmethod, staticmethod, property, cached_property)
+
+
+class Silent(knowarm.Run):
+    """Public names with and without words."""
+
+    spoken = 3  #: Words.
+    silent = 3
+
+    def method(self):
+        pass
+
+
+def test_every_public_name_and_member_is_in_the_reference():
+    assert undocumented(Silent) == {"silent", "method"}
+    page = (SOURCE.parents[1] / "docs" / "reference" / "api.md").read_text(encoding="utf-8")
+    assert set(re.findall(r":: knowarm\.(\w+)$", page, re.MULTILINE)) == set(knowarm.__all__)
+    classes = [each for name in knowarm.__all__ if inspect.isclass(each := getattr(knowarm, name))]
+    found = {each.__name__: undocumented(each) for each in classes}
+    assert not {name: members for name, members in found.items() if members}
 
 
 def test_no_public_name_is_the_name_of_a_package():

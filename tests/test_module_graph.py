@@ -9,9 +9,10 @@ from tests.source_tree import SOURCE, edges, modules
 def module_graph():
     """Return the paths of the modules that each module imports."""
     graph = {path: edges(path, tree) for path, tree in modules().items()}
-    # What the root's __init__ imports on first use of a name is written in its stub.
-    stub = ast.parse((SOURCE / "__init__.pyi").read_text(encoding="utf-8"))
-    graph["__init__.py"] |= edges("__init__.py", stub)
+    # What an __init__ imports on first use of a name is written in its stub.
+    for stub in SOURCE.rglob("__init__.pyi"):
+        path = stub.relative_to(SOURCE).with_suffix(".py").as_posix()
+        graph[path] |= edges(path, ast.parse(stub.read_text(encoding="utf-8")))
     return graph
 
 
@@ -49,4 +50,5 @@ def test_the_graph_is_complete():
     assert "learn/losses.py" in graph["learn/ppo.py"]  # at the top of a module
     assert "cli/train.py" in graph["cli/main.py"]  # by name, in a table of commands
     assert "experiment/run.py" in graph["__init__.py"]  # by the stub
+    assert "learn/ppo.py" in graph["learn/__init__.py"]
     assert sum(map(len, graph.values())) > len(graph)

@@ -21,7 +21,8 @@ from knowarm.knowledge.vectors.source import Found
 from knowarm.learn import Checkpoint, Trainer, TrainingResult
 from knowarm.learn.algorithms import AlgorithmConfig
 from knowarm.learn.checkpoint import policy_arrays
-from knowarm.policy.fusion import FUSIONS, Fusion
+from knowarm.policy.config import FUSIONS
+from knowarm.policy.fusion import Fusion
 from knowarm.report.collect import collect
 from knowarm.report.verdicts.claims import claims
 from knowarm.report.verdicts.knowledge import finding

@@ -7,8 +7,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-import torch
-
 LIMIT = "KNOWARM_CORES"
 """Environment variable: the most cores that a process and its children shall use."""
 
@@ -38,6 +36,8 @@ def processor() -> str:
 @contextmanager
 def torch_threads(count: int) -> Iterator[None]:
     """Let PyTorch use so many threads in a context: their number decides how sums are rounded."""
+    import torch  # takes seconds, and the command line imports this module
+
     before = torch.get_num_threads()
     torch.set_num_threads(count)
     try:

@@ -42,7 +42,7 @@ class Condition(NamedTuple):
 class Query:
     """Conditions that an object must satisfy, all of them."""
 
-    conditions: tuple[Condition, ...]
+    conditions: tuple[Condition, ...]  #: At least one.
 
     @classmethod
     def of(cls, *conditions: tuple[str, str]) -> "Query":

@@ -50,6 +50,32 @@ def test_a_typing_error_in_a_command_imports_nothing_heavy():
     assert done.stdout == "set()\n"
 
 
+MISTYPED = [
+    ["demo", "--step", "3"],
+    ["train", "irb120-full-fast", "--totl-steps", "3"],
+    ["train", "irb120-full-fast", "--policy.fusion", "flim"],
+    ["evaluate", "oracle", "--epsiodes", "3"],
+    ["view", "irb120", "--episods", "3"],
+    ["doctor", "--robt", "x"],
+    ["knowledge", "fit", "--vald", "3"],
+    ["perception", "train", "irb120-target-perceived-dr-fast", "--ouut", "x"],
+]
+
+
+def test_a_typing_error_in_an_option_does_not_import_torch():
+    script = f"""
+import contextlib, sys
+from knowarm.cli.main import main
+for words in {MISTYPED}:
+    with contextlib.suppress(SystemExit):
+        main(words)
+    print(words[0], "torch" in sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.stdout.split("\n") == [*(f"{words[0]} False" for words in MISTYPED), ""]
+    assert "Did you mean 'film'" in done.stderr.replace("\n", " ")
+
+
 def test_help_of_train_shows_ten_options_a_group_or_all(capsys):
     def shown(*words):
         with pytest.raises(SystemExit):
@@ -64,6 +90,21 @@ def test_help_of_train_shows_ten_options_a_group_or_all(capsys):
     assert {*first, *group} < set(everything)
     assert main(["train", "irb120-full-fast", "--help", "knowlege"]) == 2
     assert "Did you mean 'knowledge'" in capsys.readouterr().err
+
+
+def test_help_of_evaluate_has_examples_and_no_subcommands(capsys):
+    def shown(*words):
+        with pytest.raises(SystemExit):
+            main(["evaluate", *words])
+        return capsys.readouterr().out
+
+    first = shown("--help")
+    assert "knowarm evaluate oracle --env.robot tiago --env.task choose" in first
+    assert len(re.findall("^ --", first, re.MULTILINE)) == 10
+    assert "env.randomization.light" in shown("oracle", "--help", "env.randomization")
+    everything = shown("--help-all")
+    assert "--repair" in everything
+    assert "subcommand" not in everything
 
 
 def test_options_of_train_come_from_a_file(tmp_path, capsys):

@@ -4,7 +4,7 @@ import torch
 
 from knowarm.integrations.onnx_export import PolicyStep, export_onnx
 from knowarm.policy import PolicyAgent
-from knowarm.policy.fusion import FUSIONS
+from knowarm.policy.config import FUSIONS
 from tests.policy.test_policy import TABLE, B, Still, T, inputs, make_policy
 
 onnxruntime = pytest.importorskip("onnxruntime")

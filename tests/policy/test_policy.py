@@ -7,9 +7,9 @@ from torch import nn
 
 from knowarm.errors import UserError
 from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
-from knowarm.policy.config import layer_widths
+from knowarm.policy.config import FUSIONS, layer_widths
 from knowarm.policy.encoder import ImageEncoder
-from knowarm.policy.fusion import FUSIONS, Fusion, Similarity
+from knowarm.policy.fusion import Fusion, Similarity
 
 T, B, K, FACETS = 4, 3, 12, 5
 SHAPE = {"joints": 2, "levels": 3, "image_size": 28, "knowledge_dim": K, "knowledge_slots": 3}

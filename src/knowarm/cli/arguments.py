@@ -7,7 +7,7 @@ from contextlib import redirect_stdout, suppress
 from functools import partial
 from io import BytesIO, TextIOWrapper
 from textwrap import fill, indent
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
@@ -54,7 +54,9 @@ def parse_options(
             raise UserError(f"{name} is given twice; give it once, a list as {name} FIRST SECOND.")
         if re.match(r"--[a-z]", name):
             given.add(name)
-    return tyro.cli(command, prog=prog, args=arguments, registry=REGISTRY, **options)
+    # Alternatives such as tasks are options, not commands: the default says which one is meant.
+    fixed = (tyro.conf.AvoidSubcommands,)
+    return tyro.cli(command, prog=prog, args=arguments, registry=REGISTRY, config=fixed, **options)
 
 
 def parse_command(command: Any, prog: str, about: str, arguments: Sequence[str]) -> Any:
@@ -85,15 +87,21 @@ def group_help(prog: str, about: str, commands: Mapping[str, str]) -> str:
     return "\n".join([start, *lines, f"\n`{prog} COMMAND --help` shows a command's arguments."])
 
 
-def print_help(show: Callable[[], Any], prog: str, words: Sequence[str], first: str) -> NoReturn:
+def answer_help(
+    show: Callable[[], Any], prog: str, words: Sequence[str], first: str, about: str = ""
+) -> list[str]:
     """Print the options ``first`` of a full help text, or the group after `--help`, and exit.
 
-    ``show`` prints the full text; ``first`` is a pattern of the names of options.
+    Without `--help` return the words, with `--help-all` as the `--help` of the full text. ``show``
+    prints the full text; ``first`` is a pattern of the names of options.
     """
+    if not any(word in HELP for word in words):
+        return ["--help" if word == "--help-all" else word for word in words]
     with redirect_stdout(TextIOWrapper(BytesIO(), "utf-8")) as text, suppress(SystemExit):
         show()
     text.seek(0)
     groups: dict[str, list[str]] = {}
+    lines: list[str] = []  # of the box of positional arguments, which comes first
     for line in text.read().splitlines():
         if found := re.match(r"╭─ ([\w.-]+ )?options ─", line):
             groups[(found[1] or "").strip()] = lines = []
@@ -103,7 +111,7 @@ def print_help(show: Callable[[], Any], prog: str, words: Sequence[str], first: 
     group = "".join(word for word in words[at + 1 : at + 2] if not word.startswith("-"))
     if group and group not in groups:
         raise unknown_name("group of options", group, filter(None, groups))
-    print(f"usage: {prog} [OPTIONS]\n")
+    print(f"usage: {prog} [OPTIONS]\n{about}")
     entries = [
         (name, entry)
         for name, lines in groups.items()

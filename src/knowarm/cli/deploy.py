@@ -12,7 +12,8 @@ import tyro
 from knowarm.cli.evaluate import is_scripted, parse_with_task
 from knowarm.config import at_least
 from knowarm.errors import UserError
-from knowarm.experiment.load import Which, load_agent
+from knowarm.experiment.config import Which
+from knowarm.experiment.load import load_agent
 from knowarm.integrations.contract import deployment, tcp_position
 from knowarm.integrations.driver import Driver, Safety, Topics
 from knowarm.integrations.export import export

@@ -10,7 +10,6 @@ import tyro
 
 from knowarm.cli.tables import FilePath, TableCommand, print_table
 from knowarm.errors import UserError
-from knowarm.experiment.installation_check import check_installation
 from knowarm.world.config import EnvConfig
 from knowarm.world.own_robot.camera_check import check_camera
 from knowarm.world.own_robot.draft import draft_robot, read_overrides
@@ -74,6 +73,8 @@ class Doctor(TableCommand):
             checks = check_objects(robot, self.task, self.targets)
             what = f"objects of robot {robot}"
         elif self.robot is None:
+            from knowarm.experiment.installation_check import check_installation  # imports torch
+
             self._refuse("--robot", "set", "write", "image")
             checks, what = check_installation(self.runs), "installation"
         else:

@@ -2,22 +2,28 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Self
 
 import tyro
 
-from knowarm.cli.arguments import Command, parse_options, take_option
+from knowarm.cli.arguments import Command, answer_help, parse_options, take_option
 from knowarm.cli.tables import FilePath, TableCommand, print_table
 from knowarm.errors import UserError, unknown_name
-from knowarm.experiment.config import EvaluationConfig
-from knowarm.experiment.evaluate import evaluate
-from knowarm.experiment.load import Which, load_agent
+from knowarm.experiment.config import EvaluationConfig, Which
 from knowarm.experiment.names import task_for
 from knowarm.world.agents import BLIND_AGENTS, SCRIPTED_AGENTS
 from knowarm.world.config import EnvConfig
 from knowarm.world.tasks import task_type
 
+ABOUT = """
+AGENT is the folder of a run, or a scripted agent of `knowarm list`, which plays in --env:
+  knowarm evaluate runs/irb120-full-fast/0
+  knowarm evaluate oracle --env.robot tiago --env.task choose
+"""
+FIRST = "json|which|episodes|seed|distance-m|angle-deg|split|graph|lift|env.robot"
+"""The options that `--help` shows."""
 MOST_FACETS = 30  # pairs of target and colour up to which each gets a row
 
 
@@ -43,10 +49,15 @@ class Evaluate(TableCommand):
     @classmethod
     def parse(cls, prog: str, arguments: Sequence[str]) -> Self:
         """Make a command from its options; `--env.task` takes the name of a task."""
-        return parse_with_task(cls, prog, arguments, agent=tyro.MISSING)
+        parse = partial(parse_with_task, cls, prog, agent=tyro.MISSING)
+        words = answer_help(lambda: parse(["--help"]), f"{prog} AGENT", arguments, FIRST, ABOUT)
+        return parse(words)
 
     def result(self) -> dict[str, Any]:
         """Evaluate, print and save."""
+        from knowarm.experiment.evaluate import evaluate  # imports torch, which takes seconds
+        from knowarm.experiment.load import load_agent
+
         if is_scripted(self.agent):
             if self.perception is not None:
                 raise UserError("A scripted agent perceives nothing: leave out --perception.")

@@ -1,4 +1,7 @@
-"""``knowarm train``, ``demo`` and ``perception train``: training."""
+"""``knowarm train``, ``demo`` and ``perception train``: training.
+
+What imports torch, which takes seconds, is imported after the options are read.
+"""
 
 import shlex
 import sys
@@ -10,9 +13,8 @@ from typing import Annotated, Any
 import tyro
 
 from knowarm.cli.arguments import (
-    HELP,
+    answer_help,
     parse_options,
-    print_help,
     take_experiment,
     take_option,
     take_source,
@@ -23,13 +25,9 @@ from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.demo import STEPS, demo
 from knowarm.experiment.names import DEFAULT_EXPERIMENT, ExperimentName, experiment_config
-from knowarm.experiment.run import run_path, train
-from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.run_lock import StopRequest
 from knowarm.perception.config import PerceptionConfig
-from knowarm.perception.training import train_classifier
 from knowarm.reading import read_toml
-from knowarm.report import write_report
 from knowarm.world.config import EnvConfig
 from knowarm.world.tasks import task_type
 
@@ -66,6 +64,8 @@ class Train:
 
     def run(self) -> int:
         """Train until the last step or Ctrl-C; return the exit code."""
+        from knowarm.experiment.run import train
+
         options: dict[str, Any] = {"resume": self.resume, "perception": self.perception}
         with StopRequest() as should_stop:
             run = train(self.config, self.runs, should_stop=should_stop, **options)
@@ -94,14 +94,15 @@ def parse_train(arguments: list[str]) -> Train:
         kind = task_type(task).kind_of()
         name = str(replace(ExperimentName.parse(name), task=kind))
     config = override(experiment_config(name), values)
-    if any(word in HELP for word in rest):
-        prog = f"knowarm train {name}"
-        print_help(lambda: _parse_options(name, ["--help"], config), prog, rest, FIRST)
-    rest = ["--help" if word == "--help-all" else word for word in rest]
+    prog = f"knowarm train {name}"
+    rest = answer_help(lambda: _parse_options(name, ["--help"], config), prog, rest, FIRST)
     command = _parse_options(name, rest, config)
     if command.config.name != name:
         again += f" --name {shlex.quote(command.config.name)}"
     if command.resume:
+        from knowarm.experiment.run import run_path
+        from knowarm.experiment.run_folder import RunFolder
+
         path = run_path(command.runs, command.config)
         if not path.exists():
             raise UserError(f"There is no run to resume in {path}: leave out --resume.")
@@ -114,9 +115,7 @@ def _parse_options(name: str, arguments: list[str], config: ExperimentConfig) ->
     arguments, source = take_source(arguments, "--knowledge.source")
     if source is not None:
         config = replace(config, knowledge=replace(config.knowledge, source=source))
-    fixed = (tyro.conf.AvoidSubcommands,)  # the experiment fixes the algorithm
-    default = Train(config=config)
-    return parse_options(Train, f"knowarm train {name}", arguments, default=default, config=fixed)
+    return parse_options(Train, f"knowarm train {name}", arguments, default=Train(config=config))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,6 +129,8 @@ class Demo:
 
     def run(self) -> int:
         """Run the demo; return the exit code."""
+        from knowarm.report import write_report
+
         with StopRequest() as should_stop:
             runs = demo(self.out, steps=self.steps, should_stop=should_stop)
         if runs is None:
@@ -163,6 +164,8 @@ class TrainPerception(TableCommand):
 
     def result(self) -> dict[str, Any]:
         """Train, print and write."""
+        from knowarm.perception.training import train_classifier
+
         if self.out.suffix != ".safetensors":
             raise UserError(f"--out {self.out}: perception modules are written as .safetensors.")
         report = partial(print, file=sys.stderr, flush=True)

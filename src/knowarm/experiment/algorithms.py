@@ -2,19 +2,13 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
-from knowarm.learn import (
-    A3CConfig,
-    A3CTrainer,
-    MakeEvaluate,
-    PPOConfig,
-    PPOTrainer,
-    TorchVectorEnv,
-    Trainer,
-)
-from knowarm.learn.algorithms import AlgorithmConfig
-from knowarm.policy import Policy
+from knowarm.learn.algorithms import A3CConfig, AlgorithmConfig, PPOConfig
+
+if TYPE_CHECKING:
+    from knowarm.learn import MakeEvaluate, TorchVectorEnv, Trainer
+    from knowarm.policy import Policy
 
 
 class TrainerInputs(NamedTuple):
@@ -22,12 +16,12 @@ class TrainerInputs(NamedTuple):
 
     config: AlgorithmConfig
     """Hyperparameters, of the type of ``Algorithm.config``."""
-    policy: Policy
+    policy: "Policy"
     """The policy to train in place."""
-    make_env: Callable[..., TorchVectorEnv]
+    make_env: "Callable[..., TorchVectorEnv]"
     """Makes the training environments from num_envs, num_threads (0: all) and ``device``;
     picklable."""
-    make_evaluate: MakeEvaluate
+    make_evaluate: "MakeEvaluate"
     """Makes the interim evaluation."""
     options: Mapping[str, Any]
     """Keyword arguments of the base class `knowarm.learn.Trainer`, such as ``seed``."""
@@ -41,7 +35,7 @@ class Algorithm:
     """One line for ``knowarm list``."""
     config: AlgorithmConfig
     """Default hyperparameters; their literal ``name`` is the registry's name of the trainer."""
-    make_trainer: Callable[[TrainerInputs], Trainer]
+    make_trainer: "Callable[[TrainerInputs], Trainer]"
     """Builds a trainer."""
     total_steps: int
     """Environment steps of an experiment, over all environments."""
@@ -51,14 +45,18 @@ class Algorithm:
     """Fields of the experiments of single tasks that have other values, by task."""
 
 
-def _make_ppo(inputs: TrainerInputs) -> Trainer:
+def _make_ppo(inputs: TrainerInputs) -> "Trainer":
+    from knowarm.learn import PPOTrainer  # imports torch, which naming an experiment does not need
+
     config = cast(PPOConfig, inputs.config)
     env = inputs.make_env(config.num_envs, device=config.device)
     options = {"evaluate": inputs.make_evaluate(), **inputs.options}
     return PPOTrainer(config, inputs.policy, env, **options)
 
 
-def _make_a3c(inputs: TrainerInputs) -> Trainer:
+def _make_a3c(inputs: TrainerInputs) -> "Trainer":
+    from knowarm.learn import A3CTrainer
+
     config = cast(A3CConfig, inputs.config)
     options = {"make_evaluate": inputs.make_evaluate, **inputs.options}
     return A3CTrainer(config, inputs.policy, inputs.make_env, **options)

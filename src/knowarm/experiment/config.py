@@ -17,6 +17,9 @@ from knowarm.perception.config import GroundingConfig, Unclear
 from knowarm.policy.config import PolicyConfig
 from knowarm.world.config import EnvConfig
 
+Which = Literal["best", "latest", "untrained"]
+"""Policy of a run: of the best interim evaluation, the latest, or the initial weights."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class InterimConfig:

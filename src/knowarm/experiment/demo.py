@@ -7,10 +7,7 @@ from pathlib import Path
 from knowarm.experiment.agents import first_of_role
 from knowarm.experiment.algorithms import DEMO_ALGORITHM
 from knowarm.experiment.config import EvaluationConfig, ExperimentConfig, InterimConfig
-from knowarm.experiment.evaluate import evaluate
-from knowarm.experiment.load import load_agent
 from knowarm.experiment.names import experiment_config
-from knowarm.experiment.run import run_path, train
 from knowarm.world.robots import DEMO_ROBOT
 
 STEPS = 160_000
@@ -20,6 +17,10 @@ EVALUATION = EvaluationConfig(episodes=200, label="demo")
 
 def demo(folder: Path, *, steps: int = STEPS, should_stop: Callable[[], bool]) -> list[Path] | None:
     """Train, resume and evaluate both agents; return the run folders, or None if stopped."""
+    from knowarm.experiment.evaluate import evaluate  # imports torch, which takes seconds
+    from knowarm.experiment.load import load_agent
+    from knowarm.experiment.run import run_path, train
+
     paths = []
     for config in demo_experiments(steps):
         is_started = (run_path(folder, config) / "config.json").exists()

@@ -3,14 +3,14 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 
 from knowarm.config import from_dict
 from knowarm.errors import UserError
-from knowarm.experiment.config import ExperimentConfig
+from knowarm.experiment.config import ExperimentConfig, Which
 from knowarm.experiment.graph_at_test import answer_table
 from knowarm.experiment.run_folder import RunFolder, given_module, stored_module
 from knowarm.learn import read_checkpoint
@@ -33,21 +33,16 @@ class PlayState(NamedTuple):
     """Row (n,) int64, or knowledge (n, K) float32, of each episode."""
 
 
-Which = Literal["best", "latest", "untrained"]
-"""Policy of a run: of the best interim evaluation, the latest, or the initial weights."""
-
-
 @dataclass(frozen=True)
 class TrainedAgent:
     """A trained agent and its origin."""
 
-    agent: PolicyAgent
-    policy: Policy
-    config: ExperimentConfig
-    folder: RunFolder
-    step: int
-    """Environment steps it was trained for."""
-    which: Which
+    agent: PolicyAgent  #: Chooses actions by the policy, with its memory and knowledge.
+    policy: Policy  #: The network, in evaluation mode.
+    config: ExperimentConfig  #: What it was trained with.
+    folder: RunFolder  #: The run.
+    step: int  #: Environment steps it was trained for.
+    which: Which  #: Checkpoint: of the best interim evaluation, the latest, or untrained.
 
     def act(
         self,

@@ -27,8 +27,8 @@ BEFORE_FIRST_STEP = -1
 class Run(NamedTuple):
     """A training that ended: its run folder, and how it ended."""
 
-    folder: RunFolder
-    result: TrainingResult
+    folder: RunFolder  #: Its files; ``folder.path`` is the folder.
+    result: TrainingResult  #: Steps, reason of the end, best interim evaluation.
 
 
 def run_path(runs: Path, config: ExperimentConfig) -> Path:

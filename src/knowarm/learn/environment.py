@@ -112,7 +112,7 @@ class NumpyToTorch:
         UserError: another autoreset mode.
     """
 
-    device = torch.device("cpu")
+    device = torch.device("cpu")  #: Device of all tensors.
 
     def __init__(self, env: Any) -> None:
         mode = (getattr(env, "metadata", None) or {}).get("autoreset_mode")

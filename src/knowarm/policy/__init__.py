@@ -4,23 +4,6 @@ Modules in the order of the forward pass: `config` (choices and shapes), `encode
 `lstm` (with `lstm_kernels`), `policy`, `actions`, `agent`.
 """
 
-from knowarm.policy.agent import PolicyAgent
-from knowarm.policy.config import PolicyConfig, PolicyShape
-from knowarm.policy.lstm import State
-from knowarm.policy.policy import (
-    MatmulPrecision,
-    Policy,
-    PolicySpec,
-    matched_without_knowledge,
-)
+import lazy_loader
 
-__all__ = [
-    "MatmulPrecision",
-    "Policy",
-    "PolicyAgent",
-    "PolicyConfig",
-    "PolicyShape",
-    "PolicySpec",
-    "State",
-    "matched_without_knowledge",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,11 +1,40 @@
 """Policy configuration: the user's choices, the shapes of the task, and the layer widths."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Literal
 
 from knowarm.config import at_least
 from knowarm.errors import UserError, unknown_name
-from knowarm.policy.fusion import FUSIONS
+
+if TYPE_CHECKING:
+    from knowarm.policy.fusion import Fusion
+
+
+def _fusion(kind: str, **options: Any) -> "Callable[[int, int, int], Fusion]":
+    """Return a maker of a fusion; it imports torch, which reading a config does not need."""
+
+    def make(features: int, knowledge: int, slots: int) -> "Fusion":
+        cls = getattr(import_module("knowarm.policy.fusion"), kind)
+        made: Fusion = cls(features, knowledge, slots, **options)
+        return made
+
+    return make
+
+
+FUSIONS: "dict[str, Callable[[int, int, int], Fusion]]" = {
+    "none": _fusion("Fusion"),
+    "before_fc": _fusion("Concatenation", layers=("fc",)),
+    "before_lstm": _fusion("Concatenation", layers=("lstm",)),
+    "after_lstm": _fusion("Concatenation", layers=("actor", "critic")),
+    "film": _fusion("FiLM"),
+    "attention": _fusion("Attention"),
+    "similarity": _fusion("Similarity"),
+    "critic": _fusion("Concatenation", layers=("critic",)),
+}
+"""Fusions by name, as `PolicyConfig.fusion` gives it. With "before_lstm" (the paper, section 4.2.2)
+the knowledge is next to the LSTM's other inputs; with "critic" the actor needs none in use."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,7 +49,7 @@ class PolicyConfig:
 
     fusion: str = "before_lstm"
     """Where the knowledge vector enters the network: none, before_fc, before_lstm (the paper),
-    after_lstm, film, attention, similarity or critic (`knowarm.policy.fusion.FUSIONS`)."""
+    after_lstm, film, attention, similarity or critic (`FUSIONS`)."""
     hidden: Literal["grow", "fixed"] | int = "grow"
     """Hidden size of the LSTM: "grow" is ``features`` plus the width of the knowledge vector (the
     paper's 128 / 278 / 428), "fixed" is ``features``, or a number."""

@@ -1,11 +1,9 @@
 """Knowledge fusion: the places where the knowledge vector enters the network.
 
-A fusion is a subclass of `Fusion` and an entry of `FUSIONS`.
+A fusion is a subclass of `Fusion` and an entry of `knowarm.policy.config.FUSIONS`.
 """
 
 import math
-from collections.abc import Callable
-from functools import partial
 from typing import Literal
 
 import torch
@@ -155,17 +153,3 @@ class Similarity(Fusion):
         slots = knowledge.view(knowledge.shape[0], self.slots, -1)
         wanted = self.query(slots).sum(1)
         return (self.key(maps) * wanted[:, None]).sum(2) / math.sqrt(self.width)
-
-
-FUSIONS: dict[str, Callable[[int, int, int], Fusion]] = {
-    "none": Fusion,
-    "before_fc": partial(Concatenation, layers=("fc",)),
-    "before_lstm": partial(Concatenation, layers=("lstm",)),
-    "after_lstm": partial(Concatenation, layers=("actor", "critic")),
-    "film": FiLM,
-    "attention": Attention,
-    "similarity": Similarity,
-    "critic": partial(Concatenation, layers=("critic",)),
-}
-"""Fusions by name, as `PolicyConfig.fusion` gives it. With "before_lstm" (the paper, section 4.2.2)
-the knowledge is next to the LSTM's other inputs; with "critic" the actor needs none in use."""

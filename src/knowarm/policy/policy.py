@@ -17,9 +17,8 @@ import torch
 from torch import Tensor, nn
 
 from knowarm.errors import UserError
-from knowarm.policy.config import PolicyConfig, PolicyShape, layer_widths
+from knowarm.policy.config import FUSIONS, PolicyConfig, PolicyShape, layer_widths
 from knowarm.policy.encoder import RELU_GAIN, ImageEncoder, orthogonal, orthogonal_
-from knowarm.policy.fusion import FUSIONS
 from knowarm.policy.lstm import MaskedLSTM, State
 from knowarm.seeding import torch_generator
 

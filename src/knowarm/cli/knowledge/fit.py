@@ -3,7 +3,7 @@
 import sys
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -12,7 +12,9 @@ from knowarm.cli.tables import TableCommand, print_table
 from knowarm.errors import UserError
 from knowarm.knowledge.formats.openke import is_openke, read_openke_split
 from knowarm.knowledge.kge import KgeConfig
-from knowarm.knowledge.kge.train import Split, split_graph
+
+if TYPE_CHECKING:
+    from knowarm.knowledge.kge.train import Split
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,8 +26,10 @@ class SplitOptions(GraphOptions, TableCommand):
     test: float = 0.1
     """Share of triples to test on, where the graph has no split."""
 
-    def split(self, seed: int) -> Split:
+    def split(self, seed: int) -> "Split":
         """Return the graph's own split, or a random one."""
+        from knowarm.knowledge.kge.train import split_graph  # imports torch, which takes seconds
+
         if self.graph is None or not (self.graph.is_dir() and is_openke(self.graph)):
             return split_graph(self.read(), valid=self.valid, test=self.test, seed=seed)
         split = read_openke_split(self.graph)
@@ -94,7 +98,7 @@ class KnowledgeEvaluate(SplitOptions):
         return _print_scores(stored.config.model, stored.model, split)
 
 
-def _print_scores(name: str, model: Any, split: Split) -> dict[str, Any]:
+def _print_scores(name: str, model: Any, split: "Split") -> dict[str, Any]:
     """Test a model by link prediction, print the measures and return them."""
     from knowarm.knowledge.kge.train import rank  # imports torch, which takes seconds
 
