@@ -21,6 +21,14 @@ FRAME_MS, LAST_MS = 90, 1_400
 STYLE = files("knowarm.report") / "templates" / "style.css"
 
 
+def style() -> str:
+    """Return what a drawing uses of the reports' style sheet: light colours, and its marks."""
+    colours, *others = STYLE.read_text(encoding="utf-8").split("\n\n")
+    (marks,) = (each for each in others if each.startswith("svg text"))
+    light, palette = colours.partition("}")[0], colours[colours.index(".c-blue") :]
+    return f"{light}}}\n{palette}\n{marks}\n"
+
+
 @dataclass(frozen=True)
 class Shown:
     """HTML that a notebook displays."""
@@ -41,7 +49,7 @@ def picture(drawings: Sequence[str], box: Box, legend: Mapping[str, str], column
         columns: drawings beside each other; 0 places all in one row.
     """
     top = 34 if legend else 0
-    parts = [element("style", escape(STYLE.read_text(encoding="utf-8")))]
+    parts = [element("style", escape(style()))]
     parts.append(element("rect", width="100%", height="100%", fill="#ffffff"))
     x = box.left
     for name, colour in legend.items():

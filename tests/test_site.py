@@ -4,6 +4,7 @@ import re
 
 from knowarm.study.config import read_study
 from scripts.check_site import offenders
+from scripts.figures import style
 from tests.snippets.test_snippets import PAGES, PARTS, commands
 from tests.source_tree import ROOT, files
 
@@ -98,3 +99,11 @@ def test_the_study_files_of_the_documentation_can_be_read(tmp_path):
         path = tmp_path / f"{number}.toml"
         path.write_text(block, "utf-8")
         read_study(path)
+
+
+def test_figures_embed_the_style_of_drawings_only():
+    rules = style()
+    for each in ("--ink:", ".c-blue", ".c-faint", "svg text", ".tick", ".line"):
+        assert each in rules
+    for each in ("dark", ".verdict", "th, td", ".film"):
+        assert each not in rules
