@@ -96,10 +96,16 @@ def test_a_graph_with_relations_never_seen_needs_no_training(tmp_path, capsys):
     assert {each.split("/")[0] for each in found["answers"]} == {"lamp", "flashlight"}
     assert found["right"]
     capsys.readouterr()
-    assert main(["ask", RUN, "burns paper", *options]) == 2
-    error = capsys.readouterr().err
-    assert "Unknown entity 'paper'" in error
-    assert error.count("\n") == 1
+    for question, message in (
+        ("burns paper", "Unknown entity 'paper'"),
+        ("makes soup", "No object of the task answers the question 'makes soup'"),
+        ("makes light and", "expected a relation, got its end"),
+        ("shows time", "No scene shows what answers 'shows time': clock."),
+    ):
+        assert main(["ask", RUN, question, *options]) == 2
+        error = capsys.readouterr().err
+        assert message in error
+        assert error.count("\n") == 1
 
 
 def test_without_one_visible_answer_the_arm_can_stay(asker):

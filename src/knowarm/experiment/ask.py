@@ -127,6 +127,13 @@ class Asker:
         if not fits.any():
             fits = one[-1] & (shown != shown[-1]).any((0, 2))
         if not fits.any():
+            named = {self.facets[f][0] for f in np.flatnonzero(answers[-1].satisfies)}
+            if not named & {self.facets[f][0] for f in np.unique(self._shown)}:
+                raise UserError(
+                    f"No scene shows what answers {answers[-1].question!r}: "
+                    f"{', '.join(sorted(named))}. The scenes show what this run was trained with; "
+                    "ask for another object."
+                )
             raise UserError(
                 f"In none of {SCENES:,} scenes does exactly one object answer "
                 f"{answers[-1].question!r}"
