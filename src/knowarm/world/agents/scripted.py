@@ -78,32 +78,27 @@ class OracleAgent:
 
     def act(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:
         """Choose for each joint the action that ends nearest to its solution, (n, J)."""
-        way = self._reach.joints - self._env.joint_targets
+        return self._towards(self._reach.joints)
+
+    def _towards(self, joints: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Choose for each joint the action that ends nearest to an angle, (n, J)."""
+        way = joints - self._env.joint_targets
         return np.abs(way[..., None] - self._levels).argmin(axis=-1)
 
 
-class ApproachAgent:
+class ApproachAgent(OracleAgent):
     """Moves to the true goal frame along its approach direction, as a gripper has to.
 
     The oracle takes the shortest way of the joints, on which fingers can hit the object. This agent
     first moves to a pose behind the goal frame and then straight along the frame's z axis.
-
-    Args:
-        seed: of the starting points of the solver.
     """
-
-    def __init__(self, seed: int = 0) -> None:
-        self._seed = seed
 
     def start(self, env: ReachVectorEnv) -> None:
         """Solve the inverse kinematics of the way of every episode."""
-        self._env = env
-        self._levels = joint_increments(env.scene.robot, env.config)
-        solver = InverseKinematics.of_task(env.scene, env.config, seed=self._seed)
-        joints = solver.solve(env.goal_position, env.goal_matrix, env.joint_positions).joints
+        super().start(env)
         back = -env.goal_matrix.reshape(-1, 3, 3)[:, :, 2]
         solver = InverseKinematics.of_task(env.scene, env.config, starts=1)
-        way = [joints]
+        way = [self._reach.joints]
         for distance in np.linspace(0.0, APPROACH_M, WAYPOINTS + 1)[1:]:
             position = env.goal_position + distance * back
             way.append(solver.solve(position, env.goal_matrix, way[-1], attempts=1).joints)
@@ -116,8 +111,7 @@ class ApproachAgent:
         way = self._way[self._next, rows] - self._env.joint_targets
         near = np.abs(way).max(axis=1) < self._levels.max() / NEAR
         self._next = np.minimum(self._next + near, WAYPOINTS)
-        way = self._way[self._next, rows] - self._env.joint_targets
-        return np.abs(way[..., None] - self._levels).argmin(axis=-1)
+        return self._towards(self._way[self._next, rows])
 
 
 class BlindAgent:
