@@ -4,6 +4,7 @@ The upper bound of `knowarm evaluate --lift`: the gripper comes straight along t
 direction, without the steps of the task, and stands in the grasp frame when its fingers close.
 
 python -m benchmarks.lifts --robot irb120 --places 20 --json lifts.json
+python -m benchmarks.lifts --robot irb120 --parts --places 25 --json parts.json
 python -m benchmarks.lifts --robot irb120 --targets mug,bell --film lifts.png
 """
 
@@ -21,6 +22,7 @@ from knowarm.world.agents.ik import InverseKinematics
 from knowarm.world.lifting.lift import LiftTrial, lift, plan_lifts
 from knowarm.world.lifting.model import lifting_model
 from knowarm.world.objects import CHOOSE_TARGETS, TARGETS
+from knowarm.world.objects.parts import PARTS
 from knowarm.world.scene.scene import Scene, load_scene, target_places
 
 SEED = 7
@@ -30,7 +32,8 @@ SHOWN_S = (0.2, 0.6, 1.6, 2.6, 3.6, 5.6)  # Times of the film's frames
 
 def scene_of(robot: str, target: str) -> Scene:
     """Load the scene of the task in which a target is grasped, with this target alone."""
-    return load_scene(robot, (target,), 0, "choose" if target in CHOOSE_TARGETS else "reach")
+    area = "purpose" if target in PARTS else "choose" if target in CHOOSE_TARGETS else "reach"
+    return load_scene(robot, (target,), 0, area)
 
 
 def straight_paths(scene: Scene, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -99,11 +102,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robot", default="irb120")
     parser.add_argument("--targets", default=",".join(TARGETS))
+    parser.add_argument("--parts", action="store_true", help="the parts of the purpose task")
     parser.add_argument("--places", type=int, default=20)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--film", type=Path)
     given = parser.parse_args()
-    targets = given.targets.split(",")
+    targets = list(PARTS) if given.parts else given.targets.split(",")
     if given.film:
         film(given.robot, targets, given.film)
         return

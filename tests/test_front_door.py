@@ -236,6 +236,14 @@ def test_play():
     assert single.reset(options={"episodes": episodes[:1]})[0].shape == (8, 8, 3)
 
 
+@example("Purpose")
+def test_purpose():
+    assert knowarm.EnvConfig(task=knowarm.Purpose()).targets[:2] == (
+        "bottle.stopper",
+        "bottle.neck",
+    )
+
+
 @example("Task", "Reach", "Choose", "TASKS", "register_task", "NameQueries", "GraphQueries")
 def test_tasks():
     assert {"reach", "choose"} <= set(knowarm.TASKS)

@@ -29,7 +29,7 @@ def test_a_query_has_a_readable_name() -> None:
     both = Query((*DRINKING.conditions, *RED.conditions))
     assert both.name == str(both) == "usedFor drinking and hasColor red"
     assert both == Query.of(("usedFor", "drinking"), ("hasColor", "red"))
-    assert [condition.is_colour for condition in both.conditions] == [False, True]
+    assert [condition.is_seen for condition in both.conditions] == [False, True]
     assert isinstance(both.conditions[0], Condition)
 
 

@@ -1,11 +1,11 @@
 """Queries and the question table: which facets answer a query, and what an episode may ask.
 
 A condition is a relation and a value ("usedFor drinking"); a query is one condition or several
-("usedFor drinking and hasColor blue"). It never names an object. A question is a query and the
-facet that is its target.
+("usedFor drinking and hasColor blue"). It never names a facet. A question is a query and the
+facet that is its target. A facet is an object, or one of its parts, in one of its colours.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -16,7 +16,9 @@ from knowarm.errors import UserError
 
 AND = " and "  # What joins the conditions of a query in its name
 COLOUR_RELATION = "hasColor"  # Its values are colours: the facet answers it, not the graph
-ObjectColour = tuple[str, str]  # A facet: an object and one of its colours, by name
+OBJECT_RELATION = "graspedOn"  # Its values are objects with parts: the facet answers it
+PART = "."  # Joins the names of an object and its part: "mug.handle"
+ObjectColour = tuple[str, str]  # A facet: an object or part, and one of its colours, by name
 Mask = NDArray[np.bool_]
 Numbers = NDArray[np.int64]
 
@@ -33,9 +35,9 @@ class Condition(NamedTuple):
         return f"{self.relation} {self.value}"
 
     @property
-    def is_colour(self) -> bool:
-        """Whether the colour of a facet answers it."""
-        return self.relation == COLOUR_RELATION
+    def is_seen(self) -> bool:
+        """Whether a facet answers it by its colour or object, without a graph."""
+        return self.relation in (COLOUR_RELATION, OBJECT_RELATION)
 
 
 @dataclass(frozen=True, order=True)
@@ -133,7 +135,32 @@ class QuestionTable:
     @cached_property
     def objects(self) -> Numbers:
         """Number of each facet's object, in order of first appearance, (F,)."""
-        return number_objects(self.facets)
+        return number_objects(self.facets, whole=True)
+
+    @cached_property
+    def parts(self) -> Numbers:
+        """Facets of the parts of each facet's object in its colour, itself among them, (F, P).
+
+        Raises:
+            UserError: not all objects have the same number of parts.
+        """
+        return number_parts(self.facets)
+
+    def with_parts(self, count: int) -> "QuestionTable":
+        """Return the table of episodes that show ``count`` objects with all of their parts.
+
+        A query is asked for a part only if no other part of its object satisfies it.
+        """
+        if self.parts.shape[1] == 1:
+            return self
+        shown = self.shown[self.parts].any(axis=1)
+        related = self.related[:, self.parts].any(axis=2)
+        related = related[self.parts].any(axis=1)
+        satisfied = self.satisfies[:, self.parts]
+        askable = self.askable & (satisfied.sum(axis=2) == 1)
+        by_object = satisfied.any(axis=2), related, shown, self.objects
+        askable = with_distractors(askable, *by_object, count)
+        return replace(self, askable=askable, related=related, shown=shown)
 
     def distractors(self, query: Numbers, target: Numbers) -> Mask:
         """Return the facets that may stand beside the targets of n questions (n,), (n, F).
@@ -159,10 +186,34 @@ class QuestionTable:
             )
 
 
-def number_objects(facets: tuple[ObjectColour, ...]) -> Numbers:
-    """Return the number of each facet's object, in order of first appearance, (F,)."""
-    numbers = {name: number for number, name in enumerate(dict.fromkeys(n for n, _ in facets))}
-    return np.array([numbers[name] for name, _ in facets], dtype=np.int64)
+def number_objects(facets: tuple[ObjectColour, ...], *, whole: bool = False) -> Numbers:
+    """Return the number of each facet's object, in order of first appearance, (F,).
+
+    Parts of one object have different numbers, or with ``whole`` the same one.
+    """
+    names = [object_of(name) if whole else name for name, _ in facets]
+    numbers = {name: number for number, name in enumerate(dict.fromkeys(names))}
+    return np.array([numbers[name] for name in names], dtype=np.int64)
+
+
+def object_of(name: str) -> str:
+    """Return the object of a name that may be that of a part: "mug" of "mug.handle"."""
+    return name.partition(PART)[0]
+
+
+def number_parts(facets: tuple[ObjectColour, ...]) -> Numbers:
+    """Return the facets of the parts of each facet's object in its colour; see ``parts``."""
+    groups: dict[ObjectColour, list[int]] = {}
+    for number, (name, colour) in enumerate(facets):
+        groups.setdefault((object_of(name), colour), []).append(number)
+    if len({len(group) for group in groups.values()}) > 1:
+        counts = {name: len(group) for (name, _), group in groups.items()}
+        raise UserError(
+            "All objects of a task need the same number of parts, got "
+            f"{', '.join(f'{count} of {name}' for name, count in counts.items())}. Add or remove "
+            "parts among EnvConfig.targets."
+        )
+    return np.array([groups[object_of(name), colour] for name, colour in facets], dtype=np.int64)
 
 
 def with_distractors(

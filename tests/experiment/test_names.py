@@ -4,6 +4,7 @@ import pytest
 
 from knowarm.errors import UserError
 from knowarm.experiment.names import ExperimentName, experiment_config, experiment_names
+from knowarm.world.tasks import task_names
 
 
 @pytest.mark.parametrize(
@@ -27,7 +28,7 @@ def test_every_name_is_read_as_it_is_written():
     names = experiment_names()
     assert len(set(names)) == len(names)
     assert all(str(ExperimentName.parse(name)) == name for name in names)
-    assert {ExperimentName.parse(name).task for name in names} == {"reach", "choose"}
+    assert {ExperimentName.parse(name).task for name in names} == set(task_names())
 
 
 @pytest.mark.parametrize(

@@ -124,7 +124,7 @@ def test_answers_of_the_shipped_graph_are_those_of_sparql(shipped):
     for query, row in zip(single, shipped.answers(single), strict=True):
         (condition,) = query.conditions
         found = {shipped.facets[i] for i in np.flatnonzero(row)}
-        if condition.is_colour:
+        if condition.is_seen:
             assert found == {facet for facet in CHOICE if facet[1] == condition.value}
             continue
         text = f"SELECT ?x WHERE {{ ?x :{condition.relation} :{condition.value} }}"
@@ -135,7 +135,7 @@ def test_answers_of_the_shipped_graph_are_those_of_sparql(shipped):
 def test_the_shipped_graph_has_something_to_ask_about_every_object(shipped):
     single = shipped.queries("none")
     assert len(single) == 49
-    facts = shipped.answers([q for q in single if not q.conditions[0].is_colour])
+    facts = shipped.answers([q for q in single if not q.conditions[0].is_seen])
     assert facts.any(1).all()
     assert (facts.sum(0) >= 2).all()
     assert all(shipped.answers([query]).sum() >= 2 * len(COLOURS) for query in single[:40])

@@ -8,9 +8,15 @@ import torch
 
 from knowarm.experiment.load import load_agent
 from knowarm.perception.answering import AnswerGrounding, AnsweringAgent
+from knowarm.perception.config import GroundingConfig, ModuleSpec
+from knowarm.perception.grounding import GroundingNetwork, place_of
 from knowarm.perception.images import query_answers, sample_images
+from knowarm.questions import object_of
 from knowarm.world.agents.play import play
+from knowarm.world.config import EnvConfig, questions_of
 from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.objects.parts import PARTS
+from knowarm.world.tasks.choose.purpose import Purpose
 from knowarm.world.tasks.episodes import evaluation_episodes
 from tests.experiment.test_zoo import ZOO
 
@@ -18,6 +24,16 @@ from tests.experiment.test_zoo import ZOO
 @pytest.fixture(scope="module")
 def trained():
     return load_agent(ZOO / "irb120-choose-subgraph-fast")
+
+
+@pytest.fixture(scope="module")
+def parted():
+    """Return a task with two parts per object, and an untrained network for it."""
+    names = tuple(name for name in PARTS if object_of(name) in ("bell", "globe", "brush"))
+    env = EnvConfig(task=Purpose(), targets=names, dynamics="kinematic")
+    knowledge = np.random.default_rng(0).normal(size=(len(questions_of(env).queries), 6))
+    spec = ModuleSpec.of(env, GroundingConfig())
+    return env, GroundingNetwork(spec, knowledge.astype(np.float32), 1)
 
 
 @pytest.fixture(scope="module")
@@ -61,6 +77,55 @@ def test_the_number_of_visible_answers_is_that_of_the_image(trained, labels):
     named = (seen.named[:, :, None] == labels.facets[:, None]).any(1)
     assert named.float().mean() > 0.9
     assert all(len(set(row)) == 4 for row in seen.places.tolist())
+
+
+@torch.no_grad()
+def test_an_answer_is_a_part_at_a_place(parted):
+    """An untrained network: each part has its own frame, and all parts of an object are named."""
+    network = parted[1]
+    facets = network.spec.facets
+    images = sample_images(parted[0], network.spec, 3, seed=2).images
+    knob, handle = facets.index(("bell.knob", "red")), facets.index(("bell.handle", "red"))
+    answers = torch.zeros(2, len(facets))
+    answers[0, knob] = answers[1, handle] = 1
+    module = AnswerGrounding(network, answers)
+    features = network.encoder.features(images)
+    for query, facet in enumerate((knob, handle)):
+        seen = module.see(images, torch.full((3,), query))
+        cell = seen.scores.argmax(1) * 2 + (facet == max(knob, handle))
+        expected = network.frames(features, cell[:, None])[:, 0]
+        torch.testing.assert_close(seen.frames, expected)
+        other = network.frames(features, cell[:, None] ^ 1)[:, 0]
+        assert ((seen.frames - other).abs().amax(1) > 1e-4).all()
+    for named, places in zip(seen.named.tolist(), seen.places.tolist(), strict=True):
+        shown = [(object_of(name), colour) for name, colour in (facets[each] for each in named)]
+        assert len(set(named)) == 4
+        assert (shown[0], shown[2]) == (shown[1], shown[3])
+        assert shown[0][0] != shown[2][0]
+        assert places[0] == places[1] != places[2] == places[3]
+
+
+@torch.no_grad()
+def test_a_query_selects_a_part_at_a_place(parted):
+    env, network = parted
+    labels = sample_images(env, network.spec, 8, seed=1)
+    features, rows = network.encoder.features(labels.images), torch.arange(8)
+    keys = network.keys(features)
+    query = network.project_queries(network.knowledge[labels.queries])
+    cell = (keys * query[:, None]).sum(2).argmax(1)
+    assert keys.shape == (8, 2 * 256, 64)
+    assert {0, 1} == set((cell % 2).tolist())
+    frames = network.frames(features, cell[:, None])[:, 0]
+    torch.testing.assert_close(network(labels.images, labels.queries), frames)
+    place = place_of(labels.pixels[:, 0], 64)
+    part = network.part_of[labels.facets[:, 0]]
+    asked = query_answers(env, network.spec.facets)
+    wanted = keys[rows, place * 2 + part] * query
+    likelihood = wanted.sum(1) - (keys * query[:, None]).sum(2).logsumexp(1)
+    for row in range(8):
+        one = rows[row : row + 1]
+        loss = network.place_loss(features[one], labels, one, labels.queries[one], asked)
+        torch.testing.assert_close(loss, -likelihood[row], rtol=1e-4, atol=1e-4)
 
 
 def test_a_copy_keeps_answers_and_weights(trained, labels):

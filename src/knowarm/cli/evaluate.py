@@ -116,6 +116,8 @@ def _print(summary: dict[str, Any]) -> None:
             f"Chose the wanted object in {_share(summary, 'choice')} % of the episodes (chance "
             f"{chance:.0f} %), and reached it in {reached:.1f} % of those.\n"
         )
+    if "right_object" in summary:
+        print(f"Chose a part of the wanted object in {_share(summary, 'right_object')} %.\n")
     if "chose_old_answer" in summary:
         old = 100 * summary["chose_old_answer"]
         print(f"Chose what the query meant before the graph was edited in {old:.1f} %.\n")

@@ -79,7 +79,10 @@ ALGORITHMS: dict[str, Algorithm] = {
         total_steps=1_500_000,
         policy={"pixel_shift": 0.5, "pixel_scale": 4.0},
         # Without it, grasps of which few objects are examples are learned late.
-        by_task={"choose": {"total_steps": 2_000_000, "algorithm": {"progress_coef": 1.0}}},
+        by_task={
+            task: {"total_steps": 2_000_000, "algorithm": {"progress_coef": 1.0}}
+            for task in ("choose", "purpose")
+        },
     ),
     "distil": Algorithm(
         about="imitation of a teacher by inverse kinematics, in the states the policy visits",

@@ -128,7 +128,7 @@ def answer_table(
     if control == "graph-shuffled":
         graph = shuffle_tails(graph, derive_seed(config.seed, "placebos"))
     if control == "colours":
-        queries = tuple(Query(tuple(c for c in q.conditions if c.is_colour)) for q in queries)
+        queries = tuple(Query(tuple(c for c in q.conditions if c.is_seen)) for q in queries)
     known = np.array(described(graph, [name for name, _ in facets]))
     answers = np.zeros((len(queries), len(facets)), bool)
     shown = [facet for facet, is_known in zip(facets, known, strict=True) if is_known]
@@ -159,4 +159,4 @@ def _splits(env: EnvConfig) -> tuple[GraphQueries, QuerySplits]:
     task = env.task
     assert isinstance(task, Choose)
     assert isinstance(task.queries, GraphQueries)
-    return task.queries, task.queries.splits(facets_of(env), task.objects)
+    return task.queries, task.queries.splits(facets_of(env), task.visible)

@@ -136,7 +136,10 @@ DEFAULT_EXPERIMENT = _example("")
 """Experiment of the benchmarks, the installation check and the examples."""
 
 
-TASK_FIELDS: dict[str, dict[str, Any]] = {"choose": {"queries": GraphQueries()}}
+TASK_FIELDS: dict[str, dict[str, Any]] = {
+    "choose": {"queries": GraphQueries()},
+    "purpose": {"queries": GraphQueries(graph="purposes", hold_out=("S4", "S2"))},
+}
 """Fields of tasks that have other values in the named experiments, by task."""
 
 
@@ -164,9 +167,11 @@ def task_for(name: str, **fields: Any) -> Task:
 def _config(name: ExperimentName) -> ExperimentConfig:
     agent, algorithm = AGENTS[name.agent], ALGORITHMS[name.algorithm]
     task, knowledge = task_for(name.task, **agent.task), agent.knowledge
-    if knowledge.scope == "perceived" and "query" in task.scopes:
+    queries = getattr(task, "queries", None)
+    if knowledge.scope in ("query", "perceived") and isinstance(queries, GraphQueries):
         # described by the graph of the questions
-        knowledge = dataclasses.replace(knowledge, graph=QUERY.graph, aliases=QUERY.aliases)
+        graph = {"graph": queries.graph, "aliases": QUERY.aliases}
+        knowledge = dataclasses.replace(knowledge, **graph)
     config = ExperimentConfig(
         name=str(name),
         agent=name.agent,

@@ -37,6 +37,7 @@ TASK_COLUMNS = {
     "query": ("string", "query of the episode"),
     "chosen": ("string", "object whose grasp point was nearest to the gripper at the end"),
     "choice_correct": ("bool", "whether that object answers the query"),
+    "object_correct": ("bool", "whether the part reached belongs to the object that answers"),
     "chose_old_answer": ("bool", "whether it answered the query before the graph was edited"),
     "visible_answers": ("int64", "objects in the first image that answer, as the agent sees it"),
     "lift": ("string", "how the lift of the object ended: see lifting.OUTCOMES"),
@@ -200,9 +201,9 @@ def summarize(episodes: Columns) -> dict[str, Any]:
     and ``failure_distance_*`` (mean, sample std, max), ``accuracy`` (the paper's: final distance
     only), ``success`` (distance and angle at the same step), ``success_wide`` (the wider angle).
     In tasks with queries also ``choice``, the share of episodes that ended nearest to the wanted
-    object, ``success_if_chosen``, groups ``per_query``, and on S5 ``chose_old_answer``;
-    of agents that answer by a graph ``saw_no_answer`` and ``saw_several_answers``; of a lift test
-    the numbers of `lift_numbers`.
+    object or part, ``right_object`` of tasks with parts, ``success_if_chosen``, groups
+    ``per_query``, and on S5 ``chose_old_answer``; of agents that answer by a graph
+    ``saw_no_answer`` and ``saw_several_answers``; of a lift test the numbers of `lift_numbers`.
     """
     summary = _numbers(episodes)
     groups = {"per_target": "target", "per_facet": "facet"}
@@ -230,11 +231,12 @@ def _numbers(episodes: Columns) -> dict[str, Any]:
         column = "accurate" if name == "accuracy" else name
         share = wilson(int(np.count_nonzero(episodes[column])), count)
         values |= {name: share.estimate, **_bounds(name, share)}
+    for name, column in (("choice", "choice_correct"), ("right_object", "object_correct")):
+        if column in episodes:
+            share = wilson(int(np.count_nonzero(episodes[column])), count)
+            values |= {name: share.estimate, **_bounds(name, share)}
     if "choice_correct" in episodes:
-        correct = episodes["choice_correct"]
-        share = wilson(int(np.count_nonzero(correct)), count)
-        values |= {"choice": share.estimate, **_bounds("choice", share)}
-        reached = episodes["success"][correct]
+        reached = episodes["success"][episodes["choice_correct"]]
         values["success_if_chosen"] = float(reached.mean()) if len(reached) else 0.0
     if "visible_answers" in episodes:
         values["saw_no_answer"] = float(np.mean(episodes["visible_answers"] == 0))

@@ -161,18 +161,18 @@ class QueryEmbedding(Embedding):
     def table(self, queries: Sequence[Query]) -> np.ndarray:
         """Return the knowledge input of the policy for each embedded query, (Q, K) float32.
 
-        Facts fill the slots of a row from the first, colours from the last, so that a colour is
-        found at one place in all queries; the rest is zero.
+        Facts fill the slots of a row from the first, colours and objects from the last, so that a
+        colour is found at one place in all queries; the rest is zero.
         """
         if not self.slots:
             return np.zeros((len(queries), 0), np.float32)
         numbers = {slot: number for number, slot in enumerate(self.slots)}
         rows = np.zeros((len(queries), self.width, self.slot_dim), np.float32)
         for row, query in zip(rows, queries, strict=True):
-            facts = [c for c in query.conditions if not c.is_colour]
-            colours = [c for c in query.conditions if c.is_colour]
+            facts = [c for c in query.conditions if not c.is_seen]
+            seen = [c for c in query.conditions if c.is_seen]
             row[: len(facts)] = self.matrix[[numbers[c] for c in facts]]
-            row[len(row) - len(colours) :] = self.matrix[[numbers[c] for c in colours]]
+            row[len(row) - len(seen) :] = self.matrix[[numbers[c] for c in seen]]
         return rows.reshape(len(queries), -1)
 
 

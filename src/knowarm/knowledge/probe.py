@@ -185,7 +185,7 @@ def query_agreement(
     Over all pairs of facts, it compares the cosine of their slots with the share of objects that
     satisfy both among those that satisfy either. None if all slots are equally similar.
     """
-    facts = [query for query in asked.queries("none") if not query.conditions[0].is_colour]
+    facts = [query for query in asked.queries("none") if not query.conditions[0].is_seen]
     cosine = _cosine(query_embedding(config, facts, run_seed=run_seed, graph=asked.graph).matrix)
     answers = asked.answers(facts)[:, np.unique(asked.owner, return_index=True)[1]]
     both = (answers[:, None] & answers).sum(2)

@@ -15,7 +15,7 @@ from knowarm.perception.agent import PerceivingAgent
 from knowarm.perception.config import Unclear
 from knowarm.perception.grounding import GroundingNetwork
 from knowarm.perception.module import BATCH, GoalPredictor, PerceptionModule
-from knowarm.questions import ObjectColour
+from knowarm.questions import ObjectColour, number_objects, number_parts
 from knowarm.world.config import EnvConfig
 
 
@@ -70,25 +70,32 @@ class AnswerGrounding(PerceptionModule):
         by_place = objects[:, object_of] + colours[:, colour_of]  # (n, F, P)
         # Where nothing answers, every facet counts, so that there is a place to guess.
         counted = answers | ~answers.any(1, keepdim=True)
-        scores = by_place.masked_fill(~counted[:, :, None], -torch.inf).logsumexp(1)
-        frames = self.network.frames(features, scores.argmax(1)[:, None])[:, 0]
+        answering = by_place.masked_fill(~counted[:, :, None], -torch.inf)
+        scores = answering.logsumexp(1)
+        place = scores.argmax(1)
+        facet = answering[torch.arange(len(place)), :, place].argmax(1)
+        cell = self.network.cells(place, facet)
+        frames = self.network.frames(features, cell[:, None])[:, 0]
         named, places = self._name(by_place)
         return SeenAnswers(frames, scores, named, places, answers.gather(1, named).sum(1))
 
     def _name(self, by_place: Tensor) -> tuple[Tensor, Tensor]:
         """Name m different objects at different places, best scores (n, F, P) first, (n, m) each.
 
-        With this network it is right more often than the m best facets of the image as a whole.
+        With this network it is right more often than the m best facets of the image as a whole. All
+        parts of an object are named at the best place of any.
         """
         rows, left = torch.arange(len(by_place)), by_place.clone()
-        objects, named = self.encoder.facet_parts[0], []
-        for _ in range(self.spec.objects):
+        parts = torch.from_numpy(number_parts(self.spec.facets))
+        objects = torch.from_numpy(number_objects(self.spec.facets, whole=True))
+        named = []
+        for _ in range(self.spec.objects // self.network.parts):
             best = left.flatten(1).argmax(1)
             facet, place = best // left.shape[2], best % left.shape[2]
-            named.append((facet, place))
+            named.append((parts[facet], place[:, None].expand(-1, parts.shape[1])))
             left[rows, :, place] = -torch.inf
             left.masked_fill_((objects == objects[facet][:, None])[:, :, None], -torch.inf)
-        facets, places = (torch.stack(each, dim=1) for each in zip(*named, strict=True))
+        facets, places = (torch.cat(each, dim=1) for each in zip(*named, strict=True))
         return facets, places
 
     def to_bytes(self) -> bytes:

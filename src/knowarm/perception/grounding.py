@@ -1,7 +1,8 @@
 """Grounding network: finds in an image the object that a query means, and how to grasp it.
 
 Each place of the image has a key; the object stands where the key is most similar to the vector of
-the query. From the features of that place the network predicts the object's grasp frame.
+the query. From the features of that place the network predicts the object's grasp frame. Where
+objects have parts, each place has a key and a frame per part: a cell is a place and a part.
 """
 
 from collections.abc import Mapping
@@ -15,7 +16,7 @@ from knowarm.perception.config import ModuleSpec, Naming
 from knowarm.perception.images import LabelledImages, QueryAnswers
 from knowarm.perception.module import GoalPredictor, PerceptionModule, PlaceEncoder
 from knowarm.policy.encoder import RELU_GAIN, orthogonal
-from knowarm.questions import ObjectColour
+from knowarm.questions import ObjectColour, number_parts
 from knowarm.seeding import torch_generator
 from knowarm.world.config import EnvConfig
 
@@ -48,6 +49,8 @@ class GroundingNetwork(PerceptionModule):
     position_mean: Tensor
     position_std: Tensor
     """(3,) buffers, of the grasp positions in training [m]."""
+    part_of: Tensor
+    """(F,) int64 buffer: number of each facet among the parts of its object."""
 
     def __init__(
         self, spec: ModuleSpec, knowledge: np.ndarray | Tensor, slots: int, *, seed: int = 0
@@ -58,9 +61,17 @@ class GroundingNetwork(PerceptionModule):
         self.register_buffer("position_mean", torch.zeros(3))
         self.register_buffer("position_std", torch.ones(3))
         channels, width = self.encoder.channels, self.knowledge.shape[1] // slots
+        parts = torch.from_numpy(number_parts(spec.facets))
+        self.parts = parts.shape[1]
+        own = torch.arange(len(parts))[:, None]
+        self.register_buffer("part_of", (parts == own).int().argmax(1), persistent=False)
         self.key, self.query, self.frame = (
             nn.Sequential(nn.Linear(inputs, 2 * WIDTH), nn.ReLU(), nn.Linear(2 * WIDTH, outputs))
-            for inputs, outputs in ((channels, WIDTH), (width, WIDTH), (channels + 2, FRAME))
+            for inputs, outputs in (
+                (channels, WIDTH * self.parts),
+                (width, WIDTH),
+                (channels + 2, FRAME * self.parts),
+            )
         )
         generator = torch_generator(seed, "perception", 1)
         for layer in (*self.key, *self.query, *self.frame):
@@ -84,8 +95,13 @@ class GroundingNetwork(PerceptionModule):
         return self
 
     def keys(self, features: Tensor) -> Tensor:
-        """Compute the keys of P places from the encoder's features: (n, P, D)."""
-        return cast(Tensor, self.key(features.flatten(2).transpose(1, 2)))
+        """Compute the keys of the cells from the encoder's features: (n, P parts, D)."""
+        keys = self.key(features.flatten(2).transpose(1, 2))
+        return cast(Tensor, keys.reshape(len(keys), -1, WIDTH))
+
+    def cells(self, places: Tensor, facets: Tensor) -> Tensor:
+        """Return the cells of facets (...) int64 at places (...) int64."""
+        return places * self.parts + self.part_of[facets]
 
     def project_queries(self, knowledge: Tensor) -> Tensor:
         """Project the knowledge of queries (Q, K) into the space of the keys: (Q, D)."""
@@ -94,16 +110,18 @@ class GroundingNetwork(PerceptionModule):
         used[:, 0] |= ~used.any(1)  # of a query without conditions, the first slot counts
         return (self.query(slots) * used).sum(1) / WIDTH**0.5
 
-    def frames(self, features: Tensor, places: Tensor) -> Tensor:
-        """Predict the grasp frames of the objects at places (n, m) int64, row by row.
+    def frames(self, features: Tensor, cells: Tensor) -> Tensor:
+        """Predict the grasp frames of the objects or parts in cells (n, m) int64, row by row.
 
         Returns:
             (n, m, 9) float32: standardized position, x and z axis.
         """
+        places, part = cells // self.parts, cells % self.parts
         index = places[:, None].expand(-1, features.shape[1], -1)
         found = features.flatten(2).gather(2, index).transpose(1, 2)
         where = centres(self.spec.image_size).to(found) / (self.spec.image_size / 2) - 1
-        return cast(Tensor, self.frame(torch.cat((found, where[places]), 2)))
+        frames = self.frame(torch.cat((found, where[places]), 2)).unflatten(2, (-1, FRAME))
+        return cast(Tensor, frames.take_along_dim(part[..., None, None], 2)[:, :, 0])
 
     def forward(self, images: Tensor, queries: Tensor) -> Tensor:
         """Predict the grasp frames (n, 9) of the objects that queries mean; see `GoalPredictor`."""
@@ -113,8 +131,8 @@ class GroundingNetwork(PerceptionModule):
         """As `forward`, with the knowledge of the queries, (n, K) float32."""
         features = self.encoder.features(images)
         query = self.project_queries(knowledge)
-        place = (self.keys(features) * query[:, None]).sum(2).argmax(1)
-        return self.frames(features, place[:, None])[:, 0]
+        cell = (self.keys(features) * query[:, None]).sum(2).argmax(1)
+        return self.frames(features, cell[:, None])[:, 0]
 
     def features(self, images: Tensor, bfloat16: bool = False) -> Tensor:
         """Compute the encoder's features, with its convolutions in bfloat16 if asked for."""
@@ -160,18 +178,18 @@ class GroundingNetwork(PerceptionModule):
         An image counts for the queries that the task may have for one of its objects and that mean
         no other one. Arguments as `losses`, and the features of the images.
         """
-        places = place_of(labels.pixels[rows], self.spec.image_size)
+        facets = labels.facets[rows]
+        cells = self.cells(place_of(labels.pixels[rows], self.spec.image_size), facets)
         with torch.autocast("cpu", torch.bfloat16, enabled=bfloat16):
             keys = self.keys(features)
-        scores = keys.float() @ self.project_queries(self.knowledge[queries]).T  # (n, P, q)
-        facets = labels.facets[rows]
+        scores = keys.float() @ self.project_queries(self.knowledge[queries]).T  # (n, cells, q)
         satisfies = answers.satisfies[queries][:, facets].transpose(0, 1)  # (n, q, m)
         askable = answers.askable[queries][:, facets].transpose(0, 1)
         asked = (satisfies.sum(2) == 1) & (satisfies & askable).any(2)
         if answers.marked:  # the image answers for the marked object only
             asked &= satisfies[..., 0]
-        place = places.gather(1, satisfies.float().argmax(2))
-        likelihood = scores.log_softmax(1).gather(1, place[:, None])[:, 0]
+        cell = cells.gather(1, satisfies.float().argmax(2))
+        likelihood = scores.log_softmax(1).gather(1, cell[:, None])[:, 0]
         return -(likelihood * asked).sum() / asked.sum().clamp(min=1)
 
     def recognition_losses(
@@ -183,7 +201,8 @@ class GroundingNetwork(PerceptionModule):
         named = self.encoder.facet_likelihood(features, labels.facets[rows], where)
         position = (labels.grasp_position[rows] - self.position_mean) / self.position_std
         truth = torch.cat((position, labels.grasp_axes[rows]), 2)
-        return -named.mean(), (self.frames(features, places) - truth).square().mean()
+        frames = self.frames(features, self.cells(places, labels.facets[rows]))
+        return -named.mean(), (frames - truth).square().mean()
 
 
 def place_of(pixel: Tensor, image_size: int) -> Tensor:

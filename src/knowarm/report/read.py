@@ -50,7 +50,7 @@ NUMBERS = {
         *("return_mean", "return_std", "length_mean", "length_std", "success", "success_wide"),
         *("accuracy", "difference", "needs_eyes", "choice", "choice_chance", "chose_old_answer"),
         *("failure_distance_mean", "failure_distance_std", "failure_distance_max"),
-        *("success_if_chosen", "lifted", "grasps"),
+        *("success_if_chosen", "right_object", "lifted", "grasps"),
     )
     for end in ("", "_low", "_high")
 } | {"episodes": int, "lift_episodes": int, "lift_outcomes": {"*": int}}

@@ -11,6 +11,7 @@ from knowarm.world.lifting import model as lifting_model_module
 from knowarm.world.lifting.lift import LIFT_M, WAYPOINTS, lift, plan_lifts
 from knowarm.world.lifting.model import OBJECT_BIT, lifting_model
 from knowarm.world.objects import TARGETS
+from knowarm.world.objects.parts import PARTS
 from knowarm.world.robots import ROBOTS
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.compose import compose
@@ -82,6 +83,16 @@ def test_the_pose_of_the_fingers_decides(gantry):
     assert (np.abs(result.rise[1:3]) < 0.01).all()
     assert (result.moved[:3] < 0.005).all()
     assert result.moved[3] > 0.02
+
+
+def test_a_part_is_lifted_with_its_whole_object(gantry):
+    """The goal is the second part in the scene; the others are those of a globe beside it."""
+    names = ("brush.block", "brush.handle", "globe.pin", "globe.stem")
+    scene = build_scene(gantry, [PARTS[name] for name in names])
+    places = np.array([AT, AT, AT + 0.2, AT + 0.2])[None]
+    result = lift(scene, [down_to(*AT, 0.16)], np.array([[1, 0, 2, 3]]), places)
+    assert result.outcome.tolist() == ["lifted"]
+    assert result.rise[0] == pytest.approx(LIFT_M, abs=0.01)
 
 
 def test_a_lift_depends_on_itself_only(gantry):

@@ -48,9 +48,11 @@ WRITERS: dict[str, Callable[[KnowledgeGraph, Path], None]] = {
 _DATA = Path(__file__).parent.parent / "data"
 HOUSEHOLD = _DATA / "household.ttl"
 """The default graph: 31 household objects and facts about them that matter to a robot arm."""
-SHIPPED = {"household": HOUSEHOLD, "objects": _DATA / "objects.ttl"}
+SHIPPED = {"household": HOUSEHOLD} | {
+    name: _DATA / f"{name}.ttl" for name in ("objects", "purposes")
+}
 """Graphs that come with the package by name. "objects" holds the objects of the choose task, with
-facts that can be asked."""
+facts that can be asked; "purposes" what parts of objects are grasped for."""
 
 
 def read_graph(path: str | Path, format: str | None = None) -> KnowledgeGraph:

@@ -14,7 +14,7 @@ from knowarm.knowledge.graph.builder import difference, graph_of, union
 from knowarm.knowledge.graph.graph import KnowledgeGraph, Triple
 from knowarm.knowledge.graph.terms import local_name
 from knowarm.knowledge.queries.queries import QueryGraph
-from knowarm.questions import Condition, Query
+from knowarm.questions import OBJECT_RELATION, Condition, Query
 
 SHARES = {"S2": 0.2, "S3": 0.23, "S4": 0.15, "S5": 0.2}
 """Share that a split holds out or changes: of the objects of each condition (S2), of the objects
@@ -37,8 +37,8 @@ class HeldOutQuestions:
 
     @property
     def facts(self) -> list[Condition]:
-        """The conditions that are not colours."""
-        return [condition for condition in self.holders if not condition.is_colour]
+        """The conditions that the graph answers."""
+        return [condition for condition in self.holders if not condition.is_seen]
 
     def hold_objects(self, rng: np.random.Generator, per_episode: int) -> None:
         """Hold out objects; each condition keeps half of its objects or more (S3)."""
@@ -100,15 +100,16 @@ class HeldOutQuestions:
         for index in rng.permutation(len(conditions)):
             condition = conditions[index]
             shown = [name for name in self.holders[condition] if name not in self.objects]
-            if condition.value in self.values or len(shown) < 2:
+            is_object = condition.relation == OBJECT_RELATION
+            if condition.value in self.values or is_object or len(shown) < 2:
                 continue
-            spare = [name for name in shown if condition.is_colour or facts[name] > 1]
+            spare = [name for name in shown if condition.is_seen or facts[name] > 1]
             free = [name for name in spare if load[name] < total[name] // 3]
             order = sorted(rng.permutation(free).tolist(), key=lambda n: load[n] / total[n])
             for name in order[: max(1, round(SHARES["S2"] * len(shown)))]:
                 self.pairs.add((condition, name))
                 load[name] += 1
-                facts[name] -= not condition.is_colour
+                facts[name] -= not condition.is_seen
         if len({name for _, name in self.pairs}) < per_episode:
             self.pairs = set()
             raise UserError(

@@ -10,10 +10,19 @@ import numpy as np
 from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.terms import local_name, parse_literal
-from knowarm.questions import AND, COLOUR_RELATION, Condition, ObjectColour, Query, number_objects
+from knowarm.questions import (
+    AND,
+    COLOUR_RELATION,
+    OBJECT_RELATION,
+    Condition,
+    ObjectColour,
+    Query,
+    number_objects,
+    object_of,
+)
 
 Pairs = Literal["none", "colour", "all"]
-"""Queries of two conditions: none, one about the object and one about its colour, or any two."""
+"""Queries of two conditions: none, a fact and a colour (or the object of a part), or any two."""
 
 
 def parse_query(text: str, relations: Iterable[str] = ()) -> Query:
@@ -55,7 +64,7 @@ class QueryGraph:
 
     @cached_property
     def conditions(self) -> tuple[Condition, ...]:
-        """Every condition that a facet satisfies, sorted; colours come last.
+        """Every condition that a facet satisfies, sorted; colours and objects come last.
 
         A value that is one of the objects is no condition, since a query
         never names an object.
@@ -69,9 +78,11 @@ class QueryGraph:
                 for r, t in pairs
                 if t not in self._ids and parse_literal(graph.names[t]) is None
             }
-        facts = sorted(each for each in found if not each.is_colour)
+        facts = sorted(each for each in found if not each.is_seen)
         colours = sorted({colour for _, colour in self.facets})
         every = [*facts, *(Condition(COLOUR_RELATION, colour) for colour in colours)]
+        whole = sorted({object_of(name) for name in self.objects} - {*self.objects})
+        every += [Condition(OBJECT_RELATION, name) for name in whole]
         answers = self.answers([Query((condition,)) for condition in every])
         return tuple(c for c, row in zip(every, answers, strict=True) if row.any())
 
@@ -93,7 +104,7 @@ class QueryGraph:
         double = [
             (one, other)
             for one, other in combinations(rows, 2)
-            if one.is_colour != other.is_colour or (pairs == "all" and not one.is_colour)
+            if one.is_seen != other.is_seen or (pairs == "all" and not one.is_seen)
         ]
         kept = []
         for pair in double if pairs != "none" else ():
@@ -105,8 +116,8 @@ class QueryGraph:
     def answers(self, queries: Sequence[Query]) -> np.ndarray:
         """Return whether each facet answers each query, (Q, F) bool.
 
-        A condition on the colour is answered by the facet's own colour, any other by the graph's
-        triples about the facet's object.
+        A condition on the colour, or on the object of a part, is answered by the facet itself, any
+        other by the graph's triples about the facet's object or part.
         """
         rows = {c: self._holders(c) for query in queries for c in query.conditions}
         found = np.ones((len(queries), len(self.facets)), bool)
@@ -175,8 +186,10 @@ class QueryGraph:
 
     def _holders(self, condition: Condition) -> np.ndarray:
         """Return which facets satisfy a condition, (F,) bool."""
-        if condition.is_colour:
-            return np.array([colour == condition.value for _, colour in self.facets])
+        if condition.is_seen:
+            is_object = condition.relation == OBJECT_RELATION
+            seen = ((object_of(name) if is_object else colour) for name, colour in self.facets)
+            return np.array([each == condition.value for each in seen])
         graph = self.graph
         try:
             relation = graph.relation_id(condition.relation)

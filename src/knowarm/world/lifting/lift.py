@@ -8,6 +8,7 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from knowarm.cores import available_cores
+from knowarm.questions import object_of
 from knowarm.world.agents.ik import InverseKinematics
 from knowarm.world.lifting.model import FINGERS, SUBSTEPS, LiftingModel, lifting_model
 from knowarm.world.scene.scene import Scene
@@ -56,7 +57,8 @@ def lift(
     Args:
         scene: robot and objects; its own model is not changed.
         paths: joint angles per control period from the start to the grasp, (T, J) [rad] each.
-        objects: indices of the visible objects into the scene's targets, (n, m).
+        objects: indices of the visible objects into the scene's targets, (n, m); of several parts
+            of one object the first counts.
         positions: their x and y, (n, m, 2) [m].
     """
     upward = plan_lifts(scene, np.stack([path[-1] for path in paths]))
@@ -64,9 +66,12 @@ def lift(
     rise, moved = np.zeros(len(paths)), np.zeros(len(paths))
     for shown in np.unique(objects, axis=0):
         rows = np.flatnonzero((objects == shown).all(axis=1))
-        targets = tuple(scene.targets[k] for k in shown)
+        names = [object_of(scene.targets[k].name) for k in shown]
+        whole = [i for i, name in enumerate(names) if names.index(name) == i]
+        targets = tuple(scene.targets[k] for k in shown[whole])
         trial = LiftTrial(lifting_model(scene.robot, targets), len(rows))
-        for _ in trial.play([paths[i] for i in rows.tolist()], upward[rows], positions[rows]):
+        places = positions[rows][:, whole]
+        for _ in trial.play([paths[i] for i in rows.tolist()], upward[rows], places):
             pass
         outcome[rows], rise[rows], moved[rows] = trial.outcome(), trial.rise, trial.moved
     return Lifts(outcome=outcome, rise=rise, moved=moved)

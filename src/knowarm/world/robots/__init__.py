@@ -56,7 +56,15 @@ _IRB120 = Robot(
     rectangle_centre_m=(0.47, 0.0),
     rectangle_half_size_m=(0.10, 0.30),
     # where the gripper reaches all objects of the choose task, also low ones from above
-    areas={"choose": Area(centre_m=(0.44, 0.0), half_size_m=(0.07, 0.29))},
+    # and where it reaches both parts of those of the purpose task, one of which faces it
+    areas={
+        "choose": Area(centre_m=(0.44, 0.0), half_size_m=(0.07, 0.29)),
+        "purpose": Area(
+            centre_m=(0.43, 0.0),
+            half_size_m=(0.06, 0.29),
+            target_yaws_deg=dict.fromkeys(("bottle", *_FROM_ABOVE, *_FROM_THE_SIDE), 180.0),
+        ),
+    },
     # directions in which the wrist stays within its range and the ways to two grasps have little
     # in common
     target_yaw_deg=-135.0,
@@ -90,7 +98,10 @@ _TIAGO = Robot(
     # the paper's 20 x 25 cm rectangle
     rectangle_centre_m=(0.70, -0.08),
     rectangle_half_size_m=(0.10, 0.125),
-    areas={"choose": Area(centre_m=(0.745, 0.0), half_size_m=(0.08, 0.23))},
+    areas={
+        "choose": Area(centre_m=(0.745, 0.0), half_size_m=(0.08, 0.23)),
+        "purpose": Area(centre_m=(0.725, 0.0), half_size_m=(0.06, 0.23)),
+    },
     target_yaw_deg=-165.0,
     target_yaws_deg={"cereal_box": -135.0, "book": -145.0, "flashlight": -145.0, "pitcher": -145.0},
     turned_grasps=("mug",),

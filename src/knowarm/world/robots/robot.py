@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 from knowarm.config import check_numbers, from_dict
 from knowarm.errors import UserError
+from knowarm.questions import object_of
 from knowarm.reading import read_toml
 from knowarm.world.objects import Target
 from knowarm.world.robots.menagerie import SCHEME, menagerie_file
@@ -40,6 +41,8 @@ class Area:
     """Centre, x and y [m]."""
     half_size_m: tuple[float, float]
     """Half extent along x and y [m]."""
+    target_yaws_deg: Mapping[str, float] = field(default_factory=dict)
+    """Yaw of single targets in this area, if different from the robot's [deg]."""
 
     def __post_init__(self) -> None:
         if min(self.half_size_m) < 0:
@@ -150,7 +153,10 @@ class Robot:
         if area is None:
             return self
         return replace(
-            self, rectangle_centre_m=area.centre_m, rectangle_half_size_m=area.half_size_m
+            self,
+            rectangle_centre_m=area.centre_m,
+            rectangle_half_size_m=area.half_size_m,
+            target_yaws_deg={**self.target_yaws_deg, **area.target_yaws_deg},
         )
 
     @property
@@ -159,8 +165,8 @@ class Robot:
         return self.table.height_m if self.table else 0.0
 
     def yaw_deg(self, target: str) -> float:
-        """Return the yaw of the target of a name [deg]."""
-        return self.target_yaws_deg.get(target, self.target_yaw_deg)
+        """Return the yaw of the target of a name [deg]; parts have that of their object."""
+        return self.target_yaws_deg.get(object_of(target), self.target_yaw_deg)
 
 
 T = TypeVar("T", Robot, Target)

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from knowarm.errors import UserError
+from knowarm.questions import object_of
 from knowarm.reading import one_line, reading
 from knowarm.world.objects import Target
 from knowarm.world.robots.robot import Robot, Table
@@ -112,8 +113,13 @@ def _hold(joint: mujoco.MjsJoint, value: float, owner: str) -> None:
         )
 
 
-def attach_target(spec: mujoco.MjSpec, robot: Robot, target: Target) -> None:
-    """Attach a target as a mocap body without physics, at its yaw."""
+def attach_target(
+    spec: mujoco.MjSpec, robot: Robot, target: Target, beside: Sequence[Target] = ()
+) -> None:
+    """Attach a target as a mocap body without physics, at its yaw.
+
+    Of several parts of one object among the targets ``beside``, each draws its own geoms.
+    """
     owner = f"Target {target.name!r}"
     part = read_mjcf(target.mjcf, owner)
     bodies = part.worldbody.bodies
@@ -129,6 +135,11 @@ def attach_target(spec: mujoco.MjSpec, robot: Robot, target: Target) -> None:
     for i, geom in enumerate(part.geoms):
         geom.contype = geom.conaffinity = 0
         geom.name = geom.name or f"geom_{i}"
+    whole = object_of(target.name)
+    parts = [each for each in beside if object_of(each.name) == whole] or [target]
+    for geom in list(part.geoms):
+        if target != next((each for each in parts if geom.name in each.part_geoms), parts[0]):
+            part.delete(geom)
     _hide_sites(part)
     yaw = np.radians(robot.yaw_deg(target.name))
     body = bodies[0]
@@ -194,7 +205,7 @@ def compose(robot: Robot, targets: Sequence[Target], distractors: int = 0) -> mu
     _add_surroundings(spec, robot)
     attach_robot(spec, robot)
     for target in targets:
-        attach_target(spec, robot, target)
+        attach_target(spec, robot, target, targets)
     _add_distractors(spec, robot, distractors)
     _add_servos(spec, robot)
     return spec

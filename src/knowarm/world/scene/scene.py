@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from knowarm.errors import UserError, unknown_name
 from knowarm.world.objects import TARGETS, Target
+from knowarm.world.objects.parts import PARTS
 from knowarm.world.robots import ROBOTS
 from knowarm.world.robots.menagerie import KNOWN_ARMS
 from knowarm.world.robots.robot import SUFFIX, Robot, read_robot, read_target
@@ -76,14 +77,14 @@ def find_robot(name: str) -> Robot:
 
 def find_targets(names: Sequence[str]) -> tuple[Target, ...]:
     """Return the targets of names or TOML files, in their order."""
-    targets = []
+    targets, known = [], TARGETS | PARTS
     for name in names:
         if name.endswith(SUFFIX):
             targets.append(read_target(Path(name)))
-        elif name in TARGETS:
-            targets.append(TARGETS[name])
+        elif name in known:
+            targets.append(known[name])
         else:
-            raise unknown_name("target", name, TARGETS)
+            raise unknown_name("target", name, known)
     return tuple(targets)
 
 

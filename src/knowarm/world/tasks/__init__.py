@@ -28,6 +28,7 @@ VARIABLE = "KNOWARM_TASKS"
 TASKS: dict[str, str] = {
     "reach": "knowarm.world.tasks.reach:Reach",
     "choose": "knowarm.world.tasks.choose.choose:Choose",
+    "purpose": "knowarm.world.tasks.choose.purpose:Purpose",
 }
 """Tasks by their ``kind``, as ``package.module:Name``. To add one, add an entry."""
 

@@ -74,15 +74,15 @@ class Choose(Task):
     @property
     def chance(self) -> float:
         """Share of right objects of an agent that picks one at random."""
-        return 1 / self.objects
+        return 1 / self.visible
 
     def sampler(self, setting: Setting) -> ObjectSampler:
         """Return what draws objects, places and questions."""
-        return SeveralObjects(setting, self.queries, self.objects)
+        return SeveralObjects(setting, self.queries, self.visible)
 
     def questions(self, facets: tuple[ObjectColour, ...]) -> QuestionTable:
         """Return the questions, cached per process."""
-        return question_table(self.queries, facets, self.objects)
+        return question_table(self.queries, facets, self.visible)
 
     def knowledge_rows(self, facets: tuple[ObjectColour, ...]) -> list[str]:
         """Name the rows of the knowledge table: one per query."""
@@ -101,17 +101,15 @@ class Choose(Task):
 
         Its grasp frame has to be within the thresholds of the config, whatever the curriculum's.
         """
-        nearest, position = _nearest_object(state)
-        rows = np.arange(len(nearest))
-        distance, angle = measure(
-            state.simulator.tcp_position,
-            state.simulator.tcp_matrix,
-            position,
-            state.grasp_rotation[state.objects[rows, nearest]],
-            state.ignore_roll,
-        )
+        nearest = self.nearest(state)
+        distance, angle = measure_object(state, nearest)
         reached = is_success(distance, angle, state.limits[0], state.limits[1])
         return np.asarray(reached & (nearest != 0))
+
+    def nearest(self, state: EpisodeState) -> NDArray[np.int64]:
+        """Return which visible object's grasp point is nearest to the gripper, (n,) int64."""
+        way = state.grasp_positions() - state.simulator.tcp_position[:, None]
+        return np.argmin(np.sum(way * way, axis=2), axis=1)
 
     def infos(self, state: EpisodeState) -> dict[str, NDArray[Any]]:
         """Return the infos of reaching and those of the choice.
@@ -121,7 +119,7 @@ class Choose(Task):
         ``objects`` and ``object_colours``, indices of the visible objects and of their colours,
         the right one first, (n, m) int64; ``object_positions``, their x and y, (n, m, 2) [m].
         """
-        nearest, _ = _nearest_object(state)
+        nearest = self.nearest(state)
         return super().infos(state) | {
             "reached_object": state.objects[np.arange(len(nearest)), nearest],
             "is_right_object": nearest == 0,
@@ -152,9 +150,15 @@ class Choose(Task):
         return f"{query}: the {super().describe(state, setting, env_id)}"
 
 
-def _nearest_object(state: EpisodeState) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return which visible object's grasp point is nearest, (n,) int64, and that point, (n, 3)."""
-    grasp = state.grasp_positions()
-    way = grasp - state.simulator.tcp_position[:, None]
-    nearest = np.argmin(np.sum(way * way, axis=2), axis=1)
-    return nearest, grasp[np.arange(len(nearest)), nearest]
+def measure_object(
+    state: EpisodeState, which: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Measure distance (n,) [m] and angle (n,) [deg] to the grasps of visible objects (n,)."""
+    rows = np.arange(len(which))
+    return measure(
+        state.simulator.tcp_position,
+        state.simulator.tcp_matrix,
+        state.grasp_positions()[rows, which],
+        state.grasp_rotation[state.objects[rows, which]],
+        state.ignore_roll,
+    )

@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from knowarm.questions import object_of
 from knowarm.world.scene.scene import Scene
 
 TRIES = 16
@@ -34,9 +35,13 @@ Placed = tuple[NDArray[np.float64], NDArray[np.bool_]]
 
 
 class LayoutSource:
-    """Places m objects one after the other, each at the first position drawn that fits."""
+    """Places m objects one after the other, each at the first position drawn that fits.
 
-    def __init__(self, scene: Scene) -> None:
+    With ``parts`` above 1 that many columns in sequence are parts of one object, at its place.
+    """
+
+    def __init__(self, scene: Scene, parts: int = 1) -> None:
+        self._parts = parts
         robot = scene.robot
         self._centre = np.array(robot.rectangle_centre_m)
         self._half = np.array(robot.rectangle_half_size_m)
@@ -59,6 +64,7 @@ class LayoutSource:
 
         Return positions, (n, m, 2) [m], and whether all objects fit, (n,) bool.
         """
+        objects = objects[:, :: self._parts]
         n, m = objects.shape
         drawn = uniforms.reshape(n, ATTEMPTS, m, TRIES, 2)
         position, fitting = self._attempt(drawn[:, 0], objects)
@@ -66,7 +72,7 @@ class LayoutSource:
             again, fits = self._attempt(drawn[:, attempt], objects)
             position = np.where(fitting[:, None, None], position, again)
             fitting = fitting | fits
-        return position, fitting
+        return np.repeat(position, self._parts, axis=1), fitting
 
     def _attempt(self, uniforms: NDArray[np.float64], objects: NDArray[np.int64]) -> Placed:
         """Place the objects once, with draws (n, m, T, 2); returns as ``__call__``."""
@@ -140,7 +146,8 @@ class LayoutSource:
 def support(scene: Scene, directions: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return how far each target, at its yaw, extends from its origin along unit directions (D, 3).
 
-    The distances (K, D) [m] are exact for primitive shapes, and of the bounding box for meshes.
+    A part of an object extends as far as the object. The distances (K, D) [m] are exact for
+    primitive shapes, and of the bounding box for meshes.
     """
     model = scene.model
     data = mujoco.MjData(model)
@@ -153,7 +160,8 @@ def support(scene: Scene, directions: NDArray[np.float64]) -> NDArray[np.float64
         along = directions @ centre + _half_width(model, int(g), local)
         k = scene.geom_target[g]
         extent[k] = np.maximum(extent[k], along)
-    return extent
+    names = [object_of(target.name) for target in scene.targets]
+    return np.stack([extent[[other == name for other in names]].max(axis=0) for name in names])
 
 
 def _half_width(

@@ -44,6 +44,7 @@ class ObjectSets:
 def draw_object_sets(table: QuestionTable, objects: int) -> ObjectSets:
     """Draw sets of a table; the same table gives the same ones.
 
+    A set holds every part of each of its objects, all of which may be the goal.
     A set of objects is balanced if each of them has a query of its own that no other one of the
     set satisfies, and any two share something. Such a set becomes m rows, one per object.
     Where a split has too few of them, because it asks only for some facets, the question is drawn
@@ -53,7 +54,7 @@ def draw_object_sets(table: QuestionTable, objects: int) -> ObjectSets:
     generator = np.random.default_rng(derive(0, "compositions"))
     found: list[NDArray[np.int64]] = []
     for _ in range(_ROUNDS):
-        sets = _draw_sets(table, objects, generator)
+        sets = _all_parts(table, _draw_sets(table, objects, generator))
         can_be_asked = np.asarray(_own_queries(table, sets).any(axis=2))
         found.append(sets[can_be_asked.all(axis=1)])
         if sum(map(len, found)) >= SETS:
@@ -80,6 +81,11 @@ def _draw_sets(
         chosen.append(facet[possible])
         candidates = candidates & together[chosen[-1]]
     return np.stack(chosen, axis=1)
+
+
+def _all_parts(table: QuestionTable, sets: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return sets (n, m) with all parts of each object, one object after the other, (n, m P)."""
+    return table.parts[sets].reshape(len(sets), sets.shape[1] * table.parts.shape[1])
 
 
 def _object_weights(table: QuestionTable, usable: NDArray[np.bool_]) -> NDArray[np.float64]:
@@ -131,4 +137,7 @@ def _ask_first(table: QuestionTable, objects: int, generator: np.random.Generato
         chosen.append(facet)
     order = generator.permuted(np.tile(np.arange(objects), (count, 1)), axis=1)
     facets = np.take_along_axis(np.stack(chosen, axis=1), order, axis=1)
-    return ObjectSets(query=query, facets=facets, goal=order.argmin(axis=1), balanced=False)
+    facets = _all_parts(table, facets)
+    alone = np.take_along_axis(table.satisfies[query], facets, axis=1).sum(axis=1) == 1
+    goal = (facets == target[:, None]).argmax(axis=1)
+    return ObjectSets(query, facets, goal, balanced=False).select(alone)

@@ -8,7 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.errors import UserError
-from knowarm.questions import COLOUR_RELATION, ObjectColour, Query, QuestionTable
+from knowarm.questions import (
+    COLOUR_RELATION,
+    ObjectColour,
+    Query,
+    QuestionTable,
+    number_parts,
+)
 from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.choose.layouts import LayoutSource, draws
 from knowarm.world.tasks.choose.object_sets import ObjectSets, draw_object_sets
@@ -90,9 +96,10 @@ class SeveralObjects:
     """Draws objects, places and questions, which have to fit each other."""
 
     def __init__(self, setting: Setting, queries: QuerySource, objects: int) -> None:
-        self.draws = draws(objects)
-        self._layouts = LayoutSource(setting.scene)
         found = arrange(setting, queries, objects)
+        parts = found.table.parts.shape[1]
+        self.draws = draws(objects // parts)
+        self._layouts = LayoutSource(setting.scene, parts)
         self._sets, self._spare = found.sets, found.spare
         facet_target, facet_colour = facet_indices(setting.scene, found.table)
         self._target = facet_target[found.sets.facets]
@@ -147,8 +154,11 @@ def arrange(setting: Setting, queries: QuerySource, objects: int) -> Arrangement
 def question_table(
     queries: QuerySource, facets: tuple[ObjectColour, ...], objects: int
 ) -> QuestionTable:
-    """Return the questions of a source about facets, cached per process."""
-    return queries.table(facets, objects)
+    """Return the questions of a source about facets, of which an episode shows ``objects``.
+
+    Facets that are parts are shown with all parts of their objects. Cached per process.
+    """
+    return queries.table(facets, objects).with_parts(objects // number_parts(facets).shape[1])
 
 
 @lru_cache(maxsize=16)
@@ -157,8 +167,9 @@ def _arrange(
 ) -> Arrangements:
     table = question_table(queries, facets, m)
     target, _ = facet_indices(scene, table)
-    layouts = LayoutSource(scene)
-    drawn = draw_object_sets(table, m)
+    parts = table.parts.shape[1]
+    layouts = LayoutSource(scene, parts)
+    drawn = draw_object_sets(table, m // parts)
     # The largest object is placed first, where there is most room.
     order = np.argsort(-layouts.width[target[drawn.facets]], axis=1, kind="stable")
     drawn = ObjectSets(
@@ -175,7 +186,7 @@ def _arrange(
         if not len(left):
             break
         stream = np.full(len(left), derive(round_number, "layouts"), dtype=np.uint64)
-        u = uniforms(stream, left.astype(np.uint64), draws(m))
+        u = uniforms(stream, left.astype(np.uint64), draws(m // parts))
         spare[left], fits[left] = layouts(u, different[left])
     kept = fits[number]
     if kept.mean() < MIN_FITTING:

@@ -1,0 +1,55 @@
+"""Purpose task: the query decides which part of which object the gripper goes to.
+
+Every object has two parts at which it can be grasped, and the facets of a query are parts: only one
+part of one of the visible objects answers. An episode ends where any of them is reached.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knowarm.questions import object_of
+from knowarm.world.objects.parts import PARTS
+from knowarm.world.tasks.choose.choose import Choose, measure_object
+from knowarm.world.tasks.sampling import Setting
+from knowarm.world.tasks.state import EpisodeState
+
+PARTS_PER_OBJECT = 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Purpose(Choose):
+    """Objects with two parts each, of which exactly one part answers the episode's question."""
+
+    area: ClassVar[str] = "purpose"
+    targets: ClassVar[tuple[str, ...]] = tuple(PARTS)
+
+    kind: Literal["purpose"] = "purpose"  # type: ignore[assignment]
+    """Tag of this task in JSON."""
+    objects: int = 2
+    """Objects per episode, 2 to 6, all different, with two parts each."""
+
+    @property
+    def visible(self) -> int:
+        """Number of parts that an episode shows."""
+        return self.objects * PARTS_PER_OBJECT
+
+    def nearest(self, state: EpisodeState) -> NDArray[np.int64]:
+        """Return the part whose grasp frame is nearest in units of the thresholds, (n,) int64.
+
+        Parts are near each other, and may differ in the angle more than in the distance.
+        """
+        count = state.objects.shape[1]
+        every = [measure_object(state, np.full(len(state.steps), j)) for j in range(count)]
+        return np.argmin(np.tensordot(every, 1 / state.limits, axes=(1, 0)), axis=0)
+
+    def columns(
+        self, setting: Setting, infos: Mapping[str, NDArray[Any]]
+    ) -> dict[str, NDArray[Any]]:
+        """Return also whether the part reached belongs to the right object."""
+        objects = np.array([object_of(target.name) for target in setting.scene.targets])
+        right = objects[infos["reached_object"]] == objects[infos["target"]]
+        return super().columns(setting, infos) | {"object_correct": right}
