@@ -153,13 +153,13 @@ class QuestionTable:
         """
         if self.parts.shape[1] == 1:
             return self
-        shown = self.shown[self.parts].any(axis=1)
-        related = self.related[:, self.parts].any(axis=2)
-        related = related[self.parts].any(axis=1)
+        shown = np.asarray(self.shown[self.parts].any(axis=1))
+        related = np.asarray(self.related[:, self.parts].any(axis=2))
+        related = np.asarray(related[self.parts].any(axis=1))
         satisfied = self.satisfies[:, self.parts]
         askable = self.askable & (satisfied.sum(axis=2) == 1)
-        by_object = satisfied.any(axis=2), related, shown, self.objects
-        askable = with_distractors(askable, *by_object, count)
+        by_object = np.asarray(satisfied.any(axis=2))
+        askable = with_distractors(askable, by_object, related, shown, self.objects, count)
         return replace(self, askable=askable, related=related, shown=shown)
 
     def distractors(self, query: Numbers, target: Numbers) -> Mask:

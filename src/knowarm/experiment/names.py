@@ -170,8 +170,7 @@ def _config(name: ExperimentName) -> ExperimentConfig:
     queries = getattr(task, "queries", None)
     if knowledge.scope in ("query", "perceived") and isinstance(queries, GraphQueries):
         # described by the graph of the questions
-        graph = {"graph": queries.graph, "aliases": QUERY.aliases}
-        knowledge = dataclasses.replace(knowledge, **graph)
+        knowledge = dataclasses.replace(knowledge, graph=queries.graph, aliases=QUERY.aliases)
     config = ExperimentConfig(
         name=str(name),
         agent=name.agent,

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from knowarm.questions import ObjectColour
+from knowarm.errors import UserError
+from knowarm.questions import ObjectColour, number_parts
 from knowarm.world.objects import Target
 from knowarm.world.tasks.held_out import TRIES, HeldOut, allowed_colours, check_names, choose_places
 
@@ -79,6 +80,11 @@ class OneObject:
 
     def __init__(self, setting: Setting) -> None:
         robot, held_out = setting.scene.robot, setting.held_out
+        if number_parts(setting.facets).shape[1] > 1:
+            raise UserError(
+                "EnvConfig.targets names several parts of one object, and this task shows one "
+                "object with one grasp. Name one part per object, or take the task Purpose()."
+            )
         self._targets = len(setting.scene.targets)
         self._held_out = held_out
         self._centre = np.array(robot.rectangle_centre_m)
