@@ -11,7 +11,7 @@ environments in a ``DummyVecEnv``, works too and is slower (see ``--single``).
 import argparse
 
 from sb3_contrib import RecurrentPPO
-from stable_baselines3.common.vec_env import DummyVecEnv
+from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
 from knowarm.experiment.build import build
 from knowarm.experiment.names import experiment_config
@@ -44,7 +44,7 @@ def main() -> None:
         env = SB3VecEnv(VectorKnowledgeObservation(vector, table), seed=0)
     model = RecurrentPPO(
         "MultiInputLstmPolicy",
-        env,
+        VecMonitor(env),  # logs return and length of the episodes
         n_steps=25,
         batch_size=25 * arguments.envs // 4,
         n_epochs=2,

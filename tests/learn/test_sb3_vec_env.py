@@ -4,7 +4,7 @@ import pytest
 pytest.importorskip("sb3_contrib")
 
 from sb3_contrib import RecurrentPPO
-from stable_baselines3.common.vec_env import DummyVecEnv
+from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
 from knowarm.learn.sb3_vec_env import SB3VecEnv
 from knowarm.world.config import EnvConfig
@@ -68,3 +68,13 @@ def test_multi_input_lstm_policy_trains_unchanged(kind):
         for b, p in zip(before, model.policy.parameters(), strict=True)
     ]
     assert all(changed)
+
+
+def test_the_monitor_of_stable_baselines_reads_return_and_length():
+    env = VecMonitor(vectorized())
+    env.reset()
+    steps = [env.step(np.zeros((4, 6), np.int64)) for _ in range(6)]
+    returns = sum(rewards for _, rewards, _, _ in steps)
+    episodes = [info["episode"] for info in steps[-1][3]]
+    assert [each["l"] for each in episodes] == [6] * 4
+    np.testing.assert_allclose([each["r"] for each in episodes], returns, rtol=1e-5)

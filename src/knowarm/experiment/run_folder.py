@@ -89,8 +89,8 @@ class RunFolder:
         if not folder.config_path.is_file():
             what = "has no config.json" if folder.path.is_dir() else "does not exist"
             raise UserError(
-                f"{path} is not a run folder: it {what}. Give the folder of one seed, such as "
-                "runs/irb120-full-fast/0."
+                f"{path} is not a run folder: it {what}. Give RUNS/EXPERIMENT/SEED of a training; "
+                "its last line names the folder."
             )
         found = folder.config().get("format")
         if found != FORMAT:

@@ -212,7 +212,7 @@ def _colour_row(around: KnowledgeGraph, rows: np.ndarray, facet: Facet, wanted: 
     raise UserError(
         f"The graph does not say that {facet.object!r} can be {wanted!r}. "
         f"Its colours there: {', '.join(known) or 'none'}. "
-        f"Add that fact to the graph, or set detail to 'partial'."
+        f"Add that fact to the graph, set colours to 'fixed' if it has those, or detail 'partial'."
     )
 
 
