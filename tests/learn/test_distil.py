@@ -42,7 +42,7 @@ def trainer(config=CONFIG, folder=None, stop_after=None, seed=5):
     return PPOTrainer(config, policy, env, seed=seed, hooks=hooks, checkpoints=store), rows
 
 
-def test_the_imitation_loss_is_the_mean_cross_entropy_per_joint():
+def test_the_imitation_loss_is_the_weighted_mean_cross_entropy_per_joint():
     logits = torch.tensor([[[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]]])
     none = torch.zeros(1)
     terms = ppo_loss(
@@ -56,10 +56,11 @@ def test_the_imitation_loss_is_the_mean_cross_entropy_per_joint():
         vf_coef=1.0,
         ent_coef=1.0,
         teacher_actions=torch.tensor([[1, 0]]),
+        teacher_weight=torch.tensor([[1.5, 0.5]]),
         imitation_coef=0.5,
         reinforcement_coef=0.0,
     )
-    expected = (np.log(3) + np.log(1 + 2 * np.exp(-2))) / 2
+    expected = (1.5 * np.log(3) + 0.5 * np.log(1 + 2 * np.exp(-2))) / 2
     assert float(terms.imitation) == pytest.approx(expected, rel=1e-6)
     assert float(terms.total) == pytest.approx(0.5 * expected, rel=1e-6)
 
@@ -84,6 +85,9 @@ def test_targets_are_what_the_teacher_says_before_each_step():
     assert torch.equal(targets.teacher_actions, actions)
     expected = (way / WAY_SCALE).clamp(-WAY_BOUND, WAY_BOUND)
     assert torch.equal(targets.auxiliary[..., -6:], expected)
+    weight = targets.teacher_weight / targets.teacher_weight.max()
+    torch.testing.assert_close(weight, way.abs().clamp(0.5, CONFIG.imitation_way) / 5)
+    assert float(targets.teacher_weight.mean()) == pytest.approx(1)
 
 
 def test_glimpses_are_first_images_of_new_episodes_with_the_teachers_actions():
@@ -120,6 +124,14 @@ def test_glimpses_leave_the_recurrent_weights_alone():
     changed = {n for n, value in built.policy.state_dict().items() if not value.equal(before[n])}
     assert "memory.weight_hh" not in changed
     assert {"encoder.conv1.weight", "fc.weight", "memory.weight_ih", "actor.weight"} <= changed
+
+
+def test_imitation_alone_leaves_the_critic_alone():
+    built, rows = trainer()
+    before = built.policy.critic.weight.clone()
+    built.train(48)
+    assert torch.equal(built.policy.critic.weight, before)
+    assert rows[0]["entropy"] > 0
 
 
 def test_glimpses_cannot_be_reinforced():

@@ -130,6 +130,10 @@ class PPOConfig(ScheduleConfig):
     """Coefficient of the imitation loss: the cross-entropy of the policy to the actions of a
     teacher that solves the inverse kinematics, in the states that the policy visits (DAgger, Ross
     et al. 2011); 0: none."""
+    imitation_way: float | None = None
+    """Weigh the imitation loss of each joint by its way to the solution, up to this one [largest
+    steps], so that a turn far beyond the goal counts more than one step too many; None: all
+    alike."""
     reinforcement_coef: float = 1.0
     """Coefficient of PPO's own loss (policy, value, entropy); 0 leaves imitation and auxiliary loss
     alone."""
@@ -164,6 +168,7 @@ class PPOConfig(ScheduleConfig):
         counts = ("num_envs", "rollout_steps", "epochs", "minibatches", "processes")
         at_least(self, 1, *counts, "average_updates")
         above_zero(self, "adam_eps", "clip_range", "reward_scale", "max_grad_norm")
+        at_least(self, 1, "imitation_way")
         fraction(self, "gamma", "gae_lambda", "practice_until", "glimpse_until")
         at_least(self, 0, "auxiliary_coef", "progress_coef", "imitation_coef", "reinforcement_coef")
         if self.glimpse_until and self.reinforcement_coef:

@@ -37,7 +37,7 @@ class PPOLossTerms(LossTerms):
     clip_fraction: Tensor
     """Fraction of steps whose ratio was clipped."""
     imitation: Tensor
-    """Mean cross-entropy per joint to the teacher's actions [nat]; 0 without a teacher."""
+    """Weighted mean cross-entropy per joint to the teacher's actions [nat]; 0 without a teacher."""
 
     @classmethod
     def names(cls) -> list[str]:
@@ -99,6 +99,7 @@ def ppo_loss(
     auxiliary: Tensor | None = None,
     auxiliary_coef: float = 0.0,
     teacher_actions: Tensor | None = None,
+    teacher_weight: Tensor | None = None,
     imitation_coef: float = 0.0,
     reinforcement_coef: float = 1.0,
 ) -> PPOLossTerms:
@@ -107,19 +108,21 @@ def ppo_loss(
     ``policy = -mean(min(r A, clip(r, 1 - clip_range, 1 + clip_range) A))`` with ``r`` the ratio of
     new to old probability; ``value`` and ``total`` as in `a3c_loss`, times ``reinforcement_coef``,
     plus ``auxiliary_coef`` times the ``auxiliary`` loss and ``imitation_coef`` times the
-    cross-entropy to ``teacher_actions``.
+    cross-entropy to ``teacher_actions``, in which every joint has its ``teacher_weight`` (..., J).
     """
     log_p = log_probabilities(logits)
-    log_ratio = log_p.gather(-1, actions[..., None]).squeeze(-1).sum(-1) - old_log_probability
-    ratio = log_ratio.exp()
-    clipped = ratio.clamp(1 - clip_range, 1 + clip_range)
-    policy = -torch.min(ratio * advantages, clipped * advantages).mean()
-    value = 0.5 * (returns - values).square().mean()
-    spread = -(log_p.exp() * log_p).sum((-2, -1)).mean()
+    # Imitation alone needs the other terms as metrics only.
+    with torch.set_grad_enabled(reinforcement_coef > 0 or not imitation_coef):
+        log_ratio = log_p.gather(-1, actions[..., None]).squeeze(-1).sum(-1) - old_log_probability
+        ratio = log_ratio.exp()
+        clipped = ratio.clamp(1 - clip_range, 1 + clip_range)
+        policy = -torch.min(ratio * advantages, clipped * advantages).mean()
+        value = 0.5 * (returns - values).square().mean()
+        spread = -(log_p.exp() * log_p).sum((-2, -1)).mean()
+        total = reinforcement_coef * (policy + vf_coef * value - ent_coef * spread)
     with torch.no_grad():
         approx_kl = (ratio - 1 - log_ratio).mean()
         clip_fraction = ((ratio - 1).abs() > clip_range).to(ratio.dtype).mean()
-    total = reinforcement_coef * (policy + vf_coef * value - ent_coef * spread)
     if auxiliary is None:
         auxiliary = torch.zeros_like(total)
     else:
@@ -127,7 +130,8 @@ def ppo_loss(
     if teacher_actions is None:
         imitation = torch.zeros_like(total)
     else:
-        imitation = -log_p.gather(-1, teacher_actions[..., None]).mean()
+        surprise = -log_p.gather(-1, teacher_actions[..., None]).squeeze(-1)
+        imitation = (surprise if teacher_weight is None else surprise * teacher_weight).mean()
         total = total + imitation_coef * imitation
     return PPOLossTerms(
         total=total,

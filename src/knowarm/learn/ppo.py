@@ -247,10 +247,11 @@ class PPOTrainer(Trainer):
                 following = torch.where(rollout.terminated, 0, following)
             if targets.auxiliary is not None:
                 targets.auxiliary.copy_(privileged.auxiliary_targets())
-            if targets.teacher_actions is not None:
+            if targets.teacher_actions is not None and targets.teacher_weight is not None:
                 actions = privileged.rollout.teacher_actions
                 assert actions is not None
                 targets.teacher_actions.copy_(actions)
+                targets.teacher_weight.copy_(privileged.teacher_weight())
         reward = reward * config.reward_scale
         advantage = advantages(
             reward,

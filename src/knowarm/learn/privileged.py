@@ -36,6 +36,10 @@ WAY_SCALE = 10.0
 """Way to the teacher's solution that is one unit of the auxiliary loss [largest steps]."""
 WAY_BOUND = 2.0
 
+SHORTEST_WAY = 0.5
+"""Way at least assumed in the weights of the imitation loss [largest steps]; within it a joint
+stays where it is."""
+
 PROGRESS_PER_METRE = 100.0
 PROGRESS_PER_DEGREE = 20.0 / 90.0
 
@@ -164,6 +168,7 @@ class PrivilegedLearning:
         uses_critic = config.critic == "state"
         self.critic = StateCritic(len(columns), env.device, seed) if uses_critic else None
         self._progress_coef = config.progress_coef
+        self._weighted_way = config.imitation_way
         self._auxiliary = torch.tensor(auxiliary_columns(columns), device=env.device)
         self._distance, self._angle = columns.index("distance/0"), columns.index("angle/0")
         self._normalizer = RunningNormalizer(len(columns), env.device)
@@ -195,6 +200,19 @@ class PrivilegedLearning:
         if way is None:
             return targets
         return torch.cat((targets, (way / WAY_SCALE).clamp(-WAY_BOUND, WAY_BOUND)), -1)
+
+    def teacher_weight(self) -> Tensor:
+        """Return the weights of the imitation loss, (T, B, J), with a mean of 1.
+
+        They are proportional to a joint's way, at least `SHORTEST_WAY` and at most
+        ``imitation_way`` steps: a joint that moves the wrong way is worse far from the solution.
+        """
+        way = self.rollout.teacher_way
+        assert way is not None
+        if self._weighted_way is None:
+            return torch.ones_like(way)
+        way = way.abs().clamp(SHORTEST_WAY, self._weighted_way)
+        return way / way.mean()
 
     def values(self) -> tuple[Tensor, Tensor]:
         """Return the critic's values before and after each step, (T, B) each."""

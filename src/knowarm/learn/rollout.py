@@ -139,6 +139,8 @@ class Targets:
     """(T, B, K) float32: what the auxiliary head predicts."""
     teacher_actions: Tensor | None = None
     """(T, B, J) int64: what the teacher would do."""
+    teacher_weight: Tensor | None = None
+    """(T, B, J) float32: weights of their losses."""
 
 
 class TrainingNetwork(nn.Module):
@@ -168,6 +170,7 @@ def buffer_specs(network: TrainingNetwork, config: PPOConfig) -> TensorSpecs:
     specs = dict(rollout_specs(steps, batch, network.policy))
     if config.imitation_coef:
         specs["teacher_actions"] = specs["action"]
+        specs["teacher_weight"] = (specs["action"][0], torch.float32)
     if network.auxiliary_targets:
         shapes["auxiliary"] = (steps, batch, network.auxiliary_targets)
     targets = {name: (shape, torch.float32) for name, shape in shapes.items()}
@@ -208,7 +211,10 @@ def add_gradient(
         predicted = network.head(features.float())
         error = predicted - targets.auxiliary[:, env_ids].flatten(0, 1)
         auxiliary = error.square().mean()
-    teacher = targets.teacher_actions
+    lesson = {
+        name: None if (tensor := getattr(targets, name)) is None else tensor[:, env_ids]
+        for name in ("teacher_actions", "teacher_weight")
+    }
     terms = ppo_loss(
         logits,
         values,
@@ -221,7 +227,7 @@ def add_gradient(
         ent_coef=config.ent_coef,
         auxiliary=auxiliary,
         auxiliary_coef=config.auxiliary_coef,
-        teacher_actions=None if teacher is None else teacher[:, env_ids],
+        **lesson,
         imitation_coef=config.imitation_coef,
         reinforcement_coef=config.reinforcement_coef,
     )

@@ -232,9 +232,11 @@ class MaskedLSTMFunction(torch.autograd.Function):
         recurrent, added = weight.t(), torch.empty_like(gates[0])
         h, c = h * keep[0], c.clone()
         arrays = [x.numpy() for x in (added, keep, gates, c_in, c_tanh, hidden, h, c)]
+        # Where every step starts an episode, the recurrent products are zeros.
+        ctx.remembers = bool(keep.any())
         for t, h_t in enumerate(h_in.unbind()):
             h_t.copy_(h)
-            added.copy_(torch.mm(h_t, recurrent))
+            added.copy_(torch.mm(h_t, recurrent) if ctx.remembers else torch.zeros(()))
             forward_step(t, *arrays)
         ctx.save_for_backward(gates, weight, h_in, c_in, c_tanh, keep)
         return hidden, h, c
@@ -253,8 +255,11 @@ class MaskedLSTMFunction(torch.autograd.Function):
         for t, low in reversed(list(enumerate(d_projected.unbind()))):
             backward_step(t, *arrays)
             low.copy_(d_gates)
-            d_next.copy_(torch.mm(low, weight))
-        d_weight = d_projected.view(-1, 4 * size).t() @ h_in.view(-1, size)
+            if t or ctx.needs_input_grad[2]:
+                d_next.copy_(torch.mm(low, weight))
+        d_weight = torch.zeros_like(weight)
+        if ctx.remembers:
+            d_weight = d_projected.view(-1, 4 * size).t() @ h_in.view(-1, size)
         return d_projected, d_weight.to(keep.dtype), d_next * keep[0], dc, None
 
 
