@@ -68,8 +68,9 @@ def compare_learn(config: CompareLearnConfig) -> dict[str, Any]:
 
     Returns:
         The result of ``bench_learn`` with the rows ``sb3`` and ``sb3-opengl`` added,
-        ``ratio_vs_sb3`` (KnowArm's PPO over RecurrentPPO on KnowArm's vector environment) and
-        ``ratio_vs_sb3_opengl`` (over RecurrentPPO on single environments; None if left out).
+        ``ratio_vs_sb3`` (KnowArm's PPO over RecurrentPPO on KnowArm's vector environment),
+        ``ratio_best_vs_sb3`` (the learner of KnowArm with the most steps per second over the same)
+        and ``ratio_vs_sb3_opengl`` (over RecurrentPPO on single environments; None if left out).
     """
     # The processes of the single environments read it when they start.
     os.environ.setdefault("MUJOCO_GL", "egl")
@@ -77,7 +78,8 @@ def compare_learn(config: CompareLearnConfig) -> dict[str, Any]:
     ppo, sb3 = in_turns(
         [partial(ppo_row, config), partial(sb3_row, config, opengl=False)], config.turns
     )
-    rows = [raycaster_row(config), ppo, *a3c_rows(config), sb3]
+    learners = [ppo, *a3c_rows(config)]
+    rows = [raycaster_row(config), *learners, sb3]
     if config.opengl:
         rows.append(sb3_row(config, opengl=True))
     speed = {row["name"]: row["steps_per_s"] for row in rows}
@@ -87,6 +89,7 @@ def compare_learn(config: CompareLearnConfig) -> dict[str, Any]:
     return summarize_rows(config, rows) | {
         "success": success,
         "ratio_vs_sb3": speed["ppo"] / speed["sb3"],
+        "ratio_best_vs_sb3": max(speed[row["name"]] for row in learners) / speed["sb3"],
         "ratio_vs_sb3_opengl": speed["ppo"] / speed["sb3-opengl"] if config.opengl else None,
     }
 

@@ -41,6 +41,7 @@ def test_learners_are_compared_in_one_table(monkeypatch: pytest.MonkeyPatch) -> 
     rows = {row["name"]: row for row in result["rows"]}
     assert set(rows) == {"raycaster", "ppo", "a3c", "a3c-batched", "sb3"}
     assert result["ratio_vs_sb3"] == rows["ppo"]["steps_per_s"] / rows["sb3"]["steps_per_s"]
+    assert result["ratio_best_vs_sb3"] >= result["ratio_vs_sb3"]
     assert result["ratio_vs_sb3_opengl"] is None
 
 

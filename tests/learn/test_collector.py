@@ -7,7 +7,7 @@ import torch
 from knowarm.errors import UserError
 from knowarm.learn.collector import Collector
 from knowarm.learn.parallel.shared_tensors import zeros
-from knowarm.learn.rollout import Rollout, rollout_specs
+from knowarm.learn.rollout import Rollout, infer_step, rollout_specs
 from tests.learn.toys import informed_toy_policy, toy_env, toy_policy
 
 COUNT, STEPS = 8, 12
@@ -40,6 +40,23 @@ def test_final_observations_have_no_value_where_none_is_wanted():
     for rollout in rollouts:
         assert rollout["truncated"].any()
         assert not rollout["final_value"].any()
+
+
+def test_a_greedy_collector_takes_the_most_probable_actions():
+    logits = []
+
+    def infer(rollout, t, image, state):
+        logit, state = infer_step(policy, rollout, t, image, state)
+        logits.append(logit)
+        return logit, state
+
+    policy = toy_policy(features=16)
+    env = toy_env(COUNT, recall=False, length=5)
+    rollout = Rollout(**zeros(rollout_specs(STEPS, COUNT, policy)))
+    Collector(env, policy, seed=3, greedy=True).collect(rollout, infer)
+    assert torch.equal(rollout.action, torch.stack(logits).argmax(-1))
+    Collector(env, policy, seed=3).collect(rollout, infer)
+    assert not torch.equal(rollout.action, torch.stack(logits[STEPS:]).argmax(-1))
 
 
 def test_a_rollout_holds_what_the_policy_computed():

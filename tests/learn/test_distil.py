@@ -55,12 +55,14 @@ def test_the_imitation_loss_is_the_weighted_mean_cross_entropy_per_joint():
         clip_range=0.2,
         vf_coef=1.0,
         ent_coef=1.0,
-        teacher_actions=torch.tensor([[1, 0]]),
+        teacher_actions=torch.tensor([[1, 1]]),
         teacher_weight=torch.tensor([[1.5, 0.5]]),
         imitation_coef=0.5,
+        imitation_stay=0.25,
         reinforcement_coef=0.0,
     )
-    expected = (1.5 * np.log(3) + 0.5 * np.log(1 + 2 * np.exp(-2))) / 2
+    # Of the second joint's label a quarter is action 0, whose logit is 2.
+    expected = (1.5 * np.log(3) + 0.5 * (np.log(np.exp(2) + 2) - 0.25 * 2)) / 2
     assert float(terms.imitation) == pytest.approx(expected, rel=1e-6)
     assert float(terms.total) == pytest.approx(0.5 * expected, rel=1e-6)
 

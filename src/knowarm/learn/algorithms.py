@@ -130,13 +130,17 @@ class PPOConfig(ScheduleConfig):
     """Coefficient of the imitation loss: the cross-entropy of the policy to the actions of a
     teacher that solves the inverse kinematics, in the states that the policy visits (DAgger, Ross
     et al. 2011); 0: none."""
+    imitation_stay: float = 0.0
+    """Share of each label of the imitation loss that is given to action 0, which moves nothing,
+    instead of the teacher's: a joint then stays where the image does not show its direction, as
+    the most probable action moves only if its direction is much more probable than the other."""
     imitation_way: float | None = None
     """Weigh the imitation loss of each joint by its way to the solution, up to this one [largest
     steps], so that a turn far beyond the goal counts more than one step too many; None: all
     alike."""
     reinforcement_coef: float = 1.0
     """Coefficient of PPO's own loss (policy, value, entropy); 0 leaves imitation and auxiliary loss
-    alone."""
+    alone, and the policy then acts by its most probable actions."""
     practice_until: float = 0.0
     """Fraction of the training during which the share of episodes that start on the teacher's way
     to the goal, with noise, falls from all to none; 0: all episodes start as the task draws
@@ -169,7 +173,7 @@ class PPOConfig(ScheduleConfig):
         at_least(self, 1, *counts, "average_updates")
         above_zero(self, "adam_eps", "clip_range", "reward_scale", "max_grad_norm")
         at_least(self, 1, "imitation_way")
-        fraction(self, "gamma", "gae_lambda", "practice_until", "glimpse_until")
+        fraction(self, "gamma", "gae_lambda", "practice_until", "glimpse_until", "imitation_stay")
         at_least(self, 0, "auxiliary_coef", "progress_coef", "imitation_coef", "reinforcement_coef")
         if self.glimpse_until and self.reinforcement_coef:
             raise UserError(

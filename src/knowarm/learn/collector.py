@@ -99,7 +99,7 @@ class Collector:
     ``stream`` tells several collectors of a run apart (A3C: worker, number of its restarts).
     Without ``final_values`` neither the last images of truncated episodes nor those after the last
     step are valued, so an environment with the attribute ``report_final_observations`` need not
-    draw the former.
+    draw the former. ``greedy`` collectors act by the most probable actions, as in evaluations.
 
     Attributes:
         environment_s: total time of the environments' steps [s].
@@ -113,6 +113,7 @@ class Collector:
         seed: int,
         stream: tuple[int, ...] = (),
         final_values: bool = True,
+        greedy: bool = False,
         curriculum: ThresholdCurriculum | None = None,
     ) -> None:
         self.env = env
@@ -125,6 +126,7 @@ class Collector:
         self._start = torch.ones(env.num_envs, dtype=torch.bool, device=env.device)
         self._state: State = policy.initial_state(env.num_envs)
         self._final_values = final_values
+        self._greedy = greedy
         if not final_values and hasattr(env, "report_final_observations"):
             env.report_final_observations = False
         policy.check_facets(env.knowledge_input)
@@ -159,7 +161,7 @@ class Collector:
             rollout.episode_start[t] = self._start
             logit, self._state = infer(rollout, t, self._image, self._state)
             logits.append(logit)
-            rollout.action[t] = sample(logit, self.generator)
+            rollout.action[t] = logit.argmax(-1) if self._greedy else sample(logit, self.generator)
             start = time.perf_counter()
             self._image, reward, terminated, truncated, infos = self.env.step(rollout.action[t])
             self.environment_s += time.perf_counter() - start

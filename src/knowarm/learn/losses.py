@@ -101,6 +101,7 @@ def ppo_loss(
     teacher_actions: Tensor | None = None,
     teacher_weight: Tensor | None = None,
     imitation_coef: float = 0.0,
+    imitation_stay: float = 0.0,
     reinforcement_coef: float = 1.0,
 ) -> PPOLossTerms:
     """Compute PPO's clipped surrogate loss (Schulman et al. 2017, equations 7 and 9).
@@ -108,7 +109,8 @@ def ppo_loss(
     ``policy = -mean(min(r A, clip(r, 1 - clip_range, 1 + clip_range) A))`` with ``r`` the ratio of
     new to old probability; ``value`` and ``total`` as in `a3c_loss`, times ``reinforcement_coef``,
     plus ``auxiliary_coef`` times the ``auxiliary`` loss and ``imitation_coef`` times the
-    cross-entropy to ``teacher_actions``, in which every joint has its ``teacher_weight`` (..., J).
+    cross-entropy to ``teacher_actions``, in which every joint has its ``teacher_weight`` (..., J),
+    and action 0 the share ``imitation_stay`` of each label.
     """
     log_p = log_probabilities(logits)
     # Imitation alone needs the other terms as metrics only.
@@ -130,7 +132,8 @@ def ppo_loss(
     if teacher_actions is None:
         imitation = torch.zeros_like(total)
     else:
-        surprise = -log_p.gather(-1, teacher_actions[..., None]).squeeze(-1)
+        taught = log_p.gather(-1, teacher_actions[..., None]).squeeze(-1)
+        surprise = -taught.lerp(log_p[..., 0], imitation_stay)
         imitation = (surprise if teacher_weight is None else surprise * teacher_weight).mean()
         total = total + imitation_coef * imitation
     return PPOLossTerms(

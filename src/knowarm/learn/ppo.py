@@ -98,6 +98,7 @@ class PPOTrainer(Trainer):
             policy,
             seed=seed,
             final_values=config.critic == "image" and config.reinforcement_coef > 0,
+            greedy=config.reinforcement_coef == 0,
             curriculum=self._curriculum,
         )
         self._minibatch_generator = torch_generator(seed, "minibatches", device=self._device)

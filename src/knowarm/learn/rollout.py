@@ -229,6 +229,7 @@ def add_gradient(
         auxiliary_coef=config.auxiliary_coef,
         **lesson,
         imitation_coef=config.imitation_coef,
+        imitation_stay=config.imitation_stay,
         reinforcement_coef=config.reinforcement_coef,
     )
     (terms.total * weight).backward()
