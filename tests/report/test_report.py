@@ -12,7 +12,7 @@ from knowarm.report import write_report
 from knowarm.report.blocks import Column, cells
 from knowarm.report.write import _cell
 from knowarm.statistics import Interval
-from tests.report.synthetic_study import Size, Truth, robot_title, write_study
+from tests.report.synthetic_study import LABEL, Size, Truth, robot_title, write_study
 
 
 class Reader(HTMLParser):
@@ -230,6 +230,30 @@ def test_how_much_depends_on_vision_is_said_beside_every_agent(made):
     assert float(full["needs_eyes"]) == pytest.approx(float(full["success"]) - 0.2)
     assert float(full["minus frozen"]) == pytest.approx(float(full["success"]) - 0.3)
     assert "depends on vision." in made.page.read_text()
+
+
+def test_lift_tests_are_shown_by_their_thresholds(tmp_path):
+    runs = write_study(tmp_path / "runs", Truth(success={"bm": 0.5}), seeds=2, size=Size(points=4))
+    for path, lifted in zip(runs, (0.1, 0.3), strict=True):
+        plain = path / "evaluation" / LABEL
+        for label, distance in (("lift", 0.05), ("near", 0.01)):
+            summary = json.loads((plain / "summary.json").read_text())
+            summary["config"]["distance_m"] = distance
+            summary |= {"lifted": lifted, "grasps": 2 * lifted, "lift_episodes": 20}
+            summary["lift_outcomes"] = {"lifted": 2, "pushed": 5, "missed": 1, "arm": 0}
+            (path / "evaluation" / label).mkdir()
+            (path / "evaluation" / label / "summary.json").write_text(json.dumps(summary))
+    page = write_report(runs, tmp_path / "report.html")
+    (table,) = (page.parent / "report-data").glob("*lifts*.csv")
+    rows = rows_of(table)
+    assert [("within 1 cm" in row["rules"], "within 5 cm" in row["rules"]) for row in rows] == [
+        (False, True),
+        (True, False),
+    ]
+    for row in rows:
+        assert float(row["lifted"]) == pytest.approx(0.2)
+        assert float(row["grasps"]) == pytest.approx(0.4)
+        assert (row["pushed"], row["missed"], row["slipped"]) == ("10", "2", "0")
 
 
 def test_anova_says_what_it_does_not_show(made):

@@ -1,5 +1,6 @@
 """Page "Results": the evaluation after training, in total and by target."""
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 
 from knowarm.report import format
@@ -17,9 +18,10 @@ from knowarm.report.blocks import (
 )
 from knowarm.report.charts import SUCCESS_AXIS, Axis
 from knowarm.report.diagrams import Dot, dot_chart
-from knowarm.report.model import Evaluation, Group, TaskData
+from knowarm.report.model import Evaluation, Group, SplitGroup, TaskData
 from knowarm.statistics import Interval
 from knowarm.world.agents import BLIND_AGENTS
+from knowarm.world.lifting.lift import OUTCOMES
 
 MOST_PANELS = 30  # drawings of a figure, above which only its table is shown
 INTERVALS = ("return_mean", "success", "accuracy", "success_wide", "length_mean")
@@ -38,7 +40,7 @@ def result_blocks(task: TaskData) -> list[Block]:
         return []
     parts = (("per_target", "target"), ("per_facet", "target and colour"))
     figures = [_parts(task, part, what) for part, what in parts]
-    return [block for block in (_table(task), _vision(task), *figures) if block]
+    return [block for block in (_table(task), _vision(task), _lifts(task), *figures) if block]
 
 
 def _table(task: TaskData) -> DataTable:
@@ -104,6 +106,38 @@ def _vision(task: TaskData) -> DataTable | None:
     title = "How much of the success depends on vision"
     sources = [evaluation.folder / "summary.json" for evaluation in evaluations]
     return table_of(task, "vision", title, columns, rows, sources, note)
+
+
+def _lifts(task: TaskData) -> DataTable | None:
+    """Show how many successes are grasps, by agent and thresholds of its lift tests."""
+    causes = {name: about for name, about in OUTCOMES.items() if name != "lifted"}
+    rows: list[Row] = []
+    sources = []
+    for group in task.groups:
+        found: dict[str, list[Evaluation]] = {}
+        for each in (each for run in group.runs for each in run.evaluations.values()):
+            if "lifted" in each.summary:
+                found.setdefault(_rules(each), []).append(each)
+        for rules, tests in found.items():
+            ended: Counter[str] = Counter()
+            for each in tests:
+                ended.update(each.summary.get("lift_outcomes", {}))
+            row = row_of(task, SplitGroup(group, "", tests), "success", "lifted", "grasps")
+            rows.append(row | {"rules": rules} | {name: ended[name] for name in causes})
+            sources += [each.folder / "summary.json" for each in tests]
+    if not rows:
+        return None
+    columns = shared("agent", "seeds", Column("rules", "episodes"), "success")
+    for name, words in (("lifted", "lifted of all"), ("grasps", "lifted of the successes")):
+        columns.append(Column(name, words, "percent", interval=True))
+    columns += [Column(name, name, "integer", hint=about) for name, about in causes.items()]
+    note = (
+        "The joint path of every successful episode is replayed among solid objects, the fingers "
+        "close, the arm lifts 10 cm and holds 2 s. Pushed, missed, arm, slipped: how the others "
+        "ended, over all seeds. Objects that the gripper cannot lift are left out of these columns."
+    )
+    title = "How many successes are grasps"
+    return table_of(task, "lifts", title, columns, rows, sources, note)
 
 
 def _rules(evaluation: Evaluation | None) -> str:
