@@ -54,6 +54,9 @@ def test_a_dry_run_lists_the_runs(tmp_path, measured, monkeypatch, capsys):
     assert "80 steps of training" in out
     assert "Nothing was started." in out
     assert [path.name for path in tmp_path.iterdir()] == ["mine.toml"]
+    monkeypatch.setenv("FORCE_COLOR", "1")  # as on a terminal: a clock shows that it measures
+    main(["study", "run", "mine.toml", "--dry-run", "--at-once", "1"])
+    assert "0:00:0" in capsys.readouterr().err
 
 
 def test_a_finished_study_costs_nothing(finished, measured, inline):
