@@ -33,6 +33,7 @@ from knowarm.experiment.graph_at_test import (
 )
 from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.knowledge.graph.damage import Damage
+from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.kge.models import MODELS
 from knowarm.knowledge.queries.splits import SPLITS
 from knowarm.perception.answering import AnswerGrounding
@@ -63,10 +64,15 @@ def right_object(trained: TrainedAgent, labels: LabelledImages, frames: torch.Te
 
 
 @torch.no_grad()
-def measure(trained: TrainedAgent, task: Task, how: EvaluationConfig) -> dict[str, np.ndarray]:
-    """Return which images lead to the right object, by a reasoning and with perfect names."""
+def measure(
+    trained: TrainedAgent, task: Task, how: EvaluationConfig, graph: KnowledgeGraph | None = None
+) -> dict[str, np.ndarray]:
+    """Return which images lead to the right object, by a reasoning and with perfect names.
+
+    ``graph`` is what `graph_at_test` returns, if it is known.
+    """
     (env, labels), network = task, network_of(trained)
-    graph = graph_at_test(trained.config, env, how)
+    graph = graph or graph_at_test(trained.config, env, how)
     parts = list(zip(labels.images.split(BATCH), labels.queries.split(BATCH), strict=True))
     if how.reasoning == "vector":
         kept = network.knowledge
@@ -116,6 +122,7 @@ def write_curves(runs: list[TrainedAgent], arguments: argparse.Namespace) -> Non
     columns = ["robot", "agent", "training_seed", "split", "kind", "share", "damage_seed"]
     rows = csv.writer(sys.stdout, lineterminator="\n")
     rows.writerow([*columns, "reasoning", "repair", "right", "perfect_names", "sees_none"])
+    graphs: dict[tuple[object, ...], KnowledgeGraph | None] = {}  # completing one takes seconds
     for trained in runs:
         config = trained.config
         tasks = tasks_of(trained, arguments.splits, arguments.images)
@@ -127,7 +134,11 @@ def write_curves(runs: list[TrainedAgent], arguments: argparse.Namespace) -> Non
                 continue
             damage = {"damage": kind, "damage_share": share, "damage_seed": seed, "repair": repair}
             how = override(EvaluationConfig(), {"split": split, "reasoning": reasoning, **damage})
-            found = measure(trained, tasks[split], how)
+            env = tasks[split][0]
+            key = (config.knowledge.graph, env.targets, split == "S5", *damage.values())
+            if key not in graphs:
+                graphs[key] = graph_at_test(config, env, how)
+            found = measure(trained, tasks[split], how, graphs[key])
             shares = [
                 f"{found[name].mean():.4f}" if name in found else ""
                 for name in ("right", "perfect", "sees_none")

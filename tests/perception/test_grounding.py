@@ -254,6 +254,43 @@ def test_other_objects_seeds_and_settings_are_other_networks(config, empty_cache
 
 
 @torch.no_grad()
+def test_a_frame_is_predicted_from_the_places_around_it(network):
+    spec = dataclasses.replace(network.spec, config=GroundingConfig(frame_head="neighbourhood"))
+    wide = GroundingNetwork(spec, network.knowledge, network.slots).eval()
+    generator = torch.Generator().manual_seed(0)
+    features = torch.rand(2, 64, 16, 16, generator=generator)
+    places = torch.tensor([[0, 17], [255, 100]])
+    found = wide.frame_inputs(features, places)
+    around = torch.nn.functional.unfold(features, 3, padding=1)
+    for row, image in enumerate(around):
+        assert torch.equal(found[row, :, :-2], image[:, places[row]].T)
+        assert torch.equal(
+            network.frame_inputs(features, places)[row, :, :-2],
+            features[row].flatten(1)[:, places[row]].T,
+        )
+    again = GroundingNetwork.from_bytes(wide.to_bytes())
+    assert torch.equal(again.frames(features, places), wide.frames(features, places))
+
+
+def test_a_head_for_neighbourhoods_is_trained_on_a_trained_network(config, empty_cache):
+    parts, lines = build(config), []
+    arguments = config.env, parts.table, slots_of(parts.embedding)
+    place = GroundingConfig(images=128, rounds=1, batch=32)
+    around = dataclasses.replace(place, frame_head="neighbourhood")
+    base = train_grounding(*arguments, place, seed=0)
+    made = train_grounding(*arguments, around, seed=0, report=lines.append)
+    same = {n: v for n, v in base.state_dict().items() if not n.startswith("frame.")}
+    assert all(torch.equal(made.state_dict()[name], value) for name, value in same.items())
+    losses = [float(line.rsplit(" ", 1)[1]) for line in lines if "epoch" in line]
+    assert losses[-1] < 0.7 * losses[0]
+    assert len([*empty_cache.iterdir()]) == 2
+    again = train_grounding(*arguments, around, seed=0, report=lines.append)
+    assert again.to_bytes() == made.to_bytes()
+    assert lines[-1].startswith("grounding network (frame head): read from")
+    assert not any(each.requires_grad for each in again.parameters())
+
+
+@torch.no_grad()
 def test_the_frame_found_is_that_of_the_most_similar_place(network, labels):
     images, queries = labels.images[:8], labels.queries[:8]
     features = network.encoder.features(images)
@@ -290,6 +327,34 @@ def test_the_policy_receives_the_frame_found_in_the_first_image(config, network)
     policy.check_facets(first)
     with pytest.raises(UserError, match="expects vectors of 9 numbers"):
         policy.check_facets(torch.zeros(6, dtype=torch.int64))
+
+
+def test_a_teacher_goes_with_the_true_frame(config, network):
+    env = PerceivingVectorEnv(config.env, 6, network, num_threads=1)
+    env.reset(seed=0)
+    env.practice_share = 1.0
+    env.reset()
+    frames, running = env.knowledge_input, env.running
+    position = frames[:, :3] * network.position_std + network.position_mean
+    assert np.allclose(position, running.goal_position, atol=1e-6)
+    matrix = running.goal_matrix.reshape(-1, 3, 3)
+    assert np.allclose(frames[:, 3:6], matrix[:, :, 0])
+    assert np.allclose(frames[:, 6:], matrix[:, :, 2])
+
+
+def test_an_arm_is_trained_with_a_network_that_exists(tmp_path, choose_run):
+    network = choose_run.folder.path / FILE
+    changes = {**CHOOSE, "total_steps": 8, "algorithm": {"num_envs": 4, "minibatches": 2}}
+    run = train("irb120-choose-answers-distil", tmp_path, perception=network, **changes)
+    assert (run.folder.path / FILE).read_bytes() == network.read_bytes()
+    trained = load_agent(run.folder.path)
+    assert trained.network.to_bytes() == network.read_bytes()
+    assert load_agent(run.folder.path, perception=network).policy is not None
+    with pytest.raises(UserError, match="was trained with other knowledge"):
+        train("irb120-choose-query-onehot-distil", tmp_path, perception=network, **changes)
+    with pytest.raises(UserError, match="for the robot irb120, and this task has tiago"):
+        train("tiago-choose-answers-distil", tmp_path, perception=network, **changes)
+    assert len(list(tmp_path.glob("*-choose-*"))) == 1
 
 
 def test_the_file_holds_the_network_and_its_table(network, labels):

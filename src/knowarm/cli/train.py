@@ -58,7 +58,8 @@ class Train:
     resume: bool = False
     """Resume the run from its latest checkpoint, with the options it was started with."""
     perception: FilePath = None
-    """Perception module of `knowarm perception train`, for agents with perceived knowledge."""
+    """Perception module of `knowarm perception train`, for agents with perceived knowledge; or
+    perception.safetensors of another run, for agents that would train such a network first."""
     again: tyro.conf.Suppress[str] = ""
     """The command that resumes this run."""
 

@@ -85,11 +85,14 @@ _PERCEIVED = replace(FULL_PLUS, scope="perceived")
 _QUERY_WORDS = replace(QUERY, hops=0, colour_share=None)
 _ANALOGY = GraphEmbedding(model="analogy")
 _FIXED = PolicyConfig(hidden="fixed")
-_GROUNDED: dict[str, Any] = {"policy": _FIXED, "grounding": GroundingConfig()}
+_GROUNDED: dict[str, Any] = {
+    "policy": _FIXED,
+    "grounding": GroundingConfig(frame_head="neighbourhood"),
+}
 """Choices of agents with knowledge of the query: a network locates its object in the image."""
 _ANSWERED: dict[str, Any] = {
     "policy": _FIXED,
-    "grounding": GroundingConfig(naming="place", naming_coef=1.0),
+    "grounding": GroundingConfig(naming="place", naming_coef=1.0, frame_head="neighbourhood"),
     "reasoning": "graph",
 }
 """Choices of agents whose graph answers the query: a network locates the answers by name."""

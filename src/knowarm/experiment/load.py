@@ -167,10 +167,9 @@ def load_agent(
         _load_parameters(policy, checkpoint.policy, folder.checkpoints / which)
     policy.eval()
     module: PerceptionModule | None = None
-    if perception is not None:
-        module = given_module(config, perception)
-    elif config.has_module:
-        module = reasoning_module(config, stored_module(config, folder))
+    if perception is not None or config.has_module:
+        given = perception and given_module(config, perception)
+        module = reasoning_module(config, given or stored_module(config, folder))
     agent = policy_agent(policy, module, greedy, torch.Generator().manual_seed(seed))
     return TrainedAgent(agent, policy, config, folder, step, which)
 

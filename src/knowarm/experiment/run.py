@@ -5,6 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from knowarm.config import override, to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.build import Parts, build, make_trainer, slots_of
@@ -16,6 +18,7 @@ from knowarm.experiment.names import experiment_config
 from knowarm.experiment.run_folder import FILE, RunFolder, module_for_training, provenance
 from knowarm.experiment.run_lock import lock_folder
 from knowarm.learn import CheckpointStore, Hooks, TrainingResult
+from knowarm.perception.grounding import GroundingNetwork
 from knowarm.perception.grounding_training import train_grounding
 from knowarm.perception.module import PerceptionModule, digest
 from knowarm.policy import Policy
@@ -54,8 +57,9 @@ def train(
         resume: continue from the run's latest intact checkpoint instead of refusing a folder that
             holds a run; a run that ended before its first checkpoint starts from the beginning.
         should_stop: called between updates; true saves a checkpoint and ends the training.
-        perception: file of the perception module, for knowledge of what is perceived; the run
-            folder keeps a copy, with which it resumes.
+        perception: file of the perception module, for knowledge of what is perceived, or of a
+            grounding network to use instead of training one; the run folder keeps a copy, with
+            which it resumes.
         **overrides: fields of the config to change; a nested config takes a mapping of its fields,
             such as ``algorithm={"num_envs": 64}``.
 
@@ -74,6 +78,13 @@ def train(
         _check_same(config, RunFolder.open(path))
     module = module_for_training(config, RunFolder(path) if resume else None, perception)
     parts = build(config)
+    compared = isinstance(module, GroundingNetwork) and config.reasoning == "vector"
+    if compared and not resume and not np.array_equal(module.knowledge.numpy(), parts.table):
+        raise UserError(
+            f"The grounding network {perception} was trained with other knowledge of the queries "
+            f"than the agent {config.agent!r} has. Give one of the same agent and graph, or leave "
+            "perception out."
+        )
     with lock_folder(path, remedy="Wait until it ends, stop it, or pass another runs folder."):
         return _train_locked(config, parts, module, path, resume, should_stop)
 

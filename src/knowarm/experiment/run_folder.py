@@ -259,32 +259,36 @@ def module_for_training(
                 "without perception, or pass another runs folder or seed to start a new run."
             )
         module = stored
-    if config.knowledge.scope == "perceived":
-        if module is None:
-            raise UserError(
-                "Knowledge of scope 'perceived' needs a perception module: pass perception=FILE. "
-                "Make one with `knowarm perception train EXPERIMENT --out FILE`."
-            )
+    if module is not None:
         module.spec.check_fits(config.env, facets_of(config.env))
+    elif config.knowledge.scope == "perceived":
+        raise UserError(
+            "Knowledge of scope 'perceived' needs a perception module: pass perception=FILE. "
+            "Make one with `knowarm perception train EXPERIMENT --out FILE`."
+        )
     return module
 
 
-def given_module(config: ExperimentConfig, path: Path | str) -> FacetClassifier:
-    """Read the module that is given for an experiment, which must use one."""
-    if config.knowledge.scope != "perceived":
+def given_module(config: ExperimentConfig, path: Path | str) -> PerceptionModule:
+    """Read the module or grounding network that is given for an experiment, which must use one."""
+    if not config.has_module:
         raise UserError(
-            f"Knowledge of scope {config.knowledge.scope!r} does not depend on what is perceived: "
-            "leave perception out, or take an agent whose scope is 'perceived'."
+            f"Agent {config.agent!r} perceives nothing with a network of its own: leave perception "
+            "out, or take an agent with a perception module or a grounding network."
         )
-    return FacetClassifier.read(Path(path))
+    return _module_type(config).read(Path(path))
 
 
 def stored_module(config: ExperimentConfig, folder: RunFolder) -> PerceptionModule:
     """Read the perception module that a run folder keeps, and check that it is the run's."""
-    kind = FacetClassifier if config.grounding is None else GroundingNetwork
+    kind = _module_type(config)
     path = folder.path / FILE
     with reading(path, "Restore the file, or train again."):
         data = path.read_bytes()
         if digest(data) != folder.provenance()["perception"]["digest"]:
             raise ValueError("it is not the module that this run was trained with")
         return kind.from_bytes(data, path)
+
+
+def _module_type(config: ExperimentConfig) -> type[FacetClassifier] | type[GroundingNetwork]:
+    return FacetClassifier if config.grounding is None else GroundingNetwork

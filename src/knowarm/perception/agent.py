@@ -20,14 +20,16 @@ from knowarm.world.envs.torch_env import TorchReachVectorEnv
 class PerceivingVectorEnv(TorchReachVectorEnv):
     """Training environments whose knowledge input is what a copy of a module recognizes.
 
-    It is computed from the first image of every episode and kept until the next begins.
+    It is computed from the first image of every episode and kept until the next begins. Once a
+    teacher is in use, it is what the simulator knows instead: practice starts hide objects from
+    the module, and a wrong goal beside the teacher's actions teaches nothing.
     """
 
     def __init__(
         self, config: EnvConfig, num_envs: int, module: PerceptionModule, **options: Any
     ) -> None:
         super().__init__(config, num_envs, **options)
-        module = copy.deepcopy(module).to(self.device)
+        self._module = module = copy.deepcopy(module).to(self.device)
         self._predict = module.predictor(config, self.facets)
         shape, dtype = module.GOAL
         self._goal = torch.zeros((num_envs, *shape), dtype=dtype, device=self.device)
@@ -72,11 +74,15 @@ class PerceivingVectorEnv(TorchReachVectorEnv):
     def _update_goals(self, images: Tensor, fresh: Tensor) -> None:
         """Compute the goals of the environments of a mask (n,); the others stay."""
         ids = fresh.nonzero().squeeze(1)
-        if len(ids):
+        if not len(ids):
+            return
+        goal = self._goal.clone()
+        if self.has_teacher:
+            goal[ids] = self._module.true_goals(self.running, ids.cpu().numpy())
+        else:
             asked = None if questions_of(self.config) is None else super().knowledge_input[ids]
-            goal = self._goal.clone()
             goal[ids] = in_batches(self._predict, images[ids], asked)
-            self._goal = goal
+        self._goal = goal
 
 
 class PerceivingAgent(PolicyAgent):

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from knowarm.perception.agent import PerceivingAgent
@@ -17,6 +18,7 @@ from knowarm.perception.grounding import GroundingNetwork
 from knowarm.perception.module import BATCH, GoalPredictor, PerceptionModule
 from knowarm.questions import ObjectColour, number_objects, number_parts
 from knowarm.world.config import EnvConfig
+from knowarm.world.tasks.state import EpisodeState
 
 
 class SeenAnswers(NamedTuple):
@@ -56,6 +58,10 @@ class AnswerGrounding(PerceptionModule):
         """As `PerceptionModule.predictor`; a goal is a grasp frame."""
         self.spec.check_fits(env, ())
         return self
+
+    def true_goals(self, episodes: EpisodeState, ids: NDArray[np.int64]) -> Tensor:
+        """As `GroundingNetwork.true_goals`."""
+        return self.network.true_goals(episodes, ids)
 
     def forward(self, images: Tensor, queries: Tensor) -> Tensor:
         """Predict the grasp frames (n, 9) of the objects that answer; see `GoalPredictor`."""

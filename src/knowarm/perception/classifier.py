@@ -3,7 +3,9 @@
 from collections.abc import Mapping
 from typing import Any, Self
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from knowarm.perception.config import ModuleSpec
@@ -17,6 +19,7 @@ from knowarm.perception.module import (
 )
 from knowarm.questions import ObjectColour
 from knowarm.world.config import EnvConfig
+from knowarm.world.tasks.state import EpisodeState
 
 CONVOLUTIONS = ((3, 16, 5, 2), (16, 32, 3, 2), (32, 64, 3, 2), (64, 64, 3, 1))
 """Inputs, outputs, kernel and stride of each convolution."""
@@ -59,6 +62,10 @@ class FacetClassifier(PerceptionModule):
             return scores.argmax(1)
 
         return select
+
+    def true_goals(self, episodes: EpisodeState, ids: NDArray[np.int64]) -> Tensor:
+        """As `PerceptionModule.true_goals`: the facet of the target."""
+        return torch.from_numpy(episodes.facet[ids])
 
     def loss(self, labels: LabelledImages, rows: Tensor) -> Tensor:
         """Compute the negative log-likelihood of the visible facets, with equal shares."""

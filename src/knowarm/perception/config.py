@@ -15,6 +15,10 @@ Naming = Literal["image", "place"]
 """What the second loss of a grounding network asks for: the names in an image, or the name and
 the place of each object."""
 
+FrameHead = Literal["place", "neighbourhood"]
+"""Features from which a grounding network predicts a grasp frame: those of the object's place with
+one hidden layer of 128; or the standardized ones of the 3 x 3 places around it, with two of 256."""
+
 RETRAIN = "Make one for this task with `knowarm perception train EXPERIMENT --out FILE`."
 
 
@@ -69,6 +73,9 @@ class GroundingConfig(ModuleTrainingConfig):
     which an agent needs that finds objects by name."""
     frame_coef: float = 10.0
     """Weight of the squared error of the grasp frames of all visible objects."""
+    frame_head: FrameHead = "place"
+    """Features for the grasp frame: a place spans 4 pixels, some 6 cm of the support, and only its
+    neighbours tell where in it the object stands."""
     shared_rounds: int = 0
     """Rounds that train names and grasp frames alone, whose result all agents with the same robot,
     objects and seed share; ``rounds`` then train how queries are compared with places. 0: the

@@ -6,19 +6,22 @@ objects have parts, each place has a key and a frame per part: a cell is a place
 """
 
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Any, Self, cast
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from knowarm.perception.config import ModuleSpec, Naming
+from knowarm.perception.config import GroundingConfig, ModuleSpec, Naming
 from knowarm.perception.images import LabelledImages, QueryAnswers
 from knowarm.perception.module import GoalPredictor, PerceptionModule, PlaceEncoder
 from knowarm.policy.encoder import RELU_GAIN, orthogonal
 from knowarm.questions import ObjectColour, number_parts
 from knowarm.seeding import torch_generator
 from knowarm.world.config import EnvConfig
+from knowarm.world.tasks.state import EpisodeState
 
 CONVOLUTIONS = ((3, 16, 5, 2), (16, 32, 3, 2), (32, 64, 3, 1), (64, 64, 3, 1))
 """Inputs, outputs, kernel and stride of each convolution."""
@@ -29,6 +32,10 @@ WIDTH = 64
 """Dimensions in which places and queries are compared, D."""
 FRAME = 9
 """Numbers that describe a grasp frame: standardized position, x and z axis."""
+
+DEEP_HEAD_GAIN = 0.6
+"""Gain of the initial weights of the frame head for neighbourhoods; with a gain for ReLU it learned
+more slowly."""
 
 
 class GroundingNetwork(PerceptionModule):
@@ -65,17 +72,19 @@ class GroundingNetwork(PerceptionModule):
         self.parts = parts.shape[1]
         own = torch.arange(len(parts))[:, None]
         self.register_buffer("part_of", (parts == own).int().argmax(1), persistent=False)
-        self.key, self.query, self.frame = (
-            nn.Sequential(nn.Linear(inputs, 2 * WIDTH), nn.ReLU(), nn.Linear(2 * WIDTH, outputs))
-            for inputs, outputs in (
-                (channels, WIDTH * self.parts),
-                (width, WIDTH),
-                (channels + 2, FRAME * self.parts),
-            )
-        )
+        config = cast(GroundingConfig, spec.config)
+        self._around = int(config.frame_head == "neighbourhood")
+        inputs = channels * (1 + 2 * self._around) ** 2 + 2
+        hidden = [4 * WIDTH, 4 * WIDTH] if self._around else [2 * WIDTH]
+        self.key = _layers(channels, 2 * WIDTH, WIDTH * self.parts)
+        self.query = _layers(width, 2 * WIDTH, WIDTH)
+        self.frame = _layers(inputs, *hidden, FRAME * self.parts)
         generator = torch_generator(seed, "perception", 1)
         for layer in (*self.key, *self.query, *self.frame):
-            orthogonal(layer, RELU_GAIN, generator)
+            in_deep_head = self._around and layer in self.frame
+            orthogonal(layer, DEEP_HEAD_GAIN if in_deep_head else RELU_GAIN, generator)
+        if self._around:  # features differ in scale, and many are zero
+            self.frame.insert(0, _Standardize(inputs))
 
     def describe(self) -> dict[str, Any]:
         """As `PerceptionModule.describe`."""
@@ -117,11 +126,37 @@ class GroundingNetwork(PerceptionModule):
             (n, m, 9) float32: standardized position, x and z axis.
         """
         places, part = cells // self.parts, cells % self.parts
-        index = places[:, None].expand(-1, features.shape[1], -1)
-        found = features.flatten(2).gather(2, index).transpose(1, 2)
+        return self.frames_of(self.frame_inputs(features, places), part)
+
+    def frames_of(self, inputs: Tensor, part: Tensor) -> Tensor:
+        """Predict frames (..., 9) of the parts (...) int64 from `frame_inputs` (..., D)."""
+        frames = self.frame(inputs).unflatten(-1, (-1, FRAME))
+        return cast(Tensor, frames.take_along_dim(part[..., None, None], -2)[..., 0, :])
+
+    def frame_inputs(self, features: Tensor, places: Tensor) -> Tensor:
+        """Return what frames at places (n, m) are predicted from: features, and where they are.
+
+        The inputs (n, m, D) start with the features of the place, or those of 3 x 3 places.
+        """
+        side, channels, around = features.shape[-1], features.shape[1], self._around
+        width, line = side + 2 * around, torch.arange(1 + 2 * around, device=places.device)
+        corner = places // side * width + places % side
+        index = corner[..., None] + (line[:, None] * width + line).flatten()  # (n, m, k)
+        padded = nn.functional.pad(features, (around,) * 4).flatten(2)
+        found = padded.gather(2, index.flatten(1)[:, None].expand(-1, channels, -1))
+        found = found.unflatten(2, index.shape[1:]).transpose(1, 2).flatten(2)  # (n, m, C k)
         where = centres(self.spec.image_size).to(found) / (self.spec.image_size / 2) - 1
-        frames = self.frame(torch.cat((found, where[places]), 2)).unflatten(2, (-1, FRAME))
-        return cast(Tensor, frames.take_along_dim(part[..., None, None], 2)[:, :, 0])
+        return torch.cat((found, where[places]), 2)
+
+    def standardized(self, position: Tensor, axes: Tensor) -> Tensor:
+        """Return the numbers of grasp frames (..., 9) with positions (..., 3) and axes (..., 6)."""
+        return torch.cat(((position - self.position_mean) / self.position_std, axes), -1)
+
+    def true_goals(self, episodes: EpisodeState, ids: NDArray[np.int64]) -> Tensor:
+        """As `PerceptionModule.true_goals`: the goal frame, numbers as of `frames`."""
+        axes = episodes.goal_matrix[ids].reshape(-1, 3, 3)[..., [0, 2]].swapaxes(-1, -2)
+        numbers = (episodes.goal_position[ids], axes.reshape(-1, 6))
+        return self.standardized(*(torch.from_numpy(each).to(self.knowledge) for each in numbers))
 
     def forward(self, images: Tensor, queries: Tensor) -> Tensor:
         """Predict the grasp frames (n, 9) of the objects that queries mean; see `GoalPredictor`."""
@@ -199,10 +234,33 @@ class GroundingNetwork(PerceptionModule):
         places = place_of(labels.pixels[rows], self.spec.image_size)
         where = places if naming == "place" else None
         named = self.encoder.facet_likelihood(features, labels.facets[rows], where)
-        position = (labels.grasp_position[rows] - self.position_mean) / self.position_std
-        truth = torch.cat((position, labels.grasp_axes[rows]), 2)
+        truth = self.standardized(labels.grasp_position[rows], labels.grasp_axes[rows])
         frames = self.frames(features, self.cells(places, labels.facets[rows]))
         return -named.mean(), (frames - truth).square().mean()
+
+
+class _Standardize(nn.Module):
+    """Standardizes features (..., D) by their mean and deviation; of the batch while training."""
+
+    mean: Tensor
+    variance: Tensor
+    """(D,) buffers, running averages over the batches of training."""
+
+    def __init__(self, features: int) -> None:
+        super().__init__()
+        self.register_buffer("mean", torch.zeros(features))
+        self.register_buffer("variance", torch.ones(features))
+
+    def forward(self, values: Tensor) -> Tensor:
+        """Standardize values (..., D)."""
+        flat, running = values.flatten(0, -2), (self.mean, self.variance)
+        return nn.functional.batch_norm(flat, *running, training=self.training).view(values.shape)
+
+
+def _layers(*widths: int) -> nn.Sequential:
+    """Return linear layers of these widths, with ReLU between them."""
+    layers = [layer for pair in pairwise(widths) for layer in (nn.Linear(*pair), nn.ReLU())]
+    return nn.Sequential(*layers[:-1])
 
 
 def place_of(pixel: Tensor, image_size: int) -> Tensor:

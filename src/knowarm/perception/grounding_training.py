@@ -14,8 +14,9 @@ from torch import Tensor
 from knowarm.cores import torch_threads
 from knowarm.learn.optimizer import resolve_precision
 from knowarm.perception.config import GroundingConfig, ModuleSpec
-from knowarm.perception.grounding import GroundingNetwork
+from knowarm.perception.grounding import GroundingNetwork, place_of
 from knowarm.perception.images import ImageSampler, LabelledImages, query_answers, sample_images
+from knowarm.perception.module import BATCH
 from knowarm.perception.training import GROUNDING_IMAGES, Step, minimize
 from knowarm.seeding import derive_seed, torch_generator
 from knowarm.world.cache import cache_file, read_arrays, write_arrays
@@ -26,6 +27,10 @@ REVISION = 1
 
 QUERIES = 48
 """Queries per gradient step."""
+
+HEAD, HEAD_EPOCHS, HEAD_RATE = 2, 6, 2.0
+"""Of the training of a frame head: number of its random streams, passes over its images, and factor
+of the learning rate. A gradient step takes as many objects as one of the network takes images."""
 
 KEYED_IMAGES = 64
 """First images of the training, whose pixels and labels are part of the cache's key."""
@@ -70,6 +75,10 @@ def train_grounding(
         report: receives a line at the start and after every round.
         should_stop: called before every round; the result is then None.
     """
+    if config.frame_head == "neighbourhood":
+        base, more = replace(config, frame_head="place"), {"seed": seed, "report": report}
+        trained = train_grounding(env, knowledge, slots, base, should_stop=should_stop, **more)
+        return None if trained is None else train_frame_head(trained, env, config, **more)
     network = GroundingNetwork(ModuleSpec.of(env, config), knowledge, slots, seed=seed)
     answers = query_answers(env, network.spec.facets)
     assert answers is not None
@@ -131,6 +140,54 @@ def train_grounding(
                 return None
         write_arrays(file, {name: value.numpy() for name, value in parts.items()})
     return network.eval().requires_grad_(False)
+
+
+def train_frame_head(
+    trained: GroundingNetwork,
+    env: EnvConfig,
+    config: GroundingConfig,
+    *,
+    seed: int,
+    report: Callable[[str], None] = lambda text: None,
+) -> GroundingNetwork:
+    """Return a network with a new frame head, trained on the features of a trained network.
+
+    Names, keys and queries stay as they are. Arguments as `train_grounding`.
+    """
+    spec = replace(trained.spec, config=config)
+    network = GroundingNetwork(spec, trained.knowledge, trained.slots, seed=seed)
+    seen = trained.state_dict()
+    network.load_state_dict(
+        network.state_dict() | {n: v for n, v in seen.items() if not n.startswith("frame.")}
+    )
+    arrays = [value.numpy() for value in seen.values()]
+    file = cache_file("grounding", REVISION, version("torch"), env, config, seed, *arrays)
+    parts = {n: v for n, v in network.state_dict().items() if n.startswith("frame.")}
+    if _copy(read_arrays(file), parts):
+        report(f"grounding network (frame head): read from {file}")
+        return network.eval().requires_grad_(False)
+    network.requires_grad_(False).frame.requires_grad_(True)
+    report(f"training the grounding network (frame head) on {config.images:,} images")
+    stream = derive_seed(seed, "perception", GROUNDING_IMAGES, HEAD)
+    generator = torch_generator(seed, "perception", GROUNDING_IMAGES, HEAD)
+    with torch_threads(1):
+        labels = sample_images(env, network.spec, config.images, stream)
+        places = place_of(labels.pixels, network.spec.image_size)
+        images = zip(labels.images.split(BATCH), places.split(BATCH), strict=True)
+        inputs = [network.frame_inputs(network.encoder.features(i), p) for i, p in images]
+        flat = torch.cat(inputs).flatten(0, 1)
+        frames = network.standardized(labels.grasp_position, labels.grasp_axes).flatten(0, 1)
+
+        def steps(number: int) -> Iterator[Step]:
+            for rows in torch.randperm(len(flat), generator=generator).split(config.batch):
+                loss = (network.frame(flat[rows]) - frames[rows]).square().mean()
+                yield len(rows), loss, loss
+
+        rate = HEAD_RATE * config.learning_rate
+        objects = replace(config, images=len(flat), learning_rate=rate)
+        minimize(network, objects, steps, HEAD_EPOCHS, "frame head, epoch", report)
+    write_arrays(file, {name: value.numpy() for name, value in parts.items()})
+    return network
 
 
 def _steps(

@@ -7,7 +7,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Self, cast
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from safetensors.torch import load, save
 from torch import Tensor, nn
 
@@ -19,6 +21,7 @@ from knowarm.questions import ObjectColour
 from knowarm.reading import UnreadableFileError, one_line, reading
 from knowarm.seeding import torch_generator
 from knowarm.world.config import EnvConfig
+from knowarm.world.tasks.state import EpisodeState
 
 
 class PlaceEncoder(nn.Module):
@@ -127,6 +130,10 @@ class PerceptionModule(nn.Module):
 
     def predictor(self, env: EnvConfig, facets: tuple[ObjectColour, ...]) -> GoalPredictor:
         """Return the goal predictor for a task and its facets, which the module must fit."""
+        raise NotImplementedError
+
+    def true_goals(self, episodes: EpisodeState, ids: NDArray[np.int64]) -> Tensor:
+        """Return the goals of running episodes (k,) by the simulator's labels, for training."""
         raise NotImplementedError
 
     def describe(self) -> dict[str, Any]:

@@ -122,6 +122,11 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         self.teacher.practice_share = share
 
     @property
+    def has_teacher(self) -> bool:
+        """Whether the teacher is in use."""
+        return self._teacher is not None
+
+    @property
     def teacher(self) -> Teacher:
         """Solves the episodes by inverse kinematics, for training only; made on first use."""
         if self._teacher is None:
