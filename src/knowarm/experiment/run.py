@@ -78,8 +78,11 @@ def train(
         _check_same(config, RunFolder.open(path))
     module = module_for_training(config, RunFolder(path) if resume else None, perception)
     parts = build(config)
-    compared = isinstance(module, GroundingNetwork) and config.reasoning == "vector"
-    if compared and not resume and not np.array_equal(module.knowledge.numpy(), parts.table):
+    if (
+        isinstance(module, GroundingNetwork)
+        and config.reasoning == "vector"
+        and not (resume or np.array_equal(module.knowledge.numpy(), parts.table))
+    ):
         raise UserError(
             f"The grounding network {perception} was trained with other knowledge of the queries "
             f"than the agent {config.agent!r} has. Give one of the same agent and graph, or leave "

@@ -84,7 +84,7 @@ class GroundingNetwork(PerceptionModule):
             in_deep_head = self._around and layer in self.frame
             orthogonal(layer, DEEP_HEAD_GAIN if in_deep_head else RELU_GAIN, generator)
         if self._around:  # features differ in scale, and many are zero
-            self.frame.insert(0, _Standardize(inputs))
+            self.frame.insert(0, Standardize(inputs))
 
     def describe(self) -> dict[str, Any]:
         """As `PerceptionModule.describe`."""
@@ -239,22 +239,26 @@ class GroundingNetwork(PerceptionModule):
         return -named.mean(), (frames - truth).square().mean()
 
 
-class _Standardize(nn.Module):
-    """Standardizes features (..., D) by their mean and deviation; of the batch while training."""
+class Standardize(nn.Module):
+    """Standardizes features (..., D) by the mean and deviation of others."""
 
     mean: Tensor
-    variance: Tensor
-    """(D,) buffers, running averages over the batches of training."""
+    deviation: Tensor
+    """(D,) buffers."""
 
     def __init__(self, features: int) -> None:
         super().__init__()
         self.register_buffer("mean", torch.zeros(features))
-        self.register_buffer("variance", torch.ones(features))
+        self.register_buffer("deviation", torch.ones(features))
+
+    def fit(self, values: Tensor) -> None:
+        """Take mean and deviation of values (N, D); features that are always zero stay so."""
+        self.mean.copy_(values.mean(0))
+        self.deviation.copy_(values.std(0).clamp(min=1e-3))
 
     def forward(self, values: Tensor) -> Tensor:
         """Standardize values (..., D)."""
-        flat, running = values.flatten(0, -2), (self.mean, self.variance)
-        return nn.functional.batch_norm(flat, *running, training=self.training).view(values.shape)
+        return (values - self.mean) / self.deviation
 
 
 def _layers(*widths: int) -> nn.Sequential:

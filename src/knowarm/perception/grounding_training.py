@@ -5,7 +5,7 @@ from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import torch
@@ -14,7 +14,7 @@ from torch import Tensor
 from knowarm.cores import torch_threads
 from knowarm.learn.optimizer import resolve_precision
 from knowarm.perception.config import GroundingConfig, ModuleSpec
-from knowarm.perception.grounding import GroundingNetwork, place_of
+from knowarm.perception.grounding import GroundingNetwork, Standardize, place_of
 from knowarm.perception.images import ImageSampler, LabelledImages, query_answers, sample_images
 from knowarm.perception.module import BATCH
 from knowarm.perception.training import GROUNDING_IMAGES, Step, minimize
@@ -28,7 +28,7 @@ REVISION = 1
 QUERIES = 48
 """Queries per gradient step."""
 
-HEAD, HEAD_EPOCHS, HEAD_RATE = 2, 6, 2.0
+HEAD, HEAD_EPOCHS, HEAD_RATE = 2, 8, 2.0
 """Of the training of a frame head: number of its random streams, passes over its images, and factor
 of the learning rate. A gradient step takes as many objects as one of the network takes images."""
 
@@ -76,9 +76,10 @@ def train_grounding(
         should_stop: called before every round; the result is then None.
     """
     if config.frame_head == "neighbourhood":
-        base, more = replace(config, frame_head="place"), {"seed": seed, "report": report}
-        trained = train_grounding(env, knowledge, slots, base, should_stop=should_stop, **more)
-        return None if trained is None else train_frame_head(trained, env, config, **more)
+        base = replace(config, frame_head="place")
+        options: dict[str, Any] = {"seed": seed, "report": report}
+        found = train_grounding(env, knowledge, slots, base, should_stop=should_stop, **options)
+        return None if found is None else train_frame_head(found, env, config, **options)
     network = GroundingNetwork(ModuleSpec.of(env, config), knowledge, slots, seed=seed)
     answers = query_answers(env, network.spec.facets)
     assert answers is not None
@@ -175,12 +176,14 @@ def train_frame_head(
         places = place_of(labels.pixels, network.spec.image_size)
         images = zip(labels.images.split(BATCH), places.split(BATCH), strict=True)
         inputs = [network.frame_inputs(network.encoder.features(i), p) for i, p in images]
-        flat = torch.cat(inputs).flatten(0, 1)
+        flat, part = torch.cat(inputs).flatten(0, 1), network.part_of[labels.facets].flatten()
         frames = network.standardized(labels.grasp_position, labels.grasp_axes).flatten(0, 1)
+        cast(Standardize, network.frame[0]).fit(flat)
 
         def steps(number: int) -> Iterator[Step]:
             for rows in torch.randperm(len(flat), generator=generator).split(config.batch):
-                loss = (network.frame(flat[rows]) - frames[rows]).square().mean()
+                found = network.frames_of(flat[rows], part[rows])
+                loss = (found - frames[rows]).square().mean()
                 yield len(rows), loss, loss
 
         rate = HEAD_RATE * config.learning_rate
