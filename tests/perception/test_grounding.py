@@ -255,8 +255,9 @@ def test_other_objects_seeds_and_settings_are_other_networks(config, empty_cache
 
 @torch.no_grad()
 def test_a_frame_is_predicted_from_the_places_around_it(network):
-    spec = dataclasses.replace(network.spec, config=GroundingConfig(frame_head="neighbourhood"))
-    wide = GroundingNetwork(spec, network.knowledge, network.slots).eval()
+    wide = GroundingNetwork(
+        network.spec, network.knowledge, network.slots, frame_head="neighbourhood"
+    )
     generator = torch.Generator().manual_seed(0)
     features = torch.rand(2, 64, 16, 16, generator=generator)
     places = torch.tensor([[0, 17], [255, 100]])

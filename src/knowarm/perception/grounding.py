@@ -7,14 +7,14 @@ objects have parts, each place has a key and a frame per part: a cell is a place
 
 from collections.abc import Mapping
 from itertools import pairwise
-from typing import Any, Self, cast
+from typing import Any, Self, cast, get_args
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from knowarm.perception.config import GroundingConfig, ModuleSpec, Naming
+from knowarm.perception.config import FrameHead, ModuleSpec, Naming
 from knowarm.perception.images import LabelledImages, QueryAnswers
 from knowarm.perception.module import GoalPredictor, PerceptionModule, PlaceEncoder
 from knowarm.policy.encoder import RELU_GAIN, orthogonal
@@ -46,6 +46,7 @@ class GroundingNetwork(PerceptionModule):
         knowledge: (Q, K) float32, one row per query.
         slots: number of equal parts of a row, one per condition; a part of zeros is none.
         seed: of the initial weights.
+        frame_head: as `GroundingConfig.frame_head`.
     """
 
     FORMAT = "knowarm-grounding-2"
@@ -60,7 +61,13 @@ class GroundingNetwork(PerceptionModule):
     """(F,) int64 buffer: number of each facet among the parts of its object."""
 
     def __init__(
-        self, spec: ModuleSpec, knowledge: np.ndarray | Tensor, slots: int, *, seed: int = 0
+        self,
+        spec: ModuleSpec,
+        knowledge: np.ndarray | Tensor,
+        slots: int,
+        *,
+        seed: int = 0,
+        frame_head: FrameHead = "place",
     ) -> None:
         super().__init__(spec, PlaceEncoder(spec.facets, CONVOLUTIONS, seed))
         self.slots = slots
@@ -72,8 +79,8 @@ class GroundingNetwork(PerceptionModule):
         self.parts = parts.shape[1]
         own = torch.arange(len(parts))[:, None]
         self.register_buffer("part_of", (parts == own).int().argmax(1), persistent=False)
-        config = cast(GroundingConfig, spec.config)
-        self._around = int(config.frame_head == "neighbourhood")
+        self.frame_head = frame_head
+        self._around = int(frame_head == "neighbourhood")
         inputs = channels * (1 + 2 * self._around) ** 2 + 2
         hidden = [4 * WIDTH, 4 * WIDTH] if self._around else [2 * WIDTH]
         self.key = _layers(channels, 2 * WIDTH, WIDTH * self.parts)
@@ -88,15 +95,18 @@ class GroundingNetwork(PerceptionModule):
 
     def describe(self) -> dict[str, Any]:
         """As `PerceptionModule.describe`."""
-        return super().describe() | {"slots": self.slots}
+        return super().describe() | {"slots": self.slots, "frame_head": self.frame_head}
 
     @classmethod
     def build(cls, spec: ModuleSpec, about: dict[str, Any], tensors: Mapping[str, Tensor]) -> Self:
         """As `PerceptionModule.build`."""
         table, slots = tensors["knowledge"], about["slots"]
+        head = about.get("frame_head", "place")  # a file without it is of an earlier version
         if table.ndim != 2 or not isinstance(slots, int) or slots < 1 or table.shape[1] % slots:
             raise ValueError("its table of knowledge does not fit its slots")
-        return cls(spec, table, slots)
+        if head not in get_args(FrameHead):
+            raise ValueError(f"it has an unknown frame head {head!r}")
+        return cls(spec, table, slots, frame_head=head)
 
     def predictor(self, env: EnvConfig, facets: tuple[ObjectColour, ...]) -> GoalPredictor:
         """As `PerceptionModule.predictor`; a goal is a grasp frame, as of `frames`."""

@@ -156,7 +156,9 @@ def train_frame_head(
     Names, keys and queries stay as they are. Arguments as `train_grounding`.
     """
     spec = replace(trained.spec, config=config)
-    network = GroundingNetwork(spec, trained.knowledge, trained.slots, seed=seed)
+    network = GroundingNetwork(
+        spec, trained.knowledge, trained.slots, seed=seed, frame_head="neighbourhood"
+    )
     seen = trained.state_dict()
     network.load_state_dict(
         network.state_dict() | {n: v for n, v in seen.items() if not n.startswith("frame.")}
