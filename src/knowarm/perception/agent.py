@@ -22,7 +22,7 @@ class PerceivingVectorEnv(TorchReachVectorEnv):
 
     It is computed from the first image of every episode and kept until the next begins. Once a
     teacher is in use, it is what the simulator knows instead: practice starts hide objects from
-    the module, and a wrong goal beside the teacher's actions teaches nothing.
+    the module, and a wrong goal would contradict the teacher's actions.
     """
 
     def __init__(
