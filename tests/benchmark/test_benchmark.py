@@ -122,10 +122,31 @@ def test_a_row_has_score_controls_and_intervals(row):
 def test_a_row_verifies_and_another_policy_does_not(stored):
     row = read_row(stored)
     verify(row, playing("oracle"))
-    with pytest.raises(UserError, match="declares other inputs"):
+    with pytest.raises(UserError, match=r"policy\.seeds\[0\]: the row says 0, .* has None"):
         verify(row, [entrant("oracle")] * 2)
+    with pytest.raises(UserError, match=r"policy\.digests"):
+        verify(row, playing("oracle")[:1])
+    with pytest.raises(UserError, match=r"the same controls \(black\)"):
+        verify(without_black(row), playing("oracle"))
     with pytest.raises(UserError, match=r"cells\.irb120-fixed\.outcomes\[0\]\.policy\.success"):
         verify(row, playing("zero"))
+
+
+def without_black(row):
+    row = copy.deepcopy(row)
+    for cell in row["cells"].values():
+        for outcome in cell["outcomes"]:
+            del outcome["black"]
+    return row
+
+
+def test_episodes_that_are_left_out_are_noticed(stored):
+    row = json.loads(stored.read_text())
+    for outcome in row["cells"]["irb120-S1"]["outcomes"]:
+        outcome["policy"]["success"] = "ff"  # 8 of 12 episodes
+    stored.write_text(json.dumps(row))
+    with pytest.raises(UserError, match="outcomes of 8 instead of 12 episodes"):
+        read_row(stored)
 
 
 @pytest.mark.parametrize(
@@ -284,6 +305,8 @@ def test_the_commands(tmp_path, monkeypatch, capsys):
     row, page = tmp_path / "rows/row.json", tmp_path / "page.html"
     row.parent.mkdir()
     assert main(["benchmark", "show"]) == 0
+    few = ["benchmark", "run", "reach-v1", "--policy", "oracle", "--out", str(row), "--trial"]
+    assert (main([*few, "2"]), main([*few, "0"]), row.exists()) == (0, 2, False)
     assert (
         main(["benchmark", "run", "reach-v1", "--policy", "my_policy:Random", "--out", str(row)])
         == 0

@@ -142,6 +142,10 @@ def test_list_shows_and_writes_the_names(capsys, tmp_path):
         (["evaluate", "zero", "--json", "/proc/none/x.json"], ["--json"]),
         (["knowledge", "shwo"], ["'show'"]),
         (["knowledge", "show", "--objects", "mgu"], ["mgu", "mug"]),
+        (["train", "irb120-bm-ppo", "--env.mpi-rad", "0"], ["mpi_rad must be larger than 0"]),
+        (["train", "irb120-bm-ppo", "--algorithm.minibatches", "3"], ["must divide num_envs"]),
+        (["evaluate", "zero", "--episodes", "0"], ["episodes must be at least 1, got 0"]),
+        (["ros", "none", "--max-steps", "0"], ["max_steps must be at least 1, got 0"]),
     ],
 )
 def test_mistakes_end_in_one_line_and_code_2(capsys, tmp_path, monkeypatch, arguments, words):
@@ -158,9 +162,6 @@ def test_mistakes_end_in_one_line_and_code_2(capsys, tmp_path, monkeypatch, argu
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["train", "irb120-bm-ppo", "--env.mpi-rad", "0"], "mpi_rad must be larger than 0"),
-        (["train", "irb120-bm-ppo", "--algorithm.minibatches", "3"], "must divide num_envs"),
-        (["evaluate", "zero", "--episodes", "0"], "episodes must be at least 1"),
         (["evaluate", "zero", "--episodes", "many"], "many"),
         (["evaluate", "zero", "--epsiodes", "3"], "--episodes"),
     ],

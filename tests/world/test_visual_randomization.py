@@ -4,6 +4,7 @@ from scipy.spatial.transform import Rotation
 
 from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig
+from knowarm.world.render.renderer import OpenGLRenderer
 from knowarm.world.scene.appearance import VisualRandomization, rotations
 from knowarm.world.scene.scene import load_scene
 from knowarm.world.tasks.episodes import draw_episodes, evaluation_episodes
@@ -92,6 +93,9 @@ def test_the_opengl_renderer_varies_alike(make_env: MakeEnv) -> None:
             pytest.skip(str(error))
         pairs.append(env.reset(seed=1)[0].astype(float))
     assert np.abs(pairs[0] - pairs[1]).mean() < 4
+    env.renderer = OpenGLRenderer(env.scene, 64, lamp_m=2.5)
+    darker = pairs[1] - env.reset(seed=1)[0] > 60  # 1.7 %; without shadows nearly none
+    assert 0.005 < darker.mean() < 0.1
 
 
 def test_episodes_of_another_look_are_refused(make_env: MakeEnv) -> None:

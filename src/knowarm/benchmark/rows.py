@@ -53,7 +53,6 @@ def run_suite(
         for cell in suite.cells.values()
         if not cells or any(cell.name.startswith(each) for each in cells)
     ]
-    first = entrants[0]
     played: dict[str, list[dict[str, Any]]] = {cell.name: [] for cell in chosen}
     for each in entrants:
         for cell in chosen:
@@ -66,17 +65,21 @@ def run_suite(
         "suite": suite.name,
         "digest": suite.digest,
         "name": name,
-        "policy": {
-            "specs": [each.spec for each in entrants],
-            "digests": [each.digest for each in entrants],
-            "seeds": [each.seed for each in entrants],
-            "inputs": list(first.inputs),
-            "training": first.training,
-        },
+        "policy": {"specs": [each.spec for each in entrants], **_declared(entrants)},
         "version": knowarm.__version__,
         "cells": {name: {"outcomes": outcomes} for name, outcomes in played.items()},
     }
     return row | {"cells": _figures(suite, row), "summary": _summary(suite, row)}
+
+
+def _declared(entrants: Sequence[Entrant]) -> dict[str, Any]:
+    """Return what a row says about a policy, besides where it is."""
+    return {
+        "digests": [each.digest for each in entrants],
+        "seeds": [each.seed for each in entrants],
+        "inputs": list(entrants[0].inputs),
+        "training": entrants[0].training,
+    }
 
 
 def _play_cell(suite: Suite, cell: Cell, entrant: Entrant) -> dict[str, Any]:
@@ -116,6 +119,8 @@ def _bits(agent: AgentProtocol, env: ReachVectorEnv, episodes: Episodes) -> dict
 
 def _outcomes(text: str, count: int | None = None) -> Bits:
     data = np.frombuffer(bytes.fromhex(text), np.uint8)
+    if count is not None and len(data) != -(-count // 8):
+        raise ValueError(f"outcomes of {8 * len(data)} instead of {count} episodes")
     return np.unpackbits(data)[:count].astype(bool)
 
 
@@ -235,9 +240,16 @@ def verify(
         report: called with a line per cell and seed.
 
     Raises:
-        UserError: a cell differs; the message names it with both numbers.
+        UserError: a declaration or a cell differs; the message names it with both values. Digests
+            of files may differ where there is a tolerance.
     """
     suite = read_suite(row["suite"])
+    stored, given = row["policy"] | {"specs": []}, {"specs": [], **_declared(entrants)}
+    if tolerance:
+        stored["digests"] = given["digests"]
+    if found := first_difference(stored, given, "policy"):
+        where, old, new = found
+        raise UserError(f"{where}: the row says {old}, the given policy has {new}.")
     options: dict[str, Any] = {"name": row["name"], "cells": list(row["cells"]), "report": report}
     again = run_suite(suite, entrants, **options)
     for name, cell in row["cells"].items():
@@ -248,7 +260,7 @@ def verify(
             if other := pair[0].keys() ^ pair[1].keys():
                 raise UserError(
                     f"cells.{name}.outcomes[{seed}]: the row and this policy do not have the same "
-                    f"controls ({', '.join(sorted(other))}); the policy declares other inputs."
+                    f"controls ({', '.join(sorted(other))})."
                 )
             for who in pair[0]:
                 few = count if who == "policy" else min(count, suite.control_episodes)

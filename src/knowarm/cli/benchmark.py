@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -14,6 +14,7 @@ from knowarm.benchmark.policies import Entrant, entrant
 from knowarm.benchmark.rows import read_row, run_suite, verify
 from knowarm.benchmark.suites import read_suite, suite_names
 from knowarm.cli.tables import print_table
+from knowarm.config import at_least
 from knowarm.errors import UserError
 from knowarm.reading import write_json
 
@@ -60,16 +61,20 @@ class RunSuite:
     """Name of the row. Default: the policy."""
     cells: tuple[str, ...] = ()
     """Cells, or beginnings of their names, such as irb120. Default: all."""
+    trial: int | None = None
+    """Play only the first episodes of each cell, this many, print the figures and write no row."""
 
     def run(self) -> None:
         """Play, print and write."""
-        name = self.name or self.policy[0]
-        self.out.parent.mkdir(parents=True, exist_ok=True)  # before minutes of playing
+        name, suite = self.name or self.policy[0], read_suite(self.suite)
+        if self.trial is None:
+            self.out.parent.mkdir(parents=True, exist_ok=True)  # before minutes of playing
+        else:
+            at_least(self, 1, "trial")
+            few = {k: replace(c, episodes=c.episodes[: self.trial]) for k, c in suite.cells.items()}
+            suite = replace(suite, cells=few)
         entrants = _entrants(self.policy)
-        row = run_suite(
-            read_suite(self.suite), entrants, name=name, cells=self.cells, report=_report
-        )
-        write_json(self.out, row)
+        row = run_suite(suite, entrants, name=name, cells=self.cells, report=_report)
         for table, summary in row["summary"].items():
             names = summary["cells"]
             rows = []
@@ -80,7 +85,9 @@ class RunSuite:
                 shown = [_interval(figures["success"]), _interval(right) if right else "-"]
                 rows.append([cell, ", ".join(controls), *shown])
             print_table(f"{name}: {table}", ["cell", "controls %", "success %", "right %"], rows)
-        print(f"Wrote {self.out}")
+        if self.trial is None:
+            write_json(self.out, row)
+        print(f"Wrote {self.out}" if self.trial is None else "A trial: no row was written.")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,6 +9,7 @@ import os
 import re
 import sys
 from collections.abc import Sequence
+from contextlib import redirect_stderr
 from importlib import import_module
 from typing import Any
 
@@ -111,4 +112,16 @@ def _parse(name: str, arguments: list[str]) -> Any:
     where, about = COMMANDS[name]
     module, _, attribute = where.partition(":")
     command = getattr(import_module(f"knowarm.cli.{module}"), attribute)
-    return parse_command(command, f"knowarm {name}", f"{about.capitalize()}.", arguments)
+    told = io.StringIO()
+    try:
+        with redirect_stderr(told):
+            return parse_command(command, f"knowarm {name}", f"{about.capitalize()}.", arguments)
+    except SystemExit:
+        # tyro frames what the classes of grouped options refuse
+        words = " ".join(line.strip("│╭╮╰╯─ ") for line in told.getvalue().splitlines())
+        if refused := re.search(r"Error parsing [\w.]+: (.+?) +For full helptext", words):
+            told.truncate(0)
+            raise UserError(refused[1]) from None
+        raise
+    finally:
+        sys.stderr.write(told.getvalue())

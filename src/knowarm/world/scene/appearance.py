@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,10 +10,6 @@ from numpy.typing import NDArray
 from knowarm.errors import UserError
 from knowarm.world.render.scenery import material_colours
 from knowarm.world.scene.scene import Scene
-
-if TYPE_CHECKING:  # The config is read where nothing else of MuJoCo is needed.
-    from knowarm.world.scene.scene import Scene
-
 
 MAX_DISTRACTORS = 4
 FIXED_DRAWS, DRAWS_PER_DISTRACTOR = 16, 5
@@ -84,7 +80,7 @@ class Look(NamedTuple):
 class LookSource:
     """Computes the looks of episodes from uniform draws."""
 
-    def __init__(self, scene: "Scene", config: VisualRandomization) -> None:
+    def __init__(self, scene: Scene, config: VisualRandomization) -> None:
         model, robot = scene.model, scene.robot
         self._config = config
         self._camera_position = scene.camera_position

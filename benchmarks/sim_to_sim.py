@@ -1,0 +1,77 @@
+"""Transfer of policies from the ray caster to MuJoCo's OpenGL renderer: lamp, shadows, camera.
+
+python -m benchmarks.sim_to_sim RUN... [--episodes 200] [--json FILE]
+
+Runs of the same folder are training seeds of one row. Light and camera are drawn per episode as in
+visual randomization. Needs OpenGL: MUJOCO_GL=egl or osmesa.
+"""
+
+import argparse
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from knowarm.experiment.load import load_agent
+from knowarm.statistics import bootstrap
+from knowarm.world.agents.play import play
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.render.renderer import OpenGLRenderer
+from knowarm.world.scene.appearance import VisualRandomization
+from knowarm.world.tasks.episodes import evaluation_episodes
+
+# Each axis varies by up to 1 cm and 1 degree, which are also the root mean squares over three axes.
+CAMERA = {"camera_shift_m": 0.01, "camera_turn_deg": 1.0}
+LIGHT = {"light": 0.3, "light_angle_deg": 20.0}
+KINDS: dict[str, tuple[bool, bool, dict[str, float]]] = {
+    "ray caster": (False, False, {}),
+    "ray caster, camera": (False, False, CAMERA),
+    "OpenGL": (True, False, {}),
+    "OpenGL, lamp": (True, True, LIGHT),
+    "OpenGL, lamp, camera": (True, True, LIGHT | CAMERA),
+}
+"""Whether OpenGL draws, whether a lamp casts shadows, and what varies, by row of the table."""
+LAMP_M = 2.5
+
+
+def success(run: Path, kind: str, episodes: int, seed: int) -> float:
+    """Play a run's policy on images of a kind; return the share of successes."""
+    trained = load_agent(run)
+    opengl, lamp, varied = KINDS[kind]
+    config = replace(trained.config.env, randomization=VisualRandomization(**varied))  # type: ignore[arg-type]
+    env = ReachVectorEnv(config, min(episodes, 100), num_threads=1)
+    if opengl:
+        env.renderer = OpenGLRenderer(env.scene, config.image_size, LAMP_M if lamp else None)
+    result = play(trained.agent, env, evaluation_episodes(config, episodes, seed))
+    env.close()
+    return float(result.success.mean())
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("runs", type=Path, nargs="+")
+    parser.add_argument("--episodes", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--json", type=Path)
+    given = parser.parse_args()
+    rows: list[dict[str, Any]] = []
+    for folder in dict.fromkeys(run.parent for run in given.runs):
+        runs = [run for run in given.runs if run.parent == folder]
+        for kind in KINDS:
+            shares = [success(run, kind, given.episodes, given.seed) for run in runs]
+            found = bootstrap([np.array(shares)])
+            interval = {"mean": found.estimate, "low": found.low, "high": found.high}
+            rows.append({"runs": str(folder), "images": kind, "seeds": shares, **interval})
+            mean, low, high = (100 * each for each in interval.values())
+            each = ", ".join(f"{100 * share:.1f}" for share in shares)
+            print(
+                f"| {folder} | {kind} | {mean:.1f} [{low:.1f}, {high:.1f}] | {each} |", flush=True
+            )
+    if given.json:
+        given.json.write_text(json.dumps(rows, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()
