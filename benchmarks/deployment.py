@@ -26,6 +26,7 @@ from websockets.sync.client import connect
 
 from examples.ros_robot import TICK_S, RobotNode
 from knowarm.experiment.load import load_agent
+from knowarm.integrations import ros
 from knowarm.integrations.contract import Deployment, deployment, tcp_position
 from knowarm.integrations.driver import Driver, Safety, Topics
 from knowarm.integrations.export import export
@@ -33,7 +34,7 @@ from knowarm.integrations.ros import DriverNode
 from knowarm.integrations.runner import Runner
 from knowarm.integrations.serve import PolicyServer, pack, unpack
 from knowarm.statistics.bootstrap import wilson
-from knowarm.world.agents.play import play
+from knowarm.world.agents.play import EpisodeResults, play
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ReachVectorEnv
 from knowarm.world.scene.compose import CONTROL_PERIOD_S
@@ -117,7 +118,10 @@ class ClockedRobot(RobotNode):
             self.commands,
         )
         self.executor_.add_node(self.node)
-        self._spin_until(lambda: self.node.count_subscribers(self._topics.trajectory) > 0)
+        topic = self._topics.trajectory
+        self._spin_until(
+            lambda: self.node.count_publishers(topic) == self.node.count_subscribers(topic) == 1
+        )
         solved = self.play(episode, periods)
         self.executor_.remove_node(self.node)
         self.node.destroy_node()
@@ -146,6 +150,7 @@ def by_ros(
     config: EnvConfig, parts: Deployment, episodes: Episodes, delay_s: float
 ) -> tuple[np.ndarray, list[str]]:
     """Play episodes by two ROS nodes; return success and how the failed ones ended."""
+    ros.DISCOVERY_S = 0.0  # `play_with` waits until both nodes know each other
     rclpy.init(domain_id=1 + os.getpid() % 100)
     robot = ClockedRobot(config, Topics(use_clock=True), delay_s)
     rows = parts.contract["knowledge"]["rows"]
@@ -162,6 +167,11 @@ def by_ros(
     robot.executor_.shutdown()
     rclpy.shutdown()
     return np.array(solved), ends
+
+
+def same(one: EpisodeResults, other: EpisodeResults) -> bool:
+    """Return whether all joint angles are equal; at a limit, different levels command the same."""
+    return bool(np.array_equal(one.steps.joint_positions, other.steps.joint_positions))
 
 
 def main() -> None:
@@ -194,16 +204,14 @@ def main() -> None:
             export(trained, Path(folder))
             agent = RunnerAgent(Runner.load(folder))
             theirs = play(agent, ReachVectorEnv(config, 1), episodes)
-        same = bool(np.array_equal(theirs.steps.actions, ours.steps.actions))
-        add("ONNX Runtime", theirs.success, same_actions=same)
+        add("ONNX Runtime", theirs.success, same_joints=same(theirs, ours))
         server = PolicyServer(parts.runner, port=0)
         threading.Thread(target=server.run, daemon=True).start()
         with connect(f"ws://127.0.0.1:{server.port}", compression=None) as connection:
             client = RunnerAgent(Client(connection))
             theirs = play(client, ReachVectorEnv(config, 1), episodes)
         server.close()
-        same = bool(np.array_equal(theirs.steps.actions, ours.steps.actions))
-        add("served", theirs.success, same_actions=same)
+        add("served", theirs.success, same_joints=same(theirs, ours))
     for delay_s in arguments.delays:
         solved, ends = by_ros(config, parts, episodes, delay_s)
         add(f"ROS 2, {1000 * delay_s:.0f} ms", solved, failed=dict(Counter(ends).most_common(3)))

@@ -40,6 +40,8 @@ SHORT = [
     (r"^knowarm demo", "--steps 1600"),
     (r"^knowarm view (?!.*(--strip|--video|--rrd))", "--episodes 1 --strip shown.png"),
     (r"^knowarm bench(?!mark)", "--seconds .1"),
+    (r"^knowarm benchmark run .*my_policy:", "--cells irb120-fixed"),
+    (r"^knowarm benchmark run (?!.*my_policy:)", "--trial 4"),
     (r"^python examples/(train_with_sb3|benchmark/train_sb3).py", "--steps 640"),
 ]
 """Options that shorten commands, in place of those that a command has."""

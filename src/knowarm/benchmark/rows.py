@@ -248,8 +248,7 @@ def verify(
     if tolerance:
         stored["digests"] = given["digests"]
     if found := first_difference(stored, given, "policy"):
-        where, old, new = found
-        raise UserError(f"{where}: the row says {old}, the given policy has {new}.")
+        raise UserError("{}: the row says {}, the given policy has {}.".format(*found))
     options: dict[str, Any] = {"name": row["name"], "cells": list(row["cells"]), "report": report}
     again = run_suite(suite, entrants, **options)
     for name, cell in row["cells"].items():

@@ -116,8 +116,7 @@ def _parse(name: str, arguments: list[str]) -> Any:
     try:
         with redirect_stderr(told):
             return parse_command(command, f"knowarm {name}", f"{about.capitalize()}.", arguments)
-    except SystemExit:
-        # tyro frames what the classes of grouped options refuse
+    except SystemExit:  # tyro frames what classes of grouped options refuse
         words = " ".join(line.strip("│╭╮╰╯─ ") for line in told.getvalue().splitlines())
         if refused := re.search(r"Error parsing [\w.]+: (.+?) +For full helptext", words):
             told.truncate(0)
