@@ -38,6 +38,8 @@ program = torch.onnx.export(
     dynamic_shapes=({0: torch.export.Dim("n")},),
     dynamo=True,
 )
+for node in program.model.graph:
+    node.metadata_props.clear()  # paths of this machine
 program.model.metadata_props["training"] = "none"
 program.save("my_policy.onnx")
 print("Wrote my_policy.onnx")

@@ -91,6 +91,8 @@ def export_onnx(
     finally:
         log.setLevel(level)
     assert program is not None
+    for node in program.model.graph:
+        node.metadata_props.clear()  # paths of this machine
     program.save(path)
 
 

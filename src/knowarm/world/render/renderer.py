@@ -69,8 +69,8 @@ def make_renderer(scene: Scene, config: EnvConfig, size: int, num_threads: int =
 class OpenGLRenderer:
     """MuJoCo's renderer without reflections; slow, because it draws one by one.
 
-    With ``lamp_m`` the light comes from a lamp at this distance from the middle of the rectangle
-    [m], in the direction of the sun, and casts shadows.
+    With ``lamp_m`` a lamp, at this distance [m] from the middle of the rectangle in the direction
+    of the sun, replaces it and casts shadows, which MuJoCo speckles for directional lights.
     """
 
     def __init__(self, scene: Scene, size: int, lamp_m: float | None = None) -> None:
@@ -81,7 +81,6 @@ class OpenGLRenderer:
         self._model.geom_matid[:] = -1
         self._lamp_m = lamp_m
         if lamp_m is not None:
-            # Not the sun's own shadows: MuJoCo's are speckled for directional lights.
             self._model.light_type[0] = mujoco.mjtLightType.mjLIGHT_SPOT
             self._model.light_cutoff[0], self._model.light_exponent[0] = 60, 0
             self._model.light_castshadow[0] = True
