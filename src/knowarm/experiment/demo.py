@@ -10,7 +10,7 @@ from knowarm.experiment.config import EvaluationConfig, ExperimentConfig, Interi
 from knowarm.experiment.names import experiment_config
 from knowarm.world.robots import DEMO_ROBOT
 
-STEPS = 160_000
+STEPS = 80_000
 """Environment steps of each agent."""
 EVALUATION = EvaluationConfig(episodes=200, label="demo")
 
