@@ -204,6 +204,7 @@ AGENTS: dict[str, Agent] = {
         "ANALOGY embeddings of the values of the query",
         replace(_QUERY_WORDS, source=_ANALOGY, centring=False),
         **_GROUNDED,
+        tasks=("choose",),  # the graph of the purpose task has no colours and objects to embed
         colour="c-navy",
     ),
     "query-zeros": _zeros(

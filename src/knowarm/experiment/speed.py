@@ -116,7 +116,7 @@ def training_flops(config: ExperimentConfig) -> float:
     policy = build(_measurable(config)).new_policy(0)
     image = torch.zeros((1, 1, *policy.encoder.patch_shape), dtype=torch.uint8)
     facet = torch.zeros((1, 1, *policy.facet_spec[0]), dtype=policy.facet_spec[1])
-    start = torch.ones((1, 1), dtype=torch.bool)
+    start = torch.zeros((1, 1), dtype=torch.bool)
     with FlopCounterMode(display=False) as forward:
         logits, values, _ = policy.unroll(image, facet, policy.initial_state(1), start)
     with FlopCounterMode(display=False) as backward:
