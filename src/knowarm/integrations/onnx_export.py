@@ -91,6 +91,8 @@ def export_onnx(
     finally:
         log.setLevel(level)
     assert program is not None
+    fixed = [each.name for each in program.model.graph.inputs if isinstance(each.shape[0], int)]
+    assert not fixed, f"exported for one batch size only: {', '.join(fixed)}"
     for node in program.model.graph:
         node.metadata_props.clear()  # paths of this machine
     program.save(path)

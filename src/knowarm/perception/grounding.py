@@ -115,8 +115,8 @@ class GroundingNetwork(PerceptionModule):
 
     def keys(self, features: Tensor) -> Tensor:
         """Compute the keys of the cells from the encoder's features: (n, P parts, D)."""
-        keys = self.key(features.flatten(2).transpose(1, 2))
-        return cast(Tensor, keys.unflatten(2, (-1, WIDTH)).flatten(1, 2))
+        keys = self.key(features.flatten(2).transpose(1, 2))  # (n, places, P D)
+        return cast(Tensor, keys.unflatten(2, (self.parts, WIDTH)).flatten(1, 2))
 
     def cells(self, places: Tensor, facets: Tensor) -> Tensor:
         """Return the cells of facets (...) int64 at places (...) int64."""
@@ -141,8 +141,8 @@ class GroundingNetwork(PerceptionModule):
     def frames_of(self, inputs: Tensor, part: Tensor) -> Tensor:
         """Predict frames (..., 9) of the parts (...) int64 from `frame_inputs` (..., D)."""
         frames = self.frame(inputs).unflatten(-1, (-1, FRAME))
-        rows = part[..., None, None].expand(*part.shape, 1, FRAME)
-        return cast(Tensor, frames.gather(-2, rows)[..., 0, :])
+        own = part[..., None, None].expand(*part.shape, 1, FRAME)
+        return cast(Tensor, frames.gather(-2, own)[..., 0, :])
 
     def frame_inputs(self, features: Tensor, places: Tensor) -> Tensor:
         """Return what frames at places (n, m) are predicted from: features, and where they are.
