@@ -46,6 +46,7 @@ class InverseKinematics:
     nearest to the first start is selected. ``ignore_roll`` leaves the rotation about the approach
     axis open, and puts the position first where an arm has too few joints for both. An error of
     ``eased_deg`` of the orientation does not count, so that the nearest such pose is selected.
+    A pose is reached within 1 cm and ``reached_deg``: 3 degrees and those.
     """
 
     def __init__(
@@ -62,6 +63,7 @@ class InverseKinematics:
         self._seed = seed
         self._ignore_roll = ignore_roll
         self._eased_deg = eased_deg
+        self.reached_deg = REACHED_DEG + eased_deg
         model = scene.model
         self._body = int(model.site_bodyid[scene.tcp_site])
         joints = [model.joint(f"robot/{name}").id for name in scene.robot.joints]
@@ -88,15 +90,14 @@ class InverseKinematics:
         Poses that are not reached are tried from ``attempts`` sets of random starts.
         """
         solution = self._solve_once(position, matrix, start, self._seed)
-        reached_deg = REACHED_DEG + self._eased_deg
         for attempt in range(1, attempts):
-            missed = np.flatnonzero(~solution.within(REACHED_M, reached_deg))
+            missed = np.flatnonzero(~solution.within(REACHED_M, self.reached_deg))
             if not len(missed):
                 break
             again = self._solve_once(
                 position[missed], matrix[missed], start[missed], self._seed + attempt
             )
-            better = again.within(REACHED_M, reached_deg)
+            better = again.within(REACHED_M, self.reached_deg)
             for name in ("joints", "distance", "angle", "contact"):
                 getattr(solution, name)[missed[better]] = getattr(again, name)[better]
         return solution

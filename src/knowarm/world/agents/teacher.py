@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from knowarm.world.agents.ik import REACHED_DEG, REACHED_M, IKSolution, InverseKinematics
+from knowarm.world.agents.ik import REACHED_M, IKSolution, InverseKinematics
 from knowarm.world.scene.scene import target_places
 from knowarm.world.tasks.episodes import Episodes
 from knowarm.world.tasks.running import ACTION_LEVELS, RunningEpisodes, joint_increments
@@ -43,7 +43,7 @@ class GoalTable:
         running: episodes of the task.
         seed: of the random starts that find the references.
 
-    A warning tells the share of nodes without a solution within 1 cm and 3 degrees if it is large.
+    A warning tells the share of nodes without a solution if it is large.
     """
 
     def __init__(self, running: RunningEpisodes, seed: int = 0) -> None:
@@ -53,7 +53,7 @@ class GoalTable:
         self._low = np.array(robot.rectangle_centre_m) - np.array(robot.rectangle_half_size_m)
         size = 2 * np.array(robot.rectangle_half_size_m)
         self._cell = np.maximum(size / (NODES - 1), 1e-9)
-        solver = partial(InverseKinematics, scene, seed=seed, ignore_roll=running.ignore_roll)
+        solver = partial(InverseKinematics.of_task, scene, running.config, seed=seed)
         every = np.arange(count)
         centre = np.tile(robot.rectangle_centre_m, (count, 1))
         reference = self._solve(solver(), every, centre, np.tile(scene.home, (count, 1))).joints
@@ -62,8 +62,9 @@ class GoalTable:
         ]
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
         objects, places = np.repeat(every, len(grid)), np.tile(grid, (count, 1))
-        found = self._solve(solver(starts=1), objects, places, reference[objects], 1)
-        missed = float((~found.within(REACHED_M, REACHED_DEG)).mean())
+        nodes = solver(starts=1)
+        found = self._solve(nodes, objects, places, reference[objects], 1)
+        missed = float((~found.within(REACHED_M, nodes.reached_deg)).mean())
         if missed > MISSED:
             log.warning("The teacher reaches %.0f %% of the places.", 100 * (1 - missed))
         self._joints = found.joints.reshape(count, NODES, NODES, -1)
