@@ -122,7 +122,8 @@ def test_a_robot_that_stands_still_receives_trajectories(parts):
     [
         ({"image": {"height": 32}}, "image is (32, 64, 3)"),
         ({"image": {"encoding": "mono8"}}, "mono8"),
-        ({"state": {"name": ["torso_lift_joint"], "position": [0.2]}}, ""),
+        ({"state": {"name": ["torso_lift_joint"], "position": [0.2]}}, "not yet seen"),
+        ({"state": {"name": ["arm_1_joint"], "position": [0.2]}}, "lack a number for arm_2_joint"),
         ({"state": {"position": [float("nan")] * 7}}, "lack a number"),
         ({"controllers": 0}, "no controller"),
     ],

@@ -162,6 +162,17 @@ def test_too_large_messages_close_the_connection(parts, server):
     assert_serves(parts, server)
 
 
+def test_a_message_of_a_gigabyte_is_refused_by_its_header(parts, server):
+    with client(server) as connection:
+        connection.recv()
+        binary, masked_length, mask = b"\x82", b"\xff" + (1 << 30).to_bytes(8, "big"), bytes(4)
+        connection.socket.sendall(binary + masked_length + mask)  # and not one byte of content
+        with pytest.raises(ConnectionClosed) as closed:
+            connection.recv(timeout=60)
+        assert closed.value.rcvd.code == 1009
+    assert_serves(parts, server)
+
+
 def test_a_client_may_vanish_in_a_step(parts, server):
     connection = client(server)
     connection.recv()
