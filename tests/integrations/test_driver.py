@@ -82,7 +82,7 @@ def test_a_target_that_breaks_a_rule_ends_the_episode(robot, words):
 
 @pytest.mark.parametrize("place", [[0, 0, -10.0], [0, 10.0, 0], [np.nan, 0, 0]])
 def test_the_gripper_stays_in_the_workspace(place):
-    robot = Robot(gripper=lambda angles: np.array(place), patience_s=0.5)
+    robot = Robot(gripper=lambda angles: np.array(place), wait_s=0.5)
     for _ in range(5):
         assert robot.tick() is None
     assert robot.driver.status.startswith("hold: the gripper would leave the workspace")
@@ -151,6 +151,16 @@ def test_a_camera_that_stops_holds_and_then_ends_the_episode():
         assert robot.tick(image=None) is None
     assert "image" in robot.driver.end
     assert robot.tick() is None
+
+
+def test_a_camera_may_start_after_the_driver():
+    robot = Robot(patience_s=1, wait_s=3)
+    assert [robot.tick(image=None) for _ in range(25)] == [None] * 25
+    assert robot.driver.end == ""
+    assert robot.tick() is not None
+    for _ in range(15):
+        robot.tick(image=None)
+    assert robot.driver.end.startswith("stopped after 1 s")
 
 
 def test_joints_are_matched_by_name():
@@ -234,7 +244,14 @@ def test_unknown_knowledge_is_refused_before_anything_is_seen():
 
 
 @pytest.mark.parametrize(
-    "values", [{"max_age_s": 0.0}, {"patience_s": np.nan}, {"confirm_steps": -1}, {"max_steps": 0}]
+    "values",
+    [
+        {"max_age_s": 0.0},
+        {"patience_s": np.nan},
+        {"wait_s": -1.0},
+        {"confirm_steps": -1},
+        {"max_steps": 0},
+    ],
 )
 def test_rules_without_meaning_are_refused(values):
     with pytest.raises(UserError, match=next(iter(values))):

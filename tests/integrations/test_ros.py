@@ -69,7 +69,7 @@ class Cell:
 
     def drive(self, **safety):
         """Run `drive` beside the cell; return the driver."""
-        options = {"confirm_steps": 0, "patience_s": 1.0, "max_steps": 5} | safety
+        options = {"confirm_steps": 0, "patience_s": 1.0, "wait_s": 1.0, "max_steps": 5} | safety
         gripper = lambda joints: tcp_position(self.parts.scene, joints)  # noqa: E731
         row = self.parts.contract["knowledge"]["rows"][0]
         self.driver = Driver(self.parts.runner(), gripper, Safety(**options), row)
@@ -167,7 +167,7 @@ def test_a_dry_run_sends_nothing(parts):
 
 
 def test_nobody_confirms_the_first_steps():
-    command = [sys.executable, "-m", "knowarm", "ros", str(RUN), "--patience-s", "30"]
+    command = [sys.executable, "-m", "knowarm", "ros", str(RUN), "--wait-s", "30"]
     done = subprocess.run(
         command, stdin=subprocess.DEVNULL, capture_output=True, text=True, env=os.environ
     )

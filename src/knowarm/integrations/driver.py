@@ -28,6 +28,7 @@ class Safety:
 
     max_age_s: float = 0.3  # Age of image or joint angles from which nothing moves [s]
     patience_s: float = 5.0  # Length of a hold after which the episode ends [s]
+    wait_s: float = 60.0  # The same before the first step, while robot and camera start [s]
     following_steps: float = 4.0  # Largest distance of a target from the joint's angle, in MPI
     confirm_steps: int = 5  # First steps that a person confirms one by one
     max_steps: int | None = None  # Length of the episode; None takes that of the training
@@ -35,7 +36,7 @@ class Safety:
 
     def __post_init__(self) -> None:
         check_numbers(self)
-        above_zero(self, "max_age_s", "patience_s", "following_steps")
+        above_zero(self, "max_age_s", "patience_s", "wait_s", "following_steps")
         at_least(self, 0, "confirm_steps")
         at_least(self, 1, "max_steps")
 
@@ -137,8 +138,9 @@ class Driver:
             self._runner.targets, self._proposal = self._previous, None
         self.status = f"hold: {problem}"
         self._held_since = min(self._held_since, now_s)
-        if now_s - self._held_since > self.safety.patience_s:
-            self.stop(f"stopped after {self.safety.patience_s:g} s: {problem}")
+        longest = self.safety.patience_s if self.steps else self.safety.wait_s
+        if now_s - self._held_since > longest:
+            self.stop(f"stopped after {longest:g} s: {problem}")
         return None
 
     def _propose(self, image: NDArray[np.uint8], angles: Targets) -> Targets:
