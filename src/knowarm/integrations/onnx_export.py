@@ -91,8 +91,9 @@ def export_onnx(
     finally:
         log.setLevel(level)
     assert program is not None
-    fixed = [each.name for each in program.model.graph.inputs if isinstance(each.shape[0], int)]
-    assert not fixed, f"exported for one batch size only: {', '.join(fixed)}"
+    for each in program.model.graph.inputs:
+        sizes = each.shape or (0,)
+        assert not isinstance(sizes[0], int), f"{each.name} was exported for one batch size only"
     for node in program.model.graph:
         node.metadata_props.clear()  # paths of this machine
     program.save(path)
