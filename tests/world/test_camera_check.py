@@ -82,6 +82,21 @@ def test_a_camera_off_by_a_little_passes_and_by_more_is_corrected(scene, tmp_pat
     assert f"camera_position_m = {camera[0].round(3).tolist()}" in failed["position"].remedy
 
 
+def test_points_that_no_camera_sees_suggest_no_pose(scene, tmp_path, capsys):
+    photo, points = write(tmp_path, scene, moved(scene, (0.05, 0, 0), (0, 3, 0)))
+    lines = points.read_text().splitlines()
+    lines[2] = f"{lines[2].split(',')[0]},600,20"
+    command = ["doctor", "--camera", str(photo), "--points", str(points)]
+    command += ["--image", str(tmp_path / "overlay.png")]
+    assert main(command) == 2
+    assert capsys.readouterr().err.count("camera_position_m") == 1, "for both checks together"
+    points.write_text("\n".join(lines))
+    assert main(command) == 2
+    shown = capsys.readouterr().err
+    assert "1 of 2 checks failed. fit: A point" in shown
+    assert "camera_position_m" not in shown
+
+
 def test_the_overlay_shows_both(scene, tmp_path):
     photo, _ = write(tmp_path, scene, moved(scene, (0, 0, 0), (0, 0, 0)))
     check_camera(CONFIG, photo, None, tmp_path / "overlay.png")

@@ -55,7 +55,10 @@ class Doctor(TableCommand):
             self._refuse("--camera", "points")
         values = super().run()
         if failed := [check for check in values["checks"] if not check["ok"]]:
-            remedies = " ".join(f"{check['name']}: {check['remedy']}" for check in failed)
+            shared: dict[str, list[str]] = {}
+            for check in failed:
+                shared.setdefault(check["remedy"], []).append(check["name"])
+            remedies = " ".join(f"{', '.join(names)}: {r}" for r, names in shared.items())
             raise UserError(f"{len(failed)} of {len(values['checks'])} checks failed. {remedies}")
         return values
 
