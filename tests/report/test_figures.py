@@ -73,6 +73,13 @@ def test_stairs_hold_each_value_until_the_next():
     assert points[0].split()[1] == points[1].split()[1]
 
 
+@pytest.mark.parametrize("step", [0.0, 1e9, -1e15])
+def test_a_curve_of_one_point_has_an_axis(step):
+    line = Series(name="a", colour="c-blue", x=np.array([step]), y=np.array([0.5]))
+    root = ElementTree.fromstring(line_chart([line], "name", Axis(title="x"), Axis(title="y")))
+    assert root.get("width")
+
+
 def test_a_scale_holds_what_it_was_fitted_to():
     scale = fit([3.0, float("nan"), -2.0], 0, 100)
     assert 0 < scale(-2.0) < scale(3.0) < 100

@@ -22,6 +22,7 @@ from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.summary import FRAME_MS, MAX_FRAMES, read_film
 from knowarm.knowledge import household, read_graph
 from knowarm.knowledge.graph import sparql as sparql_module
+from knowarm.knowledge.graph.graph import gamma
 from knowarm.knowledge.graph.sparql import sparql
 from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.kge.train import FORMAT, load_model, new_model, save_model
@@ -119,6 +120,21 @@ def test_damaged_provenance(tmp_path, policy):
     (run / "provenance.json").write_text(json.dumps(values))
     with pytest.raises(UserError):
         load_agent(run)
+
+
+def test_an_over_long_path_of_a_runs_graph(tmp_path):
+    run = RunFolder(shutil.copytree(ZOO / "irb120-full-fast", tmp_path / "run"))
+    values = json.loads(run.config_path.read_text())
+    values["knowledge"]["graph"] = "a" * 5000
+    run.config_path.write_text(json.dumps(values))
+    with pytest.raises(UserError, match=r"Cannot read .*config\.json: File name too long"):
+        run.config()
+
+
+def test_hops_end_where_the_graph_does():
+    graph = household()
+    every = gamma(graph, ["mug"], hops=len(graph))
+    assert np.array_equal(gamma(graph, ["mug"], hops=10**12).nodes, every.nodes)
 
 
 def test_a_film_of_very_many_images(tmp_path):

@@ -148,8 +148,9 @@ class RunFolder:
         return values
 
     def _readable(self, graph: str) -> str:
-        copy = self._graph(Path(graph))
-        return str(copy) if copy.exists() and not same_files(Path(graph), copy) else graph
+        with reading(self.config_path, "Restore the file."):
+            copy = self._graph(Path(graph))
+            return str(copy) if copy.exists() and not same_files(Path(graph), copy) else graph
 
     def ended_early_at(self, rule: StopWhen | None) -> int | None:
         """Return the step at which an early end was reached, or None."""

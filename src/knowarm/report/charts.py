@@ -144,7 +144,8 @@ def line_chart(
     """Draw lines over their bands; the page's script shows the values under the pointer."""
     box = box or Box()
     xs = np.concatenate([each.x for each in series])
-    x = Scale(float(xs.min()), max(float(xs.max()), float(xs.min()) + 1e-9), *box.x)
+    low, high = float(xs.min()), float(xs.max())
+    x = Scale(low, max(high, low + 1e-9 * (1 + abs(low))), *box.x)
     if y_axis.range is None:
         arrays = [a for s in series for a in (s.y, s.low, s.high, *(ys for _, ys in s.faint))]
         y = fit(np.concatenate([a for a in arrays if a is not None]).tolist(), *box.y)

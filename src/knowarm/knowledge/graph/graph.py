@@ -270,5 +270,7 @@ def gamma(
                 found.append(edges)
                 reached.append((graph.tails if way == "out" else graph.heads)[edges])
             frontier = np.setdiff1d(np.concatenate(reached), seen)
+            if not len(frontier):
+                break
             seen = np.union1d(seen, frontier)
     return graph.rows(np.unique(np.concatenate(found)), nodes=start)
