@@ -110,7 +110,9 @@ class _Access:
             404: "Check owner, name and revision.",
         }.get(status or 0, "Check the connection; HF_HUB_OFFLINE=1 searches the cache alone.")
         line = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-        raise UserError(f"The Hub did not serve {self._repo_id}: {line} {remedy}") from error
+        raise UserError(
+            f"The Hub did not serve {self._repo_id}: {line.rstrip('.')}. {remedy}"
+        ) from error
 
 
 def _hub() -> Any:
