@@ -253,6 +253,21 @@ def test_other_objects_seeds_and_settings_are_other_networks(config, empty_cache
     assert len([*empty_cache.iterdir()]) == 4
 
 
+def test_runs_share_a_network_whose_seed_is_given(config, empty_cache):
+    parts = build(config)
+    settings = GroundingConfig(images=32, rounds=1, batch=32, frame_head="neighbourhood")
+    given = dataclasses.replace(settings, seed=3)
+
+    def train(how, seed):
+        return train_grounding(config.env, parts.table, 1, how, seed=seed).state_dict()
+
+    first, again, own = train(given, 0), train(given, 1), train(settings, 3)
+    assert len([*empty_cache.iterdir()]) == 2  # network and frame head
+    for other in (again, own):
+        assert all(torch.equal(first[name], value) for name, value in other.items())
+    assert not torch.equal(train(settings, 0)["key.0.weight"], first["key.0.weight"])
+
+
 @torch.no_grad()
 def test_a_frame_is_predicted_from_the_places_around_it(network):
     wide = GroundingNetwork(
@@ -414,6 +429,7 @@ def test_only_queries_are_grounded(name):
         ("naming_coef", -1.0),
         ("frame_coef", -1.0),
         ("shared_rounds", -1),
+        ("seed", -1),
     ],
 )
 def test_numbers_out_of_range_are_refused(field, value):

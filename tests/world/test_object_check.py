@@ -14,6 +14,15 @@ def test_objects_that_can_be_reached_and_told_apart_pass() -> None:
     }
 
 
+def test_an_object_is_drawn_with_all_its_parts() -> None:
+    parts = ["bottle.neck", "bottle.stopper", "clock.bell", "clock.rim"]
+    checks = {check.name: check for check in check_objects("irb120", "purpose", parts)}
+    assert [check for check in checks.values() if not check.ok] == []
+    shown = {"bottle in the image", "clock in the image"}
+    assert {f"reach of {part}" for part in parts} | shown < {*checks}
+    assert "bottle and clock" in checks["any two objects differ"].found
+
+
 def test_two_objects_of_one_shape_are_named(tmp_path: Path) -> None:
     for name in ("one", "other"):
         text = (EXAMPLES / "bowl.toml").read_text()

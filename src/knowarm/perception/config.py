@@ -60,7 +60,7 @@ class PerceptionConfig(ModuleTrainingConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class GroundingConfig(ModuleTrainingConfig):
-    """Training of a `GroundingNetwork`, with the seed of its run."""
+    """Training of a `GroundingNetwork`."""
 
     images: int = 16_000
     """Training images per round: first images of episodes, never the same."""
@@ -80,12 +80,15 @@ class GroundingConfig(ModuleTrainingConfig):
     """Rounds that train names and grasp frames alone, whose result all agents with the same robot,
     objects and seed share; ``rounds`` then train how queries are compared with places. 0: the
     ``rounds`` train everything together."""
+    seed: int | None = None
+    """Seed of the network, so that runs with other seeds share it; None: that of the run."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         least = 0 if self.shared_rounds > 0 else 1
         at_least(self, least, "rounds", where="GroundingConfig.")
-        at_least(self, 0, "naming_coef", "frame_coef", "shared_rounds", where="GroundingConfig.")
+        fields = "naming_coef", "frame_coef", "shared_rounds", "seed"
+        at_least(self, 0, *fields, where="GroundingConfig.")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -71,10 +71,12 @@ def train_grounding(
         knowledge: (Q, K) float32, one row of ``slots`` equal parts per query.
         slots: number of parts.
         config: images, rounds and losses (`GroundingNetwork.losses`).
-        seed: of the run.
+        seed: of the run; ``config.seed`` goes first.
         report: receives a line at the start and after every round.
         should_stop: called before every round; the result is then None.
     """
+    if config.seed is not None:
+        seed, config = config.seed, replace(config, seed=None)
     if config.frame_head == "neighbourhood":
         base = replace(config, frame_head="place")
         options: dict[str, Any] = {"seed": seed, "report": report}

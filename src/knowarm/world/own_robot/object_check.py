@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.errors import UserError
+from knowarm.questions import object_of
 from knowarm.world.agents.ik import InverseKinematics
 from knowarm.world.backend import MujocoSimulator
 from knowarm.world.config import EnvConfig, scene_of
@@ -25,6 +26,8 @@ from knowarm.world.tasks import task_type
 PLACES = 4  # Positions per side of the grid over the rectangle at which objects are checked
 MIN_DIFFERENT = 6
 """Least number of pixels in which two objects of one colour differ, or one in two colours."""
+Images = dict[str, NDArray[np.int16]]
+"""Images of an object at P places, (P, H, W, 3), by the name of its colour."""
 
 
 def check_objects(robot: str, task: str, targets: Sequence[str] = ()) -> list[Check]:
@@ -38,15 +41,13 @@ def check_objects(robot: str, task: str, targets: Sequence[str] = ()) -> list[Ch
     except UserError as error:
         return [check_result("scene", False, str(error), "Correct the named field.")]
     places = _grid(scene)
-    found = f"{len(config.targets)} objects, {config.task.visible} per episode"
+    found = f"{len(config.targets)} targets, {config.task.visible} per episode"
     checks = [check_result("scene", True, found)]
     checks += [_check_reach(scene, config, k, places) for k in range(len(config.targets))]
     images, empty = _images(scene, config, places)
-    checks += [
-        check_visible(t.name, shown, empty, "enlarge the object or move the camera nearer.")
-        for t, shown in zip(scene.targets, images, strict=True)
-    ]
-    return [*checks, _check_shapes(scene, images), _check_colours(scene, images)]
+    remedy = "enlarge the object or move the camera nearer."
+    checks += [check_visible(name, [*shown.values()], empty, remedy) for name, shown in images]
+    return [*checks, _check_shapes(images), _check_colours(images)]
 
 
 def _grid(scene: Scene) -> NDArray[np.float64]:
@@ -70,8 +71,8 @@ def _check_reach(scene: Scene, config: EnvConfig, k: int, places: NDArray[np.flo
 
 def _images(
     scene: Scene, config: EnvConfig, places: NDArray[np.float64]
-) -> tuple[list[NDArray[np.int16]], NDArray[np.int16]]:
-    """Draw each object alone: C x P images per object, and P without any object."""
+) -> tuple[list[tuple[str, Images]], NDArray[np.int16]]:
+    """Draw each object alone in each of its colours, with all its parts; and without any object."""
     count = len(places)
     simulator = MujocoSimulator(scene, count, 1, "kinematic")
     everything = np.repeat(places[:, None], len(scene.targets), axis=1)
@@ -80,38 +81,36 @@ def _images(
     poses = simulator.geom_position, simulator.geom_matrix
     renderer = make_renderer(scene, config, config.image_size)
     paint = TargetColours(scene)
-    images = [
-        np.stack(
-            [
-                renderer.draw(*poses, paint(np.full(count, k), np.full(count, c))).astype(np.int16)
-                for c in range(len(target.colours))
-            ]
-        )
-        for k, target in enumerate(scene.targets)
-    ]
+    objects: dict[str, list[int]] = {}
+    for k, target in enumerate(scene.targets):
+        objects.setdefault(object_of(target.name), []).append(k)
+    images = []
+    for name, parts in objects.items():
+        shown, pairs = np.tile(parts, (count, 1)), enumerate(scene.colour_names[parts[0]])
+        drawn = {c: renderer.draw(*poses, paint(shown, np.full_like(shown, i))) for i, c in pairs}
+        images.append((name, {colour: image.astype(np.int16) for colour, image in drawn.items()}))
     empty = renderer.draw(*poses, resting_colours(scene, count)).astype(np.int16)
     return images, empty
 
 
-def _check_shapes(scene: Scene, images: list[NDArray[np.int16]]) -> Check:
+def _check_shapes(images: list[tuple[str, Images]]) -> Check:
     """Compare every two objects of the same colour at the same position."""
-    names, found = scene.colour_names, []
-    for a, b in combinations(range(len(images)), 2):
-        for colour in set(names[a]) & set(names[b]):
-            shown = images[a][names[a].index(colour)], images[b][names[b].index(colour)]
-            pair = f"{scene.targets[a].name} and {scene.targets[b].name} of one colour"
-            found.append((float(np.median(different_pixels(*shown))), pair))
+    found = [
+        (float(np.median(different_pixels(a[colour], b[colour]))), f"{one} and {two} of one colour")
+        for (one, a), (two, b) in combinations(images, 2)
+        for colour in a.keys() & b.keys()
+    ]
     remedy = "give one of them another shape or size, or leave it out."
     return _least("objects", found, "no two objects have a colour in common", remedy)
 
 
-def _check_colours(scene: Scene, images: list[NDArray[np.int16]]) -> Check:
+def _check_colours(images: list[tuple[str, Images]]) -> Check:
     """Compare every two colours of each object."""
-    found = []
-    for target, names, drawn in zip(scene.targets, scene.colour_names, images, strict=True):
-        for a, b in combinations(range(len(drawn)), 2):
-            pair = f"{target.name} in {names[a]} and {names[b]}"
-            found.append((float(np.median(different_pixels(drawn[a], drawn[b]))), pair))
+    found = [
+        (float(np.median(different_pixels(drawn[a], drawn[b]))), f"{name} in {a} and {b}")
+        for name, drawn in images
+        for a, b in combinations(drawn, 2)
+    ]
     remedy = "colour more of the object's geoms, or choose other colours."
     return _least("colours", found, "no object has two colours", remedy)
 
