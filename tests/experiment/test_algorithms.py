@@ -39,6 +39,17 @@ def test_fast_has_the_measured_settings():
     assert fast.threshold_success == 0.5
 
 
+def test_imitation_gives_the_goal_to_the_layer_of_the_auxiliary_loss():
+    """The settings of docs/results/answers.md; agents without a grounding network keep theirs."""
+    fusion = {
+        name: experiment_config(f"irb120-choose-{name}").policy.fusion
+        for name in ("answers-distil", "mask-distil", "answers-fast", "subgraph-similarity-distil")
+    }
+    assert [*fusion.values()] == ["before_fc", "before_fc", "before_lstm", "similarity"]
+    assert experiment_config("irb120-choose-answers-distil").total_steps == 300_000
+    assert experiment_config("irb120-full-distil").total_steps == 200_000
+
+
 def test_plain_ppo_uses_no_privileged_state():
     config = experiment_config("irb120-full-ppo").algorithm
     assert privileged_uses(vars(config)) == []

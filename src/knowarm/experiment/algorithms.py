@@ -41,6 +41,8 @@ class Algorithm:
     """Environment steps of an experiment, over all environments."""
     policy: Mapping[str, Any] = field(default_factory=dict)
     """Fields of the policy's config that have other values under this algorithm."""
+    grounded: Mapping[str, Any] = field(default_factory=dict)
+    """The same for agents whose policy receives the grasp frame of a grounding network."""
     by_task: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Fields of the experiments of single tasks that have other values, by task."""
 
@@ -106,6 +108,9 @@ ALGORITHMS: dict[str, Algorithm] = {
         make_trainer=_make_ppo,
         total_steps=200_000,
         policy={"pixel_shift": 0.5, "pixel_scale": 4.0},
+        # The auxiliary loss predicts the way to the goal, so its features have to know the goal.
+        grounded={"fusion": "before_fc"},
+        by_task={task: {"total_steps": 300_000} for task in ("choose", "purpose")},
     ),
     "ppo": Algorithm(
         about="recurrent proximal policy optimization",

@@ -167,6 +167,7 @@ def task_for(name: str, **fields: Any) -> Task:
 def _config(name: ExperimentName) -> ExperimentConfig:
     agent, algorithm = AGENTS[name.agent], ALGORITHMS[name.algorithm]
     task, knowledge = task_for(name.task, **agent.task), agent.knowledge
+    policy = {**algorithm.policy, **(algorithm.grounded if agent.grounding else {})}
     queries = getattr(task, "queries", None)
     if knowledge.scope in ("query", "perceived") and isinstance(queries, GraphQueries):
         # described by the graph of the questions
@@ -179,7 +180,7 @@ def _config(name: ExperimentName) -> ExperimentConfig:
         total_steps=algorithm.total_steps,
         env=EnvConfig(robot=name.robot, task=task, colours=name.colours),
         knowledge=knowledge,
-        policy=dataclasses.replace(agent.policy, **algorithm.policy),
+        policy=dataclasses.replace(agent.policy, **policy),
         grounding=agent.grounding,
         reasoning=agent.reasoning,
         algorithm=algorithm.config,

@@ -46,7 +46,9 @@ def check_objects(robot: str, task: str, targets: Sequence[str] = ()) -> list[Ch
     checks += [_check_reach(scene, config, k, places) for k in range(len(config.targets))]
     images, empty = _images(scene, config, places)
     remedy = "enlarge the object or move the camera nearer."
-    checks += [check_visible(name, [*shown.values()], empty, remedy) for name, shown in images]
+    checks += [
+        check_visible(name, np.stack([*shown.values()]), empty, remedy) for name, shown in images
+    ]
     return [*checks, _check_shapes(images), _check_colours(images)]
 
 
