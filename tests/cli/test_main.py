@@ -126,6 +126,14 @@ def test_list_shows_and_writes_the_names(capsys, tmp_path):
     names = json.loads(file.read_text())
     assert {"irb120", "tiago"} <= set(names["robots"])
     assert "irb120-full-a3c" in names["experiments"]
+    assert names["colours"]["mug"] == ["red", "blue"]
+
+
+def test_list_shows_one_kind_only(capsys):
+    code, out, _ = run(capsys, "list", "targets")
+    assert code == 0
+    assert re.search("mug.*red, blue", out)
+    assert "subgraph" not in out
 
 
 @pytest.mark.parametrize(
@@ -227,6 +235,30 @@ def test_errors_of_the_library_name_flags() -> None:
     message = "Pass resume=True to continue, or record_steps=False to save less (x=1, s='a')."
     expected = "Pass --resume to continue, or --no-record-steps to save less (x=1, s='a')."
     assert with_flags(message) == expected
+    message = "Use detail='partial', aliases={'sauce pan': 'pan'} or s='a'."
+    assert with_flags(message, "study") == message
+    assert with_flags(message, "knowledge") == (
+        "Use --detail partial, --aliases 'sauce pan' pan or s='a'."
+    )
+    assert with_flags(message, "train") == (
+        "Use --knowledge.detail partial, --knowledge.aliases 'sauce pan' pan or s='a'."
+    )
+
+
+def test_help_joins_the_lines_of_docstrings(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "90")
+    texts = []
+    for command in ("queries", "embed"):
+        with pytest.raises(SystemExit) as ended:
+            main(["knowledge", command, "--help"])
+        assert ended.value.code == 0
+        texts.append(capsys.readouterr().out)
+    box = [line for line in texts[0].splitlines() if line.startswith(("│", "╭", "╰"))]
+    assert {len(line) for line in box} == {90}
+    assert not re.search(r"the tail of *│", texts[0])  # the source breaks the line here
+    words = re.sub(r"[│\s]+", " ", texts[0])
+    assert "is the head of a triple and the tail of none, and no colour. --colours" in words
+    assert not re.search("``|default: \\)", "".join(texts))
 
 
 def test_a_knowledge_source_is_chosen_by_name() -> None:

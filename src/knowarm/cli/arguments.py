@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stdout, suppress
 from functools import partial
 from io import BytesIO, TextIOWrapper
-from textwrap import fill, indent
+from textwrap import fill, indent, wrap
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import tyro
@@ -55,8 +55,45 @@ def parse_options(
         if re.match(r"--[a-z]", name):
             given.add(name)
     # Alternatives such as tasks are options, not commands: the default says which one is meant.
-    fixed = (tyro.conf.AvoidSubcommands,)
-    return tyro.cli(command, prog=prog, args=arguments, registry=REGISTRY, config=fixed, **options)
+    options |= {"registry": REGISTRY, "config": (tyro.conf.AvoidSubcommands,)}
+    if not any(word in HELP for word in arguments):
+        return tyro.cli(command, prog=prog, args=arguments, **options)
+    print(_rewrap(_printed(lambda: tyro.cli(command, prog=prog, args=["--help"], **options))))
+    sys.exit(0)
+
+
+def _printed(show: Callable[[], Any]) -> str:
+    """Return what a function prints before it ends the program."""
+    with redirect_stdout(TextIOWrapper(BytesIO(), "utf-8")) as text, suppress(SystemExit):
+        show()
+    text.seek(0)
+    return text.read()
+
+
+def _rewrap(text: str) -> str:
+    """Wrap the texts in the boxes of a help text again, without the line breaks of the source."""
+    lines: list[str] = []
+    start, words, width = (
+        "",
+        "",
+        0,
+    )  # what precedes the current text, the text, and its line's width
+    for line in [*text.splitlines(), ""]:
+        # An option or argument and its text, one of them, or a further line of the text.
+        found = re.match(r"│ (-\S+(?: \S+)*|\S+(?=  )|)( *)([^-─\s].*?)? *│$", line)
+        if found and found[3] and not found[1] and words and len(found[2]) == len(start):
+            words += f" {found[3]}"
+            continue
+        if words:
+            words = words.replace("``", "").replace(" (default: )", "")
+            pieces = wrap(words, width - 4 - len(start), break_on_hyphens=False)
+            heads = [start, *[" " * len(start)] * len(pieces)]
+            lines += [f"│ {a + b:<{width - 3}}│" for a, b in zip(heads, pieces, strict=False)]
+        start, words = (found[1] + found[2], found[3] or "") if found else ("", "")
+        width = len(line)
+        if not words:
+            lines.append(line)
+    return "\n".join(lines).strip()
 
 
 def parse_command(command: Any, prog: str, about: str, arguments: Sequence[str]) -> Any:
@@ -97,12 +134,9 @@ def answer_help(
     """
     if not any(word in HELP for word in words):
         return ["--help" if word == "--help-all" else word for word in words]
-    with redirect_stdout(TextIOWrapper(BytesIO(), "utf-8")) as text, suppress(SystemExit):
-        show()
-    text.seek(0)
     groups: dict[str, list[str]] = {}
     lines: list[str] = []  # of the box of positional arguments, which comes first
-    for line in text.read().splitlines():
+    for line in _printed(show).splitlines():
         if found := re.match(r"╭─ ([\w.-]+ )?options ─", line):
             groups[(found[1] or "").strip()] = lines = []
         elif line.startswith("│ "):
@@ -121,8 +155,7 @@ def answer_help(
     for name, entry in entries:
         if f"{name}.".startswith(f"{group}.") if group else re.match(f" --({first})[ ,]", entry):
             head, *body = entry.splitlines()
-            words = " ".join(map(str.strip, body)).replace("``", "")
-            print(head, indent(fill(words, 72), " " * 6), sep="\n")
+            print(head, indent(fill(" ".join(map(str.strip, body)), 72), " " * 6), sep="\n")
     print(f"\n`{prog} --help-all` shows all {len(entries)} options, `--help GROUP` a group:")
     print("\n".join(f"  {name}" for name in groups if name))
     sys.exit(0)

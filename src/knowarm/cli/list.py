@@ -1,12 +1,14 @@
 """``knowarm list``: robots, targets, agents, algorithms and experiments."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, Literal
+
+import tyro
 
 from knowarm.cli.tables import TableCommand, print_table
 from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.algorithms import ALGORITHMS
-from knowarm.experiment.names import experiment_names
+from knowarm.experiment.names import DEFAULT_EXPERIMENT, experiment_names
 from knowarm.learn.algorithms import privileged_uses
 from knowarm.world import env_id
 from knowarm.world.agents import SCRIPTED_AGENTS
@@ -15,55 +17,89 @@ from knowarm.world.robots import ROBOTS
 from knowarm.world.robots.menagerie import HOW_TO_GET, known_arms
 from knowarm.world.tasks import task_names
 
+Kind = Literal["robots", "agents", "algorithms", "targets", "experiments"]
+
 
 @dataclass(frozen=True, kw_only=True)
 class List(TableCommand):
-    """List robots, targets, agents, algorithms and experiments."""
+    """List robots, agents, algorithms, targets and names of experiments."""
+
+    kind: Annotated[Kind | None, tyro.conf.Positional, tyro.conf.arg(metavar="[KIND]")] = None
+    """Only robots, agents, algorithms, targets or experiments."""
 
     def result(self) -> dict[str, Any]:
-        """Print one table per kind."""
-        rows: list[list[Any]] = [
-            [name, entry.title, ", ".join(env_id(name, task) for task in task_names())]
-            for name, entry in ROBOTS.items()
-        ]
-        print_table("Robots", ["robot", "name", "Gymnasium ids"], rows)
-        arms = known_arms()
-        rows = [[arm.name, arm.title, str(arm.mjcf or "missing")] for arm in arms]
-        title = "Known arms, whose files are in the MuJoCo Menagerie"
-        print_table(title, ["robot", "name", "file"], rows)
-        if any(arm.mjcf is None for arm in arms):
-            print(f"To get the missing files: {HOW_TO_GET}.\n")
-        grounded = "; grounded by the simulator's labels in training"
-        rows = [
-            [name, agent.role, agent.about + grounded * (agent.grounding is not None)]
-            for name, agent in AGENTS.items()
-        ]
-        print_table("Agents", ["agent", "role", "description"], rows)
-        rows = [
-            [name, each.total_steps, ", ".join(privileged_uses(vars(each.config))), each.about]
-            for name, each in ALGORITHMS.items()
-        ]
-        columns = ["algorithm", "steps", "simulator's state in training", "description"]
-        print_table("Algorithms", columns, rows)
-        rows = [[name, agent.about] for name, agent in SCRIPTED_AGENTS.items()]
-        title = "Scripted agents, for `knowarm evaluate` and `knowarm view`"
-        print_table(title, ["agent", "description"], rows)
-        print(f"Targets: {', '.join(TARGETS)}\n")
-        examples = experiment_names()
-        print(
-            "An experiment is named ROBOT-AGENT-ALGORITHM, or ROBOT-AGENT-dr-ALGORITHM with\n"
-            "randomized colours of the targets, or ROBOT-choose-AGENT-ALGORITHM with several\n"
-            "objects, of which a query means one. Train one, for example:\n"
-            f"  knowarm train {examples[0]}\n"
-            f"  knowarm train {examples[-1]}"
-        )
+        """Print what is asked for."""
+        sections = {
+            "robots": _robots,
+            "agents": _agents,
+            "algorithms": _algorithms,
+            "targets": _targets,
+            "experiments": _experiments,
+        }
+        for kind, show in sections.items():
+            if self.kind in (None, kind):
+                show()
         return {
             "robots": {name: entry.title for name, entry in ROBOTS.items()},
-            "known_arms": {arm.name: arm.title for arm in arms},
+            "known_arms": {arm.name: arm.title for arm in known_arms()},
             "targets": list(TARGETS),
+            "colours": {name: list(target.colours) for name, target in TARGETS.items()},
             "agents": {name: agent.about for name, agent in AGENTS.items()},
             "roles": {name: agent.role for name, agent in AGENTS.items()},
             "algorithms": list(ALGORITHMS),
             "scripted_agents": list(SCRIPTED_AGENTS),
-            "experiments": examples,
+            "experiments": experiment_names(),
         }
+
+
+def _robots() -> None:
+    rows: list[list[Any]] = [
+        [name, entry.title, ", ".join(env_id(name, task) for task in task_names())]
+        for name, entry in ROBOTS.items()
+    ]
+    print_table("Robots", ["robot", "name", "Gymnasium ids"], rows)
+    arms = known_arms()
+    rows = [[arm.name, arm.title, str(arm.mjcf or "missing")] for arm in arms]
+    title = "Known arms, whose files are in the MuJoCo Menagerie"
+    print_table(title, ["robot", "name", "file"], rows)
+    if any(arm.mjcf is None for arm in arms):
+        print(f"To get the missing files: {HOW_TO_GET}.\n")
+
+
+def _agents() -> None:
+    grounded = "; grounded by the simulator's labels in training"
+    rows = [
+        [name, agent.role, agent.about + grounded * (agent.grounding is not None)]
+        for name, agent in AGENTS.items()
+    ]
+    print_table("Agents", ["agent", "role", "description"], rows)
+    rows = [[name, agent.about] for name, agent in SCRIPTED_AGENTS.items()]
+    title = "Scripted agents, for `knowarm evaluate` and `knowarm view`"
+    print_table(title, ["agent", "description"], rows)
+
+
+def _algorithms() -> None:
+    rows = [
+        [name, each.total_steps, ", ".join(privileged_uses(vars(each.config))), each.about]
+        for name, each in ALGORITHMS.items()
+    ]
+    columns = ["algorithm", "steps", "simulator's state in training", "description"]
+    print_table("Algorithms", columns, rows)
+
+
+def _targets() -> None:
+    alike: dict[str, list[str]] = {}
+    for name, target in TARGETS.items():
+        alike.setdefault(", ".join(target.colours), []).append(name)
+    rows = [[", ".join(names), colours] for colours, names in alike.items()]
+    print_table("Targets", ["targets", "colours, the fixed one first"], rows)
+
+
+def _experiments() -> None:
+    print(
+        "An experiment is named ROBOT-AGENT-ALGORITHM, with -dr after the agent for randomized\n"
+        "colours, and with the task after the robot if it is another than reach:\n"
+        f"  knowarm train {DEFAULT_EXPERIMENT}\n"
+        "  knowarm train tiago-bm-dr-ppo\n"
+        "  knowarm train irb120-choose-answers-distil"
+    )

@@ -7,6 +7,7 @@ import errno
 import io
 import os
 import re
+import shlex
 import sys
 from collections.abc import Sequence
 from contextlib import redirect_stderr
@@ -70,7 +71,7 @@ def _run(arguments: list[str]) -> int:
             code = _parse(arguments[0], arguments[1:]).run()
             return code if isinstance(code, int) else 0
     except UserError as error:
-        return _fail(with_flags(str(error)))
+        return _fail(with_flags(str(error), *arguments[:1]))
     except KeyboardInterrupt:
         print("knowarm: interrupted", file=sys.stderr)
         return 130
@@ -91,14 +92,30 @@ def _fail(message: str) -> int:
     return 2
 
 
-def with_flags(message: str) -> str:
-    """Replace arguments in an error message by flags: ``resume=True`` becomes ``--resume``."""
+def with_flags(message: str, command: str = "") -> str:
+    """Replace arguments in an error message by flags: ``resume=True`` becomes ``--resume``.
+
+    In `knowarm train` and `knowarm knowledge` also ``detail='full'`` and ``aliases={'a': 'b'}``.
+    """
 
     def flag(found: re.Match[str]) -> str:
-        name, value = found[1].replace("_", "-"), found[2]
+        name, value = found[1], found[2]
+        if value[0] in "{'":
+            from knowarm.knowledge.config import KnowledgeConfig
+            from knowarm.policy.config import PolicyConfig
+            from knowarm.world.config import EnvConfig
+
+            groups = {"knowledge": KnowledgeConfig, "env": EnvConfig, "policy": PolicyConfig}
+            places = [group for group, of in groups.items() if name in of.__dataclass_fields__]
+            if command not in ("train", "knowledge") or not places:
+                return found[0]
+            name = f"{places[0]}.{name}" if command == "train" else name
+            value = shlex.join(re.findall("'(.+?)'", value))
+        name = name.replace("_", "-")
         return {"True": f"--{name}", "False": f"--no-{name}"}.get(value, f"--{name} {value}")
 
-    return re.sub(r"\b([a-z_]+)=(True|False|FILE)\b", flag, message)
+    value = r"True\b|False\b|FILE\b|'[^']+'|\{'[^']+': '[^']+'\}"
+    return re.sub(rf"\b([a-z_]+)=({value})", flag, message)
 
 
 def _parse(name: str, arguments: list[str]) -> Any:

@@ -74,7 +74,7 @@ class ExperimentConfig:
     """Name of the algorithm in tables and reports, as in `knowarm list`; ``algorithm`` has its
     hyperparameters. Empty: the name of its trainer."""
     role: Role = "knowledge"
-    """Purpose of the agent in a comparison: see `knowarm.experiment.agents.Role`."""
+    """Purpose of the agent in a comparison, by which reports choose what to compare it with."""
     seed: int = 0
     """Seed of initial weights, episodes, actions and minibatches."""
     total_steps: int = 10_000_000

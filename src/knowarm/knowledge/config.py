@@ -52,7 +52,7 @@ class KnowledgeConfig:
     head_once: bool = False
     """Whether the sentence names the object once, or again in each fact (the paper's)."""
     templates: dict[str, str] = field(default_factory=dict)
-    """Words for a relation instead of its label: {"isMadeOf": "made of"}."""
+    """Words for a relation instead of its label, in pairs: isMadeOf "made of"."""
     pooling: Pooling = "mean"
     """How the vectors of a sentence become one: their mean (the paper's), or a mean weighted by
     a / (a + frequency), a = 0.001 (SIF: Arora, Liang and Ma 2017)."""

@@ -340,6 +340,6 @@ def _unit(vector: np.ndarray) -> np.ndarray:
     if length == 0:
         raise UserError(
             "A slot's vector is zero, so it cannot be scaled: no word of its sentence is known. "
-            "Give aliases, or set on_missing to 'hash'."
+            "Give aliases, or use on_missing='hash'."
         )
     return vector / length

@@ -206,13 +206,13 @@ def _colour_row(around: KnowledgeGraph, rows: np.ndarray, facet: Facet, wanted: 
     if not wanted:
         raise UserError(
             f"{facet.object!r} has no colour in the graph, so detail 'full' cannot describe it. "
-            f"Add its colours to the graph, or set detail to 'partial'."
+            f"Add its colours to the graph, or set detail='partial'."
         )
     known = sorted(local_name(around.names[around.tails[row]]) for row in rows)
     raise UserError(
         f"The graph does not say that {facet.object!r} can be {wanted!r}. "
         f"Its colours there: {', '.join(known) or 'none'}. "
-        f"Add that fact to the graph, set colours to 'fixed' if it has those, or detail 'partial'."
+        f"Add that fact to the graph, use colours='fixed' if it has those, or detail='partial'."
     )
 
 

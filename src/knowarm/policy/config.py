@@ -49,7 +49,7 @@ class PolicyConfig:
 
     fusion: str = "before_lstm"
     """Where the knowledge vector enters the network: none, before_fc, before_lstm (the paper),
-    after_lstm, film, attention, similarity or critic (`FUSIONS`)."""
+    after_lstm, film, attention, similarity or critic."""
     hidden: Literal["grow", "fixed"] | int = "grow"
     """Hidden size of the LSTM: "grow" is ``features`` plus the width of the knowledge vector (the
     paper's 128 / 278 / 428), "fixed" is ``features``, or a number."""

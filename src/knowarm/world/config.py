@@ -24,14 +24,14 @@ class EnvConfig:
     """Robot, task, objects, thresholds and image. Defaults are the paper's training settings."""
 
     robot: str = DEFAULT_ROBOT
-    """A name in ``ROBOTS`` or ``KNOWN_ARMS``, or the TOML file of your own robot."""
+    """A robot that `knowarm list` names, or the TOML file of your own robot."""
     task: Task = field(
         default_factory=lambda: task_type("reach")(), metadata=registered(task_types, TASK_REMEDY)
     )
     """What an episode is, what counts as success, reward and infos: ``Reach``, ``Choose``, or a
     task of your own."""
     targets: tuple[str, ...] = ()
-    """Names in ``TARGETS`` or TOML files; objects are drawn from them. Empty takes the task's."""
+    """Names of `knowarm list` or TOML files; objects are drawn from them. Empty: the task's."""
     colours: Colours = "fixed"
     """Always a target's first colour, or one of its colours drawn per episode. A task may fix
     it."""

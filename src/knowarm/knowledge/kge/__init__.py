@@ -8,7 +8,7 @@ class KgeConfig:
     """1-vs-all training with reciprocal relations (Lacroix, Usunier and Obozinski 2018)."""
 
     model: str = "analogy"
-    """Key of `kge.models.MODELS`: analogy, transe, distmult, complex."""
+    """Name of the model: analogy, transe, distmult, complex."""
     dim: int = 50
     """Numbers per entity."""
     epochs: int = 400

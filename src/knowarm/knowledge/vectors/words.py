@@ -161,7 +161,7 @@ class WordVectors(VectorSource):
     kind: Literal["words"] = "words"
     """Tells this source from the others in a file."""
     name: str = "wordnet-gloss-50"
-    """Key of `SHIPPED`: vectors that come with the package."""
+    """Name of vectors that come with the package."""
     file: str | None = None
     """Path of a file in GloVe's format to read instead, e.g. glove.6B.50d.txt."""
 
@@ -225,8 +225,8 @@ class WordLookup:
         if self.on_missing == "error":
             raise UserError(
                 f"No word of the label {part.label!r} (of {part.name!r}) is in {self.name}. "
-                f"Give it another word in `aliases`, e.g. {{{part.label!r}: 'word'}}, or set "
-                f"on_missing to 'skip' or 'hash'."
+                f"Give it another word, aliases={{{part.label!r}: 'word'}}, or use "
+                f"on_missing='skip' or on_missing='hash'."
             )
         return Found(np.empty((0, self.dim), np.float32), np.empty(0))
 
