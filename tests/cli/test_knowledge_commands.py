@@ -36,6 +36,18 @@ def test_show(capsys, tmp_path):
     assert "privileged" in text
 
 
+def test_show_the_vector_of_a_run(capsys, tmp_path):
+    out, zoo = tmp_path / "run.json", ROOT / "zoo" / "irb120-full-fast"
+    code, _, _ = run(capsys, "show", "--agent", zoo, "--json", out)
+    assert code == 0
+    norm = json.loads((zoo / "provenance.json").read_text())["knowledge"]["norm"]
+    values = json.loads(out.read_text())
+    assert np.linalg.norm(values["vector"]) == pytest.approx(norm, rel=1e-6)
+    code, _, error = run(capsys, "show", "--agent", zoo, "--objects", "mug")
+    assert code == 2
+    assert "leave out --agent" in error
+
+
 def test_subgraph(capsys, tmp_path):
     out = tmp_path / "mug.ttl"
     code, text, _ = run(capsys, "subgraph", "--objects", "mug", "--out", out)

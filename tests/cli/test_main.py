@@ -126,7 +126,7 @@ def test_list_shows_and_writes_the_names(capsys, tmp_path):
     names = json.loads(file.read_text())
     assert {"irb120", "tiago"} <= set(names["robots"])
     assert "irb120-full-a3c" in names["experiments"]
-    assert names["colours"]["mug"] == ["red", "blue"]
+    assert names["targets"]["mug"] == ["red", "blue"]
 
 
 def test_list_shows_one_kind_only(capsys):

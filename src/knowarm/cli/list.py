@@ -1,7 +1,7 @@
 """``knowarm list``: robots, targets, agents, algorithms and experiments."""
 
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import tyro
 
@@ -28,78 +28,57 @@ class List(TableCommand):
     """Only robots, agents, algorithms, targets or experiments."""
 
     def result(self) -> dict[str, Any]:
-        """Print what is asked for."""
-        sections = {
-            "robots": _robots,
-            "agents": _agents,
-            "algorithms": _algorithms,
-            "targets": _targets,
-            "experiments": _experiments,
-        }
-        for kind, show in sections.items():
-            if self.kind in (None, kind):
-                show()
+        """Print one table per kind."""
+        shown = [self.kind] if self.kind else get_args(Kind)
+        if "robots" in shown:
+            rows: list[list[Any]] = [
+                [name, entry.title, ", ".join(env_id(name, task) for task in task_names())]
+                for name, entry in ROBOTS.items()
+            ]
+            print_table("Robots", ["robot", "name", "Gymnasium ids"], rows)
+            rows = [[arm.name, arm.title, str(arm.mjcf or "missing")] for arm in known_arms()]
+            title = "Known arms, whose files are in the MuJoCo Menagerie"
+            print_table(title, ["robot", "name", "file"], rows)
+            if any(arm.mjcf is None for arm in known_arms()):
+                print(f"To get the missing files: {HOW_TO_GET}.\n")
+        if "agents" in shown:
+            grounded = "; grounded by the simulator's labels in training"
+            rows = [
+                [name, agent.role, agent.about + grounded * (agent.grounding is not None)]
+                for name, agent in AGENTS.items()
+            ]
+            print_table("Agents", ["agent", "role", "description"], rows)
+            rows = [[name, agent.about] for name, agent in SCRIPTED_AGENTS.items()]
+            title = "Scripted agents, for `knowarm evaluate` and `knowarm view`"
+            print_table(title, ["agent", "description"], rows)
+        if "algorithms" in shown:
+            rows = [
+                [name, each.total_steps, ", ".join(privileged_uses(vars(each.config))), each.about]
+                for name, each in ALGORITHMS.items()
+            ]
+            columns = ["algorithm", "steps", "simulator's state in training", "description"]
+            print_table("Algorithms", columns, rows)
+        if "targets" in shown:
+            alike: dict[str, list[str]] = {}
+            for name, target in TARGETS.items():
+                alike.setdefault(", ".join(target.colours), []).append(name)
+            rows = [[", ".join(names), colours] for colours, names in alike.items()]
+            print_table("Targets", ["targets", "colours, the fixed one first"], rows)
+        if "experiments" in shown:
+            print(
+                "An experiment is named ROBOT-AGENT-ALGORITHM, with -dr after the agent for\n"
+                "randomized colours, and with the task after the robot if it is not reach:\n"
+                f"  knowarm train {DEFAULT_EXPERIMENT}\n"
+                "  knowarm train tiago-bm-dr-ppo\n"
+                "  knowarm train irb120-choose-answers-distil"
+            )
         return {
             "robots": {name: entry.title for name, entry in ROBOTS.items()},
             "known_arms": {arm.name: arm.title for arm in known_arms()},
-            "targets": list(TARGETS),
-            "colours": {name: list(target.colours) for name, target in TARGETS.items()},
+            "targets": {name: list(target.colours) for name, target in TARGETS.items()},
             "agents": {name: agent.about for name, agent in AGENTS.items()},
             "roles": {name: agent.role for name, agent in AGENTS.items()},
             "algorithms": list(ALGORITHMS),
             "scripted_agents": list(SCRIPTED_AGENTS),
             "experiments": experiment_names(),
         }
-
-
-def _robots() -> None:
-    rows: list[list[Any]] = [
-        [name, entry.title, ", ".join(env_id(name, task) for task in task_names())]
-        for name, entry in ROBOTS.items()
-    ]
-    print_table("Robots", ["robot", "name", "Gymnasium ids"], rows)
-    arms = known_arms()
-    rows = [[arm.name, arm.title, str(arm.mjcf or "missing")] for arm in arms]
-    title = "Known arms, whose files are in the MuJoCo Menagerie"
-    print_table(title, ["robot", "name", "file"], rows)
-    if any(arm.mjcf is None for arm in arms):
-        print(f"To get the missing files: {HOW_TO_GET}.\n")
-
-
-def _agents() -> None:
-    grounded = "; grounded by the simulator's labels in training"
-    rows = [
-        [name, agent.role, agent.about + grounded * (agent.grounding is not None)]
-        for name, agent in AGENTS.items()
-    ]
-    print_table("Agents", ["agent", "role", "description"], rows)
-    rows = [[name, agent.about] for name, agent in SCRIPTED_AGENTS.items()]
-    title = "Scripted agents, for `knowarm evaluate` and `knowarm view`"
-    print_table(title, ["agent", "description"], rows)
-
-
-def _algorithms() -> None:
-    rows = [
-        [name, each.total_steps, ", ".join(privileged_uses(vars(each.config))), each.about]
-        for name, each in ALGORITHMS.items()
-    ]
-    columns = ["algorithm", "steps", "simulator's state in training", "description"]
-    print_table("Algorithms", columns, rows)
-
-
-def _targets() -> None:
-    alike: dict[str, list[str]] = {}
-    for name, target in TARGETS.items():
-        alike.setdefault(", ".join(target.colours), []).append(name)
-    rows = [[", ".join(names), colours] for colours, names in alike.items()]
-    print_table("Targets", ["targets", "colours, the fixed one first"], rows)
-
-
-def _experiments() -> None:
-    print(
-        "An experiment is named ROBOT-AGENT-ALGORITHM, with -dr after the agent for randomized\n"
-        "colours, and with the task after the robot if it is another than reach:\n"
-        f"  knowarm train {DEFAULT_EXPERIMENT}\n"
-        "  knowarm train tiago-bm-dr-ppo\n"
-        "  knowarm train irb120-choose-answers-distil"
-    )

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 import tyro
 
@@ -15,8 +15,11 @@ from knowarm.knowledge import FULL, KnowledgeConfig, KnowledgeGraph, read_graph
 from knowarm.knowledge.formats import open_graph
 from knowarm.knowledge.slots import graph_facets
 from knowarm.reading import writing as writing_file
-from knowarm.world.config import EnvConfig
+from knowarm.world.config import EnvConfig, facets_of
 from knowarm.world.objects import TARGETS
+
+if TYPE_CHECKING:
+    from knowarm.experiment.config import ExperimentConfig
 
 OBJECTS = EnvConfig().targets  # the default task's objects
 
@@ -50,7 +53,8 @@ class SceneOptions(TableCommand):
     colours: Literal["fixed", "randomized"] = "randomized"
     """One colour per object, or all that it can have."""
     agent: str | None = None
-    """Take the settings of this agent (see `knowarm list`), without those below."""
+    """Take the settings of this agent (see `knowarm list agents`), without those below; or those of
+    this run folder, and its objects and colours."""
     knowledge: Annotated[KnowledgeConfig, tyro.conf.arg(name="")] = field(
         default_factory=lambda: FULL
     )
@@ -69,18 +73,35 @@ class SceneOptions(TableCommand):
             return self.knowledge
         from knowarm.experiment.agents import AGENTS  # imports torch, which takes seconds
 
-        if self.agent not in AGENTS:
-            raise unknown_name("agent", self.agent, AGENTS)
-        if self.knowledge != FULL:
+        run = self._run()
+        if self.agent not in AGENTS and run is None:
+            raise unknown_name("agent (a name or a run folder)", self.agent, AGENTS)
+        if self.knowledge != FULL or (run and self.objects != OBJECTS):
             raise UserError(
                 f"--agent {self.agent} has its own graph, source and settings: leave out --agent, "
-                "or the options of the knowledge."
+                "or the options of the knowledge and, of a run, the objects."
             )
-        return AGENTS[self.agent].knowledge
+        return run.knowledge if run else AGENTS[self.agent].knowledge
+
+    def run_seed(self) -> int:
+        """Return the training seed of the run, from which placebos are drawn."""
+        run = self._run()
+        return run.seed if run else 0
+
+    def _run(self) -> "ExperimentConfig | None":
+        """Return the settings of the run, if the agent is a run folder."""
+        folder = Path(self.agent or "")
+        if not (folder / "config.json").exists():
+            return None
+        from knowarm.experiment.run_folder import RunFolder
+
+        return RunFolder.open(folder).experiment()
 
     def facets(self) -> list[tuple[str, str]]:
         """Return the (object, colour) pairs: a target's colours are its own, else the graph's."""
         config, facets = self.config(), []
+        if run := self._run():
+            return list(facets_of(run.env))
         for name in self.objects:
             if name in TARGETS:
                 pairs = [(name, colour) for colour in TARGETS[name].colours]

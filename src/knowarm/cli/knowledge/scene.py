@@ -22,7 +22,7 @@ class KnowledgeShow(SceneOptions):
     def result(self) -> dict[str, Any]:
         """Print the subgraph, the sentence of each slot, and the embedding's shape and norm."""
         config, facets = self.config(), self.facets()
-        embedding = scene_embedding(config, facets)
+        embedding = scene_embedding(config, facets, run_seed=self.run_seed())
         subgraph = scene_subgraph(config, facets)
         triples = list(subgraph)
         title = f"Subgraph: {len(triples)} triples, {len(subgraph.nodes)} entities"
@@ -62,7 +62,7 @@ class Embed(SceneOptions):
     def result(self) -> dict[str, Any]:
         """Embed, print and write."""
         check_suffix(self.out, "vectors", (".npy", ".csv", ".safetensors"))
-        embedding = scene_embedding(self.config(), self.facets())
+        embedding = scene_embedding(self.config(), self.facets(), run_seed=self.run_seed())
         rows = [
             [slot.name, " ".join(f"{x:.3f}" for x in row[:6]) + " ...", float(np.linalg.norm(row))]
             for slot, row in zip(embedding.slots, embedding.matrix, strict=True)
