@@ -82,6 +82,7 @@ def test_statistics():
 def test_labels():
     assert label_of("hasColor", {}) == "has color"
     assert label_of("light_blue", {}) == "light blue"
+    assert label_of("http://www.w3.org/1999/02/22-rdf-syntax-ns#type", {}) == "is a"
     assert label_of("http://a.org/x#CerealBox", {}) == "cereal box"
     assert label_of("isMadeOfABS", {}) == "is made of abs"
     assert label_of('"Big Mug"@en', {}) == "big mug"

@@ -25,6 +25,8 @@ LABEL_RELATIONS = (
     "http://www.w3.org/2004/02/skos/core#prefLabel",
 )
 """Relations whose literals are labels; labels are written with the first."""
+RDF_TYPE = "http://www.w3.org/1999/02/22-rdf-syntax-ns#type"
+"""The relation that Turtle writes as ``a``; its label is "is a"."""
 
 _IRI = re.compile(r'[A-Za-z][A-Za-z0-9+.-]*:[^\s<>"{}|\\^`\x00-\x20]+')
 _BLANK = re.compile(r"_:[A-Za-z0-9_](?:[A-Za-z0-9_.\-·]*[A-Za-z0-9_\-·])?")
@@ -98,7 +100,7 @@ def local_name(name: str) -> str:
 
 def label_of(name: str, labels: Mapping[str, str]) -> str:
     """Return the label of an entity or relation in lower case, words separated by one space."""
-    written = labels.get(name)
+    written = labels.get(name, "is a" if name == RDF_TYPE else None)
     text = written if written is not None else _CAMEL.sub(" ", local_name(name))
     return _SPACE.sub(" ", text).strip().lower()
 
