@@ -155,6 +155,31 @@ def test_arm_with_four_joints_gets_an_easier_orientation() -> None:
     assert f"# train with: {draft.task_options()}" in draft.toml()
 
 
+THREE_JOINTS = """
+<mujoco><compiler angle="radian"/><worldbody><body name="base">
+  <geom type="cylinder" size=".08 .1" pos="0 0 .1"/>
+  <body name="shoulder" pos="0 0 .2"><joint name="yaw" axis="0 0 1" range="-3 3"/>
+  <geom size=".07"/>
+  <body name="upper" pos="0 0 .08"><joint name="lift" axis="0 1 0" range="-1.8 1.8"/>
+  <geom type="capsule" fromto="0 0 0 0 0 .4" size=".04"/>
+  <body name="fore" pos="0 0 .4"><joint name="elbow" axis="0 1 0" range="-2.6 2.6"/>
+  <geom type="capsule" fromto="0 0 0 0 0 .4" size=".03"/>
+  </body></body></body></body></worldbody></mujoco>"""
+
+
+@pytest.mark.slow
+def test_draft_of_an_arm_with_three_joints_passes_all_checks(tmp_path: Path) -> None:
+    """Near the threshold of the orientation the nearest pose is taken, not a strict, far one."""
+    (tmp_path / "arm.xml").write_text(THREE_JOINTS)
+    targets = ("mug", "bottle", "cereal_box")
+    draft = draft_robot(tmp_path / "arm.xml", targets, {})
+    assert (draft.success_angle_deg, draft.ignore_roll) == (90.0, True)
+    (tmp_path / "arm.toml").write_text(draft.toml(tmp_path / "arm.toml"))
+    checks = check_robot(tmp_path / "arm.toml", targets, angle_deg=90.0, ignore_roll=True)
+    assert [check for check in checks if not check.ok] == []
+    assert len(checks) == 15
+
+
 def test_overrides_are_fields_in_tomls_notation() -> None:
     assert read_overrides(["camera_fovy_deg=50", "home=[0.0, 1]"]) == {
         "camera_fovy_deg": 50,

@@ -135,7 +135,10 @@ def _print(summary: dict[str, Any]) -> None:
         print_table("Blind agents, on the first of these episodes", titles, rows)
         for name, entry in BLIND_AGENTS.items():
             print(f"{name}: {entry.about}.")
-        print(f"Success that depends on vision: {_share(summary, 'needs_eyes')} points.\n")
+        seeing = "Success that depends on vision"
+        if summary["needs_eyes_low"] <= 0:
+            seeing = "No success is shown to depend on vision"
+        print(f"{seeing}: {_share(summary, 'needs_eyes')} points.\n")
     print(
         "accuracy: distance <= {distance_m} m. success: also angle <= {angle_deg} deg. success "
         "wide: angle <= {wide_angle_deg} deg.\nfailure m: final distance of failed episodes. "

@@ -21,6 +21,7 @@ ROTATION_WEIGHT = 0.05
 
 REACHED_M, REACHED_DEG = 0.01, 3.0
 """Errors below which a pose counts as reached; far below the task's thresholds."""
+MARGIN_DEG = REACHED_DEG + 2.0  # Distance of an easier orientation from its threshold [deg]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,8 +74,9 @@ class InverseKinematics:
     @classmethod
     def of_task(cls, scene: Scene, config: EnvConfig, **options: Any) -> Self:
         """Make the solver of a task, which uses what an easier orientation allows."""
-        above_deg = max(0.0, config.success_angle_deg - EnvConfig.success_angle_deg)
-        eased_deg = above_deg if config.ignore_roll else 0.0
+        angle_deg = config.success_angle_deg
+        eased_deg = min(2 * (angle_deg - EnvConfig.success_angle_deg), angle_deg - MARGIN_DEG)
+        eased_deg = max(0.0, eased_deg) if config.ignore_roll else 0.0
         return cls(scene, ignore_roll=config.ignore_roll, eased_deg=eased_deg, **options)
 
     def solve(
