@@ -36,6 +36,7 @@ def test_it_is_trained_evaluated_and_reported(
     options = ["--env.task", "hover:Hover", "--runs", str(tmp_path), *flags(TINY)]
     assert main(["train", "irb120-full-ppo", *options]) == 0
     run = tmp_path / "irb120-hover-full-ppo" / "0"
+    assert f"knowarm evaluate {run} --tasks hover:Hover\n" in capsys.readouterr().out
     assert read_json(run / "config.json")["env"]["task"]["kind"] == "hover"
 
     start_afresh(monkeypatch)

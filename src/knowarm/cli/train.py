@@ -62,6 +62,8 @@ class Train:
     perception.safetensors of another run, for agents that would train such a network first."""
     again: tyro.conf.Suppress[str] = ""
     """The command that resumes this run."""
+    tasks: tyro.conf.Suppress[str] = ""
+    """What evaluations need to know of a task of one's own."""
 
     def run(self) -> int:
         """Train until the last step or Ctrl-C; return the exit code."""
@@ -79,7 +81,7 @@ class Train:
         print(f"Trained for {result.step:,} steps: {where}")
         if (best := result.best_return) is not None:
             print(f"Best interim evaluation: return {best:.1f} at step {result.best_step:,}")
-        print(f"Evaluate it with: knowarm evaluate {where}")
+        print(f"Evaluate it with: knowarm evaluate {where}{self.tasks}")
         return 0
 
 
@@ -108,7 +110,7 @@ def parse_train(arguments: list[str]) -> Train:
         if not path.exists():
             raise UserError(f"There is no run to resume in {path}: leave out --resume.")
         command = _parse_options(name, rest, RunFolder.open(path).experiment())
-    return replace(command, again=again)
+    return replace(command, again=again, tasks=f" --tasks {task}" if task and ":" in task else "")
 
 
 def _parse_options(name: str, arguments: list[str], config: ExperimentConfig) -> Train:
