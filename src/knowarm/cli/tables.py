@@ -41,7 +41,7 @@ class TableCommand:
 
 
 def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """Print a table; numbers are right-aligned, floats below 1,000 have three decimals.
+    """Print a table; numbers are right-aligned, floats have three decimals, from 10 one.
 
     Cells wrap between words only. Columns for which the terminal is too narrow follow in further
     tables, each with the first column. Without a terminal a table is as wide as its content.
@@ -112,7 +112,7 @@ def _cell(value: Any) -> str:
     if isinstance(value, bool) or value is None:
         return {True: "yes", False: "no", None: "-"}[value]
     if isinstance(value, float):
-        return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:,.3f}"
+        return f"{value:,.{3 if abs(value) < 10 else 1 if abs(value) < 1000 else 0}f}"
     return f"{value:,}" if isinstance(value, int) else printable(str(value))
 
 
