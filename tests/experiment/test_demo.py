@@ -3,6 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from knowarm.errors import UserError
 from knowarm.experiment import demo as module
 from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.demo import demo, demo_experiments
@@ -23,6 +24,8 @@ def test_the_demo_trains_evaluates_and_resumes(tmp_path, monkeypatch):
     monkeypatch.setattr(open_loop, "search_open_loop", stand_still)
     stops = iter([False, True])
     assert demo(tmp_path, steps=1536, should_stop=lambda: next(stops, True)) is None
+    with pytest.raises(UserError, match="holds a demo of 1536 steps, got 3072"):
+        demo(tmp_path, steps=3072, should_stop=lambda: False)
     paths = demo(tmp_path, steps=1536, should_stop=lambda: False)
     assert paths is not None
     roles = [AGENTS[config.agent].role for config in demo_experiments(1536)]

@@ -134,6 +134,7 @@ class Demo:
         """Run the demo; return the exit code."""
         from knowarm.report import write_report
 
+        print(f"Trains two agents for {self.steps:,} steps each, evaluates them, writes a report.")
         with StopRequest() as should_stop:
             runs = demo(self.out, steps=self.steps, should_stop=should_stop)
         if runs is None:

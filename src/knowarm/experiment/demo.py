@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
+from knowarm.errors import UserError
 from knowarm.experiment.agents import first_of_role
 from knowarm.experiment.algorithms import DEMO_ALGORITHM
 from knowarm.experiment.config import EvaluationConfig, ExperimentConfig, InterimConfig
@@ -20,10 +21,15 @@ def demo(folder: Path, *, steps: int = STEPS, should_stop: Callable[[], bool]) -
     from knowarm.experiment.evaluate import evaluate  # imports torch, which takes seconds
     from knowarm.experiment.load import load_agent
     from knowarm.experiment.run import run_path, train
+    from knowarm.experiment.run_folder import RunFolder
 
     paths = []
     for config in demo_experiments(steps):
-        is_started = (run_path(folder, config) / "config.json").exists()
+        path = run_path(folder, config)
+        is_started = (path / "config.json").exists()
+        if is_started and (old := RunFolder.open(path).experiment().total_steps) != steps:
+            problem = f"{folder} holds a demo of {old} steps, got {steps}"
+            raise UserError(f"{problem}. Continue it with {old} steps, or give another folder.")
         run = train(config, folder, resume=is_started, should_stop=should_stop)
         if run.result.reason == "stopped":
             return None
