@@ -36,6 +36,8 @@ def wilson(successes: int, trials: int, confidence: float = CONFIDENCE) -> Inter
     Raises:
         ValueError: there are no trials, or more successes than trials.
     """
+    if not 0 <= successes <= trials or trials < 1:  # SciPy checks it in some versions only
+        raise ValueError(f"successes must lie between 0 and trials, got {successes} of {trials}")
     ends = scipy.stats.binomtest(successes, trials).proportion_ci(confidence, method="wilson")
     return Interval(successes / trials, float(ends.low), float(ends.high))
 
