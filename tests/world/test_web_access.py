@@ -1,6 +1,7 @@
 """The web viewer answers this machine only, waits for a browser, and plays until it is stopped."""
 
 import http.client
+import logging
 import re
 import socket
 import subprocess
@@ -101,6 +102,8 @@ def test_an_episode_begins_once_a_browser_is_there(monkeypatch):
     episodes = evaluation_episodes(env.config, 1, seed=0)
     watching.watch(RandomAgent(), env, episodes, open_browser=False, title="random")
     assert shown == 5 * [watching.WAIT_S] + 3 * [CONTROL_PERIOD_S]
+    connected = logging.makeLogRecord({"name": "WebServer", "levelno": logging.INFO})
+    assert not logging.getLogger("WebServer").filter(connected)
     goal = env.running.describe(0)
     moment = rf"{goal}, step 3 of 50, \d+\.\d cm, \d+ deg"
     assert re.fullmatch(rf"random\nEpisode 1 of 1: {moment}", pages[0].text)

@@ -55,7 +55,8 @@ def watch(
             f"The web viewer needs mujoco-studio ({error}): pip install mujoco-studio. Or record "
             "with --video or --strip, which need no viewer."
         ) from None
-    logging.getLogger("mujoco.studio").setLevel(logging.WARNING)  # not every page that connects
+    # Not every page that connects; the viewer sets the level of this logger itself.
+    logging.getLogger("WebServer").addFilter(lambda record: record.levelno > logging.INFO)
     # The viewer would bind in a thread, whose errors would not arrive here.
     listener = listen(port)
     port = listener.getsockname()[1]
