@@ -140,7 +140,8 @@ class StudyShow:
         title = f"Study {study.name}: {len(study.runs())} runs, seeds {seeds}"
         print_table(title, ["experiment", "steps"], steps.items())
         for each in study.evaluations:
-            print(f"Evaluated on {each.episodes:,} episodes of {each.seeds} seeds: {each.folder}")
+            seeds = f"{each.seeds} seed{'s' * (each.seeds != 1)}"
+            print(f"Evaluated on {each.episodes:,} episodes of {seeds}: {each.folder}")
 
 
 @dataclass(frozen=True, kw_only=True)
