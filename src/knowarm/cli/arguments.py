@@ -73,11 +73,7 @@ def _printed(show: Callable[[], Any]) -> str:
 def _rewrap(text: str) -> str:
     """Wrap the texts in the boxes of a help text again, without the line breaks of the source."""
     lines: list[str] = []
-    start, words, width = (
-        "",
-        "",
-        0,
-    )  # what precedes the current text, the text, and its line's width
+    start, words, width = "", "", 0  # before the current text, the text, and its line's width
     for line in [*text.splitlines(), ""]:
         # An option or argument and its text, one of them, or a further line of the text.
         found = re.match(r"│ (-\S+(?: \S+)*|\S+(?=  )|)( *)([^-─\s].*?)? *│$", line)
