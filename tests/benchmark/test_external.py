@@ -116,6 +116,23 @@ def test_a_saved_model_of_sb3_plays(tmp_path):
         entrant(f"stable_baselines3:PPO:{tmp_path / 'other.zip'}")
 
 
+def test_an_exported_policy_acts_as_the_same_policy_here(tmp_path, monkeypatch):
+    onnxruntime = pytest.importorskip("onnxruntime")
+    pytest.importorskip("onnxscript")
+    from knowarm.integrations.export import export
+
+    trained = load_agent(ROOT / "zoo/irb120-full-fast")
+    export(trained, tmp_path)
+    sessions = []
+    make = onnxruntime.InferenceSession
+    monkeypatch.setattr(onnxruntime, "InferenceSession", lambda *a: sessions.append(a) or make(*a))
+    made = entrant(str(tmp_path))
+    for count in (3, 2):
+        local = actions_of(trained.agent, count)
+        np.testing.assert_array_equal(actions_of(made.make(CELL), count), local)
+    assert len(sessions) == 1, "runners share the model"
+
+
 def test_a_served_policy_acts_as_the_same_policy_here():
     pytest.importorskip("websockets")
     from knowarm.integrations.contract import deployment

@@ -1,5 +1,6 @@
 """Policies of a benchmark: run folders, exported folders, anything with ``reset`` and ``act``."""
 
+import copy
 import hashlib
 import json
 from collections.abc import Callable, Mapping
@@ -298,7 +299,8 @@ def _exported(spec: str, folder: Path) -> Entrant:
     contract = json.loads(data)
     rows, names = contract["knowledge"]["rows"], set(contract["joints"]["names"])
     inputs = ("image", "words") if len(rows) > 1 else ("image",)
-    policy = _Runners(lambda: Runner.load(folder), inputs, "exported")
+    loaded = Runner.load(folder)
+    policy = _Runners(lambda: copy.copy(loaded), inputs, "exported")  # which share the models
 
     def make(cell: Cell) -> AgentProtocol:
         table = questions_of(cell.env)
