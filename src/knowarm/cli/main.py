@@ -105,7 +105,11 @@ def with_flags(message: str, command: str = "") -> str:
             from knowarm.policy.config import PolicyConfig
             from knowarm.world.config import EnvConfig
 
-            groups = {"knowledge": KnowledgeConfig, "env": EnvConfig, "policy": PolicyConfig}
+            groups: dict[str, Any] = {
+                "knowledge": KnowledgeConfig,
+                "env": EnvConfig,
+                "policy": PolicyConfig,
+            }
             places = [group for group, of in groups.items() if name in of.__dataclass_fields__]
             if command not in ("train", "knowledge") or not places:
                 return found[0]
