@@ -42,7 +42,9 @@ def knowledge_of(runner, row):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("exported", ["irb120-choose-subgraph-fast"], indirect=True)
+@pytest.mark.parametrize(
+    "exported", ["irb120-choose-subgraph-fast", "irb120-choose-answers-fast"], indirect=True
+)
 def test_a_thousand_steps_have_the_actions_of_pytorch(exported):
     trained, folder = exported
     runner = Runner.load(folder)

@@ -23,6 +23,7 @@ from knowarm.integrations.onnx_export import (
 )
 from knowarm.integrations.runner import Runner
 from knowarm.perception.agent import PerceivingAgent
+from knowarm.perception.answering import AnswerGrounding
 from knowarm.perception.classifier import FacetClassifier
 from knowarm.perception.grounding import GroundingNetwork
 from knowarm.perception.images import query_answers
@@ -39,9 +40,9 @@ WORKSPACE_MARGIN_M = 0.15
 
 
 class Grounding(nn.Module):
-    """Recognition by a grounding network: first images and vectors of queries to grasp frames."""
+    """Recognition of the grasp frame: first images, and vectors of or answers to queries."""
 
-    def __init__(self, network: GroundingNetwork) -> None:
+    def __init__(self, network: GroundingNetwork | AnswerGrounding) -> None:
         super().__init__()
         self.network = network
 
@@ -106,7 +107,7 @@ def deployment(trained: TrainedAgent) -> Deployment:
     rows = env.task.knowledge_rows(facets)
     recognition: nn.Module | None = None
     module = trained.agent.module if isinstance(trained.agent, PerceivingAgent) else None
-    if isinstance(module, GroundingNetwork):
+    if isinstance(module, GroundingNetwork | AnswerGrounding):
         recognition, table = Grounding(module), module.knowledge.numpy()
     elif isinstance(module, FacetClassifier):
         columns = torch.tensor([module.spec.facets.index(facet) for facet in facets])

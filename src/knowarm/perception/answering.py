@@ -44,7 +44,7 @@ class AnswerGrounding(PerceptionModule):
         answers: (Q, F) bool or float32, whether each facet of the network answers each query.
     """
 
-    GOAL = GroundingNetwork.GOAL
+    GOAL, FORMAT = GroundingNetwork.GOAL, GroundingNetwork.FORMAT
 
     knowledge: Tensor
     """(Q, F) float32 buffer, 1 where a facet answers; may be replaced by other answers."""
@@ -70,20 +70,28 @@ class AnswerGrounding(PerceptionModule):
     def see(self, images: Tensor, queries: Tensor) -> SeenAnswers:
         """Find the answers to queries (n,) int64 in images (n, H, W, 3) uint8."""
         answers = self.knowledge[queries] > 0
+        frames, scores, by_place = self._find(images, answers)
+        named, places = self._name(by_place)
+        return SeenAnswers(frames, scores, named, places, answers.gather(1, named).sum(1))
+
+    def locate(self, images: Tensor, knowledge: Tensor) -> Tensor:
+        """As `forward`, with the answers to the queries, (n, F) float32."""
+        return self._find(images, knowledge > 0)[0]
+
+    def _find(self, images: Tensor, answers: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return frames (n, 9), scores (n, P) and those by facet (n, F, P) for answers (n, F)."""
         features = self.encoder.features(images)
         objects, colours = self.encoder.logits(features)
         object_of, colour_of = self.encoder.facet_parts
-        by_place = objects[:, object_of] + colours[:, colour_of]  # (n, F, P)
+        by_place = objects[:, object_of] + colours[:, colour_of]
         # Where nothing answers, every facet counts, so that there is a place to guess.
         counted = answers | ~answers.any(1, keepdim=True)
         answering = by_place.masked_fill(~counted[:, :, None], -torch.inf)
         scores = answering.logsumexp(1)
         place = scores.argmax(1)
-        facet = answering[torch.arange(len(place)), :, place].argmax(1)
-        cell = self.network.cells(place, facet)
-        frames = self.network.frames(features, cell[:, None])[:, 0]
-        named, places = self._name(by_place)
-        return SeenAnswers(frames, scores, named, places, answers.gather(1, named).sum(1))
+        at_place = place[:, None, None].expand(-1, answering.shape[1], 1)
+        cell = self.network.cells(place, answering.gather(2, at_place)[..., 0].argmax(1))
+        return self.network.frames(features, cell[:, None])[:, 0], scores, by_place
 
     def _name(self, by_place: Tensor) -> tuple[Tensor, Tensor]:
         """Name m different objects at different places, best scores (n, F, P) first, (n, m) each.
