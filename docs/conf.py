@@ -36,6 +36,7 @@ autodoc_typehints_description_target = "documented"
 autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True
 default_role = "code"
+highlight_language = "none"  # of blocks that name no language: commands and what they print
 copybutton_prompt_text = "$ "
 copybutton_only_copy_prompt_lines = False
 
