@@ -1,8 +1,15 @@
 """Recordings for Rerun, read back by Rerun."""
 
+import numpy as np
 import pytest
+import torch
 
 from knowarm.cli.main import main
+from knowarm.experiment.load import load_agent
+from knowarm.perception.agent import known_in_episode
+from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.tasks.episodes import evaluation_episodes
+from tests.source_tree import ROOT
 
 pytest.importorskip("rerun")
 
@@ -17,6 +24,30 @@ def test_an_episode_is_recorded(tmp_path, capsys):
     assert entities >= {"/camera/policy", "/camera/large", "/distance", "/angle", "/goal"}
     rows = sum(chunk.num_rows for chunk in chunks(path) if str(chunk.entity_path) == "/distance")
     assert rows > 20
+
+
+@pytest.mark.slow(15)
+@pytest.mark.parametrize("agent", ["answers", "subgraph"])
+def test_what_a_run_knows_is_recorded(tmp_path, agent):
+    path, run = tmp_path / "episode.rrd", ROOT / f"zoo/irb120-choose-{agent}-fast"
+    assert main(["view", "--agent", str(run), "--episodes", "2", "--rrd", str(path)]) == 0
+    for name in ("/knowledge", "/recognition"):
+        found = [chunk for chunk in chunks(path) if str(chunk.entity_path) == name]
+        assert sum(chunk.num_rows for chunk in found) == 2
+
+
+def test_the_map_of_recognition_is_largest_where_the_object_is_found():
+    trained = load_agent(ROOT / "zoo/irb120-choose-answers-fast")
+    env = ReachVectorEnv(trained.config.env, 1)
+    episode = evaluation_episodes(trained.config.env, 1, 0)
+    images, _ = env.reset(options={"episodes": episode})
+    trained.agent.start(env)
+    known = known_in_episode(trained.agent, env, images[0])
+    seen = trained.agent.module.see(torch.as_tensor(images), torch.as_tensor(env.knowledge_input))
+    assert known["recognition"].shape == (16, 16)
+    assert known["recognition"].sum() == pytest.approx(1, abs=1e-5)
+    assert known["recognition"].argmax() == seen.scores[0].argmax()
+    np.testing.assert_array_equal(known["knowledge"], seen.frames[0])
 
 
 def chunks(path):

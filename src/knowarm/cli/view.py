@@ -60,7 +60,7 @@ class View:
     strip: FilePath = None
     """Write an image with one film strip per episode, instead of opening the viewer."""
     rrd: FilePath = None
-    """Write images, joints and distances to an .rrd file for the Rerun viewer."""
+    """Write images, joints, distances and what a run knows to an .rrd file for Rerun's viewer."""
     port: int = 0
     """Port of the web viewer, which only this machine can reach; 0 takes the first free port from
     8080."""
@@ -91,10 +91,14 @@ class View:
             options: dict[str, Any] = {"port": self.port, "open_browser": self.browser}
             watch(agent, env, episodes, title=title, on_end=partial(print, flush=True), **options)
             return
-        films = [record_episode(agent, env, episodes[i : i + 1]) for i in range(len(episodes))]
+        films, known = [], []
+        for number in range(len(episodes)):
+            films.append(record_episode(agent, env, episodes[number : number + 1]))
+            if self.rrd is not None:
+                known.append(self._known(agent, env, films[-1][0].policy))
         reached = sum(film[-1].success for film in films)
         print(f"{reached} of {len(films)} episodes reached their target.")
-        write_recording = partial(write_rrd, joints=env.scene.robot.joints)
+        write_recording = partial(write_rrd, joints=env.scene.robot.joints, known=known)
         for path, write in (
             (self.video, write_video),
             (self.strip, write_strip),
@@ -103,6 +107,14 @@ class View:
             if path is not None:
                 write(path, films)
                 print(f"Wrote {path}")
+
+    def _known(self, agent: AgentProtocol, env: ReachVectorEnv, image: Any) -> dict[str, Any]:
+        """Return what the agent knows in the episode that it has played."""
+        if is_scripted(self.agent):
+            return {}
+        from knowarm.perception.agent import known_in_episode  # imports torch
+
+        return known_in_episode(agent, env, image)
 
     def _agent(self) -> tuple[Callable[[], AgentProtocol], EnvConfig]:
         """Return a constructor of the agent, and its environment's config."""

@@ -1,8 +1,11 @@
 """Recordings of played episodes for the Rerun viewer (``.rrd``)."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from knowarm.errors import UserError
 from knowarm.reading import writing
@@ -16,12 +19,18 @@ def check_rrd(path: Path) -> None:
         raise UserError(f"A recording for Rerun is an .rrd file, got {path.name!r}.")
 
 
-def write_rrd(path: Path, episodes: Sequence[Sequence[Frame]], joints: Sequence[str]) -> None:
+def write_rrd(
+    path: Path,
+    episodes: Sequence[Sequence[Frame]],
+    joints: Sequence[str],
+    known: Sequence[Mapping[str, NDArray[np.float32]]] = (),
+) -> None:
     """Write images, joint angles, goal, distance and angle of every step.
 
     Timelines are ``episode``, ``step`` and the ``time`` of the real robot; entities are
     ``camera/policy``, ``camera/large``, ``joints/NAME`` [rad], ``distance`` [m], ``angle`` [deg]
-    and ``goal``.
+    and ``goal``. ``known`` holds further arrays by name, per episode: a vector, or a map of the
+    image, as ``knowledge`` and ``recognition``.
     """
     check_rrd(path)
     rerun = _rerun()
@@ -33,6 +42,9 @@ def write_rrd(path: Path, episodes: Sequence[Sequence[Frame]], joints: Sequence[
         for number, frames in enumerate(episodes):
             recording.set_time("episode", sequence=number)
             recording.log("goal", rerun.TextLog(frames[0].goal or "reach"))
+            for name, values in known[number].items() if known else ():
+                kind = rerun.BarChart if values.ndim == 1 else rerun.Tensor
+                recording.log(name, kind(values))
             for frame in frames:
                 recording.set_time("step", sequence=frame.step)
                 recording.set_time("time", duration=time / FRAMES_PER_S)

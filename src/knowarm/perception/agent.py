@@ -106,3 +106,23 @@ class PerceivingAgent(PolicyAgent):
             images = torch.as_tensor(observations)
             self.goal = in_batches(self._predict, images, queries).clone()
         return self.goal
+
+
+@torch.inference_mode()
+def known_in_episode(agent: Any, env: Any, image: np.ndarray) -> dict[str, np.ndarray]:
+    """Return what an agent knows in the episode of one environment with this first image.
+
+    ``knowledge`` (K,) is what its policy receives, ``recognition`` (P, P) the likelihood of the
+    places where its network looks for the object; what it does not have is left out.
+    """
+    if not isinstance(agent, PolicyAgent) or not agent.policy.uses_knowledge:
+        return {}
+    given = agent.knowledge_input(image[None])
+    table = agent.policy.knowledge_table
+    found = {"knowledge": given[0] if given.is_floating_point() else table[given[0]]}
+    place_scores = getattr(getattr(agent, "module", None), "place_scores", None)
+    if place_scores is not None:
+        images, queries = torch.as_tensor(image[None]), torch.as_tensor(env.knowledge_input)
+        scores = place_scores(images, queries)[0].softmax(0)
+        found["recognition"] = scores.reshape(round(len(scores) ** 0.5), -1)
+    return {name: value.numpy() for name, value in found.items()}

@@ -74,6 +74,10 @@ class AnswerGrounding(PerceptionModule):
         named, places = self._name(by_place)
         return SeenAnswers(frames, scores, named, places, answers.gather(1, named).sum(1))
 
+    def place_scores(self, images: Tensor, queries: Tensor) -> Tensor:
+        """As `GroundingNetwork.place_scores`."""
+        return self._find(images, self.knowledge[queries] > 0)[1]
+
     def locate(self, images: Tensor, knowledge: Tensor) -> Tensor:
         """As `forward`, with the answers to the queries, (n, F) float32."""
         return self._find(images, knowledge > 0)[0]

@@ -176,9 +176,17 @@ class GroundingNetwork(PerceptionModule):
     def locate(self, images: Tensor, knowledge: Tensor) -> Tensor:
         """As `forward`, with the knowledge of the queries, (n, K) float32."""
         features = self.encoder.features(images)
-        query = self.project_queries(knowledge)
-        cell = (self.keys(features) * query[:, None]).sum(2).argmax(1)
+        cell = self._scores(features, knowledge).argmax(1)
         return self.frames(features, cell[:, None])[:, 0]
+
+    def place_scores(self, images: Tensor, queries: Tensor) -> Tensor:
+        """Score the places of images (n, H, W, 3) for queries (n,) int64, (n, places)."""
+        scores = self._scores(self.encoder.features(images), self.knowledge[queries])
+        return scores.unflatten(1, (-1, self.parts)).amax(2)
+
+    def _scores(self, features: Tensor, knowledge: Tensor) -> Tensor:
+        """Compare the keys of the cells with the knowledge of queries (n, K): (n, cells)."""
+        return (self.keys(features) * self.project_queries(knowledge)[:, None]).sum(2)
 
     def features(self, images: Tensor, bfloat16: bool = False) -> Tensor:
         """Compute the encoder's features, with its convolutions in bfloat16 if asked for."""
