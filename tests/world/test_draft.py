@@ -169,7 +169,7 @@ THREE_JOINTS = """
 
 @pytest.mark.slow
 def test_draft_of_an_arm_with_three_joints_passes_all_checks(tmp_path: Path) -> None:
-    """Near the threshold of the orientation the nearest pose is taken, not a strict, far one."""
+    """Just below the threshold of the orientation the nearest pose is taken."""
     (tmp_path / "arm.xml").write_text(THREE_JOINTS)
     targets = ("mug", "bottle", "cereal_box")
     draft = draft_robot(tmp_path / "arm.xml", targets, {})
