@@ -1,7 +1,7 @@
 """Baselines of the benchmark that other libraries train: a file per training seed.
 
 Recurrent PPO of sb3-contrib and SAC of Stable-Baselines3 learn from pixels and reward, behaviour
-cloning learns from the oracle's episodes. The budgets are small, half a minute to a minute on one
+cloning learns from the oracle's episodes. The budgets are small, ten seconds to a minute on one
 core, and counted in steps, so that the same seed gives the same policy.
 
     python -m benchmarks.baselines cloning --cell tiago-fixed --seeds 0 1 2 3 4 --out baselines
