@@ -101,7 +101,7 @@ class GroundingNetwork(PerceptionModule):
     def build(cls, spec: ModuleSpec, about: dict[str, Any], tensors: Mapping[str, Tensor]) -> Self:
         """As `PerceptionModule.build`."""
         table, slots = tensors["knowledge"], about["slots"]
-        head = about.get("frame_head", "place")  # a file without it is of an earlier version
+        head = about.get("frame_head", "place")  # files that name none have this one
         if table.ndim != 2 or not isinstance(slots, int) or slots < 1 or table.shape[1] % slots:
             raise ValueError("its table of knowledge does not fit its slots")
         if head not in get_args(FrameHead):
