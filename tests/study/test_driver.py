@@ -115,11 +115,11 @@ def test_a_run_that_another_worker_began_meanwhile_is_resumed(tmp_path, executor
     assert resumed == [False, True]
 
 
-def test_longest_runs_start_first(tmp_path, executors):
+def test_runs_start_seed_by_seed_and_the_longest_first(tmp_path, executors):
     longer = OverridesFor(experiments="tiago-*", fields={"total_steps": 100})
-    study = tiny(seeds=(0,), experiments=("irb120-bm-ppo", "tiago-bm-ppo"), overrides_for=(longer,))
-    run_study(study, tmp_path)
-    assert [name for name, _ in executors[-1].started] == ["tiago-bm-ppo", "irb120-bm-ppo"]
+    names = ("irb120-bm-ppo", "tiago-bm-ppo")
+    run_study(tiny(seeds=(3, 0), experiments=names, overrides_for=(longer,)), tmp_path)
+    assert executors[-1].started == [(name, seed) for seed in (3, 0) for name in names[::-1]]
 
 
 def test_other_studies_and_changed_runs_are_refused(tmp_path, executors):

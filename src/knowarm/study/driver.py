@@ -140,7 +140,7 @@ def open_study(out: Path) -> StudyConfig:
 
 
 class _Driver:
-    """One pass over a study: starts runs, longest first, until nothing is left to do."""
+    """One pass over a study: starts runs, seed by seed, until nothing is left to do."""
 
     def __init__(
         self, study: StudyConfig, out: Path, executor: LocalExecutor, on_status: OnStatus
@@ -173,12 +173,13 @@ class _Driver:
             time.sleep(POLL_S)
 
     def _start(self, statuses: Sequence[RunStatus]) -> None:
-        """Fill the free slots with the longest runs; one that someone else holds is left alone."""
+        """Fill the free slots seed by seed, longest runs first; leave runs that others hold."""
         left = seconds_left(statuses)
         free = [s for s in statuses if s.state in UNFINISHED and s.run not in self._mine]
         todo = [s for s in free if not is_locked(self._out / s.name)]
         # Without a known rate, the number of steps orders them.
-        todo.sort(key=lambda each: -left.get(each.run, float(each.steps_left)))
+        length = {each.run: left.get(each.run, float(each.steps_left)) for each in todo}
+        todo.sort(key=lambda each: (self._study.seeds.index(each.run[1]), -length[each.run]))
         for status in todo[: max(0, self._executor.slots - len(self._mine))]:
             self._executor.start(status.run)
             self._mine.add(status.run)
