@@ -94,11 +94,16 @@ def test_agents_of_one_name_are_told_apart_by_what_differs(tmp_path):
         edit(other / "config.json", policy={"fusion": "before_lstm", "hidden": "fixed"})
         paths.append(other)
     names = [group.name for group in collect(paths).tasks[0].groups]
-    assert names[0] == "bm"
-    assert sorted(names[1:]) == [
-        "full · hidden=None · wide=False",
-        "full · hidden=fixed · wide=None",
-    ]
+    assert names == ["bm", "full · hidden=grow", "full · hidden=fixed"]
+
+
+def test_a_field_that_a_run_lacks_has_its_default(tmp_path):
+    *_, last = paths = study(tmp_path)
+    file = last / "config.json"
+    config = json.loads(file.read_text())
+    del config["algorithm"]["gamma"]
+    file.write_text(json.dumps(config))
+    assert len(collect(paths).tasks[0].groups) == 2
 
 
 def test_what_is_no_run_folder_is_named(tmp_path):

@@ -2,12 +2,13 @@
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from knowarm.config import to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.algorithms import algorithm_of
 from knowarm.experiment.config import StopWhen
@@ -93,6 +94,8 @@ def read_run(path: Path, problems: list[FolderProblem]) -> RunData:
     config = check(folder.config(), CONFIG)
     if missing := [name for name in NEEDED_CONFIG if name not in config]:
         raise UserError(f"config.json lacks {', '.join(missing)}")
+    with suppress(UserError):  # a field that the run's version did not have takes its default
+        config = to_dict(folder.experiment())
     provenance: dict[str, Any] = {}
     with _attempt(path, "kept; versions and parameters unknown", problems):
         provenance = check(folder.provenance(), PROVENANCE)
