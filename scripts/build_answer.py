@@ -1,0 +1,345 @@
+"""Builds `docs/results/answer.md` from the packs of the studies `answer` and `paper`.
+
+    python scripts/build_answer.py
+
+Outcomes and comparisons were fixed before the runs were looked at, in the study's file
+(src/knowarm/study/shipped/answer.toml).
+"""
+
+import argparse
+import re
+import tempfile
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import CensoredData, logrank
+
+from knowarm.report.collect import collect
+from knowarm.report.model import Group, TaskData
+from knowarm.report.pages.paper import published_result, time_saved
+from knowarm.statistics import Interval, bootstrap, holm, welch
+from knowarm.statistics.compare import power_of_two_samples
+from knowarm.statistics.survival import area_under_curve, first_crossing
+from knowarm.study.pack import unpack_study
+
+RESULTS = Path(__file__).parents[1] / "docs" / "results"
+PAGE = RESULTS / "answer.md"
+STUDIES = ("answer", "paper")  # of a cell that two studies have, the first counts
+LEVEL = 0.8
+UNTIL = 1_500_000
+SIGNIFICANT = 0.05
+FEWEST = 3
+"""Fewest seeds of a comparison."""
+CONTROLS = {
+    "wide": "a network as large, without knowledge",
+    "zeros": "a vector of zeros",
+    "random": "a random vector per object and colour",
+    "shuffled": "the vectors of other objects and colours",
+}
+ROBOTS = {"irb120": "IRB120", "tiago": "TIAGo"}
+
+
+@dataclass(frozen=True)
+class Agent:
+    """Outcomes of the training seeds of one agent."""
+
+    name: str
+    seeds: tuple[int, ...]
+    steps: np.ndarray
+    """Steps to the level, (n,), at most `UNTIL`."""
+    reached: np.ndarray
+    """Whether the level was reached, (n,) bool."""
+    success: np.ndarray
+    """Success after training, (n,) in 0..1."""
+    area: np.ndarray
+    """Area under the curve of interim success, (n,) in 0..1."""
+    hours: float
+    """Processor hours of the trainings."""
+
+
+def agent(group: Group) -> Agent:
+    """Read the outcomes of a group of runs."""
+    runs = [run for run in group.runs if group.label in run.evaluations]
+    found = [first_crossing(run.interim["step"], run.interim["success"], LEVEL) for run in runs]
+    scores = [run.evaluations[group.label].summary["success"] for run in runs]
+    return Agent(
+        group.name,
+        tuple(run.seed for run in runs),
+        np.array([min(step, UNTIL) for step, _ in found]),
+        np.array([reached and step <= UNTIL for step, reached in found]),
+        np.array(scores, np.float64),
+        np.array([area_under_curve(r.interim["step"], r.interim["success"], UNTIL) for r in runs]),
+        sum(float(np.nanmax(run.metrics["wall_time_s"])) for run in runs if run.metrics) / 3600,
+    )
+
+
+def cells(folders: Sequence[Path]) -> Iterator[tuple[TaskData, dict[str, Agent]]]:
+    """Yield tasks with their agents; a task of an earlier folder hides the same of a later one."""
+    seen = set()
+    for folder in folders:
+        for task in collect([folder]).tasks:
+            if task.key not in seen:
+                seen.add(task.key)
+                agents = {group.name: agent(group) for group in task.groups}
+                yield task, {name: each for name, each in agents.items() if each.seeds}
+
+
+def percent(values: np.ndarray) -> str:
+    """Format a mean of shares with its interval over seeds."""
+    each = bootstrap([values])
+    return f"{100 * each.estimate:.1f} [{100 * each.low:.0f}, {100 * each.high:.0f}]"
+
+
+def thousands(values: np.ndarray) -> str:
+    """Format a mean of steps with its interval over seeds, in thousands."""
+    each = bootstrap([values])
+    return f"{each.estimate / 1e3:,.0f} [{each.low / 1e3:,.0f}, {each.high / 1e3:,.0f}]"
+
+
+def detectable(first: Agent, second: Agent) -> float:
+    """Return the difference in steps that a t test with these seeds finds in 80 % of studies."""
+    spread = float(np.sqrt((first.steps.var(ddof=1) + second.steps.var(ddof=1)) / 2))
+    count = min(len(first.seeds), len(second.seeds))
+    sizes = np.linspace(0.01, 10, 1000)
+    return spread * next(size for size in sizes if power_of_two_samples(size, count) >= 0.8)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One agent against another: means with intervals of Welch's t test, p of a log-rank test."""
+
+    first: str
+    second: str
+    steps: Interval
+    """Difference in steps to the level."""
+    share: Interval
+    """The same as a share of the second agent's steps."""
+    success: Interval
+    """Difference in success after training, 0..1."""
+    p_value: float
+    detectable: float
+
+    @classmethod
+    def of(cls, first: Agent, second: Agent) -> "Comparison":
+        """Compare two agents."""
+        steps = welch(first.steps, second.steps).difference
+        samples = [CensoredData.right_censored(a.steps, ~a.reached) for a in (first, second)]
+        base = float(second.steps.mean())
+        return cls(
+            first.name,
+            second.name,
+            steps,
+            Interval(*(each / base for each in (steps.estimate, steps.low, steps.high))),
+            welch(first.success, second.success).difference,
+            float(logrank(*samples).pvalue),
+            detectable(first, second),
+        )
+
+
+def table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return a Markdown table."""
+    lines = [f"| {' | '.join(line)} |" for line in (columns, *rows)]
+    return "\n".join([lines[0], "|---" * len(columns) + "|", *lines[1:]])
+
+
+def signed(each: Interval, scale: float, digits: int = 0) -> str:
+    """Format a difference with its interval."""
+    values = (scale * value for value in (each.estimate, each.low, each.high))
+    return "{} [{}, {}]".format(*(f"{value:+,.{digits}f}" for value in values))
+
+
+def agents_table(agents: Mapping[str, Agent]) -> str:
+    """Return the table of the agents of a cell."""
+    rows = [
+        [
+            f"`{name}`",
+            str(len(each.seeds)),
+            thousands(each.steps),
+            f"{(~each.reached).sum()}",
+            percent(each.success),
+            percent(each.area),
+        ]
+        for name, each in agents.items()
+    ]
+    columns = ["agent", "seeds", "steps to 80 % [thousands]", "never", "success", "area"]
+    return table(columns, rows)
+
+
+def comparisons(agents: Mapping[str, Agent]) -> list[Comparison]:
+    """Compare full and partial knowledge with the baseline, full knowledge with the controls."""
+    pairs = [("full", "bm"), ("partial", "bm"), *(("full", control) for control in CONTROLS)]
+    return [
+        Comparison.of(agents[first], agents[second])
+        for first, second in pairs
+        if all(name in agents and len(agents[name].seeds) >= FEWEST for name in (first, second))
+    ]
+
+
+def comparison_table(found: Sequence[Comparison]) -> str:
+    """Return the table of the comparisons of a cell."""
+    adjusted = holm([each.p_value for each in found])
+    rows = [
+        [
+            f"`{each.first}` - `{each.second}`",
+            signed(each.steps, 1e-3),
+            signed(each.share, 100),
+            f"{p_value:.2g}",
+            f"{each.detectable / 1e3:,.0f}",
+            signed(each.success, 100, 1),
+        ]
+        for each, p_value in zip(found, adjusted, strict=True)
+    ]
+    columns = [
+        "difference",
+        "steps [thousands]",
+        "steps [%]",
+        "p",
+        "detectable",
+        "success [points]",
+    ]
+    return table(columns, rows)
+
+
+def verdict(title: str, found: Sequence[Comparison]) -> str:
+    """Answer the paper's claim for a cell."""
+    adjusted = holm([each.p_value for each in found])
+    decided = {(c.first, c.second): (c, p) for c, p in zip(found, adjusted, strict=True)}
+    if ("full", "bm") not in decided:
+        return f"**{title}**: not enough seeds."
+    main, p_value = decided["full", "bm"]
+    length = f"{signed(main.share, 100)} % of the baseline's steps, p {p_value:.2g}"
+    points = f"{signed(main.success, 100, 1)} points of success"
+    if p_value >= SIGNIFICANT:
+        low = -100 * main.share.low
+        return (
+            f"**{title}**: no effect of full knowledge on the steps is found ({length}); an "
+            f"interval of 95 % excludes a saving of more than {max(0, low):.0f} %. {points}."
+        )
+    if main.share.estimate > 0:
+        return f"**{title}**: full knowledge learns more slowly ({length}). {points}."
+    tested = [name for name in CONTROLS if ("full", name) in decided]
+    kept = [n for n in tested if decided["full", n][1] < SIGNIFICANT]
+    alike = [f"`{name}` ({CONTROLS[name]})" for name in tested if name not in kept]
+    cause = (
+        f"but not than {', '.join(alike)}, so the content of the knowledge is not the reason"
+        if alike
+        else "and than every control"
+        if tested
+        else "but no control ran"
+    )
+    return f"**{title}**: full knowledge learns faster ({length}), {cause}. {points}."
+
+
+def paper_table(found: Sequence[tuple[TaskData, Mapping[str, Agent]]]) -> str:
+    """Return the paper's figures beside these."""
+    rows = []
+    for task, agents in found:
+        base = published_result(task, "bm")
+        for name in ("bm", "partial", "full"):
+            paper = published_result(task, name)
+            if paper is None or base is None or name not in agents or "bm" not in agents:
+                continue
+            own = time_saved(agents[name].steps.mean(), agents["bm"].steps.mean())
+            its = time_saved(paper["best_step"], base["best_step"])
+            best, steps = f"{100 * paper['accuracy']:.0f}", f"{paper['best_step'] / 1e6:.0f} M"
+            saved = ["", ""] if name == "bm" else [f"{100 * x:.0f} %" for x in (its or 0, own or 0)]
+            mine = agents[name]
+            score, reached = f"{100 * mine.success.mean():.1f}", f"{mine.steps.mean() / 1e6:.2f} M"
+            rows.append([title_of(task), f"`{name}`", best, score, steps, reached, *saved])
+    columns = ["cell", "agent", "paper [%]", "here [%]", "paper: best at", "here: 80 % at"]
+    return table([*columns, "paper: saved", "here: saved"], rows)
+
+
+def title_of(task: TaskData) -> str:
+    """Return robot and colours."""
+    robot, colours = task.key
+    return f"{ROBOTS[robot]}, {colours} colours"
+
+
+def page(found: Sequence[tuple[TaskData, Mapping[str, Agent]]]) -> str:
+    """Write the page."""
+    runs = sum(len(each.seeds) for _, agents in found for each in agents.values())
+    hours = sum(each.hours for _, agents in found for each in agents.values())
+    parts = [TOP.format(runs=runs, hours=hours)]
+    compared = {title_of(task): comparisons(agents) for task, agents in found}
+    parts.append("\n".join(f"- {verdict(*each)}" for each in compared.items()))
+    parts.append(f"## The paper's figures beside these\n\n{PAPER}\n\n{paper_table(found)}")
+    for task, agents in found:
+        name = title_of(task)
+        parts += [f"## {name}", agents_table(agents), comparison_table(compared[name])]
+    parts.append(BOTTOM)
+    return wrapped("\n\n".join(parts)) + "\n"
+
+
+TOP = """<!-- Written by scripts/build_answer.py from the packs; do not edit. -->
+# Does semantic knowledge help a robot arm to learn?
+
+**Protocol.** {runs} runs of the paper's task with `fast`, 1.5 million steps, one process,
+{hours:.0f} core hours. Outcomes were fixed before the runs were looked at (study `answer`).
+Primary: environment steps until 80 % of the 40 interim episodes succeed (5 cm, 15 degrees); a run
+that never does counts as 1.5 million, and as censored in the log-rank test. Secondary: success of
+1,000 episodes after training (10 cm, 17 degrees), and area under the curve of interim success.
+Brackets: 95 % intervals over training seeds (bootstrap of means, Welch's t for differences). p:
+log-rank, Holm's correction over the comparisons of a cell. *Detectable*: the difference in
+thousands of steps that as many seeds find in 80 % of studies.
+
+Controls: `wide` is a network as large without knowledge, `zeros` a constant vector, `random` a
+random vector per object and colour, `shuffled` the vectors of other objects and colours. An effect
+of what the knowledge says must exceed all of them."""
+
+PAPER = """The paper's accuracy counts the distance alone, of one training seed per agent with A3C,
+after the step of its best model. Here success counts distance and angle, as means over seeds, with
+another algorithm and simulator."""
+
+BOTTOM = """## What this cannot say
+
+- The vector of this task is constant within an episode and names what the image shows anyway. It
+  can save the network the recognition of the object, nothing else. Where a graph decides what to
+  do, it changes everything: see [choose](choose.md) and [answers](answers.md).
+- `fast` learns from the simulator's state in the critic and an auxiliary loss. The paper's A3C has
+  [its own page](a3c.md).
+- Interim evaluations stand 50,000 steps apart, so no smaller difference is seen in one run.
+
+Repeat: `knowarm study run answer` and `knowarm study run paper`, then
+`python scripts/build_answer.py`."""
+
+
+def wrapped(text: str) -> str:
+    """Wrap paragraphs and list items, not tables and comments, at 120 columns."""
+    options: dict[str, Any] = {"width": 120, "break_long_words": False, "break_on_hyphens": False}
+    lines: list[str] = []
+    for block in text.split("\n\n"):
+        if block.startswith(("|", "<!--", "#")):
+            lines.append(block)
+            continue
+        items = [re.sub(r"\s+", " ", item) for item in re.split(r"\n(?=- )", block)]
+        indents = ["  " * item.startswith("- ") for item in items]
+        filled = [
+            textwrap.fill(item, subsequent_indent=indent, **options)
+            for item, indent in zip(items, indents, strict=True)
+        ]
+        lines.append("\n".join(filled))
+    return "\n\n".join(lines)
+
+
+def main() -> None:
+    """Unpack the studies and write the page."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=PAGE)
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        packs = {name: RESULTS / f"{name}.tar.gz" for name in STUDIES}
+        folders = [
+            unpack_study(pack, Path(temporary) / name)
+            for name, pack in packs.items()
+            if pack.exists()
+        ]
+        given.out.write_text(page(list(cells(folders))), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
