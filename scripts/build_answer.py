@@ -37,8 +37,8 @@ FEWEST = 3
 CONTROLS = {
     "wide": "a network as large, without knowledge",
     "zeros": "a vector of zeros",
-    "random": "a random vector per object and colour",
-    "shuffled": "the vectors of other objects and colours",
+    "random": "random numbers of the same lengths",
+    "shuffled": "a graph with permuted tails",
 }
 ROBOTS = {"irb120": "IRB120", "tiago": "TIAGo"}
 
@@ -287,9 +287,9 @@ Brackets: 95 % intervals over training seeds (bootstrap of means, Welch's t for 
 log-rank, Holm's correction over the comparisons of a cell. *Detectable*: the difference in
 thousands of steps that as many seeds find in 80 % of studies.
 
-Controls: `wide` is a network as large without knowledge, `zeros` a constant vector, `random` a
-random vector per object and colour, `shuffled` the vectors of other objects and colours. An effect
-of what the knowledge says must exceed all of them."""
+Controls: `wide` is a network as large without knowledge, `zeros` a constant vector, `random` has
+random numbers in place of each slot, `shuffled` a graph whose tails are permuted within each
+relation. An effect of what the knowledge says must exceed all of them."""
 
 PAPER = """The paper's accuracy counts the distance alone, of one training seed per agent with A3C,
 after the step of its best model. Here success counts distance and angle, as means over seeds, with

@@ -19,13 +19,9 @@ from knowarm.report.diagrams import (
     Dot,
     confusion_map,
     dot_chart,
-    graph_diagram,
-    heat_map,
     stacked_bars,
 )
 from knowarm.report.format import palette, slugs
-from knowarm.report.model import RunData
-from knowarm.report.pages.inputs import _vector
 from knowarm.statistics import Interval
 from knowarm.svg import text_width
 
@@ -110,10 +106,7 @@ def drawings():
             "name",
             Axis(title="x"),
         ),
-        "graph": graph_diagram([("mug", "hasColor", "<red>"), ("box", "hasColor", "<red>")], "n"),
         "confusion": confusion_map(np.array([[0.9, 0.1]]), ["a<b"], ["c", "d&e"], "name"),
-        "heat": heat_map(np.array([[0.1, -0.5], [0.0, 0.0]]), ["a", "b"], "name"),
-        "zeros": heat_map(np.zeros((1, 3)), ["a"], "name"),
         "bars": stacked_bars({"bm": {"heads": 3, "memory": 5}}, "name"),
     }
 
@@ -124,15 +117,6 @@ def test_long_names_of_rows_fit():
     root = ElementTree.fromstring(dot_chart([dot], "name", Axis(title="x"), left=20))
     (text,) = (each for each in root.iter() if each.text == name)
     assert float(text.get("x")) > 6.5 * len(name)
-
-
-def test_of_many_slots_the_first_are_shown(tmp_path):
-    matrix = np.arange(60.0).reshape(30, 2)
-    run = RunData(tmp_path, *[{}] * 5)
-    figure = _vector("subgraph", "subgraph", run, {"slots": ["one"]}, matrix)
-    assert "30 slots of 2" in figure.caption
-    assert "shown are the first 24" in figure.caption
-    assert [row["value"] for row in figure.table.rows] == list(range(48))
 
 
 @pytest.mark.parametrize("name", drawings())
@@ -150,11 +134,6 @@ def test_a_gap_in_a_curve_is_no_line():
     gap = markup[markup.index('data-name="gap"') :]
     paths = re.findall(r'<path d="([^"]*)" class="line"', gap)
     assert [path.count("L") + 1 for path in paths] == [1, 2]
-
-
-def test_shared_facts_have_two_lines():
-    assert drawings()["graph"].count("<path") == 2
-    assert drawings()["graph"].count("&lt;red&gt;</text>") == 1
 
 
 def test_histograms_integrate_to_one():

@@ -1,11 +1,9 @@
-"""Drawings as SVG files: graphs in columns around their objects, and tables of cosines."""
+"""Drawings of graphs as SVG files, in columns around their objects."""
 
 import math
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
-
-import numpy as np
 
 from knowarm.errors import UserError
 from knowarm.knowledge.graph.graph import KnowledgeGraph
@@ -22,9 +20,6 @@ SPOKEN = 60
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b8860b", "#56b4e9", "#7f5fb0", "#8c564b")
 """One per root; the first six are Okabe and Ito's, which colour-blind readers can tell apart."""
 GREY = "#8a8a8a"
-CELL = 46
-BLUE, RED = (33, 102, 172), (178, 24, 43)
-"""Colours of the cosines -1 and 1."""
 
 
 @dataclass
@@ -82,34 +77,6 @@ def draw_svg(graph: KnowledgeGraph, roots: Sequence[str] = (), title: str = "") 
         *parts,
         description=f"{len(graph)} facts: {'; '.join(facts[:SPOKEN])}{more}",
     )
-
-
-def heatmap_svg(values: np.ndarray, rows: Sequence[str], title: str, note: str = "") -> str:
-    """Draw a table (n, n) such as cosines: white is 0, red 1, blue -1; NaN is left blank."""
-    top, left = 60, 20 + max(map(text_width, rows))
-    bottom = top + CELL * len(rows) + 18
-    parts = [
-        label(10, 22, title, font_size=15, font_weight="bold", fill="#222"),
-        label(10, 42, note, fill="#555"),
-    ]
-    for i, name in enumerate(rows):
-        middle, y = CELL * (i + 0.5), top + CELL * i
-        row_name = f"{i + 1}. {name}"
-        parts.append(label(left - 8, top + middle + 4, row_name, text_anchor="end", fill="#222"))
-        parts.append(label(left + middle, bottom, str(i + 1), text_anchor="middle", fill="#222"))
-        for j, value in enumerate(values[i].tolist()):
-            if np.isnan(value):
-                continue
-            x, strength = left + CELL * j, min(abs(value), 1.0)
-            shades = (255 + (part - 255) * strength for part in (RED if value > 0 else BLUE))
-            fill = f"rgb({','.join(str(round(shade)) for shade in shades)})"
-            ink = "#fff" if strength > 0.6 else "#222"
-            size = {"width": CELL, "height": CELL}
-            parts.append(element("rect", x=x, y=y, **size, fill=fill, stroke="#fff"))
-            place = (x + CELL / 2, y + CELL / 2 + 4)
-            parts.append(label(*place, f"{value:.2f}", text_anchor="middle", fill=ink))
-    width = max(left + CELL * len(rows), text_width(title, 15), text_width(note)) + 20
-    return document(round(width), top + CELL * len(rows) + 34, title, *parts)
 
 
 def _columns(graph: KnowledgeGraph, roots: list[int]) -> dict[int, _Box]:

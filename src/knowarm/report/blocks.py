@@ -158,14 +158,6 @@ class Films:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pair:
-    """Blocks in two columns where there is room."""
-
-    left: Sequence["Block"]
-    right: Sequence["Block"]
-
-
-@dataclass(frozen=True, kw_only=True)
 class TaskPart:
     """The blocks of one task, with its name and title; the page shows the selected task."""
 
@@ -182,16 +174,14 @@ class Folded:
     blocks: Sequence["Block"]
 
 
-Block = Text | Verdict | DataTable | Figure | Films | Pair | TaskPart | Folded
+Block = Text | Verdict | DataTable | Figure | Films | TaskPart | Folded
 
 
 def flat(blocks: Sequence[Block]) -> list[Block]:
     """Return blocks in reading order, with nested ones unfolded."""
     found: list[Block] = []
     for block in blocks:
-        if isinstance(block, Pair):
-            found += flat([*block.left, *block.right])
-        elif isinstance(block, TaskPart | Folded):
+        if isinstance(block, TaskPart | Folded):
             found += flat(block.blocks)
         else:
             found.append(block)

@@ -1,4 +1,4 @@
-"""Diagrams with one row per item in SVG: dot charts, bars, heat maps, knowledge graphs."""
+"""Diagrams with one row per item in SVG: dot charts, bars, confusion matrices."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,15 +9,12 @@ from knowarm.report import format
 from knowarm.report.charts import Axis, Box, Scale, fit
 from knowarm.report.model import Evaluated
 from knowarm.statistics import Interval
-from knowarm.svg import curve, drawing, element, hover, label, text_width
+from knowarm.svg import drawing, element, hover, label, text_width
 
 ROW = 34  # height of a row of a dot chart [px]
 SHADES = ("s0", "s1", "s2", "s3", "s4", "s5", "s6", "s7")  # palette classes of the parts of a bar
-WIDTH, BAR_ROW = 560.0, 46  # width of bars and heat maps, height of a row of bars [px]
-CELLS_PER_ROW = 25  # of a heat map
+WIDTH, BAR_ROW = 560.0, 46  # width, and height of a row of bars [px]
 CONFUSION_CELL = 34.0  # largest side of a cell of a confusion matrix [px]
-HUES = ("h0", "h1", "h2", "h3", "h4", "h5")  # palette classes of the objects of a graph
-MOST_FACTS = 90  # facts drawn of a graph; the table below the drawing lists all
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,27 +105,6 @@ def stacked_bars(counts: Mapping[str, Mapping[str, int]], title: str) -> str:
     return drawing(WIDTH, max(BAR_ROW * len(counts), 1), title, *rows, class_="chart bars")
 
 
-def heat_map(matrix: np.ndarray, names: Sequence[str], title: str) -> str:
-    """Draw (S, D) slots as rows of cells: blue below zero, orange above, pale near zero."""
-    largest = float(np.abs(matrix).max()) if matrix.size else 0.0
-    cell = WIDTH / CELLS_PER_ROW
-    height = min(cell, 16.0)
-    parts: list[str] = []
-    y = 0.0
-    for slot, name in zip(matrix, names, strict=True):
-        norm = f"norm {np.linalg.norm(slot.astype(np.float64)):.2f}"
-        parts.append(label(0, y + 13, name, class_="row-name"))
-        parts.append(label(WIDTH, y + 13, norm, class_="tick", text_anchor="end"))
-        y += 20
-        for i, value in enumerate(slot.tolist()):
-            row, column = divmod(i, CELLS_PER_ROW)
-            share = abs(value) / largest if largest else 0.0
-            size, words = (cell, height), f"{name} [{i}] {value:.4f}"
-            parts.append(_cell(column * cell, y + row * height, size, share, words, value > 0))
-        y += -(-len(slot) // CELLS_PER_ROW) * height + 12
-    return drawing(WIDTH, max(y, 1.0), title, *parts, class_="chart heat")
-
-
 def confusion_map(
     shares: np.ndarray, rows: Sequence[str], columns: Sequence[str], title: str
 ) -> str:
@@ -142,7 +118,9 @@ def confusion_map(
         parts.append(label(left - 6, y + size / 2 + 4, row, class_="row-name", text_anchor="end"))
         for j, (column, share) in enumerate(zip(columns, values, strict=True)):
             words = f"{row}, chosen {column}: {format.percent(share, 0)}"
-            parts.append(_cell(left + j * size, y, (size, size), share, words))
+            cell = {"x": left + j * size, "y": y, "width": size - 1, "height": size - 1}
+            shade = round(0.06 + 0.94 * share, 3)
+            parts.append(element("rect", hover(words), **cell, class_="cell", fill_opacity=shade))
     bottom = len(rows) * size
     for j, column in enumerate(columns):
         x, y = left + (j + 0.5) * size + 4, bottom + 6
@@ -150,48 +128,3 @@ def confusion_map(
         parts.append(label(x, y, column, class_="tick", **turned))
     width = left + len(columns) * size
     return drawing(width, bottom + below, title, *parts, class_="chart heat")
-
-
-def _cell(
-    x: float, y: float, size: tuple[float, float], share: float, words: str, up: bool = True
-) -> str:
-    """Draw a cell that is the darker, the larger its share in 0..1."""
-    place = {"x": x, "y": y, "width": size[0] - 1, "height": size[1] - 1}
-    kind, opacity = "cell up" if up else "cell down", round(0.06 + 0.94 * share, 3)
-    return element("rect", hover(words), **place, class_=kind, fill_opacity=opacity)
-
-
-def graph_diagram(triples: Sequence[tuple[str, str, str]], title: str) -> str:
-    """Draw at most `MOST_FACTS` triples: heads left, tails right, grouped by relation."""
-    width, hub_x, tail_x, row, gap = 430.0, 108.0, 232.0, 17, 7
-    heads = list(dict.fromkeys(head for head, _, _ in triples))
-    facts: dict[tuple[str, str], list[str]] = {}
-    for head, relation, tail in sorted(triples, key=lambda t: (t[1], heads.index(t[0]), t[2])):
-        facts.setdefault((relation, tail), []).append(head)
-    drawn = list(facts.items())[:MOST_FACTS]
-    tails, places, y, last = [], [], 4.0, ""
-    for (relation, tail), _ in drawn:
-        if relation != last:
-            y += gap if last else 0
-            tails.append(label(width, y + 12, relation, class_="relation", text_anchor="end"))
-            last = relation
-        places.append(y + 8)
-        tails.append(label(tail_x, y + 12, tail, class_="tail"))
-        y += row
-    height = y + 4
-    hubs = {head: height * (i + 0.5) / len(heads) for i, head in enumerate(heads)}
-    hues = {head: HUES[i % len(HUES)] for i, head in enumerate(heads)}
-    links = []
-    for ((relation, tail), owners), place in zip(drawn, places, strict=True):
-        for head in owners:
-            ends, words = (
-                ((hub_x + 6, hubs[head]), (tail_x - 6, place)),
-                f"{head} {relation} {tail}",
-            )
-            links.append(curve(*ends, hover(words), class_=f"edge {hues[head]}"))
-    nodes = []
-    for head, at in hubs.items():
-        dot = element("circle", cx=hub_x, cy=at, r=6, class_="hub")
-        words = label(hub_x - 12, at + 4, head, class_="head", text_anchor="end")
-        nodes.append(element("g", dot, words, class_=hues[head]))
-    return drawing(width, height, title, *links, *tails, *nodes, class_="chart graph")

@@ -10,7 +10,6 @@ from safetensors.numpy import save_file
 from knowarm.cli.knowledge.options import SceneOptions, check_suffix, writing
 from knowarm.cli.tables import print_table
 from knowarm.knowledge import SceneEmbedding, scene_embedding, scene_sentences, scene_subgraph
-from knowarm.knowledge.draw import heatmap_svg
 from knowarm.knowledge.graph.terms import local_name
 from knowarm.knowledge.probe import NEARLY_SAME, probe
 
@@ -94,9 +93,6 @@ def _write(embedding: SceneEmbedding, path: Path) -> None:
 class ProbeCommand(SceneOptions):
     """Test whether facets can be distinguished and their facts recovered from the vectors."""
 
-    svg: Path | None = None
-    """Draw the cosines to this SVG file."""
-
     def result(self) -> dict[str, Any]:
         """Print cosines, the accuracy of linear probes, and a warning where facets are alike."""
         config = self.config()
@@ -123,8 +119,4 @@ class ProbeCommand(SceneOptions):
             )
         elif found.recovered:
             print(f"Every pair of facets can be distinguished: all cosines below {NEARLY_SAME}.")
-        if self.svg is not None:
-            note = f"the largest of two different facets: {found.largest:.3f}"
-            with writing(self.svg):
-                self.svg.write_text(heatmap_svg(found.cosine, found.slots, title, note), "utf-8")
         return found.describe()

@@ -1,6 +1,5 @@
-"""Page "Inputs": the knowledge graph, sentences and vector of each agent, and network sizes."""
+"""Page "Inputs": the knowledge vector of each agent, its sentences, and network sizes."""
 
-import json
 from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
@@ -10,14 +9,13 @@ import numpy as np
 from knowarm.config import from_dict
 from knowarm.errors import UserError
 from knowarm.experiment.run_folder import RunFolder
-from knowarm.knowledge import KnowledgeConfig, scene_subgraph
+from knowarm.knowledge import KnowledgeConfig
 from knowarm.learn.algorithms import privileged_uses
 from knowarm.report.blocks import (
     Block,
     Column,
     DataTable,
     Figure,
-    Pair,
     Panel,
     Row,
     Tone,
@@ -25,12 +23,9 @@ from knowarm.report.blocks import (
     shared,
     table_of,
 )
-from knowarm.report.diagrams import SHADES, graph_diagram, heat_map, stacked_bars
+from knowarm.report.diagrams import SHADES, stacked_bars
 from knowarm.report.format import listed, slugs
 from knowarm.report.model import CONTROLS, Group, RunData, TaskData
-
-MOST_VECTORS = 4  # distinct knowledge vectors that are drawn; the table lists all
-MOST_SLOTS = 24  # slots of a vector that the page shows; the run folder has all of them
 
 KINDS = (
     (
@@ -54,8 +49,6 @@ KINDS = (
 """Kinds of vectors: of some agents, of the task, and role and scope of the controls. The last kind
 that a task has describes it."""
 
-VECTOR_COLUMNS = (Column("index", "index", "integer"), Column("value", "value", "number3"))
-
 PRIVILEGED_TRAINING = (
     "{agents}: training used the simulator's state. The policy receives the image alone, in "
     "training and in every evaluation."
@@ -63,17 +56,17 @@ PRIVILEGED_TRAINING = (
 
 
 def input_blocks(task: TaskData) -> list[Block]:
-    """Show the graph, the sentences, the vector, and how many parameters receive it."""
+    """Show what each agent's vector says, and how many parameters receive it."""
     blocks: list[Block] = [_kind_of_input(task), _overview(task)]
     stems = slugs(group.name for group in task.groups)
-    drawn, graphs = set[str](), set[str]()
+    listed_sentences = list[Mapping[str, Any]]()
     # Controls last: their vectors are derived from those of the other agents.
     for group in sorted(task.groups, key=lambda g: (g.role in CONTROLS, g not in task.subjects)):
         known = _known(group.runs[0])
-        key = json.dumps(known.get("config", known), sort_keys=True)
-        if known.get("slots") and key not in drawn and len(drawn) < MOST_VECTORS:
-            drawn.add(key)
-            blocks += _knowledge(group, f"{task.name}-{stems[group.name]}", known, graphs)
+        sentences = known.get("sentences") or {}
+        if any(sentences.values()) and sentences not in listed_sentences:
+            listed_sentences.append(sentences)
+            blocks.append(_sentences(group, f"{task.name}-{stems[group.name]}", known))
     return [*blocks, *_parameters(task)]
 
 
@@ -141,105 +134,20 @@ def _overview(task: TaskData) -> DataTable:
     return table_of(task, "knowledge", "Knowledge vectors", columns, rows, sources)
 
 
-def _config(known: Mapping[str, Any]) -> KnowledgeConfig:
-    return from_dict(KnowledgeConfig, known["config"], where="knowledge")
-
-
 def _source(known: Mapping[str, Any]) -> str | None:
     with suppress(UserError, KeyError):  # of another version
-        return _config(known).source.short_name
+        return from_dict(KnowledgeConfig, known["config"], where="knowledge").source.short_name
     return None
 
 
-def _knowledge(group: Group, stem: str, known: Mapping[str, Any], graphs: set[str]) -> list[Block]:
-    """Show the graph, the sentences and the vector; ``graphs`` holds the graphs drawn so far."""
-    run, name = group.runs[0], group.name
-    blocks, left, right = [], [], []  # type: list[Block], list[Block], list[Block]
-    try:
-        triples = _triples(run, known)
-    except Exception as error:  # whatever a damaged graph or config raises
-        triples = []
-        blocks.append(Verdict(sentence=f"The graph of {name} cannot be reconstructed: {error}"))
-    if triples and (key := json.dumps(triples)) not in graphs:
-        graphs.add(key)
-        left.append(_graph(name, stem, triples, run))
-    matrix = _matrix(run, known)
-    if matrix is not None:
-        right.append(_vector(name, stem, run, known, matrix))
-    sentences = known.get("sentences") or {}
-    if any(sentences.values()):
-        table = DataTable(
-            name=f"sentences-{stem}",
-            title=f"Sentence of each slot: {name}",
-            columns=shared("slot", "sentence"),
-            rows=[{"slot": slot, "sentence": each} for slot, each in sentences.items()],
-            sources=[run.path / "provenance.json"],
-        )
-        right.append(table)
-    pair = Pair(left=left, right=right) if left else Pair(left=right[:1], right=right[1:])
-    return [*blocks, pair]
-
-
-def _triples(run: RunData, known: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    facets = known.get("facets") or run.provenance.get("facets")
-    if not facets or known.get("config", {}).get("detail") == "none":
-        return []
-    return list(scene_subgraph(_config(known), [(a, b) for a, b in facets]))
-
-
-def _graph(name: str, stem: str, triples: list[tuple[str, str, str]], run: RunData) -> Figure:
-    words = [(a.replace("_", " "), b.replace("_", " "), c.replace("_", " ")) for a, b, c in triples]
-    title = f"Facts of the graph about the objects: {len(triples)}"
-    return Figure(
-        table=DataTable(
-            name=f"graph-{stem}",
-            title=f"Subgraph of the perceived objects: {name}",
-            columns=shared("head", "relation", "tail"),
-            rows=[{"head": a, "relation": b, "tail": c} for a, b, c in triples],
-            sources=[run.path / "config.json"],
-        ),
-        caption="Left: objects. Right: facts about them, by relation. A fact that two objects "
-        "share has two lines.",
-        panels=[Panel(svg=graph_diagram(words, title))],
-    )
-
-
-def _matrix(run: RunData, known: Mapping[str, Any]) -> np.ndarray | None:
-    """Return the vector as (slots, dimensions): a table row cut into slots, or the table's rows."""
-    table, slots = _table(run), len(known["slots"])
-    if table is None or table.size == 0 or table.ndim != 2:
-        return None
-    if known.get("constant") or len(table) == 1 or np.ptp(table, axis=0).max() == 0:
-        return table[0].reshape(slots, -1) if table.shape[1] % slots == 0 else table[:1]
-    return np.unique(table, axis=0) if len(table) != slots else table
-
-
-def _vector(
-    name: str, stem: str, run: RunData, known: Mapping[str, Any], matrix: np.ndarray
-) -> Figure:
-    names = list(map(str, known["slots"]))
-    if len(names) != len(matrix):
-        names = [f"row {i + 1}" for i in range(len(matrix))]
-    norm = float(np.linalg.norm(matrix.astype(np.float64)))
-    shape = f"{matrix.size} numbers, {len(matrix)} slots of {matrix.shape[1]}, norm {norm:.2f}"
-    if len(matrix) > MOST_SLOTS:  # one row per query: the page would grow to 20 MB
-        shape += f"; shown are the first {MOST_SLOTS}"
-        matrix, names = matrix[:MOST_SLOTS], names[:MOST_SLOTS]
-    rows = [
-        {"slot": slot, "index": i, "value": value}
-        for slot, vector in zip(names, matrix.tolist(), strict=True)
-        for i, value in enumerate(vector)
-    ]
-    return Figure(
-        table=DataTable(
-            name=f"vector-{stem}",
-            title=f"Knowledge vector: {name}",
-            columns=shared("slot", *VECTOR_COLUMNS),
-            rows=rows,
-            sources=[run.path / "knowledge.safetensors"],
-        ),
-        caption=f"{shape}. Orange above zero, blue below, pale near zero.",
-        panels=[Panel(svg=heat_map(matrix, names, f"Knowledge vector of {name}: {shape}"))],
+def _sentences(group: Group, stem: str, known: Mapping[str, Any]) -> DataTable:
+    """List the facts of each slot, in words."""
+    return DataTable(
+        name=f"sentences-{stem}",
+        title=f"Sentence of each slot: {group.name}",
+        columns=shared("slot", "sentence"),
+        rows=[{"slot": slot, "sentence": each} for slot, each in known["sentences"].items()],
+        sources=[group.runs[0].path / "provenance.json"],
     )
 
 
