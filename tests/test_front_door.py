@@ -236,6 +236,11 @@ def test_play():
     assert single.reset(options={"episodes": episodes[:1]})[0].shape == (8, 8, 3)
 
 
+@example("Families")
+def test_families():
+    assert knowarm.EnvConfig(task=knowarm.Families()).targets[:2] == ("mug-0", "mug-1")
+
+
 @example("Purpose")
 def test_purpose():
     assert knowarm.EnvConfig(task=knowarm.Purpose()).targets[:2] == (

@@ -57,6 +57,7 @@ World
 Tasks
     Task                base of tasks; derive your own from it
     Reach, Choose       reach one object; reach the object that answers a question
+    Families            as Choose, with objects whose kinds have many instances
     Purpose             reach the part of an object that answers a question
     TASKS, register_task    tasks by name; add one of your own module
     NameQueries, GraphQueries    questions from names, or answered by a graph

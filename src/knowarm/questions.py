@@ -18,6 +18,8 @@ AND = " and "  # What joins the conditions of a query in its name
 COLOUR_RELATION = "hasColor"  # Its values are colours: the facet answers it, not the graph
 OBJECT_RELATION = "graspedOn"  # Its values are objects with parts: the facet answers it
 PART = "."  # Joins the names of an object and its part: "mug.handle"
+AT_ONCE = 4096  # Questions whose distractors are found at once
+INSTANCE = "-"  # Joins the name of a kind and the number of an instance: "mug-17"
 ObjectColour = tuple[str, str]  # A facet: an object or part, and one of its colours, by name
 Mask = NDArray[np.bool_]
 Numbers = NDArray[np.int64]
@@ -201,6 +203,12 @@ def object_of(name: str) -> str:
     return name.partition(PART)[0]
 
 
+def kind_of(name: str) -> str:
+    """Return the kind of an instance, "mug" of "mug-17"; other names stay as they are."""
+    kind, joint, number = name.rpartition(INSTANCE)
+    return kind if joint and number.isdecimal() else name
+
+
 def number_parts(facets: tuple[ObjectColour, ...]) -> Numbers:
     """Return the facets of the parts of each facet's object in its colour; see ``parts``."""
     groups: dict[ObjectColour, list[int]] = {}
@@ -220,11 +228,15 @@ def with_distractors(
     allowed: Mask, satisfies: Mask, related: Mask, shown: Mask, objects: Numbers, count: int
 ) -> Mask:
     """Return the allowed questions that have distractors of ``count - 1`` objects, (Q, F)."""
-    query, target = np.nonzero(allowed)
-    beside = _distractors(satisfies[query], related[target], shown, objects, target)
-    member = (objects[:, None] == np.arange(objects.max() + 1)).astype(np.float32)
+    order = np.argsort(objects, kind="stable")
+    starts = np.unique(objects[order], return_index=True)[1]
     kept = allowed.copy()
-    kept[query, target] = (beside.astype(np.float32) @ member > 0).sum(axis=1) >= count - 1
+    questions = np.argwhere(allowed)
+    for start in range(0, len(questions), AT_ONCE):
+        query, target = questions[start : start + AT_ONCE].T
+        beside = _distractors(satisfies[query], related[target], shown, objects, target)
+        of_objects = np.logical_or.reduceat(beside[:, order], starts, axis=1)
+        kept[query, target] = of_objects.sum(axis=1) >= count - 1
     return kept
 
 

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from safetensors.numpy import load_file
 
 from knowarm.cli.main import main
 from knowarm.knowledge import household
@@ -75,12 +76,12 @@ def test_subgraph(capsys, tmp_path):
 
 
 def test_embed(capsys, tmp_path):
-    for suffix in (".npy", ".csv", ".safetensors"):
+    for suffix in (".npy", ".safetensors"):
         code, text, _ = run(capsys, "embed", "--agent", "full+", "--out", tmp_path / f"v{suffix}")
         assert code == 0
         assert "6 slots of 50 numbers" in text
-    table = np.genfromtxt(tmp_path / "v.csv", delimiter=",", skip_header=1)[:, 1:]
-    np.testing.assert_allclose(np.load(tmp_path / "v.npy"), table, rtol=1e-6)
+    slots = load_file(tmp_path / "v.safetensors")["slots"]
+    np.testing.assert_array_equal(np.load(tmp_path / "v.npy"), slots)
 
 
 def test_fit_and_evaluate(capsys, tmp_path):

@@ -11,7 +11,6 @@ from knowarm.statistics import (
     holm,
     iqm,
     median_steps,
-    on_grid,
     one_way_anova,
     paired,
     performance_profile,
@@ -143,11 +142,6 @@ def test_trend_keeps_a_straight_line():
     values = np.arange(20.0)
     np.testing.assert_allclose(trend(values, 7), values)
     np.testing.assert_allclose(trend(values, 1), values)
-
-
-def test_a_grid_never_goes_beyond_a_curve():
-    shown = on_grid(np.array([2.0, 4.0]), np.array([1.0, 3.0]), np.array([1.0, 3.0, 5.0]))
-    np.testing.assert_allclose(shown, [np.nan, 2.0, np.nan])
 
 
 def test_seeds_needed_falls_with_the_effect_and_gives_up():

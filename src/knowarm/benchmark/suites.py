@@ -26,7 +26,7 @@ from knowarm.world.tasks.episodes import Episodes
 
 FOLDER = Path(__file__).parent / "suites"
 FORMAT = 1
-Split = Literal["train", "S1", "S2", "S3", "S4", "S5"]
+Split = Literal["train", "S1", "S2", "S3", "S4", "S5", "S3a", "S3b"]
 
 CONTROLS = {
     "open-loop": "the best fixed list of actions that a search found",

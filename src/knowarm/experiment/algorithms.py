@@ -83,7 +83,7 @@ ALGORITHMS: dict[str, Algorithm] = {
         # Without it, grasps of which few objects are examples are learned late.
         by_task={
             task: {"total_steps": 2_000_000, "algorithm": {"progress_coef": 1.0}}
-            for task in ("choose", "purpose")
+            for task in ("choose", "purpose", "families")
         },
     ),
     "distil": Algorithm(
@@ -110,7 +110,7 @@ ALGORITHMS: dict[str, Algorithm] = {
         policy={"pixel_shift": 0.5, "pixel_scale": 4.0},
         # The auxiliary loss predicts the way to the goal, so its features have to know the goal.
         grounded={"fusion": "before_fc"},
-        by_task={task: {"total_steps": 300_000} for task in ("choose", "purpose")},
+        by_task={task: {"total_steps": 300_000} for task in ("choose", "purpose", "families")},
     ),
     "ppo": Algorithm(
         about="recurrent proximal policy optimization",

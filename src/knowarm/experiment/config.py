@@ -151,7 +151,7 @@ class EvaluationConfig:
     """Take the most probable action, or sample one."""
     held_out: bool = False
     """Play the colours and places that the environment excluded from training."""
-    split: Literal["train", "S1", "S2", "S3", "S4", "S5"] | None = None
+    split: Literal["train", "S1", "S2", "S3", "S4", "S5", "S3a", "S3b"] | None = None
     """Questions of the choose task: those of this split's test; None takes those of training."""
     edited: str | None = None
     """Path of the edited graph of split S5; None takes the one that swaps values."""

@@ -139,6 +139,7 @@ DEFAULT_EXPERIMENT = _example("")
 TASK_FIELDS: dict[str, dict[str, Any]] = {
     "choose": {"queries": GraphQueries()},
     "purpose": {"queries": GraphQueries(graph="purposes", hold_out=("S4", "S2"))},
+    "families": {"queries": GraphQueries(graph="families", hold_out=("S3b", "S3a", "S4", "S2"))},
 }
 """Fields of tasks that have other values in the named experiments, by task."""
 

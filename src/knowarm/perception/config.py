@@ -6,7 +6,8 @@ from typing import Literal
 
 from knowarm.config import above_zero, at_least, check_numbers
 from knowarm.errors import UserError
-from knowarm.world.config import EnvConfig, facets_of, scene_of
+from knowarm.world.config import EnvConfig, facets_of, questions_of, scene_of
+from knowarm.world.objects.families import look_of
 
 Unclear = Literal["guess", "stop"]
 """What an agent does that sees no answer, or several: move to the most likely place, or stay."""
@@ -102,7 +103,8 @@ class ModuleSpec:
     objects: int
     """Number of visible objects."""
     facets: tuple[tuple[str, str], ...]
-    """The (object, colour) pairs that it distinguishes, F."""
+    """The (object, colour) pairs that it distinguishes, F; of instances of families that look
+    alike, a grounding network has one."""
     config: PerceptionConfig | GroundingConfig
     """How it was trained."""
     accuracy: dict[str, dict[str, float]] = field(default_factory=dict)
@@ -111,11 +113,14 @@ class ModuleSpec:
     @classmethod
     def of(cls, env: EnvConfig, config: PerceptionConfig | GroundingConfig) -> "ModuleSpec":
         """Return the specification of a module for a task."""
+        facets = facets_of(env)
+        if isinstance(config, GroundingConfig):
+            facets = _looks(facets, shown_in(env))
         return cls(
             robot=scene_of(env).robot.name,
             image_size=env.image_size,
             objects=env.task.visible,
-            facets=facets_of(env),
+            facets=facets,
             config=config,
         )
 
@@ -134,3 +139,22 @@ class ModuleSpec:
         if unknown:
             text = f"{module} does not know {', '.join(unknown[:5])}, which this task shows."
             raise UserError(f"{text} {RETRAIN}")
+
+
+def shown_in(env: EnvConfig) -> set[tuple[str, str]]:
+    """Return the facets that a task's episodes show."""
+    table = questions_of(env)
+    if table is None:
+        return set(facets_of(env))
+    return {facet for facet, shown in zip(table.facets, table.shown, strict=True) if shown}
+
+
+def _looks(
+    facets: tuple[tuple[str, str], ...], shown: set[tuple[str, str]]
+) -> tuple[tuple[str, str], ...]:
+    """Return the facets of one object per look, of one that is shown if there is any."""
+    named = {name for name, _ in shown}
+    chosen: dict[tuple[str, ...], str] = {}
+    for name in sorted(dict.fromkeys(name for name, _ in facets), key=lambda n: n not in named):
+        chosen.setdefault(look_of(name), name)
+    return tuple(facet for facet in facets if facet[0] in set(chosen.values()))

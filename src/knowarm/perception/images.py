@@ -11,6 +11,7 @@ from knowarm.perception.config import ModuleSpec
 from knowarm.questions import ObjectColour
 from knowarm.world.config import EnvConfig, questions_of
 from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.objects.families import look_of
 from knowarm.world.scene.scene import Scene, project, target_places
 
 ENVS = 256
@@ -100,9 +101,14 @@ def sample_images(env: EnvConfig, spec: ModuleSpec, count: int, seed: int) -> La
 
 
 def first_facets(scene: Scene, spec: ModuleSpec) -> np.ndarray:
-    """Return the facet of each target in its first colour, (targets,) int64; others follow."""
-    names = zip(scene.targets, scene.colour_names, strict=True)
-    return np.array([spec.facets.index((target.name, colours[0])) for target, colours in names])
+    """Return the facet of each target in its first colour, (targets,) int64; others follow.
+
+    An instance of a family has the facet of the one that looks like it.
+    """
+    first: dict[tuple[str, ...], int] = {}
+    for number, (name, _) in enumerate(spec.facets):
+        first.setdefault(look_of(name), number)
+    return np.array([first[look_of(target.name)] for target in scene.targets])
 
 
 def _float(values: np.ndarray) -> Tensor:

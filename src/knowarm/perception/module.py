@@ -21,6 +21,7 @@ from knowarm.questions import ObjectColour
 from knowarm.reading import UnreadableFileError, one_line, reading
 from knowarm.seeding import torch_generator
 from knowarm.world.config import EnvConfig
+from knowarm.world.objects.families import KINDS, attribute_codes
 from knowarm.world.tasks.state import EpisodeState
 
 
@@ -29,10 +30,18 @@ class PlaceEncoder(nn.Module):
 
     A facet's score is the logarithm of the sum over places of exp(object + colour), so that object
     and colour are found at one place. Each convolution has inputs, outputs, kernel and stride.
+
+    Instances of families are scored by their attributes and kind, so that one of an unseen kind
+    has a score, too: its code times the attributes at a place (Akata et al. 2013, equation 2). A
+    kind that training does not show adds nothing.
     """
 
     facet_parts: Tensor
     """(2, F) buffer, object and colour of each facet; see `number_facets`."""
+    code: Tensor | None
+    """(objects, attributes) buffer; see `attribute_codes`. None: each object has its own score."""
+    shown: Tensor | None
+    """(F,) bool buffer: facets that training shows, which compete; None: all."""
 
     def __init__(
         self,
@@ -44,6 +53,11 @@ class PlaceEncoder(nn.Module):
         self.channels = convolutions[-1][1]
         self.register_buffer("facet_parts", parts := number_facets(facets), persistent=False)
         objects, colours = (parts.amax(1) + 1).tolist()
+        code = attribute_codes(list(dict.fromkeys(name for name, _ in facets)))
+        known = None if code is None else torch.from_numpy(code)
+        self.register_buffer("code", known, persistent=False)
+        self.register_buffer("shown", None, persistent=False)
+        objects = objects if known is None else known.shape[1]
         self.layers = nn.ModuleList(
             nn.Conv2d(inputs, outputs, kernel, stride, padding=kernel // 2)
             for inputs, outputs, kernel, stride in convolutions
@@ -55,6 +69,8 @@ class PlaceEncoder(nn.Module):
             orthogonal(layer, RELU_GAIN, generator)
         for layer in (self.objects, self.colours):
             orthogonal(layer, 1.0, generator)
+        if known is not None:
+            nn.init.zeros_(self.objects.weight[-len(KINDS) :])
 
     def features(self, images: Tensor) -> Tensor:
         """Compute the features of images (n, H, W, 3) uint8, by place: (n, C, h, w) float32."""
@@ -65,7 +81,10 @@ class PlaceEncoder(nn.Module):
 
     def logits(self, features: Tensor) -> tuple[Tensor, Tensor]:
         """Return logits of objects (n, objects, P) and colours (n, colours, P) at P places."""
-        return self.objects(features).flatten(2), self.colours(features).flatten(2)
+        objects = self.objects(features).flatten(2)
+        if self.code is not None:
+            objects = self.code @ objects
+        return objects, self.colours(features).flatten(2)
 
     def facet_scores(self, features: Tensor) -> Tensor:
         """Score the facets over all places of `features`: (n, F) float32."""
@@ -93,6 +112,8 @@ class PlaceEncoder(nn.Module):
             logits[rows, part[facets], places]
             for logits, part in zip(self.logits(features), self.facet_parts, strict=True)
         )
+        if self.shown is not None:
+            scores = scores[:, self.shown]
         return cast(Tensor, at_place) - scores.logsumexp(1, keepdim=True)
 
 

@@ -22,7 +22,6 @@ from knowarm.statistics.survival import (
     area_under_curve,
     first_crossing,
     median_steps,
-    on_grid,
     restricted_mean_steps,
     trend,
 )
@@ -36,7 +35,6 @@ __all__ = [
     "holm",
     "iqm",
     "median_steps",
-    "on_grid",
     "one_way_anova",
     "paired",
     "performance_profile",

@@ -113,11 +113,6 @@ def first_crossing(steps: np.ndarray, values: np.ndarray, threshold: float) -> t
     return (float(steps[reached[0]]), True) if reached.size else (float(steps[-1]), False)
 
 
-def on_grid(steps: np.ndarray, values: np.ndarray, grid: np.ndarray) -> np.ndarray:
-    """Interpolate a curve at the steps of a grid; NaN outside the curve's own range."""
-    return np.interp(grid, steps, values, left=np.nan, right=np.nan)
-
-
 def trend(values: np.ndarray, window: int) -> np.ndarray:
     """Compute a centred moving average whose window narrows at both ends (the paper's trend).
 

@@ -25,7 +25,8 @@ from knowarm.knowledge.slots import graph_facets
 from knowarm.questions import COLOUR_RELATION, QuestionTable
 from knowarm.world.objects import COLOURS, TARGETS
 
-SHOWN = 12  # most held-out pairs or new triples that are printed
+SHOWN = 60  # most triples that are printed
+MOST_HELD = 12  # most held-out pairs or new triples that are printed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,14 +132,14 @@ def _print_overview(asked: QueryGraph, splits: QuerySplits) -> dict[str, Any]:
     held = splits.held_out
     kept = {
         "S2": sorted(f"{name}: {condition.name}" for condition, name in held.pairs),
-        "S3": sorted(held.objects),
+        **{name: sorted(held.new.get(name, ())) for name in ("S3", *held.new)},
         "S4": sorted(held.values),
         "S5": sorted(" ".join(triple) for triple in set(splits.edited or ()) - set(asked.graph)),
     }
     for name, words in kept.items():
         what = "New in the graph of" if name == "S5" else "Held out for"
-        more = f"; ... ({len(words)}, --json FILE writes all)" if len(words) > SHOWN else ""
-        print(f"{what} {name}: {'; '.join(words[:SHOWN]) or 'nothing'}{more}.")
+        more = f"; ... ({len(words)}, --json FILE writes all)" if len(words) > MOST_HELD else ""
+        print(f"{what} {name}: {'; '.join(words[:MOST_HELD]) or 'nothing'}{more}.")
     return {"conditions": conditions, "splits": sizes, "held_out": kept, "empty": splits.reasons}
 
 
@@ -150,9 +151,6 @@ def _questions(table: QuestionTable) -> dict[str, dict[str, list[str]]]:
         colours = questions.setdefault(table.queries[query].name, {})
         colours.setdefault(name, []).append(colour)
     return questions
-
-
-SHOWN = 60  # largest number of triples that are printed
 
 
 @dataclass(frozen=True, kw_only=True)

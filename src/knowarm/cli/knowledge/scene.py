@@ -56,11 +56,11 @@ class Embed(SceneOptions):
     """Embed objects and write one row of numbers per slot."""
 
     out: Path | None = None
-    """Write the slots: .npy and .safetensors hold (S, D) float32, .csv one named row per slot."""
+    """Write the slots, (S, D) float32: .npy, or .safetensors, which names them."""
 
     def result(self) -> dict[str, Any]:
         """Embed, print and write."""
-        check_suffix(self.out, "vectors", (".npy", ".csv", ".safetensors"))
+        check_suffix(self.out, "vectors", (".npy", ".safetensors"))
         embedding = scene_embedding(self.config(), self.facets(), run_seed=self.run_seed())
         rows = [
             [slot.name, " ".join(f"{x:.3f}" for x in row[:6]) + " ...", float(np.linalg.norm(row))]
@@ -76,17 +76,11 @@ class Embed(SceneOptions):
 
 
 def _write(embedding: SceneEmbedding, path: Path) -> None:
-    names = [slot.name for slot in embedding.slots]
     if path.suffix == ".npy":
         np.save(path, embedding.matrix)
-    elif path.suffix == ".safetensors":
-        matrix = np.ascontiguousarray(embedding.matrix)
-        save_file({"slots": matrix}, path, {"slots": ",".join(names)})
-    else:
-        rows = [["slot", *(f"v{i}" for i in range(embedding.slot_dim))]]
-        for name, row in zip(names, embedding.matrix, strict=True):
-            rows.append([name, *map(repr, map(float, row))])
-        path.write_text("".join(",".join(row) + "\n" for row in rows), encoding="utf-8")
+        return
+    names = ",".join(slot.name for slot in embedding.slots)
+    save_file({"slots": np.ascontiguousarray(embedding.matrix)}, path, {"slots": names})
 
 
 @dataclass(frozen=True, kw_only=True)

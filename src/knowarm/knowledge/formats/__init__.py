@@ -49,10 +49,11 @@ _DATA = Path(__file__).parent.parent / "data"
 HOUSEHOLD = _DATA / "household.ttl"
 """The default graph: 31 household objects and facts about them that matter to a robot arm."""
 SHIPPED = {"household": HOUSEHOLD} | {
-    name: _DATA / f"{name}.ttl" for name in ("objects", "purposes")
+    name: _DATA / f"{name}.ttl" for name in ("objects", "purposes", "families")
 }
 """Graphs that come with the package by name. "objects" holds the objects of the choose task, with
-facts that can be asked; "purposes" what parts of objects are grasped for."""
+facts that can be asked; "purposes" what parts of objects are grasped for; "families" the instances
+of families, written by ``scripts/draw_families.py``."""
 
 
 def read_graph(path: str | Path, format: str | None = None) -> KnowledgeGraph:

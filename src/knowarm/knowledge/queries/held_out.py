@@ -6,6 +6,7 @@ facts to be asked by.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -14,11 +15,12 @@ from knowarm.knowledge.graph.builder import difference, graph_of, union
 from knowarm.knowledge.graph.graph import KnowledgeGraph, Triple
 from knowarm.knowledge.graph.terms import local_name
 from knowarm.knowledge.queries.queries import QueryGraph
-from knowarm.questions import OBJECT_RELATION, Condition, Query
+from knowarm.questions import OBJECT_RELATION, Condition, Query, kind_of
 
-SHARES = {"S2": 0.2, "S3": 0.23, "S4": 0.15, "S5": 0.2}
+SHARES = {"S2": 0.2, "S3": 0.23, "S3a": 0.25, "S3b": 0.25, "S4": 0.15, "S5": 0.2}
 """Share that a split holds out or changes: of the objects of each condition (S2), of the objects
-(S3), of the values (S4), of the conditions that are not colours (S5)."""
+(S3), of the instances of each kind (S3a), of the kinds (S3b), of the values (S4), of the conditions
+that are not colours (S5)."""
 
 
 @dataclass
@@ -28,8 +30,10 @@ class HeldOutQuestions:
     asked: QueryGraph
     holders: Mapping[Condition, list[str]]
     """Objects that satisfy each condition."""
+    new: dict[str, set[str]] = field(default_factory=dict)
+    """Objects that training never shows, by the split that tests them (S3, S3a, S3b)."""
     objects: set[str] = field(default_factory=set)
-    """Objects that training never shows (S3)."""
+    """All of these."""
     values: set[str] = field(default_factory=set)
     """Values that training never asks (S4)."""
     pairs: set[tuple[Condition, str]] = field(default_factory=set)
@@ -44,7 +48,40 @@ class HeldOutQuestions:
         """Hold out objects; each condition keeps half of its objects or more (S3)."""
         names = sorted(self.asked.objects)
         wanted = max(per_episode + 1, round(SHARES["S3"] * len(names)))
-        shared = [set(self.holders[c]) for c in self.facts if len(self.holders[c]) > 1]
+        self._hold("S3", self._some(rng, names, wanted, per_episode))
+
+    def hold_kinds(self, rng: np.random.Generator, per_episode: int) -> None:
+        """Hold out all instances of some kinds; each condition keeps half of its kinds (S3b)."""
+        names = self.asked.objects
+        kinds = sorted({kind_of(name) for name in names if kind_of(name) != name})
+        wanted = max(2, round(SHARES["S3b"] * len(kinds)))
+        held = self._some(rng, kinds, wanted, per_episode)
+        self._hold("S3b", {name for name in names if kind_of(name) in held})
+
+    def hold_instances(self, rng: np.random.Generator, per_episode: int) -> None:
+        """Hold out some instances of each kind that training shows (S3a)."""
+        held: set[str] = set()
+        shown = sorted(set(self.asked.objects) - self.objects)
+        for kind in sorted({kind_of(name) for name in shown if kind_of(name) != name}):
+            names = [name for name in shown if kind_of(name) == kind]
+            held.update(rng.permutation(names)[: round(SHARES["S3a"] * len(names))].tolist())
+        if len({kind_of(name) for name in held}) <= per_episode:
+            raise UserError(
+                f"the objects have instances of {per_episode} kinds or fewer, of which some could "
+                "be held out. Take the objects of the task families."
+            )
+        self._hold("S3a", held)
+
+    def _hold(self, split: str, names: set[str]) -> None:
+        self.new[split] = names
+        self.objects |= names
+
+    def _some(
+        self, rng: np.random.Generator, names: list[str], wanted: int, per_episode: int
+    ) -> set[str]:
+        """Draw objects or kinds such that each condition keeps half of them or more."""
+        holders = [{n if n in names else kind_of(n) for n in self.holders[c]} for c in self.facts]
+        shared = [each for each in holders if len(each) > 1]
         held: set[str] = set()
         for index in rng.permutation(len(names)):
             new = {*held, names[index]}
@@ -56,7 +93,7 @@ class HeldOutQuestions:
                 f"{per_episode} left, with half of the objects of each condition. Give more "
                 "objects, or fewer objects per episode."
             )
-        self.objects = held
+        return held
 
     def hold_values(self, rng: np.random.Generator, per_episode: int) -> None:
         """Hold out values that a triple links to a value that stays (S4).
@@ -89,17 +126,20 @@ class HeldOutQuestions:
 
         Each object keeps a fact to be asked by.
         """
-        names = sorted(self.asked.objects)
-        total = {name: sum(name in each for each in self.holders.values()) for name in names}
+        new = self.objects
+        names = sorted({kind_of(name) for name in self.asked.objects})
+        kinds = {c: sorted({kind_of(n) for n in held}) for c, held in self.holders.items()}
+        total = {name: sum(name in each for each in kinds.values()) for name in names}
         load = dict.fromkeys(names, 0)
         facts = {
-            name: sum(name in self.holders[c] for c in self.facts if c.value not in self.values)
+            name: sum(name in kinds[c] for c in self.facts if c.value not in self.values)
             for name in names
         }
         conditions = list(self.holders)
         for index in rng.permutation(len(conditions)):
             condition = conditions[index]
-            shown = [name for name in self.holders[condition] if name not in self.objects]
+            members = [name for name in self.holders[condition] if name not in new]
+            shown = sorted({kind_of(name) for name in members})
             is_object = condition.relation == OBJECT_RELATION
             if condition.value in self.values or is_object or len(shown) < 2:
                 continue
@@ -107,10 +147,10 @@ class HeldOutQuestions:
             free = [name for name in spare if load[name] < total[name] // 3]
             order = sorted(rng.permutation(free).tolist(), key=lambda n: load[n] / total[n])
             for name in order[: max(1, round(SHARES["S2"] * len(shown)))]:
-                self.pairs.add((condition, name))
+                self.pairs |= {(condition, each) for each in members if kind_of(each) == name}
                 load[name] += 1
                 facts[name] -= not condition.is_seen
-        if len({name for _, name in self.pairs}) < per_episode:
+        if len({kind_of(name) for _, name in self.pairs}) < per_episode:
             self.pairs = set()
             raise UserError(
                 f"fewer than {per_episode} objects, which an episode needs, share a condition "
@@ -132,6 +172,15 @@ class HeldOutQuestions:
                 links[other].add(one)
         return links
 
+    @cached_property
+    def asked_in_training(self) -> set[Condition]:
+        """Conditions that training asks for some object; read it when all draws are done."""
+        return {
+            c
+            for c, names in self.holders.items()
+            if any(self.in_training(Query((c,)), name) for name in names)
+        }
+
     def in_training(self, query: Query, name: str) -> bool:
         """Return whether training may ask a query for an object."""
         return name not in self.objects and not any(
@@ -145,11 +194,8 @@ class HeldOutQuestions:
         return held and name not in self.objects and not values & self.values
 
     def is_new_object(self, query: Query, name: str) -> bool:
-        """Return whether a query is a question of S3."""
-        return name in self.objects and all(
-            any(self.in_training(Query((c,)), other) for other in self.holders.get(c, ()))
-            for c in query.conditions
-        )
+        """Return whether a query is a question of S3, S3a or S3b."""
+        return name in self.objects and self.asked_in_training.issuperset(query.conditions)
 
     def is_new_value(self, query: Query, name: str) -> bool:
         """Return whether a query is a question of S4."""

@@ -5,6 +5,7 @@ One training table serves all tests, so that one trained policy takes them all:
 - S1, new layouts: the questions of training;
 - S2, new pairs: a condition and an object that training never asked together;
 - S3, new objects: objects that training never showed, asked by conditions of training;
+- S3a and S3b, of families: new instances of kinds that training showed, and new kinds;
 - S4, new values: conditions that training never asked, linked by a triple to ones that it did;
 - S5, edited graph: conditions of training whose answer is another one in an edited graph.
 """
@@ -27,12 +28,22 @@ SPLITS = {
     "S3": "objects that training never showed",
     "S4": "values that training never asked, linked to ones that it did",
     "S5": "answers that changed with the graph",
+    "S3a": "new instances of kinds that training showed",
+    "S3b": "instances of kinds that training never showed",
 }
 """Every split by name, and what its test asks."""
 
-DRAWN = {"S3": 3, "S4": 4, "S2": 2}
+DRAWN = {"S3": 3, "S3b": 6, "S3a": 7, "S4": 4, "S2": 2}
 """Splits that hold something out of training, in the order of the draws, and the number of the
 stream that each draws from."""
+
+NEW_OBJECTS = ("S3", "S3a", "S3b")
+"""Those whose tests show objects that training never shows."""
+
+HELD_OUT = ("S3", "S4", "S2")
+"""Those of objects that belong to no family."""
+
+NOT_NAMED = "hold_out does not name it."
 
 
 class QuerySplits(NamedTuple):
@@ -52,7 +63,8 @@ class QuerySplits(NamedTuple):
         if name not in SPLITS:
             raise unknown_name("split", name, SPLITS)
         if name not in self.tests:
-            raise UserError(f"The split {name} ({SPLITS[name]}) is empty: {self.reasons[name]}")
+            reason = self.reasons.get(name, NOT_NAMED)
+            raise UserError(f"The split {name} ({SPLITS[name]}) is empty: {reason}")
         return self.tests[name]
 
 
@@ -63,7 +75,7 @@ def query_splits(
     seed: int = 0,
     pairs: Pairs = "colour",
     objects: int = 4,
-    hold_out: Collection[str] = tuple(DRAWN),
+    hold_out: Collection[str] = HELD_OUT,
     edited: KnowledgeGraph | None = None,
 ) -> QuerySplits:
     """Draw what is held out, and make the table of training and those of the tests.
@@ -78,10 +90,17 @@ def query_splits(
     asked = QueryGraph(graph, facets)
     maker = _Maker(asked, pairs, objects)
     held = maker.held
-    reasons = dict.fromkeys(DRAWN, "hold_out does not name it.")
+    reasons = dict.fromkeys(HELD_OUT, NOT_NAMED)
+    draws = {
+        "S3": held.hold_objects,
+        "S3b": held.hold_kinds,
+        "S3a": held.hold_instances,
+        "S4": held.hold_values,
+        "S2": held.hold_pairs,
+    }
     for name, number in DRAWN.items():
         rng = np.random.default_rng(seed_sequence(seed, "splits", number))
-        hold = {"S2": held.hold_pairs, "S3": held.hold_objects, "S4": held.hold_values}[name]
+        hold = draws[name]
         try:
             if name in hold_out:
                 hold(rng, objects)
@@ -97,8 +116,8 @@ def query_splits(
     found: dict[str, QuestionTable | None] = {"S1": train}
     if held.pairs:
         found["S2"] = maker.table(held.is_new_pair)
-    if held.objects:
-        found["S3"] = maker.table(held.is_new_object, new_objects=True)
+    for name in filter(held.new.__contains__, NEW_OBJECTS):
+        found[name] = maker.table(held.is_new_object, show=held.new[name])
     if held.values:
         found["S4"] = maker.table(held.is_new_value)
     try:
@@ -113,7 +132,7 @@ def query_splits(
         "target. Give more objects or facts, or fewer objects per episode."
     )
     reasons |= dict.fromkeys(found.keys() - tests.keys(), no_distractors)
-    reasons = {name: reasons[name] for name in SPLITS if name not in tests}
+    reasons = {name: reasons[name] for name in SPLITS if name in reasons and name not in tests}
     return QuerySplits(train=train, tests=tests, reasons=reasons, held_out=held, edited=edited)
 
 
@@ -132,16 +151,16 @@ class _Maker:
         self.held = HeldOutQuestions(asked, holders)
 
     def table(
-        self, rule: Callable[[Query, str], bool], *, new_objects: bool = False
+        self, rule: Callable[[Query, str], bool], *, show: Collection[str] | None = None
     ) -> QuestionTable | None:
         """Return the table of the questions that a rule about (query, object) allows, if any.
 
         A facet is shown only if some question has it as its target, so that what is seen does not
-        tell what is asked.
+        tell what is asked. ``show`` names the objects that may be seen; None: those of training.
         """
         satisfies = self.satisfies
-        held = np.isin(self.owner, self._numbers(self.held.objects))
-        shown = self.asked.possible() & (held if new_objects else ~held)
+        held = np.isin(self.owner, self._numbers(self.held.objects if show is None else show))
+        shown = self.asked.possible() & (~held if show is None else held)
         related = _related(satisfies[: len(self.held.holders)])
         allowed = satisfies & self._allowed(self.queries, rule)
         while True:

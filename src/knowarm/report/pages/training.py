@@ -19,7 +19,7 @@ from knowarm.report.charts import (
 )
 from knowarm.report.model import CONTROLS, Curve, Group, RunData, TaskData
 from knowarm.report.pages.paper import time_saved
-from knowarm.statistics import first_crossing, median_steps, on_grid, restricted_mean_steps, trend
+from knowarm.statistics import first_crossing, median_steps, restricted_mean_steps, trend
 
 GRID = 48  # points of a drawn curve
 MOST_POINTS = 120  # of a single seed's curve
@@ -93,7 +93,7 @@ def group_series(group: Group, curves: Sequence[Curve], key: str, colour: str) -
     for i, curve in enumerate(curves):
         good = np.isfinite(curve[key])
         values = trend(curve[key][good], max(1, int(good.sum()) // 10))
-        table[i] = on_grid(curve["step"][good], values, grid)
+        table[i] = np.interp(grid, curve["step"][good], values, np.nan, np.nan)
     present = np.isfinite(table)
     counts = present.sum(axis=0)
     totals = np.where(present, table, 0.0).sum(axis=0)

@@ -35,6 +35,10 @@ class Target:
     """Mass where it is lifted [kg], evenly over its shapes; None takes the file's."""
     base_radius_m: float = 0.0
     """Radius of a flat bottom for lifting, for an object drawn round below [m]; 0 for none."""
+    xml: str | None = None
+    """MJCF of an instance of a family, in place of the file's."""
+    attributes: tuple[str, ...] = ()
+    """Shape and parts of such an instance, by which it can be recognized."""
 
     def __post_init__(self) -> None:
         check_numbers(self)

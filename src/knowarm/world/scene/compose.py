@@ -21,8 +21,10 @@ ROBOT_BIT, SUPPORT_BIT = 1, 2
 COMPILE_S = 120.0  # Most time that an MJCF file may take to compile
 
 
-def read_mjcf(path: Path, owner: str) -> mujoco.MjSpec:
-    """Read an MJCF file; messages name the description of it, its owner ("Robot 'irb120'")."""
+def read_mjcf(path: Path, owner: str, xml: str | None = None) -> mujoco.MjSpec:
+    """Read an MJCF file, or its text; messages name the owner of it ("Robot 'irb120'")."""
+    if xml is not None:
+        return mujoco.MjSpec.from_string(xml)
     with reading(path, "Give the path of an MJCF file."):
         is_file = path.is_file()
     if not is_file:
@@ -121,7 +123,7 @@ def attach_target(
     Of several parts of one object among the targets ``beside``, each draws its own geoms.
     """
     owner = f"Target {target.name!r}"
-    part = read_mjcf(target.mjcf, owner)
+    part = read_mjcf(target.mjcf, owner, target.xml)
     bodies = part.worldbody.bodies
     if len(bodies) != 1 or list(part.worldbody.geoms):
         raise UserError(

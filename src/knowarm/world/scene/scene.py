@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.errors import UserError, unknown_name
+from knowarm.questions import INSTANCE
 from knowarm.world.objects import TARGETS, Target
+from knowarm.world.objects.families import instance
 from knowarm.world.objects.parts import PARTS
 from knowarm.world.robots import ROBOTS
 from knowarm.world.robots.menagerie import KNOWN_ARMS
@@ -83,6 +85,8 @@ def find_targets(names: Sequence[str]) -> tuple[Target, ...]:
             targets.append(read_target(Path(name)))
         elif name in known:
             targets.append(known[name])
+        elif INSTANCE in name:
+            targets.append(instance(name))
         else:
             raise unknown_name("target", name, known)
     return tuple(targets)
