@@ -28,6 +28,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import nn
 
 from knowarm.benchmark.suites import Cell, read_suite
+from knowarm.learn.algorithms import PPOConfig
 from knowarm.learn.sb3_vec_env import SB3VecEnv
 from knowarm.world.agents import OracleAgent
 from knowarm.world.agents.play import play_steps
@@ -37,8 +38,8 @@ from knowarm.world.tasks.episodes import draw_episodes
 from knowarm.world.tasks.running import ACTION_LEVELS, joint_increments
 
 LEVELS = np.array(ACTION_LEVELS, np.float32)
-REWARD_SCALE = 0.1  # of SAC
-SCALE = 0.05  # of recurrent PPO, as in `PPOConfig`
+SAC_REWARD_SCALE = 0.1
+PPO_REWARD_SCALE = PPOConfig().reward_scale
 RECURRENT_PPO_STEPS = 2_000_000
 DEMONSTRATIONS = 1_000
 """Episodes of the oracle that behaviour cloning fits."""
@@ -119,7 +120,7 @@ class Continuous(VectorWrapper):
                 final[i] = {"image": final[i], "joint_targets": reached[i].astype(np.float32)}
             infos = infos | {"final_obs": final}
         seen = self._observe(images, self._arm.joint_targets)
-        return seen, REWARD_SCALE * rewards, terminated, truncated, infos
+        return seen, SAC_REWARD_SCALE * rewards, terminated, truncated, infos
 
     @staticmethod
     def _observe(images: NDArray[np.uint8], targets: NDArray[np.float64]) -> dict[str, Any]:
@@ -147,7 +148,7 @@ class Progress(BaseCallback):
 def recurrent_ppo(cell: Cell, seed: int, out: Path) -> None:
     """Train sb3-contrib's recurrent PPO on images, with the settings of KnowArm's `PPOConfig`."""
     arm = ReachVectorEnv(cell.env, 128, num_threads=1)
-    env = SB3VecEnv(TransformReward(arm, lambda rewards: SCALE * rewards), seed=seed)
+    env = SB3VecEnv(TransformReward(arm, lambda rewards: PPO_REWARD_SCALE * rewards), seed=seed)
     model = RecurrentPPO(
         "CnnLstmPolicy",
         env,

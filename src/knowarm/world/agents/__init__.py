@@ -81,4 +81,4 @@ BLIND_AGENTS: dict[str, BlindEntry] = {
         sees_nothing=False,
     ),
 }
-"""Agents by name that tell how much of an agent's score needs eyes."""
+"""Blind agents by name: how much of a score depends on the image is the difference to them."""
