@@ -2,6 +2,8 @@ import logging
 import multiprocessing
 import os
 import signal
+import sys
+from pathlib import Path
 
 import psutil
 import pytest
@@ -70,6 +72,15 @@ def test_children_outlive_the_terminal_until_the_trainer_has_asked_for_their_sta
     assert psutil.Process(other.process.pid).parent() == server
     for each in (child, other):
         each.stop()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")
+def test_the_fork_server_imports_torch_once_for_all_children():
+    child = ChildProcess.start(process_context(), "helper", send_one)
+    server = Path("/proc", str(psutil.Process(child.process.pid).ppid()))
+    assert "forkserver" in (server / "cmdline").read_text()
+    assert "libtorch_cpu" in (server / "maps").read_text()
+    child.stop()
 
 
 @pytest.mark.slow

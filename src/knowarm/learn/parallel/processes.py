@@ -57,7 +57,7 @@ def process_context(*preload: str) -> BaseContext:
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["knowarm.learn.parallel.fork_server", *preload])
+    context.set_forkserver_preload(["knowarm.learn.parallel.fork_server", __name__, *preload])
     return context
 
 
