@@ -5,7 +5,6 @@ python -m benchmarks.time_to_success irb120-full-ppo --algorithms fast ppo --mos
 
 import argparse
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, cast
 
@@ -13,11 +12,10 @@ from knowarm.cli.tables import print_table
 from knowarm.cores import available_cores
 from knowarm.errors import UserError
 from knowarm.experiment.algorithms import ALGORITHMS
-from knowarm.experiment.build import InterimFactory, build
+from knowarm.experiment.build import build, interim_evaluation
 from knowarm.experiment.config import ExperimentConfig, InterimConfig
 from knowarm.experiment.names import ExperimentName, experiment_config
-from knowarm.learn import Hooks, Metrics, PPOConfig, PPOTrainer
-from knowarm.policy import Policy
+from knowarm.learn import Hooks, PPOConfig, PPOTrainer
 from knowarm.world.envs.torch_env import TorchReachVectorEnv
 
 SUCCESS = 0.8
@@ -68,12 +66,6 @@ class SuccessClock:
         }
 
 
-def interim_evaluation(experiment: ExperimentConfig, seed: int) -> Callable[[Policy], Metrics]:
-    """Return the function that plays the interim evaluation of the benchmark."""
-    refuse_module(experiment)
-    return InterimFactory(experiment.env, INTERIM, seed)()
-
-
 def refuse_module(experiment: ExperimentConfig) -> None:
     """Refuse agents that the benchmarks cannot train.
 
@@ -110,6 +102,7 @@ def time_to_success(
     Returns:
         The row of `SuccessClock.row`.
     """
+    refuse_module(experiment)
     chosen = with_algorithm(experiment, algorithm)
     config = replace(cast(PPOConfig, chosen.algorithm), processes=processes)
     env = TorchReachVectorEnv(chosen.env, config.num_envs, num_threads=processes)
@@ -119,7 +112,7 @@ def time_to_success(
         build(chosen).new_policy(seed),
         env,
         seed=seed,
-        evaluate=interim_evaluation(chosen, seed),
+        evaluate=interim_evaluation(chosen.env, INTERIM, seed),
         evaluate_every=INTERIM.every_steps,
         hooks=Hooks(
             on_evaluation=lambda step, results, _: clock.add(step, results["success"]),

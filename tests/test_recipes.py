@@ -15,7 +15,6 @@ import torch
 
 import knowarm
 from knowarm.cli.main import main
-from knowarm.experiment.algorithms import TrainerInputs
 from knowarm.knowledge.vectors import SOURCES, VectorSource
 from knowarm.knowledge.vectors.source import Found
 from knowarm.learn import Checkpoint, Trainer, TrainingResult
@@ -187,14 +186,8 @@ class RandomSearchTrainer(Trainer):
         pass
 
 
-def make_random_search(inputs: TrainerInputs) -> Trainer:
-    return RandomSearchTrainer(
-        inputs.config,
-        inputs.policy,
-        inputs.make_env(2),
-        evaluate=inputs.make_evaluate(),
-        **inputs.options,
-    )
+def make_random_search(config, policy, make_env, make_evaluate, **options) -> Trainer:
+    return RandomSearchTrainer(config, policy, make_env(2), evaluate=make_evaluate(), **options)
 
 
 def test_an_algorithm(monkeypatch, listed, tmp_path):

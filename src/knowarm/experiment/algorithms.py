@@ -2,29 +2,13 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any
 
 from knowarm.learn.algorithms import A3CConfig, AlgorithmConfig, PPOConfig
 
 if TYPE_CHECKING:
     from knowarm.learn import MakeEvaluate, TorchVectorEnv, Trainer
     from knowarm.policy import Policy
-
-
-class TrainerInputs(NamedTuple):
-    """Everything a trainer is built from."""
-
-    config: AlgorithmConfig
-    """Hyperparameters, of the type of ``Algorithm.config``."""
-    policy: "Policy"
-    """The policy to train in place."""
-    make_env: "Callable[..., TorchVectorEnv]"
-    """Makes the training environments from num_envs, num_threads (0: all) and ``device``;
-    picklable."""
-    make_evaluate: "MakeEvaluate"
-    """Makes the interim evaluation."""
-    options: Mapping[str, Any]
-    """Keyword arguments of the base class `knowarm.learn.Trainer`, such as ``seed``."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,8 +19,10 @@ class Algorithm:
     """One line for ``knowarm list``."""
     config: AlgorithmConfig
     """Default hyperparameters; their literal ``name`` is the registry's name of the trainer."""
-    make_trainer: "Callable[[TrainerInputs], Trainer]"
-    """Builds a trainer."""
+    make_trainer: "Callable[..., Trainer]"
+    """Builds a trainer from ``config``, the ``policy`` that it trains in place, and two picklable
+    functions: ``make_env``, a `build.EnvFactory`, and ``make_evaluate``, which makes the interim
+    evaluation. Further options are those of the base class `knowarm.learn.Trainer`."""
     total_steps: int
     """Environment steps of an experiment, over all environments."""
     policy: Mapping[str, Any] = field(default_factory=dict)
@@ -47,21 +33,25 @@ class Algorithm:
     """Fields of the experiments of single tasks that have other values, by task."""
 
 
-def _make_ppo(inputs: TrainerInputs) -> "Trainer":
+def _make_ppo(
+    config: PPOConfig,
+    policy: "Policy",
+    make_env: "Callable[..., TorchVectorEnv]",
+    make_evaluate: "MakeEvaluate",
+    **options: Any,
+) -> "Trainer":
     from knowarm.learn import PPOTrainer  # imports torch, which naming an experiment does not need
 
-    config = cast(PPOConfig, inputs.config)
-    env = inputs.make_env(config.num_envs, device=config.device)
-    options = {"evaluate": inputs.make_evaluate(), **inputs.options}
-    return PPOTrainer(config, inputs.policy, env, **options)
+    env = make_env(config.num_envs, device=config.device)
+    return PPOTrainer(config, policy, env, evaluate=make_evaluate(), **options)
 
 
-def _make_a3c(inputs: TrainerInputs) -> "Trainer":
+def _make_a3c(
+    config: A3CConfig, policy: "Policy", make_env: "Callable[..., TorchVectorEnv]", **options: Any
+) -> "Trainer":
     from knowarm.learn import A3CTrainer
 
-    config = cast(A3CConfig, inputs.config)
-    options = {"make_evaluate": inputs.make_evaluate, **inputs.options}
-    return A3CTrainer(config, inputs.policy, inputs.make_env, **options)
+    return A3CTrainer(config, policy, make_env, **options)
 
 
 ALGORITHMS: dict[str, Algorithm] = {

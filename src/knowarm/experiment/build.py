@@ -2,12 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from knowarm.errors import UserError
-from knowarm.experiment.algorithms import ALGORITHMS, TrainerInputs
+from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.config import ExperimentConfig, InterimConfig
 from knowarm.experiment.load import policy_agent
 from knowarm.knowledge import Embedding, query_embedding, scene_embedding
@@ -43,31 +44,25 @@ class EnvFactory:
         return PerceivingVectorEnv(self.config, num_envs, self.perception, **options)
 
 
-@dataclass(frozen=True)
-class InterimFactory:
-    """Picklable factory of the function that plays the interim evaluation of a run."""
+def interim_evaluation(
+    config: EnvConfig, interim: InterimConfig, seed: int, perception: PerceptionModule | None = None
+) -> Callable[[Policy], dict[str, float]]:
+    """Make the environments, draw the episodes, and return the function that plays them.
 
-    env: EnvConfig
-    interim: InterimConfig
-    seed: int
-    """Of the run; sampled actions depend on it, the episodes do not."""
-    perception: PerceptionModule | None = None
+    Sampled actions depend on ``seed``, that of the run; the episodes do not.
+    """
+    env = ReachVectorEnv(config, interim.episodes)
+    episodes = evaluation_episodes(config, interim.episodes, interim.seed)
+    task, setting = config.task, env.running.setting
 
-    def __call__(self) -> Callable[[Policy], dict[str, float]]:
-        """Make the environments, draw the episodes, and return the evaluating function."""
-        interim = self.interim
-        env = ReachVectorEnv(self.env, interim.episodes)
-        episodes = evaluation_episodes(self.env, interim.episodes, interim.seed)
-        task, setting = self.env.task, env.running.setting
+    def evaluate(policy: Policy) -> dict[str, float]:
+        generator = torch_generator(seed, "interim_actions")
+        agent = policy_agent(policy, perception, interim.greedy, generator)
+        result = play(agent, env, episodes)
+        numbers = _numbers(result, config.success_distance_m)
+        return numbers | task.interim_numbers(task.columns(setting, result.infos))
 
-        def evaluate(policy: Policy) -> dict[str, float]:
-            generator = torch_generator(self.seed, "interim_actions")
-            agent = policy_agent(policy, self.perception, interim.greedy, generator)
-            result = play(agent, env, episodes)
-            numbers = _numbers(result, self.env.success_distance_m)
-            return numbers | task.interim_numbers(task.columns(setting, result.infos))
-
-        return evaluate
+    return evaluate
 
 
 def _numbers(result: EpisodeResults, success_distance_m: float) -> dict[str, float]:
@@ -93,14 +88,11 @@ def make_trainer(
     **options: Any,
 ) -> Trainer:
     """Make the trainer of an experiment; ``options`` are those of `knowarm.learn.Trainer`."""
-    inputs = TrainerInputs(
-        config=config.algorithm,
-        policy=policy,
-        make_env=EnvFactory(config.env, perception),
-        make_evaluate=InterimFactory(config.env, config.interim, config.seed, perception),
-        options={"seed": config.seed, **options},
+    evaluation = partial(interim_evaluation, config.env, config.interim, config.seed, perception)
+    options |= {"make_env": EnvFactory(config.env, perception), "make_evaluate": evaluation}
+    return ALGORITHMS[config.algorithm.name].make_trainer(
+        config.algorithm, policy, seed=config.seed, **options
     )
-    return ALGORITHMS[config.algorithm.name].make_trainer(inputs)
 
 
 @dataclass(frozen=True)
