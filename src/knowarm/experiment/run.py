@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from knowarm.config import override, to_dict
+from knowarm.config import flatten, override, to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.build import Parts, build, make_trainer, slots_of
 from knowarm.experiment.config import ExperimentConfig
@@ -195,8 +195,8 @@ def description(config: ExperimentConfig, policy: Policy) -> dict[str, Any]:
         "agent": config.agent,
         "algorithm": config.algorithm.name,
         "seed": config.seed,
-        **_flat(choices, "policy.config."),
-        **_flat(to_dict(policy.shape), "policy.shape."),
+        **flatten(choices, "policy.config."),
+        **flatten(to_dict(policy.shape), "policy.shape."),
     }
 
 
@@ -239,19 +239,9 @@ def _check_same(config: ExperimentConfig, folder: RunFolder) -> None:
 
 def differences(run: ExperimentConfig, given: ExperimentConfig) -> dict[str, str]:
     """Return the fields in which two configs differ, each with "field: value | value"."""
-    one, other = _flat(to_dict(run)), _flat(to_dict(given))
+    one, other = flatten(to_dict(run)), flatten(to_dict(given))
     return {
         name: f"{name}: {one.get(name)!r} | {other.get(name)!r}"
         for name in {**one, **other}
         if one.get(name) != other.get(name)
     }
-
-
-def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for name, value in values.items():
-        if isinstance(value, dict):
-            flat |= _flat(value, f"{prefix}{name}.")
-        else:
-            flat[prefix + name] = value
-    return flat

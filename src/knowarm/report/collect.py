@@ -7,9 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from knowarm.config import flatten
 from knowarm.experiment.agents import AGENTS
 from knowarm.knowledge.queries.splits import SPLITS
-from knowarm.report.format import differing, flatten, slugs
+from knowarm.report.format import differing, slugs
 from knowarm.report.model import (
     Evaluation,
     FolderProblem,

@@ -130,15 +130,6 @@ def palette(names: Iterable[tuple[str, str]]) -> dict[str, str]:
     return chosen
 
 
-def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return nested mappings as one mapping of dotted names."""
-    flat: dict[str, Any] = {}
-    for name, value in values.items():
-        nested = isinstance(value, Mapping)
-        flat |= flatten(value, f"{prefix}{name}.") if nested else {f"{prefix}{name}": value}
-    return flat
-
-
 def differing(settings: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return the names whose values are not the same everywhere."""
     texts = [{n: json.dumps(v, sort_keys=True) for n, v in each.items()} for each in settings]
