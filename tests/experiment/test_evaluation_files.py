@@ -61,9 +61,6 @@ def test_what_cannot_be_read_is_named(tmp_path):
     (tmp_path / "broken.parquet").write_bytes(b"PAR1")
     with pytest.raises(UserError, match=r"broken\.parquet"):
         read_table(tmp_path / "broken.parquet")
-    write_table(tmp_path / "e.parquet", COLUMNS, EPISODE_COLUMNS)
-    with pytest.raises(UserError, match="Evaluate the run again"):
-        read_table(tmp_path / "e.parquet", ["joint_1_rad"])
 
 
 @pytest.mark.parametrize("still", [[], [20], [49], [1, 2, 3, 48, 49]])

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from knowarm.experiment.config import EvaluationConfig
-from knowarm.statistics import Interval, share_difference, wilson
+from knowarm.statistics import share_difference, wilson
 from knowarm.world.agents import BLIND_AGENTS, AgentProtocol
 from knowarm.world.agents.play import play
 from knowarm.world.envs.vector_env import ReachVectorEnv
@@ -43,15 +43,11 @@ def blind_numbers(
         differences[name] = share_difference(own, share)
         numbers[name] = {
             "episodes": len(solved),
-            **_cells("success", share),
-            **_cells("difference", differences[name]),
+            **share.named("success"),
+            **differences[name].named("difference"),
         }
     needs_eyes = min(
         (differences[name] for name, entry in BLIND_AGENTS.items() if entry.sees_nothing),
         key=lambda difference: difference.estimate,
     )
-    return {"blind_agents": numbers, **_cells("needs_eyes", needs_eyes)}
-
-
-def _cells(name: str, value: Interval) -> dict[str, float]:
-    return {name: value.estimate, f"{name}_low": value.low, f"{name}_high": value.high}
+    return {"blind_agents": numbers, **needs_eyes.named("needs_eyes")}

@@ -49,7 +49,6 @@ def lift_numbers(episodes: Mapping[str, np.ndarray]) -> dict[str, Any]:
     values: dict[str, Any] = {"lift_episodes": len(outcomes)}
     for name, of in (("lifted", len(outcomes)), ("grasps", int(successes))):
         if of:
-            share = wilson(int(lifted), of)
-            values |= {name: share.estimate, f"{name}_low": share.low, f"{name}_high": share.high}
+            values |= wilson(int(lifted), of).named(name)
     counted = {name: int(np.count_nonzero(outcomes == name)) for name in (*OUTCOMES, NOT_REACHED)}
     return values | {"lift_outcomes": counted}

@@ -9,12 +9,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from PIL import Image, ImageSequence
 
-from knowarm.errors import UserError
 from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.graph_at_test import answers_before_edit
 from knowarm.experiment.lifting import lift_numbers
 from knowarm.reading import reading, replacing, writing
-from knowarm.statistics import Interval, bootstrap, wilson
+from knowarm.statistics import bootstrap, wilson
 from knowarm.world.agents.play import EpisodeResults
 from knowarm.world.envs.vector_env import ReachVectorEnv
 
@@ -45,6 +44,15 @@ TASK_COLUMNS = {
 }
 """Further columns of tasks with several objects and of the lift test; a task of your own adds
 others."""
+
+SHARES = {
+    "accuracy": "accurate",
+    "success": "success",
+    "success_wide": "success_wide",
+    "choice": "choice_correct",
+    "right_object": "object_correct",
+}
+"""Columns whose share of true values the summary holds, by its name there."""
 
 STEP_COLUMNS = {
     "episode": ("int32", "index of the episode in the fixed list, from 0"),
@@ -99,13 +107,10 @@ def write_table(
         pq.write_table(table, temporary, compression="zstd")
 
 
-def read_table(path: Path, names: list[str] | None = None) -> dict[str, np.ndarray]:
-    """Read columns of a Parquet file, by default all, as (n,) arrays."""
+def read_table(path: Path) -> dict[str, np.ndarray]:
+    """Read the columns of a Parquet file as (n,) arrays."""
     with reading(path, AGAIN):
-        table = pq.read_table(pa.BufferReader(path.read_bytes()), columns=names)
-        missing = set(names or ()) - set(table.column_names)
-        if missing:
-            raise UserError(f"{path} lacks the column {min(missing)!r}. {AGAIN}")
+        table = pq.read_table(pa.BufferReader(path.read_bytes()))
         return {name: np.asarray(table[name].to_numpy()) for name in table.column_names}
 
 
@@ -226,15 +231,10 @@ def _numbers(episodes: Columns) -> dict[str, Any]:
     for name in ("return", "length"):
         values[f"{name}_mean"] = float(np.mean(episodes[name]))
         values[f"{name}_std"] = _std(episodes[name])
-        values |= _bounds(f"{name}_mean", bootstrap([episodes[name]], repetitions=2_000))
-    for name in ("accuracy", "success", "success_wide"):
-        column = "accurate" if name == "accuracy" else name
-        share = wilson(int(np.count_nonzero(episodes[column])), count)
-        values |= {name: share.estimate, **_bounds(name, share)}
-    for name, column in (("choice", "choice_correct"), ("right_object", "object_correct")):
+        values |= bootstrap([episodes[name]], repetitions=2_000).named(f"{name}_mean")
+    for name, column in SHARES.items():
         if column in episodes:
-            share = wilson(int(np.count_nonzero(episodes[column])), count)
-            values |= {name: share.estimate, **_bounds(name, share)}
+            values |= wilson(int(np.count_nonzero(episodes[column])), count).named(name)
     if "choice_correct" in episodes:
         reached = episodes["success"][episodes["choice_correct"]]
         values["success_if_chosen"] = float(reached.mean()) if len(reached) else 0.0
@@ -255,7 +255,3 @@ def _numbers(episodes: Columns) -> dict[str, Any]:
 
 def _std(values: np.ndarray) -> float:
     return float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
-
-
-def _bounds(name: str, interval: Interval) -> dict[str, float]:
-    return {f"{name}_low": interval.low, f"{name}_high": interval.high}

@@ -36,7 +36,7 @@ def cells(key: str, interval: Interval | None) -> Row:
     """Return the three cells of a table row that hold an interval."""
     if interval is None:
         return {key: None, f"{key}_low": None, f"{key}_high": None}
-    return {key: interval.estimate, f"{key}_low": interval.low, f"{key}_high": interval.high}
+    return interval.named(key)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,6 +22,10 @@ class Interval:
     low: float  # lower end
     high: float  # upper end
 
+    def named(self, name: str) -> dict[str, float]:
+        """Return the numbers of a summary or table row: ``name``, ``name_low``, ``name_high``."""
+        return {name: self.estimate, f"{name}_low": self.low, f"{name}_high": self.high}
+
 
 def wilson(successes: int, trials: int, confidence: float = CONFIDENCE) -> Interval:
     """Compute Wilson's score interval of a proportion.
