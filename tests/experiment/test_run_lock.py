@@ -92,3 +92,12 @@ def test_a_folder_that_cannot_be_written_to_is_named(tmp_path):
         lock_folder(tmp_path / "file" / "run", remedy=""),
     ):
         pytest.fail("locked a folder that cannot exist")
+
+
+@pytest.mark.skipif(
+    not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write anywhere"
+)
+def test_a_read_only_folder_is_named(tmp_path):
+    tmp_path.chmod(0o500)
+    with pytest.raises(UserError, match="Cannot write"), lock_folder(tmp_path, remedy=""):
+        pytest.fail("locked a folder that is read-only")

@@ -64,22 +64,13 @@ class RunFolder:
 
     @classmethod
     def create(cls, path: Path) -> "RunFolder":
-        """Make a new, empty run folder and check that it can be written to."""
+        """Make a new, empty run folder."""
         folder = cls(path)
         if folder.config_path.exists():
             raise RunExistsError(
                 f"{path} already holds a run. Pass resume=True to continue it, or another seed."
             )
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-            probe = path / ".writable"
-            probe.write_bytes(b"")
-            probe.unlink()
-        except OSError as error:
-            raise UserError(
-                f"Cannot write to the output folder {path}: {error.strerror or error}. Pass "
-                "another runs folder."
-            ) from error
+        path.mkdir(parents=True, exist_ok=True)
         return folder
 
     @classmethod
