@@ -5,6 +5,8 @@ evaluations, and a model card.
 """
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -41,27 +43,25 @@ def push_to_hub(path: Path | str, repo_id: str, *, private: bool = False) -> str
     Raises:
         UserError: no such run or file, no access, or no connection.
     """
-    path, api = Path(path), _hub().HfApi(library_name="knowarm")
+    path = Path(path)
     if path.is_file() and path.suffix in FILES:
-        card, files = _card(repo_id, f"`{path.name}` for KnowArm."), [path]
-        where = {path: path.name}
+        text, files = f"`{path.name}` for KnowArm.", [path]
     else:
-        folder = RunFolder.open(path)
+        text = _run_text(RunFolder.open(path))
         files = [f for pattern in RUN_FILES for f in sorted(path.glob(pattern)) if f.is_file()]
         if not any(file.parent.name == "best" for file in files):
             raise UserError(f"{path} has no best policy to share: train it first.")
-        where = {file: file.relative_to(path).as_posix() for file in files}
-        card = _card(repo_id, _run_text(folder))
-    with _Access(repo_id):
+    base = path if path.is_dir() else path.parent
+    contents = {file.relative_to(base).as_posix(): file.read_bytes() for file in files}
+    contents["README.md"] = _card(repo_id, text).encode()
+    with _access(repo_id) as hub:
+        api = hub.HfApi(library_name="knowarm")
         api.create_repo(repo_id, private=private, exist_ok=True)
-        operations = [
-            _hub().CommitOperationAdd(path_in_repo=where[file], path_or_fileobj=file.read_bytes())
-            for file in files
+        added = [
+            hub.CommitOperationAdd(path_in_repo=name, path_or_fileobj=data)
+            for name, data in contents.items()
         ]
-        readme = _hub().CommitOperationAdd(path_in_repo="README.md", path_or_fileobj=card.encode())
-        done = api.create_commit(
-            repo_id, operations=[*operations, readme], commit_message="Upload with KnowArm"
-        )
+        done = api.create_commit(repo_id, operations=added, commit_message="Upload with KnowArm")
     return str(done.repo_url)
 
 
@@ -73,10 +73,8 @@ def pull_from_hub(repo_id: str, *, revision: str | None = None, to: Path | None 
     Raises:
         UserError: no such repository or revision, no access, or no connection and no copy.
     """
-    with _Access(repo_id):
-        options: dict[str, Any] = {} if to is None else {"local_dir": to}
-        found = _hub().snapshot_download(repo_id, revision=revision, **options)
-    return Path(found)
+    with _access(repo_id) as hub:
+        return Path(hub.snapshot_download(repo_id, revision=revision, local_dir=to))
 
 
 def from_pretrained(repo_id: str, *, revision: str | None = None, **options: Any) -> TrainedAgent:
@@ -84,25 +82,24 @@ def from_pretrained(repo_id: str, *, revision: str | None = None, **options: Any
     return load_agent(pull_from_hub(repo_id, revision=revision), **options)
 
 
-class _Access:
-    """Turns the Hub's errors into a `UserError`."""
-
-    def __init__(self, repo_id: str) -> None:
-        self._repo_id = repo_id
-
-    def __enter__(self) -> None:
-        _hub()
+@contextmanager
+def _access(repo_id: str) -> Iterator[Any]:
+    """Yield the package of the Hub, and turn its errors into a `UserError`."""
+    try:
+        import huggingface_hub
         from huggingface_hub.utils import validate_repo_id
-
-        try:
-            validate_repo_id(self._repo_id)
-        except ValueError as error:
-            raise UserError(f"{self._repo_id!r} is no repository owner/name: {error}") from None
-
-    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
+    except ImportError:
+        raise UserError("The Hub needs huggingface_hub: pip install 'knowarm[hub]'.") from None
+    try:
+        validate_repo_id(repo_id)
+    except ValueError as error:
+        raise UserError(f"{repo_id!r} is no repository owner/name: {error}") from None
+    try:
+        yield huggingface_hub
+    except Exception as error:
         library = type(error).__module__.partition(".")[0]
         if not isinstance(error, OSError) and library not in CLIENTS:
-            return
+            raise
         status = getattr(getattr(error, "response", None), "status_code", None)
         remedy = {
             401: "Log in with `hf auth login`, or check the name.",
@@ -110,17 +107,7 @@ class _Access:
             404: "Check owner, name and revision.",
         }.get(status or 0, "Check the connection; HF_HUB_OFFLINE=1 searches the cache alone.")
         line = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-        raise UserError(
-            f"The Hub did not serve {self._repo_id}: {line.rstrip('.')}. {remedy}"
-        ) from error
-
-
-def _hub() -> Any:
-    try:
-        import huggingface_hub
-    except ImportError:
-        raise UserError("The Hub needs huggingface_hub: pip install 'knowarm[hub]'.") from None
-    return huggingface_hub
+        raise UserError(f"The Hub did not serve {repo_id}: {line.rstrip('.')}. {remedy}") from error
 
 
 def _card(repo_id: str, text: str) -> str:
