@@ -6,7 +6,6 @@ them stand beside. The state is stored for other learners: KnowArm's policies do
 
 import io
 import json
-from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +30,8 @@ EPISODES = "meta/episodes/chunk-000/file-000.parquet"
 EPISODES_PER_FILE = 500
 """Episodes per data file; about 50 MB of images of 64 x 64 pixels."""
 
+_VECTORS = {STATE: "float32", ACTION: "float32", LEVELS: "int64"}
+"""Columns of one number per joint, and their types."""
 _SCALARS = {
     "next.reward": "float32",
     "next.done": "bool",
@@ -71,7 +72,7 @@ class _Writer:
         self.tasks: dict[str, int] = {}
         self.rows: list[dict[str, Any]] = []
         self.frames, self.successes = 0, 0
-        self.schema = pa.schema([*self._fields()], metadata=self._hints())
+        self.schema = self._schema()
 
     def write(self, agent: AgentProtocol, episodes: Episodes) -> int:
         """Play and write everything; return the number of successes."""
@@ -130,7 +131,10 @@ class _Writer:
                     "index": self.frames + np.arange(length),
                     "task_index": np.full(length, task),
                 }
-                writer.write_table(pa.table(list(self._arrays(columns)), schema=self.schema))
+                numbers = (*_VECTORS, *_SCALARS)
+                arrays = {name: np.asarray(columns[name]).tolist() for name in numbers}
+                arrays[IMAGE] = [{"bytes": _png(each), "path": None} for each in columns[IMAGE]]
+                writer.write_table(pa.table(arrays, schema=self.schema))
                 self.rows.append(
                     {
                         "episode_index": episode,
@@ -152,36 +156,19 @@ class _Writer:
                 self.frames += length
                 self.successes += bool(columns["next.success"][-1])
 
-    def _arrays(self, columns: Mapping[str, Any]) -> Iterator[pa.Array]:
-        for field in self.schema:
-            if field.name == IMAGE:
-                files = [{"bytes": _png(image), "path": None} for image in columns[IMAGE]]
-                yield pa.array(files, field.type)
-            elif pa.types.is_fixed_size_list(field.type):
-                values = np.asarray(columns[field.name]).astype(
-                    field.type.value_type.to_pandas_dtype()
-                )
-                yield pa.FixedSizeListArray.from_arrays(values.ravel(), len(self.joints))
-            else:
-                values = np.asarray(columns[field.name])
-                yield pa.array(values.astype(_SCALARS[field.name]), field.type)
-
-    def _fields(self) -> Iterator[pa.Field]:
-        yield pa.field(IMAGE, pa.struct({"bytes": pa.binary(), "path": pa.string()}))
-        for name, kind in ((STATE, pa.float32()), (ACTION, pa.float32()), (LEVELS, pa.int64())):
-            yield pa.field(name, pa.list_(kind, len(self.joints)))
-        for name, kind in _SCALARS.items():
-            yield pa.field(name, pa.type_for_alias(kind))
-
-    def _hints(self) -> dict[str, str]:
-        """Return the metadata by which Hugging Face's datasets decodes the images."""
+    def _schema(self) -> pa.Schema:
+        """Return the columns, with the metadata by which Hugging Face's datasets decodes images."""
+        fields = [pa.field(IMAGE, pa.struct({"bytes": pa.binary(), "path": pa.string()}))]
         features: dict[str, Any] = {IMAGE: {"_type": "Image"}}
-        for name, kind in ((STATE, "float32"), (ACTION, "float32"), (LEVELS, "int64")):
+        for name, kind in _VECTORS.items():
+            fields.append(pa.field(name, pa.list_(pa.type_for_alias(kind), len(self.joints))))
             item = {"dtype": kind, "_type": "Value"}
             features[name] = {"feature": item, "length": len(self.joints), "_type": "List"}
         for name, kind in _SCALARS.items():
+            fields.append(pa.field(name, pa.type_for_alias(kind)))
             features[name] = {"dtype": kind, "_type": "Value"}
-        return {"huggingface": json.dumps({"info": {"features": features}})}
+        hints = {"huggingface": json.dumps({"info": {"features": features}})}
+        return pa.schema(fields, metadata=hints)
 
     def _write_meta(self) -> None:
         size = self.env.config.image_size
@@ -189,7 +176,7 @@ class _Writer:
         features: dict[str, Any] = {
             IMAGE: {"dtype": "image", "shape": [size, size, 3], "names": names}
         }
-        for name, kind in ((STATE, "float32"), (ACTION, "float32"), (LEVELS, "int64")):
+        for name, kind in _VECTORS.items():
             features[name] = {"dtype": kind, "shape": [len(self.joints)], "names": self.joints}
         for name, kind in _SCALARS.items():
             features[name] = {"dtype": kind, "shape": [1], "names": None}
@@ -213,11 +200,14 @@ class _Writer:
         pq.write_table(pa.Table.from_pylist(self.rows), path)
         # The text is the index of the data frame that LeRobot reads.
         tasks = {"task_index": [*self.tasks.values()], "task": [*self.tasks]}
+        kinds = {"task_index": ("int64", "int64"), "task": ("unicode", "object")}
         pandas = {
             "index_columns": ["task"],
             "column_indexes": [],
             "columns": [
-                _pandas_column(*each) for each in (("task_index", "int64"), ("task", "unicode"))
+                {"name": name, "field_name": name, "pandas_type": kind}
+                | {"numpy_type": numpy_kind, "metadata": None}
+                for name, (kind, numpy_kind) in kinds.items()
             ],
         }
         table = pa.table(tasks).replace_schema_metadata({"pandas": json.dumps(pandas)})
@@ -250,31 +240,14 @@ class _Writer:
 def statistics(values: Any, is_image: bool) -> dict[str, list[Any]]:
     """Compute a column's statistics per element; per channel, (3, 1, 1), in 0..1 for images."""
     array: NDArray[np.float64] = np.asarray(values, np.float64)
-    count = len(array)
-    if is_image:
-        array = (array / 255).transpose(0, 3, 1, 2)
-        axes: tuple[int, ...] = (0, 2, 3)
-        found = {
-            key: getattr(array, key)(axes).reshape(3, 1, 1) for key in ("min", "max", "mean", "std")
-        }
-    else:
-        array = array.reshape(count, -1)
-        found = {key: getattr(array, key)(0) for key in ("min", "max", "mean", "std")}
-    return {key: value.tolist() for key, value in found.items()} | {"count": [count]}
+    axes, shape = ((0, 2, 3), (3, 1, 1)) if is_image else (0, -1)
+    array = (array / 255).transpose(0, 3, 1, 2) if is_image else array
+    found = {key: getattr(array, key)(axes) for key in ("min", "max", "mean", "std")}
+    shaped = {key: value.reshape(shape).tolist() for key, value in found.items()}
+    return shaped | {"count": [len(array)]}
 
 
 def _png(image: NDArray[np.uint8]) -> bytes:
     stream = io.BytesIO()
     Image.fromarray(image).save(stream, "PNG", compress_level=1)
     return stream.getvalue()
-
-
-def _pandas_column(name: str, kind: str) -> dict[str, Any]:
-    numpy_type = "object" if kind == "unicode" else kind
-    return {
-        "name": name,
-        "field_name": name,
-        "pandas_type": kind,
-        "numpy_type": numpy_type,
-        "metadata": None,
-    }
