@@ -4,10 +4,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from knowarm.config import override
-from knowarm.errors import UserError
 from knowarm.knowledge.formats import open_graph
 from knowarm.knowledge.queries.queries import Pairs
-from knowarm.knowledge.queries.splits import HELD_OUT, SPLITS, QuerySplits, query_splits
+from knowarm.knowledge.queries.splits import HELD_OUT, QuerySplits, query_splits
 from knowarm.questions import ObjectColour, QuestionTable
 from knowarm.world.tasks.choose.source import QUERY_SOURCES, QuerySource
 
@@ -30,13 +29,6 @@ class GraphQueries(QuerySource):
     """Seed of what is held out."""
     edited: str | None = None
     """Path of the graph of S5; None draws its edits."""
-
-    def __post_init__(self) -> None:
-        if self.split not in ("train", *SPLITS):
-            raise UserError(
-                f"GraphQueries.split must be train or one of {', '.join(SPLITS)}, got "
-                f"{self.split!r}."
-            )
 
     def table(self, facets: tuple[ObjectColour, ...], objects: int) -> QuestionTable:
         """Make the table of the split."""
