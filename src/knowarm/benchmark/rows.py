@@ -14,7 +14,7 @@ from knowarm.benchmark.policies import Entrant, FixedList, ShuffledQueries
 from knowarm.benchmark.suites import CONTROLS, Cell, Suite, read_suite
 from knowarm.errors import UserError, unknown_name
 from knowarm.reading import read_json
-from knowarm.statistics import Interval, bootstrap, wilson
+from knowarm.statistics import bootstrap, wilson
 from knowarm.world.agents import AgentProtocol, BlindAgent, FrozenAgent
 from knowarm.world.agents.play import play
 from knowarm.world.config import questions_of
@@ -69,7 +69,7 @@ def run_suite(
         "version": knowarm.__version__,
         "cells": {name: {"outcomes": outcomes} for name, outcomes in played.items()},
     }
-    return row | {"cells": _figures(suite, row), "summary": _summary(suite, row)}
+    return row | _figures(suite, row)
 
 
 def _declared(entrants: Sequence[Entrant]) -> dict[str, Any]:
@@ -125,14 +125,17 @@ def _outcomes(text: str, count: int | None = None) -> Bits:
 
 
 def _figures(suite: Suite, row: dict[str, Any]) -> dict[str, Any]:
-    """Compute the figures of every cell from the outcomes of its episodes."""
-    cells = {}
+    """Compute the figures of every cell, and their means by table, from the episodes' outcomes."""
+    cells: dict[str, Any] = {}
+    successes: dict[str, list[Bits]] = {}
     for name, cell in row["cells"].items():
         count = len(suite.cells[name].episodes)
         measures: dict[str, Any] = {}
         for measure in cell["outcomes"][0]["policy"]:
             shares = [_outcomes(o["policy"][measure], count) for o in cell["outcomes"]]
-            measures[measure] = _cell(interval_of(shares), [float(s.mean()) for s in shares])
+            measures[measure] = _share(shares)
+            if measure == "success":
+                successes[name] = shares
         few = min(suite.control_episodes, count)
         controls = {
             control: float(
@@ -142,45 +145,29 @@ def _figures(suite: Suite, row: dict[str, Any]) -> dict[str, Any]:
             if control in cell["outcomes"][0]
         }
         cells[name] = {**measures, "controls": controls, "outcomes": cell["outcomes"]}
-    return cells
-
-
-def interval_of(seeds: Sequence[Bits]) -> Interval:
-    """Interval of a share: over training seeds if they differ, else over episodes."""
-    shares = np.array([each.mean() for each in seeds])
-    if len(set(shares.tolist())) > 1:
-        return bootstrap([shares])
-    every = np.concatenate(seeds)
-    return wilson(int(every.sum()), len(every))
-
-
-def _cell(interval: Interval, seeds: list[float]) -> dict[str, Any]:
-    return {"mean": interval.estimate, "low": interval.low, "high": interval.high, "seeds": seeds}
-
-
-def _summary(suite: Suite, row: dict[str, Any]) -> dict[str, Any]:
-    """Compute the mean over the cells of each table, with controls, by table."""
-    found: dict[str, Any] = {}
-    figures = _figures(suite, row)
-    for table in dict.fromkeys(suite.cells[name].table for name in row["cells"]):
-        names = [name for name in row["cells"] if suite.cells[name].table == table]
-        seeds = [
-            np.concatenate([_success(suite, row, name, i) for name in names])
-            for i in range(len(row["policy"]["specs"]))
-        ]
+    summary = {}
+    for table in dict.fromkeys(suite.cells[name].table for name in cells):
+        names = [name for name in cells if suite.cells[name].table == table]
+        by_seed = zip(row["policy"]["specs"], *(successes[n] for n in names), strict=True)
         controls = {
-            control: float(np.mean([figures[name]["controls"][control] for name in names]))
+            control: float(np.mean([cells[name]["controls"][control] for name in names]))
             for control in CONTROLS
-            if all(control in figures[name]["controls"] for name in names)
+            if all(control in cells[name]["controls"] for name in names)
         }
-        success = _cell(interval_of(seeds), [float(each.mean()) for each in seeds])
-        found[table] = {"cells": names, "success": success, "controls": controls}
-    return found
+        success = _share([np.concatenate(each) for _, *each in by_seed])
+        summary[table] = {"cells": names, "success": success, "controls": controls}
+    return {"cells": cells, "summary": summary}
 
 
-def _success(suite: Suite, row: dict[str, Any], cell: str, seed: int) -> Bits:
-    outcome = row["cells"][cell]["outcomes"][seed]["policy"]["success"]
-    return _outcomes(outcome, len(suite.cells[cell].episodes))
+def _share(seeds: Sequence[Bits]) -> dict[str, Any]:
+    """Return a share with its interval, over training seeds if they differ, else over episodes."""
+    shares = [float(each.mean()) for each in seeds]
+    if len(set(shares)) > 1:
+        found = bootstrap([np.array(shares)])
+    else:
+        every = np.concatenate(seeds)
+        found = wilson(int(every.sum()), len(every))
+    return {"mean": found.estimate, "low": found.low, "high": found.high, "seeds": shares}
 
 
 def read_row(path: Path) -> dict[str, Any]:
@@ -197,7 +184,7 @@ def read_row(path: Path) -> dict[str, Any]:
         suite = read_suite(row["suite"])
         if row["digest"] != suite.digest:
             raise UserError(f"{path} was measured on another {suite.name}: the digests differ.")
-        computed = row | {"cells": _figures(suite, row), "summary": _summary(suite, row)}
+        computed = row | _figures(suite, row)
     except (KeyError, ValueError, TypeError, IndexError) as error:
         raise UserError(f"{path} is damaged: {error!r}. Measure the row again.") from None
     if found := first_difference(row, json.loads(json.dumps(computed))):
