@@ -21,7 +21,7 @@ from knowarm.perception.grounding import GroundingNetwork
 from knowarm.perception.module import PerceptionModule, in_batches
 from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
 from knowarm.policy.policy import State
-from knowarm.reading import reading
+from knowarm.reading import one_line, reading
 from knowarm.world.config import facets_of, questions_of
 
 
@@ -164,7 +164,14 @@ def load_agent(
     step = 0
     if checkpoint:
         step = int(checkpoint.facts["step"])
-        _load_parameters(policy, checkpoint.policy, folder.checkpoints / which)
+        arrays = {name: torch.from_numpy(value) for name, value in checkpoint.policy.items()}
+        try:
+            policy.load_state_dict(arrays)
+        except RuntimeError as error:  # names or shapes differ
+            raise UserError(
+                f"The checkpoint {folder.checkpoints / which} does not fit the policy of its run "
+                f"folder: {one_line(error)}. One of the two was replaced: restore it."
+            ) from error
     policy.eval()
     module: PerceptionModule | None = None
     if perception is not None or config.has_module:
@@ -193,20 +200,3 @@ def policy_agent(
     if isinstance(perception, AnswerGrounding):
         return AnsweringAgent(perception, policy, greedy=greedy, generator=generator)
     return PerceivingAgent(perception, policy, greedy=greedy, generator=generator)
-
-
-def _load_parameters(policy: Policy, arrays: dict[str, np.ndarray], where: Path) -> None:
-    """Copy parameters into the policy after comparing names and shapes."""
-    expected = {name: tuple(value.shape) for name, value in policy.state_dict().items()}
-    found = {name: value.shape for name, value in arrays.items()}
-    if expected != found:
-        pairs = "; ".join(
-            f"{name}: {found.get(name)} | {expected.get(name)}"
-            for name in sorted({*expected, *found})
-            if expected.get(name) != found.get(name)
-        )
-        raise UserError(
-            f"The checkpoint {where} does not fit the policy of its run folder (checkpoint | "
-            f"policy): {pairs}. One of the two was replaced: restore it."
-        )
-    policy.load_state_dict({name: torch.from_numpy(value) for name, value in arrays.items()})
