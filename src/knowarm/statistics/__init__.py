@@ -1,49 +1,21 @@
 """Statistics of training runs and evaluations over SciPy: pure functions, 95 % intervals."""
 
-from knowarm.statistics.bootstrap import (
-    Interval,
-    bootstrap,
-    iqm,
-    performance_profile,
-    probability_of_improvement,
-    share_difference,
-    wilson,
-)
-from knowarm.statistics.compare import (
-    Comparison,
-    holm,
-    one_way_anova,
-    paired,
-    power_of_two_samples,
-    seeds_needed,
-    welch,
-)
-from knowarm.statistics.survival import (
-    area_under_curve,
-    first_crossing,
-    median_steps,
-    restricted_mean_steps,
-    trend,
-)
-
-__all__ = [
-    "Comparison",
-    "Interval",
-    "area_under_curve",
-    "bootstrap",
-    "first_crossing",
-    "holm",
-    "iqm",
-    "median_steps",
-    "one_way_anova",
-    "paired",
-    "performance_profile",
-    "power_of_two_samples",
-    "probability_of_improvement",
-    "restricted_mean_steps",
-    "seeds_needed",
-    "share_difference",
-    "trend",
-    "welch",
-    "wilson",
-]
+from knowarm.statistics.bootstrap import Interval as Interval
+from knowarm.statistics.bootstrap import bootstrap as bootstrap
+from knowarm.statistics.bootstrap import iqm as iqm
+from knowarm.statistics.bootstrap import performance_profile as performance_profile
+from knowarm.statistics.bootstrap import probability_of_improvement as probability_of_improvement
+from knowarm.statistics.bootstrap import share_difference as share_difference
+from knowarm.statistics.bootstrap import wilson as wilson
+from knowarm.statistics.compare import Comparison as Comparison
+from knowarm.statistics.compare import holm as holm
+from knowarm.statistics.compare import one_way_anova as one_way_anova
+from knowarm.statistics.compare import paired as paired
+from knowarm.statistics.compare import power_of_two_samples as power_of_two_samples
+from knowarm.statistics.compare import seeds_needed as seeds_needed
+from knowarm.statistics.compare import welch as welch
+from knowarm.statistics.survival import area_under_curve as area_under_curve
+from knowarm.statistics.survival import first_crossing as first_crossing
+from knowarm.statistics.survival import median_steps as median_steps
+from knowarm.statistics.survival import restricted_mean_steps as restricted_mean_steps
+from knowarm.statistics.survival import trend as trend
