@@ -59,13 +59,6 @@ def study_progress(study: StudyConfig) -> Iterator[OnStatus]:
     yield show
 
 
-def print_status(study: StudyConfig, statuses: Sequence[RunStatus]) -> None:
-    """Print the status of all runs."""
-    console = make_console()
-    for table in status_tables(study, statuses, console.width):
-        console.print(table, crop=False, soft_wrap=isinstance(table, Text))
-
-
 def status_tables(
     study: StudyConfig, statuses: Sequence[RunStatus], room: int
 ) -> list[Table | Text]:
@@ -220,7 +213,9 @@ class Status(FolderCommand, TableCommand):
         """Print the table and the reasons of failures."""
         study = open_study(self.folder)
         statuses = study_status(study, self.folder)
-        print_status(study, statuses)
+        console = make_console()
+        for table in status_tables(study, statuses, console.width):
+            console.print(table, crop=False, soft_wrap=isinstance(table, Text))
         for each in statuses:
             if each.detail and each.state in (*BAD, "stalled"):
                 print(f"{each.name} {each.state}: {printable(each.detail)}")

@@ -3,7 +3,6 @@
 import dataclasses
 import fnmatch
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -21,7 +20,7 @@ from knowarm.experiment.names import (
     experiment_config,
     tasks_of,
 )
-from knowarm.reading import read_json, write_json
+from knowarm.reading import read_json, read_toml, write_json
 from knowarm.study.executor import RunKey, Where
 from knowarm.world.tasks import task_names
 from knowarm.world.tasks.sampling import Colours
@@ -175,13 +174,7 @@ def read_study(source: Path | str, *, of: Path | str | None = None) -> StudyConf
         path = SHIPPED[str(source)]
     elif path.suffix != ".toml":
         raise unknown_name("study (name, TOML file or folder of a study)", str(source), SHIPPED)
-    try:
-        text = path.read_text(encoding="utf-8")
-        values = tomllib.loads(text)
-    except OSError as error:
-        raise UserError(f"Cannot read {path}: {error.strerror}.") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UserError(f"{path} is not TOML: {error}.") from None
+    values = read_toml(path)
     try:
         controlled = values.pop("controls_of", None)
         if of is not None and controlled is None:
@@ -190,7 +183,8 @@ def read_study(source: Path | str, *, of: Path | str | None = None) -> StudyConf
             values = to_dict(controls(read_study(of or controlled), "controls")) | values
         return from_dict(StudyConfig, values)
     except UserError as error:
-        raise UserError(f"{path}{_line(text, str(error))}: {error}") from error
+        line = _line(path.read_text(encoding="utf-8"), str(error))
+        raise UserError(f"{path}{line}: {error}") from error
 
 
 def write_study(study: StudyConfig, out: Path) -> None:

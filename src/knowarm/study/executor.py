@@ -12,6 +12,7 @@ from typing import Literal, NamedTuple
 
 import psutil
 
+from knowarm.config import above_zero, at_least
 from knowarm.cores import available_cores, limited_to
 from knowarm.errors import UserError
 
@@ -40,13 +41,9 @@ class Where:
     """Runs at once; None follows from cores, free memory and GPUs."""
 
     def __post_init__(self) -> None:
-        for name in ("cores", "at_once"):
-            if (value := getattr(self, name)) is not None and value < 1:
-                raise UserError(f"where.{name} must be at least 1, got {value}.")
-        if self.retries < 0 or self.gpus < 0:
-            raise UserError("where.retries and where.gpus must be 0 or more.")
-        if not self.memory_gib > 0:
-            raise UserError(f"where.memory_gib must be above 0, got {self.memory_gib}.")
+        at_least(self, 1, "cores", "at_once", where="where.")
+        at_least(self, 0, "retries", "gpus", where="where.")
+        above_zero(self, "memory_gib", where="where.")
 
 
 class Ended(NamedTuple):
