@@ -63,87 +63,6 @@ class VisualRandomization:
         return 0 if off else FIXED_DRAWS + DRAWS_PER_DISTRACTOR * self.distractors
 
 
-class Look(NamedTuple):
-    """Appearance of k environments; None where the model's own value applies."""
-
-    # Position [m] and row-major rotation of the camera, world, (k, 12)
-    views: NDArray[np.float32] | None
-    # Sum of ambient colours, diffuse colours of headlight and directional light, and the unit
-    # vector towards the latter, (k, 4, 3)
-    lamps: NDArray[np.float32] | None
-    # RGB of the floor and, if there is one, the table top, (k, S, 3)
-    surface_rgb: NDArray[np.float32] | None
-    distractor_position: NDArray[np.float64]  # x and y of the distractors [m], (k, D, 2)
-    distractor_rgb: NDArray[np.float32]  # RGB of the distractors, (k, D, 3)
-
-
-class LookSource:
-    """Computes the looks of episodes from uniform draws."""
-
-    def __init__(self, scene: Scene, config: VisualRandomization) -> None:
-        model, robot = scene.model, scene.robot
-        self._config = config
-        self._camera_position = scene.camera_position
-        self._camera_matrix = scene.camera_matrix
-        self._ambient = np.array(model.vis.headlight.ambient) + model.light_ambient.sum(axis=0)
-        self._headlight = np.array(model.vis.headlight.diffuse, dtype=np.float64)
-        self._sunlight = model.light_diffuse[0].astype(np.float64)
-        self._sun_direction = model.light_dir[0].astype(np.float64)
-        self._surface_rgb = model.geom_rgba[list(scene.surface_geoms), :3]
-        self._centre = np.array(robot.rectangle_centre_m)
-        self._half = _SPREAD * np.array(robot.rectangle_half_size_m)
-
-    def __call__(self, uniforms: NDArray[np.float64], position: NDArray[np.float64]) -> Look:
-        """Compute the looks of k episodes from draws in [0, 1), (k, ``config.draws``).
-
-        Distractors keep a distance from the targets' x and y, (k, 2) [m].
-        """
-        config = self._config
-        signed = 2 * uniforms - 1
-        moved = config.camera_shift_m > 0 or config.camera_turn_deg > 0
-        lit = config.light > 0 or config.light_angle_deg > 0
-        shape = len(uniforms), config.distractors, DRAWS_PER_DISTRACTOR
-        rest = uniforms[:, FIXED_DRAWS:].reshape(shape)
-        return Look(
-            views=self._views(signed) if moved else None,
-            lamps=self._lamps(signed) if lit else None,
-            surface_rgb=self._surfaces(signed) if config.surface_colour > 0 else None,
-            distractor_position=self._places(2 * rest[..., :2] - 1, position),
-            distractor_rgb=rest[..., 2:].astype(np.float32),
-        )
-
-    def _views(self, signed: NDArray[np.float64]) -> NDArray[np.float32]:
-        shift = self._config.camera_shift_m * signed[:, _SHIFT:_TURN]
-        turn = math.radians(self._config.camera_turn_deg) * signed[:, _TURN:_SURFACE]
-        turned = (self._camera_matrix @ rotations(turn)).reshape(-1, 9)
-        views = np.concat([self._camera_position + shift, turned], axis=1)
-        return views.astype(np.float32)
-
-    def _lamps(self, signed: NDArray[np.float64]) -> NDArray[np.float32]:
-        head = 1 + self._config.light * signed[:, _LIGHT : _LIGHT + 1]
-        sun = 1 + self._config.light * signed[:, _LIGHT + 1 : _LIGHT + 2]
-        turn = math.radians(self._config.light_angle_deg) * signed[:, _LIGHT + 2 : _LIGHT + 4]
-        turn = np.concat([turn, np.zeros_like(turn[:, :1])], axis=1)
-        towards = -(rotations(turn) @ self._sun_direction)
-        lamps = [self._ambient * head, self._headlight * head, self._sunlight * sun, towards]
-        return np.stack(lamps, axis=1).astype(np.float32)
-
-    def _surfaces(self, signed: NDArray[np.float64]) -> NDArray[np.float32]:
-        draws = signed[:, _SURFACE:FIXED_DRAWS].reshape(-1, 2, 3)
-        change = self._config.surface_colour * draws[:, : self._surface_rgb.shape[0]]
-        return np.clip(self._surface_rgb + change, 0, 1).astype(np.float32)
-
-    def _places(
-        self, signed: NDArray[np.float64], position: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Return positions in a rectangle larger than the targets', pushed away from the target."""
-        drawn = self._centre + signed * self._half
-        offset = drawn - position[:, None, :]
-        distance = np.linalg.norm(offset, axis=-1, keepdims=True)
-        pushed = position[:, None, :] + offset / np.clip(distance, 1e-9, None) * _CLEARANCE_M
-        return np.where(distance < _CLEARANCE_M, pushed, drawn)
-
-
 def rotations(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Convert rotation vectors (k, 3) [rad] to matrices (k, 3, 3) by Rodrigues' formula."""
     angle = np.linalg.norm(vectors, axis=1)
@@ -216,12 +135,18 @@ class AppearanceSource:
     def __init__(
         self, scene: Scene, randomization: VisualRandomization, marked: bool = False
     ) -> None:
+        model, robot = scene.model, scene.robot
+        self._scene = scene
+        self._config = randomization
         self._marked = marked
-        self._draws = randomization.draws
         self._colours = TargetColours(scene)
-        self._looks = LookSource(scene, randomization)
-        self._surfaces = np.array(scene.surface_geoms, dtype=np.intp)
-        self._distractors = scene.distractor_geoms
+        self._ambient = np.array(model.vis.headlight.ambient) + model.light_ambient.sum(axis=0)
+        self._headlight = np.array(model.vis.headlight.diffuse, dtype=np.float64)
+        self._sunlight = model.light_diffuse[0].astype(np.float64)
+        self._sun_direction = model.light_dir[0].astype(np.float64)
+        self._surfaces = list(scene.surface_geoms)
+        self._centre = np.array(robot.rectangle_centre_m)
+        self._half = _SPREAD * np.array(robot.rectangle_half_size_m)
 
     def __call__(
         self,
@@ -232,13 +157,57 @@ class AppearanceSource:
     ) -> Shown:
         """Compute the appearance of k episodes.
 
-        Targets and colours are indices (k, M), ``position`` x and y of the first one, (k, 2) [m].
+        Targets and colours are indices (k, M), ``position`` x and y of the first one, (k, 2) [m],
+        from which distractors keep a distance, and ``look`` draws in [0, 1), (k, ``config.draws``).
         """
+        config = self._config
         rgba = self._colours(target, colour, self._marked)
-        if not self._draws:
+        if not config.draws:
             return Shown(rgba, None, None, None)
-        seen = self._looks(look, position)
-        if seen.surface_rgb is not None:
-            rgba[:, self._surfaces, :3] = seen.surface_rgb
-        rgba[:, self._distractors, :3] = seen.distractor_rgb
-        return Shown(rgba, seen.views, seen.lamps, seen.distractor_position)
+        signed = 2 * look - 1
+        if config.surface_colour > 0:
+            rgba[:, self._surfaces, :3] = self._surface_colours(signed)
+        shape = len(look), config.distractors, DRAWS_PER_DISTRACTOR
+        rest = look[:, FIXED_DRAWS:].reshape(shape)
+        rgba[:, self._scene.distractor_geoms, :3] = rest[..., 2:]
+        moved = config.camera_shift_m > 0 or config.camera_turn_deg > 0
+        lit = config.light > 0 or config.light_angle_deg > 0
+        return Shown(
+            rgba,
+            views=self._views(signed) if moved else None,
+            lamps=self._lamps(signed) if lit else None,
+            distractor_position=self._places(2 * rest[..., :2] - 1, position),
+        )
+
+    def _views(self, signed: NDArray[np.float64]) -> NDArray[np.float32]:
+        shift = self._config.camera_shift_m * signed[:, _SHIFT:_TURN]
+        turn = math.radians(self._config.camera_turn_deg) * signed[:, _TURN:_SURFACE]
+        turned = (self._scene.camera_matrix @ rotations(turn)).reshape(-1, 9)
+        views = np.concat([self._scene.camera_position + shift, turned], axis=1)
+        return views.astype(np.float32)
+
+    def _lamps(self, signed: NDArray[np.float64]) -> NDArray[np.float32]:
+        head = 1 + self._config.light * signed[:, _LIGHT : _LIGHT + 1]
+        sun = 1 + self._config.light * signed[:, _LIGHT + 1 : _LIGHT + 2]
+        turn = math.radians(self._config.light_angle_deg) * signed[:, _LIGHT + 2 : _LIGHT + 4]
+        turn = np.concat([turn, np.zeros_like(turn[:, :1])], axis=1)
+        towards = -(rotations(turn) @ self._sun_direction)
+        lamps = [self._ambient * head, self._headlight * head, self._sunlight * sun, towards]
+        return np.stack(lamps, axis=1).astype(np.float32)
+
+    def _surface_colours(self, signed: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return RGB of the floor and, if there is one, the table top, (k, S, 3)."""
+        own = self._scene.model.geom_rgba[self._surfaces, :3]
+        draws = signed[:, _SURFACE:FIXED_DRAWS].reshape(-1, 2, 3)
+        change = self._config.surface_colour * draws[:, : len(own)]
+        return np.clip(own + change, 0, 1)
+
+    def _places(
+        self, signed: NDArray[np.float64], position: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return positions in a rectangle larger than the targets', pushed away from the target."""
+        drawn = self._centre + signed * self._half
+        offset = drawn - position[:, None, :]
+        distance = np.linalg.norm(offset, axis=-1, keepdims=True)
+        pushed = position[:, None, :] + offset / np.clip(distance, 1e-9, None) * _CLEARANCE_M
+        return np.where(distance < _CLEARANCE_M, pushed, drawn)
