@@ -1,6 +1,6 @@
 import torch
 
-from knowarm.policy.policy import entropy, greedy, log_probability, sample
+from knowarm.policy.policy import entropy, log_probability, sample
 
 
 def test_samples_follow_the_softmax():
@@ -8,10 +8,6 @@ def test_samples_follow_the_softmax():
     drawn = sample(logits, torch.Generator().manual_seed(0))
     share = torch.stack([(drawn == level).float().mean(0) for level in range(3)], 1)
     torch.testing.assert_close(share, logits[0].exp(), atol=0.01, rtol=0)
-
-
-def test_greedy_takes_the_most_probable():
-    assert greedy(torch.tensor([[0.0, 2.0, 1.0], [3.0, 2.0, 1.0]])).tolist() == [1, 0]
 
 
 def test_log_probability_and_entropy_agree_with_pytorchs_categorical():

@@ -167,7 +167,7 @@ def test_a_step_with_knowledge_is_that_of_its_facet():
     image, facet, start = inputs()
     state, knowledge = policy.initial_state(B), torch.from_numpy(TABLE)[facet[0]]
     by_facet = policy.step(image[0], facet[0], state, start[0])[1]
-    by_vector = policy.step_with_knowledge(image[0], knowledge, state, start[0])[1]
+    by_vector = policy.step(image[0], knowledge, state, start[0])[1]
     assert torch.equal(by_facet, by_vector)
 
 

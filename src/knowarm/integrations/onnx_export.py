@@ -21,7 +21,7 @@ RECOGNITION_OUTPUTS = ("knowledge",)
 
 
 class PolicyStep(nn.Module):
-    """`Policy.step_with_knowledge` with a flat signature, and the greedy action as first output.
+    """`Policy.step` with a flat signature, and the greedy action as first output.
 
     Inputs: ``image`` (B, H, W, 3) uint8, ``knowledge`` (B, K) float32, the recurrent state ``h``
     and ``c`` (B, hidden) float32 (zeros before the first step), ``episode_start`` (B,) bool.
@@ -37,9 +37,7 @@ class PolicyStep(nn.Module):
         self, image: Tensor, knowledge: Tensor, h: Tensor, c: Tensor, episode_start: Tensor
     ) -> tuple[Tensor, ...]:
         """Compute one step."""
-        logits, value, (h, c) = self.policy.step_with_knowledge(
-            image, knowledge, (h, c), episode_start
-        )
+        logits, value, (h, c) = self.policy.step(image, knowledge, (h, c), episode_start)
         return logits.argmax(-1), logits, value, h, c
 
     def example(self) -> tuple[Tensor, ...]:

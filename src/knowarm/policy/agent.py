@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from knowarm.policy.policy import Policy, State, greedy, sample
+from knowarm.policy.policy import Policy, State, sample
 
 
 class FacetEnv(Protocol):
@@ -60,7 +60,7 @@ class PolicyAgent:
         """
         logits, _, state = self.policy.step(images, knowledge, state, episode_start)
         if self.greedy:
-            return greedy(logits).numpy(), state
+            return logits.argmax(-1).numpy(), state
         assert self.generator is not None
         return sample(logits, self.generator).numpy(), state
 

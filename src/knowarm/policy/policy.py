@@ -9,6 +9,7 @@ The action distribution is a softmax per joint: logits are (..., J, A), actions 
 independent, so log-probabilities and entropies of an action are sums over the joints.
 """
 
+from bisect import bisect_left
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -165,14 +166,8 @@ class Policy(nn.Module):
         Returns:
             Logits (B, J, A), values (B,), next state.
         """
-        return self.step_with_knowledge(image, self._knowledge(facet), state, episode_start)
-
-    def step_with_knowledge(
-        self, image: Tensor, knowledge: Tensor, state: State, episode_start: Tensor
-    ) -> tuple[Tensor, Tensor, State]:
-        """Advance by one step as `step`, with knowledge vectors (B, K) in place of facets."""
         patches = self.patches(image) if image.ndim == 4 else image
-        knowledge = self.knowledge_encoder(knowledge)
+        knowledge = self.knowledge_encoder(self._knowledge(facet))
         with self._autocast():
             inputs = self.fusion("lstm", self._features(patches, knowledge), knowledge)
             hidden, state = self.memory.step(inputs, state, episode_start)
@@ -227,9 +222,11 @@ class Policy(nn.Module):
 
     def _knowledge(self, facet: Tensor) -> Tensor:
         """Look up the knowledge of facets: (...) -> (..., K); knowledge itself is returned."""
+        if facet.is_floating_point():
+            return facet
         if not self.uses_knowledge:
             return self.knowledge_table.new_empty((*facet.shape, 0))
-        return facet if facet.is_floating_point() else self.knowledge_table[facet]
+        return self.knowledge_table[facet]
 
     def _autocast(self) -> torch.autocast:
         """Return a context in which products and convolutions have the policy's precision."""
@@ -287,24 +284,16 @@ def matched_without_knowledge(config: PolicyConfig, shape: PolicyShape) -> Polic
             return Policy(candidate, shape).parameter_counts()["total"]
 
     # The count grows with the hidden size: find the first that is not below the target.
-    target, low, high = count(config), 1, 2
-    while count(candidate(high)) < target:
-        low, high = high, 2 * high
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (middle, high) if count(candidate(middle)) < target else (low, middle)
-    return candidate(min(low, high, key=lambda hidden: abs(count(candidate(hidden)) - target)))
+    target, sizes = count(config), range(1, 2**20)
+    high = bisect_left(sizes, target, key=lambda hidden: count(candidate(hidden)))
+    nearest = sizes[max(0, high - 1) : high + 1]
+    return candidate(min(nearest, key=lambda hidden: abs(count(candidate(hidden)) - target)))
 
 
 def sample(logits: Tensor, generator: torch.Generator) -> Tensor:
     """Draw one level per joint from softmax(logits), by the Gumbel-max trick: int64 (..., J)."""
     noise = torch.empty_like(logits).exponential_(generator=generator)
     return (logits - noise.log()).argmax(-1)
-
-
-def greedy(logits: Tensor) -> Tensor:
-    """Return the most probable level of every joint: int64 (..., J)."""
-    return logits.argmax(-1)
 
 
 def log_probabilities(logits: Tensor) -> Tensor:
