@@ -1,7 +1,6 @@
 """Imitation of a teacher: loss, practice schedule, targets, and the trainer on the real task."""
 
 import dataclasses
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ from knowarm.errors import UserError
 from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.learn import CheckpointStore, Hooks, PPOConfig, PPOTrainer
 from knowarm.learn.algorithms import privileged_uses
-from knowarm.learn.environment import Practice
 from knowarm.learn.losses import ppo_loss
 from knowarm.learn.optimizer import Float32Muon, orthogonalized
 from knowarm.learn.parallel.shared_tensors import flatten_parameters
@@ -68,11 +66,8 @@ def test_the_imitation_loss_is_the_weighted_mean_cross_entropy_per_joint():
 
 
 def test_the_share_of_practice_starts_falls_from_all_to_none():
-    env, seen = SimpleNamespace(practice_share=0.0), []
-    practice = Practice(PPOConfig(practice_until=0.5), env)
-    for progress in (0.0, 0.25, 0.5, 1.0):
-        practice.update(progress)
-        seen.append(env.practice_share)
+    config = PPOConfig(practice_until=0.5)
+    seen = [config.practice_share_at(progress) for progress in (0.0, 0.25, 0.5, 1.0)]
     assert seen == [1.0, 0.5, 0.0, 0.0]
 
 

@@ -191,6 +191,10 @@ class PPOConfig(ScheduleConfig):
                 "minibatch is a group of whole environments."
             )
 
+    def practice_share_at(self, progress: float) -> float:
+        """Return the share of practice starts after a fraction ``progress`` of the training."""
+        return max(0.0, 1 - progress / self.practice_until) if self.practice_until else 0.0
+
 
 @dataclass(frozen=True, kw_only=True)
 class A3CConfig(ScheduleConfig):

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from knowarm.errors import UserError
-from knowarm.learn.algorithms import PPOConfig, ScheduleConfig
+from knowarm.learn.algorithms import ScheduleConfig
 
 Infos = dict[str, Any]
 StepResult = tuple[Tensor, Tensor, Tensor, Tensor, Infos]
@@ -206,16 +206,3 @@ class ThresholdCurriculum:
         """Decrease the factor if enough of an update's episodes succeeded (0..1)."""
         if self.is_used and success > self._config.threshold_success:
             self.factor = max(1.0, self.factor - self._config.threshold_decrease)
-
-
-class Practice:
-    """Sets the share of episodes that start on the teacher's way, by the progress of training."""
-
-    def __init__(self, config: PPOConfig, env: TeachingVectorEnv) -> None:
-        self._until = config.practice_until
-        self._env = env
-
-    def update(self, progress: float) -> None:
-        """Set it for the next rollout, after a fraction ``progress`` of the training."""
-        if self._until:
-            self._env.practice_share = max(0.0, 1 - progress / self._until)

@@ -50,16 +50,12 @@ class PPOLossTerms(LossTerms):
 
     @classmethod
     def from_vector(cls, vector: Tensor) -> "PPOLossTerms":
-        """Build the terms from a copy of a `vector`."""
-        return cls(**dict(zip(cls.names(), vector.clone(), strict=True)))
+        """Build the terms from a `vector`."""
+        return cls(**dict(zip(cls.names(), vector, strict=True)))
 
     def scaled(self, factor: float) -> "PPOLossTerms":
         """Return every term times a factor, detached."""
-        return PPOLossTerms(**{name: term.detach() * factor for name, term in vars(self).items()})
-
-    def __add__(self, other: "PPOLossTerms") -> "PPOLossTerms":
-        """Add term by term: the weighted terms of a batch's parts give those of the batch."""
-        return PPOLossTerms(**{name: t + getattr(other, name) for name, t in vars(self).items()})
+        return self.from_vector(self.vector() * factor)
 
 
 def a3c_loss(

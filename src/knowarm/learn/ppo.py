@@ -11,12 +11,7 @@ from knowarm.errors import UserError
 from knowarm.learn.algorithms import PPOConfig, privileged_uses
 from knowarm.learn.checkpoint import Checkpoint, policy_arrays, select
 from knowarm.learn.collector import Collector
-from knowarm.learn.environment import (
-    Practice,
-    PrivilegedVectorEnv,
-    ThresholdCurriculum,
-    TorchVectorEnv,
-)
+from knowarm.learn.environment import PrivilegedVectorEnv, ThresholdCurriculum, TorchVectorEnv
 from knowarm.learn.evaluation import MAX_PENDING, Metrics
 from knowarm.learn.guards import FiniteGuard, HealthMonitor
 from knowarm.learn.losses import PPOLossTerms, advantages
@@ -86,10 +81,8 @@ class PPOTrainer(Trainer):
             if config.auxiliary_coef:
                 targets = self._privileged.auxiliary_targets().shape[-1]
         self._curriculum = ThresholdCurriculum(config, env)
-        self._practice = None
         if config.practice_until:
-            self._practice = Practice(config, teaching_env(env))
-            self._practice.update(0.0)
+            teaching_env(env).practice_share = config.practice_share_at(0.0)
         network = TrainingNetwork(policy.to(self._device), targets, seed)
         self._head = network.head
         self._learner = make_learner(network, config, self.matmul_precision, self._device)
@@ -184,8 +177,9 @@ class PPOTrainer(Trainer):
         config, rollout = self.config, self._learner.rollout
         progress = self.step / total_steps
         rate = config.learning_rate_at(progress)
-        if self._practice is not None:
-            self._practice.update(progress)
+        if config.practice_until:
+            share = config.practice_share_at(progress)
+            teaching_env(self._collector.env).practice_share = share
         self._optimizer.set_learning_rate(rate)
         environment_s, start = self._collector.environment_s, time.perf_counter()
         record = self._privileged.rollout if self._privileged else None

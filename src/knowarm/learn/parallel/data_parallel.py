@@ -180,14 +180,15 @@ class DataParallelLearner(Learner):
         commands = [GradientCommand(part.numpy(), len(part) / count) for part in others]
         self._send(commands)
         self.gradient.zero_()
+        weight = len(own) / count
         terms = add_gradient(
-            self.network, self._config, self.rollout, self.targets, own, len(own) / count
-        )
+            self.network, self._config, self.rollout, self.targets, own, weight
+        ).vector()
         self._wait(commands)
         for index in range(1, 1 + len(commands)):
             self.gradient += self._shared["gradients"][index]
-            terms = terms + PPOLossTerms.from_vector(self._shared["terms"][index])
-        return terms
+            terms += self._shared["terms"][index]
+        return PPOLossTerms.from_vector(terms)
 
     def _start(self, index: int, restarts: int) -> ChildProcess:
         network = self.network
