@@ -15,47 +15,30 @@ class EpisodeState:
 
     No array is written after it was assigned to an attribute: attributes may be handed out, and
     their owner must not write into them.
-
-    Attributes:
-        scene: robot and objects.
-        simulator: physics of the n environments.
-        facets: (object, colour) names; objects in config order, colours in theirs.
-        ignore_roll: whether angles ignore the rotation about the approach axis.
-        limits: thresholds of distance and angle in the config, (2,) [m, deg].
-        thresholds: the same times the curriculum's factor, (2,) [m, deg].
-        steps: steps played in the current episode, (n,) int64.
-        joint_targets: joint angles that the servos track, (n, J) [rad]; actions add to them.
-        objects: indices of the visible objects into the config's targets, (n, m) int64.
-        colours: indices into the colours of these, (n, m) int64.
-        positions: their x and y, (n, m, 2) float64 [m].
-        question: row of the question table, (n,) int64; 0 without questions.
-        goal_position: point that the gripper has to reach, world, (n, 3) [m].
-        goal_matrix: rotation from goal frame to world, row-major, (n, 9).
-        distance: from gripper to goal, (n,) [m].
-        angle: between gripper and goal frame, (n,) [deg].
-        success: whether the task is solved, (n,) bool.
-        grasp_rotation: rotation from each target's grasp frame to world, row-major, (K, 9).
-        memory: further arrays of the task, (n, ...) each; see `Task.memory`.
     """
 
-    scene: "Scene"
-    simulator: "MujocoSimulator"
+    scene: "Scene"  # Robot and objects
+    simulator: "MujocoSimulator"  # Physics of the n environments
+    # (object, colour) names; objects in config order, colours in theirs
     facets: tuple[tuple[str, str], ...]
-    ignore_roll: bool
-    limits: NDArray[np.float64]
-    thresholds: NDArray[np.float64]
-    steps: NDArray[np.int64]
+    ignore_roll: bool  # Whether angles ignore the rotation about the approach axis
+    limits: NDArray[np.float64]  # Thresholds of distance and angle in the config, (2,) [m, deg]
+    thresholds: NDArray[np.float64]  # The same times the curriculum's factor, (2,) [m, deg]
+    steps: NDArray[np.int64]  # Steps played in the current episode, (n,)
+    # Joint angles that the servos track, (n, J) [rad]; actions add to them
     joint_targets: NDArray[np.float64]
-    objects: NDArray[np.int64]
-    colours: NDArray[np.int64]
-    positions: NDArray[np.float64]
-    question: NDArray[np.int64]
-    goal_position: NDArray[np.float64]
-    goal_matrix: NDArray[np.float64]
-    distance: NDArray[np.float64]
-    angle: NDArray[np.float64]
-    success: NDArray[np.bool_]
+    objects: NDArray[np.int64]  # Indices of the visible objects into the config's targets, (n, m)
+    colours: NDArray[np.int64]  # Indices into the colours of these, (n, m)
+    positions: NDArray[np.float64]  # Their x and y, (n, m, 2) [m]
+    question: NDArray[np.int64]  # Row of the question table, (n,); 0 without questions
+    goal_position: NDArray[np.float64]  # Point that the gripper has to reach, world, (n, 3) [m]
+    goal_matrix: NDArray[np.float64]  # Rotation from goal frame to world, row-major, (n, 9)
+    distance: NDArray[np.float64]  # From gripper to goal, (n,) [m]
+    angle: NDArray[np.float64]  # Between gripper and goal frame, (n,) [deg]
+    success: NDArray[np.bool_]  # Whether the task is solved, (n,)
+    # Further arrays of the task, (n, ...) each; see `Task.memory`
     memory: dict[str, NDArray[Any]]
+    # Rotation from each target's grasp frame to world, row-major, (K, 9)
     grasp_rotation: NDArray[np.float64]
     _first_facet: NDArray[np.int64]
 
