@@ -15,7 +15,6 @@ from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.kge.models import MODELS, KgeModel
 from knowarm.knowledge.kge.train import (
     LinkPrediction,
-    all_triples,
     load_model,
     new_model,
     rank,
@@ -72,7 +71,7 @@ def test_reciprocal():
 
 def test_a_split_keeps_every_name_in_training():
     split = split_graph(household(), valid=0.1, test=0.2, seed=1)
-    triples = all_triples(household())
+    triples = household().triples
     assert len(split.train) + len(split.valid) + len(split.test) == len(triples)
     assert len(split.test) == pytest.approx(2 * len(split.valid), abs=2)
     assert len(np.unique(split.everything, axis=0)) == len(triples)
@@ -130,7 +129,7 @@ def test_early_stopping_keeps_the_best():
 
 
 def test_the_seed_gives_the_bytes():
-    triples = all_triples(family_graph())
+    triples = family_graph().triples
 
     def vectors(seed):
         config = KgeConfig(dim=8, epochs=3, seed=seed)
@@ -143,8 +142,8 @@ def test_the_seed_gives_the_bytes():
 def test_threads_are_given_back():
     before = torch.get_num_threads()
     with pytest.raises(UserError):
-        train(KgeConfig(model="none"), all_triples(family_graph()), 27, 5)
-    train(KgeConfig(dim=8, epochs=1), all_triples(family_graph()), 27, 5)
+        train(KgeConfig(model="none"), family_graph().triples, 27, 5)
+    train(KgeConfig(dim=8, epochs=1), family_graph().triples, 27, 5)
     assert torch.get_num_threads() == before
     with pytest.raises(UserError, match="no triple to train on"):
         train(KgeConfig(), np.empty((0, 3), np.int64), 3, 1)
@@ -153,7 +152,7 @@ def test_threads_are_given_back():
 def test_a_stored_model_is_the_same_and_serves_as_vectors(tmp_path, facets):
     graph = household()
     config = KgeConfig(model="complex", dim=12, epochs=2)
-    done = train(config, all_triples(graph), len(graph.names), len(graph.relation_names))
+    done = train(config, graph.triples, len(graph.names), len(graph.relation_names))
     path = tmp_path / "complex.safetensors"
     save_model(done.model, config, graph, path)
     stored = load_model(path)

@@ -31,7 +31,7 @@ from knowarm.knowledge import household, read_graph
 from knowarm.knowledge.formats import write_graph
 from knowarm.knowledge.graph.sparql import EXAMPLE, sparql
 from knowarm.knowledge.kge import KgeConfig
-from knowarm.knowledge.kge.train import all_triples, save_model, split_graph
+from knowarm.knowledge.kge.train import save_model, split_graph
 from knowarm.knowledge.kge.train import train as train_embedding
 from knowarm.knowledge.vectors.graph_embedding import stored_lookup
 from knowarm.knowledge.vectors.words import read_word_vectors
@@ -188,9 +188,7 @@ def _vectors(folder: Path) -> list[Format]:
         archive.writestr("words.txt", text)
     config = KgeConfig(dim=4, epochs=1)
     graph = household()
-    trained = train_embedding(
-        config, all_triples(graph), len(graph.names), len(graph.relation_names)
-    )
+    trained = train_embedding(config, graph.triples, len(graph.names), len(graph.relation_names))
     embedding = folder / "home.safetensors"
     save_model(trained.model, config, graph, embedding)
     return [

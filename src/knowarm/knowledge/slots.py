@@ -145,10 +145,8 @@ def _condition_parts(
 
 def _entity(graph: KnowledgeGraph, condition: Condition, config: KnowledgeConfig) -> str | None:
     """Return the graph's name of a condition's value, or None if the graph does not hold it."""
-    try:
-        return graph.names[graph.entity_id(config.graph_name(condition.value))]
-    except UserError:
-        return None
+    entity = graph.find_entity(config.graph_name(condition.value))
+    return None if entity is None else graph.names[entity]
 
 
 def graph_facets(
@@ -288,7 +286,7 @@ def _subgraphs(
 def scene_subgraph(config: KnowledgeConfig, facets: Sequence[ObjectColour]) -> KnowledgeGraph:
     """Return the union of the slots' subgraphs."""
     subgraphs, graph = _subgraphs(config, facets).values(), open_graph(config.graph)
-    triples = [np.stack([s.heads, s.relations, s.tails], axis=1) for s in subgraphs]
+    triples = [subgraph.triples for subgraph in subgraphs]
     return KnowledgeGraph(
         graph.names,
         graph.relation_names,

@@ -117,11 +117,8 @@ def shuffle_tails(graph: KnowledgeGraph, seed: int) -> KnowledgeGraph:
     Triples that become equal are merged into one.
     """
     generator = np.random.default_rng(seed)
-    tails = graph.tails.copy()
+    triples = graph.triples
     for relation in np.unique(graph.relations):
         rows = np.flatnonzero(graph.relations == relation)
-        tails[rows] = tails[generator.permutation(rows)]
-    triples = np.stack([graph.heads, graph.relations, tails], axis=1)
-    return KnowledgeGraph(
-        graph.names, graph.relation_names, triples, nodes=graph.nodes, labels=graph.labels
-    )
+        triples[rows, 2] = graph.tails[generator.permutation(rows)]
+    return graph.with_triples(triples)

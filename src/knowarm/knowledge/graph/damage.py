@@ -35,7 +35,7 @@ def damaged(
     if not 0 <= share <= 1:
         raise UserError(f"The share of damaged triples must lie between 0 and 1, got {share}.")
     rng = np.random.default_rng(seed_sequence(seed, "damage", get_args(Damage).index(kind)))
-    triples = np.stack([graph.heads, graph.relations, graph.tails], axis=1)
+    triples = graph.triples
     about = np.flatnonzero(np.isin(graph.heads, [graph.entity_id(name) for name in objects]))
     count, order = round(share * len(about)), rng.permutation(about)
     if kind == "missing":
@@ -52,9 +52,7 @@ def damaged(
                 stated.add((head, relation, new[0]))
     else:
         triples[:, 2] = _swapped(graph, rng, about, count)
-    return KnowledgeGraph(
-        graph.names, graph.relation_names, triples, nodes=graph.nodes, labels=graph.labels
-    )
+    return graph.with_triples(triples)
 
 
 def _swapped(

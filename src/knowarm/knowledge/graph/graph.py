@@ -2,6 +2,7 @@
 
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import cached_property
 from typing import Literal, get_args
 
@@ -111,6 +112,11 @@ class KnowledgeGraph:
         self._alone = np.empty(0, np.int32) if nodes is None else nodes
         self.labels: Mapping[str, str] = {} if labels is None else labels
 
+    @property
+    def triples(self) -> np.ndarray:
+        """Ids of head, relation and tail of each triple, (n, 3) int64, sorted."""
+        return np.stack([self.heads, self.relations, self.tails], axis=1, dtype=np.int64)
+
     @cached_property
     def nodes(self) -> np.ndarray:
         """The ids of the entities in this graph, (m,) int32, sorted."""
@@ -195,6 +201,18 @@ class KnowledgeGraph:
         part.tails = self.tails[rows]
         part._alone = np.empty(0, np.int32) if nodes is None else nodes
         return part
+
+    def with_triples(self, triples: np.ndarray) -> "KnowledgeGraph":
+        """Return a graph with the entities, names and labels of this one and other triples."""
+        return KnowledgeGraph(
+            self.names, self.relation_names, triples, nodes=self.nodes, labels=self.labels
+        )
+
+    def find_entity(self, name: str) -> int | None:
+        """Return the id as `entity_id`, or None where it raises an error."""
+        with suppress(UserError):
+            return self.entity_id(name)
+        return None
 
     def entity_id(self, name: str) -> int:
         """Return the id of an entity given by name, last part of its IRI, or label."""

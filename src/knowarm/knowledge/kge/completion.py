@@ -55,9 +55,4 @@ def completed(
     hits, chosen = true[order].cumsum(), np.arange(1, len(order) + 1)
     best = int((hits / (chosen + true.sum())).argmax()) + 1 if true.any() else 0
     added = triples.numpy()[order[:best]]
-    known = np.stack([graph.heads, graph.relations, graph.tails], axis=1)
-    return KnowledgeGraph(
-        graph.names, graph.relation_names,
-        np.unique(np.concatenate([known, added.astype(known.dtype)]), axis=0),
-        nodes=graph.nodes, labels=graph.labels,
-    )  # fmt: skip
+    return graph.with_triples(np.concatenate([graph.triples, added]))

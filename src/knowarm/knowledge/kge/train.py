@@ -202,11 +202,6 @@ class Split(NamedTuple):
         return np.concatenate([self.train, self.valid, self.test])
 
 
-def all_triples(graph: KnowledgeGraph) -> np.ndarray:
-    """Return a graph's triples as ids (n, 3) int64."""
-    return np.stack([graph.heads, graph.relations, graph.tails], axis=1).astype(np.int64)
-
-
 def split_graph(
     graph: KnowledgeGraph, *, valid: float = 0.1, test: float = 0.1, seed: int = 0
 ) -> Split:
@@ -220,7 +215,7 @@ def split_graph(
             f"Shares to hold out are valid={valid} and test={test}; each must lie between 0 and 1 "
             f"and both together below 1."
         )
-    triples = all_triples(graph)
+    triples = graph.triples
     wanted = [round(share * len(triples)) for share in (test, valid)]
     ends = np.bincount(triples[:, [0, 2]].ravel(), minlength=len(graph.names))
     uses = np.bincount(triples[:, 1], minlength=len(graph.relation_names))

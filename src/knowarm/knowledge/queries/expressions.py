@@ -60,7 +60,7 @@ def answer(graph: KnowledgeGraph, facets: Sequence[ObjectColour], text: str) -> 
     Raises:
         UserError: the question is malformed, names what the graph does not hold, or has no answer.
     """
-    known = {name: _entity(graph, name) for name in dict.fromkeys(name for name, _ in facets)}
+    known = {name: graph.find_entity(name) for name in dict.fromkeys(name for name, _ in facets)}
     if not any(entity is not None for entity in known.values()):
         raise UserError(
             f"The graph describes none of the {len(known)} objects of the task, such as "
@@ -157,7 +157,7 @@ class _Reader:
             raise self.wrong(f"a value of {relation}")
         if relation == COLOUR_RELATION and value in self.colours:
             seen = f"the image shows {value}"
-            in_graph = _entity(self.graph, value)
+            in_graph = self.graph.find_entity(value)
         else:
             seen, in_graph = "", self.graph.entity_id(value)  # must exist
 
@@ -220,13 +220,6 @@ class _Reader:
                 yield " ".join(names), tail
 
 
-def _entity(graph: KnowledgeGraph, name: str) -> int | None:
-    try:
-        return graph.entity_id(name)
-    except UserError:
-        return None
-
-
 def _sparql(graph: KnowledgeGraph, text: str) -> Part:
     """Return what is true of the rows of a SPARQL query, by ?object and, if selected, ?colour."""
     found = sparql(graph, text)
@@ -239,7 +232,7 @@ def _sparql(graph: KnowledgeGraph, text: str) -> Part:
     rows: dict[tuple[int | None, str | None], Evidence] = {}
     for row in found.rows:
         named = dict(zip(found.columns, row, strict=True))
-        key = _entity(graph, named["object"]), local_name(named.get("colour", "")) or None
+        key = graph.find_entity(named["object"]), local_name(named.get("colour", "")) or None
         why = tuple(f"?{name} = {local_name(value)}" for name, value in named.items())
         rows.setdefault(key, why)
     return lambda entity, colour: rows.get((entity, colour)) or rows.get((entity, None))

@@ -72,11 +72,11 @@ class EntityLookup:
 
 def embed_graph(model: str, graph: KnowledgeGraph, *, dim: int, seed: int) -> EntityLookup:
     """Train a model on all triples of a graph."""
-    from knowarm.knowledge.kge.train import all_triples, train  # torch takes a second to import
+    from knowarm.knowledge.kge.train import train  # torch takes a second to import
 
     config = KgeConfig(model=model, dim=dim, seed=seed, epochs=EMBED_EPOCHS)
     relations = len(graph.relation_names)
-    done = train(config, all_triples(graph), len(graph.names), relations)
+    done = train(config, graph.triples, len(graph.names), relations)
     vectors = done.model.relation.detach().numpy()[:relations]
     return EntityLookup(model, graph, done.model.entity.detach().numpy(), vectors)
 
