@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from knowarm.world.tasks.reward import is_success, measure, reward_terms
+from knowarm.world.tasks.reward import is_success, measure, paper_reward
 
 
 def rows(rotation: Rotation) -> np.ndarray:
@@ -47,9 +47,7 @@ def test_reward_is_the_paper_s() -> None:
     distance, angle = np.array([0.04, 0.04, 0.5, 0.049]), np.array([10.0, 20.0, 70.0, 14.9])
     success = is_success(distance, angle, 0.05, 15.0)
     assert success.tolist() == [True, False, False, True]
-    terms = reward_terms(distance, angle, success)
-    assert terms["success"].tolist() == [100.0, 0.0, 0.0, 100.0]
-    assert sum(terms.values()) == pytest.approx(
+    assert paper_reward(distance, angle, success) == pytest.approx(
         [100.0, -2 * 0.04**2 - 20 / 70, -2 * 0.25 - 1.0, 100.0]
     )
 

@@ -1,4 +1,4 @@
-"""Reward of the reaching task: distance, angle, success and the reward's terms."""
+"""Reward of the reaching task: distance, angle, success and reward."""
 
 import math
 
@@ -67,16 +67,12 @@ def is_success(
     return (distance < success_distance_m) & (angle < success_angle_deg)
 
 
-def reward_terms(
+def paper_reward(
     distance: NDArray[np.float64], angle: NDArray[np.float64], success: NDArray[np.bool_]
-) -> dict[str, NDArray[np.float64]]:
-    """Compute the reward's terms, each (n,); the reward is their sum (paper, table 1).
+) -> NDArray[np.float64]:
+    """Compute the reward of the paper's table 1, (n,).
 
     100 on success, otherwise -2 d^2 - a / 70 with d in metres and a in degrees.
     """
-    missed = ~success
-    return {
-        "success": SUCCESS_REWARD * success.astype(np.float64),
-        "distance": -DISTANCE_WEIGHT * distance**2 * missed,
-        "angle": -angle / ANGLE_DIVISOR_DEG * missed,
-    }
+    missed = -DISTANCE_WEIGHT * distance**2 - angle / ANGLE_DIVISOR_DEG
+    return np.where(success, SUCCESS_REWARD, missed)

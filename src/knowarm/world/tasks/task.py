@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from knowarm.errors import UserError
 from knowarm.questions import ObjectColour, QuestionTable
-from knowarm.world.tasks.reward import is_success, reward_terms
+from knowarm.world.tasks.reward import is_success, paper_reward
 from knowarm.world.tasks.sampling import Colours, ObjectSampler, OneObject, Setting
 from knowarm.world.tasks.state import EpisodeState
 
@@ -138,8 +138,7 @@ class Task:
 
     def reward(self, state: EpisodeState) -> NDArray[np.float64]:
         """Compute the reward of a step, (n,); the paper's by default (table 1)."""
-        terms = reward_terms(state.distance, state.angle, state.success)
-        return np.asarray(terms["success"] + terms["distance"] + terms["angle"])
+        return paper_reward(state.distance, state.angle, state.success)
 
     def infos(self, state: EpisodeState) -> dict[str, NDArray[Any]]:
         """Return the infos of the current state, (n, ...) each; ``is_success`` among them."""
