@@ -69,7 +69,17 @@ COLOURS: dict[str, tuple[float, float, float]] = {
 }
 """Colours of the objects that can have any; RGB in 0..1."""
 
+_OWN_COLOURS = {
+    "mug": {"red": (1.0, 0.0, 0.0), "blue": (0.0, 0.0, 1.0)},
+    "bottle": {"yellow": (1.0, 1.0, 0.0), "purple": (0.4, 0.0, 0.9)},
+    "cereal_box": {"brown": (0.55, 0.27, 0.07), "light_blue": (0.5, 0.7, 0.9)},
+}
+"""Colours of the paper's targets."""
+
 _COLOURED_GEOMS: dict[str, tuple[str, ...]] = {
+    "mug": ("cup", "handle_top", "handle_side", "handle_bottom"),  # grasped on the inclined handle
+    "bottle": ("belly", "shoulder", "neck"),  # grasped on its stopper, from above
+    "cereal_box": ("carton",),  # grasped on its right edge, horizontally, above half its height
     "teapot": ("belly", "spout", "handle_top", "handle_side"),
     "kettle": ("belly", "shoulder", "spout"),
     "pitcher": ("belly", "lip", "handle_top", "handle_side", "handle_bottom"),
@@ -110,35 +120,10 @@ _BASE_RADIUS_M = {"teapot": 0.03, "vase": 0.03}
 """Flat bottom of the objects whose shapes touch the ground in one point [m]."""
 
 TARGETS: dict[str, Target] = {
-    # grasped on its handle, inclined by 45 degrees
-    "mug": Target(
-        name="mug",
-        mjcf=_FOLDER / "mug.xml",
-        mass_kg=_MASS_KG["mug"],
-        colours={"red": (1.0, 0.0, 0.0), "blue": (0.0, 0.0, 1.0)},
-        coloured_geoms=("cup", "handle_top", "handle_side", "handle_bottom"),
-    ),
-    # grasped on its stopper, from above
-    "bottle": Target(
-        name="bottle",
-        mjcf=_FOLDER / "bottle.xml",
-        mass_kg=_MASS_KG["bottle"],
-        colours={"yellow": (1.0, 1.0, 0.0), "purple": (0.4, 0.0, 0.9)},
-        coloured_geoms=("belly", "shoulder", "neck"),
-    ),
-    # grasped on its right edge, horizontally, above half its height
-    "cereal_box": Target(
-        name="cereal_box",
-        mjcf=_FOLDER / "cereal_box.xml",
-        mass_kg=_MASS_KG["cereal_box"],
-        colours={"brown": (0.55, 0.27, 0.07), "light_blue": (0.5, 0.7, 0.9)},
-        coloured_geoms=("carton",),
-    ),
-} | {
     name: Target(
         name=name,
         mjcf=_FOLDER / f"{name}.xml",
-        colours=COLOURS,
+        colours=_OWN_COLOURS.get(name, COLOURS),
         coloured_geoms=geoms,
         mass_kg=_MASS_KG[name],
         base_radius_m=_BASE_RADIUS_M.get(name, 0.0),
@@ -146,7 +131,7 @@ TARGETS: dict[str, Target] = {
     for name, geoms in _COLOURED_GEOMS.items()
 }
 """The paper's three targets and the objects of the choose task, by name. To add one, put its MJCF
-file here and add an entry."""
+file here and add an entry to the tables above."""
 
-CHOOSE_TARGETS = ("mug", "bottle", *_COLOURED_GEOMS)
+CHOOSE_TARGETS = tuple(name for name in TARGETS if name != "cereal_box")
 """Objects of the choose task."""
