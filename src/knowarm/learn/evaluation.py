@@ -76,14 +76,16 @@ class BackgroundEvaluations:
     def __init__(
         self, policy: Policy, make_evaluate: MakeEvaluate, context: BaseContext | None = None
     ) -> None:
-        self._context = context or process_context()
+        context = context or process_context()
         # Parameters do not fit into a pipe: sending them would block while the child starts.
         parameters = sum(p.numel() for p in policy.parameters())
         specs = {"values": ((parameters,), torch.float32)}
-        self._shared = SharedTensors(self._context, specs)
-        self._arguments = policy.spec(), make_evaluate, self._shared
+        self._shared = SharedTensors(context, specs)
         self._pending: deque[tuple[int, np.ndarray]] = deque()
-        self.process = SupervisedProcess(self._start)
+        arguments = policy.spec(), make_evaluate, self._shared
+        self.process = SupervisedProcess(
+            lambda restarts: ChildProcess.start(context, "evaluator", run_evaluator, *arguments)
+        )
 
     def submit(self, step: int, values: np.ndarray) -> None:
         """As `InlineEvaluations.submit`, without waiting."""
@@ -109,9 +111,6 @@ class BackgroundEvaluations:
     def close(self) -> None:
         """Kill the child process; what it evaluates now is lost."""
         self.process.child.stop(0.0)
-
-    def _start(self, restarts: int) -> ChildProcess:
-        return ChildProcess.start(self._context, "evaluator", run_evaluator, *self._arguments)
 
     def _send(self) -> None:
         """Ask for the first pending evaluation."""

@@ -12,7 +12,6 @@ import torch
 
 from knowarm.learn.checkpoint import Checkpoint, CheckpointStore, select
 from knowarm.learn.evaluation import (
-    MAX_PENDING,
     BackgroundEvaluations,
     Evaluate,
     Evaluations,
@@ -206,10 +205,6 @@ class Trainer(ABC):
     def _evaluates_start(self) -> bool:
         """Whether the untrained policy is still to be evaluated."""
         return self.step == 0 and self.best.step is None and not self._evaluations.pending()
-
-    @property
-    def _evaluator_is_behind(self) -> bool:
-        return len(self._evaluations.pending()) > MAX_PENDING
 
     def _wait_for_evaluations(self, *, leave: int = 0) -> bool:
         """Wait until at most ``leave`` are pending; return whether training was not stopped."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -12,26 +13,21 @@ if TYPE_CHECKING:
     from knowarm.policy.fusion import Fusion
 
 
-def _fusion(kind: str, **options: Any) -> "Callable[[int, int, int], Fusion]":
-    """Return a maker of a fusion; it imports torch, which reading a config does not need."""
-
-    def make(features: int, knowledge: int, slots: int) -> "Fusion":
-        cls = getattr(import_module("knowarm.policy.fusion"), kind)
-        made: Fusion = cls(features, knowledge, slots, **options)
-        return made
-
-    return make
+def _fusion(kind: str, *sizes: int, **options: Any) -> "Fusion":
+    """Make a fusion, importing torch, which reading a config does not need."""
+    made: Fusion = getattr(import_module("knowarm.policy.fusion"), kind)(*sizes, **options)
+    return made
 
 
 FUSIONS: "dict[str, Callable[[int, int, int], Fusion]]" = {
-    "none": _fusion("Fusion"),
-    "before_fc": _fusion("Concatenation", layers=("fc",)),
-    "before_lstm": _fusion("Concatenation", layers=("lstm",)),
-    "after_lstm": _fusion("Concatenation", layers=("actor", "critic")),
-    "film": _fusion("FiLM"),
-    "attention": _fusion("Attention"),
-    "similarity": _fusion("Similarity"),
-    "critic": _fusion("Concatenation", layers=("critic",)),
+    "none": partial(_fusion, "Fusion"),
+    "before_fc": partial(_fusion, "Concatenation", layers=("fc",)),
+    "before_lstm": partial(_fusion, "Concatenation", layers=("lstm",)),
+    "after_lstm": partial(_fusion, "Concatenation", layers=("actor", "critic")),
+    "film": partial(_fusion, "FiLM"),
+    "attention": partial(_fusion, "Attention"),
+    "similarity": partial(_fusion, "Similarity"),
+    "critic": partial(_fusion, "Concatenation", layers=("critic",)),
 }
 """Fusions by name, as `PolicyConfig.fusion` gives it. With "before_lstm" (the paper, section 4.2.2)
 the knowledge is next to the LSTM's other inputs; with "critic" the actor needs none in use."""

@@ -24,6 +24,7 @@ from knowarm.learn.a3c.messages import (
 from knowarm.learn.a3c.worker import run_a3c_worker
 from knowarm.learn.algorithms import A3CConfig
 from knowarm.learn.checkpoint import Arrays, Checkpoint, select
+from knowarm.learn.evaluation import MAX_PENDING
 from knowarm.learn.parallel.processes import (
     ChildProcess,
     SupervisedProcess,
@@ -162,7 +163,7 @@ class A3CTrainer(Trainer):
             if self._workers[index].child.connection in ready:
                 self._read_worker(index)
         self._take_evaluations()
-        self._shared["paused"].fill_(self._evaluator_is_behind)
+        self._shared["paused"].fill_(len(self._evaluations.pending()) > MAX_PENDING)
 
     def _read_worker(self, index: int) -> None:
         worker = self._workers[index]
