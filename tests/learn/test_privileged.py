@@ -21,7 +21,6 @@ from knowarm.learn.rollout import TrainingNetwork
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.torch_env import TorchReachVectorEnv
-from knowarm.world.tasks.privileged import privileged_columns
 from tests.learn.toys import fill_with_noise, informed_toy_policy, toy_env, toy_policy
 
 CPU = torch.device("cpu")
@@ -72,7 +71,7 @@ def test_the_critic_learns_a_function_of_the_state():
 
 
 def test_the_auxiliary_head_predicts_arm_and_target():
-    columns = privileged_columns(6)
+    columns = build(critic="state")._collector.env.privileged_columns
     chosen = [columns[i].split("/")[0] for i in auxiliary_columns(columns)]
     assert list(dict.fromkeys(chosen)) == list(AUXILIARY_QUANTITIES)
     assert len(chosen) == 24
@@ -87,7 +86,7 @@ def test_values_are_those_of_the_state_before_and_after_each_step():
     assert torch.equal(following[:-1][inner], state[1:][inner])
     ended = rollout.truncated[:-1]
     assert ended.any()
-    time = privileged_columns(6).index("time/0")
+    time = trainer._collector.env.privileged_columns.index("time/0")
     assert (following[:-1][ended][:, time] == 1).all()
     assert (state[1:][ended][:, time] == 0).all()
 
@@ -118,7 +117,7 @@ def test_the_critics_values_enter_the_targets_as_those_of_a_plain_loop():
 def test_progress_is_the_decrease_of_distance_and_angle():
     trainer = build(progress_coef=2.0)
     trainer.train(80)
-    privileged, columns = trainer._privileged, privileged_columns(6)
+    privileged, columns = trainer._privileged, trainer._collector.env.privileged_columns
     distance, angle = (columns.index(f"{name}/0") for name in ("distance", "angle"))
     before, after = privileged.rollout.state, privileged.rollout.next_state
     gained = before - after

@@ -5,7 +5,6 @@ import torch
 
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.torch_env import TorchReachVectorEnv
-from knowarm.world.tasks.privileged import privileged_columns
 
 
 def moved_env(**config):
@@ -56,8 +55,9 @@ def test_columns_are_what_their_names_say():
 
 
 def test_the_number_of_columns_follows_from_the_joints():
-    assert len(privileged_columns(6)) == 54
-    assert len(privileged_columns(7)) == 56
+    for robot, columns in (("irb120", 54), ("tiago", 56)):
+        env = TorchReachVectorEnv(EnvConfig(robot=robot, image_size=8), 1, num_threads=1)
+        assert len(env.privileged_columns) == env.privileged_state.shape[1] == columns
 
 
 def test_final_states_are_those_before_the_reset():

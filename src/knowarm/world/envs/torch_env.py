@@ -79,7 +79,7 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         self._final_tensor = self._tensor(self._final_images)
         self.running = RunningEpisodes(config, self.simulation)
         self.facets = self.running.facets
-        self.privileged_columns = privileged_columns(scene.num_joints)
+        self.privileged_columns = privileged_columns(self.running)
         self.report_final_observations = True
         self.report_privileged_state = False
         self._teacher: Teacher | None = None

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from knowarm.world.tasks.running import RunningEpisodes
 
 
-def privileged_columns(num_joints: int) -> tuple[str, ...]:
+def privileged_columns(state: RunningEpisodes) -> tuple[str, ...]:
     """Name the columns of the privileged state, ``<quantity>/<index>``, in their order.
 
     All quantities are those after the last step. Positions and rotations are in world coordinates
@@ -29,46 +29,33 @@ def privileged_columns(num_joints: int) -> tuple[str, ...]:
     time                 1      steps played over the time limit, 0 to 1
     ===================  =====  ==============================================================
     """
-    widths = {
-        "joint_position": num_joints,
-        "gripper_position": 3,
-        "grasp_position": 3,
-        "gripper_to_grasp": 3,
-        "grasp_matrix": 9,
-        "gripper_matrix": 9,
-        "joint_target": num_joints,
-        "position_in_gripper": 3,
-        "matrix_in_gripper": 9,
-        "distance": 1,
-        "angle": 1,
-        "time": 1,
-    }
-    return tuple(f"{name}/{i}" for name, width in widths.items() for i in range(width))
+    return tuple(
+        f"{name}/{i}" for name, values in _quantities(state).items() for i in range(values.shape[1])
+    )
 
 
 def privileged_state(state: RunningEpisodes) -> NDArray[np.float64]:
     """Return the privileged state of n episodes, (n, D); see `privileged_columns`."""
+    return np.concat(list(_quantities(state).values()), axis=1)
+
+
+def _quantities(state: RunningEpisodes) -> dict[str, NDArray[np.float64]]:
     simulator = state.simulator
     gripper = simulator.tcp_matrix.reshape(-1, 3, 3)
     grasp = state.goal_matrix.reshape(-1, 3, 3)
     difference = state.goal_position - simulator.tcp_position
-    position = (gripper * difference[:, :, None]).sum(axis=1)
     rotation = (gripper[:, :, :, None] * grasp[:, :, None, :]).sum(axis=1)
-    time = state.steps / state.config.max_episode_steps
-    return np.concat(
-        (
-            simulator.joint_positions,
-            simulator.tcp_position,
-            state.goal_position,
-            difference,
-            state.goal_matrix,
-            simulator.tcp_matrix,
-            state.joint_targets,
-            position,
-            rotation.reshape(-1, 9),
-            state.distance[:, None],
-            state.angle[:, None],
-            time[:, None],
-        ),
-        axis=1,
-    )
+    return {
+        "joint_position": simulator.joint_positions,
+        "gripper_position": simulator.tcp_position,
+        "grasp_position": state.goal_position,
+        "gripper_to_grasp": difference,
+        "grasp_matrix": state.goal_matrix,
+        "gripper_matrix": simulator.tcp_matrix,
+        "joint_target": state.joint_targets,
+        "position_in_gripper": (gripper * difference[:, :, None]).sum(axis=1),
+        "matrix_in_gripper": rotation.reshape(-1, 9),
+        "distance": state.distance[:, None],
+        "angle": state.angle[:, None],
+        "time": (state.steps / state.config.max_episode_steps)[:, None],
+    }
