@@ -148,9 +148,10 @@ def test_a_nan_stops_training_names_the_term_and_saves_the_batch(tmp_path, spoil
     trainer, _ = build(None)
     trainer._guard._folder = tmp_path
     spoil(trainer)
-    with pytest.raises(NotFiniteError, match=term) as caught:
+    with pytest.raises(NotFiniteError, match=term):
         trainer.train(320)
-    batch = load_file(caught.value.batch)
+    (file,) = tmp_path.glob("not-finite-*.safetensors")
+    batch = load_file(file)
     assert batch["patches"].shape == (10, 32, *trainer.policy.encoder.patch_shape)
     assert batch["patches"].any()
 

@@ -17,26 +17,7 @@ log = logging.getLogger("knowarm.learn")
 
 
 class NotFiniteError(UserError):
-    """Training produced a NaN or an infinity.
-
-    Attributes:
-        term: the non-finite quantity.
-        step: environment steps so far.
-        batch: file with the rollout it occurred in; None if none was saved.
-    """
-
-    def __init__(self, term: str, step: int, batch: Path | None) -> None:
-        where = f"; the rollout is saved in {batch}" if batch else ""
-        super().__init__(
-            f"Training stopped at step {step}: {term} is not finite (NaN or Inf){where}. A smaller "
-            "learning_rate or max_grad_norm usually helps; the last checkpoint is intact."
-        )
-        self.term = term
-        self.step = step
-        self.batch = batch
-
-    def __reduce__(self) -> tuple[type, tuple[str, int, Path | None]]:
-        return type(self), (self.term, self.step, self.batch)
+    """Training produced a NaN or an infinity; the message names term, step and saved rollout."""
 
 
 class FiniteGuard:
@@ -49,7 +30,13 @@ class FiniteGuard:
         """Raise a `NotFiniteError` naming the first term that is not finite; save ``batch``."""
         for name, value in terms.items():
             if not bool(torch.isfinite(value).all()):
-                raise NotFiniteError(name, step, self._save(step, batch))
+                path = self._save(step, batch)
+                where = f"; the rollout is saved in {path}" if path else ""
+                raise NotFiniteError(
+                    f"Training stopped at step {step}: {name} is not finite (NaN or Inf){where}. A "
+                    "smaller learning_rate or max_grad_norm usually helps; the last checkpoint is "
+                    "intact."
+                )
 
     def check_rollout(self, rollout: Rollout, knowledge: Tensor, step: int) -> None:
         """Raise an error if knowledge, rewards or values of a rollout are not finite."""

@@ -46,7 +46,6 @@ class Scene:
     geom_coloured: NDArray[np.bool_]  # Whether a geom has its target's colour, (G,)
     # RGB by target and colour, (K, C, 3); padded with the first colour
     target_colours: NDArray[np.float32]
-    colour_count: NDArray[np.intp]  # Number of colours of each target, (K,)
     surface_geoms: tuple[int, ...]  # Ids of the floor and, if there is one, the table top
     distractor_geoms: NDArray[np.intp]  # Ids of the distractors' geoms, (D,)
     distractor_mocap: NDArray[np.intp]  # Index in the mocap arrays of each distractor, (D,)
@@ -153,7 +152,6 @@ def build_scene(robot: Robot, targets: Sequence[Target], distractors: int = 0) -
         geom_target=geom_target,
         geom_coloured=geom_coloured,
         target_colours=colours,
-        colour_count=np.array([len(target.colours) for target in targets], dtype=np.intp),
         surface_geoms=tuple(model.geom(name).id for name in surfaces),
         distractor_geoms=np.array([model.geom(name).id for name in others], dtype=np.intp),
         distractor_mocap=np.array([model.body(name).mocapid[0] for name in others], dtype=np.intp),
