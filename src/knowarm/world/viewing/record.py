@@ -1,6 +1,6 @@
 """Recording of played episodes as film strips and videos."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from knowarm.errors import UserError
+from knowarm.reading import writing
 from knowarm.world.agents.play import play_steps
 from knowarm.world.agents.scripted import AgentProtocol
 from knowarm.world.envs.vector_env import RENDER_SIZE, ReachVectorEnv
@@ -71,6 +72,7 @@ def write_strip(path: Path, episodes: Sequence[Sequence[Frame]], columns: int = 
 
     The goal of an episode stands above its row; the suffix of the file selects the format.
     """
+    check_strip(path)
     side = 240
     width = columns * (side + _MARGIN) + _MARGIN
     title = _LINE if any(frames[0].goal for frames in episodes) else 0
@@ -87,7 +89,9 @@ def write_strip(path: Path, episodes: Sequence[Sequence[Frame]], columns: int = 
             image = Image.fromarray(frame.large).resize((side, side), Image.Resampling.LANCZOS)
             strip.paste(image, (left, top))
             draw.text((left, top + side + 5), _caption(frame), _INK, font)
-    _save(path, lambda: strip.save(path))
+    with writing(path, "Name another file."):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        strip.save(path)
 
 
 def write_video(path: Path, episodes: Sequence[Sequence[Frame]]) -> None:
@@ -95,7 +99,8 @@ def write_video(path: Path, episodes: Sequence[Sequence[Frame]]) -> None:
     check_video(path)
     import av
 
-    def write() -> None:
+    with writing(path, "Name another file."):
+        path.parent.mkdir(parents=True, exist_ok=True)
         with av.open(str(path), "w") as container:
             stream = container.add_stream("libx264", rate=FRAMES_PER_S)
             stream.width, stream.height = 2 * RENDER_SIZE + 3 * _MARGIN, RENDER_SIZE + 44
@@ -106,8 +111,6 @@ def write_video(path: Path, episodes: Sequence[Sequence[Frame]]) -> None:
                     image = av.VideoFrame.from_ndarray(_side_by_side(frame), format="rgb24")
                     container.mux(stream.encode(image))
             container.mux(stream.encode())
-
-    _save(path, write)
 
 
 def _side_by_side(frame: Frame) -> NDArray[np.uint8]:
@@ -126,11 +129,3 @@ def _side_by_side(frame: Frame) -> NDArray[np.uint8]:
 def _caption(frame: Frame) -> str:
     reached = ", reached" if frame.success else ""
     return f"step {frame.step}: {100 * frame.distance:.1f} cm, {frame.angle:.0f} deg{reached}"
-
-
-def _save(path: Path, write: Callable[[], None]) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write()
-    except (OSError, ValueError) as error:
-        raise UserError(f"Cannot write {str(path)!r}: {error}. Name another file.") from error
