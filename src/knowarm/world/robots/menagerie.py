@@ -27,28 +27,28 @@ class KnownArm:
     mjcf: Path | None  # Its model file; None if there is none on this machine
 
 
-def menagerie_folders() -> list[Path]:
-    """Return the folders in which the Menagerie is searched: the variable's, or a cache."""
+def menagerie_folder() -> Path:
+    """Return the folder in which the Menagerie is searched: the variable's, or a cache."""
     if folder := os.environ.get(VARIABLE):
-        return [Path(folder)]
+        return Path(folder)
     cache = os.environ.get("ROBOT_DESCRIPTIONS_CACHE")
     root = Path(cache) if cache else Path.home() / ".cache" / "robot_descriptions"
-    return [root / "mujoco_menagerie"]
+    return root / "mujoco_menagerie"
 
 
 def find_file(inside: str) -> Path | None:
     """Return the path of a file of the Menagerie; None if it is not on this machine."""
-    return next((f for folder in menagerie_folders() if (f := folder / inside).is_file()), None)
+    file = menagerie_folder() / inside
+    return file if file.is_file() else None
 
 
 def menagerie_file(inside: str, owner: str) -> Path:
     """Return the path of a file of the Menagerie."""
     found = find_file(inside)
     if found is None:
-        places = ", ".join(str(folder) for folder in menagerie_folders())
         raise UserError(
-            f"{owner} needs {inside!r} of the MuJoCo Menagerie, which was not found in {places}. "
-            f"To get it: {HOW_TO_GET}."
+            f"{owner} needs {inside!r} of the MuJoCo Menagerie, which was not found in "
+            f"{menagerie_folder()}. To get it: {HOW_TO_GET}."
         )
     return found
 
