@@ -43,7 +43,8 @@ def small(robot: str = "irb120", **options: Any) -> EnvConfig:
 
 def arranged(config: EnvConfig) -> Arrangements:
     assert isinstance(config.task, Choose)
-    return arrange(setting_of(config), config.task.queries, config.task.objects)
+    setting, task = setting_of(config), config.task
+    return arrange(setting.scene, setting.facets, task.queries, task.objects)
 
 
 class PickingAgent(OracleAgent):

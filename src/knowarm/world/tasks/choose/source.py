@@ -96,7 +96,7 @@ class SeveralObjects:
     """Draws objects, places and questions, which have to fit each other."""
 
     def __init__(self, setting: Setting, queries: QuerySource, objects: int) -> None:
-        found = arrange(setting, queries, objects)
+        found = arrange(setting.scene, setting.facets, queries, objects)
         parts = found.table.parts.shape[1]
         self.draws = draws(objects // parts)
         self._layouts = LayoutSource(setting.scene, parts)
@@ -145,11 +145,6 @@ def facet_indices(
     return target, colour
 
 
-def arrange(setting: Setting, queries: QuerySource, objects: int) -> Arrangements:
-    """Draw the object sets of a setting and find a layout of each, cached per process."""
-    return _arrange(setting.scene, setting.facets, queries, objects)
-
-
 @lru_cache(maxsize=16)
 def question_table(
     queries: QuerySource, facets: tuple[ObjectColour, ...], objects: int
@@ -162,9 +157,10 @@ def question_table(
 
 
 @lru_cache(maxsize=16)
-def _arrange(
+def arrange(
     scene: Scene, facets: tuple[ObjectColour, ...], queries: QuerySource, m: int
 ) -> Arrangements:
+    """Draw sets of m facets and find a layout of each, cached per process."""
     table = question_table(queries, facets, m)
     target, _ = facet_indices(scene, table)
     parts = table.parts.shape[1]
