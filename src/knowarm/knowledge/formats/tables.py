@@ -82,7 +82,8 @@ def read_table(path: Path, separator: str) -> KnowledgeGraph:
     CSV follows RFC 4180: quoted cells may hold commas and line ends. TSV has no quoting.
     """
     builder = GraphBuilder()
-    for number, row in _tab_rows(path) if separator == "\t" else _csv_rows(path, separator):
+    tabs = ((number, line.split("\t")) for number, line in text_lines(path) if line)
+    for number, row in tabs if separator == "\t" else _csv_rows(path, separator):
         if len(row) != 3:
             named = {"\t": "tabs", ",": "commas"}[separator]
             raise UserError(
@@ -119,10 +120,6 @@ def write_table(graph: KnowledgeGraph, path: Path, separator: str) -> None:
                     f"Write CSV or Turtle."
                 )
             file.write("\t".join(triple) + "\n")
-
-
-def _tab_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
-    return ((number, line.split("\t")) for number, line in text_lines(path) if line)
 
 
 def _csv_rows(path: Path, separator: str) -> Iterator[tuple[int, list[str]]]:

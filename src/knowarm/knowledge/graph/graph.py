@@ -48,12 +48,6 @@ class Names:
     def __iter__(self) -> Iterator[str]:
         return iter(self.blob.decode().split("\0")[:-1])
 
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Names) and (self is other or self.blob == other.blob)
-
-    def __hash__(self) -> int:
-        return hash(self.blob)
-
     def find(self, name: str) -> int | None:
         """Return the id of a name, or None: a binary search."""
         place = bisect_left(self, name)
