@@ -10,8 +10,8 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from knowarm.arrays import Integers, Mask
 from knowarm.errors import UserError
 
 AND = " and "  # What joins the conditions of a query in its name
@@ -21,8 +21,6 @@ PART = "."  # Joins the names of an object and its part: "mug.handle"
 AT_ONCE = 4096  # Questions whose distractors are found at once
 INSTANCE = "-"  # Joins the name of a kind and the number of an instance: "mug-17"
 ObjectColour = tuple[str, str]  # A facet: an object or part, and one of its colours, by name
-Mask = NDArray[np.bool_]
-Numbers = NDArray[np.int64]
 
 
 class Condition(NamedTuple):
@@ -135,12 +133,12 @@ class QuestionTable:
         self.check_objects(2)
 
     @cached_property
-    def objects(self) -> Numbers:
+    def objects(self) -> Integers:
         """Number of each facet's object, in order of first appearance, (F,)."""
         return number_objects(self.facets, whole=True)
 
     @cached_property
-    def parts(self) -> Numbers:
+    def parts(self) -> Integers:
         """Facets of the parts of each facet's object in its colour, itself among them, (F, P).
 
         Raises:
@@ -164,7 +162,7 @@ class QuestionTable:
         askable = with_distractors(askable, by_object, related, shown, self.objects, count)
         return replace(self, askable=askable, related=related, shown=shown)
 
-    def distractors(self, query: Numbers, target: Numbers) -> Mask:
+    def distractors(self, query: Integers, target: Integers) -> Mask:
         """Return the facets that may stand beside the targets of n questions (n,), (n, F).
 
         They are shown, related to the target, of another object, and do not satisfy the query.
@@ -188,7 +186,7 @@ class QuestionTable:
             )
 
 
-def number_objects(facets: tuple[ObjectColour, ...], *, whole: bool = False) -> Numbers:
+def number_objects(facets: tuple[ObjectColour, ...], *, whole: bool = False) -> Integers:
     """Return the number of each facet's object, in order of first appearance, (F,).
 
     Parts of one object have different numbers, or with ``whole`` the same one.
@@ -209,7 +207,7 @@ def kind_of(name: str) -> str:
     return kind if joint and number.isdecimal() else name
 
 
-def number_parts(facets: tuple[ObjectColour, ...]) -> Numbers:
+def number_parts(facets: tuple[ObjectColour, ...]) -> Integers:
     """Return the facets of the parts of each facet's object in its colour; see ``parts``."""
     groups: dict[ObjectColour, list[int]] = {}
     for number, (name, colour) in enumerate(facets):
@@ -225,7 +223,7 @@ def number_parts(facets: tuple[ObjectColour, ...]) -> Numbers:
 
 
 def with_distractors(
-    allowed: Mask, satisfies: Mask, related: Mask, shown: Mask, objects: Numbers, count: int
+    allowed: Mask, satisfies: Mask, related: Mask, shown: Mask, objects: Integers, count: int
 ) -> Mask:
     """Return the allowed questions that have distractors of ``count - 1`` objects, (Q, F)."""
     order = np.argsort(objects, kind="stable")
@@ -241,7 +239,7 @@ def with_distractors(
 
 
 def _distractors(
-    satisfies: Mask, related: Mask, shown: Mask, objects: Numbers, target: Numbers
+    satisfies: Mask, related: Mask, shown: Mask, objects: Integers, target: Integers
 ) -> Mask:
     """Return the distractors of n questions from the rows (n, F) of their queries and targets."""
     return np.asarray(shown & ~satisfies & related & (objects[target][:, None] != objects))

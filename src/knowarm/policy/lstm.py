@@ -16,7 +16,7 @@ from torch.autograd.function import once_differentiable
 
 from knowarm.compiling import njit
 
-Floats = NDArray[np.float32]
+Singles = NDArray[np.float32]
 
 _ONE, _TWO, _HALF = np.float32(1), np.float32(2), np.float32(0.5)
 _LARGEST = np.float32(87)
@@ -51,14 +51,14 @@ def _tanh(x: np.float32) -> np.float32:
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
 def forward_step(
     t: int,
-    added: Floats,
-    keep: Floats,
-    gates: Floats,
-    c_in: Floats,
-    c_tanh: Floats,
-    hidden: Floats,
-    h: Floats,
-    c: Floats,
+    added: Singles,
+    keep: Singles,
+    gates: Singles,
+    c_in: Singles,
+    c_tanh: Singles,
+    hidden: Singles,
+    h: Singles,
+    c: Singles,
 ) -> None:
     """Compute step t in place; all arrays are contiguous float32.
 
@@ -94,14 +94,14 @@ def forward_step(
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
 def backward_step(
     t: int,
-    d_next: Floats,
-    d_hidden: Floats,
-    keep: Floats,
-    gates: Floats,
-    c_in: Floats,
-    c_tanh: Floats,
-    d_gates: Floats,
-    dc: Floats,
+    d_next: Singles,
+    d_hidden: Singles,
+    keep: Singles,
+    gates: Singles,
+    c_in: Singles,
+    c_tanh: Singles,
+    d_gates: Singles,
+    dc: Singles,
 ) -> None:
     """Compute the backward pass of step t in place; arrays are those of `forward_step`.
 

@@ -15,11 +15,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from knowarm.arrays import Mask
 from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.queries.held_out import HeldOutQuestions, draw_edits
 from knowarm.knowledge.queries.queries import Pairs, QueryGraph
-from knowarm.questions import Mask, ObjectColour, Query, QuestionTable, with_distractors
+from knowarm.questions import ObjectColour, Query, QuestionTable, with_distractors
 from knowarm.seeding import seed_sequence
 
 SPLITS = {

@@ -5,8 +5,8 @@ from typing import Any, Self
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from knowarm.arrays import Floats, Mask
 from knowarm.world.backend import MujocoSimulator
 from knowarm.world.config import EnvConfig
 from knowarm.world.scene.scene import Scene
@@ -28,12 +28,12 @@ MARGIN_DEG = REACHED_DEG + 2.0  # Distance of an easier orientation from its thr
 class IKSolution:
     """The best joint angles found for n gripper poses."""
 
-    joints: NDArray[np.float64]  # Joint angles within the joints' ranges, (n, J) [rad]
-    distance: NDArray[np.float64]  # Distance to the desired position [m], (n,)
-    angle: NDArray[np.float64]  # Angle to the desired orientation [deg], (n,)
-    contact: NDArray[np.bool_]  # Whether the robot is in contact with floor or table, (n,)
+    joints: Floats  # Joint angles within the joints' ranges, (n, J) [rad]
+    distance: Floats  # Distance to the desired position [m], (n,)
+    angle: Floats  # Angle to the desired orientation [deg], (n,)
+    contact: Mask  # Whether the robot is in contact with floor or table, (n,)
 
-    def within(self, distance_m: float, angle_deg: float) -> NDArray[np.bool_]:
+    def within(self, distance_m: float, angle_deg: float) -> Mask:
         """Return which poses are reached within thresholds and without contact, (n,)."""
         return (self.distance < distance_m) & (self.angle < angle_deg) & ~self.contact
 
@@ -80,11 +80,7 @@ class InverseKinematics:
         return cls(scene, ignore_roll=config.ignore_roll, eased_deg=eased_deg, **options)
 
     def solve(
-        self,
-        position: NDArray[np.float64],
-        matrix: NDArray[np.float64],
-        start: NDArray[np.float64],
-        attempts: int = ATTEMPTS,
+        self, position: Floats, matrix: Floats, start: Floats, attempts: int = ATTEMPTS
     ) -> IKSolution:
         """Find joint angles for n gripper poses, near the angles ``start`` (n, J) [rad].
 
@@ -104,19 +100,13 @@ class InverseKinematics:
                 getattr(solution, name)[missed[better]] = getattr(again, name)[better]
         return solution
 
-    def pose(self, joints: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def pose(self, joints: Floats) -> tuple[Floats, Floats]:
         """Compute positions (n, 3) [m] and row-major rotations (n, 9) at joint angles (n, J)."""
         simulation = MujocoSimulator(self.scene, len(joints))
         simulation.set_joints(joints)
         return simulation.tcp_position.copy(), simulation.tcp_matrix.copy()
 
-    def _solve_once(
-        self,
-        position: NDArray[np.float64],
-        matrix: NDArray[np.float64],
-        start: NDArray[np.float64],
-        seed: int,
-    ) -> IKSolution:
+    def _solve_once(self, position: Floats, matrix: Floats, start: Floats, seed: int) -> IKSolution:
         n, joints = start.shape
         lower, upper = self.scene.joint_lower, self.scene.joint_upper
         generator = np.random.default_rng(seed)
@@ -156,7 +146,7 @@ class InverseKinematics:
             joints=q[best], distance=distance[best], angle=angle[best], contact=touches[best]
         )
 
-    def _unwind(self, q: NDArray[np.float64], start: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _unwind(self, q: Floats, start: Floats) -> Floats:
         """Shift hinges by whole turns to the angle nearest to the start."""
         turns = np.round((q - start) / (2 * np.pi)) * self._is_hinge
         unwound = q - 2 * np.pi * turns
@@ -164,9 +154,7 @@ class InverseKinematics:
         return np.where(inside, unwound, q)
 
 
-def _without_roll(
-    error: NDArray[np.float64], jacobian: NDArray[np.float64], matrix: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _without_roll(error: Floats, jacobian: Floats, matrix: Floats) -> tuple[Floats, Floats]:
     """Drop the rotation about the approach axis from errors (n, 6) and Jacobians (n, 6, J)."""
     axis = matrix.reshape(-1, 3, 3)[:, :, 2]
     across = ROTATION_WEIGHT * (np.eye(3) - axis[:, :, None] * axis[:, None, :])
@@ -177,9 +165,7 @@ def _without_roll(
     )
 
 
-def _pose_error(
-    simulation: MujocoSimulator, position: NDArray[np.float64], matrix: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _pose_error(simulation: MujocoSimulator, position: Floats, matrix: Floats) -> Floats:
     """Return position error [m] and rotation vector [rad] to the desired pose, (n, 6), world."""
     n = len(position)
     turn = matrix.reshape(n, 3, 3) @ simulation.tcp_matrix.reshape(n, 3, 3).transpose(0, 2, 1)

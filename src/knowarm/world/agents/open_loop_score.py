@@ -5,8 +5,8 @@ from itertools import pairwise
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from knowarm.arrays import Floats, Integers, Mask
 from knowarm.compiling import njit
 from knowarm.world.config import EnvConfig, scene_of
 from knowarm.world.scene.compose import ROBOT_PREFIX
@@ -31,9 +31,7 @@ class OpenLoopScore:
         self._goal = self.goals(episodes.target, episodes.position)
         self._cosine = float(np.cos(np.radians(config.success_angle_deg)))
 
-    def goals(
-        self, target: NDArray[np.int64], position: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def goals(self, target: Integers, position: Floats) -> Floats:
         """Return the goal frames of targets at places (k, 2) [m] as transforms, (k, 3, 4)."""
         scene = self.scene
         points = target_places(scene, position) + scene.grasp_position[target]
@@ -49,8 +47,8 @@ class OpenLoopScore:
         return (*arrays, self.start, self.target, self._goal, thresholds, config.max_episode_steps)
 
     def first_success(
-        self, actions: NDArray[np.int64], known: NDArray[np.int64] | None = None, since: int = 0
-    ) -> NDArray[np.int64]:
+        self, actions: Integers, known: Integers | None = None, since: int = 0
+    ) -> Integers:
         """Find the step at which actions (T, J) solve each episode, (E,); those never solved get T.
 
         ``known`` is the result for a list that is equal before step ``since``; it saves time.
@@ -59,13 +57,11 @@ class OpenLoopScore:
             known = np.full(len(self.start), self.config.max_episode_steps)
         return self._play(self.start, actions, known, since)[0]
 
-    def count(self, first: NDArray[np.int64]) -> int:
+    def count(self, first: Integers) -> int:
         """Count the episodes that a result of ``first_success`` solves."""
         return int((first < self.config.max_episode_steps).sum())
 
-    def play_on(
-        self, joints: NDArray[np.float64], actions: NDArray[np.int64], solved: NDArray[np.bool_]
-    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    def play_on(self, joints: Floats, actions: Integers, solved: Mask) -> tuple[Floats, Mask]:
         """Play more actions (T, J) from joint angles (E, J) [rad] and solved episodes (E,).
 
         Return both as they are after the actions.
@@ -74,12 +70,8 @@ class OpenLoopScore:
         return end, first < self.config.max_episode_steps
 
     def _play(
-        self,
-        joints: NDArray[np.float64],
-        actions: NDArray[np.int64],
-        known: NDArray[np.int64],
-        since: int,
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        self, joints: Floats, actions: Integers, known: Integers, since: int
+    ) -> tuple[Integers, Floats]:
         """Play actions; episodes with ``known`` below ``since`` are solved and keep their step."""
         return _play(
             joints,
@@ -101,21 +93,21 @@ class OpenLoopScore:
 
 @njit(cache=True, error_model="numpy")
 def _play(
-    joints: NDArray[np.float64],
-    moves: NDArray[np.float64],
-    lower: NDArray[np.float64],
-    upper: NDArray[np.float64],
-    links: NDArray[np.float64],
-    slides: NDArray[np.bool_],
+    joints: Floats,
+    moves: Floats,
+    lower: Floats,
+    upper: Floats,
+    links: Floats,
+    slides: Mask,
     varied: int,
-    goal: NDArray[np.float64],
+    goal: Floats,
     distance_m: float,
     cosine: float,
     ignore_roll: bool,
-    known: NDArray[np.int64],
+    known: Integers,
     since: int,
     never: int,
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+) -> tuple[Integers, Floats]:
     """Kernel of ``OpenLoopScore``.
 
     Joints from number ``varied`` on have the same angles in every episode: their part of the chain
@@ -181,13 +173,7 @@ def _play(
 
 @njit(cache=True, error_model="numpy", inline="always")
 def _carry(
-    column: NDArray[np.float64],
-    value: float,
-    cos: float,
-    sin: float,
-    slide: bool,
-    link: NDArray[np.float64],
-    is_point: bool,
+    column: Floats, value: float, cos: float, sin: float, slide: bool, link: Floats, is_point: bool
 ) -> None:
     """Carry a column of a pose, in place, over one joint and the link before it."""
     x, y, z = column[0], column[1], column[2]
@@ -200,7 +186,7 @@ def _carry(
         column[k] = link[k, 0] * x + link[k, 1] * y + link[k, 2] * z + link[k, 3] * shift
 
 
-def _joint_chain(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def _joint_chain(scene: Scene) -> tuple[Floats, Mask]:
     """Split the arm into constant transforms with a turn about z, or a slide along z, between.
 
     Return the transforms before each joint, at angle 0, and that to the gripper, (J + 1, 3, 4);
@@ -219,7 +205,7 @@ def _joint_chain(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     return np.stack(links), model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE
 
 
-def _axis_frame(anchor: NDArray[np.float64], axis: NDArray[np.float64]) -> NDArray[np.float64]:
+def _axis_frame(anchor: Floats, axis: Floats) -> Floats:
     """Build a frame (4, 4) at a joint's anchor with z along its axis."""
     side = np.eye(3)[np.argmin(np.abs(axis))]
     x = np.cross(side, axis)

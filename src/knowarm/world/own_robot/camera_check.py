@@ -6,11 +6,11 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from knowarm.arrays import Floats
 from knowarm.reading import read_text, reading, writing
 from knowarm.world.config import EnvConfig, scene_of
 from knowarm.world.own_robot.robot_check import Check
@@ -56,7 +56,7 @@ def check_camera(config: EnvConfig, photo: Path, points: Path | None, overlay: P
     return [drawn, *_compare(scene, *fit_camera(scene, seen, places))]
 
 
-def named_points(scene: Scene, data: mujoco.MjData) -> dict[str, NDArray[np.float64]]:
+def named_points(scene: Scene, data: mujoco.MjData) -> dict[str, Floats]:
     """Return points (3,) [m], world, by name: gripper, origins of joints, rectangle."""
     robot = scene.robot
     joints = {name: data.joint(ROBOT_PREFIX + name).xanchor.copy() for name in robot.joints}
@@ -66,9 +66,7 @@ def named_points(scene: Scene, data: mujoco.MjData) -> dict[str, NDArray[np.floa
     return {"gripper": data.site_xpos[scene.tcp_site].copy(), **joints, **rectangle}
 
 
-def fit_camera(
-    scene: Scene, seen: NDArray[np.float64], places: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], Rotation, float, float]:
+def fit_camera(scene: Scene, seen: Floats, places: Floats) -> tuple[Floats, Rotation, float, float]:
     """Fit a camera to points seen at (n, 2), in half image heights right and up from the centre.
 
     Returns position [m], rotation, field of view [deg] and largest error left [image heights].
@@ -76,7 +74,7 @@ def fit_camera(
     start = Rotation.from_matrix(scene.camera_matrix)
     half_height = np.tan(np.radians(scene.robot.camera_fovy_deg) / 2)
 
-    def errors(change: NDArray[np.float64]) -> NDArray[np.float64]:
+    def errors(change: Floats) -> Floats:
         turned = start * Rotation.from_rotvec(change[3:6])
         local = turned.inv().apply(places - scene.camera_position - change[:3])
         depth = np.maximum(-local[:, 2:], 1e-3) * half_height * np.exp(change[6])
@@ -89,9 +87,7 @@ def fit_camera(
     return scene.camera_position + found.x[:3], turned, fovy_deg, float(abs(found.fun).max() / 2)
 
 
-def _read_points(
-    path: Path, known: dict[str, NDArray[np.float64]]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _read_points(path: Path, known: dict[str, Floats]) -> tuple[Floats, Floats]:
     """Read pixels (n, 2) and places (n, 3) [m]."""
     remedy = "Give the columns point, x and y, one row per clicked pixel."
     text = read_text(path, remedy=remedy)
@@ -108,7 +104,7 @@ def _read_points(
 
 
 def _compare(
-    scene: Scene, position: NDArray[np.float64], turned: Rotation, fovy_deg: float, residual: float
+    scene: Scene, position: Floats, turned: Rotation, fovy_deg: float, residual: float
 ) -> list[Check]:
     """Compare a fitted camera with the robot's."""
     robot, ahead = scene.robot, turned.apply([0, 0, -1])

@@ -11,8 +11,8 @@ from typing import Any
 import mujoco
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
+from knowarm.arrays import Floats
 from knowarm.config import from_dict
 from knowarm.errors import UserError, unknown_name
 from knowarm.reading import one_line
@@ -181,7 +181,7 @@ def _numbers(values: Any) -> list[float]:
     return [round(float(value), 4) for value in values]
 
 
-def _home(scene: Scene, layout: Layout) -> tuple[NDArray[np.float64], float, str]:
+def _home(scene: Scene, layout: Layout) -> tuple[Floats, float, str]:
     """Find a start pose above the support and turned away from every grasp, yet near in joints.
 
     Return the pose, the largest travel of a joint to a grasp [rad or m], and a description.

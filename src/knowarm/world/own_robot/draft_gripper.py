@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from knowarm.arrays import Floats
 from knowarm.errors import UserError
 
 GRIPPER_WORDS = re.compile(r"grip|finger|jaw|knuckle|driver|claw|thumb", re.IGNORECASE)
@@ -117,7 +117,7 @@ def _site_rank(name: str) -> int:
 
 def _approach(
     model: mujoco.MjModel, data: mujoco.MjData, last: int, hand: int, fingers: list[int]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Floats, Floats]:
     """Return the direction out of the hand, world, and the point where hand or fingers end."""
     origin = data.xanchor[last]
     bodies = fingers or _subtree(model, hand)
@@ -149,8 +149,8 @@ def _approach(
 
 
 def _across(
-    model: mujoco.MjModel, data: mujoco.MjData, fingers: list[int], approach: NDArray[np.float64]
-) -> NDArray[np.float64]:
+    model: mujoco.MjModel, data: mujoco.MjData, fingers: list[int], approach: Floats
+) -> Floats:
     """Return the direction in which the fingers open, world, perpendicular to the approach."""
     candidates = [data.xpos[a] - data.xpos[fingers[0]] for a in fingers[1:]]
     candidates += [

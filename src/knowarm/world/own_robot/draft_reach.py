@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from knowarm.arrays import Floats
 from knowarm.errors import UserError
 from knowarm.world.agents.ik import InverseKinematics
 from knowarm.world.backend import MujocoSimulator
@@ -36,7 +36,7 @@ class Branch(NamedTuple):
 
     yaw_deg: float  # Direction of the target
     angle_deg: float  # Largest error of the orientation
-    joints: NDArray[np.float64]  # Joint angles, (N, J) [rad]
+    joints: Floats  # Joint angles, (N, J) [rad]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,8 +46,8 @@ class Layout:
     scene: Scene  # Scene with the base at its height
     angle_deg: float  # Strictest success angle
     ignore_roll: bool  # Whether the roll about the approach axis has to be ignored
-    centre_m: NDArray[np.float64]  # Centre of the rectangle, (2,)
-    half_size_m: NDArray[np.float64]  # Half-sizes of the rectangle, (2,)
+    centre_m: Floats  # Centre of the rectangle, (2,)
+    half_size_m: Floats  # Half-sizes of the rectangle, (2,)
     branches: Sequence[Branch]  # How each target is grasped
 
     @property
@@ -62,7 +62,7 @@ def spread_rad(branches: Sequence[Branch]) -> float:
     return float(np.ptp(np.concatenate([each.joints for each in branches]), axis=0).max())
 
 
-def _samples(scene: Scene, count: int) -> NDArray[np.float64]:
+def _samples(scene: Scene, count: int) -> Floats:
     """Spread joint angles over their ranges, (count, J)."""
     share = scipy.stats.qmc.Halton(scene.num_joints, scramble=False).random(count)
     return np.asarray(scene.joint_lower + share * (scene.joint_upper - scene.joint_lower))
@@ -139,7 +139,7 @@ def _layouts(
 def _branches(
     scene: Scene,
     roll: bool,
-    places: NDArray[np.float64],
+    places: Floats,
     cases: Sequence[tuple[int, float]],
     counts: dict[str, int],
 ) -> list[list[Branch]]:

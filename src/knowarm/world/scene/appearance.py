@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from knowarm.arrays import Floats, Integers
 from knowarm.errors import UserError
 from knowarm.world.render.scenery import material_colours
 from knowarm.world.scene.scene import Scene
@@ -63,7 +64,7 @@ class VisualRandomization:
         return 0 if off else FIXED_DRAWS + DRAWS_PER_DISTRACTOR * self.distractors
 
 
-def rotations(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def rotations(vectors: Floats) -> Floats:
     """Convert rotation vectors (k, 3) [rad] to matrices (k, 3, 3) by Rodrigues' formula."""
     angle = np.linalg.norm(vectors, axis=1)
     axis = vectors / np.clip(angle, 1e-12, None)[:, None]
@@ -100,7 +101,7 @@ class TargetColours:
         self._marks = np.array([MARKED_RGB, UNMARKED_RGB], dtype=np.float32)
 
     def __call__(
-        self, target: NDArray[np.int64], colour: NDArray[np.int64], marked: bool = False
+        self, target: Integers, colour: Integers, marked: bool = False
     ) -> NDArray[np.float32]:
         """Return the colours of every geom, new, (k, G, 4) float32 in 0..1; alpha 0 hides.
 
@@ -126,7 +127,7 @@ class Shown(NamedTuple):
     views: NDArray[np.float32] | None  # Cameras, (k, 12) float32; None for the camera of the model
     lamps: NDArray[np.float32] | None  # Lights, (k, 4, 3) float32; None for the lights of the model
     # x and y of the distractors [m], (k, D, 2) float64; None without randomization
-    distractor_position: NDArray[np.float64] | None
+    distractor_position: Floats | None
 
 
 class AppearanceSource:
@@ -148,13 +149,7 @@ class AppearanceSource:
         self._centre = np.array(robot.rectangle_centre_m)
         self._half = _SPREAD * np.array(robot.rectangle_half_size_m)
 
-    def __call__(
-        self,
-        target: NDArray[np.int64],
-        colour: NDArray[np.int64],
-        position: NDArray[np.float64],
-        look: NDArray[np.float64],
-    ) -> Shown:
+    def __call__(self, target: Integers, colour: Integers, position: Floats, look: Floats) -> Shown:
         """Compute the appearance of k episodes.
 
         Targets and colours are indices (k, M), ``position`` x and y of the first one, (k, 2) [m],
@@ -179,14 +174,14 @@ class AppearanceSource:
             distractor_position=self._places(2 * rest[..., :2] - 1, position),
         )
 
-    def _views(self, signed: NDArray[np.float64]) -> NDArray[np.float32]:
+    def _views(self, signed: Floats) -> NDArray[np.float32]:
         shift = self._config.camera_shift_m * signed[:, _SHIFT:_TURN]
         turn = math.radians(self._config.camera_turn_deg) * signed[:, _TURN:_SURFACE]
         turned = (self._scene.camera_matrix @ rotations(turn)).reshape(-1, 9)
         views = np.concat([self._scene.camera_position + shift, turned], axis=1)
         return views.astype(np.float32)
 
-    def _lamps(self, signed: NDArray[np.float64]) -> NDArray[np.float32]:
+    def _lamps(self, signed: Floats) -> NDArray[np.float32]:
         head = 1 + self._config.light * signed[:, _LIGHT : _LIGHT + 1]
         sun = 1 + self._config.light * signed[:, _LIGHT + 1 : _LIGHT + 2]
         turn = math.radians(self._config.light_angle_deg) * signed[:, _LIGHT + 2 : _LIGHT + 4]
@@ -195,16 +190,14 @@ class AppearanceSource:
         lamps = [self._ambient * head, self._headlight * head, self._sunlight * sun, towards]
         return np.stack(lamps, axis=1).astype(np.float32)
 
-    def _surface_colours(self, signed: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _surface_colours(self, signed: Floats) -> Floats:
         """Return RGB of the floor and, if there is one, the table top, (k, S, 3)."""
         own = self._scene.model.geom_rgba[self._surfaces, :3]
         draws = signed[:, _SURFACE:FIXED_DRAWS].reshape(-1, 2, 3)
         change = self._config.surface_colour * draws[:, : len(own)]
         return np.clip(own + change, 0, 1)
 
-    def _places(
-        self, signed: NDArray[np.float64], position: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def _places(self, signed: Floats, position: Floats) -> Floats:
         """Return positions in a rectangle larger than the targets', pushed away from the target."""
         drawn = self._centre + signed * self._half
         offset = drawn - position[:, None, :]

@@ -6,6 +6,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from knowarm.arrays import Floats, Integers, Mask
 from knowarm.world.config import EnvConfig, setting_of
 from knowarm.world.tasks.sampling import derive, uniforms
 
@@ -20,38 +21,38 @@ class Episodes:
     m objects are visible; the first is the one to reach.
     """
 
-    joint_offsets: NDArray[np.float64]
+    joint_offsets: Floats
     """Start angle of each joint relative to home [rad], (n, J)."""
-    objects: NDArray[np.int64]
+    objects: Integers
     """Indices of the visible objects into the config's targets, (n, m)."""
-    colours: NDArray[np.int64]
+    colours: Integers
     """Indices into the colours of these, (n, m)."""
-    positions: NDArray[np.float64]
+    positions: Floats
     """x and y of these [m], (n, m, 2)."""
-    question: NDArray[np.int64]
+    question: Integers
     """Row of the question table that the episode asks, (n,); 0 without questions."""
-    look: NDArray[np.float64]
+    look: Floats
     """Uniform draws for the visual randomization, (n, L); L = 0 without any."""
 
     @property
-    def target(self) -> NDArray[np.int64]:
+    def target(self) -> Integers:
         """Index of the object to reach, (n,)."""
         return self.objects[:, 0]
 
     @property
-    def colour(self) -> NDArray[np.int64]:
+    def colour(self) -> Integers:
         """Index into its colours, (n,)."""
         return self.colours[:, 0]
 
     @property
-    def position(self) -> NDArray[np.float64]:
+    def position(self) -> Floats:
         """Its x and y [m], (n, 2)."""
         return self.positions[:, 0]
 
     def __len__(self) -> int:
         return len(self.objects)
 
-    def __getitem__(self, index: slice | NDArray[np.intp] | NDArray[np.bool_]) -> Self:
+    def __getitem__(self, index: slice | NDArray[np.intp] | Mask) -> Self:
         """Select episodes by a slice or an index array."""
         return type(self)(*(getattr(self, field.name)[index] for field in fields(self)))
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from knowarm.arrays import Floats
 from knowarm.errors import UserError, unknown_name
 
 TRIES = 32
@@ -72,7 +72,7 @@ def check_names(held_out: HeldOut | None, names: Sequence[str]) -> None:
             raise unknown_name("held-out colour", name, names)
 
 
-def choose_places(held_out: HeldOut | None, signed: NDArray[np.float64]) -> NDArray[np.float64]:
+def choose_places(held_out: HeldOut | None, signed: Floats) -> Floats:
     """Select each episode's first allowed position of candidates (n, T, 2) in -1..1, (n, 2)."""
     if held_out is None or held_out.places is None:
         return signed[:, 0]

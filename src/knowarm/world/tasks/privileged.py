@@ -1,8 +1,8 @@
 """Privileged state: what the simulator knows about an episode, for training only."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from knowarm.arrays import Floats
 from knowarm.world.tasks.running import RunningEpisodes
 
 
@@ -34,12 +34,12 @@ def privileged_columns(state: RunningEpisodes) -> tuple[str, ...]:
     )
 
 
-def privileged_state(state: RunningEpisodes) -> NDArray[np.float64]:
+def privileged_state(state: RunningEpisodes) -> Floats:
     """Return the privileged state of n episodes, (n, D); see `privileged_columns`."""
     return np.concat(list(_quantities(state).values()), axis=1)
 
 
-def _quantities(state: RunningEpisodes) -> dict[str, NDArray[np.float64]]:
+def _quantities(state: RunningEpisodes) -> dict[str, Floats]:
     simulator = state.simulator
     gripper = simulator.tcp_matrix.reshape(-1, 3, 3)
     grasp = state.goal_matrix.reshape(-1, 3, 3)

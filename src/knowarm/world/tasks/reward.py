@@ -3,8 +3,8 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from knowarm.arrays import Floats, Mask
 from knowarm.compiling import njit
 
 SUCCESS_REWARD = 100.0
@@ -14,12 +14,12 @@ ANGLE_DIVISOR_DEG = 70.0
 
 @njit(cache=True, error_model="numpy")
 def measure(
-    tcp_position: NDArray[np.float64],
-    tcp_matrix: NDArray[np.float64],
-    grasp_position: NDArray[np.float64],
-    grasp_matrix: NDArray[np.float64],
+    tcp_position: Floats,
+    tcp_matrix: Floats,
+    grasp_position: Floats,
+    grasp_matrix: Floats,
     ignore_roll: bool,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Floats, Floats]:
     """Measure how far each gripper is from its grasp frame: distance (n,) [m] and angle (n,) [deg].
 
     Positions are (n, 3) [m], matrices (n, 9), row-major, both world. With R = A'B, the rotation
@@ -58,18 +58,13 @@ def measure(
 
 
 def is_success(
-    distance: NDArray[np.float64],
-    angle: NDArray[np.float64],
-    success_distance_m: float,
-    success_angle_deg: float,
-) -> NDArray[np.bool_]:
+    distance: Floats, angle: Floats, success_distance_m: float, success_angle_deg: float
+) -> Mask:
     """Return which grippers are within both thresholds, (n,) bool."""
     return (distance < success_distance_m) & (angle < success_angle_deg)
 
 
-def paper_reward(
-    distance: NDArray[np.float64], angle: NDArray[np.float64], success: NDArray[np.bool_]
-) -> NDArray[np.float64]:
+def paper_reward(distance: Floats, angle: Floats, success: Mask) -> Floats:
     """Compute the reward of the paper's table 1, (n,).
 
     100 on success, otherwise -2 d^2 - a / 70 with d in metres and a in degrees.

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from knowarm.arrays import Floats, Integers
 from knowarm.errors import UserError
 from knowarm.questions import ObjectColour, number_parts
 from knowarm.world.objects import Target
@@ -51,10 +52,10 @@ def list_facets(targets: Sequence[Target], colours: Colours) -> tuple[ObjectColo
 class DrawnObjects(NamedTuple):
     """Objects of n episodes, the one to reach first; fields as those of ``Episodes``."""
 
-    objects: NDArray[np.int64]
-    colours: NDArray[np.int64]
-    positions: NDArray[np.float64]
-    question: NDArray[np.int64]
+    objects: Integers
+    colours: Integers
+    positions: Floats
+    question: Integers
 
 
 class ObjectSampler(Protocol):
@@ -66,7 +67,7 @@ class ObjectSampler(Protocol):
 
     draws: int
 
-    def __call__(self, first: NDArray[np.float64], more: NDArray[np.float64]) -> DrawnObjects:
+    def __call__(self, first: Floats, more: Floats) -> DrawnObjects:
         """Draw the objects of n episodes.
 
         Args:
@@ -92,7 +93,7 @@ class OneObject:
         self._colours, self._colour_count = _allowed_colours(setting)
         self.draws = 2 * TRIES if held_out and held_out.places else 0
 
-    def __call__(self, first: NDArray[np.float64], more: NDArray[np.float64]) -> DrawnObjects:
+    def __call__(self, first: Floats, more: Floats) -> DrawnObjects:
         """Draw the objects of n episodes; ``more`` are further candidates for the position."""
         n = len(first)
         target = (first[:, _TARGET] * self._targets).astype(np.int64)
@@ -108,7 +109,7 @@ class OneObject:
         )
 
 
-def _allowed_colours(setting: Setting) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _allowed_colours(setting: Setting) -> tuple[Integers, Integers]:
     """Return the allowed colour indices of each target, (K, C), and their number, (K,)."""
     scene, held_out = setting.scene, setting.held_out
     last = None if setting.colours == "randomized" else 1
@@ -131,7 +132,7 @@ _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX_2 = np.uint64(0x94D049BB133111EB)
 
 
-def uniforms(streams: Words, episodes: Words, count: int) -> NDArray[np.float64]:
+def uniforms(streams: Words, episodes: Words, count: int) -> Floats:
     """Draw ``count`` uniforms in [0, 1) for each stream's seed and episode's number, (n, count)."""
     key = _mix(_mix(streams) ^ episodes)
     draws = np.arange(count, dtype=np.uint64)

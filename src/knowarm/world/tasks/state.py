@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from knowarm.arrays import Floats, Integers, Mask
+
 if TYPE_CHECKING:  # Configs are read where nothing else needs MuJoCo.
     from knowarm.world.backend import MujocoSimulator
     from knowarm.world.scene.scene import Scene
@@ -22,37 +24,37 @@ class EpisodeState:
     # (object, colour) names; objects in config order, colours in theirs
     facets: tuple[tuple[str, str], ...]
     ignore_roll: bool  # Whether angles ignore the rotation about the approach axis
-    limits: NDArray[np.float64]  # Thresholds of distance and angle in the config, (2,) [m, deg]
-    thresholds: NDArray[np.float64]  # The same times the curriculum's factor, (2,) [m, deg]
-    steps: NDArray[np.int64]  # Steps played in the current episode, (n,)
+    limits: Floats  # Thresholds of distance and angle in the config, (2,) [m, deg]
+    thresholds: Floats  # The same times the curriculum's factor, (2,) [m, deg]
+    steps: Integers  # Steps played in the current episode, (n,)
     # Joint angles that the servos track, (n, J) [rad]; actions add to them
-    joint_targets: NDArray[np.float64]
-    objects: NDArray[np.int64]  # Indices of the visible objects into the config's targets, (n, m)
-    colours: NDArray[np.int64]  # Indices into the colours of these, (n, m)
-    positions: NDArray[np.float64]  # Their x and y, (n, m, 2) [m]
-    question: NDArray[np.int64]  # Row of the question table, (n,); 0 without questions
-    goal_position: NDArray[np.float64]  # Point that the gripper has to reach, world, (n, 3) [m]
-    goal_matrix: NDArray[np.float64]  # Rotation from goal frame to world, row-major, (n, 9)
-    distance: NDArray[np.float64]  # From gripper to goal, (n,) [m]
-    angle: NDArray[np.float64]  # Between gripper and goal frame, (n,) [deg]
-    success: NDArray[np.bool_]  # Whether the task is solved, (n,)
+    joint_targets: Floats
+    objects: Integers  # Indices of the visible objects into the config's targets, (n, m)
+    colours: Integers  # Indices into the colours of these, (n, m)
+    positions: Floats  # Their x and y, (n, m, 2) [m]
+    question: Integers  # Row of the question table, (n,); 0 without questions
+    goal_position: Floats  # Point that the gripper has to reach, world, (n, 3) [m]
+    goal_matrix: Floats  # Rotation from goal frame to world, row-major, (n, 9)
+    distance: Floats  # From gripper to goal, (n,) [m]
+    angle: Floats  # Between gripper and goal frame, (n,) [deg]
+    success: Mask  # Whether the task is solved, (n,)
     # Further arrays of the task, (n, ...) each; see `Task.memory`
     memory: dict[str, NDArray[Any]]
     # Rotation from each target's grasp frame to world, row-major, (K, 9)
-    grasp_rotation: NDArray[np.float64]
-    _first_facet: NDArray[np.int64]
+    grasp_rotation: Floats
+    _first_facet: Integers
 
     @property
-    def target(self) -> NDArray[np.int64]:
+    def target(self) -> Integers:
         """Index of the object to reach, (n,) int64."""
         return self.objects[:, 0]
 
     @property
-    def facet(self) -> NDArray[np.int64]:
+    def facet(self) -> Integers:
         """Index of that object and its colour in ``facets``, (n,) int64."""
         return self._first_facet[self.objects[:, 0]] + self.colours[:, 0]
 
-    def grasp_positions(self, ids: NDArray[np.intp] | slice = slice(None)) -> NDArray[np.float64]:
+    def grasp_positions(self, ids: NDArray[np.intp] | slice = slice(None)) -> Floats:
         """Compute the grasp points of the visible objects of k environments, (k, m, 3) [m]."""
         positions = self.positions[ids]
         height = np.full_like(positions[..., :1], self.scene.robot.support_height_m)

@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from knowarm.arrays import Floats, Integers, Mask
 from knowarm.config import check_numbers, registered
 from knowarm.errors import UserError
 from knowarm.questions import ObjectColour, QuestionTable
@@ -92,11 +93,11 @@ class Choose(Task):
         """Return the task with the questions of a split's test."""
         return replace(self, queries=self.queries.for_split(split, edited))
 
-    def knowledge_input(self, state: EpisodeState) -> NDArray[np.int64]:
+    def knowledge_input(self, state: EpisodeState) -> Integers:
         """Return the number of each episode's query, (n,) int64."""
         return state.question
 
-    def failure(self, state: EpisodeState) -> NDArray[np.bool_]:
+    def failure(self, state: EpisodeState) -> Mask:
         """Return whether the gripper has reached an object that does not answer, (n,) bool.
 
         Its grasp frame has to be within the thresholds of the config, whatever the curriculum's.
@@ -106,7 +107,7 @@ class Choose(Task):
         reached = is_success(distance, angle, state.limits[0], state.limits[1])
         return np.asarray(reached & (nearest != 0))
 
-    def nearest(self, state: EpisodeState) -> NDArray[np.int64]:
+    def nearest(self, state: EpisodeState) -> Integers:
         """Return which visible object's grasp point is nearest to the gripper, (n,) int64."""
         way = state.grasp_positions() - state.simulator.tcp_position[:, None]
         return np.argmin(np.sum(way * way, axis=2), axis=1)
@@ -150,9 +151,7 @@ class Choose(Task):
         return f"{query}: the {super().describe(state, setting, env_id)}"
 
 
-def measure_object(
-    state: EpisodeState, which: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def measure_object(state: EpisodeState, which: Integers) -> tuple[Floats, Floats]:
     """Measure distance (n,) [m] and angle (n,) [deg] to the grasps of visible objects (n,)."""
     rows = np.arange(len(which))
     return measure(

@@ -2,8 +2,8 @@
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from knowarm.arrays import Floats, Integers, Mask
 from knowarm.questions import object_of
 from knowarm.world.scene.scene import Scene
 
@@ -30,7 +30,7 @@ def draws(objects: int) -> int:
     return ATTEMPTS * objects * TRIES * 2
 
 
-Placed = tuple[NDArray[np.float64], NDArray[np.bool_]]
+Placed = tuple[Floats, Mask]
 """Positions of m objects, (n, m, 2) [m], and whether all of them fit, (n,)."""
 
 
@@ -49,7 +49,7 @@ class LayoutSource:
         axes = np.stack([np.cos(angles), np.sin(angles), np.zeros(_AXES)], axis=1)
         self._axes = axes[:, :2]
         extent = support(scene, np.concatenate([axes, -axes]))
-        self.width: NDArray[np.float64] = (extent[:, :_AXES] + extent[:, _AXES:]).max(axis=1)
+        self.width: Floats = (extent[:, :_AXES] + extent[:, _AXES:]).max(axis=1)
         self._forward = extent[:, :_AXES] + GAP_M / 2
         self._backward = extent[:, _AXES:] + GAP_M / 2
         right, up, backward = scene.camera_matrix.T
@@ -59,7 +59,7 @@ class LayoutSource:
         height = np.array([0.0, 0.0, robot.support_height_m])
         self._offset = (height - scene.camera_position) @ scene.camera_matrix
 
-    def __call__(self, uniforms: NDArray[np.float64], objects: NDArray[np.int64]) -> Placed:
+    def __call__(self, uniforms: Floats, objects: Integers) -> Placed:
         """Place the objects (n, m) of n episodes in this order, from draws (n, ``draws(m)``).
 
         Return positions, (n, m, 2) [m], and whether all objects fit, (n,) bool.
@@ -74,13 +74,13 @@ class LayoutSource:
             fitting = fitting | fits
         return np.repeat(position, self._parts, axis=1), fitting
 
-    def _attempt(self, uniforms: NDArray[np.float64], objects: NDArray[np.int64]) -> Placed:
+    def _attempt(self, uniforms: Floats, objects: Integers) -> Placed:
         """Place the objects once, with draws (n, m, T, 2); returns as ``__call__``."""
         n, m, tries, _ = uniforms.shape
         rows = np.arange(n)
         fitting = np.ones(n, dtype=np.bool_)
-        placed: list[NDArray[np.float64]] = []
-        hidden: list[NDArray[np.float64]] = []
+        placed: list[Floats] = []
+        hidden: list[Floats] = []
         for j in range(m):
             drawn = self._centre + (2 * uniforms[:, j] - 1) * self._half
             fits = np.ones((n, tries), dtype=np.bool_)
@@ -100,13 +100,7 @@ class LayoutSource:
             hidden = [share[rows, first] for share in others] + [own[rows, first]]
         return np.stack(placed, axis=1), fitting
 
-    def _apart(
-        self,
-        a: NDArray[np.float64],
-        of_a: NDArray[np.int64],
-        b: NDArray[np.float64],
-        of_b: NDArray[np.int64],
-    ) -> NDArray[np.bool_]:
+    def _apart(self, a: Floats, of_a: Integers, b: Floats, of_b: Integers) -> Mask:
         """Return whether objects at a (n, T, 2) and b (n, 1, 2) do not overlap, (n, T) bool."""
         way = (b - a) @ self._axes.T
         ahead = (self._forward[of_a] + self._backward[of_b])[:, None]
@@ -114,12 +108,8 @@ class LayoutSource:
         return ((way > ahead) | (-way > behind)).any(axis=-1)
 
     def _hidden(
-        self,
-        a: NDArray[np.float64],
-        of_a: NDArray[np.int64],
-        b: NDArray[np.float64],
-        of_b: NDArray[np.int64],
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        self, a: Floats, of_a: Integers, b: Floats, of_b: Integers
+    ) -> tuple[Floats, Floats]:
         """Return the share of a that b hides from the camera and the reverse, (n, T) each."""
         from_a, to_a, depth_a = self._in_image(a, of_a)
         from_b, to_b, depth_b = self._in_image(b, of_b)
@@ -131,9 +121,7 @@ class LayoutSource:
         a_is_nearer = depth_a < depth_b
         return np.where(a_is_nearer, 0.0, share_a), np.where(a_is_nearer, share_b, 0.0)
 
-    def _in_image(
-        self, position: NDArray[np.float64], objects: NDArray[np.int64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    def _in_image(self, position: Floats, objects: Integers) -> tuple[Floats, Floats, Floats]:
         """Return corners (n, T, 2) of the rectangles around objects in the image, and depths."""
         camera = position @ self._slope + self._offset
         depth = -camera[..., 2]
@@ -143,7 +131,7 @@ class LayoutSource:
         return low, high, depth
 
 
-def support(scene: Scene, directions: NDArray[np.float64]) -> NDArray[np.float64]:
+def support(scene: Scene, directions: Floats) -> Floats:
     """Return how far each target, at its yaw, extends from its origin along unit directions (D, 3).
 
     A part of an object extends as far as the object. The distances (K, D) [m] are exact for
@@ -164,9 +152,7 @@ def support(scene: Scene, directions: NDArray[np.float64]) -> NDArray[np.float64
     return np.stack([extent[[other == name for other in names]].max(axis=0) for name in names])
 
 
-def _half_width(
-    model: mujoco.MjModel, geom: int, local: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _half_width(model: mujoco.MjModel, geom: int, local: Floats) -> Floats:
     """Return how far a geom extends from its centre along directions (D, 3) in its frame, (D,)."""
     size, kinds = model.geom_size[geom], mujoco.mjtGeom
     axial = np.abs(local[:, 2])

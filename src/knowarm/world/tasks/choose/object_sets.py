@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from knowarm.arrays import Floats, Integers, Mask
 from knowarm.questions import QuestionTable
 from knowarm.world.tasks.sampling import derive
 
@@ -21,11 +21,11 @@ _ROUNDS = 12
 class ObjectSets:
     """C sets of m facets each; an episode shows one of them."""
 
-    query: NDArray[np.int64]
+    query: Integers
     """Number of the query, (C,)."""
-    facets: NDArray[np.int64]
+    facets: Integers
     """Numbers of the facets, of m different objects, (C, m)."""
-    goal: NDArray[np.int64]
+    goal: Integers
     """Position in the set of the facet that satisfies the query, 0..m-1, (C,)."""
     balanced: bool
     """Whether each object of a set is the goal equally often, so that only the query identifies
@@ -34,7 +34,7 @@ class ObjectSets:
     def __len__(self) -> int:
         return len(self.query)
 
-    def select(self, rows: NDArray[np.bool_]) -> "ObjectSets":
+    def select(self, rows: Mask) -> "ObjectSets":
         """Return some of the sets."""
         return ObjectSets(
             self.query[rows], self.facets[rows], self.goal[rows], balanced=self.balanced
@@ -52,7 +52,7 @@ def draw_object_sets(table: QuestionTable, objects: int) -> ObjectSets:
     """
     table.check_objects(objects)
     generator = np.random.default_rng(derive(0, "compositions"))
-    found: list[NDArray[np.int64]] = []
+    found: list[Integers] = []
     for _ in range(_ROUNDS):
         sets = _all_parts(table, _draw_sets(table, objects, generator))
         can_be_asked = np.asarray(_own_queries(table, sets).any(axis=2))
@@ -65,15 +65,13 @@ def draw_object_sets(table: QuestionTable, objects: int) -> ObjectSets:
     return _ask_first(table, objects, generator)
 
 
-def _draw_sets(
-    table: QuestionTable, objects: int, generator: np.random.Generator
-) -> NDArray[np.int64]:
+def _draw_sets(table: QuestionTable, objects: int, generator: np.random.Generator) -> Integers:
     """Draw sets of facets of different objects that are shown, askable and related, (n, m)."""
     number = table.objects
     usable = table.shown & table.askable.any(axis=0)
     together = table.related & (number[:, None] != number) & usable
     candidates = np.repeat(usable[None], SETS, axis=0)
-    chosen: list[NDArray[np.int64]] = []
+    chosen: list[Integers] = []
     for _ in range(objects):
         facet = _pick(candidates, _object_weights(table, usable), generator)
         possible = candidates.any(axis=1)
@@ -83,36 +81,32 @@ def _draw_sets(
     return np.stack(chosen, axis=1)
 
 
-def _all_parts(table: QuestionTable, sets: NDArray[np.int64]) -> NDArray[np.int64]:
+def _all_parts(table: QuestionTable, sets: Integers) -> Integers:
     """Return sets (n, m) with all parts of each object, one object after the other, (n, m P)."""
     return table.parts[sets].reshape(len(sets), sets.shape[1] * table.parts.shape[1])
 
 
-def _object_weights(table: QuestionTable, usable: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _object_weights(table: QuestionTable, usable: Mask) -> Floats:
     """Return weights of the facets with which every object is equally likely, (F,)."""
     number = table.objects
     return np.asarray(1.0 / np.maximum(1, np.bincount(number, weights=usable))[number])
 
 
-def _pick(
-    candidates: NDArray[np.bool_], weights: NDArray[np.float64], generator: np.random.Generator
-) -> NDArray[np.int64]:
+def _pick(candidates: Mask, weights: Floats, generator: np.random.Generator) -> Integers:
     """Draw one candidate per row (n, F), with probabilities proportional to weights (F,)."""
     # The largest of log(weight) + Gumbel noise is such a draw.
     scores = np.log(weights) + generator.gumbel(size=candidates.shape)
     return np.where(candidates, scores, -np.inf).argmax(axis=1)
 
 
-def _own_queries(table: QuestionTable, sets: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _own_queries(table: QuestionTable, sets: Integers) -> Mask:
     """Return which queries may be asked for a facet and single it out in its set, (n, m, Q)."""
     satisfied = table.satisfies.T[sets]
     alone = satisfied.sum(axis=1, keepdims=True) == 1
     return np.asarray(table.askable.T[sets] & alone)
 
 
-def _ask_each(
-    table: QuestionTable, sets: NDArray[np.int64], generator: np.random.Generator
-) -> ObjectSets:
+def _ask_each(table: QuestionTable, sets: Integers, generator: np.random.Generator) -> ObjectSets:
     """Give every object of every set a query, with rare queries preferred."""
     n, m = sets.shape
     own = _own_queries(table, sets).reshape(n * m, -1)

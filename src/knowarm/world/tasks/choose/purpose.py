@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from knowarm.arrays import Integers
 from knowarm.questions import object_of
 from knowarm.world.objects.parts import PARTS
 from knowarm.world.tasks.choose.choose import Choose, measure_object
@@ -37,7 +38,7 @@ class Purpose(Choose):
         """Number of parts that an episode shows."""
         return self.objects * PARTS_PER_OBJECT
 
-    def nearest(self, state: EpisodeState) -> NDArray[np.int64]:
+    def nearest(self, state: EpisodeState) -> Integers:
         """Return the part whose grasp frame is nearest in units of the thresholds, (n,) int64.
 
         Parts are near each other, and may differ in the angle more than in the distance.

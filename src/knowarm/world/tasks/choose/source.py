@@ -5,8 +5,8 @@ from functools import lru_cache
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from knowarm.arrays import Floats, Integers
 from knowarm.errors import UserError
 from knowarm.questions import (
     COLOUR_RELATION,
@@ -89,7 +89,7 @@ class Arrangements(NamedTuple):
     table: QuestionTable  # The questions
     sets: ObjectSets  # C sets of objects
     # A layout of each, for episodes in whose draws no layout fits, (C, m, 2) [m]
-    spare: NDArray[np.float64]
+    spare: Floats
 
 
 class SeveralObjects:
@@ -106,7 +106,7 @@ class SeveralObjects:
         self._colour = facet_colour[found.sets.facets]
         self._rotation = np.arange(objects)
 
-    def __call__(self, first: NDArray[np.float64], more: NDArray[np.float64]) -> DrawnObjects:
+    def __call__(self, first: Floats, more: Floats) -> DrawnObjects:
         """Draw the objects of n episodes; the first draw selects the set, ``more`` the layout."""
         row = (first[:, 0] * len(self._sets)).astype(np.int64)
         position, fits = self._layouts(more, self._target[row])
@@ -122,9 +122,7 @@ class SeveralObjects:
         )
 
 
-def facet_indices(
-    scene: Scene, table: QuestionTable
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def facet_indices(scene: Scene, table: QuestionTable) -> tuple[Integers, Integers]:
     """Return the target and colour index of each facet, (F,) each; 0 where it is not shown."""
     names = [target.name for target in scene.targets]
     target, colour = np.zeros((2, len(table.facets)), dtype=np.int64)
