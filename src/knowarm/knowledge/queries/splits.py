@@ -1,13 +1,6 @@
-"""Splits of the choose task: which questions training asks, and which each test asks.
+"""Splits of the choose task: which questions training asks, and which each test asks (`SPLITS`).
 
-One training table serves all tests, so that one trained policy takes them all:
-
-- S1, new layouts: the questions of training;
-- S2, new pairs: a condition and an object that training never asked together;
-- S3, new objects: objects that training never showed, asked by conditions of training;
-- S3a and S3b, of families: new instances of kinds that training showed, and new kinds;
-- S4, new values: conditions that training never asked, linked by a triple to ones that it did;
-- S5, edited graph: conditions of training whose answer is another one in an edited graph.
+One training table serves all tests, so that one trained policy takes them all.
 """
 
 from collections.abc import Callable, Collection, Iterable, Sequence
