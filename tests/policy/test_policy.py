@@ -197,9 +197,9 @@ def test_without_a_table_the_facets_are_the_knowledge():
     assert torch.equal(bare.unroll(image, knowledge, state, start)[0], expected)
 
 
-def test_a_spec_builds_the_same_structure_with_the_same_knowledge():
+def test_a_maker_builds_the_same_structure_with_the_same_knowledge():
     policy = make_policy("attention", seed=4, knowledge_encoder="learned", wide=False)
-    built = pickle.loads(pickle.dumps(policy.spec())).build()
+    built = pickle.loads(pickle.dumps(policy.maker()))()
     built.load_state_dict(policy.state_dict())
     image, facet, start = inputs()
     state = policy.initial_state(B)

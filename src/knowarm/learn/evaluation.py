@@ -16,7 +16,7 @@ from knowarm.learn.parallel.processes import (
     process_context,
 )
 from knowarm.learn.parallel.shared_tensors import FlatParameters, SharedTensors
-from knowarm.policy import Policy, PolicySpec
+from knowarm.policy import MakePolicy, Policy
 
 Metrics = dict[str, float]
 """Values by name."""
@@ -44,7 +44,7 @@ class InlineEvaluations:
     def __init__(self, policy: Policy, evaluate: Evaluate | None) -> None:
         self._evaluate = evaluate
         if evaluate is not None:
-            self._policy = policy.spec().build()
+            self._policy = policy.maker()()
             self._parameters = FlatParameters(self._policy)
         self._completed: list[CompletedEvaluation] = []
 
@@ -82,7 +82,7 @@ class BackgroundEvaluations:
         specs = {"values": ((parameters,), torch.float32)}
         self._shared = SharedTensors(context, specs)
         self._pending: deque[tuple[int, np.ndarray]] = deque()
-        arguments = policy.spec(), make_evaluate, self._shared
+        arguments = policy.maker(), make_evaluate, self._shared
         self.process = SupervisedProcess(
             lambda restarts: ChildProcess.start(context, "evaluator", run_evaluator, *arguments)
         )
@@ -122,10 +122,13 @@ Evaluations = InlineEvaluations | BackgroundEvaluations
 
 
 def run_evaluator(
-    policy: PolicySpec, make_evaluate: MakeEvaluate, shared: SharedTensors, connection: Connection
+    make_policy: MakePolicy,
+    make_evaluate: MakeEvaluate,
+    shared: SharedTensors,
+    connection: Connection,
 ) -> None:
     """Entry point of the evaluator process: evaluate until the parent process exits."""
-    judge = policy.build()
+    judge = make_policy()
     parameters = FlatParameters(judge)
     evaluate = make_evaluate()
     while True:

@@ -3,7 +3,7 @@ from .agent import PolicyAgent as PolicyAgent
 from .config import PolicyConfig as PolicyConfig
 from .config import PolicyShape as PolicyShape
 from .lstm import State as State
+from .policy import MakePolicy as MakePolicy
 from .policy import MatmulPrecision as MatmulPrecision
 from .policy import Policy as Policy
-from .policy import PolicySpec as PolicySpec
 from .policy import matched_without_knowledge as matched_without_knowledge

@@ -10,7 +10,9 @@ independent, so log-probabilities and entropies of an action are sums over the j
 """
 
 from bisect import bisect_left
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -216,9 +218,9 @@ class Policy(nn.Module):
         }
         return {**counts, "total": sum(counts.values())}
 
-    def spec(self) -> "PolicySpec":
-        """Return what another process needs to build a policy of the same structure."""
-        return PolicySpec(self.config, self.shape, self.knowledge_table.cpu().numpy())
+    def maker(self) -> "MakePolicy":
+        """Return a function that builds a policy with this structure and knowledge."""
+        return partial(Policy, self.config, self.shape, self.knowledge_table.cpu().numpy())
 
     def _knowledge(self, facet: Tensor) -> Tensor:
         """Look up the knowledge of facets: (...) -> (..., K); knowledge itself is returned."""
@@ -247,18 +249,8 @@ class Policy(nn.Module):
         return logits.view(-1, self.shape.joints, self.shape.levels), value.squeeze(1)
 
 
-@dataclass(frozen=True)
-class PolicySpec:
-    """Structure and knowledge of a policy, picklable; the weights travel separately."""
-
-    config: PolicyConfig
-    shape: PolicyShape
-    knowledge_table: np.ndarray
-    """(F, K) float32."""
-
-    def build(self) -> Policy:
-        """Build a policy on the CPU, with the initial weights of seed 0."""
-        return Policy(self.config, self.shape, self.knowledge_table)
+MakePolicy = Callable[[], Policy]
+"""Builds a policy on the CPU with the initial weights of seed 0; picklable."""
 
 
 def matched_without_knowledge(config: PolicyConfig, shape: PolicyShape) -> PolicyConfig:

@@ -14,7 +14,7 @@ from knowarm.learn.checkpoint import Arrays
 from knowarm.learn.environment import TorchVectorEnv
 from knowarm.learn.evaluation import Metrics
 from knowarm.learn.parallel.shared_tensors import TensorSpecs
-from knowarm.policy import PolicySpec
+from knowarm.policy import MakePolicy
 
 MakeEnv = Callable[[int, int], TorchVectorEnv]
 """Creates an environment on the CPU from num_envs and num_threads; picklable."""
@@ -32,7 +32,7 @@ class A3CWorkerArgs:
     config: A3CConfig
     total_steps: int
     """Environment steps of all workers after which training ends."""
-    policy: PolicySpec
+    make_policy: MakePolicy
     make_env: MakeEnv
     evaluate_every: int | None
     failure_folder: Path | None

@@ -145,7 +145,7 @@ class A3CTrainer(Trainer):
             restarts=restarts,
             config=self.config,
             total_steps=self._total_steps,
-            policy=self.policy.spec(),
+            make_policy=self.policy.maker(),
             make_env=self._make_env,
             evaluate_every=self.evaluate_every if self.evaluates else None,
             failure_folder=self.failure_folder,

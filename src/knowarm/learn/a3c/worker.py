@@ -35,7 +35,7 @@ class A3CWorker:
         self.config = config = args.config
         self._shared = shared
         self._connection = connection
-        self._policy = args.policy.build()
+        self._policy = args.make_policy()
         precision = resolve_precision(config.matmul_precision, torch.device("cpu"))
         self._policy.matmul_precision = precision
         self._parameters = FlatParameters(self._policy)

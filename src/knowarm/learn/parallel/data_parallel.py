@@ -36,7 +36,7 @@ from knowarm.learn.rollout import (
     buffers,
     infer_step,
 )
-from knowarm.policy import MatmulPrecision, Policy, PolicySpec, State
+from knowarm.policy import MakePolicy, MatmulPrecision, Policy, State
 
 
 class InferCommand(NamedTuple):
@@ -82,7 +82,7 @@ def infer_shared(
 
 
 def run_learner_worker(
-    spec: PolicySpec,
+    make_policy: MakePolicy,
     auxiliary_targets: int,
     config: PPOConfig,
     precision: MatmulPrecision,
@@ -94,7 +94,7 @@ def run_learner_worker(
 
     Every command is answered with true once its results are in shared memory.
     """
-    policy = spec.build()
+    policy = make_policy()
     policy.matmul_precision = precision
     network = TrainingNetwork(policy, auxiliary_targets)
     gradient = shared["gradients"][index]
@@ -192,7 +192,7 @@ class DataParallelLearner(Learner):
 
     def _start(self, index: int, restarts: int) -> ChildProcess:
         network = self.network
-        arguments = network.policy.spec(), network.auxiliary_targets, self._config, self._precision
+        arguments = network.policy.maker(), network.auxiliary_targets, self._config, self._precision
         name = f"learner worker {index}"
         return ChildProcess.start(
             self._context, name, run_learner_worker, *arguments, self._shared, index
