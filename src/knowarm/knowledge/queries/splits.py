@@ -27,9 +27,15 @@ SPLITS = {
 }
 """Every split by name, and what its test asks."""
 
-DRAWN = {"S3": 3, "S3b": 6, "S3a": 7, "S4": 4, "S2": 2}
-"""Splits that hold something out of training, in the order of the draws, and the number of the
-stream that each draws from."""
+DRAWN = {
+    "S3": (3, HeldOutQuestions.hold_objects),
+    "S3b": (6, HeldOutQuestions.hold_kinds),
+    "S3a": (7, HeldOutQuestions.hold_instances),
+    "S4": (4, HeldOutQuestions.hold_values),
+    "S2": (2, HeldOutQuestions.hold_pairs),
+}
+"""Splits that hold something out of training, in the order of the draws: the number of the stream
+that each draws from, and the draw."""
 
 NEW_OBJECTS = ("S3", "S3a", "S3b")
 """Those whose tests show objects that training never shows."""
@@ -85,19 +91,11 @@ def query_splits(
     maker = _Maker(asked, pairs, objects)
     held = maker.held
     reasons = dict.fromkeys(HELD_OUT, NOT_NAMED)
-    draws = {
-        "S3": held.hold_objects,
-        "S3b": held.hold_kinds,
-        "S3a": held.hold_instances,
-        "S4": held.hold_values,
-        "S2": held.hold_pairs,
-    }
-    for name, number in DRAWN.items():
+    for name, (number, hold) in DRAWN.items():
         rng = np.random.default_rng(seed_sequence(seed, "splits", number))
-        hold = draws[name]
         try:
             if name in hold_out:
-                hold(rng, objects)
+                hold(held, rng, objects)
         except UserError as error:
             reasons[name] = str(error)
     train = maker.table(held.in_training)
