@@ -49,7 +49,7 @@ def check_objects(robot: str, task: str, targets: Sequence[str] = ()) -> list[Ch
     checks += [
         check_visible(name, np.stack([*shown.values()]), empty, remedy) for name, shown in images
     ]
-    return [*checks, _check_shapes(images), _check_colours(images)]
+    return [*checks, *_check_differences(images)]
 
 
 def _grid(scene: Scene) -> NDArray[np.float64]:
@@ -95,34 +95,28 @@ def _images(
     return images, empty
 
 
-def _check_shapes(images: list[tuple[str, Images]]) -> Check:
-    """Compare every two objects of the same colour at the same position."""
-    found = [
-        (float(np.median(different_pixels(a[colour], b[colour]))), f"{one} and {two} of one colour")
+def _check_differences(images: list[tuple[str, Images]]) -> list[Check]:
+    """Compare every two objects of one colour, and every two colours of each object."""
+    objects = [
+        (f"{one} and {two} of one colour", a[colour], b[colour])
         for (one, a), (two, b) in combinations(images, 2)
         for colour in a.keys() & b.keys()
     ]
-    remedy = "give one of them another shape or size, or leave it out."
-    return _least("objects", found, "no two objects have a colour in common", remedy)
-
-
-def _check_colours(images: list[tuple[str, Images]]) -> Check:
-    """Compare every two colours of each object."""
-    found = [
-        (float(np.median(different_pixels(drawn[a], drawn[b]))), f"{name} in {a} and {b}")
+    colours = [
+        (f"{name} in {a} and {b}", drawn[a], drawn[b])
         for name, drawn in images
         for a, b in combinations(drawn, 2)
     ]
-    remedy = "colour more of the object's geoms, or choose other colours."
-    return _least("colours", found, "no object has two colours", remedy)
-
-
-def _least(kind: str, found: list[tuple[float, str]], nothing: str, remedy: str) -> Check:
-    """Check the pair that differs in the fewest pixels."""
-    worst, pair = min(found, default=(np.inf, ""))
-    return check_result(
-        f"any two {kind} differ",
-        worst >= MIN_DIFFERENT,
-        f"least for {pair}: {worst:.0f} pixels (median)" if found else nothing,
-        f"Fewer than {MIN_DIFFERENT}: {remedy}",
-    )
+    alike = "give one of them another shape or size, or leave it out."
+    pale = "colour more of the object's geoms, or choose other colours."
+    checks = []
+    for kind, pairs, nothing, remedy in (
+        ("objects", objects, "no two objects have a colour in common", alike),
+        ("colours", colours, "no object has two colours", pale),
+    ):
+        found = [(float(np.median(different_pixels(a, b))), name) for name, a, b in pairs]
+        worst, pair = min(found, default=(np.inf, ""))
+        shown = f"least for {pair}: {worst:.0f} pixels (median)" if found else nothing
+        remedy = f"Fewer than {MIN_DIFFERENT}: {remedy}"
+        checks.append(check_result(f"any two {kind} differ", worst >= MIN_DIFFERENT, shown, remedy))
+    return checks
