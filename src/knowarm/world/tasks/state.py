@@ -27,8 +27,7 @@ class EpisodeState:
     limits: Floats  # Thresholds of distance and angle in the config, (2,) [m, deg]
     thresholds: Floats  # The same times the curriculum's factor, (2,) [m, deg]
     steps: Integers  # Steps played in the current episode, (n,)
-    # Joint angles that the servos track, (n, J) [rad]; actions add to them
-    joint_targets: Floats
+    joint_targets: Floats  # Joint angles that the servos track, (n, J) [rad]; actions add to them
     objects: Integers  # Indices of the visible objects into the config's targets, (n, m)
     colours: Integers  # Indices into the colours of these, (n, m)
     positions: Floats  # Their x and y, (n, m, 2) [m]
@@ -38,10 +37,8 @@ class EpisodeState:
     distance: Floats  # From gripper to goal, (n,) [m]
     angle: Floats  # Between gripper and goal frame, (n,) [deg]
     success: Mask  # Whether the task is solved, (n,)
-    # Further arrays of the task, (n, ...) each; see `Task.memory`
-    memory: dict[str, NDArray[Any]]
-    # Rotation from each target's grasp frame to world, row-major, (K, 9)
-    grasp_rotation: Floats
+    memory: dict[str, NDArray[Any]]  # Further arrays of the task, (n, ...) each; see `Task.memory`
+    grasp_rotation: Floats  # Rotation from each target's grasp frame to world, row-major, (K, 9)
     _first_facet: Integers
 
     @property
