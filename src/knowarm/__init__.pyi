@@ -59,7 +59,7 @@ from .world.scene.appearance import VisualRandomization as VisualRandomization
 from .world.tasks import TASKS as TASKS
 from .world.tasks import register_task as register_task
 from .world.tasks.choose.choose import Choose as Choose
-from .world.tasks.choose.families import Families as Families
+from .world.tasks.choose.choose import Families as Families
 from .world.tasks.choose.purpose import Purpose as Purpose
 from .world.tasks.choose.source import NameQueries as NameQueries
 from .world.tasks.episodes import Episodes as Episodes

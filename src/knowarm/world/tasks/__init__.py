@@ -29,7 +29,7 @@ TASKS: dict[str, str] = {
     "reach": "knowarm.world.tasks.reach:Reach",
     "choose": "knowarm.world.tasks.choose.choose:Choose",
     "purpose": "knowarm.world.tasks.choose.purpose:Purpose",
-    "families": "knowarm.world.tasks.choose.families:Families",
+    "families": "knowarm.world.tasks.choose.choose:Families",
 }
 """Tasks by their ``kind``, as ``package.module:Name``. To add one, add an entry."""
 

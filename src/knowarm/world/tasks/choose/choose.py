@@ -16,6 +16,7 @@ from knowarm.config import check_numbers, registered
 from knowarm.errors import UserError
 from knowarm.questions import ObjectColour, QuestionTable
 from knowarm.world.objects import CHOOSE_TARGETS
+from knowarm.world.objects.families import FAMILIES
 from knowarm.world.tasks.choose.source import (
     QUERY_SOURCES,
     NameQueries,
@@ -149,6 +150,16 @@ class Choose(Task):
         """Describe the question and its answer, as "usedFor drinking: the red mug"."""
         query = self.knowledge_rows(setting.facets)[int(state.question[env_id])]
         return f"{query}: the {super().describe(state, setting, env_id)}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Families(Choose):
+    """Instances of families, of which exactly one answers the episode's question."""
+
+    targets: ClassVar[tuple[str, ...]] = FAMILIES
+
+    kind: Literal["families"] = "families"  # type: ignore[assignment]
+    """Tag of this task in JSON."""
 
 
 def measure_object(state: EpisodeState, which: Integers) -> tuple[Floats, Floats]:
