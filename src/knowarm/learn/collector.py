@@ -29,12 +29,9 @@ from knowarm.seeding import derive_seed, torch_generator
 class FinishedEpisodes:
     """Episodes that ended, in order of time and environment; arrays (N,)."""
 
-    episode_return: np.ndarray
-    """Undiscounted sum of rewards, float64."""
-    length: np.ndarray
-    """Number of steps, int64."""
-    success: np.ndarray
-    """Whether the episode ended in success, bool."""
+    episode_return: np.ndarray  # Undiscounted sum of rewards, float64
+    length: np.ndarray  # Number of steps, int64
+    success: np.ndarray  # Whether the episode ended in success, bool
 
     def summary(self) -> dict[str, float]:
         """Return the number of episodes and, if there are any, their means."""

@@ -33,8 +33,7 @@ class CompletedEvaluation(NamedTuple):
     """Result of one interim evaluation."""
 
     step: int
-    values: np.ndarray
-    """(P,) float32, the parameters of the evaluated policy; see `FlatParameters`."""
+    values: np.ndarray  # (P,) float32, the parameters of the evaluated policy; see `FlatParameters`
     results: Metrics
 
 

@@ -30,14 +30,11 @@ class LossTerms:
 class PPOLossTerms(LossTerms):
     """Terms of PPO's loss and measures of the policy's change since the rollout."""
 
-    approx_kl: Tensor
-    """Estimate of KL(old, new) [nat]: mean of ratio - 1 - log ratio."""
-    auxiliary: Tensor
-    """Mean squared error of the auxiliary head; 0 without one."""
-    clip_fraction: Tensor
-    """Fraction of steps whose ratio was clipped."""
+    approx_kl: Tensor  # Estimate of KL(old, new) [nat]: mean of ratio - 1 - log ratio
+    auxiliary: Tensor  # Mean squared error of the auxiliary head; 0 without one
+    clip_fraction: Tensor  # Fraction of steps whose ratio was clipped
+    # Weighted mean cross-entropy per joint to the teacher's actions [nat]; 0 without a teacher
     imitation: Tensor
-    """Weighted mean cross-entropy per joint to the teacher's actions [nat]; 0 without a teacher."""
 
     @classmethod
     def names(cls) -> list[str]:

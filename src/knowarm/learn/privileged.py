@@ -47,14 +47,12 @@ PROGRESS_PER_DEGREE = 20.0 / 90.0
 class PrivilegedRollout(NamedTuple):
     """Privileged states of a rollout, written in place by the collector."""
 
-    state: Tensor
-    """(T, B, D) float32: before each step."""
-    next_state: Tensor
-    """(T, B, D) float32: after each step, within the same episode."""
+    state: Tensor  # (T, B, D) float32: before each step
+    next_state: Tensor  # (T, B, D) float32: after each step, within the same episode
+    # (T, B, J) int64: what the teacher would do instead of each step; None without a teacher
     teacher_actions: Tensor | None = None
-    """(T, B, J) int64: what the teacher would do instead of each step; None without a teacher."""
+    # (T, B, J) float32: way to the teacher's solution before each step, in largest steps
     teacher_way: Tensor | None = None
-    """(T, B, J) float32: way to the teacher's solution before each step, in largest steps."""
 
 
 class RunningNormalizer:

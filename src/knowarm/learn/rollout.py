@@ -18,32 +18,20 @@ from knowarm.seeding import torch_generator
 class Rollout:
     """Preallocated tensors of a rollout, written in place."""
 
-    patches: Tensor
-    """(T, B, S, L) uint8: patches of the images; see `Policy.patches`."""
-    facet: Tensor
-    """(T, B) int64: row of the knowledge table; or (T, B, K) float32: the knowledge."""
-    episode_start: Tensor
-    """(T, B) bool: the image is the first of its episode."""
-    action: Tensor
-    """(T, B, J) int64."""
+    patches: Tensor  # (T, B, S, L) uint8: patches of the images; see `Policy.patches`
+    facet: Tensor  # (T, B) int64: row of the knowledge table; or (T, B, K) float32: the knowledge
+    episode_start: Tensor  # (T, B) bool: the image is the first of its episode
+    action: Tensor  # (T, B, J) int64
+    # (T, B) float32: log-probability of the action, summed over joints [nat]
     log_probability: Tensor
-    """(T, B) float32: log-probability of the action, summed over joints [nat]."""
-    value: Tensor
-    """(T, B) float32: value of each observation."""
-    reward: Tensor
-    """(T, B) float32, unscaled."""
-    terminated: Tensor
-    """(T, B) bool."""
-    truncated: Tensor
-    """(T, B) bool."""
-    final_value: Tensor
-    """(T, B) float32: value of the final observation where truncated, else 0."""
-    last_value: Tensor
-    """(B,) float32: value of the observation after the last step."""
-    start_h: Tensor
-    """(B, H) float32: hidden state before the first step."""
-    start_c: Tensor
-    """(B, H) float32: cell state before the first step."""
+    value: Tensor  # (T, B) float32: value of each observation
+    reward: Tensor  # (T, B) float32, unscaled
+    terminated: Tensor  # (T, B) bool
+    truncated: Tensor  # (T, B) bool
+    final_value: Tensor  # (T, B) float32: value of the final observation where truncated, else 0
+    last_value: Tensor  # (B,) float32: value of the observation after the last step
+    start_h: Tensor  # (B, H) float32: hidden state before the first step
+    start_c: Tensor  # (B, H) float32: cell state before the first step
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -131,16 +119,11 @@ def infer_step(
 class Targets:
     """Targets of PPO's loss for one rollout."""
 
-    advantage: Tensor
-    """(T, B) float32."""
-    returns: Tensor
-    """(T, B) float32."""
-    auxiliary: Tensor | None = None
-    """(T, B, K) float32: what the auxiliary head predicts."""
-    teacher_actions: Tensor | None = None
-    """(T, B, J) int64: what the teacher would do."""
-    teacher_weight: Tensor | None = None
-    """(T, B, J) float32: weights of their losses."""
+    advantage: Tensor  # (T, B) float32
+    returns: Tensor  # (T, B) float32
+    auxiliary: Tensor | None = None  # (T, B, K) float32: what the auxiliary head predicts
+    teacher_actions: Tensor | None = None  # (T, B, J) int64: what the teacher would do
+    teacher_weight: Tensor | None = None  # (T, B, J) float32: weights of their losses
 
 
 class TrainingNetwork(nn.Module):

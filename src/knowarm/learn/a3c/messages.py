@@ -25,19 +25,15 @@ class A3CWorkerArgs:
     """Arguments of a worker process besides the shared state."""
 
     index: int
-    seed: int
-    """Of the run."""
-    restarts: int
-    """Number of former processes of this worker."""
+    seed: int  # Of the run
+    restarts: int  # Number of former processes of this worker
     config: A3CConfig
-    total_steps: int
-    """Environment steps of all workers after which training ends."""
+    total_steps: int  # Environment steps of all workers after which training ends
     make_policy: MakePolicy
     make_env: MakeEnv
     evaluate_every: int | None
     failure_folder: Path | None
-    state: Arrays | None
-    """State of the collector to continue from; None starts new episodes."""
+    state: Arrays | None  # State of the collector to continue from; None starts new episodes
 
 
 class StateRequest(NamedTuple):
@@ -49,8 +45,7 @@ class StateRequest(NamedTuple):
 class WorkerState(NamedTuple):
     """From a worker: its state between two updates; worker 0 adds copies of shared vectors."""
 
-    is_last: bool
-    """As in the request."""
+    is_last: bool  # As in the request
     collector: Arrays
     steps: int
     updates: int
@@ -69,10 +64,8 @@ class EvaluationRequest(NamedTuple):
 class UpdateReport(NamedTuple):
     """From a worker: one rollout and its update."""
 
-    sums: dict[str, float]
-    """Quantities that are summed over updates; see `mean_metrics`."""
-    evaluation: EvaluationRequest | None
-    """If an interim evaluation is due after this update."""
+    sums: dict[str, float]  # Quantities that are summed over updates; see `mean_metrics`
+    evaluation: EvaluationRequest | None  # If an interim evaluation is due after this update
 
 
 def mean_metrics(sums: Mapping[str, float]) -> Metrics:
