@@ -19,12 +19,9 @@ from knowarm.questions import Condition, ObjectColour
 class Described(NamedTuple):
     """What S slots say."""
 
-    sentences: list[list[SentencePart]]
-    """Labels of each slot's sentence."""
-    own: list[str | None]
-    """The graph's name of each slot's colour, or of the value in a query."""
-    hues: list[SentencePart]
-    """Labels that `own` is centred among."""
+    sentences: list[list[SentencePart]]  # Labels of each slot's sentence
+    own: list[str | None]  # The graph's name of each slot's colour, or of the value in a query
+    hues: list[SentencePart]  # Labels that `own` is centred among
 
 
 @dataclass(frozen=True)

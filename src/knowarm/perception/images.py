@@ -23,18 +23,12 @@ HEIGHT_M = 0.05
 class LabelledImages(NamedTuple):
     """First images of N episodes that show m objects, the target first."""
 
-    images: Tensor
-    """(N, H, W, 3) uint8."""
-    facets: Tensor
-    """(N, m) int64, facets of a module."""
-    queries: Tensor
-    """(N,) int64, rows of the knowledge table; 0 for a task without queries."""
-    pixels: Tensor
-    """(N, m, 2) float32: column and row of the objects [px]."""
-    grasp_position: Tensor
-    """(N, m, 3) float32 [m], world."""
-    grasp_axes: Tensor
-    """(N, m, 6) float32: x and z axis of the grasp frames, world."""
+    images: Tensor  # (N, H, W, 3) uint8
+    facets: Tensor  # (N, m) int64, facets of a module
+    queries: Tensor  # (N,) int64, rows of the knowledge table; 0 for a task without queries
+    pixels: Tensor  # (N, m, 2) float32: column and row of the objects [px]
+    grasp_position: Tensor  # (N, m, 3) float32 [m], world
+    grasp_axes: Tensor  # (N, m, 6) float32: x and z axis of the grasp frames, world
 
 
 class QueryAnswers(NamedTuple):
@@ -42,8 +36,7 @@ class QueryAnswers(NamedTuple):
 
     satisfies: Tensor
     askable: Tensor
-    marked: bool
-    """Whether the image marks the target."""
+    marked: bool  # Whether the image marks the target
 
 
 def query_answers(env: EnvConfig, facets: tuple[ObjectColour, ...]) -> QueryAnswers | None:

@@ -36,12 +36,11 @@ _FROM = re.compile(r"([:?$@]?)\b(from)\b", re.IGNORECASE)
 class Answer(NamedTuple):
     """Result of a query."""
 
+    # Names of the variables; ("answer",) for ASK; empty for CONSTRUCT and DESCRIBE
     columns: tuple[str, ...]
-    """Names of the variables; ("answer",) for ASK; empty for CONSTRUCT and DESCRIBE."""
+    # Names of entities and relations, sorted; "" where a variable is unbound
     rows: tuple[tuple[str, ...], ...]
-    """Names of entities and relations, sorted; "" where a variable is unbound."""
-    graph: KnowledgeGraph | None = None
-    """The graph of CONSTRUCT and DESCRIBE."""
+    graph: KnowledgeGraph | None = None  # The graph of CONSTRUCT and DESCRIBE
 
 
 def sparql(graph: KnowledgeGraph, query: str) -> Answer:

@@ -26,16 +26,12 @@ from knowarm.reading import reading, writing
 class Trained(NamedTuple):
     """A trained model and the record of its training."""
 
-    model: KgeModel
-    """The model with the vectors of the best epoch."""
-    epochs: int
-    """Number of epochs run."""
-    best_epoch: int
-    """The epoch whose vectors are returned."""
-    losses: tuple[float, ...]
-    """Mean loss of each epoch."""
+    model: KgeModel  # The model with the vectors of the best epoch
+    epochs: int  # Number of epochs run
+    best_epoch: int  # The epoch whose vectors are returned
+    losses: tuple[float, ...]  # Mean loss of each epoch
+    # (epoch, MRR) of each evaluation on the validation triples
     valid_mrr: tuple[tuple[int, float], ...]
-    """(epoch, MRR) of each evaluation on the validation triples."""
 
 
 class LinkPrediction(NamedTuple):

@@ -48,10 +48,8 @@ class Answers(NamedTuple):
     """The answers to a question among F facets."""
 
     question: str
-    satisfies: np.ndarray
-    """Whether each facet answers, (F,) bool."""
-    evidence: dict[ObjectColour, Evidence]
-    """Why, by answering facet."""
+    satisfies: np.ndarray  # Whether each facet answers, (F,) bool
+    evidence: dict[ObjectColour, Evidence]  # Why, by answering facet
 
 
 def answer(graph: KnowledgeGraph, facets: Sequence[ObjectColour], text: str) -> Answers:

@@ -28,16 +28,13 @@ class HeldOutQuestions:
     """What training leaves out; each draw adds to it."""
 
     asked: QueryGraph
-    holders: Mapping[Condition, list[str]]
-    """Objects that satisfy each condition."""
+    holders: Mapping[Condition, list[str]]  # Objects that satisfy each condition
+    # Objects that training never shows, by the split that tests them (S3, S3a, S3b)
     new: dict[str, set[str]] = field(default_factory=dict)
-    """Objects that training never shows, by the split that tests them (S3, S3a, S3b)."""
-    objects: set[str] = field(default_factory=set)
-    """All of these."""
-    values: set[str] = field(default_factory=set)
-    """Values that training never asks (S4)."""
+    objects: set[str] = field(default_factory=set)  # All of these
+    values: set[str] = field(default_factory=set)  # Values that training never asks (S4)
+    # Conditions and objects that training never asks together (S2)
     pairs: set[tuple[Condition, str]] = field(default_factory=set)
-    """Conditions and objects that training never asks together (S2)."""
 
     @property
     def facts(self) -> list[Condition]:

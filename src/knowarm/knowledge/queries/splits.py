@@ -50,13 +50,10 @@ class QuerySplits(NamedTuple):
     """The tables of a choose task and what was held out."""
 
     train: QuestionTable
-    tests: dict[str, QuestionTable]
-    """Questions of each test, by the split's name."""
-    reasons: dict[str, str]
-    """Why a test is missing, by the split's name."""
+    tests: dict[str, QuestionTable]  # Questions of each test, by the split's name
+    reasons: dict[str, str]  # Why a test is missing, by the split's name
     held_out: HeldOutQuestions
-    edited: KnowledgeGraph | None
-    """The graph of S5."""
+    edited: KnowledgeGraph | None  # The graph of S5
 
     def test(self, name: str) -> QuestionTable:
         """Return the table of a split's test."""

@@ -40,23 +40,19 @@ class Facet(NamedTuple):
 class SentencePart(NamedTuple):
     """One label of a sentence."""
 
-    name: str
-    """The entity's or relation's name in the graph."""
-    label: str
-    """Its words in lower case, separated by spaces."""
-    is_relation: bool
-    """Whether it is the label of an edge."""
+    name: str  # The entity's or relation's name in the graph
+    label: str  # Its words in lower case, separated by spaces
+    is_relation: bool  # Whether it is the label of an edge
 
 
 @dataclass
 class Coverage:
     """How the labels of a scene were found in a vocabulary."""
 
+    # By label: "word", "joined", "words", "form", "alias", "part" (some words only), "hash",
+    # "missing", or "entity" for graph embeddings
     how: dict[str, str] = field(default_factory=dict)
-    """By label: "word", "joined", "words", "form", "alias", "part" (some words only), "hash",
-    "missing", or "entity" for graph embeddings."""
-    missing: set[str] = field(default_factory=set)
-    """Words that were not found in any form."""
+    missing: set[str] = field(default_factory=set)  # Words that were not found in any form
 
     @property
     def share(self) -> float:
@@ -82,10 +78,10 @@ class Coverage:
 class Found(NamedTuple):
     """The vectors of one label."""
 
+    # One row per word (or one row for an entity), (k, dim) float32; k = 0 if none is known
     vectors: np.ndarray
-    """One row per word (or one row for an entity), (k, dim) float32; k = 0 if none is known."""
+    # Frequency of each in text or in the graph, 0 to 1, (k,) float64: for SIF weights
     frequencies: np.ndarray
-    """Frequency of each in text or in the graph, 0 to 1, (k,) float64: for SIF weights."""
 
 
 class VectorLookup(Protocol):

@@ -44,16 +44,12 @@ _SPELLINGS = dict(zip(_BRITISH + _AMERICAN, _AMERICAN + _BRITISH, strict=True))
 class WordTable:
     """Words with their vectors and their frequency ranks."""
 
-    name: str
-    """Name in reports: a shipped name or a file's name."""
-    words: tuple[str, ...]
-    """The words held here; of a file, only those that were requested."""
-    vectors: np.ndarray = field(repr=False)
-    """One row per word, (n, dim) float32."""
+    name: str  # Name in reports: a shipped name or a file's name
+    words: tuple[str, ...]  # The words held here; of a file, only those that were requested
+    vectors: np.ndarray = field(repr=False)  # One row per word, (n, dim) float32
+    # Place of each word in the file, 1 = most frequent, (n,) int64
     ranks: np.ndarray = field(repr=False)
-    """Place of each word in the file, 1 = most frequent, (n,) int64."""
-    size: int
-    """Number of words in the whole file."""
+    size: int  # Number of words in the whole file
 
     @property
     def dim(self) -> int:

@@ -21,15 +21,11 @@ _ROUNDS = 12
 class ObjectSets:
     """C sets of m facets each; an episode shows one of them."""
 
-    query: Integers
-    """Number of the query, (C,)."""
-    facets: Integers
-    """Numbers of the facets, of m different objects, (C, m)."""
-    goal: Integers
-    """Position in the set of the facet that satisfies the query, 0..m-1, (C,)."""
+    query: Integers  # Number of the query, (C,)
+    facets: Integers  # Numbers of the facets, of m different objects, (C, m)
+    goal: Integers  # Position in the set of the facet that satisfies the query, 0..m-1, (C,)
+    # Whether each object of a set is the goal equally often, so that only the query identifies it
     balanced: bool
-    """Whether each object of a set is the goal equally often, so that only the query identifies
-    it."""
 
     def __len__(self) -> int:
         return len(self.query)
