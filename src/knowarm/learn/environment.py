@@ -174,12 +174,13 @@ class NumpyToTorch:
 
 
 class ThresholdCurriculum:
-    """Sets the ``threshold_factor`` of an environment: the factor of its success thresholds."""
+    """Sets the factor of an environment's success thresholds, if the config's is above 1."""
 
     def __init__(self, config: ScheduleConfig, env: Any) -> None:
         self._config = config
         self._env = env
-        if config.threshold_factor > 1:
+        self.is_used = config.threshold_factor > 1
+        if self.is_used:
             if not hasattr(env, "threshold_factor"):
                 raise UserError(
                     f"{type(env).__name__} has no threshold_factor, and the config's is "
@@ -187,11 +188,6 @@ class ThresholdCurriculum:
                     "attribute of this name that multiplies its success thresholds."
                 )
             self.factor = config.threshold_factor
-
-    @property
-    def is_used(self) -> bool:
-        """Whether training starts with larger thresholds."""
-        return self._config.threshold_factor > 1
 
     @property
     def factor(self) -> float:

@@ -114,7 +114,7 @@ class BackgroundEvaluations:
     def _send(self) -> None:
         """Ask for the first pending evaluation."""
         self._shared["values"].copy_(torch.from_numpy(self._pending[0][1]))
-        self.process.send("evaluate")
+        self.process.child.send("evaluate")
 
 
 Evaluations = InlineEvaluations | BackgroundEvaluations

@@ -1,7 +1,6 @@
 """Learner: inference and minibatch gradients of PPO in the calling process."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 
 import torch
 from torch import Tensor
@@ -48,11 +47,9 @@ class Learner:
         self.rollout, self.targets = buffers(tensors)
         self.gradient = FlatParameters(self.network).gradient
 
-    @contextmanager
-    def running(self) -> Iterator[None]:
+    def running(self) -> AbstractContextManager[None]:
         """Use one PyTorch thread until the context ends."""
-        with torch_threads(1):
-            yield
+        return torch_threads(1)
 
     def infer(self, rollout: Rollout, t: int, image: Tensor, state: State) -> tuple[Tensor, State]:
         """Run the policy for step t, as `infer_step`; the next call may overwrite the state."""

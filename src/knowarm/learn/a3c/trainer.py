@@ -173,7 +173,7 @@ class A3CTrainer(Trainer):
             elif isinstance(message, WorkerState):
                 self._add_state(index, message)
             elif self._request is not None and index not in self._states:  # it was restarted
-                worker.send(self._request)
+                worker.child.send(self._request)
 
     def _has_exited(self, index: int) -> bool:
         """Tell whether a worker has sent its last state."""
@@ -215,7 +215,7 @@ class A3CTrainer(Trainer):
         self._states = {}
         self._request = StateRequest(is_last)
         for worker in self._workers:
-            worker.send(self._request)
+            worker.child.send(self._request)
 
     def _add_state(self, index: int, state: WorkerState) -> None:
         """Take the state of a worker; save a checkpoint with the last one."""

@@ -98,7 +98,7 @@ def run_learner_worker(
     policy.matmul_precision = precision
     network = TrainingNetwork(policy, auxiliary_targets)
     gradient = shared["gradients"][index]
-    FlatParameters(network, shared["parameters"], gradient, keep_values=False)
+    FlatParameters(network, shared["parameters"], gradient)
     rollout, targets = buffers(shared.tensors)
     while True:
         command = connection.recv()
@@ -144,6 +144,7 @@ class DataParallelLearner(Learner):
         self._shared = SharedTensors(self._context, specs)
         self.rollout, self.targets = buffers(self._shared.tensors)
         self.gradient = self._shared["gradients"][0]
+        self._shared["parameters"].copy_(FlatParameters(self.network).values)
         FlatParameters(self.network, self._shared["parameters"], self.gradient)
 
     @contextmanager
@@ -200,13 +201,13 @@ class DataParallelLearner(Learner):
 
     def _send(self, commands: Sequence[InferCommand | GradientCommand]) -> None:
         for worker, command in zip(self._workers, commands, strict=False):
-            worker.send(command)
+            worker.child.send(command)
 
     def _wait(self, commands: Sequence[InferCommand | GradientCommand]) -> None:
         """Wait until every worker has executed its command; a restarted one executes it again."""
         for worker, command in zip(self._workers, commands, strict=False):
             while isinstance(worker.receive(), Restarted):
-                worker.send(command)
+                worker.child.send(command)
 
 
 def make_learner(

@@ -194,10 +194,6 @@ class SupervisedProcess:
         self.child = start(restarts)
         self._exits = 0
 
-    def send(self, message: Any) -> None:
-        """Send a message; `receive` notices if the process has exited."""
-        self.child.send(message)
-
     def receive(self, timeout_s: float | None = None) -> Any:
         """Wait for the next message; return None after ``timeout_s``, `Restarted` after an exit.
 

@@ -55,27 +55,19 @@ class FlatParameters:
     """The parameters of a module as one vector, in the order of ``named_parameters``.
 
     The module's parameters become views: writing the vector changes the module, and a backward
-    pass fills the gradient vector. With ``keep_values`` the parameters are copied to ``values``;
-    else the module takes over its content.
+    pass fills the gradient vector.
 
     Attributes:
-        values: (P,) float32, as given or new memory.
+        values: (P,) float32, as given, whose content the module takes over, or new memory.
         gradient: (P,) float32, as given or new memory.
     """
 
     def __init__(
-        self,
-        module: nn.Module,
-        values: Tensor | None = None,
-        gradient: Tensor | None = None,
-        *,
-        keep_values: bool = True,
+        self, module: nn.Module, values: Tensor | None = None, gradient: Tensor | None = None
     ) -> None:
-        before = torch.cat([p.detach().flatten() for p in module.parameters()])
-        self.values = torch.empty_like(before) if values is None else values
-        self.gradient = torch.zeros_like(before) if gradient is None else gradient
-        if keep_values:
-            self.values.copy_(before)
+        own = torch.cat([p.detach().flatten() for p in module.parameters()])
+        self.values = own if values is None else values
+        self.gradient = torch.zeros_like(own) if gradient is None else gradient
         start = 0
         for parameter in module.parameters():
             end = start + parameter.numel()
