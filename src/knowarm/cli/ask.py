@@ -10,7 +10,7 @@ from knowarm.cli.tables import FilePath, TableCommand, print_table
 from knowarm.errors import UserError, printable
 from knowarm.experiment.ask import Asked, Asker
 from knowarm.experiment.load import load_agent
-from knowarm.integrations.ask_page import serve_page, write_page
+from knowarm.integrations.ask_page import make_server, serve_page, write_page
 from knowarm.knowledge.formats import open_graph
 from knowarm.knowledge.graph.edits import edited
 from knowarm.perception.config import Unclear
@@ -67,7 +67,7 @@ class Ask(TableCommand):
 
         try:
             if self.browser:
-                serve_page(ask, self.question, self.edit, self.scene, self.port)
+                serve_page(make_server(ask, self.question, self.edit, self.scene, self.port))
                 return {}
             found = ask(self.question, self.edit, self.scene)
         finally:

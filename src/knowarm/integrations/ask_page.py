@@ -55,21 +55,11 @@ def write_page(path: Path, asked: Asked, edits: Sequence[str]) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
-def serve_page(
-    ask: AskFunction,
-    question: str,
-    edits: tuple[str, ...] = (),
-    scene: int | None = None,
-    port: int = 0,
-    *,
-    open_browser: bool = True,
-) -> None:
-    """Serve the page on the loopback interface until Ctrl-C; questions are asked one by one."""
-    server = make_server(ask, question, edits, scene, port)
+def serve_page(server: HTTPServer) -> None:
+    """Open the page of `make_server` in the browser and serve it until Ctrl-C."""
     address = f"http://{ADDRESS}:{server.server_port}/"
     print(f"Ask at {address} and press Ctrl-C to stop.", flush=True)
-    if open_browser:
-        webbrowser.open(address)
+    webbrowser.open(address)
     with server:
         server.serve_forever()
 
@@ -81,7 +71,7 @@ def make_server(
     scene: int | None = None,
     port: int = 0,
 ) -> HTTPServer:
-    """Make the server of `serve_page`, which listens already."""
+    """Make a server on the loopback interface, which listens and answers one request at a time."""
 
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
