@@ -143,7 +143,7 @@ def test_draw(capsys, tmp_path):
         (("show", "--source", "zero"), "Did you mean 'zeros'"),
         (("show", "--source"), "--source needs a name"),
         (("show", "--graph", "none.ttl"), "no graph file none.ttl"),
-        (("show", "--json", "/proc/none/x.json"), "Cannot write the JSON file"),
+        (("show", "--json", "/proc/none/x.json"), "Choose another path for --json"),
         (("subgraph", "--graph", "none.ttl"), "no graph file none.ttl"),
         (("subgraph", "--out", "a.xml"), "graphs are written as"),
         (("embed", "--out", "a.txt"), "vectors are written as"),

@@ -14,7 +14,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from knowarm.errors import UserError, printable
+from knowarm.errors import printable
+from knowarm.reading import writing
 
 FilePath = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
 """Type of an optional file argument, such as ``--json``."""
@@ -120,15 +121,12 @@ def check_json_path(path: Path | None) -> None:
     """Check that a JSON file can be written, before the work whose result it will hold."""
     if path is None:
         return
-    try:
+    with writing(path, "Choose another path for --json."):
         path.parent.mkdir(parents=True, exist_ok=True)
         is_new = not path.exists()
         path.open("a", encoding="utf-8").close()
         if is_new:
             path.unlink()
-    except OSError as error:
-        problem = f"Cannot write the JSON file {path}: {error.strerror}"
-        raise UserError(f"{problem}. Choose another path for --json.") from error
 
 
 def write_json_table(path: Path | None, values: Mapping[str, Any]) -> None:
