@@ -18,8 +18,6 @@ from knowarm.config import at_least
 from knowarm.errors import UserError
 from knowarm.reading import write_json
 
-SuiteName = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SUITE")]
-RowPath = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="ROW")]
 Policies = Annotated[tuple[str, ...], tyro.conf.arg(metavar="POLICY...")]
 
 _report = partial(print, file=sys.stderr, flush=True)
@@ -50,7 +48,7 @@ class ShowSuites:
 class RunSuite:
     """Play a suite with a policy and its controls, and write a row."""
 
-    suite: SuiteName
+    suite: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SUITE")]
     """Name of a suite: see `knowarm benchmark show`."""
     policy: Policies
     """Run folders of the training seeds of one agent, a folder of `knowarm export`, ONNX files,
@@ -94,7 +92,7 @@ class RunSuite:
 class VerifyRow:
     """Check the figures of a row, play it again and compare every episode."""
 
-    row: RowPath
+    row: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="ROW")]
     """File of a row."""
     policy: Policies = ()
     """Where the policies are on this machine. Default: as in the row, unless that names code or a

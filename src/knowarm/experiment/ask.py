@@ -15,7 +15,7 @@ from knowarm.perception.config import Unclear
 from knowarm.perception.grounding import centres
 from knowarm.questions import ObjectColour
 from knowarm.world.envs.vector_env import ReachVectorEnv
-from knowarm.world.tasks.episodes import Episodes, evaluation_episodes
+from knowarm.world.tasks.episodes import evaluation_episodes
 from knowarm.world.viewing.record import Frame, record_episode
 
 SCENES = 4_000
@@ -148,7 +148,8 @@ class Asker:
             raise UserError(f"The scene must be 0 to {SCENES - 1}, got {scene}.")
         episode, shown = self._scenes[scene : scene + 1], self._shown[scene]
         order = np.argsort(~answers.satisfies[shown], kind="stable")  # an answer first
-        episode = _reorder(episode, order)
+        names = ("objects", "colours", "positions")
+        episode = replace(episode, **{name: getattr(episode, name)[:, order] for name in names})
         queries = len(self._env.config.task.knowledge_rows(self._env.facets))
         agent = self.trained.answering(np.tile(answers.satisfies, (queries, 1)), unclear)
         film = record_episode(agent, self._env, episode)
@@ -172,9 +173,3 @@ class Asker:
             reached=self.facets[shown[order][nearest]],
             film=tuple(film),
         )
-
-
-def _reorder(episode: Episodes, order: np.ndarray) -> Episodes:
-    """Return an episode with its objects in another order; the first is the one to reach."""
-    names = ("objects", "colours", "positions")
-    return replace(episode, **{name: getattr(episode, name)[:, order] for name in names})

@@ -26,7 +26,15 @@ def check_installation(runs: Path) -> list[Check]:
     """Check every part of the installation by using it once; ``runs`` holds run folders."""
     parts = {"versions": _versions, "knowledge": _knowledge, "world": _world, "policy": _policy}
     used = [_checked(name, check) for name, check in parts.items()]
-    return [*used, _memory(), _disk(runs), _gpu()]
+    free = psutil.virtual_memory().available / 2**30
+    memory = Check(
+        name="memory",
+        ok=free >= MIN_MEMORY_GIB,
+        found=f"{free:.1f} GiB free, {os.cpu_count()} cores",
+        remedy=f"Training needs {MIN_MEMORY_GIB:.0f} GiB: close other programs.",
+    )
+    gpu = torch.cuda.get_device_name() if torch.cuda.is_available() else "none; not needed"
+    return [*used, memory, _disk(runs), Check(name="GPU", ok=True, found=gpu)]
 
 
 def _checked(name: str, check: Callable[[], str]) -> Check:
@@ -75,16 +83,6 @@ def _policy() -> str:
     return f"{policy.parameter_counts()['total']:,} parameters, {torch.get_num_threads()} threads"
 
 
-def _memory() -> Check:
-    free = psutil.virtual_memory().available / 2**30
-    return Check(
-        name="memory",
-        ok=free >= MIN_MEMORY_GIB,
-        found=f"{free:.1f} GiB free, {os.cpu_count()} cores",
-        remedy=f"Training needs {MIN_MEMORY_GIB:.0f} GiB: close other programs.",
-    )
-
-
 def _disk(runs: Path) -> Check:
     """Check the output folder, or its nearest parent that exists."""
     folder = next(each for each in (runs.absolute(), *runs.absolute().parents) if each.exists())
@@ -96,8 +94,3 @@ def _disk(runs: Path) -> Check:
         found=f"{runs}: {'writable' if writable else 'not writable'}, {free:.1f} GiB free",
         remedy="Choose another folder for runs.",
     )
-
-
-def _gpu() -> Check:
-    found = torch.cuda.get_device_name() if torch.cuda.is_available() else "none; not needed"
-    return Check(name="GPU", ok=True, found=found)

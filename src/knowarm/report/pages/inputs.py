@@ -4,8 +4,6 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
-import numpy as np
-
 from knowarm.config import from_dict
 from knowarm.errors import UserError
 from knowarm.experiment.run_folder import RunFolder
@@ -62,26 +60,27 @@ def input_blocks(task: TaskData) -> list[Block]:
     listed_sentences = list[Mapping[str, Any]]()
     # Controls last: their vectors are derived from those of the other agents.
     for group in sorted(task.groups, key=lambda g: (g.role in CONTROLS, g not in task.subjects)):
-        known = _known(group.runs[0])
-        sentences = known.get("sentences") or {}
+        sentences = _known(group.runs[0]).get("sentences") or {}
         if any(sentences.values()) and sentences not in listed_sentences:
             listed_sentences.append(sentences)
-            blocks.append(_sentences(group, f"{task.name}-{stems[group.name]}", known))
+            blocks.append(
+                DataTable(
+                    name=f"sentences-{task.name}-{stems[group.name]}",
+                    title=f"Sentence of each slot: {group.name}",
+                    columns=shared("slot", "sentence"),
+                    rows=[{"slot": slot, "sentence": each} for slot, each in sentences.items()],
+                    sources=[group.runs[0].path / "provenance.json"],
+                )
+            )
     return [*blocks, *_parameters(task)]
 
 
 def _known(run: RunData) -> Mapping[str, Any]:
     """Return the description of a run's knowledge vector; empty if the network received none."""
-    table = _table(run)
-    no_input = table is not None and table.size == 0
-    return {} if no_input else run.provenance.get("knowledge") or {}
-
-
-def _table(run: RunData) -> np.ndarray | None:
-    """Read the knowledge table (F, K) of a run; None if it cannot be read."""
-    with suppress(UserError):
-        return RunFolder(run.path).knowledge()
-    return None
+    with suppress(UserError):  # a table that cannot be read
+        if not RunFolder(run.path).knowledge().size:
+            return {}
+    return run.provenance.get("knowledge") or {}
 
 
 def _kind_of_input(task: TaskData) -> Verdict:
@@ -138,17 +137,6 @@ def _source(known: Mapping[str, Any]) -> str | None:
     with suppress(UserError, KeyError):  # of another version
         return from_dict(KnowledgeConfig, known["config"], where="knowledge").source.short_name
     return None
-
-
-def _sentences(group: Group, stem: str, known: Mapping[str, Any]) -> DataTable:
-    """List the facts of each slot, in words."""
-    return DataTable(
-        name=f"sentences-{stem}",
-        title=f"Sentence of each slot: {group.name}",
-        columns=shared("slot", "sentence"),
-        rows=[{"slot": slot, "sentence": each} for slot, each in known["sentences"].items()],
-        sources=[group.runs[0].path / "provenance.json"],
-    )
 
 
 def _parameters(task: TaskData) -> list[Block]:

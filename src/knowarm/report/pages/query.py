@@ -62,6 +62,11 @@ SWITCH_COLUMNS = (
     Column("chose_old_answer", "old answer", "percent", interval=True),
     Column("switched", "switched", "percent", interval=True, hint="new of new and old"),
 )
+SWITCH_NOTE = (
+    "Shares of episodes that ended at the object that the query means in the edited graph "
+    "(new), or at one that it meant before (old). Switched: new among both. The old answer is "
+    "not visible in every episode, so compare with the controls rather than with one half."
+)
 
 
 def query_blocks(task: TaskData, findings: Sequence[Finding]) -> list[Block]:
@@ -76,7 +81,8 @@ def query_blocks(task: TaskData, findings: Sequence[Finding]) -> list[Block]:
     ]
     edited = [each for each in _all(splits) if each.level("switched")]
     if edited:
-        blocks.append(_switching(task, edited))
+        title = "Does the arm follow the edited graph?"
+        blocks.append(_table(task, "switched", title, SWITCH_COLUMNS, edited, SWITCH_NOTE))
     if any("choice" in run.interim for run in task.runs):
         measures = {"choice": CHOICE_AXIS}
         blocks.append(curve_figure(task, measures, "choice-curves", "Learning to choose"))
@@ -122,16 +128,6 @@ def _measure(task: TaskData, splits: Splits, key: str, title: str, columns: Colu
     )
     table = _table(task, title.lower(), f"{title} by split", columns, _all(splits), note)
     return Figure(table=table, caption=caption, panels=panels, open_table=True)
-
-
-def _switching(task: TaskData, asked: Sequence[SplitGroup]) -> DataTable:
-    note = (
-        "Shares of episodes that ended at the object that the query means in the edited graph "
-        "(new), or at one that it meant before (old). Switched: new among both. The old answer is "
-        "not visible in every episode, so compare with the controls rather than with one half."
-    )
-    title = "Does the arm follow the edited graph?"
-    return _table(task, "switched", title, SWITCH_COLUMNS, asked, note)
 
 
 def _by_type(task: TaskData, splits: Splits) -> Figure:
