@@ -19,9 +19,8 @@ from knowarm.report.charts import RETURN_AXIS, SUCCESS_AXIS
 from knowarm.report.diagrams import dot_chart, group_dot
 from knowarm.report.format import counted
 from knowarm.report.model import RunData, StudyData
-from knowarm.report.verdicts.answer import answer
 from knowarm.report.verdicts.claims import Claim, Finding
-from knowarm.report.verdicts.knowledge import findings
+from knowarm.report.verdicts.knowledge import answer, findings
 from knowarm.report.verdicts.learning import learning_verdict, vision_verdict
 from knowarm.report.verdicts.query import query_summary
 
