@@ -200,7 +200,7 @@ class _Writer:
         pq.write_table(pa.Table.from_pylist(self.rows), path)
         # The text is the index of the data frame that LeRobot reads.
         tasks = {"task_index": [*self.tasks.values()], "task": [*self.tasks]}
-        kinds = {"task_index": ("int64", "int64"), "task": ("unicode", "object")}
+        kinds: dict[str, Any] = {"task_index": ("int64", "int64"), "task": ("unicode", "object")}
         pandas = {
             "index_columns": ["task"],
             "column_indexes": [],
