@@ -38,8 +38,7 @@ class Learned(VectorSource):
 
     def change_vectors(self, vectors: np.ndarray, seed: int) -> np.ndarray:
         """Return rows of the identity matrix."""
-        _check_one_hot(*vectors.shape)
-        return np.eye(*vectors.shape, dtype=np.float32)
+        return _one_hot(*vectors.shape)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,8 +112,7 @@ class OneHot(Placebo):
 
     def change_vectors(self, vectors: np.ndarray, seed: int) -> np.ndarray:
         """Return the length of each slot at the place of its number."""
-        _check_one_hot(*vectors.shape)
-        return np.eye(*vectors.shape, dtype=np.float32) * np.linalg.norm(vectors, axis=1)[:, None]
+        return _one_hot(*vectors.shape) * np.linalg.norm(vectors, axis=1)[:, None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -177,9 +175,10 @@ def _number_colours(facets: Sequence[Facet]) -> list[Facet]:
     ]
 
 
-def _check_one_hot(slots: int, dim: int) -> None:
-    """Refuse a one-hot code that is too short."""
+def _one_hot(slots: int, dim: int) -> np.ndarray:
+    """Return rows of the identity matrix (S, D); refuse a code that is too short."""
     if slots > dim:
         raise UserError(
             f"{slots} slots do not fit a one-hot of {dim} numbers. Set dim to {slots} or more."
         )
+    return np.eye(slots, dim, dtype=np.float32)
