@@ -66,10 +66,14 @@ class FacetSlots:
     def describe(self, graph: KnowledgeGraph, config: KnowledgeConfig, seed: int) -> Described:
         """Return the sentences of the subgraphs, and the colours."""
         subgraphs = self.subgraphs(graph, config, seed)
+        hues: list[SentencePart] = []
+        if config.detail == "full":  # every colour of the graph
+            rows = graph.relations == graph.relation_id(config.colour_relation)
+            hues = [entity_part(graph, graph.names[i]) for i in np.unique(graph.tails[rows])]
         return Described(
             sentences=[sentence_parts(subgraph, config) for subgraph, _ in subgraphs],
             own=[colour for _, colour in subgraphs],
-            hues=_colours(graph, config) if config.detail == "full" else [],
+            hues=hues,
         )
 
 
@@ -114,12 +118,6 @@ def slots_of(config: KnowledgeConfig, facets: Sequence[ObjectColour]) -> tuple[F
     if config.detail == "partial":
         return tuple(Facet(name, None) for name in dict.fromkeys(pair[0] for pair in facets))
     return tuple(Facet(name, colour) for name, colour in dict.fromkeys(map(tuple, facets)))
-
-
-def _colours(graph: KnowledgeGraph, config: KnowledgeConfig) -> list[SentencePart]:
-    """Return the label of every colour in the graph."""
-    rows = graph.relations == graph.relation_id(config.colour_relation)
-    return [entity_part(graph, graph.names[i]) for i in np.unique(graph.tails[rows])]
 
 
 def _condition_parts(

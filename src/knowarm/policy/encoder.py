@@ -98,19 +98,15 @@ class ImageEncoder(nn.Module):
         assert bias is not None
         if self.pixel_shift:
             bias = bias - self.pixel_shift * 255 * weight.sum(1)
-        pixels = patches.reshape(-1, weight.shape[1]).to(self.pixel_type())
+        # Pixels are converted directly to the dtype of the product.
+        low = torch.is_autocast_enabled(weight.device.type)
+        dtype = torch.get_autocast_dtype(weight.device.type) if low else weight.dtype
+        pixels = patches.reshape(-1, weight.shape[1]).to(dtype)
         x = torch.relu(F.linear(pixels, weight, bias))
         # Channels last is the layout of the product, and the fastest one for convolutions.
         x = x.view(count, blocks, blocks, 4 * depth).permute(0, 3, 1, 2)
         x = torch.relu(F.conv2d(x, self._block_weight(), self.conv2.bias))
         return x.permute(0, 2, 3, 1).reshape(count, self.width)
-
-    def pixel_type(self) -> torch.dtype:
-        """Return the dtype of the matrix products, to which the pixels are converted directly."""
-        device = self.conv1.weight.device.type
-        if torch.is_autocast_enabled(device):
-            return torch.get_autocast_dtype(device)
-        return self.conv1.weight.dtype
 
     def _block_weight(self) -> Tensor:
         """Rearrange the second kernel for blocks: (32, 16, 5, 5) -> (32, 64, 3, 3)."""

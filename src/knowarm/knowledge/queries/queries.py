@@ -143,9 +143,10 @@ class QueryGraph:
                 kind = f"value of {condition.relation} in a query"
                 raise unknown_name(kind, condition.value, values)
         if not self.answers([query]).any():
-            alone = [
-                f"{c.name!r}: {', '.join(self._names(c)) or 'nothing'}" for c in query.conditions
-            ]
+            facets = np.array(self.facets)
+            holders = [dict.fromkeys(facets[self._holders(c), 0]) for c in query.conditions]
+            pairs = zip(query.conditions, holders, strict=True)
+            alone = [f"{c.name!r}: {', '.join(names) or 'nothing'}" for c, names in pairs]
             raise UserError(
                 f"Nothing answers the query {text!r}. Its conditions are answered by "
                 f"{'; '.join(alone)}. Ask another query, or add the missing triple to the graph."
@@ -198,7 +199,3 @@ class QueryGraph:
             return np.zeros(len(self.facets), bool)
         rows = (graph.relations == relation) & (graph.tails == value)
         return np.asarray(np.isin(self._ids, graph.heads[rows])[self.owner])
-
-    def _names(self, condition: Condition) -> list[str]:
-        rows = np.flatnonzero(self._holders(condition))
-        return list(dict.fromkeys(self.facets[row][0] for row in rows))

@@ -40,7 +40,10 @@ def check_objects(robot: str, task: str, targets: Sequence[str] = ()) -> list[Ch
         scene = scene_of(config)
     except UserError as error:
         return [check_result("scene", False, str(error), "Correct the named field.")]
-    places = _grid(scene)
+    # From border to border of the rectangle, (P, 2) [m].
+    line, centre = np.linspace(-1, 1, PLACES), scene.robot.rectangle_centre_m
+    signed = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
+    places = np.asarray(centre + signed * scene.robot.rectangle_half_size_m)
     found = f"{len(config.targets)} targets, {config.task.visible} per episode"
     checks = [check_result("scene", True, found)]
     checks += [_check_reach(scene, config, k, places) for k in range(len(config.targets))]
@@ -50,13 +53,6 @@ def check_objects(robot: str, task: str, targets: Sequence[str] = ()) -> list[Ch
         check_visible(name, np.stack([*shown.values()]), empty, remedy) for name, shown in images
     ]
     return [*checks, *_check_differences(images)]
-
-
-def _grid(scene: Scene) -> NDArray[np.float64]:
-    """Return positions from border to border of the rectangle, (P, 2) [m]."""
-    side = np.linspace(-1, 1, PLACES)
-    signed = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
-    return np.asarray(scene.robot.rectangle_centre_m + signed * scene.robot.rectangle_half_size_m)
 
 
 def _check_reach(scene: Scene, config: EnvConfig, k: int, places: NDArray[np.float64]) -> Check:

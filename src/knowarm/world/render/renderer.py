@@ -119,18 +119,14 @@ class OpenGLRenderer:
                 self._data.cam_xpos[self._camera] = views[i, :3]
                 self._data.cam_xmat[self._camera] = views[i, 3:]
             if lamps is not None:
-                self._set_lights(lamps[i])
+                head = self._model.vis.headlight
+                head.ambient[:], head.diffuse[:] = lamps[i, 0], lamps[i, 1]
+                self._model.light_ambient[:] = 0
+                self._model.light_diffuse[0] = lamps[i, 2]
+                self._data.light_xdir[0] = -lamps[i, 3]
             if self._lamp_m is not None:
                 away = self._lamp_m * self._data.light_xdir[0]
                 self._data.light_xpos[0] = self._middle - away
             self._renderer.update_scene(self._data, camera=self._camera)
             images.append(self._renderer.render())
         return np.stack(images)
-
-    def _set_lights(self, lamps: NDArray[np.float32]) -> None:
-        """Set headlight and directional light from lamps (4, 3)."""
-        head = self._model.vis.headlight
-        head.ambient[:], head.diffuse[:] = lamps[0], lamps[1]
-        self._model.light_ambient[:] = 0
-        self._model.light_diffuse[0] = lamps[2]
-        self._data.light_xdir[0] = -lamps[3]
