@@ -152,7 +152,13 @@ class PrivilegedLearning:
     """
 
     def __init__(self, config: PPOConfig, env: PrivilegedVectorEnv, seed: int) -> None:
-        columns = privileged_columns_of(env)
+        columns: tuple[str, ...] | None = getattr(env, "privileged_columns", None)
+        if columns is None:
+            raise UserError(
+                f"{type(env).__name__} reports no privileged state, which critic='state', "
+                "auxiliary_coef and progress_coef need: implement "
+                "knowarm.learn.PrivilegedVectorEnv, or leave them at their defaults."
+            )
         env.report_privileged_state = True
         teacher = {}
         if config.imitation_coef:
@@ -248,15 +254,3 @@ def teaching_env(env: TorchVectorEnv) -> TeachingVectorEnv:
             "implement knowarm.learn.TeachingVectorEnv, or leave them at 0."
         )
     return cast(TeachingVectorEnv, env)
-
-
-def privileged_columns_of(env: PrivilegedVectorEnv) -> tuple[str, ...]:
-    """Return the names of the columns of an environment's privileged state."""
-    columns: tuple[str, ...] | None = getattr(env, "privileged_columns", None)
-    if columns is None:
-        raise UserError(
-            f"{type(env).__name__} reports no privileged state, which critic='state', "
-            "auxiliary_coef and progress_coef need: implement "
-            "knowarm.learn.PrivilegedVectorEnv, or leave them at their defaults."
-        )
-    return columns

@@ -63,13 +63,14 @@ def check_robot(
     Return the results in order; only the first if the scene cannot be built. Agents play if all
     else is well.
     """
-    config = EnvConfig(robot=str(path), targets=tuple(targets))
-    config = replace(config, success_angle_deg=angle_deg, ignore_roll=ignore_roll)
+    options: dict[str, Any] = {"success_angle_deg": angle_deg, "ignore_roll": ignore_roll}
+    config = EnvConfig(robot=str(path), targets=tuple(targets), **options)
     try:
         env = ReachVectorEnv(config, SAMPLES)
     except UserError as error:
         return [check_result("scene", False, str(error), "Correct the named field.")]
     scene = env.scene
+    env.reset(options={"episodes": evaluation_episodes(config, SAMPLES, 0)})
     ranges = zip(scene.robot.joints, scene.joint_lower, scene.joint_upper, strict=True)
     joints = ", ".join(f"{name} [{low:.2f}, {high:.2f}]" for name, low, high in ranges)
     checks = [
@@ -93,7 +94,6 @@ def check_result(name: str, ok: bool, found: str, remedy: str = "") -> Check:
 
 def _check_gripper(env: ReachVectorEnv) -> Check:
     """Check that at home the approach axis points down or ahead, not up."""
-    env.reset(options={"episodes": evaluation_episodes(env.config, SAMPLES, 0)})
     position = env.simulation.tcp_position.mean(axis=0)
     approach = env.simulation.tcp_matrix[:, 2::3].mean(axis=0)
     above = position[2] > env.scene.robot.support_height_m
@@ -109,7 +109,6 @@ def _check_gripper(env: ReachVectorEnv) -> Check:
 
 def _check_servos(env: ReachVectorEnv) -> Check:
     """Check the distance of the joints from their targets under random actions."""
-    env.reset(options={"episodes": evaluation_episodes(env.config, SAMPLES, 0)})
     generator = np.random.default_rng(0)
     lags = []
     for _ in range(10):

@@ -91,7 +91,14 @@ class Raycaster:
         span = self.scenery.meshes.span
         vertices = int((span[:, 1] - span[:, 0]).max(initial=0))
         self._scratch = [
-            _make_scratch(self.grid, model.ngeom, vertices) for _ in range(num_threads)
+            Scratch(
+                field=_make_field(self.grid, 0),
+                record=np.empty((model.ngeom, RECORD), dtype=np.float32),
+                extent=np.empty((model.ngeom, EXTENT), dtype=np.int32),
+                projection=np.empty((PROJECTION, vertices), dtype=np.float32),
+                dirty=np.empty((self.grid.strips, 2), dtype=np.int32),
+            )
+            for _ in range(num_threads)
         ]
         self.stored = self._draw_fixed(data, background)
 
@@ -235,13 +242,3 @@ class Raycaster:
 def _make_field(grid: TileGrid, value: int) -> Field:
     count = grid.strips * grid.rows * TILE
     return np.full(count, FAR, dtype=np.float32), np.full(count, value, dtype=np.int32)
-
-
-def _make_scratch(grid: TileGrid, geoms: int, vertices: int) -> Scratch:
-    return Scratch(
-        field=_make_field(grid, 0),
-        record=np.empty((geoms, RECORD), dtype=np.float32),
-        extent=np.empty((geoms, EXTENT), dtype=np.int32),
-        projection=np.empty((PROJECTION, vertices), dtype=np.float32),
-        dirty=np.empty((grid.strips, 2), dtype=np.int32),
-    )
