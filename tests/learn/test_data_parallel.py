@@ -10,7 +10,7 @@ import torch
 
 from knowarm.cores import available_cores
 from knowarm.learn import Hooks, PPOConfig, PPOTrainer
-from knowarm.learn.parallel.data_parallel import GradientCommand, count_processes, make_learner
+from knowarm.learn.learner import GradientCommand, count_processes, make_learner
 from knowarm.learn.rollout import TrainingNetwork, add_gradient
 from tests.learn.toys import SIDE, fill_with_noise, informed_toy_policy, toy_env
 

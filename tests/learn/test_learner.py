@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from knowarm.learn import PPOConfig
-from knowarm.learn.parallel.data_parallel import make_learner
+from knowarm.learn.learner import make_learner
 from knowarm.learn.rollout import TrainingNetwork
 from tests.learn.toys import fill_with_noise, informed_toy_policy
 

@@ -9,8 +9,8 @@ import torch
 from knowarm.errors import UserError
 from knowarm.learn import PPOConfig, PPOTrainer
 from knowarm.learn import optimizer as optimizer_module
+from knowarm.learn.learner import make_learner
 from knowarm.learn.optimizer import MUON_PARAMETERS, Float32Muon, PolicyOptimizer
-from knowarm.learn.parallel.data_parallel import make_learner
 from knowarm.learn.privileged import (
     AUXILIARY_QUANTITIES,
     RunningNormalizer,

@@ -11,7 +11,7 @@ import torch
 
 from knowarm.learn.algorithms import PPOConfig
 from knowarm.learn.checkpoint import CheckpointStore
-from knowarm.learn.parallel.data_parallel import make_learner
+from knowarm.learn.learner import make_learner
 from knowarm.learn.parallel.processes import ChildProcess, process_context
 from knowarm.learn.rollout import TrainingNetwork
 from tests.learn.a3c.test_stop import UPDATE, build

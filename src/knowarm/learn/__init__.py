@@ -2,8 +2,8 @@
 
 A trainer (`ppo`, `a3c`, both on `trainer`) steps a vector environment (`environment`) with a
 `collector` that fills a `rollout`; `returns` and `losses` define what is learned from it. PPO's
-`learner` computes in one process or, with `data_parallel`, in several. `evaluation` runs interim
-evaluations, `guards` stop at non-finite values, `checkpoint` saves and resumes.
+`learner` computes in one process or in several. `evaluation` runs interim evaluations, `guards`
+stop at non-finite values, `checkpoint` saves and resumes.
 """
 
 import lazy_loader

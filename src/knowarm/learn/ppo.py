@@ -14,9 +14,9 @@ from knowarm.learn.collector import Collector
 from knowarm.learn.environment import PrivilegedVectorEnv, ThresholdCurriculum, TorchVectorEnv
 from knowarm.learn.evaluation import MAX_PENDING, Metrics
 from knowarm.learn.guards import FiniteGuard, HealthMonitor
+from knowarm.learn.learner import make_learner
 from knowarm.learn.losses import PPOLossTerms, advantages
 from knowarm.learn.optimizer import PolicyOptimizer, resolve_precision
-from knowarm.learn.parallel.data_parallel import make_learner
 from knowarm.learn.parallel.processes import keep_freed_memory
 from knowarm.learn.parallel.shared_tensors import flatten_parameters
 from knowarm.learn.privileged import PrivilegedLearning, teaching_env
