@@ -12,11 +12,15 @@ from knowarm.reading import writing
 from knowarm.world.viewing.record import FRAMES_PER_S, Frame
 
 
-def check_rrd(path: Path) -> None:
-    """Raise a `UserError` unless a recording can be written to a file."""
-    _rerun()
+def check_rrd(path: Path) -> Any:
+    """Return Rerun's package; raise a `UserError` unless it can write a recording to a file."""
+    try:
+        import rerun
+    except ImportError:
+        raise UserError("Recordings need Rerun: pip install 'knowarm[rerun]'.") from None
     if path.suffix != ".rrd":
         raise UserError(f"A recording for Rerun is an .rrd file, got {path.name!r}.")
+    return rerun
 
 
 def write_rrd(
@@ -32,8 +36,7 @@ def write_rrd(
     and ``goal``. ``known`` holds further arrays by name, per episode: a vector, or a map of the
     image, as ``knowledge`` and ``recognition``.
     """
-    check_rrd(path)
-    rerun = _rerun()
+    rerun = check_rrd(path)
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         recording = rerun.RecordingStream("knowarm")
@@ -57,11 +60,3 @@ def write_rrd(
                     recording.log(f"joints/{name}", rerun.Scalars(float(value)))
         recording.flush()
         recording.disconnect()
-
-
-def _rerun() -> Any:
-    try:
-        import rerun
-    except ImportError:
-        raise UserError("Recordings need Rerun: pip install 'knowarm[rerun]'.") from None
-    return rerun
