@@ -92,6 +92,13 @@ def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
+def differences(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
+    """Return both values of each field in which nested mappings differ, by dotted name."""
+    one, other = flatten(first), flatten(second)
+    pairs = {name: (one.get(name), other.get(name)) for name in {**one, **other}}
+    return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
+
+
 def override(config: T, overrides: Mapping[str, Any], *, where: str = "") -> T:
     """Copy a config with some fields changed and all types checked.
 

@@ -122,7 +122,7 @@ def test_a_row_has_score_controls_and_intervals(row):
 def test_a_row_verifies_and_another_policy_does_not(stored):
     row = read_row(stored)
     verify(row, playing("oracle"))
-    with pytest.raises(UserError, match=r"policy\.seeds\[0\]: the row says 0, .* has None"):
+    with pytest.raises(UserError, match=r"policy\.seeds: the row says \[0, .* has \[None"):
         verify(row, [entrant("oracle")] * 2)
     with pytest.raises(UserError, match=r"policy\.digests"):
         verify(row, playing("oracle")[:1])

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 import knowarm
 from knowarm.benchmark.policies import Entrant, FixedList, ShuffledQueries
 from knowarm.benchmark.suites import CONTROLS, Cell, Suite, read_suite
+from knowarm.config import differences
 from knowarm.errors import UserError, unknown_name
 from knowarm.reading import read_json
 from knowarm.statistics import bootstrap, wilson
@@ -187,27 +188,9 @@ def read_row(path: Path) -> dict[str, Any]:
         computed = row | _figures(suite, row)
     except (KeyError, ValueError, TypeError, IndexError) as error:
         raise UserError(f"{path} is damaged: {error!r}. Measure the row again.") from None
-    if found := first_difference(row, json.loads(json.dumps(computed))):
-        where, stored, follows = found
+    for where, (stored, follows) in differences(row, json.loads(json.dumps(computed))).items():
         raise UserError(f"{path}: {where} is {stored}, but its episodes give {follows}.")
     return row
-
-
-def first_difference(stored: Any, other: Any, where: str = "") -> tuple[str, Any, Any] | None:
-    """Return path and values of the first difference of two JSON values; None if equal."""
-    if isinstance(stored, dict) and isinstance(other, dict):
-        for key in dict.fromkeys([*stored, *other]):
-            here = f"{where}.{key}" if where else str(key)
-            if key not in stored or key not in other:
-                return here, stored.get(key), other.get(key)
-            if found := first_difference(stored[key], other[key], here):
-                return found
-        return None
-    if isinstance(stored, list) and isinstance(other, list) and len(stored) == len(other):
-        pairs = enumerate(zip(stored, other, strict=True))
-        differences = (first_difference(a, b, f"{where}[{i}]") for i, (a, b) in pairs)
-        return next(filter(None, differences), None)
-    return None if stored == other else (where, stored, other)
 
 
 def verify(
@@ -233,8 +216,8 @@ def verify(
     suite = read_suite(row["suite"])
     stored, given = row["policy"] | {"specs": []}, {"specs": [], **_declared(entrants)}
     stored |= {"digests": given["digests"]} if tolerance else {}
-    if found := first_difference(stored, given, "policy"):
-        raise UserError("{}: the row says {}, the given policy has {}.".format(*found))
+    for name, (said, found) in differences(stored, given).items():
+        raise UserError(f"policy.{name}: the row says {said}, the given policy has {found}.")
     options: dict[str, Any] = {"name": row["name"], "cells": list(row["cells"]), "report": report}
     again = run_suite(suite, entrants, **options)
     for name, cell in row["cells"].items():

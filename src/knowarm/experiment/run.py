@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from knowarm.config import flatten, override, to_dict
+from knowarm.config import differences, flatten, override, to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.build import Parts, build, make_trainer, slots_of
 from knowarm.experiment.config import ExperimentConfig
@@ -22,6 +22,7 @@ from knowarm.perception.grounding import GroundingNetwork
 from knowarm.perception.grounding_training import train_grounding
 from knowarm.perception.module import PerceptionModule, digest
 from knowarm.policy import Policy
+from knowarm.reading import write_json
 
 BEFORE_FIRST_STEP = -1
 """Resuming from it drops all rows of the curves."""
@@ -75,7 +76,14 @@ def train(
     config = override(config, overrides) if overrides else config
     path = run_path(Path(runs), config)
     if resume:
-        _check_same(config, RunFolder.open(path))
+        different = other_fields(RunFolder.open(path).experiment(), config)
+        different.pop("total_steps", None)
+        if different:
+            raise UserError(
+                f"{path} was started with another config (run | given): "
+                f"{'; '.join(different.values())}. Resume without these overrides, or pass another "
+                "runs folder or seed to start a new run."
+            )
     module = module_for_training(config, RunFolder(path) if resume else None, perception)
     parts = build(config)
     if (
@@ -220,28 +228,12 @@ def _describe(
         about["perception"] = {"digest": digest(data), **to_dict(module.spec)}
         with writing(folder.path / FILE):
             (folder.path / FILE).write_bytes(data)
-    folder.write_json("provenance.json", about)
+    write_json(folder.path / "provenance.json", about)
     folder.write_knowledge(parts.table)
     folder.write_experiment(config)
 
 
-def _check_same(config: ExperimentConfig, folder: RunFolder) -> None:
-    """Refuse to resume a run with another config; only ``total_steps`` may differ."""
-    different = differences(folder.experiment(), config)
-    different.pop("total_steps", None)
-    if different:
-        raise UserError(
-            f"{folder.path} was started with another config (run | given): "
-            f"{'; '.join(different.values())}. Resume without "
-            "these overrides, or pass another runs folder or seed to start a new run."
-        )
-
-
-def differences(run: ExperimentConfig, given: ExperimentConfig) -> dict[str, str]:
+def other_fields(run: ExperimentConfig, given: ExperimentConfig) -> dict[str, str]:
     """Return the fields in which two configs differ, each with "field: value | value"."""
-    one, other = flatten(to_dict(run)), flatten(to_dict(given))
-    return {
-        name: f"{name}: {one.get(name)!r} | {other.get(name)!r}"
-        for name in {**one, **other}
-        if one.get(name) != other.get(name)
-    }
+    different = differences(to_dict(run), to_dict(given)).items()
+    return {name: f"{name}: {one!r} | {other!r}" for name, (one, other) in different}

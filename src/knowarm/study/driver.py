@@ -11,7 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from knowarm.errors import UserError, unknown_name
-from knowarm.experiment.run import differences, run_path
+from knowarm.experiment.run import other_fields, run_path
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.run_lock import is_locked, lock_folder
 from knowarm.study.config import FILE, PACKED, StudyConfig, read_study, write_study
@@ -87,7 +87,7 @@ def check_folder(study: StudyConfig, out: Path) -> None:
             continue
         different: dict[str, str] = {}
         with suppress(UserError):  # damaged: this run alone fails
-            different = differences(RunFolder.open(folder.path).experiment(), config)
+            different = other_fields(RunFolder.open(folder.path).experiment(), config)
         if different:
             raise UserError(
                 f"The run {folder.path} has another config than the study (run | study): "
