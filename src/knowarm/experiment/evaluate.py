@@ -11,7 +11,6 @@ import torch
 
 from knowarm.config import override, to_dict
 from knowarm.errors import UserError
-from knowarm.experiment.blind import blind_numbers
 from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.graph_at_test import (
     answer_table,
@@ -19,12 +18,12 @@ from knowarm.experiment.graph_at_test import (
     knowledge_at_test,
     with_graph,
 )
-from knowarm.experiment.lifting import lift_columns
-from knowarm.experiment.load import TrainedAgent, load_agent
+from knowarm.experiment.load import TrainedAgent, load_agent, policy_agent
 from knowarm.experiment.run import Run
 from knowarm.experiment.summary import (
     episode_columns,
     episode_types,
+    lift_columns,
     step_columns,
     step_values,
     summarize,
@@ -33,8 +32,9 @@ from knowarm.experiment.summary import (
 )
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.perception.answering import AnsweringAgent
-from knowarm.reading import write_json
-from knowarm.world.agents import AgentProtocol
+from knowarm.reading import write_json, writing
+from knowarm.statistics import share_difference, wilson
+from knowarm.world.agents import BLIND_AGENTS, AgentProtocol
 from knowarm.world.agents.play import play
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ReachVectorEnv
@@ -87,11 +87,9 @@ class EvaluationResult:
         if folder is None and self.folder is None:
             raise UserError("This evaluation belongs to no run: pass a folder to write it to.")
         folder = Path(folder or self.folder or ".")
-        try:
+        with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
             (folder / "summary.json").unlink(missing_ok=True)
-        except OSError as error:
-            raise UserError(f"Cannot write to {folder}: {error.strerror}.") from error
         write_table(folder / "episodes.parquet", self.episodes, episode_types(self.episodes))
         if self.steps is not None:
             joints = sum(name.startswith("joint_") for name in self.steps)
@@ -114,7 +112,7 @@ def evaluate(
     """Play the fixed episodes and measure returns, accuracy and success.
 
     Agents evaluated with equal configs play the same episodes. Beside a trained agent, the blind
-    agents play the first ``config.blind_episodes`` of them: see `blind.blind_numbers`.
+    agents play the first ``config.blind_episodes`` of them: see `blind_numbers`.
 
     Args:
         agent: what `train` or `load_agent` returned, a run folder, or any object with
@@ -193,6 +191,47 @@ def evaluate(
     return measured
 
 
+def count_blind_episodes(config: EvaluationConfig) -> int:
+    """Count the episodes that all blind agents play in an evaluation."""
+    return len(BLIND_AGENTS) * min(config.blind_episodes, config.episodes)
+
+
+def blind_numbers(
+    agent: AgentProtocol,
+    success: np.ndarray,
+    env: ReachVectorEnv,
+    episodes: Episodes,
+    count: int,
+    seed: int,
+) -> dict[str, Any]:
+    """Play the first ``count`` of an agent's N episodes with the blind agents, and compare.
+
+    ``success`` (N,) bool is the agent's. Returns ``blind_agents``, by name the ``episodes``,
+    ``success`` and ``difference``, the agent's success over all episodes minus this one, and
+    ``needs_eyes``, the smallest difference to an agent that sees nothing; 95 % intervals.
+    """
+    if not count:
+        return {}
+    chosen = episodes[:count]
+    own = wilson(int(np.count_nonzero(success)), len(success))
+    numbers: dict[str, dict[str, Any]] = {}
+    differences = {}
+    for name, entry in BLIND_AGENTS.items():
+        solved = play(entry.make(agent, seed), env, chosen).success
+        share = wilson(int(np.count_nonzero(solved)), len(solved))
+        differences[name] = share_difference(own, share)
+        numbers[name] = {
+            "episodes": len(solved),
+            **share.named("success"),
+            **differences[name].named("difference"),
+        }
+    needs_eyes = min(
+        (differences[name] for name, entry in BLIND_AGENTS.items() if entry.sees_nothing),
+        key=lambda difference: difference.estimate,
+    )
+    return {"blind_agents": numbers, **needs_eyes.named("needs_eyes")}
+
+
 def agent_for_test(
     trained: TrainedAgent,
     env: EnvConfig,
@@ -205,27 +244,24 @@ def agent_for_test(
     """
     graph, network = graph_at_test(trained.config, env, config, graph), trained.network
     reasoning = config.reasoning or trained.config.reasoning
+    if config.reasoning and network is None:
+        raise UserError(
+            f"The agent {trained.config.agent!r} has no grounding network, so reasoning cannot be "
+            "chosen. Leave reasoning out, or take a run such as zoo/irb120-choose-subgraph-fast."
+        )
     if reasoning == "vector":
-        if config.reasoning and network is None:
-            raise _no_network(trained)
         if graph is None and config.reasoning is None and config.graph is None:
             return trained.agent, None
-        agent = trained.agent if config.reasoning is None else trained.by_vectors()
+        agent = trained.agent
+        if config.reasoning:  # the network compares the query's vector with places
+            agent = policy_agent(trained.policy, network, agent.greedy, agent.generator)
         changed = torch.from_numpy(knowledge_at_test(trained.config, env, graph))
         return agent, trained.set_knowledge_table(changed)
-    if network is None:
-        raise _no_network(trained)
+    assert network is not None  # of every agent that answers by a graph
     control = None if reasoning == "graph" else reasoning
     facets = network.spec.facets
     answers = answer_table(trained.config, env, facets, graph=graph, control=control)
     return trained.answering(answers, config.unclear), None
-
-
-def _no_network(trained: TrainedAgent) -> UserError:
-    return UserError(
-        f"The agent {trained.config.agent!r} has no grounding network, so reasoning cannot be "
-        "chosen. Leave reasoning out, or take a run such as zoo/irb120-choose-subgraph-fast."
-    )
 
 
 def env_for_test(env_config: EnvConfig, config: EvaluationConfig) -> EnvConfig:

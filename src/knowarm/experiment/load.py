@@ -79,21 +79,27 @@ class TrainedAgent:
         rows = None if info is None else info.get(name)
         if rows is not None:
             rows = torch.as_tensor(rows, dtype=torch.int64).reshape(-1)
-        if isinstance(self.agent, PerceivingAgent):
-            if rows is None and questions_of(env) is not None:
-                raise _no_info(name)
-            return in_batches(self.agent.module.predictor(env, facets_of(env)), images, rows)
-        if rows is None:
-            table = self.policy.knowledge_table
-            if table.numel() and bool((table != table[:1]).any()):
-                raise _no_info(name)
-            rows = torch.zeros(len(images), dtype=torch.int64)
-        return rows
+        table, module = self.policy.knowledge_table, self.module
+        if rows is None and (
+            bool((table != table[:1]).any()) if module is None else questions_of(env) is not None
+        ):
+            raise UserError(
+                f"The knowledge of this agent depends on the info {name!r} of the episode: pass "
+                "the infos of the environment's reset as info=..."
+            )
+        if module is not None:
+            return in_batches(module.predictor(env, facets_of(env)), images, rows)
+        return torch.zeros(len(images), dtype=torch.int64) if rows is None else rows
+
+    @property
+    def module(self) -> PerceptionModule | None:
+        """The perception module or grounding network of an agent that has one."""
+        return self.agent.module if isinstance(self.agent, PerceivingAgent) else None
 
     @property
     def network(self) -> GroundingNetwork | None:
         """The grounding network of an agent that has one."""
-        module = self.agent.module if isinstance(self.agent, PerceivingAgent) else None
+        module = self.module
         module = module.network if isinstance(module, AnswerGrounding) else module
         return module if isinstance(module, GroundingNetwork) else None
 
@@ -109,12 +115,6 @@ class TrainedAgent:
         module = AnswerGrounding(self.network, answers).eval()
         return AnsweringAgent(module, self.policy, unclear=unclear, **options)
 
-    def by_vectors(self) -> PolicyAgent:
-        """Return an agent with this policy that compares the query's vector with places."""
-        if self.network is None:
-            return self.agent
-        return policy_agent(self.policy, self.network, self.agent.greedy, self.agent.generator)
-
     def set_knowledge_table(self, knowledge: torch.Tensor) -> torch.Tensor:
         """Replace the knowledge table (F, K) of grounding network or policy; return the old one."""
         module = self.network
@@ -124,13 +124,6 @@ class TrainedAgent:
             replaced = self.policy.knowledge_table
             self.policy.knowledge_table = knowledge.to(replaced.device)
         return replaced
-
-
-def _no_info(name: str) -> UserError:
-    return UserError(
-        f"The knowledge of this agent depends on the info {name!r} of the episode: pass the infos "
-        "of the environment's reset as info=..."
-    )
 
 
 def load_agent(

@@ -11,11 +11,13 @@ from PIL import Image, ImageSequence
 
 from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.graph_at_test import answers_before_edit
-from knowarm.experiment.lifting import lift_numbers
 from knowarm.reading import reading, replacing, writing
 from knowarm.statistics import bootstrap, wilson
 from knowarm.world.agents.play import EpisodeResults
 from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.lifting.lift import OUTCOMES, lift
+from knowarm.world.scene.scene import Scene
+from knowarm.world.tasks.episodes import Episodes
 
 EPISODE_COLUMNS = {
     "episode": ("int32", "index of the episode in the fixed list, from 0"),
@@ -45,15 +47,6 @@ TASK_COLUMNS = {
 """Further columns of tasks with several objects and of the lift test; a task of your own adds
 others."""
 
-SHARES = {
-    "accuracy": "accurate",
-    "success": "success",
-    "success_wide": "success_wide",
-    "choice": "choice_correct",
-    "right_object": "object_correct",
-}
-"""Columns whose share of true values the summary holds, by its name there."""
-
 STEP_COLUMNS = {
     "episode": ("int32", "index of the episode in the fixed list, from 0"),
     "step": ("int32", "step of the episode, from 1; the row holds the values after the step"),
@@ -63,6 +56,10 @@ STEP_COLUMNS = {
 }
 """Columns of ``steps.parquet``, followed by ``joint_<i>_rad`` and ``action_<i>`` per joint."""
 
+NOT_REACHED = "not reached"
+"""Outcome of episodes without success, in which nothing is lifted."""
+EXCLUDED = "excluded"
+"""Outcome of episodes whose object the robot's ``not_liftable`` names."""
 FRAME_MS, LAST_MS = 120, 1_200
 """Display time of each image, and of the last before the animation repeats [ms]."""
 MAX_FRAMES = 10_000
@@ -142,7 +139,7 @@ def read_film(path: Path) -> np.ndarray:
 
 
 Columns = Mapping[str, np.ndarray]
-"""One (n,) array per column, as `evaluation_files.EPISODE_COLUMNS` describes them."""
+"""One (n,) array per column, as `EPISODE_COLUMNS` describes them."""
 
 
 def episode_columns(
@@ -185,6 +182,26 @@ def _ever_within(result: EpisodeResults, config: EvaluationConfig) -> np.ndarray
     within = result.success.copy()
     within[steps.episode[near]] = True
     return within
+
+
+def lift_columns(result: EpisodeResults, scene: Scene, episodes: Episodes) -> dict[str, np.ndarray]:
+    """Lift the object of every successful episode; return ``lift`` and ``lift_rise_m``, (n,).
+
+    Every episode ends at its first state within the thresholds, so each is lifted at most once.
+    """
+    count = len(episodes)
+    names = np.array([target.name for target in scene.targets])[episodes.target]
+    excluded = np.isin(names, list(scene.robot.not_liftable))
+    chosen = np.flatnonzero(result.success & ~excluded)
+    outcome = np.where(excluded, EXCLUDED, NOT_REACHED).astype("U16")
+    rise = np.zeros(count)
+    if len(chosen):
+        steps = result.steps
+        first = np.searchsorted(steps.episode, np.arange(count + 1))
+        paths = [steps.joint_positions[first[i] : first[i + 1]] for i in chosen]
+        lifts = lift(scene, paths, episodes.objects[chosen], episodes.positions[chosen])
+        outcome[chosen], rise[chosen] = lifts.outcome, lifts.rise
+    return {"lift": outcome, "lift_rise_m": rise}
 
 
 def step_values(result: EpisodeResults) -> dict[str, np.ndarray]:
@@ -232,7 +249,9 @@ def _numbers(episodes: Columns) -> dict[str, Any]:
         values[f"{name}_mean"] = float(np.mean(episodes[name]))
         values[f"{name}_std"] = _std(episodes[name])
         values |= bootstrap([episodes[name]], repetitions=2_000).named(f"{name}_mean")
-    for name, column in SHARES.items():
+    shares = {"accuracy": "accurate", "success": "success", "success_wide": "success_wide"}
+    shares |= {"choice": "choice_correct", "right_object": "object_correct"}
+    for name, column in shares.items():
         if column in episodes:
             values |= wilson(int(np.count_nonzero(episodes[column])), count).named(name)
     if "choice_correct" in episodes:
@@ -251,6 +270,23 @@ def _numbers(episodes: Columns) -> dict[str, Any]:
     values["distance_mean"] = float(np.mean(episodes["distance_m"]))
     values["angle_mean"] = float(np.mean(episodes["angle_deg"]))
     return values
+
+
+def lift_numbers(episodes: Columns) -> dict[str, Any]:
+    """Compute the numbers of a group of episodes, without those that are excluded.
+
+    ``lifted`` is the share of all episodes in which the object was lifted, ``grasps`` that of the
+    successful ones, with 95 % Wilson intervals; ``lift_outcomes`` counts how lifts ended.
+    """
+    outcomes = episodes["lift"][episodes["lift"] != EXCLUDED]
+    successes = np.count_nonzero(outcomes != NOT_REACHED)
+    lifted = np.count_nonzero(outcomes == "lifted")
+    values: dict[str, Any] = {"lift_episodes": len(outcomes)}
+    for name, of in (("lifted", len(outcomes)), ("grasps", int(successes))):
+        if of:
+            values |= wilson(int(lifted), of).named(name)
+    counted = {name: int(np.count_nonzero(outcomes == name)) for name in (*OUTCOMES, NOT_REACHED)}
+    return values | {"lift_outcomes": counted}
 
 
 def _std(values: np.ndarray) -> float:

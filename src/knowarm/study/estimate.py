@@ -14,8 +14,8 @@ from typing import NamedTuple
 from knowarm.config import from_dict, to_dict
 from knowarm.cores import limited_to
 from knowarm.errors import UserError
-from knowarm.experiment.blind import count_blind_episodes
 from knowarm.experiment.config import ExperimentConfig
+from knowarm.experiment.evaluate import count_blind_episodes
 from knowarm.experiment.speed import measure_training
 from knowarm.study.config import StudyConfig
 from knowarm.study.driver import RUN_GIB
