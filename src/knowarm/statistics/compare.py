@@ -112,20 +112,20 @@ def power_of_two_samples(effect_size: float, count: int) -> float:
     return (1.0 if math.isnan(upper) else upper) + (0.0 if math.isnan(lower) else lower)
 
 
-def seeds_needed(effect_size: float, *, power: float = 0.8) -> int | None:
+def seeds_needed(effect_size: float) -> int | None:
     """Compute the number of training seeds per agent that detects a difference of this size.
 
     For a difference that was selected because it was large the number is too small.
 
     Args:
         effect_size: difference in standard deviations (Cohen's d).
-        power: fraction of such studies that should detect it, two-sided at 5 %.
 
     Returns:
-        Smallest sufficient number, at least 2, or None above 10,000.
+        Smallest number, at least 2, with which 80 % of such studies detect it, two-sided at 5 %;
+        None above 10,000.
     """
     counts = range(2, 10_001)
-    place = bisect_left(counts, power, key=lambda count: power_of_two_samples(effect_size, count))
+    place = bisect_left(counts, 0.8, key=lambda count: power_of_two_samples(effect_size, count))
     return counts[place] if place < len(counts) else None
 
 
