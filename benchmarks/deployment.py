@@ -27,9 +27,8 @@ from websockets.sync.client import connect
 from examples.ros_robot import TICK_S, RobotNode
 from knowarm.experiment.load import load_agent
 from knowarm.integrations import ros
-from knowarm.integrations.contract import Deployment, deployment, tcp_position
+from knowarm.integrations.contract import Deployment, deployment, export, tcp_position
 from knowarm.integrations.driver import Driver, Safety, Topics
-from knowarm.integrations.export import export
 from knowarm.integrations.ros import DriverNode
 from knowarm.integrations.runner import Runner
 from knowarm.integrations.serve import PolicyServer, pack, unpack

@@ -3,6 +3,7 @@
 import ast
 import re
 from collections import defaultdict
+from collections.abc import Mapping
 from functools import cache
 from importlib import import_module
 
@@ -124,9 +125,10 @@ def unknown_command(command):
         return False
     if name not in COMMANDS:
         return True
-    module = import_module(f"knowarm.cli.{COMMANDS[name][0].partition(':')[0]}")
-    group = getattr(module, "COMMANDS", None)
-    return bool(group and re.fullmatch(r"[a-z][a-z-]*", rest[0]) and rest[0] not in group)
+    module, _, attribute = COMMANDS[name][0].partition(":")
+    group = getattr(import_module(f"knowarm.cli.{module}"), attribute)
+    is_name = re.fullmatch(r"[a-z][a-z-]*", rest[0])
+    return isinstance(group, Mapping) and bool(is_name) and rest[0] not in group
 
 
 def command_lines(text):

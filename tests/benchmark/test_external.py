@@ -119,7 +119,7 @@ def test_a_saved_model_of_sb3_plays(tmp_path):
 def test_an_exported_policy_acts_as_the_same_policy_here(tmp_path, monkeypatch):
     onnxruntime = pytest.importorskip("onnxruntime")
     pytest.importorskip("onnxscript")
-    from knowarm.integrations.export import export
+    from knowarm.integrations.contract import export
 
     trained = load_agent(ROOT / "zoo/irb120-full-fast")
     export(trained, tmp_path)

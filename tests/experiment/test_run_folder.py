@@ -11,7 +11,7 @@ from knowarm.reading import write_json
 
 def test_a_run_folder_is_created_once(tmp_path):
     folder = RunFolder.create(tmp_path / "x" / "0")
-    folder.write_json("config.json", {"format": 1})
+    write_json(folder.config_path, {"format": 1})
     with pytest.raises(UserError, match="resume=True"):
         RunFolder.create(folder.path)
     assert RunFolder.open(folder.path).config() == {"format": 1}

@@ -12,7 +12,7 @@ import pytest
 from knowarm.cli.main import main
 from knowarm.experiment.load import load_agent
 from knowarm.integrations import runner as runner_module
-from knowarm.integrations.export import export
+from knowarm.integrations.contract import export
 from knowarm.integrations.runner import Runner
 from knowarm.world.agents.play import play
 from knowarm.world.envs.vector_env import ReachVectorEnv

@@ -24,6 +24,7 @@ from knowarm.experiment.summary import (
 from knowarm.knowledge import KnowledgeConfig, SceneEmbedding, query_embedding, scene_embedding
 from knowarm.knowledge.queries.queries import parse_query
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
+from knowarm.reading import write_json
 from knowarm.report.model import StudyData
 from knowarm.world.agents import BLIND_AGENTS
 from knowarm.world.robots import ROBOTS
@@ -174,8 +175,8 @@ def write_run(
     known = knowledge_of(agent)
     if agent in AGENTS:
         role = role or AGENTS[agent].role
-    folder.write_json(
-        "config.json",
+    write_json(
+        folder.config_path,
         {
             "format": 1,
             "name": path.parent.name,
@@ -195,7 +196,7 @@ def write_run(
     provenance = _provenance(agent, embedding, facets, JOINTS[env["robot"]])
     for part, values in (sizes or {}).items():
         provenance[part] = provenance[part] | values
-    folder.write_json("provenance.json", provenance)
+    write_json(folder.path / "provenance.json", provenance)
     if size.tables:
         table = embedding.table(ASKED if known.scope == "query" else facets)
         folder.write_knowledge(table[:, :0] if policy_of(agent).wide else table)

@@ -1,4 +1,4 @@
-"""``knowarm export``, ``serve`` and ``record``: policies and episodes outside of the simulator."""
+"""``knowarm export``, ``serve``, ``ros``, ``record``, ``hub``: outside of the simulator."""
 
 import os
 from collections.abc import Sequence
@@ -10,27 +10,25 @@ from typing import Annotated, Self
 import tyro
 
 from knowarm.cli.evaluate import is_scripted, parse_with_task
+from knowarm.cli.tables import FilePath
 from knowarm.config import at_least
-from knowarm.errors import UserError
 from knowarm.experiment.config import Which
 from knowarm.experiment.load import load_agent
-from knowarm.integrations.contract import deployment, tcp_position
+from knowarm.integrations.contract import deployment, export, tcp_position
 from knowarm.integrations.driver import Driver, Safety, Topics
-from knowarm.integrations.export import export
+from knowarm.integrations.hub import pull_from_hub, push_to_hub
 from knowarm.integrations.record import record
 from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ReachVectorEnv
 from knowarm.world.tasks.episodes import evaluation_episodes
 
-RunPath = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
-
 
 @dataclass(frozen=True, kw_only=True)
 class OfRun:
     """Command on the policy of a run."""
 
-    run_folder: RunPath
+    run_folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
     """Run folder, such as runs/irb120-full-fast/0."""
     which: Which = "best"
     """Checkpoint of the run: best interim evaluation, latest, or untrained."""
@@ -121,10 +119,8 @@ class Record:
         at_least(self, 1, "episodes")
         agent: AgentProtocol
         config = self.env
-        if is_scripted(self.agent):
+        if is_scripted(self.agent, self.env):
             agent = SCRIPTED_AGENTS[self.agent].make(self.seed)
-        elif self.env != EnvConfig():
-            raise UserError("A run has its own environment: leave out the --env options.")
         else:
             trained = load_agent(self.agent)
             config, agent = trained.config.env, trained.agent
@@ -132,3 +128,46 @@ class Record:
         drawn = evaluation_episodes(config, self.episodes, self.seed)
         solved = record(agent, env, drawn, self.to)
         print(f"Wrote {self.episodes} episodes to {self.to}; {solved} of them succeeded.")
+
+
+RepoId = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="OWNER/NAME")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Push:
+    """Upload a run, a perception module or a packed study, with a model card."""
+
+    path: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PATH")]
+    """Run folder, .safetensors module or .tar.gz pack."""
+    repo_id: RepoId
+    """Repository; it is made if there is none."""
+    private: bool = False
+    """Make a new repository visible to its owner only."""
+
+    def run(self) -> None:
+        """Upload and print the address."""
+        address = push_to_hub(self.path, self.repo_id, private=self.private)
+        print(f"Uploaded {self.path} to {address}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pull:
+    """Download a repository."""
+
+    repo_id: RepoId
+    """Repository."""
+    revision: str | None = None
+    """Branch, tag or commit. Default: the main branch."""
+    to: FilePath = None
+    """Folder. Default: the Hub's cache."""
+
+    def run(self) -> None:
+        """Download and print the folder."""
+        path = pull_from_hub(self.repo_id, revision=self.revision, to=self.to)
+        print(f"Downloaded {self.repo_id} to {path}")
+        if (path / "config.json").exists():
+            print(f"Evaluate it with: knowarm evaluate {path}")
+
+
+HUB = {"push": Push, "pull": Pull}
+"""Commands of the group `knowarm hub`, by name."""

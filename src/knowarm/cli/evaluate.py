@@ -58,7 +58,7 @@ class Evaluate(TableCommand):
         from knowarm.experiment.evaluate import evaluate  # imports torch, which takes seconds
         from knowarm.experiment.load import load_agent
 
-        if is_scripted(self.agent):
+        if is_scripted(self.agent, self.env):
             if self.perception is not None:
                 raise UserError("A scripted agent perceives nothing: leave out --perception.")
             for name in ("success_distance_m", "success_angle_deg"):
@@ -68,8 +68,6 @@ class Evaluate(TableCommand):
                     raise UserError(f"--env.{given} is of training: give --{wanted} here.")
             agent = SCRIPTED_AGENTS[self.agent].make(self.evaluation.seed)
             result = evaluate(agent, self.env, self.evaluation, agent_name=self.agent)
-        elif self.env != EnvConfig():
-            raise UserError("A run has its own environment: leave out the --env options.")
         else:
             how = self.evaluation
             options: dict[str, Any] = {"which": self.which, "perception": self.perception}
@@ -97,11 +95,18 @@ def parse_with_task(
     return parse_options(command, prog, rest, default=make(**missing, env=env))
 
 
-def is_scripted(agent: str) -> bool:
-    """Tell whether an agent argument names a scripted agent; otherwise it is a run folder."""
-    if agent not in SCRIPTED_AGENTS and "/" not in agent and not Path(agent).exists():
+def is_scripted(agent: str, env: EnvConfig | None = None) -> bool:
+    """Tell whether an agent argument names a scripted agent; otherwise it is a run folder.
+
+    A run takes no options ``env``.
+    """
+    if agent in SCRIPTED_AGENTS:
+        return True
+    if "/" not in agent and not Path(agent).exists():
         raise unknown_name("agent or run folder", agent, SCRIPTED_AGENTS)
-    return agent in SCRIPTED_AGENTS
+    if env not in (None, EnvConfig()):
+        raise UserError("A run has its own environment: leave out the --env options.")
+    return False
 
 
 def _print(summary: dict[str, Any]) -> None:

@@ -1,5 +1,6 @@
-"""``knowarm study``: tables of runs."""
+"""``knowarm study``: tables of runs; ``knowarm report``: one page that compares runs."""
 
+import os
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -18,6 +19,7 @@ from rich.text import Text
 from knowarm.cli.tables import FilePath, TableCommand, lay_out, make_console, print_table
 from knowarm.errors import UserError, printable
 from knowarm.experiment.run_lock import StopRequest
+from knowarm.reading import read_json
 from knowarm.report import write_report
 from knowarm.study.config import FILE, SHIPPED, StudyConfig, read_study
 from knowarm.study.driver import OnStatus, check_folder, open_study, request_stop, retry, run_study
@@ -300,6 +302,30 @@ class StudyReport(FolderCommand):
                 share = f"{each.step:,} of {each.total_steps:,} steps"
                 print(f"Missing: {each.name} is {each.state} ({share})")
         print(f"Wrote {path}. {summary_line(study, statuses)}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report(TableCommand):
+    """Write one self-contained HTML report, and its numbers as JSON and CSV."""
+
+    runs: Annotated[
+        tuple[Path, ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar="RUN...", help_behavior_hint="(required)"),
+    ]
+    """Run folders, or folders that contain them at any depth."""
+    out: Path = Path("runs/report.html")
+    """HTML file; the JSON and CSV files are written to the same folder."""
+
+    def result(self) -> dict[str, Any]:
+        """Write the report and return its numbers."""
+        path = write_report(self.runs, self.out)
+        values = read_json(path.with_suffix(".json"))
+        for problem in values["problems"]:
+            where = os.path.relpath(path.parent / problem["path"])
+            print(f"Note: {where}, {problem['what']}, {problem['done']}")
+        print(f"Wrote {path}: open it in a browser.")
+        return values
 
 
 COMMANDS: dict[str, type] = {

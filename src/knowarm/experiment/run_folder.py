@@ -20,7 +20,6 @@ import os
 import platform
 import shutil
 import subprocess
-from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -120,7 +119,7 @@ class RunFolder:
                 copy_file = shutil.copytree if path.is_dir() else shutil.copyfile
                 if not copy.exists():
                     copy_file(path, copy)
-        self.write_json("config.json", {"format": FORMAT, **values})
+        write_json(self.config_path, {"format": FORMAT, **values})
 
     def _graph(self, original: Path) -> Path:
         """Where the copy of a graph is; graphs of one name lie in folders of their own."""
@@ -155,9 +154,9 @@ class RunFolder:
         """Read what a run was trained with, and on."""
         return self._with_graphs(read_json(self.path / "provenance.json"))
 
-    def write_json(self, name: str, values: Mapping[str, Any]) -> None:
-        """Write one of the folder's JSON files atomically."""
-        write_json(self.path / name, values)
+    def summaries(self) -> list[dict[str, Any]]:
+        """Read the summaries of the post-training evaluations, by label."""
+        return [read_json(path) for path in sorted(self.path.glob("evaluation/*/summary.json"))]
 
     def write_knowledge(self, table: np.ndarray) -> None:
         """Store the knowledge table (F, K), float32."""

@@ -1,6 +1,6 @@
-"""Contract: what a robot, camera and caller must provide to play a trained policy."""
+"""Contract: what a robot, camera and caller must provide to play a trained policy; its export."""
 
-from collections.abc import Iterator
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,21 +14,23 @@ from torch import Tensor, nn
 from knowarm.config import to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.load import TrainedAgent
+from knowarm.integrations import runner
 from knowarm.integrations.onnx_export import (
     INPUTS,
     OUTPUTS,
     RECOGNITION_INPUTS,
+    RECOGNITION_OUTPUTS,
     PolicyStep,
+    export_onnx,
     torch_model,
 )
 from knowarm.integrations.runner import Runner
-from knowarm.perception.agent import PerceivingAgent
 from knowarm.perception.answering import AnswerGrounding
 from knowarm.perception.classifier import FacetClassifier
 from knowarm.perception.grounding import GroundingNetwork
 from knowarm.perception.images import query_answers
-from knowarm.perception.module import PerceptionModule, digest
-from knowarm.reading import read_json
+from knowarm.perception.module import digest
+from knowarm.reading import writing
 from knowarm.world.config import facets_of, scene_of
 from knowarm.world.scene.compose import CONTROL_PERIOD_S
 from knowarm.world.scene.scene import Scene, target_places
@@ -106,7 +108,7 @@ def deployment(trained: TrainedAgent) -> Deployment:
     table = policy.knowledge_table.numpy()
     rows = env.task.knowledge_rows(facets)
     recognition: nn.Module | None = None
-    module = trained.agent.module if isinstance(trained.agent, PerceivingAgent) else None
+    module = trained.module
     if isinstance(module, GroundingNetwork | AnswerGrounding):
         recognition, table = Grounding(module), module.knowledge.numpy()
     elif isinstance(module, FacetClassifier):
@@ -122,6 +124,15 @@ def deployment(trained: TrainedAgent) -> Deployment:
     if not table.size or (table == table[:1]).all():  # the same knowledge in every episode
         table, rows = np.zeros((1, 0)) if not table.size else table[:1], ["any"]
     table = np.ascontiguousarray(table, dtype=np.float32)
+    recognized: dict[str, Any] | None = None
+    if module is not None:
+        recognized = {
+            "file": "recognition.onnx",
+            "format": module.FORMAT,
+            "digest": digest(module.to_bytes()),
+            "when": "in the first image of an episode",
+        }
+    names = ("label", "episodes", "success", "success_low", "success_high")
     scene = scene_of(env)
     contract = {
         "format": FORMAT,
@@ -143,17 +154,41 @@ def deployment(trained: TrainedAgent) -> Deployment:
             "meaning": env.task.knowledge_info,
             "origin": to_dict(trained.config.knowledge),
         },
-        "recognition": _recognition(module),
+        "recognition": recognized,
         "recurrent": {
             "size": policy.hidden_size,
             "inputs": INPUTS[2:4],
             "outputs": OUTPUTS[3:],
             "reset": "zeros and episode_start true at the first step of every episode",
         },
-        "success": list(_evaluations(trained)),
+        "success": [{name: each[name] for name in names} for each in trained.folder.summaries()],
         "digests": {},
     }
     return Deployment(PolicyStep(policy), recognition, table, contract, scene)
+
+
+def export(trained: TrainedAgent, folder: Path) -> Deployment:
+    """Write models, knowledge table, contract and runner; return what was exported.
+
+    Raises:
+        UserError: the folder cannot be written to, or packages are missing.
+    """
+    parts = deployment(trained)
+    with writing(folder, "Give another folder."):
+        folder.mkdir(parents=True, exist_ok=True)
+        export_onnx(parts.policy, parts.policy.example(), folder / "policy.onnx")
+        if parts.recognition is not None:
+            image = parts.policy.example()[0]
+            example = (image, torch.from_numpy(parts.knowledge[[0, 0]]))
+            names = {"inputs": RECOGNITION_INPUTS, "outputs": RECOGNITION_OUTPUTS}
+            export_onnx(parts.recognition, example, folder / "recognition.onnx", **names)
+        np.save(folder / "knowledge.npy", parts.knowledge)
+        (folder / "runner.py").write_bytes(Path(runner.__file__).read_bytes())
+        files = sorted(each for each in folder.iterdir() if each.suffix in (".onnx", ".npy"))
+        digests = {each.name: digest(each.read_bytes()) for each in files}
+        contract = parts.contract | {"digests": digests}
+        (folder / "contract.json").write_text(json.dumps(contract, indent=2) + "\n", "utf-8")
+    return parts
 
 
 def tcp_position(scene: Scene, joints: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -219,22 +254,3 @@ def _camera(scene: Scene, size: int) -> dict[str, Any]:
         "frame": "robot base; rotation from camera (x right, y up, z backward)",
         "fovy_deg": robot.camera_fovy_deg,
     }
-
-
-def _recognition(module: PerceptionModule | None) -> dict[str, Any] | None:
-    if module is None:
-        return None
-    return {
-        "file": "recognition.onnx",
-        "format": module.FORMAT,
-        "digest": digest(module.to_bytes()),
-        "when": "in the first image of an episode",
-    }
-
-
-def _evaluations(trained: TrainedAgent) -> Iterator[dict[str, Any]]:
-    """Yield success with its 95 % interval, of each stored evaluation of the run."""
-    for path in sorted(Path(trained.folder.path).glob("evaluation/*/summary.json")):
-        summary = read_json(path)
-        names = ("label", "episodes", "success", "success_low", "success_high")
-        yield {name: summary[name] for name in names}

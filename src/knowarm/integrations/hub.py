@@ -4,7 +4,6 @@ A repository holds what a folder of ``zoo/`` holds: the files that `load_agent` 
 evaluations, and a model card.
 """
 
-import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -129,8 +128,7 @@ def _run_text(folder: RunFolder) -> str:
         "| evaluation | episodes | success % | open-loop % | black images % |",
         "|---|---|---|---|---|",
     ]
-    for path in sorted(folder.path.glob("evaluation/*/summary.json")):
-        found = json.loads(path.read_text(encoding="utf-8"))
+    for found in folder.summaries():
         low, high = (100 * found[f"success_{end}"] for end in ("low", "high"))
         blind = found.get("blind_agents", {})
         controls = [
