@@ -1,13 +1,16 @@
 """The shipped policies still do on a fresh clone what they did when they were trained."""
 
 import dataclasses
+import shutil
 from pathlib import Path
 
 import pytest
 
+from knowarm.errors import UserError
 from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.load import load_agent
+from knowarm.reading import read_json, write_json
 
 ZOO = Path(__file__).parents[2] / "zoo"
 AGENTS = sorted(path.name for path in ZOO.iterdir() if path.is_dir())
@@ -41,3 +44,12 @@ def test_the_knowledge_it_was_trained_with_is_what_the_package_builds(name):
     trained = load_agent(ZOO / name)
     parts = build(dataclasses.replace(trained.config))
     assert parts.table.tobytes() == trained.folder.knowledge().tobytes()
+
+
+def test_a_checkpoint_of_another_policy_is_refused(tmp_path):
+    path = Path(shutil.copytree(ZOO / "irb120-full-fast", tmp_path / "run"))
+    provenance = read_json(path / "provenance.json")
+    provenance["policy"]["shape"]["joints"] += 1
+    write_json(path / "provenance.json", provenance)
+    with pytest.raises(UserError, match=r"does not fit the policy.*size mismatch.*restore it"):
+        load_agent(path)
