@@ -6,11 +6,17 @@ import numpy as np
 import pytest
 
 from knowarm.world.agents import BlindAgent, FrozenAgent, OpenLoopAgent
-from knowarm.world.agents.open_loop import search_open_loop
+from knowarm.world.agents.open_loop import (
+    ANCHORS,
+    MOST_GROUPS,
+    _anchor_goals,
+    search_open_loop,
+)
 from knowarm.world.agents.open_loop_score import OpenLoopScore
 from knowarm.world.agents.play import play
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.objects.families import FAMILIES
 from knowarm.world.robots import ROBOTS
 from knowarm.world.tasks.episodes import evaluation_episodes
 from tests.world.helpers import EXAMPLES
@@ -116,6 +122,14 @@ def test_a_list_is_read_from_the_cache_where_the_task_is_the_same(cached):
         np.savez(file, actions=damaged)
         np.testing.assert_array_equal(search_open_loop(config, 30), found)
         search_open_loop.cache_clear()
+
+
+def test_many_targets_are_searched_in_groups():
+    config = EnvConfig(targets=FAMILIES[:70])
+    episodes = evaluation_episodes(config, 70, 0)
+    goals = _anchor_goals(OpenLoopScore(config, episodes))
+    assert len(goals) == MOST_GROUPS * len(ANCHORS) ** 2
+    assert len(np.unique(goals, axis=0)) == len(goals)
 
 
 def test_a_blind_agent_sees_black_and_a_frozen_one_the_first_image():

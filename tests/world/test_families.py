@@ -9,16 +9,21 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+import torch
 
 from knowarm.errors import UserError
 from knowarm.experiment.names import experiment_config, task_for
 from knowarm.knowledge.formats import shipped_graph
+from knowarm.perception.grounding import CONVOLUTIONS
+from knowarm.perception.module import PlaceEncoder
 from knowarm.questions import kind_of
 from knowarm.world.agents.play import play
 from knowarm.world.agents.scripted import OracleAgent
 from knowarm.world.config import EnvConfig, questions_of, scene_of
 from knowarm.world.envs.vector_env import ReachVectorEnv
 from knowarm.world.objects.families import (
+    ATTRIBUTES,
+    COLUMNS,
     FAMILIES,
     INSTANCES,
     KINDS,
@@ -135,6 +140,51 @@ def test_codes_tell_looks_apart_and_share_attributes():
     codes = attribute_codes(FAMILIES)
     assert len(np.unique(codes, axis=0)) == len(set(looks))
     assert look_of("wine_glass") == ("wine_glass",)
+    kinds = codes[:, slice(*COLUMNS[2])]
+    assert (kinds.sum(axis=1) == 1).all()
+    assert kinds.shape == (len(FAMILIES), len(KINDS))
+    assert set(np.unique(codes[:, :ATTRIBUTES])) == {-1.0, 1.0}
+    assert ((codes[:, slice(*COLUMNS[0])] == 1).sum(axis=1) == 1).all()
+
+
+@pytest.fixture
+def recognized():
+    """An encoder whose head has learned nothing, and features of 2 images with 12 x 10 places."""
+    names = ("jug-18", "vase-11", "mug-0", "candle-1")
+    facets = tuple((name, colour) for name in names for colour in ("red", "blue"))
+    encoder = PlaceEncoder(facets, CONVOLUTIONS, seed=0)
+    features = torch.rand(2, encoder.channels, 10, 12, generator=torch.Generator().manual_seed(0))
+    return encoder, features
+
+
+def test_names_have_probabilities_by_attributes_alone(recognized):
+    encoder, features = recognized
+    objects, colours = encoder.logits(features)
+    one = torch.ones(2)
+    torch.testing.assert_close(objects.exp().sum((1, 2)), one)  # of name and place
+    torch.testing.assert_close(colours.exp().sum(1), one[:, None].expand(2, 120))
+    assert look_of("jug-18")[1:] == look_of("vase-11")[1:]
+    torch.testing.assert_close(objects[:, 0], objects[:, 1])  # one of them may be of a new kind
+    assert not torch.allclose(objects[:, 0], objects[:, 2])
+
+
+def test_training_raises_what_is_true_of_an_object_at_its_place(recognized):
+    encoder, features = recognized
+    facets, places = torch.tensor([[0, 5], [6, 3]]), torch.tensor([[17, 80], [3, 55]])
+    optimizer = torch.optim.Adam(encoder.parameters(), 0.05)
+    for _ in range(300):
+        likelihood = encoder.facet_likelihood(features, facets, places)
+        assert (likelihood < 0).all()
+        optimizer.zero_grad()
+        (-likelihood.mean()).backward()
+        optimizer.step()
+    objects, colours = encoder.logits(features)
+    by_place = objects[:, encoder.facet_parts[0]] + colours[:, encoder.facet_parts[1]]
+    for image, (seen, where) in enumerate(zip(facets, places, strict=True)):
+        for facet, place in zip(seen, where, strict=True):
+            best = by_place[image, :, place].topk(1 + int(facet < 4)).indices
+            assert facet in best  # jug-18 and vase-11 look the same
+        assert set(by_place[image].logsumexp(0).topk(2).indices.tolist()) == set(where.tolist())
 
 
 @pytest.fixture(scope="module")

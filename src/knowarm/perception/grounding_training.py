@@ -13,7 +13,7 @@ from torch import Tensor
 
 from knowarm.cores import torch_threads
 from knowarm.learn.optimizer import resolve_precision
-from knowarm.perception.config import GroundingConfig, ModuleSpec, shown_in
+from knowarm.perception.config import GroundingConfig, ModuleSpec
 from knowarm.perception.grounding import GroundingNetwork, Standardize, place_of
 from knowarm.perception.images import ImageSampler, LabelledImages, query_answers, sample_images
 from knowarm.perception.module import BATCH
@@ -83,9 +83,6 @@ def train_grounding(
         found = train_grounding(env, knowledge, slots, base, should_stop=should_stop, **options)
         return None if found is None else train_frame_head(found, env, config, **options)
     network = GroundingNetwork(ModuleSpec.of(env, config), knowledge, slots, seed=seed)
-    if network.encoder.code is not None:
-        shown = shown_in(env)
-        network.encoder.shown = torch.tensor([facet in shown for facet in network.spec.facets])
     answers = query_answers(env, network.spec.facets)
     assert answers is not None
     bfloat16 = resolve_precision("auto", torch.device("cpu")) == "bfloat16"

@@ -21,7 +21,7 @@ from knowarm.questions import ObjectColour
 from knowarm.reading import UnreadableFileError, one_line, reading
 from knowarm.seeding import torch_generator
 from knowarm.world.config import EnvConfig
-from knowarm.world.objects.families import KINDS, attribute_codes
+from knowarm.world.objects.families import ATTRIBUTES, COLUMNS, attribute_codes
 from knowarm.world.tasks.state import EpisodeState
 
 
@@ -31,17 +31,16 @@ class PlaceEncoder(nn.Module):
     A facet's score is the logarithm of the sum over places of exp(object + colour), so that object
     and colour are found at one place. Each convolution has inputs, outputs, kernel and stride.
 
-    Instances of families are scored by their attributes and kind, so that one of an unseen kind
-    has a score, too: its code times the attributes at a place (Akata et al. 2013, equation 2). A
-    kind that training does not show adds nothing.
+    Instances of families are scored by their attributes, so that one of an unseen kind has a score,
+    too: at a place each attribute has a probability of its own, and a name the product of those of
+    its attributes (Lampert et al. 2009, direct prediction), normalized over all names. Normalized
+    over the names of training, attributes that only others combine would have no bound.
     """
 
     facet_parts: Tensor
     """(2, F) buffer, object and colour of each facet; see `number_facets`."""
     code: Tensor | None
-    """(objects, attributes) buffer; see `attribute_codes`. None: each object has its own score."""
-    shown: Tensor | None
-    """(F,) bool buffer: facets that training shows, which compete; None: all."""
+    """(objects, outputs) buffer; see `attribute_codes`. None: each object has its own score."""
 
     def __init__(
         self,
@@ -56,7 +55,6 @@ class PlaceEncoder(nn.Module):
         code = attribute_codes(list(dict.fromkeys(name for name, _ in facets)))
         known = None if code is None else torch.from_numpy(code)
         self.register_buffer("code", known, persistent=False)
-        self.register_buffer("shown", None, persistent=False)
         objects = objects if known is None else known.shape[1]
         self.layers = nn.ModuleList(
             nn.Conv2d(inputs, outputs, kernel, stride, padding=kernel // 2)
@@ -69,8 +67,6 @@ class PlaceEncoder(nn.Module):
             orthogonal(layer, RELU_GAIN, generator)
         for layer in (self.objects, self.colours):
             orthogonal(layer, 1.0, generator)
-        if known is not None:
-            nn.init.zeros_(self.objects.weight[-len(KINDS) :])
 
     def features(self, images: Tensor) -> Tensor:
         """Compute the features of images (n, H, W, 3) uint8, by place: (n, C, h, w) float32."""
@@ -80,11 +76,17 @@ class PlaceEncoder(nn.Module):
         return x
 
     def logits(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        """Return logits of objects (n, objects, P) and colours (n, colours, P) at P places."""
-        objects = self.objects(features).flatten(2)
-        if self.code is not None:
-            objects = self.code @ objects
-        return objects, self.colours(features).flatten(2)
+        """Return logits of objects (n, objects, P) and colours (n, colours, P) at P places.
+
+        Those of a code are log-probabilities: of object and place, and of the colour there.
+        """
+        objects, colours = self.objects(features).flatten(2), self.colours(features).flatten(2)
+        if self.code is None:
+            return objects, colours
+        # But for a constant, half the score times 1 or -1 is the logarithm of the probability.
+        names = self.code[:, :ATTRIBUTES] @ objects[:, :ATTRIBUTES] / 2
+        place = objects[:, ATTRIBUTES, None].log_softmax(2)
+        return names.log_softmax(1) + place, colours.log_softmax(1)
 
     def facet_scores(self, features: Tensor) -> Tensor:
         """Score the facets over all places of `features`: (n, F) float32."""
@@ -102,8 +104,10 @@ class PlaceEncoder(nn.Module):
             features: (n, C, h, w).
             facets: (n, m) int64.
             places: (n, m) int64, where they are; the probability is then that of facet and place
-                among all facets at all places.
+                among all facets at all places; of a code, that of its columns and place.
         """
+        if self.code is not None and places is not None:
+            return self._attribute_likelihood(features, facets, places)
         scores = self.facet_scores(features)
         if places is None:
             return scores.log_softmax(1).gather(1, facets)
@@ -112,9 +116,26 @@ class PlaceEncoder(nn.Module):
             logits[rows, part[facets], places]
             for logits, part in zip(self.logits(features), self.facet_parts, strict=True)
         )
-        if self.shown is not None:
-            scores = scores[:, self.shown]
         return cast(Tensor, at_place) - scores.logsumexp(1, keepdim=True)
+
+    def _attribute_likelihood(self, features: Tensor, facets: Tensor, places: Tensor) -> Tensor:
+        """Return the log-probability of place, attributes, kind and colour of facets, (n, m).
+
+        Names do not need the kind; learning to tell kinds apart improves the features.
+        """
+        assert self.code is not None
+        (name, colour), rows = self.facet_parts[:, facets], torch.arange(len(places))[:, None]
+        objects, colours = self.objects(features).flatten(2), self.colours(features).flatten(2)
+        code, score = self.code[name], objects[rows, :, places]  # (n, m, outputs)
+        shape, parts, kind = (slice(*each) for each in COLUMNS)
+        return cast(
+            Tensor,
+            objects[:, ATTRIBUTES].log_softmax(1).gather(1, places)
+            + (score[..., shape].log_softmax(2) * (code[..., shape] > 0)).sum(2)
+            + nn.functional.logsigmoid(code[..., parts] * score[..., parts]).sum(2)
+            + (score[..., kind].log_softmax(2) * code[..., kind]).sum(2)
+            + colours.log_softmax(1)[rows, colour, places],
+        )
 
 
 def number_facets(facets: tuple[ObjectColour, ...]) -> Tensor:

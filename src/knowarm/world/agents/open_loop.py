@@ -17,6 +17,7 @@ from knowarm.world.agents.open_loop_score import OpenLoopScore
 from knowarm.world.cache import cache_file, read_arrays, write_arrays
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.scene.scene import build_scene
 from knowarm.world.tasks.episodes import draw_episodes
 from knowarm.world.tasks.running import ACTION_LEVELS
 from knowarm.world.tasks.sampling import derive
@@ -29,6 +30,9 @@ ANCHORS = (-0.6, 0.0, 0.6)
 BEAM_WIDTH = 2  # Beginnings of tours kept for each number of steps and set of targets solved
 VISITED_SHARE = 0.08
 """Share of a target's episodes that must be solved for the target to count as visited."""
+
+MOST_GROUPS = 32
+"""More targets than this are grouped with their neighbours; each group counts as one target."""
 
 MEMORY = 40
 """Late acceptance: a mutation is kept if it is no worse than the list this many mutations ago."""
@@ -114,13 +118,18 @@ def _search(
 
 
 def _anchor_goals(score: OpenLoopScore) -> NDArray[np.float64]:
-    """Grasp frames of each target at each anchor as transforms to world, (K A, 3, 4)."""
-    scene, robot = score.scene, score.scene.robot
+    """Grasp frames of one target per group at each anchor as transforms to world, (G A, 3, 4)."""
+    robot = score.scene.robot
     grid = np.stack(np.meshgrid(ANCHORS, ANCHORS), axis=-1).reshape(-1, 2)
     places = np.array(robot.rectangle_centre_m) + grid * np.array(robot.rectangle_half_size_m)
-    kinds = len(scene.targets)
-    target = np.repeat(np.arange(kinds), len(places))
-    return score.goals(target, np.tile(places, (kinds, 1)))
+    first = np.unique(_group_of(score), return_index=True)[1]
+    return score.goals(np.repeat(first, len(places)), np.tile(places, (len(first), 1)))
+
+
+def _group_of(score: OpenLoopScore) -> NDArray[np.int64]:
+    """Return the group of each target, (K,): its own, or one with neighbours of many."""
+    targets = len(score.scene.targets)
+    return np.arange(targets) * min(targets, MOST_GROUPS) // targets
 
 
 def _waypoints(score: OpenLoopScore, goal: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
@@ -129,7 +138,8 @@ def _waypoints(score: OpenLoopScore, goal: NDArray[np.float64], seed: int) -> ND
     They are the nearest to the mean start, and the nearest to a grasp of each target.
     """
     position, matrix = goal[..., 3].copy(), goal[..., :3].reshape(-1, 9).copy()
-    solver = InverseKinematics(score.scene, seed=seed)
+    arm = build_scene(score.scene.robot, score.scene.targets[:1])  # each object takes time
+    solver = InverseKinematics(arm, seed=seed)
     middle = score.start.mean(axis=0)
     near_start = solver.solve(position, matrix, np.tile(middle, (len(goal), 1)))
     anchors = len(ANCHORS) ** 2
@@ -229,9 +239,10 @@ def _best(score: OpenLoopScore, tours: list[_Tour], count: int) -> list[_Tour]:
     kept: list[_Tour] = []
     sizes: dict[bytes, int] = {}
     seen: set[bytes] = set()
-    episodes = np.bincount(score.target)
+    group = _group_of(score)[score.target]
+    episodes = np.bincount(group)
     for tour in sorted(tours, key=lambda tour: -int(tour.solved.sum())):
-        shares = np.bincount(score.target, tour.solved, len(episodes)) / np.maximum(episodes, 1)
+        shares = np.bincount(group, tour.solved, len(episodes)) / np.maximum(episodes, 1)
         key = (shares > VISITED_SHARE).tobytes()
         same = tour.solved.tobytes() + tour.joints[0].round(1).tobytes()
         if sizes.get(key, 0) < count and same not in seen:

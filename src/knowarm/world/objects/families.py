@@ -33,6 +33,14 @@ INSTANCES = 20
 FAMILIES = tuple(f"{kind}{INSTANCE}{i}" for kind in KINDS for i in range(INSTANCES))
 """Objects of the families task."""
 
+_SHAPES = tuple(dict.fromkeys(kind["shape"] for kind in _TABLE.values()))
+
+ATTRIBUTES = len(_SHAPES) + len(_SIZES)
+"""Number of shapes and parts, of which an object has one shape and any parts."""
+
+COLUMNS = (0, len(_SHAPES)), (len(_SHAPES), ATTRIBUTES), (ATTRIBUTES + 1, None)
+"""First and last column of shapes, parts and kinds in `attribute_codes`; one is left for places."""
+
 FAMILY_COLOURS = ("red", "yellow", "green", "cyan", "blue", "purple")
 
 _DARK, _LIGHT = ".15 .15 .16 1", ".93 .93 .9 1"
@@ -69,18 +77,17 @@ def look_of(name: str) -> tuple[str, ...]:
 
 
 def attribute_codes(names: Sequence[str]) -> NDArray[np.float32] | None:
-    """Return how attributes and kinds make up the score of each object, (objects, A + 1 + kinds).
+    """Return attributes and kinds of objects, (objects, columns); see `COLUMNS`.
 
-    An attribute counts 1 where an object has it and -1 where not, a kind 1 for its instances; the
-    column between them is 1 for all. None unless all are instances of families.
+    1 is an attribute that the object has, -1 one that it lacks; the kind is 1 and all others are 0.
+    None unless all are instances of families.
     """
     looks = [look_of(name) for name in names]
     if not all(look[0] in KINDS and len(look) > 1 for look in looks):
         return None
-    every = [*dict.fromkeys(kind["shape"] for kind in _TABLE.values()), *_SIZES]
-    attributes = [[1.0 if each in look else -1.0 for each in every] for look in looks]
+    attributes = [[1.0 if each in look else -1.0 for each in (*_SHAPES, *_SIZES)] for look in looks]
     kinds = [[float(look[0] == kind) for kind in KINDS] for look in looks]
-    return np.concatenate([attributes, np.ones((len(looks), 1)), kinds], axis=1, dtype=np.float32)
+    return np.concatenate([attributes, np.zeros((len(looks), 1)), kinds], axis=1, dtype=np.float32)
 
 
 class _Shape:
