@@ -12,7 +12,7 @@ from knowarm.world.config import EnvConfig
         ({"image_size": 0}, r"image_size must be 1 to 4096, got 0"),
         ({"success_distance_m": -1.0}, r"success_distance_m must be larger than 0"),
         ({"success_angle_deg": 0.0}, r"success_angle_deg must be larger than 0"),
-        ({"max_episode_steps": 0}, r"max_episode_steps must be at least 1"),
+        ({"max_episode_steps": -1}, r"max_episode_steps must be at least 1"),
         ({"targets": ("mug", "mug")}, r"contains a name twice"),
         ({"colours": "any"}, r"colours must be one of fixed, randomized, got 'any'"),
         ({"dynamics": "fast"}, r"dynamics must be one of dynamic, kinematic"),

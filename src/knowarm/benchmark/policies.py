@@ -76,7 +76,7 @@ class PolicyAdapter:
         self._env, scene = env, env.scene
         table = questions_of(env.config)
         asked = [] if table is None else [table.queries[row] for row in env.knowledge_input]
-        names = scene.robot.joints
+        names = scene.joint_names
         self._shape = (env.num_envs, len(names))
         batch = Batch(
             size=env.num_envs,

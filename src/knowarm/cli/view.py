@@ -98,7 +98,7 @@ class View:
                 known.append(self._known(agent, env, films[-1][0].policy))
         reached = sum(film[-1].success for film in films)
         print(f"{reached} of {len(films)} episodes reached their target.")
-        write_recording = partial(write_rrd, joints=env.scene.robot.joints, known=known)
+        write_recording = partial(write_rrd, joints=env.scene.joint_names, known=known)
         for path, write in (
             (self.video, write_video),
             (self.strip, write_strip),

@@ -100,7 +100,13 @@ ALGORITHMS: dict[str, Algorithm] = {
         policy={"pixel_shift": 0.5, "pixel_scale": 4.0},
         # The auxiliary loss predicts the way to the goal, so its features have to know the goal.
         grounded={"fusion": "before_fc"},
-        by_task={task: {"total_steps": 300_000} for task in ("choose", "purpose", "families")},
+        by_task={
+            **{task: {"total_steps": 300_000} for task in ("choose", "purpose", "families")},
+            "lift": {
+                "total_steps": 800_000,
+                "algorithm": {"imitation_way": 2.0, "imitation_stay": 0.2, "glimpse_until": 0.1},
+            },
+        },
     ),
     "ppo": Algorithm(
         about="recurrent proximal policy optimization",

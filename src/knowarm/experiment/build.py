@@ -131,7 +131,7 @@ def build(config: ExperimentConfig) -> Parts:
         table = embedding.table(facets)
     grounded = config.grounding is not None
     shape = PolicyShape(
-        joints=len(find_robot(config.env.robot).joints),
+        joints=len(find_robot(config.env.robot).joints) + config.env.task.solid,
         levels=len(ACTION_LEVELS),
         image_size=config.env.image_size,
         knowledge_dim=FRAME if grounded else embedding.dim,

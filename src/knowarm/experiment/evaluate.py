@@ -158,6 +158,8 @@ def evaluate(
         if trained is not None:
             agent, table = agent_for_test(trained, judged, config)
         fixed = _episodes(env, config)
+        if config.lift and judged.task.solid:
+            raise UserError("lift=True lifts where episodes of a task without solid objects end.")
         if config.lift:  # a robot without fingers is found before anything is played
             lifting_model(env.scene.robot, env.scene.targets[:1])
         result = play(agent, env, fixed, record_images=config.record_films)
@@ -180,7 +182,7 @@ def evaluate(
         "label": config.folder,
         "config": to_dict(config),
         "env": to_dict(judged),
-        "joints": list(env.scene.robot.joints),
+        "joints": list(env.scene.joint_names),
         **summarize(episodes),
         **blind,
         **({} if (chance := judged.task.chance) is None else {"choice_chance": chance}),

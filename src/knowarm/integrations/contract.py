@@ -121,6 +121,11 @@ def deployment(trained: TrainedAgent) -> Deployment:
             "The policy's knowledge comes from the simulator, which no robot has; export an agent "
             "with a knowledge table, a perception module or a grounding network."
         )
+    if env.task.solid:
+        raise UserError(
+            f"Policies of the task {env.task.kind_of()!r} close fingers, which deployments "
+            "cannot do. Export a policy of another task."
+        )
     if not table.size or (table == table[:1]).all():  # the same knowledge in every episode
         table, rows = np.zeros((1, 0)) if not table.size else table[:1], ["any"]
     table = np.ascontiguousarray(table, dtype=np.float32)

@@ -68,7 +68,7 @@ class _Writer:
 
     def __init__(self, env: ReachVectorEnv, folder: Path) -> None:
         self.env, self.folder = env, folder
-        self.joints = [*env.scene.robot.joints]
+        self.joints = [*env.scene.joint_names]
         self.tasks: dict[str, int] = {}
         self.rows: list[dict[str, Any]] = []
         self.frames, self.successes = 0, 0

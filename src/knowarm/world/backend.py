@@ -39,9 +39,11 @@ class MujocoSimulator:
             model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
             model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
         self.batch = Batch(model, num_envs, num_threads or available_cores())
+        self._stage = _POSES
         self._qpos = self.batch.bind("qpos")
         self._qvel = self.batch.bind("qvel")
         self._ctrl = self.batch.bind("ctrl")
+        self._servo_joint = np.arange(model.nu).clip(max=scene.num_joints - 1)
         self._warmstart = self.batch.bind("qacc_warmstart")
         self._mocap = self.batch.bind("mocap_pos")
         self._site_position = self.batch.bind("site_xpos")
@@ -70,30 +72,33 @@ class MujocoSimulator:
         joint_targets: NDArray[np.float64],
         target_position: NDArray[np.float64],
         distractor_position: NDArray[np.float64] | None = None,
+        visible: NDArray[np.bool_] | None = None,
     ) -> None:
         """Put environments (m,) at rest at joint angles (m, J) [rad].
 
         Positions are x and y [m] of the K targets, also of hidden ones, and of the D distractors.
+        ``visible`` tells which targets are not hidden, (m, K), where that matters to the physics.
         """
         ids = env_ids
         self._qpos[ids[:, None], self.scene.qpos_index] = joint_targets
         self._qvel[ids] = 0.0
         self._warmstart[ids] = 0.0
-        self._ctrl[ids] = joint_targets
-        places = target_places(self.scene, target_position)
-        self._mocap[ids[:, None], self.scene.target_mocap] = places
+        self._set_servos(ids, joint_targets)
+        if self.scene.lifting is None:
+            places = target_places(self.scene, target_position)
+            self._mocap[ids[:, None], self.scene.target_mocap] = places
         if distractor_position is not None:
             at = ids[:, None], self.scene.distractor_mocap
             self._mocap[(*at, slice(2))] = distractor_position
-        self.batch.forward(ids=ids, stage=_POSES)
+        self.batch.forward(ids=ids, stage=self._stage)
 
     def step(self, joint_targets: NDArray[np.float64], substeps: int = SUBSTEPS) -> None:
         """Advance by physics steps (default: a control period) to joint targets (n, J) [rad]."""
         if self.dynamics == "kinematic":
             self.set_joints(joint_targets)
         else:
-            self._ctrl[:] = joint_targets
-            self.batch.step(nstep=substeps, stage=_POSES)
+            self._set_servos(slice(None), joint_targets)
+            self.batch.step(nstep=substeps, stage=self._stage)
 
     def set_joints(self, joint_positions: NDArray[np.float64]) -> None:
         """Set the joint angles (n, J) [rad] and compute poses without advancing time."""
@@ -107,4 +112,10 @@ class MujocoSimulator:
     def set_state(self, state: NDArray[np.float64]) -> None:
         """Restore a state of ``get_state``."""
         self.batch.state[:] = state
-        self.batch.forward(stage=_POSES)
+        self.batch.forward(stage=self._stage)
+
+    def _set_servos(
+        self, ids: NDArray[np.intp] | slice, joint_targets: NDArray[np.float64]
+    ) -> None:
+        """Set the servos' targets; further servos, of the second finger, follow the last joint."""
+        self._ctrl[ids] = joint_targets[:, self._servo_joint]

@@ -37,8 +37,8 @@ class EnvConfig:
     it."""
     dynamics: Literal["dynamic", "kinematic"] = "dynamic"
     """Servos, inertia and contacts, or joint angles set exactly."""
-    max_episode_steps: int = 50
-    """Steps after which an episode is truncated."""
+    max_episode_steps: int = 0
+    """Steps after which an episode is truncated. 0: the task's, 50 as in the paper or more."""
     success_distance_m: float = 0.05
     """Distance from gripper to grasp point below which a target counts as reached [m]."""
     success_angle_deg: float = 15.0
@@ -65,6 +65,8 @@ class EnvConfig:
     def __post_init__(self) -> None:
         if not self.targets:
             object.__setattr__(self, "targets", self.task.targets)
+        if not self.max_episode_steps:
+            object.__setattr__(self, "max_episode_steps", self.task.max_steps)
         if self.task.colours is not None:
             object.__setattr__(self, "colours", self.task.colours)
         check_numbers(self)
@@ -94,6 +96,11 @@ class EnvConfig:
                 f"{len(self.targets)}; all objects of an episode are different. Name more targets "
                 "or show fewer objects."
             )
+        if task.solid and self.dynamics == "kinematic":
+            raise UserError(
+                f"The task {task.kind_of()!r} is one of contacts, which dynamics='kinematic' does "
+                "not simulate. Take 'dynamic'."
+            )
         for name, used in (
             ("held_out", self.held_out is not None),
             ("randomization.distractors", self.randomization.distractors > 0),
@@ -110,11 +117,11 @@ def _one_of(field: str, value: str, allowed: tuple[str, ...]) -> None:
         raise UserError(f"EnvConfig.{field} must be one of {', '.join(allowed)}, got {value!r}.")
 
 
-def scene_of(config: EnvConfig) -> Scene:
-    """Load the scene of a config."""
-    return load_scene(
-        config.robot, config.targets, config.randomization.distractors, config.task.area
-    )
+def scene_of(config: EnvConfig, *, solid: bool | None = None) -> Scene:
+    """Load the scene of a config; ``solid`` replaces whether the task's objects are solid."""
+    distractors, task = config.randomization.distractors, config.task
+    solid = task.solid if solid is None else solid
+    return load_scene(config.robot, config.targets, distractors, task.area, solid)
 
 
 def setting_of(config: EnvConfig) -> Setting:

@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 
 from knowarm.world.agents.ik import InverseKinematics
 from knowarm.world.agents.open_loop_score import OpenLoopScore
+from knowarm.world.agents.play import play
+from knowarm.world.agents.scripted import OracleAgent
 from knowarm.world.cache import cache_file, read_arrays, write_arrays
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ReachVectorEnv
 from knowarm.world.scene.scene import build_scene
-from knowarm.world.tasks.episodes import draw_episodes
+from knowarm.world.tasks.episodes import Episodes, draw_episodes
 from knowarm.world.tasks.running import ACTION_LEVELS
 from knowarm.world.tasks.sampling import derive
 
@@ -39,6 +41,9 @@ MEMORY = 40
 
 LEVEL_ODDS = np.array([0.25, 0.3, 0.3, 0.05, 0.05, 0.025, 0.025])
 """How often a mutation draws each action: rarely the small ones, which hardly move the arm."""
+
+REPLAYED_LISTS, REPLAYED_EPISODES = 12, 48
+"""Lists that are replayed where objects are solid, and episodes in which each is played."""
 
 REVISION = 1  # Part of the cache's key; to be increased with every change of the results
 Actions = NDArray[np.int64]  # A list of actions: indices into ``ACTION_LEVELS``, (T, J)
@@ -77,10 +82,13 @@ def search_open_loop(config: EnvConfig, budget: int = BUDGET, seed: int = 0) -> 
     they solve. The rest improves the best tour of each set by hill climbing; after each round the
     better half goes on. Candidates, whole lists or segments of a tour, are scored with exact joint
     angles (``dynamics="kinematic"``).
+
+    Where objects are solid, the candidates are the lists by which the oracle solves
+    ``REPLAYED_LISTS`` episodes, played in ``REPLAYED_EPISODES``.
     """
-    streams = np.full(SEARCH_EPISODES, derive(seed, "open-loop episodes"), dtype=np.uint64)
-    indices = np.arange(SEARCH_EPISODES, dtype=np.uint64)
-    score = OpenLoopScore(config, draw_episodes(config, streams, indices))
+    if config.task.solid:
+        return _best_replayed(config, _episodes(config, REPLAYED_EPISODES, seed))
+    score = OpenLoopScore(config, _episodes(config, SEARCH_EPISODES, seed))
     goal = _anchor_goals(score)
     file = cache_file("open-loop", REVISION, budget, seed, goal, *score.depends_on())
     stored: NDArray[Any] | None = (read_arrays(file) or {}).get("actions")
@@ -89,6 +97,31 @@ def search_open_loop(config: EnvConfig, budget: int = BUDGET, seed: int = 0) -> 
     found = _search(score, _waypoints(score, goal, seed), budget, seed)
     write_arrays(file, {"actions": found})
     return found
+
+
+def _episodes(config: EnvConfig, count: int, seed: int) -> Episodes:
+    """Draw episodes that no evaluation of any seed has."""
+    streams = np.full(count, derive(seed, "open-loop episodes"), dtype=np.uint64)
+    return draw_episodes(config, streams, np.arange(count, dtype=np.uint64))
+
+
+def _best_replayed(config: EnvConfig, episodes: Episodes) -> Actions:
+    """Return the list of the oracle's actions in one episode that solves most of all of them."""
+    env = ReachVectorEnv(config, len(episodes))
+    steps = play(OracleAgent(), env, episodes[:REPLAYED_LISTS]).steps
+    best, most = np.zeros((config.max_episode_steps, env.scene.num_joints), dtype=np.int64), -1
+    for i in range(REPLAYED_LISTS):
+        played = steps.actions[steps.episode == i]
+        actions = np.zeros_like(best)
+        actions[: len(played)] = played
+        env.reset(options={"episodes": episodes})
+        solved, unseen = (np.zeros(len(episodes), dtype=np.bool_) for _ in range(2))
+        for each in actions[: len(played)]:
+            _, _, terminated, _, infos = env.advance(np.tile(each, (len(solved), 1)), unseen)
+            solved |= terminated & infos["is_success"]
+        if solved.sum() > most:
+            best, most = actions, int(solved.sum())
+    return best
 
 
 def _is_list(actions: NDArray[Any], score: OpenLoopScore) -> bool:

@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.world.agents.ik import InverseKinematics
+from knowarm.world.agents.lift_teacher import make_teacher
+from knowarm.world.agents.teacher import Teacher
 from knowarm.world.envs.vector_env import ReachVectorEnv
 from knowarm.world.tasks.running import ACTION_LEVELS, joint_increments
 
@@ -62,15 +64,24 @@ class OracleAgent:
     takes the action that ends nearest to its solution. It shows that a task can be solved with the
     seven actions, and its score is an upper reference for agents that see images.
 
+    Where objects are solid it does what the task's teacher would do.
+
     Args:
         seed: of the starting points of the solver.
     """
 
     def __init__(self, seed: int = 0) -> None:
         self._seed = seed
+        self._env: ReachVectorEnv | None = None
+        self._teacher: Teacher | None = None
 
     def start(self, env: ReachVectorEnv) -> None:
         """Solve the inverse kinematics of every episode."""
+        if env.config.task.solid:
+            if self._teacher is None or self._env is not env:
+                self._teacher = make_teacher(env.running)
+            self._env = env
+            return
         self._env = env
         self._levels = joint_increments(env.scene.robot, env.config)
         solver = InverseKinematics.of_task(env.scene, env.config, seed=self._seed)
@@ -78,10 +89,13 @@ class OracleAgent:
 
     def act(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:
         """Choose for each joint the action that ends nearest to its solution, (n, J)."""
+        if self._teacher is not None:
+            return self._teacher.actions(self._teacher.error(), len(ACTION_LEVELS))
         return self._towards(self._reach.joints)
 
     def _towards(self, joints: NDArray[np.float64]) -> NDArray[np.int64]:
         """Choose for each joint the action that ends nearest to an angle, (n, J)."""
+        assert self._env is not None
         way = joints - self._env.joint_targets
         return np.abs(way[..., None] - self._levels).argmin(axis=-1)
 
@@ -96,6 +110,8 @@ class ApproachAgent(OracleAgent):
     def start(self, env: ReachVectorEnv) -> None:
         """Solve the inverse kinematics of the way of every episode."""
         super().start(env)
+        if self._teacher is not None:
+            return
         back = -env.goal_matrix.reshape(-1, 3, 3)[:, :, 2]
         solver = InverseKinematics.of_task(env.scene, env.config, starts=1)
         way = [self._reach.joints]
@@ -107,6 +123,8 @@ class ApproachAgent(OracleAgent):
 
     def act(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:
         """Choose for each joint the action that ends nearest to the next pose, (n, J)."""
+        if self._teacher is not None or self._env is None:
+            return super().act(observations)
         rows = np.arange(len(self._next))
         way = self._way[self._next, rows] - self._env.joint_targets
         near = np.abs(way).max(axis=1) < self._levels.max() / NEAR

@@ -1,6 +1,7 @@
 """Teacher: actions by inverse kinematics for episodes that a student plays, and practice starts."""
 
 import logging
+from copy import copy
 from dataclasses import replace
 from functools import partial
 
@@ -8,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.world.agents.ik import REACHED_M, IKSolution, InverseKinematics
+from knowarm.world.config import scene_of
 from knowarm.world.scene.scene import target_places
 from knowarm.world.tasks.episodes import Episodes
 from knowarm.world.tasks.running import ACTION_LEVELS, RunningEpisodes, joint_increments
@@ -48,7 +50,7 @@ class GoalTable:
 
     def __init__(self, running: RunningEpisodes, seed: int = 0) -> None:
         self._running = running
-        scene = running.scene
+        self._scene = scene = scene_of(running.config, solid=False)
         robot, count = scene.robot, len(scene.targets)
         self._low = np.array(robot.rectangle_centre_m) - np.array(robot.rectangle_half_size_m)
         size = 2 * np.array(robot.rectangle_half_size_m)
@@ -61,13 +63,21 @@ class GoalTable:
             low + step * np.arange(NODES) for low, step in zip(self._low, self._cell, strict=True)
         ]
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-        objects, places = np.repeat(every, len(grid)), np.tile(grid, (count, 1))
-        nodes = solver(starts=1)
-        found = self._solve(nodes, objects, places, reference[objects], 1)
-        missed = float((~found.within(REACHED_M, nodes.reached_deg)).mean())
+        self._grid = objects, places = np.repeat(every, len(grid)), np.tile(grid, (count, 1))
+        self._near = near = solver(starts=1)
+        found = self._solve(near, objects, places, reference[objects], 1)
+        missed = float((~found.within(REACHED_M, near.reached_deg)).mean())
         if missed > MISSED:
             log.warning("The teacher reaches %.0f %% of the places.", 100 * (1 - missed))
         self._joints = found.joints.reshape(count, NODES, NODES, -1)
+
+    def shifted(self, shift: NDArray[np.float64]) -> "GoalTable":
+        """Return the table of goal frames moved by ``shift`` per object, (K, 3) [m]."""
+        table, (objects, places) = copy(self), self._grid
+        start = self._joints.reshape(len(objects), -1)
+        found = self._solve(self._near, objects, places, start, 1, shift=shift)
+        table._joints = found.joints.reshape(self._joints.shape)
+        return table
 
     def __call__(
         self, objects: NDArray[np.int64], places: NDArray[np.float64]
@@ -89,10 +99,13 @@ class GoalTable:
         places: NDArray[np.float64],
         start: NDArray[np.float64],
         *attempts: int,
+        shift: NDArray[np.float64] | None = None,
     ) -> IKSolution:
-        running, scene = self._running, self._running.scene
+        running, scene = self._running, self._scene
         grasp = target_places(scene, places) + scene.grasp_position[objects]
         position, matrix = running.task.goal(scene, objects, grasp, running.grasp_rotation[objects])
+        if shift is not None:
+            position = position + shift[objects]
         return solver.solve(position, matrix, start, *attempts)
 
 
@@ -119,10 +132,13 @@ class Teacher:
         goals = self.goals(running.objects[:, 0], running.positions[:, 0])
         return np.asarray((goals - running.joint_targets) / self._levels[1])
 
-    def actions(self, error: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Return for each joint the coarse level that ends nearest to the solution, (n, J)."""
-        levels = np.array(ACTION_LEVELS[:COARSE_LEVELS])
-        return np.abs(error[..., None] - levels).argmin(axis=-1)
+    def actions(self, error: NDArray[np.float64], levels: int = COARSE_LEVELS) -> NDArray[np.int64]:
+        """Return for each joint the level that ends nearest to the solution, (n, J).
+
+        ``levels`` counts those that are allowed, from the first.
+        """
+        steps = np.array(ACTION_LEVELS[:levels])
+        return np.abs(error[..., None] - steps).argmin(axis=-1)
 
     def practice(
         self, episodes: Episodes, streams: NDArray[np.uint64], numbers: NDArray[np.uint64]
@@ -130,17 +146,34 @@ class Teacher:
         """Move the starts of a share of new episodes (k,) to noisy points on their way."""
         if not self.practice_share:
             return episodes
-        scene, joints = self._running.scene, episodes.joint_offsets.shape[1]
-        draws = uniforms(streams ^ _STREAM, numbers, 2 + 2 * joints)
-        start = scene.home + episodes.joint_offsets
-        goals = self.goals(episodes.target, episodes.position)
+        scene = self._running.scene
+        joints = len(scene.robot.joints)  # Fingers start open.
+        draws = uniforms(streams ^ _STREAM, numbers, 3 + 2 * joints)
         radius = np.sqrt(-2 * np.log1p(-draws[:, 2 : 2 + joints]))
-        noise = radius * np.cos(2 * np.pi * draws[:, 2 + joints :])  # Box and Muller 1958
-        # As the teacher moves: every joint by the largest step until it arrives.
-        way, step = goals - start, self._levels[1]
-        reached = draws[:, :1] * np.abs(way).max(axis=1, keepdims=True)
-        point = start + way.clip(-reached, reached) + PRACTICE_NOISE * step * noise
-        point = point.clip(scene.joint_lower, scene.joint_upper)
+        noise = radius * np.cos(2 * np.pi * draws[:, 2 + joints : -1])  # Box and Muller 1958
+        noise *= self._levels[1]
+        start = (scene.home + episodes.joint_offsets)[:, :joints]
+        point = self.practice_point(episodes, start, draws[:, :1], noise, draws[:, -1:])
+        point = point.clip(scene.joint_lower[:joints], scene.joint_upper[:joints])
         moved = draws[:, 1:2] < self.practice_share
-        offsets = np.where(moved, point - scene.home, episodes.joint_offsets)
+        offsets = episodes.joint_offsets.copy()
+        offsets[:, :joints] = np.where(moved, point - scene.home[:joints], offsets[:, :joints])
         return replace(episodes, joint_offsets=offsets)
+
+    def practice_point(
+        self,
+        episodes: Episodes,
+        start: NDArray[np.float64],
+        share: NDArray[np.float64],
+        noise: NDArray[np.float64],
+        choice: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """Return joint angles on the way from start to solution, (k, J) [rad].
+
+        ``share`` and ``choice`` are uniform draws (k, 1), ``noise`` has a standard deviation of one
+        largest step, (k, J).
+        """
+        way = self.goals(episodes.target, episodes.position) - start
+        # As the teacher moves: every joint by the largest step until it arrives.
+        reached = share * np.abs(way).max(axis=1, keepdims=True)
+        return np.asarray(start + way.clip(-reached, reached) + PRACTICE_NOISE * noise)

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from knowarm.errors import UserError
+from knowarm.world.agents.lift_teacher import make_teacher
 from knowarm.world.agents.teacher import Teacher
-from knowarm.world.backend import MujocoSimulator
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.arguments import check_action_range
 from knowarm.world.envs.vector_env import describe, draw_images
 from knowarm.world.render.renderer import Renderer, make_renderer
 from knowarm.world.tasks.privileged import privileged_columns, privileged_state
-from knowarm.world.tasks.running import ACTION_LEVELS, RunningEpisodes
+from knowarm.world.tasks.running import ACTION_LEVELS, RunningEpisodes, make_simulator
 
 
 class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
@@ -73,7 +73,7 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         self.metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
         side = config.image_size
         self.renderer: Renderer = make_renderer(scene, config, side, num_threads)
-        self.simulation = MujocoSimulator(scene, num_envs, num_threads, config.dynamics)
+        self.simulation = make_simulator(config, num_envs, num_threads)
         shape = (num_envs, side, side, 3)
         self._final_images = np.zeros(shape, dtype=np.uint8)
         self._final_tensor = self._tensor(self._final_images)
@@ -130,7 +130,7 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
     def teacher(self) -> Teacher:
         """Solves the episodes by inverse kinematics, for training only; made on first use."""
         if self._teacher is None:
-            self._teacher = Teacher(self.running)
+            self._teacher = make_teacher(self.running)
         return self._teacher
 
     def teach(self) -> tuple[Tensor, Tensor]:

@@ -9,12 +9,11 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from knowarm.errors import UserError
-from knowarm.world.backend import MujocoSimulator
 from knowarm.world.config import EnvConfig, scene_of
 from knowarm.world.envs.arguments import check_state, checked_actions
 from knowarm.world.render.renderer import Renderer, make_renderer
 from knowarm.world.scene.scene import Scene
-from knowarm.world.tasks.running import ACTION_LEVELS, RunningEpisodes
+from knowarm.world.tasks.running import ACTION_LEVELS, RunningEpisodes, make_simulator
 
 RENDER_SIZE = 480  # Width and height of the images that ``render`` returns [px]
 Step = tuple[
@@ -64,7 +63,7 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
             "render_fps": 10,
             "autoreset_mode": autoreset,
         }
-        self.simulation = MujocoSimulator(self.scene, num_envs, num_threads, config.dynamics)
+        self.simulation = make_simulator(config, num_envs, num_threads)
         self.renderer: Renderer = make_renderer(self.scene, config, config.image_size, num_threads)
         self._large_renderer: Renderer | None = None
         self.running = RunningEpisodes(config, self.simulation)

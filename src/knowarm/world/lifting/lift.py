@@ -141,11 +141,11 @@ class LiftTrial:
         self._qvel[:] = 0.0
         self._ctrl[:] = 0.0
         self.batch.forward()
-        placed = self._centre[:, lifting.object_body].copy()
+        placed = self._centre[:, lifting.bodies[0]].copy()
         for step in range(max(map(len, paths))):
             self._ctrl[:, :joints] = np.stack([path[min(step, len(path) - 1)] for path in paths])
             yield self._advance("approach")
-        before = self._centre[:, lifting.object_body].copy()
+        before = self._centre[:, lifting.bodies[0]].copy()
         self.moved[:] = np.linalg.norm(before - placed, axis=1)
         for step in range(CLOSE_STEPS):
             self._ctrl[:, joints:] = lifting.closed_m * (step + 1) / (CLOSE_STEPS - 2)
@@ -163,7 +163,7 @@ class LiftTrial:
         for _ in range(HOLD_STEPS):
             yield self._advance("hold")
             self._held &= self._touches()
-        self.rise[:] = self._centre[:, lifting.object_body, 2] - before[:, 2]
+        self.rise[:] = self._centre[:, lifting.bodies[0], 2] - before[:, 2]
         self._gripper_rise = self._site[:, lifting.tcp_site, 2] - gripper
 
     def outcome(self) -> NDArray[np.str_]:

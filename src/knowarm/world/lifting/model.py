@@ -20,6 +20,7 @@ from knowarm.world.scene.compose import (
 
 OBJECT_BIT = 4  # Contact bit of objects, beside those of robot and support
 TIMESTEP_S = 0.002
+TASK_TIMESTEP_S = 0.004  # In the lifting task, twice as fast; from .005 on objects slip
 SUBSTEPS = round(CONTROL_PERIOD_S / TIMESTEP_S)  # Physics steps per control period
 IMPRATIO = 10.0  # Stiffness of friction over that of normal forces; less lets held objects creep
 PAD_FRICTION = (1.0, 0.005, 0.0001)  # Sliding, torsional [m] and rolling [m] friction of fingers
@@ -38,13 +39,18 @@ class LiftingModel:
     model: mujoco.MjModel
     arm_qpos: NDArray[np.intp]  # Index in qpos of each joint of the arm, (J,)
     object_qpos: NDArray[np.intp]  # Index in qpos of each object's x, (m,)
-    object_body: int  # Body of the object to lift
+    bodies: NDArray[np.intp]  # Body of each object, (m,)
     rest: NDArray[np.float64]  # Pose of each object on the support, x and y apart, (m, 7)
     tcp_site: int  # Site between the fingers
     closed_m: float  # Position of the fingers' servos that grips with full force
 
 
-def lifting_model(robot: Robot, targets: tuple[Target, ...]) -> LiftingModel:
+def lifting_model(
+    robot: Robot,
+    targets: tuple[Target, ...],
+    distractors: int = 0,
+    timestep_s: float = TIMESTEP_S,
+) -> LiftingModel:
     """Build the model of a robot and the objects of an episode.
 
     The arm with its servos is that of `compose`. The robot's ``fingers`` slide along the y axis of
@@ -55,8 +61,8 @@ def lifting_model(robot: Robot, targets: tuple[Target, ...]) -> LiftingModel:
     Raises:
         UserError: the robot names no fingers, or its file lacks them.
     """
-    spec = compose(robot, targets)
-    spec.option.timestep = TIMESTEP_S
+    spec = compose(robot, targets, distractors)
+    spec.option.timestep = timestep_s
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = IMPRATIO
     drawn = spec.compile()
@@ -64,8 +70,9 @@ def lifting_model(robot: Robot, targets: tuple[Target, ...]) -> LiftingModel:
     mujoco.mj_kinematics(drawn, data)
     opening = _move_fingers(spec, data, robot)
     rest = np.stack([_free(spec, data, robot, target) for target in targets])
-    for finger in FINGERS:
-        _sense_touch(spec, finger, _body_name(spec, targets[0]))
+    for target in targets:
+        for finger in FINGERS:
+            _sense_touch(spec, finger, _body_name(spec, target))
     model = spec.compile()
     joints = [model.joint(ROBOT_PREFIX + name).id for name in robot.joints]
     bodies = [model.body(_body_name(spec, target)).id for target in targets]
@@ -73,7 +80,7 @@ def lifting_model(robot: Robot, targets: tuple[Target, ...]) -> LiftingModel:
         model=model,
         arm_qpos=model.jnt_qposadr[joints].astype(np.intp),
         object_qpos=model.jnt_qposadr[model.body_jntadr[bodies]].astype(np.intp),
-        object_body=bodies[0],
+        bodies=np.array(bodies, dtype=np.intp),
         rest=rest,
         tcp_site=model.site(ROBOT_PREFIX + robot.tcp_site).id,
         closed_m=opening / 2 + SQUEEZE_M,
@@ -199,9 +206,9 @@ def _free(
 
 
 def _sense_touch(spec: mujoco.MjSpec, finger: str, body: str) -> None:
-    """Add a sensor that counts the contacts between a finger and the object to lift."""
+    """Add a sensor that counts the contacts between a finger and an object."""
     spec.add_sensor(
-        name=finger,
+        name=f"{body} {finger}",
         type=mujoco.mjtSensor.mjSENS_CONTACT,
         objtype=mujoco.mjtObj.mjOBJ_BODY,
         objname=finger,

@@ -59,6 +59,7 @@ _IRB120 = Robot(
     # and where it reaches both parts of those of the purpose task, one of which faces it
     areas={
         "choose": Area(centre_m=(0.44, 0.0), half_size_m=(0.07, 0.29)),
+        "lift": Area(centre_m=(0.445, 0.0), half_size_m=(0.02, 0.20)),
         "purpose": Area(
             centre_m=(0.43, 0.0),
             half_size_m=(0.06, 0.29),
@@ -100,6 +101,7 @@ _TIAGO = Robot(
     rectangle_half_size_m=(0.10, 0.125),
     areas={
         "choose": Area(centre_m=(0.745, 0.0), half_size_m=(0.08, 0.23)),
+        "lift": Area(centre_m=(0.76, 0.10), half_size_m=(0.02, 0.08)),
         "purpose": Area(centre_m=(0.725, 0.0), half_size_m=(0.06, 0.23)),
     },
     target_yaw_deg=-165.0,

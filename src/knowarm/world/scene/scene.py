@@ -11,6 +11,12 @@ from numpy.typing import NDArray
 
 from knowarm.errors import UserError, unknown_name
 from knowarm.questions import INSTANCE
+from knowarm.world.lifting.model import (
+    FINGERS,
+    TASK_TIMESTEP_S,
+    LiftingModel,
+    lifting_model,
+)
 from knowarm.world.objects import TARGETS, Target
 from knowarm.world.objects.families import instance
 from knowarm.world.objects.parts import PARTS
@@ -53,11 +59,18 @@ class Scene:
     # Grasp point relative to the target's position on the support, world axes [m], (K, 3)
     grasp_position: NDArray[np.float64]
     grasp_matrix: NDArray[np.float64]  # Rotation from grasp frame to world, (K, 3, 3)
+    # Where objects are solid: the parts of the model; the fingers are then the last joint
+    lifting: LiftingModel | None = None
 
     @property
     def num_joints(self) -> int:
         """Number of joints the agent moves."""
         return len(self.qpos_index)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints the agent moves, "fingers" for those that move together."""
+        return (*self.robot.joints, *(("fingers",) if self.lifting else ()))
 
     @property
     def colour_names(self) -> tuple[tuple[str, ...], ...]:
@@ -93,24 +106,39 @@ def find_targets(names: Sequence[str]) -> tuple[Target, ...]:
 
 @lru_cache(maxsize=16)
 def load_scene(
-    robot: str, targets: tuple[str, ...], distractors: int = 0, area: str = "reach"
+    robot: str,
+    targets: tuple[str, ...],
+    distractors: int = 0,
+    area: str = "reach",
+    solid: bool = False,
 ) -> Scene:
     """Build the scene of a named robot and named targets, cached per process.
 
-    Both may be TOML files. ``area`` is the robot's area in which the targets stand.
+    Both may be TOML files. ``area`` is the robot's area in which the targets stand. With ``solid``,
+    they can be pushed and lifted, and the fingers move.
     """
-    return build_scene(find_robot(robot).for_area(area), find_targets(targets), distractors)
+    found = find_robot(robot).for_area(area)
+    return build_scene(found, find_targets(targets), distractors, solid=solid)
 
 
-def build_scene(robot: Robot, targets: Sequence[Target], distractors: int = 0) -> Scene:
+def build_scene(
+    robot: Robot, targets: Sequence[Target], distractors: int = 0, *, solid: bool = False
+) -> Scene:
     """Compose and compile a scene and look up its joints, sites and geoms."""
-    model = compose(robot, targets, distractors).compile()
+    lifting = None
+    if solid:
+        lifting = lifting_model(robot, tuple(targets), distractors, TASK_TIMESTEP_S)
+    model = lifting.model if lifting else compose(robot, targets, distractors).compile()
     _turn_grasps(model, robot, targets)
     joint_ids = [model.joint(ROBOT_PREFIX + name).id for name in robot.joints]
+    if lifting:
+        joint_ids.append(model.joint(FINGERS[0]).id)
     endless = model.jnt_limited[joint_ids] == 0
     ranges = np.where(endless[:, None], ENDLESS_RANGE_RAD, model.jnt_range[joint_ids])
     lower, upper = ranges.T.copy()
     home = np.array(robot.home, dtype=np.float64)
+    if lifting:
+        home, upper[-1] = np.append(home, 0.0), lifting.closed_m
     outside = (home < lower) | (home > upper)
     if outside.any():
         j = int(np.argmax(outside))
@@ -158,6 +186,7 @@ def build_scene(robot: Robot, targets: Sequence[Target], distractors: int = 0) -
         target_mocap=_target_mocap(model, targets),
         grasp_position=grasp_position,
         grasp_matrix=grasp_matrix,
+        lifting=lifting,
     )
     _check_in_image(scene)
     return scene

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from knowarm.errors import UserError
 from knowarm.world.backend import MujocoSimulator
-from knowarm.world.config import EnvConfig, setting_of
+from knowarm.world.config import EnvConfig, scene_of, setting_of
 from knowarm.world.envs.arguments import check_state, masked_ids, spread_seeds
+from knowarm.world.lifting.simulator import LiftSimulator
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.appearance import AppearanceSource, Shown
 from knowarm.world.tasks.episodes import Episodes, EpisodeSource
@@ -38,6 +39,14 @@ def joint_increments(robot: Robot, config: EnvConfig) -> NDArray[np.float64]:
     """Return the joint increment of each action level [rad] (slides: [m]), (7,)."""
     mpi_rad = robot.mpi_rad if config.mpi_rad is None else config.mpi_rad
     return mpi_rad * np.array(ACTION_LEVELS)
+
+
+def make_simulator(config: EnvConfig, num_envs: int, num_threads: int) -> MujocoSimulator:
+    """Make the physics of n environments; 0 threads are one per core."""
+    scene = scene_of(config)
+    if config.task.solid:
+        return LiftSimulator(scene, num_envs, num_threads)
+    return MujocoSimulator(scene, num_envs, num_threads, config.dynamics)
 
 
 class Outcome(NamedTuple):
@@ -226,7 +235,9 @@ class RunningEpisodes(EpisodeState):
             name: _put(array, ids, self._fresh[name][ids]) for name, array in self.memory.items()
         }
         distractors = self._refresh(ids)
-        self.simulator.reset(ids, self.joint_targets[ids], self._object_positions(ids), distractors)
+        visible = (self.objects[ids, :, None] == np.arange(len(self.scene.targets))).any(axis=1)
+        places = self._object_positions(ids)
+        self.simulator.reset(ids, self.joint_targets[ids], places, distractors, visible)
         self._measure()
         self.success = self.task.success(self)
 

@@ -33,10 +33,14 @@ class Task:
     """Objects of the task unless ``EnvConfig.targets`` names others."""
     colours: ClassVar[Colours | None] = None
     """Colours of every experiment of the task; None lets ``EnvConfig.colours`` decide."""
+    max_steps: ClassVar[int] = 50
+    """Steps of an episode at most, unless ``EnvConfig.max_episode_steps`` gives others."""
     scopes: ClassVar[frozenset[str]] = frozenset({"scene", "target", "perceived"})
     """Scopes of knowledge that describe something in this task."""
     holds_out: ClassVar[bool] = True
     """Whether ``EnvConfig.held_out`` and visual distractors can be combined with the task."""
+    solid: ClassVar[bool] = False
+    """Whether objects can be pushed and lifted, and the fingers are one more joint."""
     knowledge_info: ClassVar[str] = "facet"
     """Info that holds the row of the knowledge table for an episode."""
     kind: str = ""

@@ -1,0 +1,93 @@
+"""Lifting task: close the fingers at the grasp frame of a solid object and lift it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knowarm.world.tasks.reward import SUCCESS_REWARD
+from knowarm.world.tasks.state import EpisodeState
+from knowarm.world.tasks.task import Task
+
+if TYPE_CHECKING:  # Configs are read where nothing else needs MuJoCo.
+    from knowarm.world.lifting.simulator import LiftSimulator
+
+GRIP_REWARD, RISE_REWARD = 1.0, 4.0
+LOST_M = 0.15  # Way of the object along the support after which an episode ends
+FALLEN_M = 0.05  # Depth below its place after which an episode ends
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lift(Task):
+    """Lift the one visible object, which is solid, with fingers that move.
+
+    The fingers are one more joint of the actions, its increments in metres per finger: level 1
+    closes them by the maximum position increment.
+    """
+
+    area: ClassVar[str] = "lift"
+    targets: ClassVar[tuple[str, ...]] = ("mug", "bottle")
+    max_steps: ClassVar[int] = 100
+    solid: ClassVar[bool] = True
+
+    kind: Literal["lift"] = "lift"
+    """Tag of this task in JSON."""
+
+    height_m: float = 0.08
+    """Rise of the object's centre of mass from which it is lifted [m]."""
+
+    hold_steps: int = 3
+    """Consecutive steps at this height between both fingers that count as success."""
+
+    def memory(self, num_envs: int) -> dict[str, NDArray[Any]]:
+        """Remember for how many steps the object has been held up."""
+        return {"held": np.zeros(num_envs, dtype=np.int64)}
+
+    def remember(self, state: EpisodeState) -> Mapping[str, NDArray[Any]]:
+        """Count the step, or start again."""
+        up = _gripped(state) & (_rise(state) >= self.height_m)
+        return {"held": np.where(up, state.memory["held"] + 1, 0)}
+
+    def success(self, state: EpisodeState) -> NDArray[np.bool_]:
+        """Return which objects were held up long enough, (n,) bool."""
+        return np.asarray(state.memory["held"] >= self.hold_steps)
+
+    def failure(self, state: EpisodeState) -> NDArray[np.bool_]:
+        """Return which objects were pushed 15 cm away or fell off their support, (n,) bool."""
+        place = _simulator(state).place(state.target)
+        moved = np.linalg.norm(place - state.positions[:, 0], axis=1)
+        lost = (moved > LOST_M) | (_rise(state) < -FALLEN_M)
+        return np.asarray(lost & ~state.success)
+
+    def reward(self, state: EpisodeState) -> NDArray[np.float64]:
+        """Compute the reward of a step, (n,).
+
+        100 on success; otherwise, while both fingers touch the object, 1 + 4 min(h / height_m, 1)
+        with h its rise; otherwise the paper's -2 d^2 - a / 70.
+        """
+        rise = (_rise(state) / self.height_m).clip(0.0, 1.0)
+        held = GRIP_REWARD + RISE_REWARD * rise
+        value = np.where(_gripped(state), held, super().reward(state))
+        return np.asarray(np.where(state.success, SUCCESS_REWARD, value))
+
+    def infos(self, state: EpisodeState) -> dict[str, NDArray[Any]]:
+        """Add the object's rise [m] and whether both fingers touch it."""
+        return super().infos(state) | {"rise": _rise(state), "gripped": _gripped(state)}
+
+    def columns(self, setting: Any, infos: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        """Store rise and touch at the end of each episode."""
+        return {"rise_m": infos["rise"], "gripped": infos["gripped"]}
+
+
+def _simulator(state: EpisodeState) -> "LiftSimulator":
+    return cast("LiftSimulator", state.simulator)
+
+
+def _rise(state: EpisodeState) -> NDArray[np.float64]:
+    return _simulator(state).rise(state.target)
+
+
+def _gripped(state: EpisodeState) -> NDArray[np.bool_]:
+    return _simulator(state).touched(state.target)
