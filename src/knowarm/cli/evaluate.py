@@ -145,9 +145,11 @@ def _print(summary: dict[str, Any]) -> None:
             seeing = "No success is shown to depend on vision"
         print(f"{seeing}: {_share(summary, 'needs_eyes')} points.\n")
     print(
-        "accuracy: distance <= {distance_m} m. success: also angle <= {angle_deg} deg. success "
-        "wide: angle <= {wide_angle_deg} deg.\nfailure m: final distance of failed episodes. "
-        "[95 % Wilson interval]; mean ± standard deviation.".format(**summary["config"])
+        "accuracy: distance <= {distance_m} m. success: as the task defines it, mostly with angle "
+        "<= {angle_deg} deg, too. success wide: angle <= {wide_angle_deg} deg.\nfailure m: final "
+        "distance of failed episodes. [95 % Wilson interval]; mean ± standard deviation.".format(
+            **summary["config"]
+        )
     )
 
 
