@@ -430,6 +430,8 @@ def test_only_queries_are_grounded(name):
         ("frame_coef", -1.0),
         ("shared_rounds", -1),
         ("seed", -1),
+        ("channels", 0),
+        ("channels", 66),
     ],
 )
 def test_numbers_out_of_range_are_refused(field, value):

@@ -14,7 +14,7 @@ import torch
 from knowarm.errors import UserError
 from knowarm.experiment.names import experiment_config, task_for
 from knowarm.knowledge.formats import shipped_graph
-from knowarm.perception.grounding import CONVOLUTIONS
+from knowarm.perception.grounding import convolutions_of
 from knowarm.perception.module import PlaceEncoder
 from knowarm.questions import kind_of
 from knowarm.world.agents.play import play
@@ -152,7 +152,7 @@ def recognized():
     """An encoder whose head has learned nothing, and features of 2 images with 12 x 10 places."""
     names = ("jug-18", "vase-11", "mug-0", "candle-1")
     facets = tuple((name, colour) for name in names for colour in ("red", "blue"))
-    encoder = PlaceEncoder(facets, CONVOLUTIONS, seed=0)
+    encoder = PlaceEncoder(facets, convolutions_of(64), seed=0)
     features = torch.rand(2, encoder.channels, 10, 12, generator=torch.Generator().manual_seed(0))
     return encoder, features
 

@@ -14,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from knowarm.perception.config import FrameHead, ModuleSpec, Naming
+from knowarm.perception.config import FrameHead, GroundingConfig, ModuleSpec, Naming
 from knowarm.perception.images import LabelledImages, QueryAnswers
 from knowarm.perception.module import GoalPredictor, PerceptionModule, PlaceEncoder
 from knowarm.policy.encoder import RELU_GAIN, orthogonal
@@ -22,9 +22,6 @@ from knowarm.questions import ObjectColour, number_parts
 from knowarm.seeding import torch_generator
 from knowarm.world.config import EnvConfig
 from knowarm.world.tasks.state import EpisodeState
-
-CONVOLUTIONS = ((3, 16, 5, 2), (16, 32, 3, 2), (32, 64, 3, 1), (64, 64, 3, 1))
-"""Inputs, outputs, kernel and stride of each convolution."""
 
 STRIDE = 4
 """Distance of two places in the image [px]."""
@@ -69,7 +66,9 @@ class GroundingNetwork(PerceptionModule):
         seed: int = 0,
         frame_head: FrameHead = "place",
     ) -> None:
-        super().__init__(spec, PlaceEncoder(spec.facets, CONVOLUTIONS, seed))
+        assert isinstance(spec.config, GroundingConfig)
+        convolutions = convolutions_of(spec.config.channels)
+        super().__init__(spec, PlaceEncoder(spec.facets, convolutions, seed))
         self.slots = slots
         self.register_buffer("knowledge", torch.as_tensor(knowledge, dtype=torch.float32).clone())
         self.register_buffer("position_mean", torch.zeros(3))
@@ -278,6 +277,17 @@ class Standardize(nn.Module):
     def forward(self, values: Tensor) -> Tensor:
         """Standardize values (..., D)."""
         return (values - self.mean) / self.deviation
+
+
+def convolutions_of(channels: int) -> tuple[tuple[int, int, int, int], ...]:
+    """Return inputs, outputs, kernel and stride of each convolution."""
+    quarter, half = channels // 4, channels // 2
+    return (
+        (3, quarter, 5, 2),
+        (quarter, half, 3, 2),
+        (half, channels, 3, 1),
+        (channels,) * 2 + (3, 1),
+    )
 
 
 def _layers(*widths: int) -> nn.Sequential:
