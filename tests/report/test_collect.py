@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from knowarm.config import to_dict
 from knowarm.errors import UserError
+from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.summary import EPISODE_COLUMNS, read_table, write_table
 from knowarm.report import write_report
 from knowarm.report.collect import collect
@@ -239,6 +241,16 @@ def test_evaluations_by_other_rules_are_left_out(tmp_path):
     found = collect(paths)
     assert "other thresholds than most" in named(found, folder)
     assert len(found.tasks[0].groups[0].scores("success")) == 1
+
+
+def test_settings_that_an_evaluation_has_not_yet_have_their_defaults(tmp_path):
+    paths = study(tmp_path)
+    file = paths[0] / "evaluation" / LABEL / "summary.json"
+    config = json.loads(file.read_text())["config"]
+    newer = to_dict(EvaluationConfig()) | config
+    assert newer != config
+    edit(file, config=newer)
+    assert len(collect(paths).tasks[0].groups[0].scores("success")) == 2
 
 
 def test_untrained_policies_are_references_and_never_compared(tmp_path):

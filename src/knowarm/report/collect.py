@@ -7,8 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from knowarm.config import flatten
+from knowarm.config import flatten, to_dict
 from knowarm.experiment.agents import AGENTS
+from knowarm.experiment.config import EvaluationConfig
 from knowarm.knowledge.queries.splits import SPLITS
 from knowarm.report.format import differing, slugs
 from knowarm.report.model import (
@@ -123,8 +124,12 @@ def _same_rules(first: Evaluation, second: Evaluation) -> bool:
 
 
 def rules(evaluation: Evaluation) -> str:
-    """Return a text that is equal for evaluations on the same episodes with the same thresholds."""
-    kept = {k: v for k, v in evaluation.config.items() if not k.startswith(NOT_A_RULE)}
+    """Return a text that is equal for evaluations on the same episodes with the same thresholds.
+
+    A setting that did not exist yet has its default.
+    """
+    config = to_dict(EvaluationConfig()) | evaluation.config
+    kept = {k: v for k, v in config.items() if not k.startswith(NOT_A_RULE)}
     return json.dumps([evaluation.summary["episodes"], kept], sort_keys=True)
 
 
