@@ -6,7 +6,8 @@ python -m scripts.draw_results    # writes to docs/images
 import csv
 import tempfile
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from scripts.figures import dots, dots_box, picture, seed_scores
 
 RESULTS, IMAGES = Path("docs/results"), Path("docs/images")
 SPLITS = ("s1", "s2", "s3", "s4", "s5")
+FAMILIES = ("s1", "s2", "s3a", "s3b", "s4", "s5")
 
 
 def choose_curves(study: Path) -> str:
@@ -48,16 +50,16 @@ def reach_success(study: Path) -> str:
     return picture([drawing], dots_box(rows), agents)
 
 
-def answers(study: Path) -> str:
-    """Draw right choices and success of every run of the study `answers`."""
+def answers(study: Path, agent: str, splits: Sequence[str] = SPLITS) -> str:
+    """Draw right choices and success of every run of an agent on both robots."""
     measures = {"right choices": ("choice", "c-blue"), "success": ("success", "c-orange")}
     rows = {
-        f"{robot}, {split.upper()}": {
-            colour: seed_scores(study, f"{robot}-choose-answers-fast", key, split).tolist()
+        f"{robot}, {split.capitalize()}": {
+            colour: seed_scores(study, f"{robot}-{agent}", key, split).tolist()
             for key, colour in measures.values()
         }
         for robot in ("irb120", "tiago")
-        for split in SPLITS
+        for split in splits
     }
     drawing = dots(rows, "Right choices and success per training seed, robot and split", "")
     return picture([drawing], dots_box(rows), {name: c for name, (_, c) in measures.items()})
@@ -91,7 +93,15 @@ def damaged_graph(table: Path) -> str:
 FIGURES: dict[str, tuple[str, Callable[[Path], str]]] = {
     "choose-curves.svg": ("choose.tar.gz", choose_curves),
     "reach-success.svg": ("paper.tar.gz", reach_success),
-    "answers.svg": ("answers.tar.gz", answers),
+    "answers.svg": ("answers.tar.gz", partial(answers, agent="choose-answers-fast")),
+    "answers-distil.svg": (
+        "answers-distil.tar.gz",
+        partial(answers, agent="choose-answers-distil"),
+    ),
+    "families-answers.svg": (
+        "families.tar.gz",
+        partial(answers, agent="families-answers-distil", splits=FAMILIES),
+    ),
     "damaged-graph.svg": ("damaged-graph.csv", damaged_graph),
 }
 """Source in `RESULTS` and function of each figure."""
