@@ -124,11 +124,8 @@ def _same_rules(first: Evaluation, second: Evaluation) -> bool:
 
 
 def rules(evaluation: Evaluation) -> str:
-    """Return a text that is equal for evaluations on the same episodes with the same thresholds.
-
-    A setting that did not exist yet has its default.
-    """
-    config = to_dict(EvaluationConfig()) | evaluation.config
+    """Return what evaluations by the same rules share; settings that are newer have defaults."""
+    config = {**to_dict(EvaluationConfig()), **evaluation.config}
     kept = {k: v for k, v in config.items() if not k.startswith(NOT_A_RULE)}
     return json.dumps([evaluation.summary["episodes"], kept], sort_keys=True)
 
