@@ -4,7 +4,8 @@ Trains the grounding network of each agent, as `knowarm train` does before the f
 prints how often the grasp point that it predicts is nearest to the wanted object's, and how far,
 then, the predicted grasp frame is from the true one (medians, position and z axis). No
 reinforcement learning is involved, so what an agent's knowledge is worth on splits S1 to S5 is
-known in minutes.
+known in minutes. `--damage` trains with a damaged graph, which describes and answers the queries of
+training; the tests know the true one.
 
     python -m benchmarks.grounding --agents subgraph query-words query-onehot subgraph-shuffled
 """
@@ -13,26 +14,51 @@ import argparse
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import torch
 
+from knowarm.config import override
 from knowarm.experiment.build import build, slots_of
-from knowarm.experiment.config import EvaluationConfig
-from knowarm.experiment.graph_at_test import graph_at_test, knowledge_at_test
+from knowarm.experiment.config import EvaluationConfig, ExperimentConfig
+from knowarm.experiment.graph_at_test import (
+    described_by,
+    graph_at_test,
+    knowledge_at_test,
+    varied_graphs,
+)
 from knowarm.experiment.names import experiment_config
-from knowarm.knowledge.queries.splits import SPLITS
+from knowarm.knowledge.formats import open_graph
+from knowarm.knowledge.graph.damage import Damage, damaged
 from knowarm.perception.grounding import GroundingNetwork
 from knowarm.perception.grounding_training import train_grounding
-from knowarm.perception.images import LabelledImages, sample_images
+from knowarm.perception.images import DescribedGraph, LabelledImages, sample_images
 from knowarm.seeding import derive_seed
 from knowarm.world.config import EnvConfig
 
 AGENTS = ["subgraph", "query-words", "query-onehot", "subgraph-shuffled"]
+SETTINGS = {
+    "images": "training images per round",
+    "rounds": "rounds",
+    "shared_rounds": "rounds of names and grasp frames alone, before the queries",
+    "batch": "images per gradient step",
+    "graphs": "graphs with permuted tails that describe and answer queries in training",
+}
+"""Fields of the grounding config that may be given; else they are the agent's."""
 
 
 def with_split(env: EnvConfig, split: str) -> EnvConfig:
     """Return the task that asks the questions of a split."""
     return replace(env, task=env.task.for_split(split, None))
+
+
+def damaged_graphs(config: ExperimentConfig, arguments: argparse.Namespace) -> list[DescribedGraph]:
+    """Return the damaged graph that alone describes and answers queries in training, if any."""
+    if arguments.damage is None:
+        return []
+    graph, names = open_graph(config.knowledge.graph), config.env.targets
+    graph = damaged(graph, arguments.damage, arguments.damage_share, config.seed, names)
+    return [described_by(config, graph)]
 
 
 @torch.no_grad()
@@ -54,15 +80,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--agents", nargs="+", default=AGENTS)
     parser.add_argument("--robot", default="irb120")
-    parser.add_argument(
-        "--images", type=int, help="training images per round; default: the agent's"
-    )
-    parser.add_argument("--rounds", type=int, help="rounds; default: the agent's")
+    for name, about in SETTINGS.items():
+        parser.add_argument(f"--{name.replace('_', '-')}", type=int, help=about)
+    parser.add_argument("--damage", choices=get_args(Damage), help="of the graph, in training only")
+    parser.add_argument("--damage-share", type=float, default=0.3)
     parser.add_argument("--test-images", type=int, default=1_000)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--out", type=Path, help="file for the last network")
     arguments = parser.parse_args()
-    given = {name: getattr(arguments, name) for name in ("images", "rounds")}
+    given = {name: value for name, value in vars(arguments).items() if name in SETTINGS}
     given = {name: value for name, value in given.items() if value is not None}
     for seed in arguments.seeds:
         for agent in arguments.agents:
@@ -70,21 +96,26 @@ def main() -> None:
             config = experiment_config(name, seed=seed, grounding=given)
             assert config.grounding is not None
             parts, begin = build(config), time.process_time()
+            graphs = damaged_graphs(config, arguments) or varied_graphs(config)
             network = train_grounding(
-                config.env, parts.table, slots_of(parts.embedding), config.grounding, seed=seed
+                config.env,
+                parts.table,
+                slots_of(parts.embedding),
+                config.grounding,
+                seed=seed,
+                graphs=graphs,
             )
             assert network is not None
             if arguments.out is not None:
                 network.write(arguments.out)
             seconds, shares = time.process_time() - begin, []
-            for number, split in enumerate(SPLITS, 1):
+            for number, split in enumerate(("S1", "S2", "S3", "S4", "S5"), 1):
                 env = with_split(config.env, split)
                 labels = sample_images(
                     env, network.spec, arguments.test_images, derive_seed(0, "perception", number)
                 )
-                if split == "S5":
-                    graph = graph_at_test(config, env, EvaluationConfig(split="S5"))
-                    network.knowledge = torch.from_numpy(knowledge_at_test(config, env, graph))
+                graph = graph_at_test(config, env, override(EvaluationConfig(), {"split": split}))
+                network.knowledge = torch.from_numpy(knowledge_at_test(config, env, graph))
                 shares.append(f"{split} {measure(network, labels)}")
             print(f"{agent}, seed {seed}: {', '.join(shares)}, {seconds:.0f} s", flush=True)
 

@@ -6,6 +6,7 @@ import torch
 
 from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS, controls_of
+from knowarm.experiment.build import build
 from knowarm.experiment.names import experiment_config, experiment_names
 from knowarm.knowledge import query_embedding, scene_embedding
 from knowarm.policy import Policy, PolicyShape
@@ -64,16 +65,18 @@ QUERIES = [
     ("subject", "content"),
     [
         ("subgraph", ["query-onehot", "query-random", "subgraph-shuffled"]),
+        ("reasoner", ["reasoner-shuffled"]),
         ("query-words", ["query-onehot", "query-random"]),
         ("query-analogy", ["query-onehot", "query-random"]),
     ],
 )
 def test_controls_of_knowledge_of_the_query(subject, content):
-    assert controls_of(subject, "capacity_control") == ["query-zeros"]
+    smaller = "reasoner-words" if subject == "reasoner" else "query-zeros"
+    assert controls_of(subject, "capacity_control") == [smaller]
     assert controls_of(subject, "content_control") == content
     assert AGENTS[subject].role == "knowledge"
     real = query_embedding(AGENTS[subject].knowledge, QUERIES)
-    for name in ["query-zeros", *content]:
+    for name in [smaller, *content]:
         control = query_embedding(AGENTS[name].knowledge, QUERIES)
         assert (control.scope, control.dim, control.slots) == ("query", real.dim, real.slots)
         assert AGENTS[name].policy == AGENTS[subject].policy
@@ -94,3 +97,14 @@ def test_agents_with_knowledge_of_a_query_are_not_offered_for_reaching():
 
 def test_an_agent_of_the_user_has_no_registered_controls():
     assert controls_of("mine", "content_control") == []
+
+
+def test_facts_and_the_network_that_reads_them_come_together():
+    with pytest.raises(UserError, match="Facts need a network that reads them"):
+        build(experiment_config("irb120-choose-reasoner-fast", grounding={"query": "vector"}))
+    with pytest.raises(UserError, match="Facts need a network that reads them"):
+        build(
+            experiment_config(
+                "irb120-choose-subgraph-before-lstm-fast", policy={"knowledge_encoder": "facts"}
+            )
+        )

@@ -12,13 +12,14 @@ from knowarm.experiment.agents import AGENTS, controls_of
 from knowarm.experiment.build import build, slots_of
 from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.evaluate import evaluate
-from knowarm.experiment.graph_at_test import answer_table, graph_at_test
+from knowarm.experiment.graph_at_test import answer_table, graph_at_test, varied_graphs
 from knowarm.experiment.load import load_agent, reasoning_module
 from knowarm.experiment.names import experiment_config, experiment_names
 from knowarm.experiment.run import train
 from knowarm.perception.answering import AnsweringAgent
 from knowarm.perception.config import ModuleSpec
 from knowarm.perception.grounding import GroundingNetwork
+from knowarm.perception.images import query_answers
 from knowarm.world.config import facets_of, questions_of
 from tests.experiment.test_zoo import ZOO
 from tests.tiny import CHOOSE, CHOOSE_ENV
@@ -55,6 +56,24 @@ def test_an_agent_trains_with_the_answers_of_its_graph_and_plays_from_its_folder
     assert "visible_answers" not in by_vector.episodes
     shuffled = experiment_config("irb120-choose-answers-shuffled-fast", env=CHOOSE_ENV)
     assert (answer_table(shuffled, shuffled.env, facets_of(shuffled.env)) != satisfies).any()
+
+
+def test_varied_graphs_describe_and_answer_the_queries_of_training():
+    assert varied_graphs(experiment_config("irb120-choose-subgraph-fast", env=CHOOSE_ENV)) == []
+    config = experiment_config(
+        "irb120-choose-reasoner-fast", env=CHOOSE_ENV, grounding={"graphs": 2}
+    )
+    (table, known), *others = varied_graphs(config)
+    own = query_answers(config.env, ModuleSpec.of(config.env, config.grounding).facets)
+    assert (table == build(config).table).all()
+    assert (known.satisfies == own.satisfies).all()
+    assert len(others) == 2
+    asked = [each.reshape(len(each), -1, 3, 50)[:, 0] for each in (table, *(o[0] for o in others))]
+    for each, (changed, answers) in zip(asked[1:], others, strict=True):
+        assert (each == asked[0]).all()  # the same questions
+        assert (changed != table).any()  # with other facts
+        assert (answers.satisfies != known.satisfies).any()  # and answers
+    assert (others[0][1].satisfies != others[1][1].satisfies).any()
 
 
 @pytest.mark.slow(40)

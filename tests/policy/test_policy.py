@@ -10,6 +10,7 @@ from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
 from knowarm.policy.config import FUSIONS, layer_widths
 from knowarm.policy.encoder import ImageEncoder
 from knowarm.policy.fusion import Fusion, Similarity
+from knowarm.questions import FACTS
 
 T, B, K, FACETS = 4, 3, 12, 5
 SHAPE = {"joints": 2, "levels": 3, "image_size": 28, "knowledge_dim": K, "knowledge_slots": 3}
@@ -195,6 +196,24 @@ def test_without_a_table_the_facets_are_the_knowledge():
     bare.check_facets(knowledge[0])
     expected = policy.unroll(image, facet, state, start)[0]
     assert torch.equal(bare.unroll(image, knowledge, state, start)[0], expected)
+
+
+def test_facts_are_read_once_per_query_and_as_numbers():
+    dim = 2 * FACTS * 3
+    table = np.random.default_rng(7).standard_normal((5, 2 * dim)).astype(np.float32)
+    sizes = {"knowledge_dim": 2 * dim, "knowledge_slots": 2, "knowledge_encoder": "facts"}
+    policy = make_policy("before_lstm", table=table, **sizes)
+    assert layer_widths(policy.config, policy.shape)[0] == 128
+    image, facet, start = inputs()
+    state = policy.initial_state(B)
+    policy.knowledge_encoder.register_forward_hook(lambda _, given, __: read.append(given[0]))
+    read = []
+    logits, value, _ = policy.unroll(image, facet, state, start)
+    assert read[0].shape == (len(facet.unique()), 2 * dim)
+    numbers = torch.from_numpy(table)[facet]
+    torch.testing.assert_close(policy.unroll(image, numbers, state, start)[0], logits)
+    (logits.square().sum() + value.sum()).backward()
+    assert all(p.grad.abs().sum() > 0 for p in policy.knowledge_encoder.parameters())
 
 
 def test_a_maker_builds_the_same_structure_with_the_same_knowledge():

@@ -83,6 +83,7 @@ _TARGET = replace(FULL, scope="target")
 _TARGET_PLUS = replace(FULL_PLUS, scope="target")
 _PERCEIVED = replace(FULL_PLUS, scope="perceived")
 _QUERY_WORDS = replace(QUERY, hops=0, colour_share=None)
+_FACTS = replace(QUERY, pooling="facts", relation_words=True, colour_share=None, slot_norm=None)
 _ANALOGY = GraphEmbedding(model="analogy")
 _FIXED = PolicyConfig(hidden="fixed")
 _GROUNDED: dict[str, Any] = {
@@ -90,6 +91,12 @@ _GROUNDED: dict[str, Any] = {
     "grounding": GroundingConfig(frame_head="neighbourhood"),
 }
 """Choices of agents with knowledge of the query: a network locates its object in the image."""
+_READ: dict[str, Any] = {
+    "policy": _FIXED,
+    "grounding": GroundingConfig(frame_head="neighbourhood", query="facts", graphs=100),
+    "tasks": ("choose",),  # values of the families have hundreds of facts
+}
+"""Choices of agents whose grounding network reads facts."""
 _ANSWERED: dict[str, Any] = {
     "policy": _FIXED,
     "grounding": GroundingConfig(naming="place", naming_coef=1.0, frame_head="neighbourhood"),
@@ -231,6 +238,15 @@ AGENTS: dict[str, Agent] = {
         **_GROUNDED,
         colour="c-pink",
     ),
+    "reasoner": _subject(
+        "a network that learns to read the query's facts", _FACTS, **_READ, colour="c-orange"
+    ),
+    "reasoner-shuffled": _control(
+        "reasoner: from a graph with permuted tails", _FACTS, ShuffledGraph(), **_READ
+    ),
+    "reasoner-words": _agent(
+        "capacity_control", "control of reasoner, no facts", replace(_FACTS, hops=0), **_READ
+    ),
     "answers": _subject(
         "the graph answers the query, and the network finds the answer by its name",
         QUERY,
@@ -238,10 +254,7 @@ AGENTS: dict[str, Agent] = {
         colour="c-brown",
     ),
     "answers-shuffled": _control(
-        "answers: from a graph with permuted tails",
-        QUERY,
-        ShuffledGraph(),
-        **_ANSWERED,
+        "answers: from a graph with permuted tails", QUERY, ShuffledGraph(), **_ANSWERED
     ),
 }
 """Every agent by name. The first agent of a role stands for it in the demo."""

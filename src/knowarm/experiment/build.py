@@ -143,6 +143,12 @@ def build(config: ExperimentConfig) -> Parts:
             f"The knowledge source {config.knowledge.source.short_name!r} has no meaning of its "
             "own: set policy.knowledge_encoder to 'learned'."
         )
+    reads = config.grounding.query if config.grounding is not None else policy.knowledge_encoder
+    if embedding.dim and (config.knowledge.pooling == "facts") != (reads == "facts"):
+        raise UserError(
+            "Facts need a network that reads them, and it nothing else: set knowledge.pooling and "
+            "grounding.query to 'facts', or without grounding policy.knowledge_encoder."
+        )
     if policy.wide:
         table = table[:, :0]
     return Parts(embedding, table, policy, shape, facets, grounded)

@@ -4,6 +4,7 @@ from collections.abc import Collection
 from typing import Any, Literal
 
 import numpy as np
+import torch
 
 from knowarm.config import override
 from knowarm.errors import UserError
@@ -16,6 +17,8 @@ from knowarm.knowledge.graph.damage import damaged
 from knowarm.knowledge.graph.terms import local_name
 from knowarm.knowledge.queries.queries import QueryGraph
 from knowarm.knowledge.queries.splits import QuerySplits
+from knowarm.perception.config import ModuleSpec
+from knowarm.perception.images import DescribedGraph, QueryAnswers
 from knowarm.questions import ObjectColour, Query, QuestionTable
 from knowarm.seeding import derive_seed
 from knowarm.world.config import EnvConfig, facets_of, questions_of
@@ -100,6 +103,24 @@ def knowledge_at_test(
     tested = _questions(env).queries
     options: dict[str, Any] = {"graph": graph, "trained_on": _questions(config.env).queries}
     return query_embedding(config.knowledge, tested, run_seed=config.seed, **options).table(tested)
+
+
+def described_by(config: ExperimentConfig, graph: KnowledgeGraph) -> DescribedGraph:
+    """Return the knowledge (Q, K) of the queries of training by a graph, and its answers."""
+    assert config.grounding is not None
+    facets = ModuleSpec.of(config.env, config.grounding).facets
+    answers = torch.from_numpy(QueryGraph(graph, facets).answers(_questions(config.env).queries))
+    known = QueryAnswers(answers, answers, config.env.task.paints_goal)
+    return knowledge_at_test(config, config.env, graph), known
+
+
+def varied_graphs(config: ExperimentConfig) -> list[DescribedGraph]:
+    """Return what `GroundingConfig.graphs` asks for: the agent's graph, and others; or nothing."""
+    count = config.grounding.graphs if config.grounding is not None else 0
+    graph = open_graph(config.knowledge.graph)
+    seeds = (derive_seed(config.seed, "placebos", number) for number in range(count))
+    graphs = [graph, *(shuffle_tails(graph, seed) for seed in seeds)]
+    return [described_by(config, each) for each in graphs] if count else []
 
 
 def answer_table(

@@ -12,6 +12,7 @@ from knowarm.errors import UserError
 from knowarm.experiment.build import Parts, build, make_trainer, slots_of
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.csv_log import writing
+from knowarm.experiment.graph_at_test import varied_graphs
 from knowarm.experiment.load import reasoning_module
 from knowarm.experiment.logs import RunLogs, TrainingProgress
 from knowarm.experiment.names import experiment_config
@@ -131,6 +132,7 @@ def _train_locked(
                 slots_of(parts.embedding),
                 config.grounding,
                 seed=config.seed,
+                graphs=varied_graphs(config),
                 report=progress.line,
                 should_stop=should_stop,
             )

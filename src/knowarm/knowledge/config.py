@@ -4,10 +4,12 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from knowarm.config import registered
+from knowarm.errors import UserError
 from knowarm.knowledge.graph.graph import Direction
 from knowarm.knowledge.vectors import SOURCES, VectorSource
 from knowarm.knowledge.vectors.source import OnMissing, Pooling
 from knowarm.knowledge.vectors.words import WordVectors
+from knowarm.questions import FACTS
 
 Detail = Literal["none", "partial", "full"]
 Scope = Literal["scene", "target", "query", "perceived"]
@@ -36,7 +38,7 @@ class KnowledgeConfig:
     gives the slot of the object and colour that a perception module names in the image; in tasks
     that ask, of the surest of those that answer the query."""
     dim: int = 50
-    """Numbers per slot: the dimension of the vectors of `source`."""
+    """Dimension of the vectors of `source`: numbers per slot, or per label of a fact."""
     hops: int = 1
     """Largest number of edges between the object and an entity of its subgraph (Gamma)."""
     direction: Direction = "out"
@@ -55,7 +57,8 @@ class KnowledgeConfig:
     """Words for a relation instead of its label, in pairs: isMadeOf "made of"."""
     pooling: Pooling = "mean"
     """How the vectors of a sentence become one: their mean (the paper's), or a mean weighted by
-    a / (a + frequency), a = 0.001 (SIF: Arora, Liang and Ma 2017)."""
+    a / (a + frequency), a = 0.001 (SIF: Arora, Liang and Ma 2017). "facts" keeps head, relation and
+    tail of each fact, 32 rows per slot, for a network that learns to read them."""
     centring: bool = False
     """Whether the mean vector of the whole graph's labels is subtracted from each word (and the
     mean of all colours from a colour that has a share of its own)."""
@@ -75,6 +78,19 @@ class KnowledgeConfig:
     seed: int = 0
     """Seed of graph embeddings and placebos; a placebo with a number of the draw (``source.draw``)
     also depends on the training seed."""
+
+    def __post_init__(self) -> None:
+        whole = self.relation_words and not self.head_once and self.colour_share is None
+        if self.pooling == "facts" and not (whole and self.slot_norm is None):
+            raise UserError(
+                "pooling 'facts' keeps every label: it needs relation_words=True, head_once=False, "
+                "colour_share=None and slot_norm=None."
+            )
+
+    @property
+    def slot_dim(self) -> int:
+        """Numbers per slot."""
+        return self.dim * (3 * FACTS if self.pooling == "facts" else 1)
 
     def graph_name(self, name: str) -> str:
         """Return the graph's name for an object or colour of the task."""

@@ -21,6 +21,7 @@ from knowarm.knowledge.vectors.source import (
     Request,
     SentencePart,
     VectorLookup,
+    join_facts,
     pool,
 )
 from knowarm.questions import Condition, ObjectColour, Query
@@ -268,7 +269,7 @@ def _embed(
     source, coverage = config.source, Coverage()
     if config.colour_share is not None and not 0 <= config.colour_share <= 1:
         raise UserError(f"colour_share is {config.colour_share}; it must lie between 0 and 1.")
-    matrix, sentences = np.zeros((len(slots), config.dim), np.float32), ("",) * len(slots)
+    matrix, sentences = np.zeros((len(slots), config.slot_dim), np.float32), ("",) * len(slots)
     if not len(slots):
         return _Embedded(matrix, sentences, coverage)
     seed = source.draw_seed(config.seed, run_seed)
@@ -313,6 +314,9 @@ def _vectors(
     hue_centre = _centre(lookup, described.hues) if config.centring else 0.0
     rows = []
     for parts, name in zip(described.sentences, described.own, strict=True):
+        if config.pooling == "facts":
+            rows.append(join_facts([lookup.find(part, coverage) for part in parts], centre))
+            continue
         own = [p for p in parts if p.name == name] if config.colour_share is not None else []
         rest = [lookup.find(p, coverage) for p in parts if p not in own]
         vector = pool(rest, config.pooling, centre)

@@ -80,6 +80,12 @@ class GroundingConfig(ModuleTrainingConfig):
     channels: int = 64
     """Features of a place, a multiple of 4. Twice as many recognize unseen kinds of objects better
     and cost 2.4 times as much."""
+    query: Literal["vector", "facts"] = "vector"
+    """What is read of a query: its vector, by two linear layers, or its facts, by attention, for
+    knowledge with pooling "facts"."""
+    graphs: int = 0
+    """Number of graphs with permuted tails that describe and answer the queries of training beside
+    the agent's own, so that a network that reads facts has to."""
     shared_rounds: int = 0
     """Rounds that train names and grasp frames alone, whose result all agents with the same robot,
     objects and seed share; ``rounds`` then train how queries are compared with places. 0: the
@@ -93,7 +99,7 @@ class GroundingConfig(ModuleTrainingConfig):
         at_least(self, least, "rounds", where="GroundingConfig.")
         if self.channels < 4 or self.channels % 4:
             raise UserError(f"GroundingConfig.channels is {self.channels}; allowed: 4, 8, 12, ...")
-        fields = "naming_coef", "frame_coef", "shared_rounds", "seed"
+        fields = "naming_coef", "frame_coef", "graphs", "shared_rounds", "seed"
         at_least(self, 0, *fields, where="GroundingConfig.")
 
 

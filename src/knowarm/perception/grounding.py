@@ -18,6 +18,7 @@ from knowarm.perception.config import FrameHead, GroundingConfig, ModuleSpec, Na
 from knowarm.perception.images import LabelledImages, QueryAnswers
 from knowarm.perception.module import GoalPredictor, PerceptionModule, PlaceEncoder
 from knowarm.policy.encoder import RELU_GAIN, orthogonal
+from knowarm.policy.facts import FactEncoder
 from knowarm.questions import ObjectColour, number_parts
 from knowarm.seeding import torch_generator
 from knowarm.world.config import EnvConfig
@@ -66,8 +67,8 @@ class GroundingNetwork(PerceptionModule):
         seed: int = 0,
         frame_head: FrameHead = "place",
     ) -> None:
-        assert isinstance(spec.config, GroundingConfig)
-        convolutions = convolutions_of(spec.config.channels)
+        config = spec.config if isinstance(spec.config, GroundingConfig) else GroundingConfig()
+        convolutions = convolutions_of(config.channels)
         super().__init__(spec, PlaceEncoder(spec.facets, convolutions, seed))
         self.slots = slots
         self.register_buffer("knowledge", torch.as_tensor(knowledge, dtype=torch.float32).clone())
@@ -83,10 +84,12 @@ class GroundingNetwork(PerceptionModule):
         inputs = channels * (1 + 2 * self._around) ** 2 + 2
         hidden = [4 * WIDTH, 4 * WIDTH] if self._around else [2 * WIDTH]
         self.key = _layers(channels, 2 * WIDTH, WIDTH * self.parts)
-        self.query = _layers(width, 2 * WIDTH, WIDTH)
+        self.query: nn.Module = _layers(width, 2 * WIDTH, WIDTH)
+        if config.query == "facts":
+            self.query = FactEncoder(width, WIDTH)
         self.frame = _layers(inputs, *hidden, FRAME * self.parts)
         generator = torch_generator(seed, "perception", 1)
-        for layer in (*self.key, *self.query, *self.frame):
+        for layer in (*self.key, *self.query.modules(), *self.frame):
             in_deep_head = self._around and layer in self.frame
             orthogonal(layer, DEEP_HEAD_GAIN if in_deep_head else RELU_GAIN, generator)
         if self._around:  # features differ in scale, and many are zero

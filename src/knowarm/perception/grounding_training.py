@@ -1,6 +1,6 @@
 """Training of grounding networks on images of the simulator, with a cache of the results."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
 from functools import partial
@@ -15,7 +15,14 @@ from knowarm.cores import torch_threads
 from knowarm.learn.optimizer import resolve_precision
 from knowarm.perception.config import GroundingConfig, ModuleSpec
 from knowarm.perception.grounding import GroundingNetwork, Standardize, place_of
-from knowarm.perception.images import ImageSampler, LabelledImages, query_answers, sample_images
+from knowarm.perception.images import (
+    DescribedGraph,
+    ImageSampler,
+    LabelledImages,
+    QueryAnswers,
+    query_answers,
+    sample_images,
+)
 from knowarm.perception.module import BATCH
 from knowarm.perception.training import GROUNDING_IMAGES, Step, minimize
 from knowarm.seeding import derive_seed, torch_generator
@@ -47,7 +54,7 @@ class _Stage(NamedTuple):
     losses: Losses
     parts: tuple[str, ...]
     """How the names of what it trains begin."""
-    follows_from: tuple[object, ...]
+    follows_from: Sequence[object]
     """What its result depends on beside images, settings and seed."""
 
 
@@ -58,6 +65,7 @@ def train_grounding(
     config: GroundingConfig,
     *,
     seed: int,
+    graphs: Sequence[DescribedGraph] = (),
     report: Callable[[str], None] = lambda text: None,
     should_stop: Callable[[], bool] = lambda: False,
 ) -> GroundingNetwork | None:
@@ -72,6 +80,7 @@ def train_grounding(
         slots: number of parts.
         config: images, rounds and losses (`GroundingNetwork.losses`).
         seed: of the run; ``config.seed`` goes first.
+        graphs: describe and answer the queries in place of the task's; a gradient step takes one.
         report: receives a line at the start and after every round.
         should_stop: called before every round; the result is then None.
     """
@@ -80,7 +89,8 @@ def train_grounding(
     if config.frame_head == "neighbourhood":
         base = replace(config, frame_head="place")
         options: dict[str, Any] = {"seed": seed, "report": report}
-        found = train_grounding(env, knowledge, slots, base, should_stop=should_stop, **options)
+        train = partial(train_grounding, graphs=graphs, should_stop=should_stop)
+        found = train(env, knowledge, slots, base, **options)
         return None if found is None else train_frame_head(found, env, config, **options)
     network = GroundingNetwork(ModuleSpec.of(env, config), knowledge, slots, seed=seed)
     answers = query_answers(env, network.spec.facets)
@@ -88,12 +98,16 @@ def train_grounding(
     bfloat16 = resolve_precision("auto", torch.device("cpu")) == "bfloat16"
     generator = torch_generator(seed, "perception", GROUNDING_IMAGES)
 
-    def some_queries() -> Tensor:
-        return torch.randperm(len(knowledge), generator=generator)[:QUERIES]
+    def ask() -> tuple[Tensor, QueryAnswers]:
+        known = answers
+        if graphs:
+            table, known = graphs[int(torch.randint(len(graphs), (), generator=generator))]
+            network.knowledge = torch.from_numpy(table)
+        return torch.randperm(len(knowledge), generator=generator)[:QUERIES], known
 
     def everything(labels: LabelledImages, rows: Tensor) -> tuple[Tensor, Tensor]:
         place, naming, frame = network.losses(
-            labels, rows, some_queries(), answers, naming=config.naming, bfloat16=bfloat16
+            labels, rows, *ask(), naming=config.naming, bfloat16=bfloat16
         )
         return place + config.naming_coef * naming + config.frame_coef * frame, place
 
@@ -104,20 +118,22 @@ def train_grounding(
 
     def comparison(labels: LabelledImages, rows: Tensor) -> tuple[Tensor, Tensor]:
         features = network.features(labels.images[rows], bfloat16)
-        place = network.place_loss(
-            features, labels, rows, some_queries(), answers, bfloat16=bfloat16
-        )
+        place = network.place_loss(features, labels, rows, *ask(), bfloat16=bfloat16)
         return place, place
 
     asked, seen = ("key.", "query."), ("encoder.", "frame.", "position_")
-    by_queries = knowledge, slots, answers.satisfies.numpy(), answers.askable.numpy()
+    by_queries: list[object] = [knowledge, slots]
+    for table, known in ((knowledge, answers), *graphs):
+        by_queries += [table, known.satisfies.numpy(), known.askable.numpy()]
     stages = [_Stage("everything", config.rounds, everything, seen + asked, by_queries)]
     if config.shared_rounds:
         stages = [
             _Stage("names and frames", config.shared_rounds, recognition, seen, ()),
             _Stage("queries", config.rounds, comparison, asked, by_queries),
         ]
-    images_alone = replace(config, rounds=config.rounds * (not config.shared_rounds))
+    images_alone = (
+        replace(config, rounds=0, graphs=0, query="vector") if config.shared_rounds else config
+    )
     depends_on: list[object] = [REVISION, version("torch"), bfloat16, env, images_alone, seed]
     for number, stage in enumerate(stages):
         if stage.rounds == 0:
@@ -142,6 +158,7 @@ def train_grounding(
             if not minimize(network, config, steps, stage.rounds, name, report, should_stop):
                 return None
         write_arrays(file, {name: value.numpy() for name, value in parts.items()})
+    network.knowledge = torch.from_numpy(knowledge)
     return network.eval().requires_grad_(False)
 
 

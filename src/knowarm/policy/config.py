@@ -51,10 +51,11 @@ class PolicyConfig:
     paper's 128 / 278 / 428), "fixed" is ``features``, or a number."""
     features: int = 128
     """Output width of the fully connected layer after the convolutions."""
-    knowledge_encoder: Literal["identity", "learned"] = "identity"
-    """Layer between knowledge vector and fusion: none, or a trained linear map."""
+    knowledge_encoder: Literal["identity", "learned", "facts"] = "identity"
+    """Layer between knowledge vector and fusion: none, a trained linear map, or a network that
+    reads the facts of each slot, for knowledge with pooling "facts"."""
     knowledge_width: int | None = None
-    """Output width of the trained linear map; None keeps the width of the knowledge vector."""
+    """Output width of that layer; None: that of the knowledge vector, or 64 per slot of facts."""
     wide: bool = False
     """Capacity control: no knowledge input, but an LSTM so large that the policy has as many
     parameters as the same one with knowledge."""
@@ -111,7 +112,9 @@ def layer_widths(config: PolicyConfig, shape: PolicyShape) -> tuple[int, int]:
             "knowledge table with at least one column, or fusion='none'."
         )
     knowledge = shape.knowledge_dim
-    if config.knowledge_encoder == "learned" and config.knowledge_width is not None:
+    if config.knowledge_encoder == "facts":
+        knowledge = 64 * shape.knowledge_slots
+    if config.knowledge_encoder != "identity" and config.knowledge_width is not None:
         knowledge = config.knowledge_width
     if shape.knowledge_dim % shape.knowledge_slots or knowledge % shape.knowledge_slots:
         raise UserError(

@@ -22,6 +22,7 @@ from torch import Tensor, nn
 from knowarm.errors import UserError
 from knowarm.policy.config import FUSIONS, PolicyConfig, PolicyShape, layer_widths
 from knowarm.policy.encoder import RELU_GAIN, ImageEncoder, orthogonal, orthogonal_
+from knowarm.policy.facts import FactEncoder
 from knowarm.policy.lstm import MaskedLSTM, State
 from knowarm.seeding import torch_generator
 
@@ -72,11 +73,12 @@ class Policy(nn.Module):
         knowledge, hidden = layer_widths(config, shape)
         self.hidden_size = hidden
         self.encoder = ImageEncoder(shape.image_size, config.pixel_shift, config.pixel_scale)
-        self.knowledge_encoder = (
-            nn.Linear(shape.knowledge_dim, knowledge, bias=False)
-            if config.knowledge_encoder == "learned" and self.uses_knowledge
-            else nn.Identity()
-        )
+        self.knowledge_encoder: nn.Module = nn.Identity()
+        if self.uses_knowledge and config.knowledge_encoder == "learned":
+            self.knowledge_encoder = nn.Linear(shape.knowledge_dim, knowledge, bias=False)
+        elif self.uses_knowledge and config.knowledge_encoder == "facts":
+            sizes = shape.knowledge_dim, knowledge, shape.knowledge_slots
+            self.knowledge_encoder = FactEncoder(*sizes)
         fusion = FUSIONS[config.fusion](config.features, knowledge, shape.knowledge_slots)
         self.fusion = fusion
         self.fc = nn.Linear(self.encoder.width + fusion.extra_inputs("fc"), config.features)
@@ -104,7 +106,8 @@ class Policy(nn.Module):
         """Initialize all weights orthogonally and all biases with zeros."""
         orthogonal(self.encoder.conv1, RELU_GAIN, generator)
         orthogonal(self.encoder.conv2, RELU_GAIN, generator)
-        orthogonal(self.knowledge_encoder, 1.0, generator)
+        for layer in self.knowledge_encoder.modules():
+            orthogonal(layer, 1.0, generator)
         self.fusion.reset_parameters(generator)
         rectified = self.config.fc_activation == "relu"
         orthogonal(self.fc, RELU_GAIN if rectified else 1.0, generator)
@@ -169,7 +172,7 @@ class Policy(nn.Module):
             Logits (B, J, A), values (B,), next state.
         """
         patches = self.patches(image) if image.ndim == 4 else image
-        knowledge = self.knowledge_encoder(self._knowledge(facet))
+        knowledge = self._knowledge(facet)
         with self._autocast():
             inputs = self.fusion("lstm", self._features(patches, knowledge), knowledge)
             hidden, state = self.memory.step(inputs, state, episode_start)
@@ -196,7 +199,7 @@ class Policy(nn.Module):
         """
         patches = self.patches(image) if image.ndim == 5 else image
         steps, batch = episode_start.shape
-        knowledge = self.knowledge_encoder(self._knowledge(facet).flatten(0, 1))
+        knowledge = self._knowledge(facet).flatten(0, 1)
         with self._autocast():
             features = self._features(patches.flatten(0, 1), knowledge)
             inputs = self.fusion("lstm", features, knowledge).view(steps, batch, -1)
@@ -223,12 +226,16 @@ class Policy(nn.Module):
         return partial(Policy, self.config, self.shape, self.knowledge_table.cpu().numpy())
 
     def _knowledge(self, facet: Tensor) -> Tensor:
-        """Look up the knowledge of facets: (...) -> (..., K); knowledge itself is returned."""
+        """Look up and encode the knowledge of facets (...), or knowledge (..., K): (..., width)."""
+        encode: Callable[[Tensor], Tensor] = self.knowledge_encoder
         if facet.is_floating_point():
-            return facet
+            return encode(facet)
         if not self.uses_knowledge:
             return self.knowledge_table.new_empty((*facet.shape, 0))
-        return self.knowledge_table[facet]
+        if not isinstance(encode, FactEncoder):
+            return encode(self.knowledge_table[facet])
+        rows, place = facet.unique(return_inverse=True)  # one query lasts for many steps
+        return encode(self.knowledge_table[rows])[place]
 
     def _autocast(self) -> torch.autocast:
         """Return a context in which products and convolutions have the policy's precision."""
