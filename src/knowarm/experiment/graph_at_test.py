@@ -18,7 +18,7 @@ from knowarm.knowledge.graph.terms import local_name
 from knowarm.knowledge.queries.queries import QueryGraph
 from knowarm.knowledge.queries.splits import QuerySplits
 from knowarm.perception.config import ModuleSpec
-from knowarm.perception.images import DescribedGraph, QueryAnswers
+from knowarm.perception.images import DescribedGraph, query_answers
 from knowarm.questions import ObjectColour, Query, QuestionTable
 from knowarm.seeding import derive_seed
 from knowarm.world.config import EnvConfig, facets_of, questions_of
@@ -106,11 +106,13 @@ def knowledge_at_test(
 
 
 def described_by(config: ExperimentConfig, graph: KnowledgeGraph) -> DescribedGraph:
-    """Return the knowledge (Q, K) of the queries of training by a graph, and its answers."""
+    """Describe and answer the queries of training by a graph; what is held out is not askable."""
     assert config.grounding is not None
     facets = ModuleSpec.of(config.env, config.grounding).facets
     answers = torch.from_numpy(QueryGraph(graph, facets).answers(_questions(config.env).queries))
-    known = QueryAnswers(answers, answers, config.env.task.paints_goal)
+    own = query_answers(config.env, facets)
+    assert own is not None
+    known = own._replace(satisfies=answers, askable=answers & (own.askable | ~own.satisfies))
     return knowledge_at_test(config, config.env, graph), known
 
 
