@@ -23,7 +23,9 @@ from knowarm.report.pages.paper import published_result, time_saved
 from knowarm.statistics import Interval, bootstrap, holm, welch
 from knowarm.statistics.compare import power_of_two_samples
 from knowarm.statistics.survival import area_under_curve, first_crossing
+from knowarm.study.driver import open_study
 from knowarm.study.pack import unpack_study
+from knowarm.study.status import study_status
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
 PAGE = RESULTS / "answer.md"
@@ -259,8 +261,8 @@ def title_of(task: TaskData) -> str:
     return f"{ROBOTS[robot]}, {colours} colours"
 
 
-def page(found: Sequence[tuple[TaskData, Mapping[str, Agent]]]) -> str:
-    """Write the page."""
+def page(found: Sequence[tuple[TaskData, Mapping[str, Agent]]], progress: str) -> str:
+    """Write the page; ``progress`` says how much of the study is done."""
     runs = sum(len(each.seeds) for _, agents in found for each in agents.values())
     hours = sum(each.hours for _, agents in found for each in agents.values())
     seeds = sorted({seed for _, agents in found for each in agents.values() for seed in each.seeds})
@@ -270,6 +272,7 @@ def page(found: Sequence[tuple[TaskData, Mapping[str, Agent]]]) -> str:
             runs=runs,
             hours=hours,
             seeds=", ".join(map(str, seeds)),
+            progress=progress,
             controls=WITH_CONTROLS if has_controls else WITHOUT_CONTROLS,
         )
     ]
@@ -287,8 +290,8 @@ TOP = """<!-- Written by scripts/build_answer.py from the packs; do not edit. --
 # Does semantic knowledge help a robot arm to learn?
 
 **Protocol.** {runs} runs of the paper's task with `fast`, 1.5 million steps, one process, training
-seeds {seeds}; {hours:.0f} hours of one core. Outcomes and comparisons are those of the study
-`answer`. They were fixed when the runs of `bm`, `partial` and `full` with seeds 0 to 2 were known,
+seeds {seeds}; {hours:.0f} hours of one core. {progress} Its outcomes
+and comparisons were fixed when the runs of `bm`, `partial` and `full` with seeds 0 to 2 were known,
 and before any other run. Primary: environment steps until 80 % of the 40 interim episodes succeed
 (5 cm, 15 degrees); a run that never does counts as 1.5 million, and as censored in the log-rank
 test. Secondary: success of 1,000 episodes after training (10 cm, 17 degrees), and area under the
@@ -354,7 +357,9 @@ def main() -> None:
             for name, pack in packs.items()
             if pack.exists()
         ]
-        given.out.write_text(page(list(cells(folders))), encoding="utf-8")
+        states = [run.state for run in study_status(open_study(folders[0]), folders[0])]
+        done = f"Of the study `{STUDIES[0]}` {states.count('done')} of {len(states)} runs are done."
+        given.out.write_text(page(list(cells(folders)), done), encoding="utf-8")
 
 
 if __name__ == "__main__":
