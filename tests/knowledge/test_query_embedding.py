@@ -167,5 +167,7 @@ def test_more_facts_than_a_slot_keeps_are_refused():
 
 
 def test_facts_are_kept_whole():
-    with pytest.raises(UserError, match="pooling 'facts' keeps every label"):
-        replace(QUERY, pooling="facts")
+    known = AGENTS["reasoner"].knowledge
+    for changed in ({"slot_norm": 1.0}, {"head_once": True}, {"scope": "scene"}):
+        with pytest.raises(UserError, match="pooling 'facts' keeps every label about a query"):
+            replace(known, **changed)

@@ -81,10 +81,11 @@ class KnowledgeConfig:
 
     def __post_init__(self) -> None:
         whole = self.relation_words and not self.head_once and self.colour_share is None
-        if self.pooling == "facts" and not (whole and self.slot_norm is None):
+        asked = self.scope == "query" and self.slot_norm is None
+        if self.pooling == "facts" and not (whole and asked):
             raise UserError(
-                "pooling 'facts' keeps every label: it needs relation_words=True, head_once=False, "
-                "colour_share=None and slot_norm=None."
+                "pooling 'facts' keeps every label about a query: it needs scope='query', "
+                "relation_words=True, head_once=False, colour_share=None and slot_norm=None."
             )
 
     @property

@@ -14,8 +14,7 @@ class FactEncoder(nn.Module):
     Row f of a slot has the vectors of head, relation and tail, ``h_f = relu(W x_f)``; row 0 is the
     condition of a query, without head. ``m = sum_f sigmoid(q(h_0) . k(h_f) / sqrt(d)) v(h_f)`` over
     the facts that there are, with four heads of attention, and the result is a function of
-    ``(h_0, m)`` with one hidden layer. With words of 50 numbers
-    it has 110,000 parameters.
+    ``(h_0, m)`` with one hidden layer. With words of 50 numbers it has 110,000 parameters.
 
     Args:
         knowledge: numbers of all slots.

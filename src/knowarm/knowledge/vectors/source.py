@@ -191,16 +191,15 @@ def pool(found: Sequence[Found], pooling: Pooling, centre: np.ndarray | float) -
 
 
 def join_facts(found: Sequence[Found], centre: np.ndarray | float) -> np.ndarray:
-    """Return a unit vector per label of facts, (32 * 3 D,) float64; a condition has no head."""
-    begin = -len(found) % 3
-    if begin + len(found) > 3 * FACTS:
+    """Return a unit vector per label, (32 * 3 D,) float64: relation and value, then the facts."""
+    if 1 + len(found) > 3 * FACTS:
         raise UserError(
             f"A slot has {len(found) // 3} facts, and pooling 'facts' keeps {FACTS - 1}. Restrict "
             "them by relations or direction."
         )
     labels = [pool([each], "mean", centre) for each in found]
     rows = np.zeros((3 * FACTS, len(labels[0])))
-    rows[begin : begin + len(labels)] = labels
+    rows[1 : 1 + len(labels)] = labels  # a condition has no head
     length = np.linalg.norm(rows, axis=1, keepdims=True)
     return np.divide(rows, length, out=rows, where=length > 0).reshape(-1)
 
