@@ -1,5 +1,7 @@
 """Registered controls: equal to their subjects in everything but the content of the vector."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -10,6 +12,7 @@ from knowarm.experiment.build import build
 from knowarm.experiment.names import experiment_config, experiment_names
 from knowarm.knowledge import query_embedding, scene_embedding
 from knowarm.policy import Policy, PolicyShape
+from knowarm.policy.config import FUSIONS
 from knowarm.questions import Query
 from tests.tiny import FACETS
 
@@ -108,3 +111,10 @@ def test_facts_and_the_network_that_reads_them_come_together():
                 "irb120-choose-subgraph-before-lstm-fast", policy={"knowledge_encoder": "facts"}
             )
         )
+
+
+def test_agents_of_the_fusions_of_a_query_differ_in_nothing_else():
+    agents = [each for name, each in AGENTS.items() if name.startswith("subgraph-")]
+    fused = [agent for agent in agents if agent.grounding is None]
+    assert {agent.policy.fusion for agent in fused} == {*FUSIONS} - {"none", "critic"}
+    assert len({repr((each.knowledge, replace(each.policy, fusion="none"))) for each in fused}) == 1

@@ -74,9 +74,9 @@ def _zeros(about: str, knowledge: KnowledgeConfig, **fields: Any) -> Agent:
     return _agent("capacity_control", about, replace(knowledge, source=Zeros()), **fields)
 
 
-def _fused(fusion: str, about: str) -> Agent:
-    """Return `full` with another fusion and the baseline's LSTM size."""
-    return _subject(about, FULL, policy=replace(_FIXED, fusion=fusion))
+def _fused(fusion: str, about: str, knowledge: KnowledgeConfig = FULL) -> Agent:
+    """Return an agent with another fusion and the baseline's LSTM size."""
+    return _subject(about, knowledge, policy=replace(_FIXED, fusion=fusion))
 
 
 _TARGET = replace(FULL, scope="target")
@@ -193,14 +193,19 @@ AGENTS: dict[str, Agent] = {
     "subgraph": _subject(
         "the subgraph around the values of the query", QUERY, **_GROUNDED, colour="c-blue"
     ),
-    "subgraph-before-lstm": _subject(
-        "as subgraph, concatenated before the LSTM as in the paper", QUERY
-    ),
-    "subgraph-similarity": _subject(
-        "as subgraph, fused by similarity without a grounding network",
-        QUERY,
-        policy=PolicyConfig(fusion="similarity", hidden="fixed"),
-    ),
+    **{
+        f"subgraph-{fusion.replace('_', '-')}": _fused(
+            fusion, f"as subgraph, {how}, without a grounding network", QUERY
+        )
+        for fusion, how in {
+            "before_fc": "concatenated before the fully connected layer",
+            "before_lstm": "concatenated before the LSTM as in the paper",
+            "after_lstm": "concatenated after the LSTM",
+            "film": "scaling and shifting the convolution features",
+            "attention": "with attention over its slots",
+            "similarity": "weighting the positions of the image by similarity",
+        }.items()
+    },
     "query-words": _subject(
         "the word vectors of the query, without the graph",
         _QUERY_WORDS,
