@@ -15,7 +15,7 @@ from knowarm.report.pages.paper import paper_blocks
 from knowarm.report.verdicts.claims import claims, scores
 from knowarm.report.verdicts.knowledge import finding, findings
 from knowarm.report.verdicts.learning import learning_verdict, vision_verdict
-from knowarm.statistics import holm, share_difference, welch, wilson
+from knowarm.statistics import area_under_curve, holm, share_difference, welch, wilson
 from tests.report.synthetic_study import LABEL, Size, Truth, redraw, write_run, write_study
 
 LIGHT = Size(points=12, tables=False)
@@ -305,6 +305,25 @@ def test_curves_are_compared_as_far_as_every_agent_has_a_run(tmp_path):
     early = long.interim["success"][long.interim["step"] <= 2_000_000]
     assert scores(task, bm, "speed")[1] <= early.max()
     assert scores(task, full, "speed")[0] <= short.interim["success"].max()
+
+
+def test_a_stopped_run_is_no_mean_over_a_longer_training(tmp_path):
+    paths = write_study(tmp_path, Truth(success={"bm": 0.5, "full": 0.5}), seeds=2, size=LIGHT)
+    for name in ("evaluations.csv", "metrics.csv"):
+        lines = (paths[0] / name).read_text().splitlines(keepends=True)
+        (paths[0] / name).write_text("".join(lines[:7]))
+    task = collect(paths).tasks[0]
+    stopped, whole = task.groups[0].runs
+    assert (stopped.lasts(task.horizon), whole.lasts(task.horizon)) == (False, True)
+    only = area_under_curve(whole.interim["step"], whole.interim["success"], task.horizon)
+    assert scores(task, task.groups[0], "speed") == pytest.approx([only])
+    config = json.loads((paths[0] / "config.json").read_text())
+    config["stop_when"] = {"success": 0.001, "evaluations": 1}
+    (paths[0] / "config.json").write_text(json.dumps(config))
+    tasks = collect(paths).tasks  # another rule is another task
+    ended = next(run for each in tasks for run in each.runs if run.path == paths[0])
+    assert ended.ended_early
+    assert ended.lasts(task.horizon)
 
 
 def test_the_inputs_page_says_which_agents_receive_the_query(monkeypatch):

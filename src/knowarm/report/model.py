@@ -145,6 +145,7 @@ class RunData:
     metrics: Curve  # columns of ``metrics.csv``; empty if missing
     evaluations: dict[str, Evaluation]  # post-training evaluations by label
     algorithm: str = ""  # name of the learning algorithm in the registry
+    ended_early: bool = False  # whether its ``stop_when`` ended the training
 
     @property
     def agent(self) -> str:
@@ -198,6 +199,10 @@ class RunData:
         """Whether interim success is known at every interim evaluation."""
         known = bool(self.interim) and np.isfinite(self.interim.get("success", np.nan)).all()
         return bool(known) and bool(self.interim["step"][-1] > 0)
+
+    def lasts(self, until: float) -> bool:
+        """Whether success is known until a step, give or take a rollout, or its rule ended it."""
+        return self.has_success_curve and (self.ended_early or self.steps_done >= 0.98 * until)
 
 
 @dataclass(frozen=True, eq=False)

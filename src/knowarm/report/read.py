@@ -3,6 +3,7 @@
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -115,10 +116,14 @@ def read_run(path: Path, problems: list[FolderProblem]) -> RunData:
     total = config.get("total_steps")
     if total and 0 < run.steps_done < 0.98 * total:
         what = f"stopped after {run.steps_done / total:.0%} of its steps"
+        done = "kept; censored at its end"
         if (rule := config.get("stop_when")) and folder.ended_early_at(StopWhen(**rule)):
             success, count = rule["success"], rule["evaluations"]
             what += f", as its stop_when says (success {success:.0%} {count}x)"
-        done = "kept; censored at its end, its last success extended"
+            done += ", its last success extended"
+            run = replace(run, ended_early=True)
+        else:
+            done += ", left out of means over longer trainings"
         problems.append(FolderProblem(path, what, done))
     return run
 

@@ -126,5 +126,6 @@ def _row(task: TaskData, group: Group, published: Mapping[str, float]) -> Row:
 
 def _best_steps(group: Group | None) -> Interval | None:
     """Estimate the mean step of the best interim model over training seeds."""
-    steps = [run.best_step for run in group.runs if run.best_step] if group else []
+    runs = [run for run in group.runs if group.label in run.evaluations] if group else []
+    steps = [run.best_step for run in runs if run.best_step]
     return bootstrap([np.array(steps)]) if steps else None

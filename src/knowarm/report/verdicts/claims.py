@@ -191,12 +191,13 @@ def _size(group: Group, name: str) -> float | None:
 def scores(task: TaskData, group: Group, outcome: str) -> np.ndarray:
     """Return one score in 0..1 per training run, (n,) float64.
 
-    A curve extends to the same step for all agents of a task, if need be with its last value.
+    A curve extends to the same step for all agents of a task; runs that were stopped before it are
+    left out, and of those that ``stop_when`` ended the last value is extended.
     """
     if outcome == "success":
         return group.scores("success")
     until = task.horizon
-    curves = [run.interim for run in group.runs if run.has_success_curve]
+    curves = [run.interim for run in group.runs if run.lasts(until)]
     return np.array([area_under_curve(each["step"], each["success"], until) for each in curves])
 
 

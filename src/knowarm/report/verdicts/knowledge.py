@@ -141,7 +141,7 @@ def answer(findings: Sequence[Finding], tasks: int) -> Verdict:
         places[name][WORDS[each.kind]].append(", ".join(place))
     parts = []
     for name, said in places.items():
-        clauses = [f"{words}{_where(found, tasks)}" for words, found in said.items()]
+        clauses = [f"{_where(found, tasks)}{words}" for words, found in said.items()]
         parts.append(f"{name}: {'; '.join(clauses)}.")
     tones = {TONES.get(each.kind, "open") for each in findings}
     sentence = f"Does the knowledge help? {' '.join(parts) or 'There is nothing to compare.'}"
@@ -153,5 +153,5 @@ def _where(places: Sequence[str], tasks: int) -> str:
     if not any(places):
         return ""
     if len(places) == tasks > 1:
-        return f" on all {tasks} tasks"
-    return f" on {listed(places)}"
+        return "on both tasks " if tasks == 2 else f"on all {tasks} tasks "
+    return f"on {listed(places)} "
