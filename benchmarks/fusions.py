@@ -4,25 +4,29 @@ Images are starts of episodes of the choice task, with the arm in them. The poli
 image and query, regresses where the wanted object stands, and is right if that is nearest to the
 wanted one of the objects shown. No reinforcement learning is involved, so a fusion takes a minute.
 
-    python -m benchmarks.fusions --fusions before_lstm film similarity
+    python -m benchmarks.fusions --seeds 0 1 2 --out fusions.csv
 """
 
 import argparse
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import cast
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from knowarm.experiment.build import build
 from knowarm.experiment.graph_queries import GraphQueries
 from knowarm.experiment.names import experiment_config
 from knowarm.policy import Policy, PolicyConfig
+from knowarm.policy.config import FUSIONS
 from knowarm.world.envs.vector_env import ReachVectorEnv
 from knowarm.world.tasks.choose.choose import Choose
 
 BATCH, LEARNING_RATE, TEST_IMAGES = 256, 1.5e-3, 2048
+FUSED = [name for name in FUSIONS if name not in ("none", "critic")]
+"""Fusions by which knowledge reaches the memory or the actor."""
 
 
 @dataclass
@@ -37,12 +41,12 @@ class Starts:
     """(N, m, 2) float32, x and y of the objects, standardized over all of them."""
 
 
-def draw_starts(env: ReachVectorEnv, count: int) -> Starts:
+def draw_starts(env: ReachVectorEnv, count: int, seed: int) -> Starts:
     """Draw at least ``count`` starts."""
     images: list[np.ndarray] = []
     queries: list[np.ndarray] = []
     positions: list[np.ndarray] = []
-    observation, infos = env.reset(seed=0)
+    observation, infos = env.reset(seed=seed)
     while len(images) * env.num_envs < count:
         images.append(observation)
         queries.append(infos["query"])
@@ -57,41 +61,48 @@ def draw_starts(env: ReachVectorEnv, count: int) -> Starts:
     )
 
 
-class Finder(nn.Module):
-    """A policy's network whose memory predicts where the wanted object stands."""
-
-    def __init__(self, policy: Policy) -> None:
-        super().__init__()
-        self.policy = policy
-        self.place = nn.Linear(policy.hidden_size, 2)
-
-    def forward(self, image: Tensor, query: Tensor) -> Tensor:
-        """Predict positions (N, 2) from images (N, H, W, 3) and queries (N,)."""
-        policy, count = self.policy, len(image)
-        start = torch.ones(count, dtype=torch.bool)
-        _, _, (hidden, _) = policy.step(image, query, policy.initial_state(count), start)
-        place: Tensor = self.place(hidden)
-        return place
+def predicted(policy: Policy, starts: Starts, rows: Tensor) -> Tensor:
+    """Predict where the wanted objects of ``rows`` stand, (N, 2), by the head of the actor."""
+    start = torch.ones(len(rows), dtype=torch.bool)
+    state = policy.initial_state(len(rows))
+    return policy.step(starts.image[rows], starts.query[rows], state, start)[0].squeeze(2)
 
 
 @torch.no_grad()
-def accuracy(finder: Finder, starts: Starts, rows: Tensor) -> float:
+def accuracy(policy: Policy, starts: Starts, rows: Tensor) -> float:
     """Return the share of starts whose prediction is nearest to the wanted object."""
-    predicted = torch.cat([finder(starts.image[r], starts.query[r]) for r in rows.split(BATCH)])
-    squared = (starts.position[rows] - predicted[:, None]).square().sum(2)
+    places = torch.cat([predicted(policy, starts, each) for each in rows.split(BATCH)])
+    squared = (starts.position[rows] - places[:, None]).square().sum(2)
     return (squared.argmin(1) == 0).float().mean().item()
 
 
+def train(
+    policy: Policy, starts: Starts, images: int, epochs: int, generator: torch.Generator
+) -> float:
+    """Train on the first ``images`` starts and return the share of right objects in the others."""
+    optimizer = torch.optim.Adam(policy.parameters(), LEARNING_RATE)
+    for epoch in range(epochs):
+        for group in optimizer.param_groups:
+            group["lr"] = LEARNING_RATE * (1 - 0.9 * epoch / epochs)
+        for rows in torch.randperm(images, generator=generator).split(BATCH):
+            error = predicted(policy, starts, rows) - starts.position[rows, 0]
+            optimizer.zero_grad()
+            error.square().mean().backward()
+            optimizer.step()
+    return accuracy(policy, starts, torch.arange(images, images + TEST_IMAGES))
+
+
 def main() -> None:
-    """Train a network per fusion on the same starts and print the share found in new ones."""
+    """Train a network per seed and fusion and print the share found in new images."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--fusions", nargs="+", default=["before_lstm", "film", "similarity"])
-    parser.add_argument("--experiment", default="irb120-choose-query-onehot-fast")
+    parser.add_argument("--fusions", nargs="+", default=FUSED, choices=FUSED)
+    parser.add_argument("--experiment", default="irb120-choose-subgraph-fast")
     parser.add_argument("--images", type=int, default=20_000)
     parser.add_argument("--epochs", type=int, default=8)
     parser.add_argument("--size", type=int, default=64, help="height and width of images [px]")
     parser.add_argument("--pairs", default="colour", choices=["none", "colour", "all"])
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0])
+    parser.add_argument("--out", type=Path, help="CSV of all shares")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     config = experiment_config(arguments.experiment)
@@ -99,31 +110,24 @@ def main() -> None:
     queries = replace(cast(GraphQueries, task.queries), pairs=arguments.pairs)
     task = replace(task, queries=queries)
     env_config = replace(config.env, image_size=arguments.size, task=task)
-    parts = build(replace(config, env=env_config))
-    env = ReachVectorEnv(env_config, 512, 1)
-    starts = draw_starts(env, arguments.images + TEST_IMAGES)
-    test = torch.arange(arguments.images, arguments.images + TEST_IMAGES)
-    for fusion in arguments.fusions:
-        policy_config = PolicyConfig(
-            fusion=fusion, hidden="fixed", pixel_shift=0.5, pixel_scale=4.0
-        )
-        torch.manual_seed(arguments.seed)
-        shape, table = parts.policy_shape, parts.table
-        finder = Finder(Policy(policy_config, shape, table, seed=arguments.seed))
-        optimizer = torch.optim.Adam(finder.parameters(), LEARNING_RATE)
-        generator = torch.Generator().manual_seed(arguments.seed)
-        shares = []
-        for epoch in range(arguments.epochs):
-            for group in optimizer.param_groups:
-                group["lr"] = LEARNING_RATE * (1 - 0.9 * epoch / arguments.epochs)
-            order = torch.randperm(arguments.images, generator=generator)
-            for rows in order.split(BATCH):
-                error = finder(starts.image[rows], starts.query[rows]) - starts.position[rows, 0]
-                optimizer.zero_grad()
-                error.square().mean().backward()
-                optimizer.step()
-            shares.append(f"{100 * accuracy(finder, starts, test):.0f}")
-        print(f"{fusion}: right in new images after each epoch: {', '.join(shares)} %", flush=True)
+    found = []
+    for seed in arguments.seeds:
+        parts = build(replace(config, env=env_config, seed=seed, grounding=None))
+        shape = replace(parts.policy_shape, joints=2, levels=1)  # x and y instead of actions
+        env = ReachVectorEnv(env_config, 512, 1)
+        starts = draw_starts(env, arguments.images + TEST_IMAGES, seed)
+        for fusion in arguments.fusions:
+            policy_config = PolicyConfig(
+                fusion=fusion, hidden="fixed", pixel_shift=0.5, pixel_scale=4.0
+            )
+            policy = Policy(policy_config, shape, parts.table, seed=seed)
+            generator = torch.Generator().manual_seed(seed)
+            share = train(policy, starts, arguments.images, arguments.epochs, generator)
+            print(f"{fusion}, seed {seed}: right in new images {100 * share:.1f} %", flush=True)
+            found.append(f"{fusion},{seed},{100 * share:.1f}")
+            if arguments.out is not None:
+                text = "\n".join(["fusion,seed,right_percent", *found])
+                arguments.out.write_text(text + "\n")
 
 
 if __name__ == "__main__":

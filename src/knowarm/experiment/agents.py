@@ -74,9 +74,14 @@ def _zeros(about: str, knowledge: KnowledgeConfig, **fields: Any) -> Agent:
     return _agent("capacity_control", about, replace(knowledge, source=Zeros()), **fields)
 
 
-def _fused(fusion: str, about: str, knowledge: KnowledgeConfig = FULL) -> Agent:
-    """Return an agent with another fusion and the baseline's LSTM size."""
-    return _subject(about, knowledge, policy=replace(_FIXED, fusion=fusion))
+def _fused(subject: str, knowledge: KnowledgeConfig, **how: str) -> dict[str, Agent]:
+    """Return agents with a subject's knowledge, the baseline's LSTM size and other fusions."""
+    return {
+        f"{subject}-{fusion.replace('_', '-')}": _subject(
+            f"as {subject}, {about}", knowledge, policy=PolicyConfig(fusion=fusion, hidden="fixed")
+        )
+        for fusion, about in how.items()
+    }
 
 
 _TARGET = replace(FULL, scope="target")
@@ -85,6 +90,12 @@ _PERCEIVED = replace(FULL_PLUS, scope="perceived")
 _QUERY_WORDS = replace(QUERY, hops=0, colour_share=None)
 _FACTS = replace(QUERY, pooling="facts", relation_words=True, colour_share=None, slot_norm=None)
 _ANALOGY = GraphEmbedding(model="analogy")
+_HOW = {
+    "before_fc": "concatenated before the fully connected layer",
+    "after_lstm": "concatenated after the LSTM",
+    "film": "scaling and shifting the convolution features",
+    "attention": "with attention over its slots",
+}
 _FIXED = PolicyConfig(hidden="fixed")
 _GROUNDED: dict[str, Any] = {
     "policy": _FIXED,
@@ -173,16 +184,8 @@ AGENTS: dict[str, Agent] = {
         policy=PolicyConfig(wide=True),
         colour="c-brown",
     ),
-    "full-fixed": _fused("before_lstm", "full with the baseline's LSTM size"),
-    "full-before-fc": _subject(
-        "full, concatenated before the fully connected layer",
-        FULL,
-        policy=PolicyConfig(fusion="before_fc"),
-    ),
-    "full-after-lstm": _fused("after_lstm", "full, concatenated after the LSTM"),
-    "full-film": _fused("film", "full, scaling and shifting the convolution features"),
-    "full-attention": _fused("attention", "full, with attention over its slots"),
-    "full-critic": _fused("critic", "full, for the critic only"),
+    "full-fixed": _subject("full with the baseline's LSTM size", FULL, policy=_FIXED),
+    **_fused("full", FULL, **_HOW, critic="for the critic only"),
     "mask": _privileged(
         "upper bound of the choose task: the image marks the wanted object",
         replace(QUERY, source=Zeros()),
@@ -193,19 +196,13 @@ AGENTS: dict[str, Agent] = {
     "subgraph": _subject(
         "the subgraph around the values of the query", QUERY, **_GROUNDED, colour="c-blue"
     ),
-    **{
-        f"subgraph-{fusion.replace('_', '-')}": _fused(
-            fusion, f"as subgraph, {how}, without a grounding network", QUERY
-        )
-        for fusion, how in {
-            "before_fc": "concatenated before the fully connected layer",
-            "before_lstm": "concatenated before the LSTM as in the paper",
-            "after_lstm": "concatenated after the LSTM",
-            "film": "scaling and shifting the convolution features",
-            "attention": "with attention over its slots",
-            "similarity": "weighting the positions of the image by similarity",
-        }.items()
-    },
+    **_fused(
+        "subgraph",
+        QUERY,
+        **{name: f"{about}, without a grounding network" for name, about in _HOW.items()},
+        before_lstm="concatenated before the LSTM as in the paper, without a grounding network",
+        similarity="weighting places by similarity, without a grounding network",
+    ),
     "query-words": _subject(
         "the word vectors of the query, without the graph",
         _QUERY_WORDS,

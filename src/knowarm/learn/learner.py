@@ -26,12 +26,7 @@ from knowarm.learn.parallel.processes import (
     process_context,
     stop_all,
 )
-from knowarm.learn.parallel.shared_tensors import (
-    FlatParameters,
-    SharedTensors,
-    TensorSpecs,
-    zeros,
-)
+from knowarm.learn.parallel.shared_tensors import FlatParameters, SharedTensors, TensorSpecs, zeros
 from knowarm.learn.rollout import (
     Rollout,
     Targets,

@@ -90,12 +90,7 @@ def rollout_specs(steps: int, batch: int, policy: Policy) -> TensorSpecs:
 
 @torch.no_grad()
 def infer_step(
-    policy: Policy,
-    rollout: Rollout,
-    t: int,
-    image: Tensor,
-    state: State,
-    envs: slice = slice(None),
+    policy: Policy, rollout: Rollout, t: int, image: Tensor, state: State, envs: slice = slice(None)
 ) -> tuple[Tensor, State]:
     """Run the policy for step t of the b environments ``envs``.
 

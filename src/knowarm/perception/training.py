@@ -28,10 +28,7 @@ Step = tuple[int, Tensor, Tensor]
 
 
 def train_classifier(
-    env: EnvConfig,
-    config: PerceptionConfig,
-    *,
-    report: Callable[[str], None] = lambda text: None,
+    env: EnvConfig, config: PerceptionConfig, *, report: Callable[[str], None] = lambda text: None
 ) -> FacetClassifier:
     """Train a facet classifier for a task on the simulator's labels, and measure its accuracy.
 

@@ -11,12 +11,7 @@ import numpy as np
 
 from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS
-from knowarm.experiment.summary import (
-    AGAIN,
-    EPISODE_COLUMNS,
-    TASK_COLUMNS,
-    read_table,
-)
+from knowarm.experiment.summary import AGAIN, EPISODE_COLUMNS, TASK_COLUMNS, read_table
 from knowarm.knowledge.config import Detail
 from knowarm.knowledge.vectors.placebos import Zeros
 from knowarm.report.format import palette

@@ -46,10 +46,7 @@ class LiftingModel:
 
 
 def lifting_model(
-    robot: Robot,
-    targets: tuple[Target, ...],
-    distractors: int = 0,
-    timestep_s: float = TIMESTEP_S,
+    robot: Robot, targets: tuple[Target, ...], distractors: int = 0, timestep_s: float = TIMESTEP_S
 ) -> LiftingModel:
     """Build the model of a robot and the objects of an episode.
 

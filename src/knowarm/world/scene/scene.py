@@ -11,12 +11,7 @@ from numpy.typing import NDArray
 
 from knowarm.errors import UserError, unknown_name
 from knowarm.questions import INSTANCE
-from knowarm.world.lifting.model import (
-    FINGERS,
-    TASK_TIMESTEP_S,
-    LiftingModel,
-    lifting_model,
-)
+from knowarm.world.lifting.model import FINGERS, TASK_TIMESTEP_S, LiftingModel, lifting_model
 from knowarm.world.objects import TARGETS, Target
 from knowarm.world.objects.families import instance
 from knowarm.world.objects.parts import PARTS

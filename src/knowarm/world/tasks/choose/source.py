@@ -8,13 +8,7 @@ import numpy as np
 
 from knowarm.arrays import Floats, Integers
 from knowarm.errors import UserError
-from knowarm.questions import (
-    COLOUR_RELATION,
-    ObjectColour,
-    Query,
-    QuestionTable,
-    number_parts,
-)
+from knowarm.questions import COLOUR_RELATION, ObjectColour, Query, QuestionTable, number_parts
 from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.choose.layouts import LayoutSource, draws
 from knowarm.world.tasks.choose.object_sets import ObjectSets, draw_object_sets
