@@ -124,9 +124,10 @@ def main() -> None:
             generator = torch.Generator().manual_seed(seed)
             share = train(policy, starts, arguments.images, arguments.epochs, generator)
             print(f"{fusion}, seed {seed}: right in new images {100 * share:.1f} %", flush=True)
-            found.append(f"{fusion},{seed},{100 * share:.1f}")
+            budget = f"{arguments.images},{arguments.epochs}"
+            found.append(f"{budget},{fusion},{seed},{100 * share:.1f}")
             if arguments.out is not None:
-                text = "\n".join(["fusion,seed,right_percent", *found])
+                text = "\n".join(["images,epochs,fusion,seed,right_percent", *found])
                 arguments.out.write_text(text + "\n")
 
 

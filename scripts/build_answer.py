@@ -1,6 +1,6 @@
-"""Builds `docs/results/answer.md` from the packs of the studies `answer` and `paper`.
+"""Builds `docs/results/answer.md` from the packs of the studies.
 
-    python scripts/build_answer.py
+    python -m scripts.build_answer
 
 Outcomes and comparisons are fixed in the study's file (src/knowarm/study/shipped/answer.toml).
 """
@@ -26,6 +26,7 @@ from knowarm.statistics.survival import area_under_curve, first_crossing
 from knowarm.study.driver import open_study
 from knowarm.study.pack import unpack_study
 from knowarm.study.status import study_status
+from scripts.answer_fusions import fusions_section
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
 PAGE = RESULTS / "answer.md"
@@ -78,7 +79,7 @@ def agent(group: Group) -> Agent:
     )
 
 
-def cells(folders: Sequence[Path]) -> Iterator[tuple[TaskData, dict[str, Agent]]]:
+def tasks_of(folders: Sequence[Path]) -> Iterator[tuple[TaskData, dict[str, Agent]]]:
     """Yield tasks with their agents; a task of an earlier folder hides the same of a later one."""
     seen = set()
     for folder in folders:
@@ -205,26 +206,24 @@ def comparison_table(found: Sequence[Comparison]) -> str:
     return table(columns, rows)
 
 
-def verdict(title: str, found: Sequence[Comparison]) -> str:
+def verdict(cell: "Cell") -> str:
     """Answer the paper's claim for a cell."""
-    adjusted = holm([each.p_value for each in found])
-    decided = {(c.first, c.second): (c, p) for c, p in zip(found, adjusted, strict=True)}
-    if ("full", "bm") not in decided:
+    title, main = title_of(cell.task), cell.of("full", "bm")
+    if main is None:
         return f"**{title}**: not enough seeds."
-    main, p_value = decided["full", "bm"]
-    length = f"{signed(main.share, 100)} % of the baseline's steps, p {p_value:.2g}"
-    points = f"{signed(main.success, 100, 1)} points of success"
+    compared, p_value = main
+    length = f"{signed(compared.share, 100)} % of the baseline's steps, p {p_value:.2g}"
+    points = f"{signed(compared.success, 100, 1)} points of success"
     if p_value >= SIGNIFICANT:
-        low = -100 * main.share.low
+        low = -100 * compared.share.low
         return (
             f"**{title}**: no effect of full knowledge on the steps is found ({length}); the "
             f"95 % interval excludes a saving of more than {max(0, low):.0f} %. {points}."
         )
-    if main.share.estimate > 0:
+    if compared.share.estimate > 0:
         return f"**{title}**: full knowledge learns more slowly ({length}). {points}."
-    tested = [name for name in CONTROLS if ("full", name) in decided]
-    kept = [n for n in tested if decided["full", n][1] < SIGNIFICANT]
-    alike = [f"`{name}` ({CONTROLS[name]})" for name in tested if name not in kept]
+    tested = {name: pair[1] for name in CONTROLS if (pair := cell.of("full", name))}
+    alike = [f"`{name}` ({CONTROLS[name]})" for name, p in tested.items() if p >= SIGNIFICANT]
     cause = (
         f"but not than {', '.join(alike)}, so the content of the knowledge is not the reason"
         if alike
@@ -233,6 +232,127 @@ def verdict(title: str, found: Sequence[Comparison]) -> str:
         else "but no control ran"
     )
     return f"**{title}**: full knowledge learns faster ({length}), {cause}. {points}."
+
+
+def saving(task: TaskData, agent: str) -> float | None:
+    """Return the share of the baseline's steps that an agent saved in the paper."""
+    results = [published_result(task, name) for name in (agent, "bm")]
+    if not all(results):
+        return None
+    return time_saved(*(each["best_step"] for each in results if each))
+
+
+def spread_of(values: Sequence[float | None], digits: int = 0) -> str:
+    """Format the range of numbers in percent."""
+    known = [100 * value for value in values if value is not None]
+    low, high = (f"{value:+.{digits}f}" for value in (min(known), max(known)))
+    return low if low == high else f"{low} to {high}"
+
+
+def widest(shares: Sequence[Interval]) -> str:
+    """Format the range of the intervals of shares that are saved."""
+    return " and ".join(
+        f"{-100 * each:+.0f}"
+        for each in (max(each.high for each in shares), min(each.low for each in shares))
+    )
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One robot and one choice of colours."""
+
+    task: TaskData
+    agents: Mapping[str, Agent]
+    compared: Sequence[Comparison]
+
+    def of(self, first: str, second: str) -> tuple[Comparison, float] | None:
+        """Return a comparison and its corrected p value; None below `FEWEST` seeds."""
+        adjusted = holm([each.p_value for each in self.compared])
+        pairs = zip(self.compared, adjusted, strict=True)
+        return next(((c, p) for c, p in pairs if (c.first, c.second) == (first, second)), None)
+
+
+def claims_table(cells: Sequence[Cell]) -> str:
+    """Set each claim of the paper beside what these runs say about it."""
+    rows = []
+    for name, words in (("full", "Full knowledge"), ("partial", "Partial knowledge")):
+        decided = [(cell, *pair) for cell in cells if (pair := cell.of(name, "bm"))]
+        faster = [p < SIGNIFICANT and c.steps.high < 0 for _, c, p in decided]
+        rows.append(
+            [
+                f"{words} shortens learning",
+                f"{spread_of([saving(cell.task, name) for cell in cells])} % of the steps saved",
+                f"{spread_of([-c.share.estimate for _, c, _ in decided])} % saved (intervals "
+                f"within {widest([c.share for _, c, _ in decided])} %)",
+                judged(faster),
+            ]
+        )
+        gains = [
+            one["accuracy"] - other["accuracy"]
+            for cell in cells
+            if (one := published_result(cell.task, name))
+            and (other := published_result(cell.task, "bm"))
+        ]
+        rows.append(
+            [
+                f"{words} raises the final score",
+                f"{spread_of(gains)} points",
+                f"{spread_of([c.success.estimate for _, c, _ in decided], 1)} points",
+                judged([c.success.low > 0 for _, c, _ in decided]),
+            ]
+        )
+    rows.append(["It helps more where colours are randomized", *randomized_row(cells)])
+    rows.append(["What the knowledge says matters", "no control", *content_row(cells)])
+    return table(["claim", "the paper", "here", "verdict"], rows)
+
+
+def judged(supported: Sequence[bool]) -> str:
+    """Return a verdict from the cells that support a claim."""
+    count = sum(supported)
+    if not supported:
+        return "not enough seeds"
+    if not count:
+        return f"not found in any of {len(supported)} cells"
+    return f"found in {count} of {len(supported)} cells"
+
+
+def randomized_row(cells: Sequence[Cell]) -> tuple[str, str, str]:
+    """Compare what full knowledge saves with randomized and with fixed colours."""
+    by_robot: dict[str, dict[str, Cell]] = {}
+    for cell in cells:
+        robot, colours = cell.task.key
+        by_robot.setdefault(robot, {})[colours] = cell
+    published, found, more = [], [], []
+    for pair in by_robot.values():
+        if set(pair) != {"fixed", "randomized"}:
+            continue
+        savings = [saving(pair[colours].task, "full") for colours in ("randomized", "fixed")]
+        if None not in savings:
+            published.append((savings[0] or 0) - (savings[1] or 0))
+        shares = [pair[colours].of("full", "bm") for colours in ("randomized", "fixed")]
+        if all(shares):
+            one, other = (each[0].share for each in shares if each)
+            gain = other.estimate - one.estimate
+            half = np.hypot((one.high - one.low) / 2, (other.high - other.low) / 2)
+            found.append(gain)
+            more.append(bool(gain > half))
+    if not found:
+        return "", "", judged(more)
+    verdict = "found" if all(more) else "found for one robot" if any(more) else "not found"
+    here = f"{spread_of(found)} points"
+    return f"{spread_of(published)} points more of the steps saved", here, verdict
+
+
+def content_row(cells: Sequence[Cell]) -> tuple[str, str]:
+    """Compare full knowledge with its controls."""
+    decided = [pair for cell in cells for name in CONTROLS if (pair := cell.of("full", name))]
+    faster = sum(p < SIGNIFICANT and c.steps.high < 0 for c, p in decided)
+    if not decided:
+        return "", "no control ran"
+    shares = spread_of([-c.share.estimate for c, _ in decided])
+    count = len(decided)
+    verdict = f"faster in {faster} of {count} comparisons" if faster else "not found"
+    return f"{shares} % of the controls' steps saved in {count} comparisons", verdict
 
 
 def paper_table(found: Sequence[tuple[TaskData, Mapping[str, Agent]]]) -> str:
@@ -261,8 +381,10 @@ def title_of(task: TaskData) -> str:
     return f"{ROBOTS[robot]}, {colours} colours"
 
 
-def page(found: Sequence[tuple[TaskData, Mapping[str, Agent]]], progress: str) -> str:
-    """Write the page; ``progress`` says how much of the study is done."""
+def page(
+    found: Sequence[tuple[TaskData, Mapping[str, Agent]]], progress: str, fusions: Sequence[str]
+) -> str:
+    """Write the page; ``progress`` says how much of the study is done, ``fusions`` is a section."""
     runs = sum(len(each.seeds) for _, agents in found for each in agents.values())
     hours = sum(each.hours for _, agents in found for each in agents.values())
     seeds = sorted({seed for _, agents in found for each in agents.values() for seed in each.seeds})
@@ -276,13 +398,13 @@ def page(found: Sequence[tuple[TaskData, Mapping[str, Agent]]], progress: str) -
             controls=WITH_CONTROLS if has_controls else WITHOUT_CONTROLS,
         )
     ]
-    compared = {title_of(task): comparisons(agents) for task, agents in found}
-    parts.append("\n".join(f"- {verdict(*each)}" for each in compared.items()))
+    cells = [Cell(task, agents, comparisons(agents)) for task, agents in found]
+    parts += [claims_table(cells), "\n".join(f"- {verdict(cell)}" for cell in cells)]
     parts.append(f"## The paper's figures beside these\n\n{PAPER}\n\n{paper_table(found)}")
-    for task, agents in found:
-        name = title_of(task)
-        parts += [f"## {name}", agents_table(agents), comparison_table(compared[name])]
-    parts.append(BOTTOM)
+    for cell in cells:
+        parts += [f"## {title_of(cell.task)}", agents_table(cell.agents)]
+        parts.append(comparison_table(cell.compared))
+    parts += [*fusions, BOTTOM]
     return wrapped("\n\n".join(parts)) + "\n"
 
 
@@ -323,8 +445,8 @@ BOTTOM = """## What this cannot say
   [its own page](a3c.md).
 - Interim evaluations stand 50,000 steps apart, so no smaller difference is seen in one run.
 
-Repeat: `knowarm study run answer` and `knowarm study run paper`, then
-`python scripts/build_answer.py`."""
+Repeat: `knowarm study run` with `answer`, `paper`, `fusions` and `choose`, then
+`python -m scripts.build_answer`."""
 
 
 def wrapped(text: str) -> str:
@@ -351,15 +473,26 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=PAGE)
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
-        packs = {name: RESULTS / f"{name}.tar.gz" for name in STUDIES}
-        folders = [
-            unpack_study(pack, Path(temporary) / name)
-            for name, pack in packs.items()
-            if pack.exists()
-        ]
-        states = [run.state for run in study_status(open_study(folders[0]), folders[0])]
-        done = f"Of the study `{STUDIES[0]}` {states.count('done')} of {len(states)} runs are done."
-        given.out.write_text(page(list(cells(folders)), done), encoding="utf-8")
+        folder = {
+            name: unpack_study(RESULTS / f"{name}.tar.gz", Path(temporary) / name)
+            for name in (*STUDIES, "fusions", "choose")
+        }
+        fusions = fusions_section(
+            folder["fusions"], folder["choose"], RESULTS / "fusions.csv", done(folder["fusions"])
+        )
+        cells = tasks_of([folder[name] for name in STUDIES])
+        text = page(list(cells), done(folder[STUDIES[0]]), fusions)
+        given.out.write_text(text, encoding="utf-8")
+
+
+def done(folder: Path) -> str:
+    """Say how much of a study is done, if it is not complete."""
+    study = open_study(folder)
+    states = [run.state for run in study_status(study, folder)]
+    count = states.count("done")
+    if count == len(states):
+        return f"All {count} runs of the study `{study.name}` are done."
+    return f"Of the study `{study.name}` {count} of {len(states)} runs are done."
 
 
 if __name__ == "__main__":

@@ -23,8 +23,8 @@ from knowarm.study.status import FAILURE
 FORMAT = 1  # of the manifest
 SUFFIX = ".tar.gz"
 
-Part = Literal["policies", "steps", "films"]
-"""What a pack may leave out: the best policies, every step of the evaluations, their images."""
+Part = Literal["policies", "episodes", "steps", "films"]
+"""What a pack may leave out: the best policies; of evaluations the episodes, steps and images."""
 
 RUN_FILES = (
     "config.json",
@@ -36,12 +36,12 @@ RUN_FILES = (
     FAILURE,
     "checkpoints/latest/meta.json",  # the step that training reached
     "evaluation/*/summary.json",
-    "evaluation/*/episodes.parquet",
 )
 """Patterns of the files of a run that every pack holds."""
 
 PART_FILES: dict[Part, tuple[str, ...]] = {
     "policies": ("checkpoints/best/*", PERCEPTION),
+    "episodes": ("evaluation/*/episodes.parquet",),
     "steps": ("evaluation/*/steps.parquet",),
     "films": ("evaluation/*/films/*",),
 }

@@ -1,0 +1,110 @@
+"""Section of `docs/results/answer.md` on the places where knowledge enters the policy."""
+
+import csv
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from knowarm.report.collect import collect, split_groups
+from knowarm.report.model import SplitGroup, TaskData
+from knowarm.statistics import holm, welch
+
+SPLIT = "S1"
+ALGORITHMS = {"distil": "imitation", "fast": "reinforcement"}
+PLACES = {
+    "before_fc": "concatenated before the fully connected layer",
+    "before_lstm": "concatenated before the LSTM (the paper's)",
+    "after_lstm": "concatenated after the LSTM",
+    "attention": "attention of the image over the slots",
+    "film": "scales and shifts convolution channels (FiLM)",
+    "similarity": "weights the places of the image",
+}
+
+TEXT = """**Protocol.** The paper leaves open where the vector should enter. On its own task the
+vector is constant, so the task is `choose`: a query describes one of four objects, and the subgraph
+of the query enters the policy by one of six fusions, with the same LSTM and no grounding network.
+Study `fusions`, IRB120: imitation (300,000 steps) and reinforcement (2 million), training seeds
+{seeds}, 1,000 new episodes of {split}, 5 cm and 15 degrees; at random {chance:.0f} % are right.
+*Position*: no arm, the network predicts from first images where the queried object stands (20,000
+and 8 epochs: `python -m benchmarks.fusions --seeds 0 1 2`; 60,000 and 16 epochs: seed 0). Last row:
+the network that locates the object first, from study `choose`. {progress}"""
+
+
+def shares(values: Iterable[float]) -> str:
+    """Format one share per training seed, in percent."""
+    return ", ".join(f"{100 * value:.1f}" for value in values)
+
+
+def found_on(task: TaskData, split: str) -> dict[str, SplitGroup]:
+    """Return the agents of a task with episodes of a split, by name."""
+    return {each.group.agent: each for each in split_groups(task).get(split, [])}
+
+
+def conclusion(how: str, right: Mapping[str, np.ndarray], chance: float) -> str:
+    """Compare the best fusion with the others, by right choices over training seeds."""
+    usable = {name: values for name, values in right.items() if len(values) >= 3}
+    if len(usable) < 2:
+        return f"- By {how}: one seed, so no comparison."
+    best = max(usable, key=lambda name: float(usable[name].mean()))
+    others = [name for name in usable if name != best]
+    adjusted = holm([welch(usable[best], usable[name]).p_value for name in others])
+    beaten = [name for name, p in zip(others, adjusted, strict=True) if p < 0.05]
+    names = "every other fusion" if len(beaten) == len(others) else ", ".join(map(code, beaten))
+    low = [name for name in usable if usable[name].max() < chance + 0.1]
+    text = f"- By {how}, {code(best)} is right most often, in {100 * usable[best].mean():.1f} %"
+    text += f", significantly more often than {names}" if beaten else ""
+    if low:
+        text += f"; {', '.join(map(code, low))} stay within 10 points of chance with every seed"
+    return text + "."
+
+
+def code(name: str) -> str:
+    """Format a fusion."""
+    return f"`{name}`"
+
+
+def fusions_section(study: Path, choose: Path, positions: Path, progress: str) -> list[str]:
+    """Return the blocks of the section from two unpacked studies and a CSV of shares."""
+    grounded = found_on(collect([choose]).tasks[0], SPLIT)["subgraph"]
+    tasks = {task.runs[0].algorithm: task for task in collect([study]).tasks}
+    columns = ["fusion", "where the knowledge enters"]
+    rows = [[code(fusion), where] for fusion, where in PLACES.items()]
+    last = ["grounding network", "a frame in the image, before the policy"]
+    conclusions = []
+    for images, found in positions_of(positions).items():
+        columns.append(f"position, {images:,} images: right [%]")
+        for row, fusion in zip(rows, PLACES, strict=True):
+            row.append(shares(found.get(fusion, [])))
+        last.append("")
+        right = {name: np.array(values) for name, values in found.items()}
+        conclusions.append(conclusion(f"position from {images:,} images", right, grounded.chance))
+    for algorithm, how in ALGORITHMS.items():
+        agents = found_on(tasks[algorithm], SPLIT)
+        by_fusion = {name: agents.get(f"subgraph-{name.replace('_', '-')}") for name in PLACES}
+        for key, title in (("choice", f"{how}: right [%]"), ("success", "success [%]")):
+            columns.append(title)
+            for row, each in zip(rows, by_fusion.values(), strict=True):
+                row.append(shares(each.scores(key)) if each else "")
+            last.append(shares(grounded.scores(key)) if algorithm == "fast" else "")
+        right = {name: each.scores("choice") for name, each in by_fusion.items() if each}
+        conclusions.append(conclusion(how, right, grounded.chance))
+    lines = [f"| {' | '.join(cells)} |" for cells in (columns, *rows, last)]
+    seeds = sorted({run.seed for task in tasks.values() for run in task.runs})
+    text = TEXT.format(
+        seeds=", ".join(map(str, seeds)),
+        split=SPLIT,
+        chance=100 * grounded.chance,
+        progress=progress,
+    )
+    table = "\n".join([lines[0], "|---" * len(columns) + "|", *lines[1:]])
+    return ["## Where the knowledge enters", text, table, "\n".join(conclusions)]
+
+
+def positions_of(path: Path) -> dict[int, dict[str, list[float]]]:
+    """Read the shares of right positions by number of images and by fusion, one per seed."""
+    found: dict[int, dict[str, list[float]]] = {}
+    for line in csv.DictReader(path.read_text(encoding="utf-8").splitlines()):
+        shares_of = found.setdefault(int(line["images"]), {})
+        shares_of.setdefault(line["fusion"], []).append(float(line["right_percent"]) / 100)
+    return found
