@@ -12,23 +12,20 @@ from knowarm.statistics import holm, welch
 
 SPLIT = "S1"
 ALGORITHMS = {"distil": "imitation", "fast": "reinforcement"}
-PLACES = {
-    "before_fc": "concatenated before the fully connected layer",
-    "before_lstm": "concatenated before the LSTM (the paper's)",
-    "after_lstm": "concatenated after the LSTM",
-    "attention": "attention of the image over the slots",
-    "film": "scales and shifts convolution channels (FiLM)",
-    "similarity": "weights the places of the image",
-}
+FUSIONS = ("before_fc", "before_lstm", "after_lstm", "attention", "film", "similarity")
 
 TEXT = """**Protocol.** The paper leaves open where the vector should enter. On its own task the
 vector is constant, so the task is `choose`: a query describes one of four objects, and the subgraph
-of the query enters the policy by one of six fusions, with the same LSTM and no grounding network.
-Study `fusions`, IRB120: imitation (300,000 steps) and reinforcement (2 million), training seeds
-{seeds}, 1,000 new episodes of {split}, 5 cm and 15 degrees; at random {chance:.0f} % are right.
+of the query enters the policy by one of six [fusions](../reference/algorithms.md#policy), with the
+same LSTM and no grounding network; `before_lstm` is the paper's. Study `fusions`, IRB120: imitation
+(300,000 steps) and reinforcement (2 million), 1,000 new episodes of {split}, 5 cm and 15 degrees.
 *Position*: no arm, the network predicts from first images where the queried object stands (20,000
 and 8 epochs: `python -m benchmarks.fusions --seeds 0 1 2`; 60,000 and 16 epochs: seed 0). Last row:
-the network that locates the object first, from study `choose`. {progress}"""
+the network that locates the object first, from study `choose`. {progress} Its pack holds splits S2
+to S5, too.
+
+Right objects, and success, of training seeds {seeds} in percent; at random {chance:.0f} are
+right:"""
 
 
 def shares(values: Iterable[float]) -> str:
@@ -68,21 +65,21 @@ def fusions_section(study: Path, choose: Path, positions: Path, progress: str) -
     """Return the blocks of the section from two unpacked studies and a CSV of shares."""
     grounded = found_on(collect([choose]).tasks[0], SPLIT)["subgraph"]
     tasks = {task.runs[0].algorithm: task for task in collect([study]).tasks}
-    columns = ["fusion", "where the knowledge enters"]
-    rows = [[code(fusion), where] for fusion, where in PLACES.items()]
-    last = ["grounding network", "a frame in the image, before the policy"]
+    columns = ["fusion"]
+    rows = [[code(fusion)] for fusion in FUSIONS]
+    last = ["grounding network"]
     conclusions = []
     for images, found in positions_of(positions).items():
-        columns.append(f"position, {images:,} images: right [%]")
-        for row, fusion in zip(rows, PLACES, strict=True):
+        columns.append(f"position, {images // 1000},000 images")
+        for row, fusion in zip(rows, FUSIONS, strict=True):
             row.append(shares(found.get(fusion, [])))
         last.append("")
         right = {name: np.array(values) for name, values in found.items()}
         conclusions.append(conclusion(f"position from {images:,} images", right, grounded.chance))
     for algorithm, how in ALGORITHMS.items():
         agents = found_on(tasks[algorithm], SPLIT)
-        by_fusion = {name: agents.get(f"subgraph-{name.replace('_', '-')}") for name in PLACES}
-        for key, title in (("choice", f"{how}: right [%]"), ("success", "success [%]")):
+        by_fusion = {name: agents.get(f"subgraph-{name.replace('_', '-')}") for name in FUSIONS}
+        for key, title in (("choice", how), ("success", f"{how}: success")):
             columns.append(title)
             for row, each in zip(rows, by_fusion.values(), strict=True):
                 row.append(shares(each.scores(key)) if each else "")
