@@ -20,9 +20,9 @@ of the query enters the policy by one of six [fusions](../reference/algorithms.m
 same LSTM and no grounding network; `before_lstm` is the paper's. Study `fusions`, IRB120: imitation
 (300,000 steps) and reinforcement (2 million), 1,000 new episodes of {split}, 5 cm and 15 degrees.
 *Position*: no arm, the network predicts from first images where the queried object stands (20,000
-and 8 epochs: `python -m benchmarks.fusions --seeds 0 1 2`; 60,000 and 16 epochs: seed 0). Last row:
-the network that locates the object first, from study `choose`. {progress} Its pack holds splits S2
-to S5, too.
+and 8 epochs: `python -m benchmarks.fusions --seeds 0 1 2`; 60,000 and 16 epochs: seed 0). From
+study `choose`: `bm`, without a query, and the network that locates the object first. {progress}
+Its pack holds splits S2 to S5, too.
 
 Right objects, and success, of training seeds {seeds} in percent; at random {chance:.0f} are
 right:"""
@@ -61,21 +61,26 @@ def code(name: str) -> str:
     return f"`{name}`"
 
 
-def fusions_section(study: Path, choose: Path, positions: Path, progress: str) -> list[str]:
-    """Return the blocks of the section from two unpacked studies and a CSV of shares."""
-    grounded = found_on(collect([choose]).tasks[0], SPLIT)["subgraph"]
+def fusions_section(
+    study: Path, choose: Path, positions: Path, blind: Path, progress: str
+) -> list[str]:
+    """Return the blocks of the section from two unpacked studies and two CSV files of shares."""
+    known = found_on(collect([choose]).tasks[0], SPLIT)
+    grounded, chance = known["subgraph"], known["subgraph"].chance
     tasks = {task.runs[0].algorithm: task for task in collect([study]).tasks}
     columns = ["fusion"]
     rows = [[code(fusion)] for fusion in FUSIONS]
-    last = ["grounding network"]
+    others = {"`bm` (no query)": known["bm"], "grounding network": grounded}
+    last = [[name] for name in others]
     conclusions = []
     for images, found in positions_of(positions).items():
         columns.append(f"position, {images // 1000},000 images")
         for row, fusion in zip(rows, FUSIONS, strict=True):
             row.append(shares(found.get(fusion, [])))
-        last.append("")
+        for row in last:
+            row.append("")
         right = {name: np.array(values) for name, values in found.items()}
-        conclusions.append(conclusion(f"position from {images:,} images", right, grounded.chance))
+        conclusions.append(conclusion(f"position from {images:,} images", right, chance))
     for algorithm, how in ALGORITHMS.items():
         agents = found_on(tasks[algorithm], SPLIT)
         by_fusion = {name: agents.get(f"subgraph-{name.replace('_', '-')}") for name in FUSIONS}
@@ -83,19 +88,35 @@ def fusions_section(study: Path, choose: Path, positions: Path, progress: str) -
             columns.append(title)
             for row, each in zip(rows, by_fusion.values(), strict=True):
                 row.append(shares(each.scores(key)) if each else "")
-            last.append(shares(grounded.scores(key)) if algorithm == "fast" else "")
+            for row, each in zip(last, others.values(), strict=True):
+                row.append(shares(each.scores(key)) if algorithm == "fast" else "")
         right = {name: each.scores("choice") for name, each in by_fusion.items() if each}
-        conclusions.append(conclusion(how, right, grounded.chance))
-    lines = [f"| {' | '.join(cells)} |" for cells in (columns, *rows, last)]
+        conclusions.append(conclusion(how, right, chance))
+    lines = [f"| {' | '.join(cells)} |" for cells in (columns, *rows, *last)]
     seeds = sorted({run.seed for task in tasks.values() for run in task.runs})
     text = TEXT.format(
         seeds=", ".join(map(str, seeds)),
         split=SPLIT,
-        chance=100 * grounded.chance,
+        chance=100 * chance,
         progress=progress,
     )
     table = "\n".join([lines[0], "|---" * len(columns) + "|", *lines[1:]])
+    conclusions.append(blind_scores(blind))
     return ["## Where the knowledge enters", text, table, "\n".join(conclusions)]
+
+
+def blind_scores(path: Path) -> str:
+    """Describe the success of agents that cannot see, on seed 0 of every fusion."""
+    rows = list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))
+    best = {
+        name: max(float(row["success_percent"]) for row in rows if row["blind_agent"] == name)
+        for name in ("open-loop", "blind", "frozen")
+    }
+    return (
+        f"- Blind, {rows[0]['episodes']} episodes, seed 0: the best list of actions succeeds in "
+        f"{best['open-loop']:.1f} %, the networks on black images "
+        f"in at most {best['blind']:.1f} %, on the first image only in {best['frozen']:.1f} %."
+    )
 
 
 def positions_of(path: Path) -> dict[int, dict[str, list[float]]]:

@@ -477,9 +477,9 @@ def main() -> None:
             name: unpack_study(RESULTS / f"{name}.tar.gz", Path(temporary) / name)
             for name in (*STUDIES, "fusions", "choose")
         }
-        fusions = fusions_section(
-            folder["fusions"], folder["choose"], RESULTS / "fusions.csv", done(folder["fusions"])
-        )
+        shares = RESULTS / "fusions.csv", RESULTS / "fusions-blind.csv"
+        progress = done(folder["fusions"])
+        fusions = fusions_section(folder["fusions"], folder["choose"], *shares, progress)
         cells = tasks_of([folder[name] for name in STUDIES])
         text = page(list(cells), done(folder[STUDIES[0]]), fusions)
         given.out.write_text(text, encoding="utf-8")
