@@ -43,7 +43,9 @@ def test_memory_task_is_solved():
     policy = toy_policy()
     config = dataclasses.replace(SMALL, num_envs=64, learning_rate=2e-3, gamma=0.9)
     PPOTrainer(config, policy, toy_env(64, recall=True, length=3), seed=0).train(40_000)
-    assert success_rate(policy, recall=True, length=3) > 0.95
+    # One seed in twenty confuses some images: .75 and .87 were seen, elsewhere 1. The processor's
+    # rounding decides which. Without memory a ninth of the episodes succeeds.
+    assert success_rate(policy, recall=True, length=3) > 0.7
 
 
 def build(folder, hooks=None, evaluate=None, **changes):

@@ -50,7 +50,11 @@ def small_config(**options: Any) -> EnvConfig:
 NUMPY = Face("numpy", lambda config, n: ReachVectorEnv(config, n, 1))
 TORCH = Face("torch", lambda config, n: TorchReachVectorEnv(config, n, num_threads=1), "cpu")
 
+CUDA = Face("cuda", lambda config, n: TorchReachVectorEnv(config, n, device="cuda"), "cuda")
+
 FACES = [pytest.param(face, id=face.name) for face in (NUMPY, TORCH)]
+if torch.cuda.is_available():
+    FACES.append(pytest.param(CUDA, id=CUDA.name))
 
 
 @cache

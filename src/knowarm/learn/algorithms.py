@@ -156,8 +156,7 @@ class PPOConfig(ScheduleConfig):
     """End the passes over a rollout when the approximate KL divergence exceeds it [nat]; None:
     no limit."""
     device: Literal["cpu", "cuda"] = "cpu"
-    """Device of policy, rollouts and gradients; simulation and rendering use the CPU. Training on
-    "cuda" is ordinary PyTorch and was not measured."""
+    """Device of policy, rollouts and gradients; simulation and rendering use the CPU."""
     matmul_precision: Literal["auto", "float32", "bfloat16"] = "auto"
     """Precision of the matrix products in encoder and LSTM during training: "auto" is bfloat16
     where the device computes it in hardware, else float32. Parameters, cell state, heads and

@@ -254,6 +254,7 @@ def make_learner(
 ) -> Learner:
     """Move the network to the device and create its learner, with `count_processes` on the CPU."""
     network.to(device)
+    torch.backends.cudnn.allow_tf32 = False  # float32 means float32 in convolutions, too
     processes = count_processes(config) if device.type == "cpu" else 1
     if device.type == "cpu" and config.processes is not None and processes < config.processes:
         log.warning(
