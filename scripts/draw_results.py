@@ -34,15 +34,15 @@ def choose_curves(study: Path) -> str:
     return picture(drawings, BOXES["large"], legend)
 
 
-def reach_success(study: Path) -> str:
-    """Draw the success of every run of the study `paper`."""
+def reach_success(irb120: Path, tiago: Path) -> str:
+    """Draw the success of every run of the paper's cells, from a study for each robot."""
     agents = {"bm": "c-grey", "partial": "c-orange", "full": "c-blue"}
     rows = {
         f"{robot}{colours}": {
             colour: seed_scores(study, f"{robot}-{agent}{colours}-fast", "success").tolist()
             for agent, colour in agents.items()
         }
-        for robot in ("irb120", "tiago")
+        for robot, study in (("irb120", irb120), ("tiago", tiago))
         for colours in ("", "-dr")
     }
     name = "success"
@@ -90,31 +90,34 @@ def damaged_graph(table: Path) -> str:
     return picture(drawings, box, colours, columns=2)
 
 
-FIGURES: dict[str, tuple[str, Callable[[Path], str]]] = {
-    "choose-curves.svg": ("choose.tar.gz", choose_curves),
-    "reach-success.svg": ("paper.tar.gz", reach_success),
-    "answers.svg": ("answers.tar.gz", partial(answers, agent="choose-answers-fast")),
+FIGURES: dict[str, tuple[Sequence[str], Callable[..., str]]] = {
+    "choose-curves.svg": (["choose.tar.gz"], choose_curves),
+    "reach-success.svg": (["answer.tar.gz", "paper.tar.gz"], reach_success),
+    "answers.svg": (["answers.tar.gz"], partial(answers, agent="choose-answers-fast")),
     "answers-distil.svg": (
-        "answers-distil.tar.gz",
+        ["answers-distil.tar.gz"],
         partial(answers, agent="choose-answers-distil"),
     ),
     "families-answers.svg": (
-        "families.tar.gz",
+        ["families.tar.gz"],
         partial(answers, agent="families-answers-distil", splits=FAMILIES),
     ),
-    "damaged-graph.svg": ("damaged-graph.csv", damaged_graph),
+    "damaged-graph.svg": (["damaged-graph.csv"], damaged_graph),
 }
-"""Source in `RESULTS` and function of each figure."""
+"""Sources in `RESULTS` and function of each figure."""
 
 
 def main() -> None:
     """Write all figures."""
-    for name, (source, draw) in FIGURES.items():
+    for name, (sources, draw) in FIGURES.items():
         with tempfile.TemporaryDirectory() as folder:
-            path = RESULTS / source
-            if source.endswith(".tar.gz"):
-                path = unpack_study(path, Path(folder) / "study")
-            (IMAGES / name).write_text(draw(path), encoding="utf-8")
+            paths = [
+                unpack_study(RESULTS / source, Path(folder) / source)
+                if source.endswith(".tar.gz")
+                else RESULTS / source
+                for source in sources
+            ]
+            (IMAGES / name).write_text(draw(*paths), encoding="utf-8")
         print(f"Wrote {IMAGES / name}")
 
 
