@@ -1,0 +1,135 @@
+"""Which changes make the paper's A3C learn: interim success with some groups of changed settings.
+
+python -m benchmarks.a3c_changes add --steps 2000000 --csv runs/a3c-changes/add.csv
+python -m benchmarks.a3c_changes leave-out --steps 5000000 --csv runs/a3c-changes/leave-out.csv
+python -m benchmarks.a3c_changes set --groups thresholds rewards --steps 5000000
+
+"add" makes each change alone, to the settings of the study `a3c`; "leave-out" makes all but one,
+which all together are `a3c-tuned`; "set" makes those that are named. Runs that exist are resumed.
+"""
+
+import argparse
+import csv
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from knowarm.cli.tables import print_table
+from knowarm.config import to_dict
+from knowarm.experiment.config import ExperimentConfig
+from knowarm.experiment.csv_log import read_csv
+from knowarm.experiment.names import experiment_config
+from knowarm.experiment.run import train
+from knowarm.experiment.run_folder import RunFolder
+from knowarm.study.config import read_study
+
+GROUPS = {
+    "batch": ("envs_per_worker", "rollout_steps"),
+    "bootstrap": ("bootstrap_at_time_limit",),
+    "learning-rate": ("learning_rate", "learning_rate_schedule"),
+    "epsilon": ("rmsprop_eps",),
+    "discount": ("gamma", "gae_lambda"),
+    "value-weight": ("vf_coef",),
+    "entropy": ("ent_coef",),
+    "rewards": ("reward_scale", "max_grad_norm"),
+    "thresholds": ("threshold_factor", "threshold_decrease"),
+    "pixels": ("pixel_shift", "pixel_scale"),
+    "activation": ("fc_activation",),
+}
+"""Settings in which `a3c-tuned` differs from the study `a3c`, by the name of a change."""
+
+EVALUATIONS = 4
+"""Last interim evaluations whose mean is reported."""
+
+
+def settings(config: ExperimentConfig) -> dict[str, Any]:
+    """Return the settings of algorithm and policy by name."""
+    return {**to_dict(config.algorithm), **to_dict(config.policy)}
+
+
+def published() -> ExperimentConfig:
+    """Return the settings of the study `a3c`: the paper's, with two batched workers."""
+    return read_study("a3c").run("irb120-full-a3c", 0)
+
+
+def tuned() -> ExperimentConfig:
+    """Return the settings that learn."""
+    return experiment_config("irb120-full-a3c-tuned")
+
+
+def differences() -> dict[str, Any]:
+    """Return the settings of `tuned` that differ from those of `published`."""
+    before = settings(published())
+    return {name: value for name, value in settings(tuned()).items() if value != before[name]}
+
+
+def changed(groups: tuple[str, ...], steps: int, seed: int) -> ExperimentConfig:
+    """Return the settings of `published` with those of some groups as in `tuned`."""
+    config, values = published(), settings(tuned())
+    fields = {name: values[name] for group in groups for name in GROUPS[group]}
+    parts = {
+        part: replace(
+            getattr(config, part),
+            **{name: v for name, v in fields.items() if hasattr(getattr(config, part), name)},
+        )
+        for part in ("algorithm", "policy")
+    }
+    interim = replace(config.interim, every_steps=steps // 20)
+    return replace(config, **parts, interim=interim, total_steps=steps, seed=seed)
+
+
+def measure(config: ExperimentConfig, runs: Path) -> dict[str, Any]:
+    """Train, or resume and finish a training; return its last interim evaluations."""
+    path = runs / config.name / str(config.seed)
+    run = train(config, runs, resume=path.exists())
+    return outcome(run.folder)
+
+
+def outcome(folder: RunFolder) -> dict[str, Any]:
+    """Return the means of the last interim evaluations."""
+    rows = read_csv(folder.evaluations_path)[-EVALUATIONS:]
+    return {
+        name: sum(float(row[name]) for row in rows) / len(rows)
+        for name in ("success", "accuracy", "return_mean")
+    }
+
+
+def variants(mode: str, groups: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
+    """Return the groups to change by the name of the variant."""
+    if mode == "add":
+        return {"none": (), **{name: (name,) for name in GROUPS}}
+    if mode == "leave-out":
+        every = tuple(GROUPS)
+        others = {f"without-{name}": tuple(g for g in every if g != name) for name in every}
+        return {"all": every, **others}
+    return {"+".join(groups) or "none": groups}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("mode", choices=("add", "leave-out", "set"))
+    parser.add_argument("--groups", nargs="+", choices=GROUPS, default=[])
+    parser.add_argument("--steps", type=int, default=2_000_000)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--runs", type=Path, default=Path("runs/a3c-changes"))
+    parser.add_argument("--csv", type=Path)
+    given = parser.parse_args()
+    rows: list[dict[str, Any]] = []
+    for seed in given.seeds:
+        for name, groups in variants(given.mode, tuple(given.groups)).items():
+            config = changed(groups, given.steps, seed)
+            result = measure(config, given.runs / str(given.steps) / name)
+            rows.append({"change": name, "seed": seed, "steps": given.steps, **result})
+            if given.csv is not None:
+                given.csv.parent.mkdir(parents=True, exist_ok=True)
+                with given.csv.open("w", newline="", encoding="utf-8") as file:
+                    writer = csv.DictWriter(file, rows[0], lineterminator="\n")
+                    writer.writeheader()
+                    writer.writerows(rows)
+    print_table("A3C with changes", list(rows[0]), [list(row.values()) for row in rows])
+
+
+if __name__ == "__main__":
+    main()

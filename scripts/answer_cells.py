@@ -1,0 +1,225 @@
+"""Agents of a cell, their outcomes over training seeds, and comparisons, as Markdown tables."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import CensoredData, logrank
+
+from knowarm.report.collect import collect
+from knowarm.report.model import Group, TaskData
+from knowarm.statistics import Interval, bootstrap, holm, welch
+from knowarm.statistics.compare import power_of_two_samples
+from knowarm.statistics.survival import area_under_curve, first_crossing
+
+LEVEL = 0.8
+FEWEST = 3
+"""Fewest seeds of a comparison."""
+CONTROLS = {
+    "wide": "a network as large, without knowledge",
+    "zeros": "a vector of zeros",
+    "random": "random numbers of the same lengths",
+    "shuffled": "a graph with permuted tails",
+}
+ROBOTS = {"irb120": "IRB120", "tiago": "TIAGo"}
+
+
+@dataclass(frozen=True)
+class Agent:
+    """Outcomes of the training seeds of one agent."""
+
+    name: str
+    seeds: tuple[int, ...]
+    steps: np.ndarray
+    """Steps to the level, (n,), at most those of a training."""
+    reached: np.ndarray
+    """Whether the level was reached, (n,) bool."""
+    success: np.ndarray
+    """Success after training, (n,) in 0..1."""
+    area: np.ndarray
+    """Area under the curve of interim success, (n,) in 0..1."""
+    hours: float
+    """Wall time of the trainings, one core each [h]."""
+
+
+def agent(group: Group) -> Agent:
+    """Read the outcomes of a group of runs."""
+    runs = [run for run in group.runs if group.label in run.evaluations]
+    until = float(group.runs[0].config["total_steps"])
+    found = [first_crossing(run.interim["step"], run.interim["success"], LEVEL) for run in runs]
+    scores = [run.evaluations[group.label].summary["success"] for run in runs]
+    return Agent(
+        group.name,
+        tuple(run.seed for run in runs),
+        np.array([min(step, until) for step, _ in found]),
+        np.array([reached and step <= until for step, reached in found]),
+        np.array(scores, np.float64),
+        np.array([area_under_curve(r.interim["step"], r.interim["success"], until) for r in runs]),
+        sum(float(np.nanmax(run.metrics["wall_time_s"])) for run in runs if run.metrics) / 3600,
+    )
+
+
+def tasks_of(folders: Sequence[Path]) -> Iterator[tuple[TaskData, dict[str, Agent]]]:
+    """Yield tasks with their agents; a task of an earlier folder hides the same of a later one."""
+    seen = set()
+    for folder in folders:
+        for task in collect([folder]).tasks:
+            if task.key not in seen:
+                seen.add(task.key)
+                agents = {group.name: agent(group) for group in task.groups}
+                yield task, {name: each for name, each in agents.items() if each.seeds}
+
+
+def percent(values: np.ndarray) -> str:
+    """Format a mean of shares with its interval over seeds."""
+    each = bootstrap([values])
+    return f"{100 * each.estimate:.1f} [{100 * each.low:.0f}, {100 * each.high:.0f}]"
+
+
+def thousands(values: np.ndarray) -> str:
+    """Format a mean of steps with its interval over seeds, in thousands."""
+    each = bootstrap([values])
+    return f"{each.estimate / 1e3:,.0f} [{each.low / 1e3:,.0f}, {each.high / 1e3:,.0f}]"
+
+
+def detectable(first: Agent, second: Agent) -> float:
+    """Return the difference in steps that a t test with these seeds finds in 80 % of studies."""
+    spread = float(np.sqrt((first.steps.var(ddof=1) + second.steps.var(ddof=1)) / 2))
+    count = min(len(first.seeds), len(second.seeds))
+    sizes = np.linspace(0.01, 10, 1000)
+    return spread * next(size for size in sizes if power_of_two_samples(size, count) >= 0.8)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One agent against another: means with intervals of Welch's t test, p of a log-rank test."""
+
+    first: str
+    second: str
+    steps: Interval
+    """Difference in steps to the level."""
+    share: Interval
+    """The same as a share of the second agent's steps."""
+    success: Interval
+    """Difference in success after training, 0..1."""
+    p_value: float
+    detectable: float
+
+    @classmethod
+    def of(cls, first: Agent, second: Agent) -> "Comparison":
+        """Compare two agents."""
+        steps = welch(first.steps, second.steps).difference
+        samples = [CensoredData.right_censored(a.steps, ~a.reached) for a in (first, second)]
+        base = float(second.steps.mean())
+        return cls(
+            first.name,
+            second.name,
+            steps,
+            Interval(*(each / base for each in (steps.estimate, steps.low, steps.high))),
+            welch(first.success, second.success).difference,
+            float(logrank(*samples).pvalue),
+            detectable(first, second),
+        )
+
+
+def table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return a Markdown table."""
+    lines = [f"| {' | '.join(line)} |" for line in (columns, *rows)]
+    return "\n".join([lines[0], "|---" * len(columns) + "|", *lines[1:]])
+
+
+def signed(each: Interval, scale: float, digits: int = 0) -> str:
+    """Format a difference with its interval."""
+    values = (scale * value for value in (each.estimate, each.low, each.high))
+    return "{} [{}, {}]".format(*(f"{value:+,.{digits}f}" for value in values))
+
+
+def agents_table(agents: Mapping[str, Agent]) -> str:
+    """Return the table of the agents of a cell."""
+    rows = [
+        [
+            f"`{name}`",
+            str(len(each.seeds)),
+            thousands(each.steps),
+            f"{(~each.reached).sum()}",
+            percent(each.success),
+            percent(each.area),
+        ]
+        for name, each in agents.items()
+    ]
+    columns = ["agent", "seeds", "steps to 80 % [thousands]", "never", "success", "area"]
+    return table(columns, rows)
+
+
+def comparisons(agents: Mapping[str, Agent]) -> list[Comparison]:
+    """Compare full and partial knowledge with the baseline, full knowledge with the controls."""
+    pairs = [("full", "bm"), ("partial", "bm"), *(("full", control) for control in CONTROLS)]
+    return [
+        Comparison.of(agents[first], agents[second])
+        for first, second in pairs
+        if all(name in agents and len(agents[name].seeds) >= FEWEST for name in (first, second))
+    ]
+
+
+def comparison_table(found: Sequence[Comparison]) -> str:
+    """Return the table of the comparisons of a cell."""
+    adjusted = holm([each.p_value for each in found])
+    rows = [
+        [
+            f"`{each.first}` - `{each.second}`",
+            signed(each.steps, 1e-3),
+            signed(each.share, 100),
+            f"{p_value:.2g}",
+            f"{each.detectable / 1e3:,.0f}",
+            signed(each.success, 100, 1),
+        ]
+        for each, p_value in zip(found, adjusted, strict=True)
+    ]
+    columns = [
+        "difference",
+        "steps [thousands]",
+        "steps [%]",
+        "p",
+        "detectable",
+        "success [points]",
+    ]
+    return table(columns, rows)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One robot and one choice of colours."""
+
+    task: TaskData
+    agents: Mapping[str, Agent]
+    compared: Sequence[Comparison]
+
+    def of(self, first: str, second: str) -> tuple[Comparison, float] | None:
+        """Return a comparison and its corrected p value; None below `FEWEST` seeds."""
+        adjusted = holm([each.p_value for each in self.compared])
+        pairs = zip(self.compared, adjusted, strict=True)
+        return next(((c, p) for c, p in pairs if (c.first, c.second) == (first, second)), None)
+
+
+def runs_table(cells: Sequence[Cell]) -> str:
+    """Return the outcomes of every run."""
+    rows = []
+    for cell in cells:
+        for name, each in cell.agents.items():
+            steps = [
+                f"{step / 1e6:.2f}" if reached else "never"
+                for step, reached in zip(each.steps, each.reached, strict=True)
+            ]
+            score = ", ".join(f"{100 * value:.1f}" for value in each.success)
+            assert each.seeds == tuple(range(len(each.seeds))), (
+                "the columns name seeds by their place"
+            )
+            rows.append([title_of(cell.task), f"`{name}`", score, ", ".join(steps)])
+    return table(["cell", "agent", "success, seeds 0, 1, ... [%]", "steps to 80 % [M]"], rows)
+
+
+def title_of(task: TaskData) -> str:
+    """Return robot and colours."""
+    robot, colours = task.key
+    return f"{ROBOTS[robot]}, {colours} colours"

@@ -1,0 +1,33 @@
+"""The changes between the published A3C and the one that learns."""
+
+from benchmarks.a3c_changes import GROUPS, changed, differences, outcome, published, settings, tuned
+from benchmarks.a3c_changes import variants as variants_of
+from knowarm.experiment.csv_log import read_csv
+
+
+def test_groups_name_every_difference_once():
+    named = [name for group in GROUPS.values() for name in group]
+    assert sorted(named) == sorted(differences())
+
+
+def test_no_change_is_published_and_all_are_tuned():
+    steps = 1_000_000
+    assert settings(changed((), steps, 3)) == settings(published())
+    assert settings(changed(tuple(GROUPS), steps, 3)) == settings(tuned())
+    one = settings(changed(("discount",), steps, 3))
+    different = {name for name, value in settings(published()).items() if one[name] != value}
+    assert different == {"gamma", "gae_lambda"}
+    assert (changed((), steps, 3).seed, changed((), steps, 3).total_steps) == (3, steps)
+
+
+def test_variants_change_one_group_leave_one_out_or_take_those_named():
+    assert variants_of("add", ())["pixels"] == ("pixels",)
+    assert "pixels" not in variants_of("leave-out", ())["without-pixels"]
+    assert len(variants_of("leave-out", ())["without-pixels"]) == len(GROUPS) - 1
+    assert variants_of("set", ("rewards", "pixels")) == {"rewards+pixels": ("rewards", "pixels")}
+
+
+def test_the_outcome_is_the_mean_of_the_last_evaluations(reach_run):
+    rows = read_csv(reach_run.folder.evaluations_path)
+    found = outcome(reach_run.folder)
+    assert found["return_mean"] == sum(float(row["return_mean"]) for row in rows) / len(rows)
