@@ -35,7 +35,7 @@ from benchmarks.learn import (
     summarize_rows,
 )
 from benchmarks.time_to_success import INTERIM, SuccessClock
-from knowarm.cli.tables import check_json_path, write_json_table
+from knowarm.cli.tables import check_output, write_json_table
 from knowarm.experiment.build import build
 from knowarm.experiment.names import experiment_config
 from knowarm.learn import PPOConfig
@@ -274,7 +274,7 @@ def parameter_count(model: Any) -> int:
 
 def main() -> None:
     config = tyro.cli(CompareLearnConfig, description=__doc__)
-    check_json_path(config.json)
+    check_output(config.json)
     result = compare_learn(config)
     print_learn(result)
     write_json_table(config.json, result)

@@ -21,7 +21,7 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode
 from numpy.typing import NDArray
 
 from benchmarks.world import WorldBenchConfig, bench_world, env_configs
-from knowarm.cli.tables import check_json_path, print_table, write_json_table
+from knowarm.cli.tables import check_output, print_table, write_json_table
 from knowarm.errors import UserError
 from knowarm.experiment.speed import Speed, measure_steps
 from knowarm.world import env_id
@@ -219,7 +219,7 @@ class MjWarpRenderer:
 
 def main() -> None:
     config = tyro.cli(CompareWorldConfig, description=__doc__)
-    check_json_path(config.json)
+    check_output(config.json)
     result = compare_world(config)
     # CPU times are in the JSON only.
     rows = [{k: v for k, v in row.items() if "cpu" not in k} for row in result["rows"]]

@@ -15,7 +15,7 @@ import torch
 import tyro
 
 from benchmarks.time_to_success import refuse_module, time_to_success
-from knowarm.cli.tables import check_json_path, print_table, write_json_table
+from knowarm.cli.tables import check_output, print_table, write_json_table
 from knowarm.cores import processor
 from knowarm.errors import UserError
 from knowarm.experiment.algorithms import ALGORITHMS
@@ -333,7 +333,7 @@ def print_learn(result: dict[str, Any]) -> None:
 
 def main() -> None:
     config = tyro.cli(LearnBenchConfig, description=__doc__)
-    check_json_path(config.json)
+    check_output(config.json)
     result = bench_learn(config)
     print_learn(result)
     write_json_table(config.json, result)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.images import ssim, stray_share
-from knowarm.cli.tables import check_json_path, print_table, write_json_table
+from knowarm.cli.tables import check_output, print_table, write_json_table
 from knowarm.experiment.speed import measure_steps
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ReachVectorEnv
@@ -78,7 +78,7 @@ def main() -> None:
     parser.add_argument("--num-envs", type=int, default=64)
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
-    check_json_path(arguments.json)
+    check_output(arguments.json)
     rows = [compare(robot, arguments.states, arguments.side) for robot in arguments.robots]
     envs = [
         ReachVectorEnv(EnvConfig(robot=robot, image_size=arguments.side), arguments.num_envs, 1)

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from knowarm.cli.tables import check_json_path, print_table, write_json_table
+from knowarm.cli.tables import check_output, print_table, write_json_table
 from knowarm.world.render import Raycaster
 from knowarm.world.scene.scene import load_scene
 
@@ -140,7 +140,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--json", type=Path, default=None, help="file to write the table to")
     arguments = parser.parse_args()
-    check_json_path(arguments.json)
+    check_output(arguments.json)
     rows = measure()
     print_table("Ray caster, one thread", COLUMNS, [list(line.values()) for line in rows])
     write_json_table(arguments.json, {"rows": rows})

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import tyro
 
-from knowarm.cli.tables import check_json_path, print_table, write_json_table
+from knowarm.cli.tables import check_output, print_table, write_json_table
 from knowarm.cores import processor
 from knowarm.errors import UserError
 from knowarm.experiment.speed import Speed, measure_images, measure_steps
@@ -148,7 +148,7 @@ TABLES = {
 
 def main() -> None:
     config = tyro.cli(WorldBenchConfig, description=__doc__)
-    check_json_path(config.json)
+    check_output(config.json)
     result = bench_world(config)
     for name, title in TABLES.items():
         if rows := result[name]:

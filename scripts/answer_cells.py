@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import CensoredData, logrank
 
+from knowarm.experiment.csv_log import training_seconds
 from knowarm.report.collect import collect
 from knowarm.report.model import Group, TaskData
 from knowarm.statistics import Interval, bootstrap, holm, welch
@@ -56,7 +57,7 @@ def agent(group: Group) -> Agent:
         np.array([reached and step <= until for step, reached in found]),
         np.array(scores, np.float64),
         np.array([area_under_curve(r.interim["step"], r.interim["success"], until) for r in runs]),
-        sum(float(np.nanmax(run.metrics["wall_time_s"])) for run in runs if run.metrics) / 3600,
+        sum(training_seconds(run.metrics["wall_time_s"]) for run in runs if run.metrics) / 3600,
     )
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from knowarm.errors import UserError
 from knowarm.learn.algorithms import PPOConfig
 from knowarm.learn.collector import Collector
 from knowarm.learn.ppo import PPOTrainer
@@ -91,3 +92,8 @@ def test_initial_weights_have_their_own_stream():
     old = toy_policy()
     old.reset_parameters(torch_generator(0, "actions"))
     assert not torch.equal(weights, old.encoder.conv1.weight)
+
+
+def test_a_negative_seed_is_refused():
+    with pytest.raises(UserError, match="seed must be at least 0, got -1"):
+        derive_seed(-1, "weights")

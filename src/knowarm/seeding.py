@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
+from knowarm.errors import UserError
+
 if TYPE_CHECKING:
     import torch
 
@@ -31,7 +33,13 @@ _PURPOSES: tuple[Purpose, ...] = get_args(Purpose)
 
 
 def seed_sequence(seed: int, purpose: Purpose, *indices: int) -> np.random.SeedSequence:
-    """Return the seed sequence of a run's stream; indices tell those of one purpose apart."""
+    """Return the seed sequence of a run's stream; indices tell those of one purpose apart.
+
+    Raises:
+        UserError: the seed is negative.
+    """
+    if seed < 0:
+        raise UserError(f"seed must be at least 0, got {seed}.")
     return np.random.SeedSequence(seed, spawn_key=(_PURPOSES.index(purpose), *indices))
 
 

@@ -4,15 +4,18 @@ import http.client
 import json
 import threading
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from knowarm.cli.main import main
 from knowarm.experiment.ask import Asker
 from knowarm.experiment.load import load_agent
+from knowarm.experiment.names import experiment_config
 from knowarm.integrations.ask_page import make_server, page
 from knowarm.knowledge.formats import shipped_graph
 from knowarm.knowledge.graph.edits import edited
+from knowarm.perception.config import ModuleSpec
 
 RUN = str(Path(__file__).parents[2] / "zoo" / "irb120-choose-subgraph-fast")
 OWN = """
@@ -182,3 +185,13 @@ def test_the_served_page_answers_questions_edits_and_mistakes(served):
     assert "Traceback" not in text
     assert get(served, "/", host="evil.example")[0] == 403
     assert get(served, "/other")[0] == 404
+
+
+def test_scenes_of_families_show_what_looks_like_the_names_of_the_network():
+    config = experiment_config("irb120-families-answers-distil")
+    spec = ModuleSpec.of(config.env, config.grounding)
+    families = Asker(SimpleNamespace(network=SimpleNamespace(spec=spec), config=config))
+    answers = families.answers(shipped_graph("families"), "usedFor drinking")
+    shown = families._shown[families.scene([answers])]
+    assert answers.satisfies[shown].sum() == 1
+    families.close()

@@ -270,3 +270,68 @@ def test_objects_that_cannot_be_lifted_are_left_out(monkeypatch):
     assert "lifted" not in summary["per_target"]["mug"]
     assert summary["lift_episodes"] == summary["per_target"]["bottle"]["episodes"]
     assert summary["lift_outcomes"]["missed"] == summary["lift_episodes"]
+
+
+BRIEF = EvaluationConfig(episodes=4, num_envs=4, record_films=0, blind_episodes=0)
+
+
+def test_a_loaded_agent_acts_as_it_was_loaded_and_twice_the_same():
+    with pytest.raises(UserError, match=r"greedy=True, and actions is 'sampled'"):
+        evaluate(load_agent(ZOO), config=BRIEF, actions="sampled", write=False)
+    sampled = load_agent(ZOO, greedy=False)
+    results = [
+        evaluate(agent, config=BRIEF, actions="sampled", write=False).episodes["return"]
+        for agent in (sampled, sampled, ZOO)
+    ]
+    assert (results[0] == results[1]).all()
+    assert (results[0] == results[2]).all()
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        {"actions": "sampled"},
+        {"graph": "objects"},
+        {"reasoning": "graph"},
+        {"unclear": "stop"},
+        {"damage": "missing"},
+        {"repair": "transe"},
+    ],
+)
+def test_settings_of_trained_agents_are_refused_for_others(setting):
+    with pytest.raises(UserError, match=f"Only trained agents.*{next(iter(setting))}"):
+        evaluate(ZeroAgent(), ENV, BRIEF, **setting)
+
+
+def test_unclear_is_refused_for_an_agent_with_a_vector():
+    with pytest.raises(UserError, match="unclear='stop'"):
+        evaluate(ZOO, config=BRIEF, unclear="stop", write=False)
+
+
+def test_another_task_does_not_replace_the_evaluation_of_the_own():
+    env = replace(load_agent(ZOO).config.env, image_size=32)
+    with pytest.raises(UserError, match="label"):
+        evaluate(ZOO, env, BRIEF)
+
+
+def test_evaluations_that_differ_have_folders_of_their_own():
+    damaged = EvaluationConfig(damage="missing")
+    folders = [damaged.folder, replace(damaged, damage_seed=3).folder]
+    folders += [EvaluationConfig(split="S5", edited=name).folder for name in (None, "a/new.ttl")]
+    assert folders == [
+        "post-training-greedy-missing-30",
+        "post-training-greedy-missing-30-3",
+        "post-training-greedy-s5",
+        "post-training-greedy-s5-new",
+    ]
+    with pytest.raises(UserError, match="damage_seed must be at least 0"):
+        EvaluationConfig(damage_seed=-1)
+
+
+def test_files_of_an_earlier_evaluation_do_not_stay(result, tmp_path):
+    result.write(tmp_path)
+    assert (tmp_path / "steps.parquet").exists()
+    assert list((tmp_path / "films").iterdir())
+    replace(result, steps=None, films=()).write(tmp_path)
+    assert not (tmp_path / "steps.parquet").exists()
+    assert not (tmp_path / "films").exists()

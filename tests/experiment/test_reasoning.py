@@ -16,6 +16,7 @@ from knowarm.experiment.graph_at_test import answer_table, graph_at_test, varied
 from knowarm.experiment.load import load_agent, reasoning_module
 from knowarm.experiment.names import experiment_config, experiment_names
 from knowarm.experiment.run import train
+from knowarm.knowledge.graph.builder import graph_of
 from knowarm.perception.answering import AnsweringAgent
 from knowarm.perception.config import ModuleSpec
 from knowarm.perception.grounding import GroundingNetwork
@@ -199,3 +200,10 @@ def test_the_query_enters_through_its_vector_only(name):
     torch.testing.assert_close(zeroed, zeroed[:1].expand_as(zeroed), rtol=1e-4, atol=1e-5)
     if AGENTS[name].role == "knowledge":
         assert np.ptp(real.numpy(), axis=0).max() > 1e-4
+
+
+def test_an_empty_graph_is_not_the_intact_one(trained):
+    env, facets = trained.config.env, trained.network.spec.facets
+    assert answer_table(trained.config, env, facets).any()
+    with pytest.raises(UserError, match="no facets to ask about"):
+        answer_table(trained.config, env, facets, graph=graph_of([]))

@@ -53,3 +53,26 @@ def test_shipped_graphs_are_not_copied(tmp_path):
     folder = RunFolder.create(tmp_path)
     folder.write_experiment(experiment_config("irb120-choose-subgraph-fast"))
     assert not (tmp_path / "graphs").exists()
+
+
+def test_a_folder_with_the_name_of_a_shipped_graph_is_no_graph_of_the_run(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "objects").mkdir()
+    (tmp_path / "objects" / "mug.txt").write_text("mine")
+    config = experiment_config("irb120-choose-subgraph-fast")
+    folder = RunFolder.create(tmp_path / "run")
+    folder.write_experiment(config)
+    assert not (tmp_path / "run" / "graphs").exists()
+    assert folder.experiment() == config
+
+
+def test_the_edited_graph_of_s5_is_kept(tmp_path):
+    edited = tmp_path / "edited.csv"
+    edited.write_text(GRAPH)
+    config = experiment_config(
+        "irb120-choose-subgraph-fast", env={"task": {"queries": {"edited": str(edited)}}}
+    )
+    folder = RunFolder.create(tmp_path / "run")
+    folder.write_experiment(config)
+    edited.unlink()
+    assert Path(folder.experiment().env.task.queries.edited).read_text() == GRAPH

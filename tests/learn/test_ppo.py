@@ -119,7 +119,7 @@ def test_the_passes_stop_when_the_policy_moved_too_far():
     seen = recorder()
     trainer, _ = build(None, seen.hooks, target_kl=1e-7)
     trainer.train(320)
-    assert seen.rows[0]["gradient_steps"] == 2  # the second minibatch already sees a moved policy
+    assert seen.rows[0]["gradient_steps"] == 1  # the second minibatch already sees a moved policy
 
 
 def test_truncation_bootstraps_from_the_final_observation():
@@ -230,3 +230,9 @@ def test_learning_rates(schedule, expected):
     config = PPOConfig(learning_rate=2.0, learning_rate_schedule=schedule, learning_rate_final=0.1)
     got = [config.learning_rate_at(progress) for progress in (0.0, 0.5, 1.5)]
     assert got == pytest.approx(expected)
+
+
+def test_one_step_of_one_environment_cannot_be_normalized():
+    with pytest.raises(UserError, match="normalize advantages"):
+        PPOConfig(num_envs=1, rollout_steps=1, minibatches=1)
+    PPOConfig(num_envs=1, rollout_steps=1, minibatches=1, normalize_advantages=False)

@@ -14,6 +14,7 @@ from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.summary import EPISODE_COLUMNS, read_table, write_table
 from knowarm.report import write_report
 from knowarm.report.collect import collect
+from knowarm.report.pages.paper import published_result
 from knowarm.report.read import read_evaluation
 from tests.report.synthetic_study import (
     LABEL,
@@ -264,15 +265,6 @@ def test_untrained_policies_are_references_and_never_compared(tmp_path):
     assert [each.name for each in task.references] == ["untrained bm", "untrained full"]
 
 
-def test_a_reference_is_shown_with_the_task_it_played(tmp_path):
-    paths = study(tmp_path)
-    generator = np.random.default_rng(0)
-    write_evaluation(tmp_path / "oracle", "oracle", 1.0, env_of(), generator, LIGHT)
-    write_evaluation(tmp_path / "other", "oracle", 1.0, env_of("tiago"), generator, LIGHT)
-    found = collect(paths, {"oracle": tmp_path / "oracle", "other": tmp_path / "other"})
-    assert [each.name for each in found.tasks[0].references] == ["oracle"]
-
-
 def test_a_report_is_written_whatever_is_missing(tmp_path):
     paths = write_study(tmp_path / "runs", TRUTH, seeds=2, size=Size(points=6, episodes=20))
     evaluation = paths[0] / "evaluation" / LABEL
@@ -376,3 +368,20 @@ def test_a_column_without_any_number_is_left_out(tmp_path):
         (path / "evaluations.csv").write_text("".join(",".join(row) + "\n" for row in rows))
     assert "return_mean" not in collect(paths).runs[0].interim
     assert write_report(paths, tmp_path / "report.html").exists()
+
+
+def test_agents_that_see_differently_are_told_apart(tmp_path):
+    for seed, size in enumerate((64, 96)):
+        env = env_of() | {"image_size": size}
+        write_run(tmp_path / "full" / str(seed), "full", seed, 0.5, env=env, size=LIGHT)
+    (task,) = collect([tmp_path]).tasks
+    assert [group.name for group in task.groups] == ["full · image_size=64", "full · image_size=96"]
+
+
+def test_only_reaching_is_compared_with_the_paper(tmp_path):
+    write_run(tmp_path / "reach" / "0", "full", 0, 0.5, size=LIGHT)
+    (task,) = collect([tmp_path]).tasks
+    assert published_result(task, "full")["accuracy"] == 0.92
+    edit(tmp_path / "reach/0/config.json", env=env_of() | {"task": {"kind": "lift"}})
+    (task,) = collect([tmp_path]).tasks
+    assert published_result(task, "full") is None

@@ -9,7 +9,7 @@ import json
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +20,13 @@ from knowarm.config import from_dict, to_dict
 from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.knowledge.graph.builder import graph_of
+from knowarm.knowledge.queries.splits import Split
 from knowarm.questions import QuestionTable
 from knowarm.world.config import EnvConfig, questions_of
 from knowarm.world.tasks.episodes import Episodes
 
 FOLDER = Path(__file__).parent / "suites"
 FORMAT = 1
-Split = Literal["train", "S1", "S2", "S3", "S4", "S5", "S3a", "S3b"]
 
 CONTROLS = {
     "open-loop": "the best fixed list of actions that a search found",

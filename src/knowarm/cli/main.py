@@ -129,7 +129,8 @@ def _parse(name: str, arguments: list[str]) -> Any:
     arguments, task = take_option(arguments, "--tasks", "package.module:Name")
     if task is not None:
         register_task(task)
-        os.environ[VARIABLE] = task  # for child processes
+        tasks = (os.environ.get(VARIABLE), task)
+        os.environ[VARIABLE] = ",".join(filter(None, tasks))  # for child processes
     where, about = COMMANDS[name]
     module, _, attribute = where.partition(":")
     command = getattr(import_module(f"knowarm.cli.{module}"), attribute)

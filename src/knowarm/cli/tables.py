@@ -31,7 +31,7 @@ class TableCommand:
 
     def run(self) -> Mapping[str, Any]:
         """Run the command; a file that cannot be written is found before the work begins."""
-        check_json_path(self.json)
+        check_output(self.json)
         values = self.result()
         write_json_table(self.json, values)
         return values
@@ -117,11 +117,11 @@ def _cell(value: Any) -> str:
     return f"{value:,}" if isinstance(value, int) else printable(str(value))
 
 
-def check_json_path(path: Path | None) -> None:
-    """Check that a JSON file can be written, before the work whose result it will hold."""
+def check_output(path: Path | None, option: str = "--json") -> None:
+    """Check that the file of an option can be written, before the work whose result it holds."""
     if path is None:
         return
-    with writing(path, "Choose another path for --json."):
+    with writing(path, f"Choose another path for {option}."):
         path.parent.mkdir(parents=True, exist_ok=True)
         is_new = not path.exists()
         path.open("a", encoding="utf-8").close()

@@ -19,7 +19,7 @@ from knowarm.cli.arguments import (
     take_option,
     take_source,
 )
-from knowarm.cli.tables import FilePath, TableCommand, print_table
+from knowarm.cli.tables import FilePath, TableCommand, check_output, print_table
 from knowarm.config import override, to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig
@@ -172,6 +172,7 @@ class TrainPerception(TableCommand):
 
         if self.out.suffix != ".safetensors":
             raise UserError(f"--out {self.out}: perception modules are written as .safetensors.")
+        check_output(self.out, "--out")
         report = partial(print, file=sys.stderr, flush=True)
         classifier = train_classifier(self.env, self.training, report=report)
         accuracy = classifier.spec.accuracy

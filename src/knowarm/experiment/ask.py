@@ -13,6 +13,7 @@ from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.queries.expressions import Answers, answer
 from knowarm.perception.config import Unclear
 from knowarm.perception.grounding import centres
+from knowarm.perception.images import first_facets
 from knowarm.questions import ObjectColour
 from knowarm.world.envs.vector_env import ReachVectorEnv
 from knowarm.world.tasks.episodes import evaluation_episodes
@@ -99,9 +100,7 @@ class Asker:
         self._network = trained.network
         self._env = ReachVectorEnv(trained.config.env, 1)
         self._scenes = evaluation_episodes(self._env.config, SCENES, seed)
-        targets = zip(self._env.scene.targets, self._env.scene.colour_names, strict=True)
-        columns = [[self.facets.index((t.name, c)) for c in colours] for t, colours in targets]
-        first = np.array([each[0] for each in columns])
+        first = first_facets(self._env.scene, trained.network.spec)
         self._shown = first[self._scenes.objects] + self._scenes.colours
 
     def close(self) -> None:

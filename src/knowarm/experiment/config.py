@@ -12,6 +12,7 @@ from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.graph_queries import GraphQueries as GraphQueries  # registers itself
 from knowarm.knowledge.config import KnowledgeConfig
 from knowarm.knowledge.graph.damage import Damage
+from knowarm.knowledge.queries.splits import Split
 from knowarm.learn.algorithms import AlgorithmConfig, PPOConfig
 from knowarm.perception.config import GroundingConfig, Unclear
 from knowarm.policy.config import PolicyConfig
@@ -151,7 +152,7 @@ class EvaluationConfig:
     """Take the most probable action, or sample one."""
     held_out: bool = False
     """Play the colours and places that the environment excluded from training."""
-    split: Literal["train", "S1", "S2", "S3", "S4", "S5", "S3a", "S3b"] | None = None
+    split: Split | None = None
     """Questions of the choose task: those of this split's test; None takes those of training."""
     edited: str | None = None
     """Path of the edited graph of split S5; None takes the one that swaps values."""
@@ -177,8 +178,8 @@ class EvaluationConfig:
     `knowarm.knowledge.kge.completion`), after the damage."""
     label: str | None = None
     """Name of the folder of the evaluation's files; None takes ``post-training-<actions>``, plus
-    ``-held-out`` for held-out episodes, or the split in lower case, graph, reasoning, damage,
-    repair and lift."""
+    ``-held-out`` for held-out episodes, or the split in lower case, graph, reasoning, ``-stop``,
+    edited graph, damage, repair, their seed if it is not 0, and lift."""
     blind_episodes: int = 200
     """Number of episodes, from the first, that the blind agents play beside a trained one; 0 plays
     none."""
@@ -196,7 +197,7 @@ class EvaluationConfig:
     def __post_init__(self) -> None:
         check_numbers(self)
         at_least(self, 1, "episodes", "seeds", "num_envs")
-        at_least(self, 0, "blind_episodes")
+        at_least(self, 0, "blind_episodes", "damage_seed")
         above_zero(self, "distance_m", "angle_deg", "wide_angle_deg")
         fraction(self, "damage_share")
         if self.edited is not None and self.split != "S5":
@@ -225,7 +226,9 @@ class EvaluationConfig:
             + (f"-{Path(self.graph).stem}" if self.graph else "")
             + (f"-{self.reasoning}" if self.reasoning else "")
             + ("-stop" if self.unclear == "stop" else "")
+            + (f"-{Path(self.edited).stem}" if self.edited else "")
             + (f"-{self.damage}-{100 * self.damage_share:g}" if self.damage else "")
             + (f"-{self.repair}" if self.repair else "")
+            + (f"-{self.damage_seed}" if self.damage_seed and (self.damage or self.repair) else "")
             + ("-lift" if self.lift else "")
         )

@@ -4,7 +4,7 @@ import csv
 import logging
 import math
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -68,6 +68,14 @@ class CsvLog:
                 writer = csv.DictWriter(file, self._columns, restval="", lineterminator="\n")
                 writer.writeheader()
                 writer.writerows(rows)
+
+
+def training_seconds(clock: Iterable[float]) -> float:
+    """Return the time of a training from its ``wall_time_s``, which restarts at every resume."""
+    seconds, before = 0.0, 0.0
+    for now in clock:
+        seconds, before = seconds + (now - before if now >= before else now), now
+    return seconds
 
 
 REMEDY = (

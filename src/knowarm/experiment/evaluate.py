@@ -1,6 +1,7 @@
 """Evaluation of an agent on fixed episodes (paper section 4.2.4)."""
 
 import dataclasses
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -89,7 +90,9 @@ class EvaluationResult:
         folder = Path(folder or self.folder or ".")
         with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
-            (folder / "summary.json").unlink(missing_ok=True)
+            for name in ("summary.json", "steps.parquet"):
+                (folder / name).unlink(missing_ok=True)
+            shutil.rmtree(folder / "films", ignore_errors=True)
         write_table(folder / "episodes.parquet", self.episodes, episode_types(self.episodes))
         if self.steps is not None:
             joints = sum(name.startswith("joint_") for name in self.steps)
@@ -98,6 +101,10 @@ class EvaluationResult:
             write_film(folder / "films" / f"{number}.webp", frames)
         write_json(folder / "summary.json", self.summary)
         return folder
+
+
+FOR_TRAINED = ("actions", "graph", "reasoning", "unclear", "damage", "repair")
+"""Settings that change what a trained agent knows or does."""
 
 
 def evaluate(
@@ -140,15 +147,32 @@ def evaluate(
         agent = load_agent(agent, greedy=config.actions == "greedy", seed=config.seed)
     folder, blind_episodes, trained = None, 0, None
     if isinstance(agent, TrainedAgent):
+        if agent.agent.greedy != (config.actions == "greedy"):
+            raise UserError(
+                f"The agent was loaded with greedy={agent.agent.greedy}, and actions is "
+                f"{config.actions!r}. Pass its run folder, or load it with the other greedy."
+            )
+        if agent.agent.generator is not None:  # another evaluation may have drawn from it
+            agent.agent.generator.manual_seed(config.seed)
         blind_episodes = config.blind_episodes if agent.which != "untrained" else 0
         if agent.which != "best":
             config = dataclasses.replace(config, label=f"{config.folder}-{agent.which}")
         if config.graph is not None:
             agent = dataclasses.replace(agent, config=with_graph(agent.config, config.graph))
+        if write and env_config not in (None, agent.config.env) and config.label is None:
+            raise UserError(
+                "This task is not the agent's own, and its evaluation would replace that in the "
+                "run folder. Give it a label=..., or set write=False."
+            )
         env_config = env_config or agent.config.env
         agent_name = f"{agent.config.name}/{agent.config.seed}"
         folder = agent.folder.evaluation(config.folder)
         trained, agent = agent, agent.agent
+    elif changed := [n for n in FOR_TRAINED if getattr(config, n) != getattr(EvaluationConfig, n)]:
+        raise UserError(
+            f"Only trained agents can be evaluated with {', '.join(changed)}. Leave it out, or "
+            "pass a run folder."
+        )
     if env_config is None:
         raise UserError("This agent has no task of its own: pass env_config=EnvConfig(...).")
     judged = env_for_test(env_config, config)
@@ -252,6 +276,11 @@ def agent_for_test(
             "chosen. Leave reasoning out, or take a run such as zoo/irb120-choose-subgraph-fast."
         )
     if reasoning == "vector":
+        if config.unclear != "guess":
+            raise UserError(
+                f"unclear={config.unclear!r} is for agents that answer by a graph, and "
+                f"{trained.config.agent!r} knows a vector. Leave it out, or set reasoning='graph'."
+            )
         if graph is None and config.reasoning is None and config.graph is None:
             return trained.agent, None
         agent = trained.agent

@@ -45,7 +45,7 @@ def graph_at_test(
                 f"trained with knowledge from {config.knowledge.graph}. Train with knowledge.graph "
                 "set to the former."
             )
-        graph = given or splits.edited
+        graph = splits.edited if given is None else given
     changes = how.damage is not None or how.repair is not None
     if changes and config.knowledge.detail == "none":
         raise UserError(
@@ -53,12 +53,12 @@ def graph_at_test(
             "out."
         )
     if how.damage is not None:
-        graph = graph or open_graph(config.knowledge.graph)
+        graph = open_graph(config.knowledge.graph) if graph is None else graph
         graph = damaged(graph, how.damage, how.damage_share, how.damage_seed, env.targets)
     if how.repair is not None:
         from knowarm.knowledge.kge.completion import completed  # training is needed here only
 
-        graph = graph or open_graph(config.knowledge.graph)
+        graph = open_graph(config.knowledge.graph) if graph is None else graph
         graph = completed(graph, env.targets, model=how.repair, seed=how.damage_seed)
     return graph
 
@@ -146,7 +146,7 @@ def answer_table(
             facts, so that only a query's colour restricts the answers.
     """
     queries, source = _questions(env).queries, config.knowledge.source
-    graph = graph or open_graph(config.knowledge.graph)
+    graph = open_graph(config.knowledge.graph) if graph is None else graph
     graph = source.change_graph(graph, source.draw_seed(config.knowledge.seed, config.seed))
     if control == "graph-shuffled":
         graph = shuffle_tails(graph, derive_seed(config.seed, "placebos"))

@@ -6,7 +6,7 @@ from typing import Literal
 from knowarm.config import override
 from knowarm.knowledge.formats import open_graph
 from knowarm.knowledge.queries.queries import Pairs
-from knowarm.knowledge.queries.splits import HELD_OUT, QuerySplits, query_splits
+from knowarm.knowledge.queries.splits import HELD_OUT, QuerySplits, Split, query_splits
 from knowarm.questions import ObjectColour, QuestionTable
 from knowarm.world.tasks.choose.source import QUERY_SOURCES, QuerySource
 
@@ -19,7 +19,7 @@ class GraphQueries(QuerySource):
     """Tag of this source in JSON."""
     graph: str = "objects"
     """Path of the graph, or the name of a shipped one."""
-    split: Literal["train", "S1", "S2", "S3", "S4", "S5", "S3a", "S3b"] = "train"
+    split: Split = "train"
     """The questions of training, or those of a split's test."""
     hold_out: tuple[str, ...] = HELD_OUT
     """Splits for which training leaves something out; the others have no test but S1 and S5."""

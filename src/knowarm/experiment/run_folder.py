@@ -34,6 +34,7 @@ from knowarm.cores import processor
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig, StopWhen
 from knowarm.experiment.csv_log import number_in, read_csv, writing
+from knowarm.knowledge.formats import SHIPPED
 from knowarm.perception.classifier import FacetClassifier
 from knowarm.perception.grounding import GroundingNetwork
 from knowarm.perception.module import PerceptionModule, digest
@@ -131,7 +132,7 @@ class RunFolder:
         if isinstance(values, dict):
             return {
                 key: self._readable(value)
-                if key == "graph" and isinstance(value, str)
+                if key in GRAPHS and isinstance(value, str) and value not in SHIPPED
                 else self._with_graphs(value)
                 for key, value in values.items()
             }
@@ -174,13 +175,18 @@ class RunFolder:
             return table
 
 
+GRAPHS = ("graph", "edited")
+"""Fields that name a graph: a path, or a shipped one."""
+
+
 def graph_files(values: Any) -> set[Path]:
-    """Return the files and folders that the fields "graph" of a configuration name."""
+    """Return the files and folders of the graphs that a configuration names."""
     if not isinstance(values, dict):
         return set()
     found = set().union(*map(graph_files, values.values()))
-    graph = values.get("graph")
-    return found | ({Path(graph)} if isinstance(graph, str) and Path(graph).exists() else set())
+    named = [values.get(key) for key in GRAPHS]
+    paths = {Path(name) for name in named if isinstance(name, str) and name not in SHIPPED}
+    return found | {path for path in paths if path.exists()}
 
 
 def same_files(first: Path, second: Path) -> bool:

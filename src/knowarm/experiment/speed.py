@@ -91,6 +91,8 @@ def measure_training(config: ExperimentConfig, seconds: float) -> float:
     config = _measurable(config)
     if isinstance(config.algorithm, A3CConfig):  # by default minutes pass between two rows
         config = replace(config, algorithm=replace(config.algorithm, log_every_steps=1000))
+    elif isinstance(config.algorithm, PPOConfig):  # glimpses would never end
+        config = replace(config, algorithm=replace(config.algorithm, glimpse_until=0.0))
     rows: list[Metrics] = []
 
     def is_enough() -> bool:

@@ -179,6 +179,11 @@ class PPOConfig(ScheduleConfig):
                 f"glimpse_until is {self.glimpse_until} and reinforcement_coef "
                 f"{self.reinforcement_coef}: glimpses have no actions to reinforce. Set one to 0."
             )
+        if self.normalize_advantages and self.num_envs * self.rollout_steps == 1:
+            raise UserError(
+                "One step of one environment has no deviation to normalize advantages by: raise "
+                "num_envs or rollout_steps, or set normalize_advantages to False."
+            )
         if self.device == "cuda" and self.processes is not None:
             raise UserError(
                 f"processes ({self.processes}) applies to device 'cpu' only; leave it None "

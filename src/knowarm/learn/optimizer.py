@@ -18,6 +18,7 @@ Muon = without_compiler(torch.optim.Muon)
 
 NEWTON_SCHULZ = (3.4445, -4.775, 2.0315)
 """Coefficients of the quintic iteration of Muon (Jordan 2024)."""
+MOMENTUM = 0.95
 
 
 class Float32Muon(torch.optim.Optimizer):
@@ -27,14 +28,8 @@ class Float32Muon(torch.optim.Optimizer):
     long as float32 (docs/lab-notes.md). The update is scaled to the root mean square of Adam's.
     """
 
-    def __init__(
-        self,
-        parameters: Iterable[nn.Parameter],
-        lr: float,
-        momentum: float = 0.95,
-        iterations: int = 5,
-    ) -> None:
-        super().__init__(parameters, {"lr": lr, "momentum": momentum})
+    def __init__(self, parameters: Iterable[nn.Parameter], lr: float, iterations: int = 5) -> None:
+        super().__init__(parameters, {"lr": lr})
         self._iterations = iterations
 
     @torch.no_grad()
@@ -45,8 +40,8 @@ class Float32Muon(torch.optim.Optimizer):
                 gradient, state = parameter.grad, self.state[parameter]
                 if not state:
                     state["momentum_buffer"] = torch.zeros_like(parameter)
-                average = state["momentum_buffer"].lerp_(gradient, 1 - group["momentum"])
-                update = gradient.lerp(average, group["momentum"]).flatten(1)
+                average = state["momentum_buffer"].lerp_(gradient, 1 - MOMENTUM)
+                update = gradient.lerp(average, MOMENTUM).flatten(1)
                 scale = 0.2 * max(update.shape) ** 0.5
                 update = orthogonalized(update, self._iterations).view_as(parameter)
                 parameter.add_(update, alpha=-group["lr"] * scale)

@@ -39,7 +39,7 @@ class PPOTrainer(Trainer):
     """Recurrent PPO with minibatches of whole environments and stored initial states.
 
     `train` changes two settings of the process: PyTorch's thread count, restored afterwards, and
-    the memory allocator (`keep_freed_memory`).
+    the memory allocator (`keep_freed_memory`). On a GPU convolutions no longer round to TF32.
 
     Args:
         config: the algorithm's configuration.
@@ -218,9 +218,9 @@ class PPOTrainer(Trainer):
             **options,
             **means,
             "explained_variance": explained_variance(rollout.value, self._learner.targets.returns),
-            "grad_norm": float(torch.stack(norms).mean()),
+            "grad_norm": float(torch.stack(norms).mean()) if norms else 0.0,
             "learning_rate": rate,
-            "gradient_steps": len(terms),
+            "gradient_steps": len(norms),
             "environment_s": environment_s,
             "inference_s": collected - start - environment_s,
             "learn_s": learned - collected,
@@ -278,7 +278,7 @@ class PPOTrainer(Trainer):
                 self._guard.check_update(self.policy, loss, norm, self.step, self._learner.rollout)
                 terms.append(loss)
                 if config.target_kl is not None and float(loss.approx_kl) > config.target_kl:
-                    return terms, norms or [torch.zeros(())]
+                    return terms, norms
                 if norm > config.max_grad_norm:
                     gradient.mul_(config.max_grad_norm / norm)
                 self._optimizer.step()

@@ -18,7 +18,7 @@ from knowarm.errors import UserError
 from knowarm.perception.config import ModuleSpec
 from knowarm.policy.encoder import RELU_GAIN, orthogonal
 from knowarm.questions import ObjectColour
-from knowarm.reading import UnreadableFileError, one_line, reading
+from knowarm.reading import UnreadableFileError, one_line, reading, replacing
 from knowarm.seeding import torch_generator
 from knowarm.world.config import EnvConfig
 from knowarm.world.objects.families import ATTRIBUTES, COLUMNS, attribute_codes
@@ -197,7 +197,8 @@ class PerceptionModule(nn.Module):
     def write(self, path: Path) -> None:
         """Write the module to a file."""
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(self.to_bytes())
+        with replacing(path) as temporary:
+            temporary.write_bytes(self.to_bytes())
 
     @classmethod
     def read(cls, path: Path) -> Self:

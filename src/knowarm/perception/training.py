@@ -6,6 +6,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor, nn
 
+from knowarm.cores import torch_threads
 from knowarm.errors import UserError
 from knowarm.perception.classifier import FacetClassifier, accuracy
 from knowarm.perception.config import GroundingConfig, ModuleSpec, PerceptionConfig
@@ -27,6 +28,7 @@ Step = tuple[int, Tensor, Tensor]
 """Number of images of a gradient step, the loss that is minimized, and the one that is reported."""
 
 
+@torch_threads(1)
 def train_classifier(
     env: EnvConfig, config: PerceptionConfig, *, report: Callable[[str], None] = lambda text: None
 ) -> FacetClassifier:

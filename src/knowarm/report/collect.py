@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -31,7 +31,7 @@ PREFERRED_LABEL = "post-training-greedy"
 UNTRAINED, LATEST, HELD_OUT = "-untrained", "-latest", "-held-out"
 COLOURS = {"fixed": "fixed colours", "randomized": "randomized colours"}
 # Fields of ``env`` that do not make a different task, and those of ``env.task`` that an agent sets.
-NOT_THE_TASK = {"renderer", "image_size", "name"}
+NOT_THE_TASK = {"renderer", "image_size"}
 NOT_A_TASK = {field for agent in AGENTS.values() for field in agent.task}
 # Top-level fields of the config that are no setting of the agent.
 NOT_A_SETTING = {"agent", "role", "name", "seed", "env", "format", "checkpoint_every_steps"}
@@ -41,10 +41,10 @@ NOT_A_RULE = ("record", "blind")
 DRAWS = {"knowledge.seed"}
 
 
-def collect(paths: Sequence[Path], references: Mapping[str, Path] | None = None) -> StudyData:
-    """Read run folders and sort them into tasks and agents; arguments as `read_folders`."""
-    runs, references_read, problems = read_folders(paths, references)
-    known = [*_untrained(runs), *references_read]
+def collect(paths: Sequence[Path]) -> StudyData:
+    """Read run folders, at any depth, and sort them into tasks and agents."""
+    runs, problems = read_folders(paths)
+    known = _untrained(runs)
     by_task: dict[str, list[RunData]] = defaultdict(list)
     for run in runs:
         by_task[_task_key(run)].append(run)
@@ -86,10 +86,8 @@ def _task(
             groups.append(Group(each, agent, role, runs_of, label))
     own = next((run.evaluations[label] for run in runs if label in run.evaluations), None)
     fitting = [each for each in known if own and _same_rules(each.evaluations[0], own)]
-    untrained = [each for each in fitting if each.untrained][:2]  # enough to compare with
-    others = [each for each in fitting if not each.untrained]
     groups.sort(key=lambda group: rank(group.role, group.agent))
-    return TaskData(*names, label, tuple(groups), (*untrained, *others))
+    return TaskData(*names, label, tuple(groups), tuple(fitting[:2]))  # enough to compare with
 
 
 def _untrained(runs: list[RunData]) -> list[Reference]:
@@ -103,7 +101,7 @@ def _untrained(runs: list[RunData]) -> list[Reference]:
     for run in sorted(runs, key=order):
         for label, evaluation in run.evaluations.items():
             if label.endswith(UNTRAINED):
-                reference = Reference(f"untrained {run.agent}", (evaluation,), untrained=True)
+                reference = Reference(f"untrained {run.agent}", (evaluation,))
                 found.setdefault((_task_key(run), run.agent), reference)
     return list(found.values())
 
@@ -228,4 +226,6 @@ def _task_key(run: RunData) -> str:
 def _agent_settings(run: RunData) -> dict[str, Any]:
     """Return everything but task and seed, flattened to dotted names."""
     kept = {name: value for name, value in run.config.items() if name not in NOT_A_SETTING}
+    env = run.env | (run.env.get("task") or {})
+    kept["env"] = {name: env[name] for name in NOT_THE_TASK | NOT_A_TASK if name in env}
     return {name: value for name, value in flatten(kept).items() if name not in DRAWS}

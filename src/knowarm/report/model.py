@@ -92,11 +92,10 @@ class Evaluated:
 
 @dataclass(frozen=True)
 class Reference(Evaluated):
-    """An evaluation shown for comparison, such as that of an untrained policy."""
+    """The evaluation of an untrained policy, shown for comparison."""
 
     name: str  # name shown in the report
     evaluations: tuple[Evaluation]  # the evaluation, alone
-    untrained: bool = False  # whether the policy is an untrained one of the study
 
 
 def _complete(path: Path, needed: Collection[str]) -> dict[str, np.ndarray]:
@@ -266,7 +265,7 @@ class TaskData:
     title: str  # title shown in the report
     label: str  # label of the compared evaluation; "" if no run has one
     groups: tuple[Group, ...]  # one per agent, in the order of `ROLES`
-    references: tuple[Reference, ...] = ()  # evaluations of the same episodes without a trained run
+    references: tuple[Reference, ...] = ()  # untrained policies on the same episodes
 
     @property
     def runs(self) -> list[RunData]:
@@ -278,6 +277,11 @@ class TaskData:
         """Robot and colour setting."""
         env = self.groups[0].runs[0].env
         return str(env.get("robot")), str(env.get("colours", "fixed"))
+
+    @property
+    def is_published(self) -> bool:
+        """Whether the task is the paper's."""
+        return str((self.groups[0].runs[0].env.get("task") or {}).get("kind", "reach")) == "reach"
 
     @cached_property
     def baseline(self) -> Group | None:

@@ -18,7 +18,7 @@ from knowarm.experiment.run_folder import RunFolder
 from knowarm.knowledge.queries.queries import parse_query
 from knowarm.questions import AND
 from knowarm.reading import one_line, read_json
-from knowarm.report.model import Curve, Evaluation, FolderProblem, Reference, RunData
+from knowarm.report.model import Curve, Evaluation, FolderProblem, RunData
 
 CONFIG = {  # kinds of the values of ``config.json`` that a report uses, as `check` takes them
     "agent": str,
@@ -69,10 +69,8 @@ SUMMARY = NUMBERS | {  # kinds of the values of an evaluation's ``summary.json``
 }
 
 
-def read_folders(
-    paths: Sequence[Path], references: Mapping[str, Path] | None = None
-) -> tuple[list[RunData], list[Reference], list[FolderProblem]]:
-    """Read run folders, at any depth, and evaluations of policies that have no run, by name."""
+def read_folders(paths: Sequence[Path]) -> tuple[list[RunData], list[FolderProblem]]:
+    """Read run folders, at any depth."""
     problems: list[FolderProblem] = []
     runs = []
     for path in _run_folders(paths, problems):
@@ -82,11 +80,7 @@ def read_folders(
         reasons = "; ".join(f"{p.path}: {p.what}" for p in problems[:3]) or "no folder was given"
         give = "Give run folders such as runs/irb120-full-fast/0."
         raise UserError(f"Nothing to report: {reasons}. {give}")
-    known = []
-    for name, path in (references or {}).items():
-        with _attempt(path, "left out", problems):
-            known.append(Reference(name, (read_evaluation(path),)))
-    return runs, known, problems
+    return runs, problems
 
 
 def read_run(path: Path, problems: list[FolderProblem]) -> RunData:

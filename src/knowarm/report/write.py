@@ -3,7 +3,7 @@
 import csv
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -29,11 +29,7 @@ LONG_TABLE = 400  # rows of a table that are written into the page; the CSV has 
 FOLDED_ROWS = 16  # rows above which a table is folded at first
 
 
-def write_report(
-    run_paths: Sequence[Path | str],
-    out: Path | str,
-    reference_results: Mapping[str, Path | str] | None = None,
-) -> Path:
+def write_report(run_paths: Sequence[Path | str], out: Path | str) -> Path:
     """Write one report from run folders.
 
     Beside ``out`` it writes ``<out>.json`` with every table of the report and a folder
@@ -43,9 +39,6 @@ def write_report(
     Args:
         run_paths: run folders, or folders that hold them at any depth.
         out: the HTML file.
-        reference_results: further evaluation folders, of policies without a run (scripted ones),
-            by the name shown in the report. Each appears in the tasks whose episodes it was
-            evaluated on. Evaluations of untrained policies in the run folders need not be given.
 
     Returns:
         ``out``.
@@ -59,8 +52,7 @@ def write_report(
         raise UserError(f"The report must be an .html file, got {out}.")
     with writing(out.parent):
         out.parent.mkdir(parents=True, exist_ok=True)
-    references = {name: Path(path) for name, path in (reference_results or {}).items()}
-    study = collect([Path(path) for path in run_paths], references)
+    study = collect([Path(path) for path in run_paths])
     pages = build_pages(study)
     page = _render(study, pages, out)
     _write_data(study, pages, out)

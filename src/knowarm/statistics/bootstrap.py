@@ -65,6 +65,7 @@ def share_difference(first: Interval, second: Interval) -> Interval:
     return Interval(difference, difference - below, difference + above)
 
 
+REPETITIONS = 2_000  # resamples of pairs of agents, and of profiles
 BLOCK = 2_000_000  # upper limit of the numbers resampled at once, which bounds the memory
 
 
@@ -106,9 +107,7 @@ def bootstrap(
     return Interval(estimate, *_percentiles(varying, over_all, repetitions, seed))
 
 
-def probability_of_improvement(
-    first: np.ndarray, second: np.ndarray, *, repetitions: int = 2_000, seed: int = 0
-) -> Interval:
+def probability_of_improvement(first: np.ndarray, second: np.ndarray) -> Interval:
     """Estimate P(a run of the first agent scores higher than one of the second), ties as 1/2.
 
     The Mann-Whitney statistic U / (n m), with a bootstrap interval that resamples the runs of
@@ -117,7 +116,6 @@ def probability_of_improvement(
     Args:
         first: (n,) scores, one per training run, n at least 2.
         second: (m,) scores, m at least 2.
-        repetitions, seed: as in `bootstrap`.
     """
     samples = [np.asarray(first, np.float64), np.asarray(second, np.float64)]
 
@@ -126,25 +124,24 @@ def probability_of_improvement(
         return ((a > b) + 0.5 * (a == b)).mean(axis=(-2, -1))
 
     estimate = float(wins(*samples, axis=-1))
-    return Interval(estimate, *_percentiles(samples, wins, repetitions, seed))
+    return Interval(estimate, *_percentiles(samples, wins, REPETITIONS, 0))
 
 
 def performance_profile(
-    scores: np.ndarray, thresholds: np.ndarray, *, repetitions: int = 2_000, seed: int = 0
+    scores: np.ndarray, thresholds: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Compute the fraction of runs that score above tau, for every tau.
 
     Args:
         scores: (n,) scores of one task.
         thresholds: (T,) values of tau.
-        repetitions, seed: as in `bootstrap`.
 
     Returns:
         Three (T,) float64 arrays: the fraction, and the ends of its pointwise bootstrap band.
     """
     above = (np.asarray(scores, np.float64)[:, None] > thresholds).astype(float)
     uniform = np.full(len(above), 1 / len(above))
-    drawn = np.random.default_rng(seed).multinomial(len(above), uniform, repetitions) @ above
+    drawn = np.random.default_rng(0).multinomial(len(above), uniform, REPETITIONS) @ above
     tail = (1 - CONFIDENCE) / 2
     low, high = np.quantile(drawn / len(above), [tail, 1 - tail], axis=0)
     return above.mean(axis=0), low, high

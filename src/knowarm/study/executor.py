@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 
 import psutil
 
-from knowarm.config import above_zero, at_least
+from knowarm.config import above_zero, at_least, fraction
 from knowarm.cores import available_cores, limited_to
 from knowarm.errors import UserError
 
@@ -34,7 +34,7 @@ class Where:
     memory_gib: float = 1.5
     """Memory of each run [GiB]."""
     gpus: float = 0
-    """GPUs of each run; 0.5 lets two runs share one."""
+    """GPUs of each run, at most 1; 0.5 lets two runs share one."""
     retries: int = 5
     """How often a run whose process was killed resumes without a later checkpoint in between."""
     at_once: int | None = None
@@ -42,7 +42,8 @@ class Where:
 
     def __post_init__(self) -> None:
         at_least(self, 1, "cores", "at_once", where="where.")
-        at_least(self, 0, "retries", "gpus", where="where.")
+        at_least(self, 0, "retries", where="where.")
+        fraction(self, "gpus", where="where.")
         above_zero(self, "memory_gib", where="where.")
 
 

@@ -12,7 +12,7 @@ from typing import Any, Literal
 from knowarm.config import from_dict
 from knowarm.errors import UserError
 from knowarm.experiment.config import EvaluationConfig, ExperimentConfig
-from knowarm.experiment.csv_log import number_in, read_csv
+from knowarm.experiment.csv_log import number_in, read_csv, training_seconds
 from knowarm.experiment.run import run_path
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.run_lock import is_locked
@@ -185,11 +185,7 @@ def _progress(folder: RunFolder) -> dict[str, Any]:
 def _training(path: Path, *version: int) -> Mapping[str, Any]:
     """Read a run's metrics; not again while the file is the same."""
     rows = read_csv(path)
-    seconds, before = 0.0, 0.0
-    for row in rows:
-        now = number_in(row, "wall_time_s") or 0.0
-        # The clock restarts whenever a training resumes.
-        seconds, before = seconds + (now - before if now >= before else now), now
+    seconds = training_seconds(number_in(row, "wall_time_s") or 0.0 for row in rows)
     last = rows[-1] if rows else {}
     rate = number_in(last, "steps_per_s") or 0.0
     step = int(number_in(last, "step") or 0)

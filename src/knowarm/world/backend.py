@@ -8,6 +8,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
+from knowarm.arrays import Floats, Mask
 from knowarm.cores import available_cores
 from knowarm.world.scene.compose import SUBSTEPS
 from knowarm.world.scene.scene import Scene, target_places
@@ -48,31 +49,31 @@ class MujocoSimulator:
         self._mocap = self.batch.bind("mocap_pos")
         self._site_position = self.batch.bind("site_xpos")
         self._site_matrix = self.batch.bind("site_xmat")
-        self.geom_position: NDArray[np.float64] = self.batch.bind("geom_xpos")
-        self.geom_matrix: NDArray[np.float64] = self.batch.bind("geom_xmat")
+        self.geom_position: Floats = self.batch.bind("geom_xpos")
+        self.geom_matrix: Floats = self.batch.bind("geom_xmat")
 
     @property
-    def joint_positions(self) -> NDArray[np.float64]:
+    def joint_positions(self) -> Floats:
         """Current joint angles, a copy, (n, J) [rad]."""
         return self._qpos[:, self.scene.qpos_index]
 
     @property
-    def tcp_position(self) -> NDArray[np.float64]:
+    def tcp_position(self) -> Floats:
         """Position of the gripper, world, (n, 3) [m]."""
         return self._site_position[:, self.scene.tcp_site]
 
     @property
-    def tcp_matrix(self) -> NDArray[np.float64]:
+    def tcp_matrix(self) -> Floats:
         """Rotation from gripper to world, row-major, (n, 9)."""
         return self._site_matrix[:, self.scene.tcp_site]
 
     def reset(
         self,
         env_ids: NDArray[np.intp],
-        joint_targets: NDArray[np.float64],
-        target_position: NDArray[np.float64],
-        distractor_position: NDArray[np.float64] | None = None,
-        visible: NDArray[np.bool_] | None = None,
+        joint_targets: Floats,
+        target_position: Floats,
+        distractor_position: Floats | None = None,
+        visible: Mask | None = None,
     ) -> None:
         """Put environments (m,) at rest at joint angles (m, J) [rad].
 
@@ -92,7 +93,7 @@ class MujocoSimulator:
             self._mocap[(*at, slice(2))] = distractor_position
         self.batch.forward(ids=ids, stage=self._stage)
 
-    def step(self, joint_targets: NDArray[np.float64], substeps: int = SUBSTEPS) -> None:
+    def step(self, joint_targets: Floats, substeps: int = SUBSTEPS) -> None:
         """Advance by physics steps (default: a control period) to joint targets (n, J) [rad]."""
         if self.dynamics == "kinematic":
             self.set_joints(joint_targets)
@@ -100,22 +101,20 @@ class MujocoSimulator:
             self._set_servos(slice(None), joint_targets)
             self.batch.step(nstep=substeps, stage=self._stage)
 
-    def set_joints(self, joint_positions: NDArray[np.float64]) -> None:
+    def set_joints(self, joint_positions: Floats) -> None:
         """Set the joint angles (n, J) [rad] and compute poses without advancing time."""
         self._qpos[:, self.scene.qpos_index] = joint_positions
         self.batch.forward(stage=_POSES)
 
-    def get_state(self) -> NDArray[np.float64]:
+    def get_state(self) -> Floats:
         """Copy MuJoCo's state, which includes servo targets and object positions, (n, S)."""
         return self.batch.state.copy()
 
-    def set_state(self, state: NDArray[np.float64]) -> None:
+    def set_state(self, state: Floats) -> None:
         """Restore a state of ``get_state``."""
         self.batch.state[:] = state
         self.batch.forward(stage=self._stage)
 
-    def _set_servos(
-        self, ids: NDArray[np.intp] | slice, joint_targets: NDArray[np.float64]
-    ) -> None:
+    def _set_servos(self, ids: NDArray[np.intp] | slice, joint_targets: Floats) -> None:
         """Set the servos' targets; further servos, of the second finger, follow the last joint."""
         self._ctrl[ids] = joint_targets[:, self._servo_joint]

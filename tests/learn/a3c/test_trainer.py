@@ -41,11 +41,15 @@ FAST = A3CConfig(
 
 @dataclasses.dataclass(frozen=True)
 class Make:
-    """Environments for the workers; ``cut`` makes every reward of a seed NaN."""
+    """Environments for the workers.
+
+    ``poison`` makes every reward NaN, ``thresholds`` gives them thresholds to multiply.
+    """
 
     recall: bool
     length: int
     poison: bool = False
+    thresholds: bool = False
 
     def __call__(self, num_envs, num_threads):
         assert num_threads == 1
@@ -57,7 +61,10 @@ class Make:
                 np.full(num_envs, np.nan),
                 *step(actions)[2:],
             )
-        return NumpyToTorch(env)
+        adapted = NumpyToTorch(env)
+        if self.thresholds:
+            adapted.threshold_factor = 1.0
+        return adapted
 
 
 def make_play(recall, length):
@@ -244,3 +251,24 @@ def test_killing_the_trainer_leaves_a_checkpoint_and_no_orphans(tmp_path):
     assert step >= 1500
     result = trainer.train(step + 2000)
     assert result.step >= step + 2000
+
+
+@pytest.mark.slow
+def test_a_restarted_worker_continues_the_curriculum():
+    factors = []
+
+    def kill(row):
+        factors.append(row["threshold_factor"])
+        if len(factors) == 10:
+            os.kill(trainer._workers[0].child.process.pid, signal.SIGKILL)
+
+    config = dataclasses.replace(
+        FAST, workers=1, log_every_steps=96, threshold_factor=3.0, threshold_success=0.0
+    )
+    trainer = A3CTrainer(
+        config, toy_policy(), Make(False, 5, thresholds=True), seed=0, hooks=Hooks(on_metrics=kill)
+    )
+    trainer.train(3000)
+    assert trainer.restarts == 1
+    assert factors[0] == 3
+    assert factors == sorted(factors, reverse=True)

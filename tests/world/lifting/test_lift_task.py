@@ -231,3 +231,9 @@ def test_what_a_lift_cannot_be_is_refused():
         build_scene(replace(ROBOTS["irb120"].robot, fingers=()), find_targets(("mug",)), solid=True)
     with pytest.raises(UserError, match="without solid objects"):
         evaluate(ZeroAgent(), EnvConfig(task=Lift()), episodes=1, lift=True)
+
+
+@pytest.mark.parametrize("field", ["height_m", "hold_steps"])
+def test_a_lift_without_height_or_steps_is_refused(field):
+    with pytest.raises(UserError, match=f"task.{field}"):
+        Lift(**{field: 0})

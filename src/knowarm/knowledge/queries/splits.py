@@ -4,7 +4,7 @@ One training table serves all tests, so that one trained policy takes them all.
 """
 
 from collections.abc import Callable, Collection, Iterable, Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from knowarm.knowledge.queries.queries import Pairs, QueryGraph
 from knowarm.questions import ObjectColour, Query, QuestionTable, with_distractors
 from knowarm.seeding import seed_sequence
 
+Split = Literal["train", "S1", "S2", "S3", "S4", "S5", "S3a", "S3b"]
 SPLITS = {
     "S1": "new layouts",
     "S2": "pairs of condition and object that training never asked",

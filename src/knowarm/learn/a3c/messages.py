@@ -34,6 +34,7 @@ class A3CWorkerArgs:
     evaluate_every: int | None
     failure_folder: Path | None
     state: Arrays | None  # State of the collector to continue from; None starts new episodes
+    threshold_factor: float | None  # Of the curriculum so far, for a worker without a state
 
 
 class StateRequest(NamedTuple):

@@ -77,6 +77,7 @@ class A3CTrainer(Trainer):
         self._restarts = [0] * config.workers
         self._worker_steps = [0] * config.workers
         self._collectors: dict[int, Arrays] = {}
+        self._threshold_factor: float | None = None  # of the worker that reported last
         self._sums: Counter[str] = Counter()
         self._requested_evaluations: dict[int, int] = {}
         self._evaluated = 0
@@ -128,6 +129,8 @@ class A3CTrainer(Trainer):
             for index in range(self.config.workers)
             if (state := select(checkpoint.state, f"worker-{index}/"))
         }
+        factors = (state.get("threshold_factor") for state in self._collectors.values())
+        self._threshold_factor = next((float(each) for each in factors if each is not None), None)
         self._restarts = checkpoint.facts["restarts"]
         self._sums = Counter(checkpoint.facts["sums"])
         self._worker_steps = checkpoint.optimizer["steps"].tolist()
@@ -149,7 +152,8 @@ class A3CTrainer(Trainer):
             make_env=self._make_env,
             evaluate_every=self.evaluate_every if self.evaluates else None,
             failure_folder=self.failure_folder,
-            state=self._collectors.get(index),
+            state=self._collectors.get(index) or None,
+            threshold_factor=self._threshold_factor,
         )
         assert self._context is not None
         name = f"worker {index}"
@@ -186,6 +190,7 @@ class A3CTrainer(Trainer):
         self._collectors.pop(index, None)
         self._worker_steps[index] += steps
         self._sums.update(report.sums)
+        self._threshold_factor = report.sums["threshold_factor"]
         if crossed(before, self.step, self.config.log_every_steps):
             now = time.perf_counter()
             seconds = max(now - self._row_begin, 1e-9)

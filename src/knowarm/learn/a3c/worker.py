@@ -47,6 +47,8 @@ class A3CWorker:
         )
         if args.state is not None:
             self._collector.set_state(args.state)
+        elif args.threshold_factor is not None and self._curriculum.is_used:
+            self._curriculum.factor = args.threshold_factor
         specs = rollout_specs(config.rollout_steps, config.envs_per_worker, self._policy)
         self._rollout = Rollout(**zeros(specs))
         self._guard = FiniteGuard(args.failure_folder)

@@ -55,13 +55,14 @@ def _published() -> dict[str, Any]:
 def published_result(task: TaskData, agent: str) -> Mapping[str, float] | None:
     """Return the published accuracy and step of the best model of an agent."""
     key = (*task.key, agent)
-    found = (r for r in _published()["results"] if (r["robot"], r["colours"], r["agent"]) == key)
+    results = _published()["results"] if task.is_published else []
+    found = (r for r in results if (r["robot"], r["colours"], r["agent"]) == key)
     return next(found, None)
 
 
 def published_comparison(task: TaskData, first: Group, second: Group) -> Mapping[str, Any]:
     """Return the published F value and changes in joint angles of two agents; empty if none."""
-    for each in _published()["comparisons"]:
+    for each in _published()["comparisons"] if task.is_published else []:
         agents = (each["first"], each["second"])
         if (each["robot"], each["colours"]) == task.key and agents == (first.agent, second.agent):
             return each

@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 
+from knowarm.experiment.csv_log import training_seconds
 from knowarm.report import format
 from knowarm.report.blocks import Block, Column, DataTable, Figure, Panel, Row, cells, table_of
 from knowarm.report.charts import (
@@ -193,7 +194,7 @@ def _speed(task: TaskData) -> DataTable:
             seconds, speed = (_finite(run, key) for key in ("wall_time_s", "steps_per_s"))
             row: Row = {"agent": group.name, "seed": run.seed, "_colour": task.colours[group.name]}
             row |= {"steps": run.steps_done, "best_step": run.best_step}
-            row["hours"] = float(seconds[-1]) / 3600 if seconds.size else None
+            row["hours"] = training_seconds(seconds) / 3600 if seconds.size else None
             row["steps_per_s"] = float(np.median(speed)) if speed.size else None
             rows.append(row | {"parameters": run.parameters.get("total")})
     columns: list[str | Column] = [

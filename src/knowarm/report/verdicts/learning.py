@@ -18,7 +18,7 @@ def learned(task: TaskData, group: Group) -> bool | None:
     own = _success(group)
     if own is None:
         return None
-    floors = [level for each in _untrained(task) if (level := _success(each))]
+    floors = [level for each in task.references if (level := _success(each))]
     for floor in floors or [Interval(0.0, 0.0, 0.0)]:
         difference = share_difference(own, floor)
         if difference.low <= 0 or difference.estimate < CLEAR:
@@ -29,7 +29,7 @@ def learned(task: TaskData, group: Group) -> bool | None:
 
 def learning_verdict(task: TaskData) -> Verdict | None:
     """State which agents learned; None without an untrained policy to compare them with."""
-    untrained = [each for each in _untrained(task) if each.level("success")]
+    untrained = [each for each in task.references if each.level("success")]
     known = {group: found for group in task.groups if (found := learned(task, group)) is not None}
     if not untrained or not known:
         return None
@@ -75,10 +75,6 @@ def vision_verdict(task: TaskData) -> Verdict | None:
         )
     tone: Tone = "open" if others else "good"
     return Verdict(sentence=f"{task.title}: {sentence}", reasons=reasons, tone=tone)
-
-
-def _untrained(task: TaskData) -> list[Evaluated]:
-    return [each for each in task.references if each.untrained]
 
 
 def _success(each: Evaluated) -> Interval | None:

@@ -4,8 +4,8 @@ from itertools import pairwise
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from knowarm.arrays import Floats, Integers
 from knowarm.world.agents.teacher import PRACTICE_NOISE, GoalTable, Teacher
 from knowarm.world.lifting.model import SQUEEZE_M
 from knowarm.world.lifting.simulator import LiftSimulator
@@ -46,7 +46,7 @@ class LiftTeacher(Teacher):
         for height in RISE_M:
             self._rise.append(self._rise[-1].shifted(height * up))
 
-    def error(self) -> NDArray[np.float64]:
+    def error(self) -> Floats:
         """Return the way from joint targets to the next pose in largest steps, (n, J)."""
         running, simulator, target = self._running, self._simulator, self._running.target
         joints, fingers = running.joint_targets[:, :-1], running.joint_targets[:, -1]
@@ -71,13 +71,8 @@ class LiftTeacher(Teacher):
         return np.asarray(way / self._levels[1])
 
     def practice_point(
-        self,
-        episodes: Episodes,
-        start: NDArray[np.float64],
-        share: NDArray[np.float64],
-        noise: NDArray[np.float64],
-        choice: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
+        self, episodes: Episodes, start: Floats, share: Floats, noise: Floats, choice: Floats
+    ) -> Floats:
         """Return joint angles on the approach, or before it, (k, J) [rad]."""
         way = _points(self._approach, episodes.target, episodes.position)
         at = (share[:, 0] * len(way)).astype(np.int64)
@@ -92,9 +87,7 @@ def make_teacher(running: RunningEpisodes) -> Teacher:
     return LiftTeacher(running) if running.task.solid else Teacher(running)
 
 
-def _points(
-    tables: list[GoalTable], objects: NDArray[np.int64], places: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _points(tables: list[GoalTable], objects: Integers, places: Floats) -> Floats:
     """Return ``POINTS`` points from each pose to the next, and the last pose, (W, n, J) [rad]."""
     poses = [table(objects, places) for table in tables]
     shares = np.linspace(0.0, 1.0, POINTS, endpoint=False)[:, None, None]
@@ -103,7 +96,7 @@ def _points(
     )
 
 
-def _next_point(error: NDArray[np.float64]) -> NDArray[np.int64]:
+def _next_point(error: Floats) -> Integers:
     """Return the point of the approach to aim at, (n,), from the error at each, (W, n)."""
     last, nearest = len(error) - 1, error.argmin(axis=0)
     passed = error < np.linspace(*PASSED, last + 1)[:, None]

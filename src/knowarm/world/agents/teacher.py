@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from knowarm.arrays import Floats, Integers
 from knowarm.world.agents.ik import REACHED_M, IKSolution, InverseKinematics
 from knowarm.world.config import scene_of
 from knowarm.world.scene.scene import target_places
@@ -71,7 +72,7 @@ class GoalTable:
             log.warning("The teacher reaches %.0f %% of the places.", 100 * (1 - missed))
         self._joints = found.joints.reshape(count, NODES, NODES, -1)
 
-    def shifted(self, shift: NDArray[np.float64]) -> "GoalTable":
+    def shifted(self, shift: Floats) -> "GoalTable":
         """Return the table of goal frames moved by ``shift`` per object, (K, 3) [m]."""
         table, (objects, places) = copy(self), self._grid
         start = self._joints.reshape(len(objects), -1)
@@ -79,9 +80,7 @@ class GoalTable:
         table._joints = found.joints.reshape(self._joints.shape)
         return table
 
-    def __call__(
-        self, objects: NDArray[np.int64], places: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def __call__(self, objects: Integers, places: Floats) -> Floats:
         """Return the joint angles for objects (k,) at places (k, 2) [m], (k, J) [rad]."""
         scaled = ((places - self._low) / self._cell).clip(0, NODES - 1)
         corner = np.minimum(scaled.astype(np.int64), NODES - 2)
@@ -95,11 +94,11 @@ class GoalTable:
     def _solve(
         self,
         solver: InverseKinematics,
-        objects: NDArray[np.int64],
-        places: NDArray[np.float64],
-        start: NDArray[np.float64],
+        objects: Integers,
+        places: Floats,
+        start: Floats,
         *attempts: int,
-        shift: NDArray[np.float64] | None = None,
+        shift: Floats | None = None,
     ) -> IKSolution:
         running, scene = self._running, self._scene
         grasp = target_places(scene, places) + scene.grasp_position[objects]
@@ -126,13 +125,13 @@ class Teacher:
         self._levels = joint_increments(running.scene.robot, running.config)
         running.change_episodes = self.practice
 
-    def error(self) -> NDArray[np.float64]:
+    def error(self) -> Floats:
         """Return the way from joint targets to solution in units of the largest step, (n, J)."""
         running = self._running
         goals = self.goals(running.objects[:, 0], running.positions[:, 0])
         return np.asarray((goals - running.joint_targets) / self._levels[1])
 
-    def actions(self, error: NDArray[np.float64], levels: int = COARSE_LEVELS) -> NDArray[np.int64]:
+    def actions(self, error: Floats, levels: int = COARSE_LEVELS) -> Integers:
         """Return for each joint the level that ends nearest to the solution, (n, J).
 
         ``levels`` counts those that are allowed, from the first.
@@ -161,13 +160,8 @@ class Teacher:
         return replace(episodes, joint_offsets=offsets)
 
     def practice_point(
-        self,
-        episodes: Episodes,
-        start: NDArray[np.float64],
-        share: NDArray[np.float64],
-        noise: NDArray[np.float64],
-        choice: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
+        self, episodes: Episodes, start: Floats, share: Floats, noise: Floats, choice: Floats
+    ) -> Floats:
         """Return joint angles on the way from start to solution, (k, J) [rad].
 
         ``share`` and ``choice`` are uniform draws (k, 1), ``noise`` has a standard deviation of one

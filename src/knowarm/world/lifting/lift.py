@@ -7,6 +7,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
+from knowarm.arrays import Floats, Integers, Mask
 from knowarm.cores import available_cores
 from knowarm.questions import object_of
 from knowarm.world.agents.ik import InverseKinematics
@@ -34,21 +35,16 @@ class Lifts:
     """Results of n lifts."""
 
     outcome: NDArray[np.str_]  # Name in ``OUTCOMES``, (n,)
-    rise: NDArray[np.float64]  # Rise of the object's centre of mass at the end [m], (n,)
-    moved: NDArray[np.float64]  # Way of the centre of mass before the fingers close [m], (n,)
+    rise: Floats  # Rise of the object's centre of mass at the end [m], (n,)
+    moved: Floats  # Way of the centre of mass before the fingers close [m], (n,)
 
     @property
-    def lifted(self) -> NDArray[np.bool_]:
+    def lifted(self) -> Mask:
         """Whether the object was lifted, (n,)."""
         return self.outcome == "lifted"
 
 
-def lift(
-    scene: Scene,
-    paths: Sequence[NDArray[np.float64]],
-    objects: NDArray[np.int64],
-    positions: NDArray[np.float64],
-) -> Lifts:
+def lift(scene: Scene, paths: Sequence[Floats], objects: Integers, positions: Floats) -> Lifts:
     """Replay n joint paths among solid objects, and lift the first object where each ends.
 
     Episodes with the same objects are simulated as one batch; the result of one depends on itself
@@ -77,7 +73,7 @@ def lift(
     return Lifts(outcome=outcome, rise=rise, moved=moved)
 
 
-def plan_lifts(scene: Scene, joints: NDArray[np.float64]) -> NDArray[np.float64]:
+def plan_lifts(scene: Scene, joints: Floats) -> Floats:
     """Solve for joint angles that move the gripper 10 cm upwards without turning it.
 
     Args:
@@ -117,12 +113,7 @@ class LiftTrial:
         self.rise = np.zeros(num_trials)
         self.moved = np.zeros(num_trials)
 
-    def play(
-        self,
-        paths: Sequence[NDArray[np.float64]],
-        upward: NDArray[np.float64],
-        positions: NDArray[np.float64],
-    ) -> Iterator[str]:
+    def play(self, paths: Sequence[Floats], upward: Floats, positions: Floats) -> Iterator[str]:
         """Simulate n lifts; yield the phase after each control period.
 
         Shorter paths wait at their end for the longest.
@@ -176,6 +167,6 @@ class LiftTrial:
         self.batch.step(nstep=SUBSTEPS, stage=3)
         return phase
 
-    def _touches(self) -> NDArray[np.bool_]:
+    def _touches(self) -> Mask:
         """Return whether both fingers touch the object, (n,)."""
         return np.asarray((self._touch[:, : len(FINGERS)] > 0).all(axis=1))

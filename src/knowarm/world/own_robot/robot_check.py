@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
+from knowarm.arrays import Floats, Integers
 from knowarm.errors import UserError
 from knowarm.world.agents import OpenLoopAgent, OracleAgent
 from knowarm.world.agents.ik import IKSolution, InverseKinematics
@@ -164,8 +165,8 @@ def check_reach(
     scene: Scene,
     config: EnvConfig,
     target: int,
-    places: NDArray[np.float64],
-    start: NDArray[np.float64],
+    places: Floats,
+    start: Floats,
     solution: IKSolution,
     remedy: str,
 ) -> Check:
@@ -226,7 +227,7 @@ def check_visible(name: str, shown: NDArray[Any], hidden: NDArray[np.int16], rem
     )
 
 
-def different_pixels(a: NDArray[Any], b: NDArray[np.int16]) -> NDArray[np.int64]:
+def different_pixels(a: NDArray[Any], b: NDArray[np.int16]) -> Integers:
     """Count the pixels in which images (..., H, W, 3) differ, (...)."""
     return np.asarray((np.abs(a - b).max(axis=-1) > DIFFERENCE).sum(axis=(-2, -1)))
 

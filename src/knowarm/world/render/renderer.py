@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from knowarm.arrays import Floats
 from knowarm.cores import available_cores
 from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig
@@ -23,8 +24,8 @@ class Renderer(Protocol):
 
     def draw(
         self,
-        geom_position: NDArray[np.float64],
-        geom_matrix: NDArray[np.float64],
+        geom_position: Floats,
+        geom_matrix: Floats,
         geom_rgba: NDArray[np.float32],
         views: NDArray[np.float32] | None = None,
         lamps: NDArray[np.float32] | None = None,
@@ -103,8 +104,8 @@ class OpenGLRenderer:
 
     def draw(
         self,
-        geom_position: NDArray[np.float64],
-        geom_matrix: NDArray[np.float64],
+        geom_position: Floats,
+        geom_matrix: Floats,
         geom_rgba: NDArray[np.float32],
         views: NDArray[np.float32] | None = None,
         lamps: NDArray[np.float32] | None = None,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from knowarm.config import above_zero, at_least
 from knowarm.world.tasks.reward import SUCCESS_REWARD
 from knowarm.world.tasks.state import EpisodeState
 from knowarm.world.tasks.task import Task
@@ -40,6 +41,10 @@ class Lift(Task):
 
     hold_steps: int = 3
     """Consecutive steps at this height between both fingers that count as success."""
+
+    def __post_init__(self) -> None:
+        above_zero(self, "height_m", where="task.")
+        at_least(self, 1, "hold_steps", where="task.")
 
     def memory(self, num_envs: int) -> dict[str, NDArray[Any]]:
         """Remember for how many steps the object has been held up."""

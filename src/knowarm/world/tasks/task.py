@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, get_args, get_type_hints
 
-import numpy as np
 from numpy.typing import NDArray
 
+from knowarm.arrays import Floats, Integers, Mask
 from knowarm.errors import UserError
 from knowarm.questions import ObjectColour, QuestionTable
 from knowarm.world.tasks.reward import is_success, paper_reward
@@ -116,12 +116,8 @@ class Task:
         return {}
 
     def goal(
-        self,
-        scene: "Scene",
-        objects: NDArray[np.int64],
-        position: NDArray[np.float64],
-        matrix: NDArray[np.float64],
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        self, scene: "Scene", objects: Integers, position: Floats, matrix: Floats
+    ) -> tuple[Floats, Floats]:
         """Return the frame that the gripper has to reach in k episodes.
 
         Args:
@@ -132,15 +128,15 @@ class Task:
         """
         return position, matrix
 
-    def success(self, state: EpisodeState) -> NDArray[np.bool_]:
+    def success(self, state: EpisodeState) -> Mask:
         """Return which episodes are solved, (n,) bool; a solved one ends."""
         return is_success(state.distance, state.angle, state.thresholds[0], state.thresholds[1])
 
-    def failure(self, state: EpisodeState) -> NDArray[np.bool_] | None:
+    def failure(self, state: EpisodeState) -> Mask | None:
         """Return which episodes end without success before the time limit, (n,) bool, or None."""
         return None
 
-    def reward(self, state: EpisodeState) -> NDArray[np.float64]:
+    def reward(self, state: EpisodeState) -> Floats:
         """Compute the reward of a step, (n,); the paper's by default (table 1)."""
         return paper_reward(state.distance, state.angle, state.success)
 
@@ -155,7 +151,7 @@ class Task:
             "is_success": state.success,
         }
 
-    def knowledge_input(self, state: EpisodeState) -> NDArray[np.int64]:
+    def knowledge_input(self, state: EpisodeState) -> Integers:
         """Return the row of the knowledge table for each current episode, (n,) int64."""
         return state.facet
 
