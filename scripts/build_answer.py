@@ -21,6 +21,7 @@ from knowarm.statistics import Interval
 from knowarm.study.driver import open_study
 from knowarm.study.pack import unpack_study
 from knowarm.study.status import study_status
+from scripts.answer_a3c import a3c_section
 from scripts.answer_cells import (
     CONTROLS,
     Agent,
@@ -197,9 +198,9 @@ def paper_table(found: Sequence[tuple[TaskData, Mapping[str, Agent]]]) -> str:
 
 
 def page(
-    found: Sequence[tuple[TaskData, Mapping[str, Agent]]], progress: str, fusions: Sequence[str]
+    found: Sequence[tuple[TaskData, Mapping[str, Agent]]], progress: str, sections: Sequence[str]
 ) -> str:
-    """Write the page; ``progress`` says how much of the study is done, ``fusions`` is a section."""
+    """Write the page; ``progress`` says how much of the study is done, ``sections`` follow."""
     runs = sum(len(each.seeds) for _, agents in found for each in agents.values())
     hours = sum(each.hours for _, agents in found for each in agents.values())
     seeds = sorted({seed for _, agents in found for each in agents.values() for seed in each.seeds})
@@ -219,7 +220,7 @@ def page(
     for cell in cells:
         parts += [f"## {title_of(cell.task)}", agents_table(cell.agents)]
         parts.append(comparison_table(cell.compared))
-    parts += ["## Every run", f"{FIGURE}\n\n{runs_table(cells)}", *fusions, BOTTOM]
+    parts += ["## Every run", f"{FIGURE}\n\n{runs_table(cells)}", *sections, BOTTOM]
     return wrapped("\n\n".join(parts)) + "\n"
 
 
@@ -258,8 +259,8 @@ BOTTOM = """## What this cannot say
 - The vector of this task is constant within an episode and names what the image shows anyway. It
   can save the network the recognition of the object, nothing else. Where a graph decides what to
   do, it changes everything: see [choose](choose.md) and [answers](answers.md).
-- `fast` learns from the simulator's state in the critic and an auxiliary loss. The paper's A3C has
-  [its own page](a3c.md).
+- `fast` learns from the simulator's state in the critic and an auxiliary loss. Settings with which
+  A3C learns are on [its own page](a3c.md).
 - Interim evaluations stand 50,000 steps apart, so no smaller difference is seen in one run.
 - On TIAGo success has reached its ceiling, so only the steps can differ; its runs have no controls.
 
@@ -267,7 +268,7 @@ The report of the twelve cells is `paper.html`. The policies `zoo/irb120-full-fa
 `zoo/tiago-full-fast` are seeds 0: `knowarm evaluate zoo/irb120-full-fast` prints 99.6 % [99.0,
 99.8], `zoo/tiago-full-fast` 99.9 % [99.4, 100.0].
 
-Repeat: `knowarm study run` with `answer`, `paper`, `fusions` and `choose`, then
+Repeat: `knowarm study run` with `answer`, `paper`, `a3c`, `fusions` and `choose`, then
 `python -m scripts.build_answer`."""
 
 
@@ -297,14 +298,15 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         folder = {
             name: unpack_study(RESULTS / f"{name}.tar.gz", Path(temporary) / name)
-            for name in (*STUDIES, "fusions", "choose")
+            for name in (*STUDIES, "a3c", "fusions", "choose")
         }
         shares = RESULTS / "fusions.csv", RESULTS / "fusions-blind.csv"
         progress = done(folder["fusions"])
         fusions = fusions_section(folder["fusions"], folder["choose"], *shares, progress)
         cells = tasks_of([folder[name] for name in STUDIES])
         progress = " ".join(done(folder[name]) for name in STUDIES)
-        text = page(list(cells), progress, fusions)
+        a3c = a3c_section(folder["a3c"], done(folder["a3c"]))
+        text = page(list(cells), progress, [*a3c, *fusions])
         given.out.write_text(text, encoding="utf-8")
 
 

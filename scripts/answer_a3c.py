@@ -1,0 +1,95 @@
+"""Section of `docs/results/answer.md` on the paper's algorithm."""
+
+from pathlib import Path
+
+import numpy as np
+
+from knowarm.experiment.csv_log import training_seconds
+from knowarm.report.collect import collect
+from knowarm.report.model import Group, TaskData
+from knowarm.report.pages.paper import published_result
+from scripts.answer_cells import table
+
+EVERY = 10_000_000
+"""Steps between two columns of the table."""
+MEASURES = {"success": 100, "accuracy": 100, "return_mean": 1}
+"""Measures of the table, and their factors."""
+ROWS = 100
+"""Rows of the metrics whose mean is the success of the last training episodes."""
+EVALUATIONS = 4
+"""Interim evaluations whose mean is a number of the table."""
+
+TEXT = """**Protocol.** Study `a3c`: IRB120, fixed colours, the paper's hyperparameters, with two
+workers of 32 environments instead of 17 of one, seed 0, {total} million steps; {hours}. {progress}
+Interim success (5 cm, 15 degrees) and accuracy (the distance alone, 10 cm) in percent, and return,
+each the mean of the last {count} evaluations of 40 episodes. An update learns from {batch:,} steps,
+the paper's from 50 or fewer, so there are {updates:,} updates instead of 1.4 million. Workers
+update in another order each time, so the same command does not give the same bytes."""
+
+
+def until(group: Group, key: str, step: float) -> str:
+    """Format the mean of the last interim evaluations until a step; nothing before it."""
+    (run,) = group.runs
+    if run.steps_done < 0.98 * step:
+        return ""
+    chosen = run.interim[key][run.interim["step"] <= 1.02 * step][-EVALUATIONS:]
+    return f"{MEASURES[key] * float(chosen.mean()):.1f}"
+
+
+def a3c_section(study: Path, progress: str) -> list[str]:
+    """Return the blocks of the section from an unpacked study."""
+    (task,) = collect([study]).tasks
+    total = max(run.config["total_steps"] for run in task.runs)
+    steps = np.arange(EVERY, total + 1, EVERY)
+    rows = []
+    for group in task.groups:
+        for key in MEASURES:
+            name = key.removesuffix("_mean")
+            rows.append([f"`{group.name}`", name, *(until(group, key, step) for step in steps)])
+        rows.append(["the paper's " + f"`{group.name}`", "accuracy", *paper(task, group, steps)])
+    columns = ["agent", "measure", *(f"{step / 1e6:.0f} M" for step in steps)]
+    hours = sum(training_seconds(run.metrics["wall_time_s"]) for run in task.runs if run.metrics)
+    algorithm = task.runs[0].config["algorithm"]
+    batch = algorithm["envs_per_worker"] * algorithm["rollout_steps"]
+    text = TEXT.format(
+        batch=batch,
+        updates=total // batch,
+        total=total // 10**6,
+        hours=f"{2 * hours / 3600:.0f} core hours",
+        progress=progress,
+        count=EVALUATIONS,
+    )
+    return ["## The paper's algorithm", text, table(columns, rows), conclusion(task)]
+
+
+def paper(task: TaskData, group: Group, steps: np.ndarray) -> list[str]:
+    """Return the paper's accuracy in the column of the step of its best model."""
+    published = published_result(task, group.name)
+    if published is None:
+        return [""] * len(steps)
+    place = int(np.abs(steps - published["best_step"]).argmin())
+    return [f"{100 * published['accuracy']:.0f}" if i == place else "" for i in range(len(steps))]
+
+
+def conclusion(task: TaskData) -> str:
+    """Say what the finished trainings reached."""
+    lines = []
+    for group in task.groups:
+        for run in group.runs:
+            if run.steps_done < 0.98 * run.config["total_steps"]:
+                continue
+            final = run.evaluations.get(group.label)
+            trained = run.metrics["success"][-ROWS:]
+            line = (
+                f"- `{group.name}`: {100 * np.nanmean(trained):.1f} % of its last training episodes"
+            )
+            if final:
+                shares = (
+                    final.summary["success"],
+                    final.summary["blind_agents"]["open-loop"]["success"],
+                )
+                success, listed = (f"{100 * share:.1f} %" for share in shares)
+                line += f", {success} of 1,000 episodes after training (10 cm, 17 degrees)"
+                line += f", where the best list of actions reaches {listed}"
+            lines.append(f"{line}.")
+    return "\n".join(lines)
