@@ -1,5 +1,6 @@
 """Experiments of the choose task: names, training, evaluation and its splits."""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from knowarm.experiment.load import load_agent
 from knowarm.experiment.names import experiment_config, experiment_names
 from knowarm.experiment.run import Run
 from knowarm.world.agents import OracleAgent
-from knowarm.world.config import EnvConfig
+from knowarm.world.config import EnvConfig, questions_of
 from knowarm.world.tasks.choose.choose import Choose
 from tests.tiny import CHOOSE_ENV, CHOOSE_NAME
 
@@ -129,3 +130,22 @@ def test_the_oracle_chooses_and_reaches_in_every_split() -> None:
 def test_a_split_needs_queries_of_a_graph() -> None:
     with pytest.raises(UserError, match="this task has NameQueries"):
         evaluate(OracleAgent(), EnvConfig(task=Choose()), episodes=4, split="S2")
+
+
+def test_questions_follow_a_graph_that_was_edited(tmp_path: Path) -> None:
+    graph = tmp_path / "tidy.csv"
+    graph.write_bytes((Path(__file__).parents[2] / "examples/own_graph/tidy.csv").read_bytes())
+    targets = ("mug", "teapot", "bowl", "mallet", "toolbox", "bucket", "lamp", "book", "clock")
+    env = EnvConfig(
+        targets=targets, task=Choose(queries=GraphQueries(graph=str(graph), hold_out=()))
+    )
+    before = questions_of(env)
+    assert before is not None
+    assert questions_of(env) is before
+    stamp = graph.stat().st_mtime_ns + 10**9
+    graph.write_text(graph.read_text() + "mug,makes,noise\nclock,makes,noise\n")
+    os.utime(graph, ns=(stamp, stamp))
+    after = questions_of(env)
+    assert after is not None
+    names = [{query.name for query in table.queries} for table in (before, after)]
+    assert "makes noise" in names[1] - names[0]

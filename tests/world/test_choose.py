@@ -44,7 +44,7 @@ def small(robot: str = "irb120", **options: Any) -> EnvConfig:
 def arranged(config: EnvConfig) -> Arrangements:
     assert isinstance(config.task, Choose)
     setting, task = setting_of(config), config.task
-    return arrange(setting.scene, setting.facets, task.queries, task.objects)
+    return arrange(setting.scene, setting.facets, task.queries, task.objects, ())
 
 
 class PickingAgent(OracleAgent):

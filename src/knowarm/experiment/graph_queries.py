@@ -1,10 +1,11 @@
 """Questions that a graph answers, as a source of questions of the choose task."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 from knowarm.config import override
-from knowarm.knowledge.formats import open_graph
+from knowarm.knowledge.formats import SHIPPED, open_graph
 from knowarm.knowledge.queries.queries import Pairs
 from knowarm.knowledge.queries.splits import HELD_OUT, QuerySplits, Split, query_splits
 from knowarm.questions import ObjectColour, QuestionTable
@@ -34,6 +35,12 @@ class GraphQueries(QuerySource):
         """Make the table of the split."""
         splits = self.splits(facets, objects)
         return splits.train if self.split == "train" else splits.test(self.split)
+
+    def version(self) -> tuple[int, ...]:
+        """Return when the files of the graphs were last written."""
+        named = (Path(name) for name in (self.graph, self.edited) if name and name not in SHIPPED)
+        files = (file for path in named for file in (path, *path.glob("*")) if file.exists())
+        return tuple(file.stat().st_mtime_ns for file in files)
 
     def for_split(self, split: str, edited: str | None) -> "GraphQueries":
         """Return the source of the questions of a split's test."""

@@ -1,4 +1,4 @@
-"""ObjectColour classifier: names the visible objects and their colours in an image."""
+"""Facet classifier: names the visible objects and their colours in an image."""
 
 from collections.abc import Mapping
 from typing import Any, Self

@@ -173,7 +173,7 @@ def _one_run_per_seed(runs: list[RunData], problems: list[FolderProblem]) -> tup
     chosen: dict[int, RunData] = {}
     for run in sorted(runs, key=lambda run: (run.steps_done, str(run.path))):
         if (other := chosen.get(run.seed)) is not None:
-            what = f"same agent, task and seed {run.seed} as {run.path}, which has more steps"
+            what = f"same agent, task and seed {run.seed} as {run.path}, which has no fewer steps"
             problems.append(FolderProblem(other.path, what, "left out"))
         chosen[run.seed] = run
     return tuple(chosen[seed] for seed in sorted(chosen))

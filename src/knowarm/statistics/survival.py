@@ -118,7 +118,7 @@ def trend(values: np.ndarray, window: int) -> np.ndarray:
 
     Args:
         values: (n,) float64.
-        window: number of points averaged in the middle.
+        window: number of points averaged in the middle; one more if it is even.
     """
     total = np.concatenate([[0.0], np.cumsum(values)])
     places = np.arange(len(values))

@@ -84,7 +84,7 @@ class Choose(Task):
 
     def questions(self, facets: tuple[ObjectColour, ...]) -> QuestionTable:
         """Return the questions, cached per process."""
-        return question_table(self.queries, facets, self.visible)
+        return question_table(self.queries, facets, self.visible, self.queries.version())
 
     def knowledge_rows(self, facets: tuple[ObjectColour, ...]) -> list[str]:
         """Name the rows of the knowledge table: one per query."""

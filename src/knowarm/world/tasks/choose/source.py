@@ -23,6 +23,10 @@ class QuerySource:
         """Make the table of the facets that can be shown, for a number of objects per episode."""
         raise NotImplementedError
 
+    def version(self) -> tuple[int, ...]:
+        """Return numbers that change where files that the questions follow from change."""
+        return ()
+
     def for_split(self, split: str, edited: str | None) -> "QuerySource":
         """Return the source of the questions of a split's test, if it has splits.
 
@@ -90,7 +94,7 @@ class SeveralObjects:
     """Draws objects, places and questions, which have to fit each other."""
 
     def __init__(self, setting: Setting, queries: QuerySource, objects: int) -> None:
-        found = arrange(setting.scene, setting.facets, queries, objects)
+        found = arrange(setting.scene, setting.facets, queries, objects, queries.version())
         parts = found.table.parts.shape[1]
         self.draws = draws(objects // parts)
         self._layouts = LayoutSource(setting.scene, parts)
@@ -139,21 +143,26 @@ def facet_indices(scene: Scene, table: QuestionTable) -> tuple[Integers, Integer
 
 @lru_cache(maxsize=16)
 def question_table(
-    queries: QuerySource, facets: tuple[ObjectColour, ...], objects: int
+    queries: QuerySource, facets: tuple[ObjectColour, ...], objects: int, version: tuple[int, ...]
 ) -> QuestionTable:
     """Return the questions of a source about facets, of which an episode shows ``objects``.
 
-    Facets that are parts are shown with all parts of their objects. Cached per process.
+    Facets that are parts are shown with all parts of their objects. Cached per process and
+    ``version`` of the source.
     """
     return queries.table(facets, objects).with_parts(objects // number_parts(facets).shape[1])
 
 
 @lru_cache(maxsize=16)
 def arrange(
-    scene: Scene, facets: tuple[ObjectColour, ...], queries: QuerySource, m: int
+    scene: Scene,
+    facets: tuple[ObjectColour, ...],
+    queries: QuerySource,
+    m: int,
+    version: tuple[int, ...],
 ) -> Arrangements:
-    """Draw sets of m facets and find a layout of each, cached per process."""
-    table = question_table(queries, facets, m)
+    """Draw sets of m facets and find a layout of each, cached as `question_table`."""
+    table = question_table(queries, facets, m, version)
     target, _ = facet_indices(scene, table)
     parts = table.parts.shape[1]
     layouts = LayoutSource(scene, parts)
