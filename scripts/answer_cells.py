@@ -42,6 +42,8 @@ class Agent:
     """Area under the curve of interim success, (n,) in 0..1."""
     hours: float
     """Wall time of the trainings, one core each [h]."""
+    processors: tuple[str, ...]
+    """Processor of each training, (n,)."""
 
 
 def agent(group: Group) -> Agent:
@@ -58,6 +60,7 @@ def agent(group: Group) -> Agent:
         np.array(scores, np.float64),
         np.array([area_under_curve(r.interim["step"], r.interim["success"], until) for r in runs]),
         sum(training_seconds(run.metrics["wall_time_s"]) for run in runs if run.metrics) / 3600,
+        tuple(run.provenance["machine"]["processor"] for run in runs),
     )
 
 
@@ -133,7 +136,7 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 def signed(each: Interval, scale: float, digits: int = 0) -> str:
     """Format a difference with its interval."""
     values = (scale * value for value in (each.estimate, each.low, each.high))
-    return "{} [{}, {}]".format(*(f"{value:+,.{digits}f}" for value in values))
+    return "{} [{}, {}]".format(*(f"{round(value, digits) + 0:+,.{digits}f}" for value in values))
 
 
 def agents_table(agents: Mapping[str, Agent]) -> str:

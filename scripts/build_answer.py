@@ -9,6 +9,7 @@ import argparse
 import re
 import tempfile
 import textwrap
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -204,6 +205,8 @@ def page(
     runs = sum(len(each.seeds) for _, agents in found for each in agents.values())
     hours = sum(each.hours for _, agents in found for each in agents.values())
     seeds = sorted({seed for _, agents in found for each in agents.values() for seed in each.seeds})
+    used = Counter(each for _, agents in found for a in agents.values() for each in a.processors)
+    processors = ", ".join(f"{count} runs on an {name}" for name, count in used.most_common())
     has_controls = any(name in agents for _, agents in found for name in CONTROLS)
     parts = [
         TOP.format(
@@ -220,7 +223,12 @@ def page(
     for cell in cells:
         parts += [f"## {title_of(cell.task)}", agents_table(cell.agents)]
         parts.append(comparison_table(cell.compared))
-    parts += ["## Every run", f"{FIGURE}\n\n{runs_table(cells)}", *sections, BOTTOM]
+    parts += [
+        "## Every run",
+        f"{FIGURE}\n\n{runs_table(cells)}",
+        *sections,
+        BOTTOM.format(processors=processors),
+    ]
     return wrapped("\n\n".join(parts)) + "\n"
 
 
@@ -261,6 +269,8 @@ BOTTOM = """## What this cannot say
   do, it changes everything: see [choose](choose.md) and [answers](answers.md).
 - `fast` learns from the simulator's state in the critic and an auxiliary loss. Settings with which
   A3C learns are on [its own page](a3c.md).
+- Processors: {processors}. Another kind rounds differently, so the same seed is another training
+  there. `bm`, `partial` and `full` with seeds 0 to 2 ran on the Xeon, all controls on the EPYC.
 - Interim evaluations stand 50,000 steps apart, so no smaller difference is seen in one run.
 - On TIAGo success has reached its ceiling, so only the steps can differ; its runs have no controls.
 
