@@ -9,7 +9,7 @@ import argparse
 import re
 import tempfile
 import textwrap
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -205,8 +205,7 @@ def page(
     runs = sum(len(each.seeds) for _, agents in found for each in agents.values())
     hours = sum(each.hours for _, agents in found for each in agents.values())
     seeds = sorted({seed for _, agents in found for each in agents.values() for seed in each.seeds})
-    used = Counter(each for _, agents in found for a in agents.values() for each in a.processors)
-    processors = ", ".join(f"{count} runs on an {name}" for name, count in used.most_common())
+    processors = "; ".join(processors_of([a for _, agents in found for a in agents.values()]))
     has_controls = any(name in agents for _, agents in found for name in CONTROLS)
     parts = [
         TOP.format(
@@ -230,6 +229,22 @@ def page(
         BOTTOM.format(processors=processors),
     ]
     return wrapped("\n\n".join(parts)) + "\n"
+
+
+def processors_of(agents: Sequence[Agent]) -> list[str]:
+    """Say which agents and seeds ran on which processor."""
+    used: dict[str, list[tuple[str, int]]] = defaultdict(list)
+    for each in agents:
+        for processor, seed in zip(each.processors, each.seeds, strict=True):
+            used[processor].append((each.name, seed))
+    lines = []
+    for processor, runs in used.items():
+        names, seeds = (sorted({run[i] for run in runs}, key=str) for i in (0, 1))
+        lines.append(
+            f"{len(runs)} runs on an {processor} ({', '.join(f'`{name}`' for name in names)}; "
+            f"seeds {', '.join(map(str, seeds))})"
+        )
+    return lines
 
 
 TOP = """<!-- Written by scripts/build_answer.py from the packs; do not edit. -->
@@ -270,7 +285,7 @@ BOTTOM = """## What this cannot say
 - `fast` learns from the simulator's state in the critic and an auxiliary loss. Settings with which
   A3C learns are on [its own page](a3c.md).
 - Processors: {processors}. Another kind rounds differently, so the same seed is another training
-  there. `bm`, `partial` and `full` with seeds 0 to 2 ran on the Xeon, all controls on the EPYC.
+  there.
 - Interim evaluations stand 50,000 steps apart, so no smaller difference is seen in one run.
 - On TIAGo success has reached its ceiling, so only the steps can differ; its runs have no controls.
 

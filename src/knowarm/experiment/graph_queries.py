@@ -40,7 +40,7 @@ class GraphQueries(QuerySource):
         """Return when the files of the graphs were last written."""
         named = (Path(name) for name in (self.graph, self.edited) if name and name not in SHIPPED)
         files = (file for path in named for file in (path, *path.glob("*")) if file.exists())
-        return tuple(file.stat().st_mtime_ns for file in files)
+        return tuple(sorted(file.stat().st_mtime_ns for file in files))
 
     def for_split(self, split: str, edited: str | None) -> "GraphQueries":
         """Return the source of the questions of a split's test."""

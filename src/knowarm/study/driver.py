@@ -37,7 +37,7 @@ def run_study(
     """Train and evaluate every run of a study that is not done or failed.
 
     Args:
-        study: what to run; the same call continues where an earlier one ended, however it ended.
+        study: what to run; the same call again continues it, also after a crash.
         out: the study's folder.
         should_stop: called twice a second; true saves every running training and returns.
         on_status: receives the status of all runs at the start, every few seconds and at the end.
