@@ -18,7 +18,7 @@ from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.names import experiment_config
 from knowarm.experiment.run import train
-from knowarm.experiment.run_folder import FILE, RunFolder, stored_module
+from knowarm.experiment.run_folder import PERCEPTION_FILE, RunFolder, stored_module
 from knowarm.perception import images as perception_images
 from knowarm.perception import training
 from knowarm.perception.agent import PerceivingAgent, PerceivingVectorEnv
@@ -194,7 +194,7 @@ def test_a_run_keeps_its_module(files, tmp_path, name):
     run = run_of(copied, name, tmp_path / "runs")
     copied[name].unlink()
     folder = run.folder
-    assert (folder.path / FILE).read_bytes() == files[name].read_bytes()
+    assert (folder.path / PERCEPTION_FILE).read_bytes() == files[name].read_bytes()
     assert folder.provenance()["perception"]["digest"] == digest(files[name].read_bytes())
     trained = load_agent(folder.path)
     assert isinstance(trained.agent, PerceivingAgent)
@@ -218,7 +218,7 @@ def test_a_run_resumes_with_its_own_module(files, tmp_path):
     with pytest.raises(UserError, match="trained with another perception module"):
         train(REACH, tmp_path / "part", resume=True, perception=other, env=SMALL_ENV, **TINY)
     assert load_agent(part.folder.path, perception=other).policy is not None
-    (part.folder.path / FILE).write_bytes(other.read_bytes())
+    (part.folder.path / PERCEPTION_FILE).write_bytes(other.read_bytes())
     with pytest.raises(UnreadableFileError, match="not the module that this run was trained with"):
         stored_module(part.folder.experiment(), RunFolder(part.folder.path))
 

@@ -14,7 +14,7 @@ from knowarm.experiment.build import build, slots_of
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.names import experiment_config
 from knowarm.experiment.run import train
-from knowarm.experiment.run_folder import FILE
+from knowarm.experiment.run_folder import PERCEPTION_FILE
 from knowarm.perception import grounding_training
 from knowarm.perception.agent import PerceivingVectorEnv
 from knowarm.perception.config import GroundingConfig, ModuleSpec
@@ -377,10 +377,10 @@ def test_a_teacher_goes_with_the_true_frame(config, network):
 
 
 def test_an_arm_is_trained_with_a_network_that_exists(tmp_path, choose_run):
-    network = choose_run.folder.path / FILE
+    network = choose_run.folder.path / PERCEPTION_FILE
     changes = {**CHOOSE, "total_steps": 8, "algorithm": {"num_envs": 4, "minibatches": 2}}
     run = train("irb120-choose-answers-distil", tmp_path, perception=network, **changes)
-    assert (run.folder.path / FILE).read_bytes() == network.read_bytes()
+    assert (run.folder.path / PERCEPTION_FILE).read_bytes() == network.read_bytes()
     trained = load_agent(run.folder.path)
     assert trained.network.to_bytes() == network.read_bytes()
     assert load_agent(run.folder.path, perception=network).policy is not None
@@ -398,13 +398,13 @@ def test_the_file_holds_the_network_and_its_table(network, labels):
     queries = labels.queries[:8]
     assert torch.equal(again(labels.images[:8], queries), network(labels.images[:8], queries))
     for damaged in (network.to_bytes()[:-40], b"no file"):
-        with pytest.raises(UnreadableFileError, match=FILE):
-            GroundingNetwork.from_bytes(damaged, Path(FILE))
+        with pytest.raises(UnreadableFileError, match=PERCEPTION_FILE):
+            GroundingNetwork.from_bytes(damaged, Path(PERCEPTION_FILE))
 
 
 def test_a_run_keeps_its_network_and_resumes_to_the_byte(tmp_path, choose_run, config):
     whole = choose_run
-    kept = (whole.folder.path / FILE).read_bytes()
+    kept = (whole.folder.path / PERCEPTION_FILE).read_bytes()
     # Stopped while the network is trained, then between two updates.
     asked = []
     stopped = train(config, tmp_path / "cut", should_stop=lambda: asked.append(0) or len(asked) > 1)
@@ -413,7 +413,7 @@ def test_a_run_keeps_its_network_and_resumes_to_the_byte(tmp_path, choose_run, c
     stopped = train(config, tmp_path / "cut", resume=True, should_stop=rows.exists)
     assert stopped.result.reason == "stopped"
     resumed = train(config, tmp_path / "cut", resume=True)
-    assert (resumed.folder.path / FILE).read_bytes() == kept
+    assert (resumed.folder.path / PERCEPTION_FILE).read_bytes() == kept
     for part in ("policy", "optimizer", "state"):
         name = f"checkpoints/latest/{part}.safetensors"
         one, two = (run.folder.path / name for run in (whole, resumed))

@@ -25,7 +25,7 @@ from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.names import experiment_config
 from knowarm.experiment.run import train
-from knowarm.experiment.run_folder import FILE, RunFolder
+from knowarm.experiment.run_folder import PERCEPTION_FILE, RunFolder
 from knowarm.experiment.summary import read_film, read_table
 from knowarm.knowledge import household, read_graph
 from knowarm.knowledge.formats import write_graph
@@ -296,7 +296,11 @@ def _perception(folder: Path) -> list[Format]:
     run = train(config, folder, perception=path, **TINY).folder
     return [
         Format("perception module", path, FacetClassifier.read),
-        Format("perception.safetensors of a run", run.path / FILE, lambda _: load_agent(run.path)),
+        Format(
+            "perception.safetensors of a run",
+            run.path / PERCEPTION_FILE,
+            lambda _: load_agent(run.path),
+        ),
     ]
 
 

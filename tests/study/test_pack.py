@@ -11,7 +11,7 @@ from knowarm.errors import UserError
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.run_lock import lock_folder
 from knowarm.report import write_report
-from knowarm.study.config import FILE
+from knowarm.study.config import STUDY_FILE
 from knowarm.study.driver import open_study, run_study
 from knowarm.study.pack import pack_study, unpack_study
 from knowarm.study.status import study_status
@@ -98,7 +98,7 @@ def test_a_damaged_pack_is_refused(finished, tmp_path, pack):
     (tmp_path / "text.tar.gz").write_text("no archive")
     for name, words in (
         ("cut", ""),
-        ("changed", f"{FILE} is missing or was changed"),
+        ("changed", f"{STUDY_FILE} is missing or was changed"),
         ("text", ""),
     ):
         with pytest.raises(UserError, match=f"(is damaged|Cannot read).*{words}"):

@@ -21,7 +21,7 @@ from knowarm.errors import UserError, printable
 from knowarm.experiment.run_lock import StopRequest
 from knowarm.reading import read_json
 from knowarm.report import write_report
-from knowarm.study.config import FILE, SHIPPED, StudyConfig, read_study
+from knowarm.study.config import SHIPPED, STUDY_FILE, StudyConfig, read_study
 from knowarm.study.driver import OnStatus, check_folder, open_study, request_stop, retry, run_study
 from knowarm.study.estimate import SECONDS, estimate
 from knowarm.study.executor import RunKey
@@ -164,7 +164,7 @@ class StudyRun:
         chosen: dict[str, Any] = {"at_once": self.at_once, "cores": self.cores}
         where = replace(study.where, **{k: v for k, v in chosen.items() if v is not None})
         study = replace(study, where=where, seeds=self.seeds or study.seeds)
-        is_folder = (Path(self.study) / FILE).is_file()
+        is_folder = (Path(self.study) / STUDY_FILE).is_file()
         out = self.out or (Path(self.study) if is_folder else Path("runs") / study.name)
         if self.dry_run:
             _print_estimate(study, out)

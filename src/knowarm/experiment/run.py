@@ -16,7 +16,12 @@ from knowarm.experiment.graph_at_test import varied_graphs
 from knowarm.experiment.load import reasoning_module
 from knowarm.experiment.logs import RunLogs, TrainingProgress
 from knowarm.experiment.names import experiment_config
-from knowarm.experiment.run_folder import FILE, RunFolder, module_for_training, provenance
+from knowarm.experiment.run_folder import (
+    PERCEPTION_FILE,
+    RunFolder,
+    module_for_training,
+    provenance,
+)
 from knowarm.experiment.run_lock import lock_folder
 from knowarm.learn import CheckpointStore, Hooks, TrainingResult
 from knowarm.perception.grounding import GroundingNetwork
@@ -228,8 +233,8 @@ def _describe(
     if module is not None:
         data = module.to_bytes()
         about["perception"] = {"digest": digest(data), **to_dict(module.spec)}
-        with writing(folder.path / FILE):
-            (folder.path / FILE).write_bytes(data)
+        with writing(folder.path / PERCEPTION_FILE):
+            (folder.path / PERCEPTION_FILE).write_bytes(data)
     write_json(folder.path / "provenance.json", about)
     folder.write_knowledge(parts.table)
     folder.write_experiment(config)

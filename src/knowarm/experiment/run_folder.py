@@ -239,7 +239,7 @@ def _git(*arguments: str, at: Path) -> str:
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
 
 
-FILE = "perception.safetensors"
+PERCEPTION_FILE = "perception.safetensors"
 """Name of the module's file in a run folder."""
 
 
@@ -248,7 +248,7 @@ def module_for_training(
 ) -> PerceptionModule | None:
     """Return the perception module of a run, given as a file or in a folder to resume, or None."""
     module: PerceptionModule | None = None if given is None else given_module(config, given)
-    if resumed is not None and (resumed.path / FILE).exists():
+    if resumed is not None and (resumed.path / PERCEPTION_FILE).exists():
         stored = stored_module(config, resumed)
         if module is not None and module.to_bytes() != stored.to_bytes():
             raise UserError(
@@ -279,7 +279,7 @@ def given_module(config: ExperimentConfig, path: Path | str) -> PerceptionModule
 def stored_module(config: ExperimentConfig, folder: RunFolder) -> PerceptionModule:
     """Read the perception module that a run folder keeps, and check that it is the run's."""
     kind = _module_type(config)
-    path = folder.path / FILE
+    path = folder.path / PERCEPTION_FILE
     with reading(path, "Restore the file, or train again."):
         data = path.read_bytes()
         if digest(data) != folder.provenance()["perception"]["digest"]:

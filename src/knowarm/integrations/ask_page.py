@@ -1,7 +1,5 @@
 """Page of a question: answers, evidence, map of places and film; written, or served for changes."""
 
-import base64
-import io
 import webbrowser
 from collections.abc import Callable, Sequence
 from http.server import BaseHTTPRequestHandler, HTTPServer
@@ -15,6 +13,7 @@ from PIL import Image
 
 from knowarm.errors import UserError
 from knowarm.experiment.ask import Asked
+from knowarm.pictures import data_uri, encode
 from knowarm.reading import replacing, writing
 from knowarm.world.viewing.watch import ADDRESS, listen, refusal
 
@@ -123,13 +122,7 @@ def _pictures(asked: Asked) -> dict[str, str]:
     durations = [FRAME_MS] * (len(frames) - 1) + [LAST_MS]
     film = {"save_all": True, "append_images": frames[1:], "duration": durations, "loop": 0}
     return {
-        "image": _data_uri(frames[0], "PNG"),
-        "heat": _data_uri(Image.fromarray(heat), "PNG"),
-        "film": _data_uri(frames[0], "WEBP", quality=70, method=2, **film),
+        "image": data_uri("PNG", encode(frames[0], "PNG")),
+        "heat": data_uri("PNG", encode(heat, "PNG")),
+        "film": data_uri("WEBP", encode(frames[0], "WEBP", quality=70, method=2, **film)),
     }
-
-
-def _data_uri(image: Image.Image, kind: str, **options: Any) -> str:
-    buffer = io.BytesIO()
-    image.save(buffer, kind, **options)
-    return f"data:image/{kind.lower()};base64,{base64.b64encode(buffer.getvalue()).decode()}"

@@ -4,7 +4,6 @@ Readable by LeRobot and by plain PyArrow. Actions are joint targets; the discret
 them stand beside. The state is stored for other learners: KnowArm's policies do not see it.
 """
 
-import io
 import json
 from pathlib import Path
 from typing import Any
@@ -13,9 +12,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
-from PIL import Image
 
 from knowarm.errors import UserError
+from knowarm.pictures import encode
 from knowarm.reading import write_json, writing
 from knowarm.world.agents.play import play_steps
 from knowarm.world.agents.scripted import AgentProtocol
@@ -133,7 +132,10 @@ class _Writer:
                 }
                 numbers = (*_VECTORS, *_SCALARS)
                 arrays = {name: np.asarray(columns[name]).tolist() for name in numbers}
-                arrays[IMAGE] = [{"bytes": _png(each), "path": None} for each in columns[IMAGE]]
+                arrays[IMAGE] = [
+                    {"bytes": encode(each, "PNG", compress_level=1), "path": None}
+                    for each in columns[IMAGE]
+                ]
                 writer.write_table(pa.table(arrays, schema=self.schema))
                 self.rows.append(
                     {
@@ -245,9 +247,3 @@ def statistics(values: Any, is_image: bool) -> dict[str, list[Any]]:
     found = {key: getattr(array, key)(axes) for key in ("min", "max", "mean", "std")}
     shaped = {key: value.reshape(shape).tolist() for key, value in found.items()}
     return shaped | {"count": [len(array)]}
-
-
-def _png(image: NDArray[np.uint8]) -> bytes:
-    stream = io.BytesIO()
-    Image.fromarray(image).save(stream, "PNG", compress_level=1)
-    return stream.getvalue()

@@ -27,7 +27,7 @@ from knowarm.world.tasks.sampling import Colours
 
 FORMAT = 1  # of study.json
 MAX_RUNS = 2000  # of a study
-FILE = "study.json"  # the study that a folder holds
+STUDY_FILE = "study.json"  # the study that a folder holds
 PACKED = "manifest.json"  # marks an unpacked study, whose unfinished runs cannot be resumed
 
 SHIPPED = {path.stem: path for path in sorted((Path(__file__).parent / "shipped").glob("*.toml"))}
@@ -165,10 +165,12 @@ def read_study(source: Path | str, *, of: Path | str | None = None) -> StudyConf
         UserError: there is no such study, or it is not valid; for a TOML file with file and line.
     """
     path = Path(source)
-    if source not in SHIPPED and (path / FILE).is_file():
-        values = read_json(path / FILE)
+    if source not in SHIPPED and (path / STUDY_FILE).is_file():
+        values = read_json(path / STUDY_FILE)
         if values.pop("format", None) != FORMAT:
-            raise UserError(f"{path / FILE} was written by another version; run the study again.")
+            raise UserError(
+                f"{path / STUDY_FILE} was written by another version; run the study again."
+            )
         return from_dict(StudyConfig, values)
     if str(source) in SHIPPED:
         path = SHIPPED[str(source)]
@@ -189,7 +191,7 @@ def read_study(source: Path | str, *, of: Path | str | None = None) -> StudyConf
 
 def write_study(study: StudyConfig, out: Path) -> None:
     """Write ``study.json`` into the study's folder."""
-    write_json(out / FILE, {"format": FORMAT, **to_dict(study)})
+    write_json(out / STUDY_FILE, {"format": FORMAT, **to_dict(study)})
 
 
 def controls(study: StudyConfig, name: str) -> StudyConfig:

@@ -14,7 +14,7 @@ from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.run import other_fields, run_path
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.run_lock import is_locked, lock_folder
-from knowarm.study.config import FILE, PACKED, StudyConfig, read_study, write_study
+from knowarm.study.config import PACKED, STUDY_FILE, StudyConfig, read_study, write_study
 from knowarm.study.executor import LOG, Ended, LocalExecutor, RunKey
 from knowarm.study.status import FAILURE, RunStatus, checkpoint_step, seconds_left, study_status
 from knowarm.study.worker import STOP, record_failure
@@ -67,7 +67,7 @@ def run_study(
 
 def check_folder(study: StudyConfig, out: Path) -> None:
     """Check that a study can go on in a folder, before anything is written."""
-    if (out / FILE).exists() and (other := read_study(out).name) != study.name:
+    if (out / STUDY_FILE).exists() and (other := read_study(out).name) != study.name:
         found = f"holds the study {other!r}, not {study.name!r}"
         raise UserError(f"{out} {found}: choose another folder.")
     if (out / PACKED).exists():
@@ -134,8 +134,8 @@ def request_stop(out: Path) -> bool:
 
 def open_study(out: Path) -> StudyConfig:
     """Read the study that a folder holds."""
-    if not (out / FILE).is_file():
-        raise UserError(f"{out} holds no study: it has no {FILE}. Start one: knowarm study run.")
+    if not (out / STUDY_FILE).is_file():
+        raise UserError(f"{out} holds no study, no {STUDY_FILE}. Start one: knowarm study run.")
     return read_study(out)
 
 

@@ -13,10 +13,10 @@ from typing import Literal
 
 from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.run import run_path
-from knowarm.experiment.run_folder import FILE as PERCEPTION
+from knowarm.experiment.run_folder import PERCEPTION_FILE
 from knowarm.experiment.run_lock import lock_folder
 from knowarm.reading import MAX_JSON, bounded, reading, replacing, writing
-from knowarm.study.config import FILE, PACKED
+from knowarm.study.config import PACKED, STUDY_FILE
 from knowarm.study.driver import open_study
 from knowarm.study.status import FAILURE
 
@@ -40,7 +40,7 @@ RUN_FILES = (
 """Patterns of the files of a run that every pack holds."""
 
 PART_FILES: dict[Part, tuple[str, ...]] = {
-    "policies": ("checkpoints/best/*", PERCEPTION),
+    "policies": ("checkpoints/best/*", PERCEPTION_FILE),
     "episodes": ("evaluation/*/episodes.parquet",),
     "steps": ("evaluation/*/steps.parquet",),
     "films": ("evaluation/*/films/*",),
@@ -62,7 +62,7 @@ def pack_study(out: Path, file: Path, *, leave_out: Collection[Part] = ()) -> in
     study = open_study(out)
     parts = [RUN_FILES, *(PART_FILES[part] for part in PART_FILES if part not in leave_out)]
     with lock_folder(out, remedy="Stop it before packing: knowarm study stop."):
-        paths = [out / FILE] + [
+        paths = [out / STUDY_FILE] + [
             path
             for config in study.runs()
             for pattern in chain(*parts)

@@ -1,15 +1,13 @@
 """Pages "Joints" and "Episodes": joint angles and films of the evaluated episodes."""
 
-import base64
-import io
 from contextlib import suppress
 
 import numpy as np
-from PIL import Image
 
 from knowarm.errors import UserError
 from knowarm.experiment.summary import read_film
 from knowarm.knowledge.graph.terms import label_of
+from knowarm.pictures import data_uri, encode
 from knowarm.report import format
 from knowarm.report.blocks import Block, Column, Figure, Film, Films, Panel, Row, Verdict, table_of
 from knowarm.report.charts import density_chart
@@ -122,7 +120,7 @@ def _film(name: str, colour: str, evaluation: Evaluation, number: int) -> Film:
         name=name,
         colour=colour,
         strip=[(_png(frames[int(i)]), f"step {int(i)}") for i in places],
-        moving=_data_uri("image/webp", path.read_bytes()),
+        moving=data_uri("WEBP", path.read_bytes()),
         poster=_png(frames[-1]),
         size=(width, height),
         text=f"{outcome} {length} steps; at the end {episodes['distance_m'][number] * 100:.1f} cm "
@@ -131,10 +129,4 @@ def _film(name: str, colour: str, evaluation: Evaluation, number: int) -> Film:
 
 
 def _png(image: np.ndarray) -> str:
-    buffer = io.BytesIO()
-    Image.fromarray(image).save(buffer, "PNG", optimize=True)
-    return _data_uri("image/png", buffer.getvalue())
-
-
-def _data_uri(kind: str, data: bytes) -> str:
-    return f"data:{kind};base64,{base64.b64encode(data).decode()}"
+    return data_uri("PNG", encode(image, "PNG", optimize=True))
