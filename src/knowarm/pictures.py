@@ -1,12 +1,15 @@
-"""Image files in memory, and as ``data:`` URIs that a page carries inside it."""
+"""Image files: their formats, files in memory, and ``data:`` URIs that a page carries inside it."""
 
 import base64
 import io
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+
+from knowarm.errors import UserError
 
 
 def encode(image: NDArray[np.uint8] | Image.Image, kind: str, **options: Any) -> bytes:
@@ -20,3 +23,9 @@ def encode(image: NDArray[np.uint8] | Image.Image, kind: str, **options: Any) ->
 def data_uri(kind: str, data: bytes) -> str:
     """Return the ``data:`` URI of an image file of a kind such as ``"PNG"``."""
     return f"data:image/{kind.lower()};base64,{base64.b64encode(data).decode()}"
+
+
+def check_suffix(path: Path, what: str) -> None:
+    """Raise a `UserError` unless images can be written in the format of a file's suffix."""
+    if Image.registered_extensions().get(path.suffix.lower()) not in Image.SAVE:
+        raise UserError(f"{what} is an image file such as {path.stem}.png, got {path.name!r}.")

@@ -46,3 +46,10 @@ def test_a_value_beyond_every_possible_return_is_warned_of(caplog):
         assert not caplog.records
         monitor.watch(step=2, entropy=0.6, values=torch.tensor([-301.0]), rewards=rewards)
     assert "the critic diverges" in caplog.text
+
+
+def test_values_before_the_first_reward_are_no_reason_to_warn(caplog):
+    monitor = HealthMonitor(joints=1, levels=2, gamma=0.9)
+    with caplog.at_level(logging.WARNING, "knowarm.learn"):
+        monitor.watch(step=1, entropy=0.6, values=torch.tensor([0.5]), rewards=torch.zeros(3))
+    assert not caplog.records

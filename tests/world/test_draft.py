@@ -1,6 +1,7 @@
 """Drafts of descriptions: joints, TCP, task, layout, overrides; the draft passes all checks."""
 
 import dataclasses
+import tomllib
 from pathlib import Path
 
 import mujoco
@@ -13,7 +14,7 @@ from knowarm.world.agents.play import play
 from knowarm.world.backend import MujocoSimulator
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ReachVectorEnv
-from knowarm.world.own_robot.draft import draft_robot, read_overrides
+from knowarm.world.own_robot.draft import _toml, draft_robot, read_overrides
 from knowarm.world.own_robot.draft_gripper import find_gripper
 from knowarm.world.own_robot.draft_reach import find_layout
 from knowarm.world.own_robot.robot_check import SIDE, check_robot, write_scene_image
@@ -109,6 +110,21 @@ def test_layout_keeps_what_is_given_and_names_what_is_not_reached() -> None:
         find_layout(lambda height: scene, (0.5,), far)
 
 
+def test_given_yaws_turn_the_grasps_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The layout is searched with unturned grasps, which it turns by the given yaws."""
+    scenes = []
+
+    def look(scene_at, *given):
+        scenes.append(scene_at(0.0))
+        raise UserError("enough")
+
+    monkeypatch.setattr("knowarm.world.own_robot.draft.find_layout", look)
+    for yaws in ({}, {"mug": 90.0}):
+        with pytest.raises(UserError, match="enough"):
+            draft_robot(SHIPPED.mjcf, ["mug"], {"target_yaws_deg": yaws})
+    assert (scenes[0].grasp_matrix == scenes[1].grasp_matrix).all()
+
+
 @pytest.mark.slow
 def test_draft_of_a_six_joint_arm_passes_all_checks(tmp_path: Path) -> None:
     draft = draft_robot(SHIPPED.mjcf, ["mug", "bottle"], {"camera_fovy_deg": 45.0})
@@ -185,6 +201,8 @@ def test_overrides_are_fields_in_tomls_notation() -> None:
         "camera_fovy_deg": 50,
         "home": [0.0, 1],
     }
+    area = {"area": {"centre_m": [0.4, 0.0], "half_size_m": [0.1, 0.2]}}
+    assert tomllib.loads(f"areas = {_toml(area)}") == {"areas": area}
     with pytest.raises(UserError, match="not TOML"):
         read_overrides(["home=[0.0"])
     with pytest.raises(UserError, match="camera_fovy_deg"):

@@ -43,3 +43,14 @@ def test_a_scene_that_cannot_be_built_is_the_only_check() -> None:
     (check,) = check_objects("irb120", "choose", ["mug", "mugg", "can", "bell"])
     assert not check.ok
     assert "mugg" in check.found
+
+
+def test_objects_to_lift_are_checked_without_fingers() -> None:
+    checks = check_objects("irb120", "lift", ["mug", "bottle"])
+    assert [check for check in checks if not check.ok] == []
+
+
+def test_an_easier_orientation_is_that_of_the_check() -> None:
+    options = {"success_angle_deg": 1e-12}
+    checks = {c.name: c for c in check_objects("irb120", "lift", ["mug", "bottle"], **options)}
+    assert not checks["reach of mug"].ok

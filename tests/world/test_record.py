@@ -57,8 +57,9 @@ def test_a_video_holds_every_frame(films: list, tmp_path: Path) -> None:
 
 
 def test_an_unwritable_or_unknown_file_is_named(films: list, tmp_path: Path) -> None:
-    with pytest.raises(UserError, match=r"got 'strip\.nothing'"):
-        write_strip(tmp_path / "strip.nothing", films)
+    for name in ("strip.nothing", "strip.psd"):  # the second can be read only
+        with pytest.raises(UserError, match=rf"film strip is an image file .* got '{name}'"):
+            write_strip(tmp_path / name, films)
     (tmp_path / "file").write_text("")
     with pytest.raises(UserError, match="Cannot write"):
         write_strip(tmp_path / "file" / "strip.png", films)

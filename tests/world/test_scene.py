@@ -9,6 +9,8 @@ from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig
 from knowarm.world.objects import TARGETS
 from knowarm.world.robots import ROBOTS
+from knowarm.world.scene.appearance import resting_colours
+from knowarm.world.scene.compose import attach_robot
 from knowarm.world.scene.scene import build_scene, find_robot, find_targets, load_scene, project
 
 IRB120, MUG = ROBOTS["irb120"].robot, TARGETS["mug"]
@@ -149,3 +151,59 @@ def test_a_held_joint_stands_where_the_joint_would_carry_it() -> None:
         mujoco.mj_forward(scene.model, data)
         tips.append(data.site_xpos[scene.tcp_site].copy())
     assert tips[0] == pytest.approx(tips[1], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "orientation",
+    ["quat='.8 .6 0 0'", "euler='40 0 70'", "axisangle='0 1 1 50'", "zaxis='1 1 1'"],
+)
+def test_a_held_joint_keeps_how_its_body_is_turned(tmp_path, orientation: str) -> None:
+    path = tmp_path / "arm.xml"
+    path.write_text(
+        f"""<mujoco><worldbody><body name="base"><geom size=".05"/>
+        <body name="held" pos="0 0 .3" {orientation}>
+        <joint name="held" axis="1 2 0" pos=".1 0 0" ref="20"/><geom size=".05"/>
+        <body name="tip" pos=".2 0 .1"><joint name="tip" axis="0 1 0"/><geom size=".05"/>
+        </body></body></body></worldbody></mujoco>"""
+    )
+    own = replace(
+        IRB120,
+        mjcf=path,
+        joints=("tip",),
+        home=(0.0,),
+        start_joints=(),
+        held_joints={"held": 0.7},
+    )
+    spec = mujoco.MjSpec()
+    attach_robot(spec, replace(own, tcp_body="tip", base_position_m=(0, 0, 0)))
+    poses = []
+    for model, name in ((mujoco.MjModel.from_xml_path(str(path)), "tip"), (spec.compile(), "")):
+        data = mujoco.MjData(model)
+        if name:
+            data.joint("held").qpos = 0.7
+        mujoco.mj_forward(model, data)
+        poses.append(data.body(name or "robot/tip").xpos.copy())
+    assert poses[0] == pytest.approx(poses[1], abs=1e-9)
+
+
+def test_two_objects_of_one_name_and_a_robot_among_them_are_refused() -> None:
+    with pytest.raises(UserError, match="Target 'mug': of the objects mug, mug each needs a name"):
+        build_scene(IRB120, [MUG, MUG])
+    with pytest.raises(UserError, match="other than 'robot'"):
+        build_scene(IRB120, [replace(MUG, name="robot")])
+
+
+def test_a_geom_s_own_colour_goes_before_its_material_s(tmp_path) -> None:
+    path = tmp_path / "arm.xml"
+    path.write_text(
+        """<mujoco><asset><material name="m" rgba="0 0 1 1"/></asset><worldbody>
+        <body name="base"><geom name="own" size=".05" material="m" rgba="1 0 0 1"/>
+        <body name="tip" pos=".2 0 .1"><joint name="tip"/><geom size=".05" material="m"/>
+        </body></body></worldbody></mujoco>"""
+    )
+    arm = replace(IRB120, mjcf=path, joints=("tip",), home=(0.0,), start_joints=(), tcp_body="tip")
+    scene = build_scene(arm, [MUG])
+    colours = resting_colours(scene, 1)[0]
+    own = scene.model.geom("robot/own").id
+    assert colours[own].tolist() == [1, 0, 0, 1]
+    assert colours[own + 1].tolist() == [0, 0, 1, 1]

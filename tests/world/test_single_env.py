@@ -9,7 +9,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
 from knowarm.errors import UserError
-from knowarm.world import env_id
+from knowarm.world import env_id, make
 from knowarm.world.envs.knowledge_observation import (
     KnowledgeObservation,
     VectorKnowledgeObservation,
@@ -79,6 +79,14 @@ def test_knowledge_of_the_running_episode_stands_beside_the_image() -> None:
         UserError, match=r"one row for each of the 3 values of the info 'facet' \(mug/red, "
     ):
         KnowledgeObservation(gymnasium.make("knowarm/IRB120Reach-v0"), table)
+    with pytest.raises(UserError, match="wraps a ReachVectorEnv, got a TorchReachVectorEnv"):
+        VectorKnowledgeObservation(make("irb120", 2, "cpu", image_size=8), table)
+
+
+def test_an_id_and_another_task_are_refused() -> None:
+    assert make("knowarm/IRB120Choose-v0", task="choose", image_size=8).config.task.kind == "choose"
+    with pytest.raises(UserError, match="names the task 'reach', and task is 'choose'"):
+        make("knowarm/IRB120Reach-v0", task="choose")
 
 
 def test_final_observations_carry_the_knowledge_of_the_episode_that_ended() -> None:

@@ -70,6 +70,20 @@ def test_a_varied_world_is_the_same_at_any_batch_size_and_after_a_stop(
         assert many.step(actions)[0].tobytes() == other.step(actions)[0].tobytes()
 
 
+@pytest.mark.parametrize(
+    "randomization",
+    [VisualRandomization(light=0.9), VisualRandomization(camera_shift_m=0.2)],
+    ids=["light", "camera"],
+)
+def test_one_image_has_its_own_light_and_camera_everywhere(
+    randomization: VisualRandomization, make_env: MakeEnv
+) -> None:
+    """The floor stands still, so its image could be that of the model's camera and lights."""
+    alone = make_env(1, randomization=randomization).reset(seed=14)[0]
+    together = make_env(3, randomization=randomization).reset(seed=12)[0]
+    assert alone[0].tobytes() == together[-1].tobytes()
+
+
 def test_distractors_keep_away_from_the_target(make_env: MakeEnv) -> None:
     env = make_env(200, image_size=4, randomization=VisualRandomization(distractors=4))
     env.reset(seed=0)
@@ -103,6 +117,20 @@ def test_episodes_of_another_look_are_refused(make_env: MakeEnv) -> None:
     plain = make_env(2)
     with pytest.raises(UserError, match="draw them with its config"):
         env.reset(options={"episodes": evaluation_episodes(plain.config, 2, 0)})
+
+
+def test_episodes_of_another_robot_or_other_objects_change_nothing(make_env: MakeEnv) -> None:
+    env = make_env(2, targets=("mug", "bottle"))
+    env.reset(seed=1)
+    before = env.get_state()
+    for options, message in (
+        ({"robot": "tiago"}, r"hold 7 joints, and this environment has 6"),
+        ({"targets": ("mug", "bottle", "cereal_box", "can", "book")}, r"this environment has 0 to"),
+    ):
+        episodes = evaluation_episodes(make_env(2, **options).config, 40, 0)[-2:]
+        with pytest.raises(UserError, match=message):
+            env.reset(seed=5, options={"episodes": episodes})
+    assert (env.get_state()["streams"] == before["streams"]).all()
 
 
 def test_held_out_places_and_colours_are_never_mixed() -> None:

@@ -10,6 +10,7 @@ import tyro
 
 from knowarm.cli.tables import FilePath, TableCommand, print_table
 from knowarm.errors import UserError
+from knowarm.pictures import check_suffix
 from knowarm.world.config import EnvConfig
 from knowarm.world.own_robot.camera_check import check_camera
 from knowarm.world.own_robot.draft import draft_robot, read_overrides
@@ -64,6 +65,8 @@ class Doctor(TableCommand):
 
     def result(self) -> dict[str, Any]:
         """Run the checks and print them."""
+        if self.image is not None:
+            check_suffix(self.image, "The image")
         if self.camera is not None:
             self._refuse("no --camera", "set", "write", "task", "targets")
             config = EnvConfig(robot=self.robot or DEFAULT_ROBOT)
@@ -73,7 +76,8 @@ class Doctor(TableCommand):
         elif self.task is not None:
             self._refuse("no --task", "set", "write", "image")
             robot = self.robot or DEFAULT_ROBOT
-            checks = check_objects(robot, self.task, self.targets)
+            options = {"success_angle_deg": self.angle_deg, "ignore_roll": self.ignore_roll}
+            checks = check_objects(robot, self.task, self.targets, **options)
             what = f"objects of robot {robot}"
         elif self.robot is None:
             from knowarm.experiment.installation_check import check_installation  # imports torch

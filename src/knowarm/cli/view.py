@@ -12,6 +12,7 @@ from knowarm.cli.tables import FilePath
 from knowarm.errors import UserError
 from knowarm.experiment.names import task_for
 from knowarm.integrations.rerun import check_rrd, write_rrd
+from knowarm.pictures import check_suffix
 from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ReachVectorEnv
@@ -20,7 +21,6 @@ from knowarm.world.scene.scene import find_robot
 from knowarm.world.tasks import task_type
 from knowarm.world.tasks.episodes import evaluation_episodes
 from knowarm.world.viewing.record import (
-    check_strip,
     check_video,
     record_episode,
     write_strip,
@@ -72,7 +72,7 @@ class View:
         if self.episodes < 1:
             raise UserError(f"--episodes must be at least 1, got {self.episodes}.")
         if self.strip is not None:
-            check_strip(self.strip)
+            check_suffix(self.strip, "A film strip")
         if self.video is not None:
             check_video(self.video)
         if self.rrd is not None:

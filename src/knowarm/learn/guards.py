@@ -101,7 +101,7 @@ class HealthMonitor:
                 "hardly explores. Increase ent_coef.",
             ),
             (
-                largest > 10 * bound,
+                0 < 10 * bound < largest,
                 f"a value of {largest:.3g} is more than ten times the largest return that the "
                 f"rewards so far allow ({bound:.3g}). If it grows, the critic diverges: decrease "
                 "learning_rate.",

@@ -1,7 +1,7 @@
 """Recurrent policy: image encoder, knowledge fusion, LSTM, actor and critic heads.
 
 Modules in the order of the forward pass: `config` (choices and shapes), `encoder`, `fusion`,
-`lstm` (with `lstm_kernels`), `policy`, `actions`, `agent`.
+`lstm`, `policy`, `agent`.
 """
 
 import lazy_loader

@@ -95,7 +95,13 @@ def make(
 
     ids = _ids()
     short = robot if "/" in robot else f"{NAMESPACE}/{robot}"
-    name, task = ids.get(short, (robot, task))
+    name, own = ids.get(short, (robot, task))
+    if task not in ("reach", own):
+        raise UserError(
+            f"The id {robot!r} names the task {own!r}, and task is {task!r}. Leave out task, or "
+            f"give the robot's name, {name!r}."
+        )
+    task = own
     if name not in {**ROBOTS, **KNOWN_ARMS} and not name.endswith(".toml"):
         raise unknown_name("robot or environment", robot, [*ROBOTS, *KNOWN_ARMS, *ids])
     options = {"robot": name, "task": task} | options

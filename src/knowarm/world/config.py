@@ -63,8 +63,7 @@ class EnvConfig:
     """Colours and places reserved for a test of generalization; None reserves none."""
 
     def __post_init__(self) -> None:
-        if not self.targets:
-            object.__setattr__(self, "targets", self.task.targets)
+        object.__setattr__(self, "targets", tuple(self.targets) or self.task.targets)
         if not self.max_episode_steps:
             object.__setattr__(self, "max_episode_steps", self.task.max_steps)
         if self.task.colours is not None:

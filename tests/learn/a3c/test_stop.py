@@ -181,6 +181,8 @@ def test_a_worker_that_never_answers_does_not_block_a_stop(tmp_path, monkeypatch
     assert trainer.train(10**9).reason == "stopped"
     assert "No state arrived from the workers [0, 1]" in caplog.text
     assert trainer.checkpoints.load().facts["step"] == int(trainer._shared["steps"].sum())
+    # Resumed workers have no state, so they must not repeat the random numbers from the start.
+    assert trainer.checkpoints.load().facts["restarts"] == [1, 1]
 
 
 @dataclasses.dataclass(frozen=True)

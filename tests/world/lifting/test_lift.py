@@ -165,6 +165,29 @@ def test_a_robot_without_fingers_is_refused(gantry, fingers, message):
         lifting_model(replace(gantry, fingers=fingers), (TARGETS["mug"],))
 
 
+def test_a_finger_without_geoms_is_refused(tmp_path, gantry):
+    path = tmp_path / "bare.xml"
+    path.write_text(GANTRY.replace('<body name="left">', '<body name="bare"/><body name="left">'))
+    bare = replace(gantry, mjcf=path, fingers=("bare", "right"))
+    with pytest.raises(UserError, match="fingers names the body 'bare', which has no geoms"):
+        lifting_model(bare, (TARGETS["mug"],))
+
+
+@pytest.mark.parametrize("own", ['density="500"', 'mass="0.05"', ""])
+def test_an_object_has_its_mass_whatever_its_file_says(tmp_path, gantry, own):
+    path = tmp_path / "brick.xml"
+    path.write_text(
+        f"""<mujoco><worldbody><body><geom type="box" size=".02 .02 .02" pos="0 0 .02" {own}/>
+        <geom name="top" type="box" size=".01 .01 .01" pos="0 0 .05"/>
+        <site name="grasp" pos="0 0 .04"/><light/></body></worldbody>
+        <sensor><clock/></sensor></mujoco>"""
+    )
+    brick = replace(TARGETS["mug"], name="brick", mjcf=path, xml=None, coloured_geoms=("top",))
+    lifting = lifting_model(gantry, (replace(brick, grasp_site="grasp", mass_kg=0.3),))
+    assert lifting.model.body_mass[lifting.bodies] == pytest.approx([0.3])
+    assert lifting.model.nlight == 1
+
+
 @pytest.mark.parametrize("name", ROBOTS)
 def test_objects_left_out_exist_and_have_a_reason(name):
     left_out = ROBOTS[name].robot.not_liftable

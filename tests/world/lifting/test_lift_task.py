@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -22,6 +23,7 @@ from knowarm.world.robots import ROBOTS
 from knowarm.world.scene.scene import build_scene, find_targets
 from knowarm.world.tasks.episodes import evaluation_episodes
 from knowarm.world.tasks.lift import FALLEN_M, LOST_M, Lift
+from knowarm.world.viewing.watch import _copy_pose
 
 COUNT = 16
 
@@ -106,6 +108,21 @@ def test_hidden_objects_are_out_of_the_way_and_images_show_where_the_object_is()
     after = np.where(geoms, simulation.geom_position[..., 2], 0).max(axis=1)
     assert (after[risen] > before[risen] + 0.02).all()
     assert all((a != b).any() for a, b in zip(images, env.render(), strict=True))
+
+
+def test_hidden_objects_stay_away_however_long_the_episode_is():
+    env = make_env(count=2, max_episode_steps=400)
+    start(env)
+    env.simulation.batch.step(nstep=400 * 25)
+    assert (env.simulation.centre(1 - env.running.target)[:, 2] > 100).all()
+
+
+def test_the_viewer_copies_the_pose_of_solid_objects():
+    env = make_env(count=1)
+    start(env)
+    data = mujoco.MjData(env.scene.model)
+    _copy_pose(env, data)
+    assert (data.qpos == env.simulation._qpos[0]).all()
 
 
 def test_an_object_that_is_pushed_away_or_falls_ends_the_episode():

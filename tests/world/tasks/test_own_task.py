@@ -92,6 +92,8 @@ def test_a_task_that_is_not_registered_is_named() -> None:
         ("no_such_module:Hover", "Cannot import the task 'no_such_module:Hover'"),
         ("knowarm.world.tasks.reach:Reech", "has no 'Reech'"),
         ("knowarm.world.config:EnvConfig", "is no task"),
+        (":Hover", "is given as package.module:Name, got ':Hover'"),
+        (".reach:Reach", "is given as package.module:Name"),
         ("tests.world.tasks.test_own_task:Untagged", "needs a field that names it"),
         ("tests.world.tasks.test_own_task:Twice", "has the kind 'reach', which"),
     ],

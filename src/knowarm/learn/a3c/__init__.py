@@ -1,6 +1,6 @@
 """A3C: worker processes that update shared parameters asynchronously.
 
-`trainer` starts and supervises the processes; each `worker` learns on the `shared_state`;
+`trainer` starts and supervises the processes; each `worker` learns on shared tensors;
 `messages` are what they exchange.
 """
 

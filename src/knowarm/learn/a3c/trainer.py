@@ -250,6 +250,8 @@ class A3CTrainer(Trainer):
         if missing:
             log.warning("No state arrived from the workers %s; they were stopped.", missing)
         for index in missing:
+            if index not in self._collectors:
+                self._restarts[index] += 1  # another stream of random numbers
             self._states[index] = WorkerState(
                 is_last=True,
                 collector=self._collectors.get(index, {}),

@@ -75,7 +75,8 @@ class OpenLoopAgent:
 def search_open_loop(config: EnvConfig, budget: int = BUDGET, seed: int = 0) -> Actions:
     """Search for the fixed list of actions, (T, J), that solves most episodes of a task.
 
-    The list is kept in the user's cache, where the next search of the same task finds it.
+    The list is kept in the user's cache, where the next search of the same task finds it, unless
+    objects are solid.
 
     A third of the budget builds tours through joint angles that grasp the targets at anchor places:
     a beam search over the number of steps, which keeps the best tours for each set of targets that

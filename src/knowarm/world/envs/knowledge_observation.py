@@ -30,7 +30,8 @@ class KnowledgeObservation(gymnasium.Wrapper):
 
     def __init__(self, env: gymnasium.Env, table: ArrayLike) -> None:
         super().__init__(env)
-        assert isinstance(env.unwrapped, ReachEnv)
+        if not isinstance(env.unwrapped, ReachEnv):
+            raise _wrong("KnowledgeObservation", "ReachEnv", env)
         self._table = _checked_table(table, env.unwrapped.config)
         self._row = env.unwrapped.config.task.knowledge_info
         self.observation_space = _with_knowledge(env.observation_space, self._table)
@@ -55,8 +56,9 @@ class VectorKnowledgeObservation(VectorWrapper):
     """Same as ``KnowledgeObservation`` for a ``ReachVectorEnv``, ``final_obs`` included."""
 
     def __init__(self, env: VectorEnv, table: ArrayLike) -> None:
+        if not isinstance(env, VectorEnv) or not isinstance(env.unwrapped, ReachVectorEnv):
+            raise _wrong("VectorKnowledgeObservation", "ReachVectorEnv", env)
         super().__init__(env)
-        assert isinstance(env.unwrapped, ReachVectorEnv)
         self._table = _checked_table(table, env.unwrapped.config)
         self._row = env.unwrapped.config.task.knowledge_info
         self.single_observation_space = _with_knowledge(env.single_observation_space, self._table)
@@ -87,6 +89,13 @@ class VectorKnowledgeObservation(VectorWrapper):
 
     def _observe(self, images: NDArray[np.uint8], infos: dict[str, Any]) -> Observation:
         return {"image": images, "knowledge": self._table[infos[self._row]]}
+
+
+def _wrong(wrapper: str, needed: str, env: object) -> UserError:
+    return UserError(
+        f"{wrapper} wraps a {needed}, got a {type(env).__name__}. Torch environments need no "
+        "wrapper: their policy holds the table."
+    )
 
 
 def _checked_table(table: ArrayLike, config: EnvConfig) -> NDArray[np.float32]:

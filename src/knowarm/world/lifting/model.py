@@ -52,8 +52,8 @@ def lifting_model(
 
     The arm with its servos is that of `compose`. The robot's ``fingers`` slide along the y axis of
     the tool centre point, coupled as in a parallel gripper, by up to ``GRIP_FORCE_N`` each. Objects
-    have their mass, distributed evenly over the shapes of their file, which collide with robot,
-    support and each other. Friction cones are elliptic.
+    have their mass, distributed as in their file over its shapes, which collide with robot, support
+    and each other. Friction cones are elliptic.
 
     Raises:
         UserError: the robot names no fingers, or its file lacks them.
@@ -99,6 +99,12 @@ def _move_fingers(spec: mujoco.MjSpec, data: mujoco.MjData, robot: Robot) -> flo
     tcp = model.site(ROBOT_PREFIX + robot.tcp_site).id
     across = data.site_xmat[tcp].reshape(3, 3)[:, 1]
     geoms = [_finger_geoms(spec, model, robot, name) for name in robot.fingers]
+    for name, ids in zip(robot.fingers, geoms, strict=True):
+        if not ids:
+            raise UserError(
+                f"Robot {robot.name!r}: fingers names the body {name!r}, which has no geoms; name "
+                "the bodies that hold those of the fingers."
+            )
     opening = min(
         mujoco.mj_geomDistance(model, data, a, b, 1.0, None) for a in geoms[0] for b in geoms[1]
     )
@@ -136,7 +142,7 @@ def _move_fingers(spec: mujoco.MjSpec, data: mujoco.MjData, robot: Robot) -> flo
 
 
 def _finger_geoms(spec: mujoco.MjSpec, model: mujoco.MjModel, robot: Robot, name: str) -> list[int]:
-    """Return the ids of a finger's colliding geoms."""
+    """Return the ids of a finger's geoms."""
     body = spec.body(ROBOT_PREFIX + name)
     if body is not None:
         number = model.body(ROBOT_PREFIX + name).id
@@ -152,7 +158,7 @@ def _finger_geoms(spec: mujoco.MjSpec, model: mujoco.MjModel, robot: Robot, name
 def _geom_to_body(spec: mujoco.MjSpec, model: mujoco.MjModel, number: int) -> mujoco.MjsBody:
     """Move a primitive geom into a body of its own, at the frame of the body it was in."""
     old = spec.geom(model.geom(number).name)
-    kept = "name type size material rgba mass contype conaffinity"
+    kept = "name type size material rgba mass density group contype conaffinity"
     values = {field: copy(getattr(old, field)) for field in kept.split()}
     parent = old.parent
     spec.delete(old)
@@ -177,9 +183,7 @@ def _free(
     body.mocap = False
     body.add_freejoint()
     if target.mass_kg is not None:
-        density = 1000.0 * target.mass_kg / model.body_mass[number]
-        for geom in body.geoms:
-            geom.density = density
+        _set_mass(body, target.mass_kg, model.body_mass[number])
     lowest = 0.0
     for geom in body.geoms:
         gap = mujoco.mj_geomDistance(model, data, model.geom(geom.name).id, support, 1.0, None)
@@ -200,6 +204,16 @@ def _free(
         )
     height = data.xpos[number, 2] - lowest
     return np.array([0.0, 0.0, height, *data.xquat[number]])
+
+
+def _set_mass(body: mujoco.MjsBody, mass_kg: float, own_kg: float) -> None:
+    """Scale the masses of a body, of which its file gives ``own_kg`` together."""
+    for geom in body.geoms:
+        geom.density = geom.density * mass_kg / own_kg
+        geom.mass = geom.mass * mass_kg / own_kg  # not a number where the density is given
+    body.mass = body.mass * mass_kg / own_kg  # of bodies that give it themselves
+    body.inertia = body.inertia * (mass_kg / own_kg)
+    body.fullinertia = body.fullinertia * (mass_kg / own_kg)
 
 
 def _sense_touch(spec: mujoco.MjSpec, finger: str, body: str) -> None:

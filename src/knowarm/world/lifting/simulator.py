@@ -10,7 +10,7 @@ from knowarm.world.lifting.model import FINGERS
 from knowarm.world.scene.compose import CONTROL_PERIOD_S
 from knowarm.world.scene.scene import Scene
 
-PARKED_M = 1000.0  # Height from which hidden objects fall, so that they touch nothing [m]
+PARKED_M = 1e6  # Height from which hidden objects fall, for 4,500 steps, and touch nothing [m]
 
 NEAR_M = 0.25  # Distance of gripper and objects' centres of mass from which fingers may grip [m]
 SUBSTEPS = 10  # Of a control period where nothing can be gripped, else those of the model
@@ -78,7 +78,7 @@ class LiftSimulator(MujocoSimulator):
             self._qpos[ids[:, None], start + np.arange(7)] = pose
         super().reset(ids, joint_targets, target_position, distractor_position, visible)
 
-    def step(self, joint_targets: Floats, substeps: int | None = None) -> None:
+    def step(self, joint_targets: Floats) -> None:
         """Advance by a control period to joint targets (n, J) [rad]; a grip takes small steps."""
         self._set_servos(slice(None), joint_targets)
         centres = self._centre[:, self.lifting.bodies]

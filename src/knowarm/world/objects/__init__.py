@@ -10,7 +10,7 @@ from knowarm.errors import UserError
 
 @dataclass(frozen=True, kw_only=True)
 class Target:
-    """An object to approach, shown without physics: objects never collide.
+    """An object to approach, shown without physics: only objects to lift are solid.
 
     The MJCF holds one body; its origin is the centre of the bottom, z points up, and +x is the side
     at which it is grasped. A site gives the grasp frame: z is the approach, y the finger opening.

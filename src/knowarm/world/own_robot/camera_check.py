@@ -6,7 +6,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageOps
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
@@ -37,7 +37,7 @@ def check_camera(config: EnvConfig, photo: Path, points: Path | None, overlay: P
     ``y``, its pixel from the upper left corner of the photograph; None fits nothing.
     """
     with reading(photo, "Give a photograph as PNG or JPEG."):
-        image = Image.open(photo).convert("RGB")
+        image = ImageOps.exif_transpose(Image.open(photo)).convert("RGB")
     scene = scene_of(config)
     data = mujoco.MjData(scene.model)
     data.qpos[scene.qpos_index] = scene.home

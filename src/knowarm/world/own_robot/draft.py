@@ -42,7 +42,7 @@ VIEW = np.array([0.62, -0.62, 0.48])
 
 
 _POINT = {"rectangle_centre_m": [0.0, 0.0], "rectangle_half_size_m": [0.0, 0.0]}
-NO_RECTANGLE = _POINT | {"target_yaw_deg": 0.0}
+NO_RECTANGLE = _POINT | {"target_yaw_deg": 0.0, "target_yaws_deg": {}}
 WIDE_VIEW = {
     "camera_position_m": [20.0, -20.0, 20.0],
     "camera_look_at_m": [0.0, 0.0, 0.0],
@@ -79,12 +79,15 @@ class Draft:
         if mjcf.is_relative_to(folder):
             mjcf = mjcf.relative_to(folder)
         for name, value in (self.fields | {"mjcf": mjcf.as_posix()}).items():
-            if isinstance(value, Mapping):
-                pairs = ", ".join(f"{json.dumps(k)} = {json.dumps(v)}" for k, v in value.items())
-                lines.append(f"{name} = {{{pairs}}}")
-            else:
-                lines.append(f"{name} = {json.dumps(value)}")
+            lines.append(f"{name} = {_toml(value)}")
         return "\n".join(lines) + "\n"
+
+
+def _toml(value: Any) -> str:
+    """Write a value in TOML's notation, mappings as inline tables."""
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{json.dumps(k)} = {_toml(v)}' for k, v in value.items())}}}"
+    return json.dumps(value)
 
 
 def read_overrides(settings: Sequence[str]) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,14 +31,17 @@ Images = dict[str, NDArray[np.int16]]
 """Images of an object at P places, (P, H, W, 3), by the name of its colour."""
 
 
-def check_objects(robot: str, task: str, targets: Sequence[str] = ()) -> list[Check]:
+def check_objects(
+    robot: str, task: str, targets: Sequence[str] = (), **options: Any
+) -> list[Check]:
     """Check objects, or those of the task, in the area of a robot in which the task places them.
 
-    Return the results in order; only the first if the scene cannot be built.
+    Options are other fields of ``EnvConfig``. Return the results in order; only the first if the
+    scene cannot be built.
     """
     try:
-        config = EnvConfig(robot=robot, task=task_type(task)(), targets=tuple(targets))
-        scene = scene_of(config)
+        config = EnvConfig(robot=robot, task=task_type(task)(), targets=tuple(targets), **options)
+        scene = scene_of(config, solid=False)
     except UserError as error:
         return [check_result("scene", False, str(error), "Correct the named field.")]
     # From border to border of the rectangle, (P, 2) [m].
@@ -59,7 +63,7 @@ def _check_reach(scene: Scene, config: EnvConfig, k: int, places: NDArray[np.flo
     grasp = target_places(scene, places) + scene.grasp_position[k]
     matrix = np.repeat(scene.grasp_matrix[k].reshape(1, 9), len(places), axis=0)
     start = np.repeat(scene.home[None], len(places), axis=0)
-    solution = InverseKinematics(scene).solve(grasp, matrix, start)
+    solution = InverseKinematics(scene, ignore_roll=config.ignore_roll).solve(grasp, matrix, start)
     remedy = (
         f"move or shrink areas.{config.task.area} of the robot, turn the object with "
         "target_yaws_deg, or raise its grasp."

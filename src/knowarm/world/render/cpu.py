@@ -17,8 +17,15 @@ from knowarm.world.render.tiles import ANTIALIASING, EXTENT, RECORD, TILE, TileG
 MAX_SIDE = 4096
 
 NEAREST_M = 0.2  # Least distance of a mesh from the camera for which triangles are added [m]
-Appearance = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
-"""Colours (n or 1, G, 4), cameras (n or 1, 12) and lights (n or 1, 12)."""
+
+
+class Appearance(NamedTuple):
+    """What environments look like, as `render_range` takes it."""
+
+    rgba: NDArray[np.float32]  # Colours of the geoms, (n or 1, G, 4)
+    views: NDArray[np.float32]  # Cameras, (n or 1, 12)
+    lamps: NDArray[np.float32]  # Lights, (n or 1, 12)
+    is_own: bool  # Whether cameras and lights are those of the model
 
 
 class Trace(NamedTuple):
@@ -214,14 +221,15 @@ class Raycaster:
         lamps: NDArray[np.float32] | None,
     ) -> Appearance:
         """Return colours, cameras and lights: one for all environments, or one per environment."""
-        result = []
+        arrays = []
         for given, own in (
             (geom_rgba, self.scenery.rgba), (views, self.view), (lamps, self.lamps)
         ):  # fmt: skip
             assert given is None or given.shape == (count, *own.shape), given.shape
             values = own[None] if given is None else given
-            result.append(np.ascontiguousarray(values, dtype=np.float32))
-        return result[0], result[1], result[2].reshape(-1, 12)
+            arrays.append(np.ascontiguousarray(values, dtype=np.float32))
+        is_own = views is None and lamps is None
+        return Appearance(arrays[0], arrays[1], arrays[2].reshape(-1, 12), is_own)
 
     def _poses(
         self, geom_position: NDArray[Any], geom_matrix: NDArray[Any]

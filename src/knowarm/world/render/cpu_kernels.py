@@ -167,6 +167,7 @@ def render_range(
     rgba: NDArray[np.float32],
     views: NDArray[np.float32],
     lamps: NDArray[np.float32],
+    is_own: bool,
     grid: TileGrid,
     scenery: Scenery,
     stored: Stored,
@@ -180,8 +181,9 @@ def render_range(
         start, stop: first environment, and one past the last.
         positions, matrices: (n, G, 3) [m] and (n, G, 9), row-major, from geom to world.
         rgba: (n or 1, G, 4) colours; alpha 0 hides.
-        views: (n or 1, 12) cameras; the stored image is used only if one serves all.
-        lamps: (n or 1, 12) lights, as ``read_lamps``; likewise.
+        views: (n or 1, 12) cameras.
+        lamps: (n or 1, 12) lights, as ``read_lamps``.
+        is_own: cameras and lights are the model's, with which the stored image was drawn.
         grid, scenery: the samples and the geoms.
         stored: images to start from.
         scratch: working memory; afterwards it holds the last environment's samples.
@@ -190,11 +192,10 @@ def render_range(
     """
     field, dirty = scratch.field, scratch.dirty
     size = stored.image.shape[0]
-    shared = (views.shape[0] == 1) & (lamps.shape[0] == 1) & (not ids)
     for e in range(start, stop):
         colours = rgba[min(e, rgba.shape[0] - 1)]
         view, light = views[min(e, views.shape[0] - 1)], lamps[min(e, lamps.shape[0] - 1)]
-        reuse = shared and _has_stored_colours(scenery, colours)
+        reuse = is_own and not ids and _has_stored_colours(scenery, colours)
         dirty[:, 0] = grid.rows
         dirty[:, 1] = 0
         count = 0

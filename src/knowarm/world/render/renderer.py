@@ -1,7 +1,7 @@
 """Renderer interface, and the choice of renderer.
 
 Two implementations: the ray caster (``cpu.Raycaster``, compiled by Numba), and MuJoCo's OpenGL
-renderer as the reference (``opengl.OpenGLRenderer``).
+renderer as the reference (``OpenGLRenderer``).
 """
 
 import copy

@@ -74,7 +74,7 @@ def read_scenery(
         size=model.geom_size.astype(np.float32),
         emission=emission,
         meshes=_read_meshes(model, drawn, triangle_m),
-        rgba=_geom_colours(model),
+        rgba=geom_colours(model),
         fixed=drawn[fixed[drawn]].astype(np.int32),
         moving=drawn[~fixed[drawn]].astype(np.int32),
     )
@@ -163,7 +163,7 @@ def _is_fixed(model: mujoco.MjModel, body: int) -> bool:
     return bool(model.body_weldid[body] == 0 and model.body_mocapid[model.body_rootid[body]] < 0)
 
 
-def material_colours(model: mujoco.MjModel) -> NDArray[np.float32]:
+def _material_colours(model: mujoco.MjModel) -> NDArray[np.float32]:
     """Return the colours of the materials, (materials, 4): with a texture, times its mean."""
     colours = model.mat_rgba.astype(np.float32)
     for m, texture in enumerate(model.mat_texid[:, int(mujoco.mjtTextureRole.mjTEXROLE_RGB)]):
@@ -176,12 +176,12 @@ def material_colours(model: mujoco.MjModel) -> NDArray[np.float32]:
     return colours
 
 
-def _geom_colours(model: mujoco.MjModel) -> NDArray[np.float32]:
+def geom_colours(model: mujoco.MjModel) -> NDArray[np.float32]:
     """Return the colours as MuJoCo draws them, (G, 4): the geom's own, or its material's."""
     colours = model.geom_rgba.astype(np.float32)
     default = (model.geom_rgba == np.array(DEFAULT_RGBA, dtype=np.float32)).all(axis=1)
     from_material = (model.geom_matid >= 0) & default
-    colours[from_material] = material_colours(model)[model.geom_matid[from_material]]
+    colours[from_material] = _material_colours(model)[model.geom_matid[from_material]]
     return colours
 
 

@@ -82,7 +82,7 @@ class Robot:
     """Half-width of the start distribution relative to half the joint's range (paper, table 1).
 
     The paper draws U(f * lower, f * upper). The interval home +- f * (upper - lower) / 2 used here
-    is the same if home is the middle of the range, as for both shipped robots.
+    is the same where home is f * (lower + upper) / 2, as it is for both shipped robots.
     """
     start_joints: tuple[int, ...] = (0, 1)
     """Indices of the joints that start at a random offset from home (paper: joints 1 and 2)."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from knowarm.arrays import Floats, Integers
 from knowarm.errors import UserError
-from knowarm.world.render.scenery import material_colours
+from knowarm.world.render.scenery import geom_colours
 from knowarm.world.scene.scene import Scene
 
 MAX_DISTRACTORS = 4
@@ -78,12 +78,9 @@ def rotations(vectors: Floats) -> Floats:
 
 def resting_colours(scene: Scene, num_envs: int) -> NDArray[np.float32]:
     """Return the colours of the model files with all targets hidden, (n, G, 4) in 0..1."""
-    model = scene.model
-    rgba = model.geom_rgba.copy()
-    with_material = model.geom_matid >= 0
-    rgba[with_material] = material_colours(model)[model.geom_matid[with_material]]
+    rgba = geom_colours(scene.model)
     rgba[scene.geom_target >= 0, 3] = 0.0
-    return np.repeat(rgba[None].astype(np.float32), num_envs, axis=0)
+    return np.repeat(rgba[None], num_envs, axis=0)
 
 
 MARKED_RGB, UNMARKED_RGB = (1.0, 0.0, 1.0), (0.72, 0.72, 0.72)

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Future
+from itertools import count
 from pathlib import Path
 from threading import Thread
 from typing import Any
@@ -67,15 +68,11 @@ def attach_robot(spec: mujoco.MjSpec, robot: Robot) -> None:
     else:
         remedy = " Name one of them, or set tcp_body to have the site added."
         _check_names(owner, "tcp_site", [robot.tcp_site], robot.mjcf, "sites", part.sites, remedy)
-    # Only arm, servos and contacts with the support are simulated. What else a file contains for
-    # its own demo (keyframes, tendons, sensors, cameras, lights) would refer to removed joints.
-    kinds = "keys actuators sensors equalities tendons pairs excludes lights cameras"
-    for kind in kinds.split():
-        for element in list(getattr(part, kind)):
-            part.delete(element)
+    _strip(part)
     for joint in list(part.joints):
         if joint.name not in robot.joints:
-            _hold(joint, robot.held_joints.get(joint.name, 0.0), owner)
+            if joint.name in robot.held_joints:
+                _hold(part, joint, robot.held_joints[joint.name], owner)
             part.delete(joint)
     for body in part.bodies:
         body.gravcomp = 1
@@ -88,18 +85,32 @@ def attach_robot(spec: mujoco.MjSpec, robot: Robot) -> None:
     spec.attach(part, frame=frame, prefix=ROBOT_PREFIX)
 
 
-def _hold(joint: mujoco.MjsJoint, value: float, owner: str) -> None:
+def _strip(part: mujoco.MjSpec) -> None:
+    """Delete what a file contains for its own demo; it would refer to removed joints, too."""
+    kinds = "keys actuators sensors equalities tendons pairs excludes lights cameras"
+    for kind in kinds.split():
+        for element in list(getattr(part, kind)):
+            part.delete(element)
+
+
+def _hold(part: mujoco.MjSpec, joint: mujoco.MjsJoint, value: float, owner: str) -> None:
     """Move a joint's body to its pose at a joint value, so that the joint can be removed."""
+    body, in_degrees = joint.parent, part.compiler.degree
+    is_hinge = joint.type == mujoco.mjtJoint.mjJNT_HINGE
+    value -= np.radians(joint.ref) if is_hinge and in_degrees else joint.ref
     if value == 0:
         return
-    body = joint.parent
+    if body.alt.type != mujoco.mjtOrientation.mjORIENTATION_QUAT:
+        sequence = part.compiler.eulerseq
+        body.quat = mujoco.MjSpec.resolve_orientation(in_degrees, sequence, body.alt)
+        body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
     flat = np.zeros(9)
     mujoco.mju_quat2Mat(flat, body.quat)
     rotation = flat.reshape(3, 3)
     axis = np.asarray(joint.axis) / np.linalg.norm(joint.axis)
     if joint.type == mujoco.mjtJoint.mjJNT_SLIDE:
         body.pos = body.pos + rotation @ axis * value
-    elif joint.type == mujoco.mjtJoint.mjJNT_HINGE:
+    elif is_hinge:
         turn = np.zeros(4)
         mujoco.mju_axisAngle2Quat(turn, axis, value)
         turned = np.zeros(9)
@@ -132,11 +143,13 @@ def attach_target(
         )
     _check_names(owner, "grasp_site", [target.grasp_site], target.mjcf, "sites", part.sites)
     _check_names(owner, "coloured_geoms", target.coloured_geoms, target.mjcf, "geoms", part.geoms)
+    _strip(part)
     for joint in list(part.joints):
         part.delete(joint)
-    for i, geom in enumerate(part.geoms):
+    free = (name for i in count() if part.geom(name := f"geom_{i}") is None)
+    for geom in part.geoms:
         geom.contype = geom.conaffinity = 0
-        geom.name = geom.name or f"geom_{i}"
+        geom.name = geom.name or next(free)
     whole = object_of(target.name)
     parts = [each for each in beside if object_of(each.name) == whole] or [target]
     for geom in list(part.geoms):
@@ -145,6 +158,7 @@ def attach_target(
     _hide_sites(part)
     yaw = np.radians(robot.yaw_deg(target.name))
     body = bodies[0]
+    body.name = body.name or "body"
     body.mocap = True
     x, y = robot.rectangle_centre_m
     body.pos = [x, y, robot.support_height_m]

@@ -120,6 +120,13 @@ def build_scene(
     robot: Robot, targets: Sequence[Target], distractors: int = 0, *, solid: bool = False
 ) -> Scene:
     """Compose and compile a scene and look up its joints, sites and geoms."""
+    names = [target.name for target in targets]
+    for name in names:
+        if names.count(name) > 1 or f"{name}/" == ROBOT_PREFIX:
+            raise UserError(
+                f"Target {name!r}: of the objects {', '.join(names)} each needs a name of its own, "
+                f"other than {ROBOT_PREFIX.removesuffix('/')!r}. Rename the file, or leave it out."
+            )
     lifting = None
     if solid:
         lifting = lifting_model(robot, tuple(targets), distractors, TASK_TIMESTEP_S)

@@ -91,6 +91,8 @@ def _load(place: str) -> "type[Task]":
     from knowarm.world.tasks.task import Task
 
     module, _, name = place.partition(":")
+    if not module or module.startswith(".") or not name:
+        raise UserError(f"A task of your own is given as package.module:Name, got {place!r}.")
     if str(Path.cwd()) not in sys.path:  # the program's own start leaves it out
         sys.path.append(str(Path.cwd()))
     try:

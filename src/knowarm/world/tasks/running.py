@@ -144,21 +144,17 @@ class RunningEpisodes(EpisodeState):
         """Start new episodes; see ``ReachVectorEnv.reset``. Return the environments reset, (k,)."""
         options = options or {}
         ids = masked_ids(options.get("reset_mask"), self.num_envs)
+        episodes = options.get("episodes")
+        if episodes is not None:
+            self._check(episodes, len(ids))
         given, seeds = spread_seeds(seed, self.num_envs)
         if len(seeded := ids[given[ids]]):
             self.streams = _put(self.streams, seeded, seeds[seeded])
             self.next_episode = _put(self.next_episode, seeded, 0)
-        episodes = options.get("episodes")
         if episodes is None:
             self.start_next(ids)
-        elif len(episodes) == len(ids):
-            self._check(episodes)
-            self._start(ids, episodes)
         else:
-            raise UserError(
-                f"options['episodes'] holds {len(episodes)} episodes for {len(ids)} environments "
-                "that are reset; pass one per environment."
-            )
+            self._start(ids, episodes)
         return ids
 
     def start_next(self, ids: NDArray[np.intp]) -> None:
@@ -209,9 +205,15 @@ class RunningEpisodes(EpisodeState):
         self._measure()
         self.success = self.task.success(self)
 
-    def _check(self, episodes: Episodes) -> None:
-        """Check that episodes were drawn for this environment."""
+    def _check(self, episodes: Episodes, count: int) -> None:
+        """Check that episodes were drawn for this environment, of which ``count`` are reset."""
+        if len(episodes) != count:
+            raise UserError(
+                f"options['episodes'] holds {len(episodes)} episodes for {count} environments "
+                "that are reset; pass one per environment."
+            )
         for what, given, needed in (
+            ("joints", episodes.joint_offsets.shape[1], self.scene.num_joints),
             ("objects", episodes.objects.shape[1], self.objects.shape[1]),
             ("draws of visual randomization", episodes.look.shape[1], self.look.shape[1]),
         ):
@@ -220,6 +222,13 @@ class RunningEpisodes(EpisodeState):
                     f"The episodes hold {given} {what}, and this environment has {needed}; draw "
                     "them with its config."
                 )
+        numbers = episodes.objects
+        most = len(self.scene.targets) - 1
+        if len(episodes) and (numbers.min() < 0 or numbers.max() > most):
+            raise UserError(
+                f"The episodes show the objects {numbers.min()} to {numbers.max()}, and this "
+                f"environment has 0 to {most}; draw them with its config."
+            )
 
     def _start(self, ids: NDArray[np.intp], episodes: Episodes) -> None:
         """Put environments (k,) at the start of k episodes."""

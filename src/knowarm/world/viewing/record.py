@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from knowarm.errors import UserError
+from knowarm.pictures import check_suffix
 from knowarm.reading import writing
 from knowarm.world.agents.play import play_steps
 from knowarm.world.agents.scripted import AgentProtocol
@@ -53,12 +54,6 @@ def record_episode(agent: AgentProtocol, env: ReachVectorEnv, episode: Episodes)
     ]
 
 
-def check_strip(path: Path) -> None:
-    """Raise a `UserError` unless images can be written in the format of a file's suffix."""
-    if path.suffix.lower() not in Image.registered_extensions():
-        raise UserError(f"A film strip is an image such as strip.png, got {path.name!r}.")
-
-
 def check_video(path: Path) -> None:
     """Raise a `UserError` unless a video can be written to a file."""
     if find_spec("av") is None:
@@ -72,7 +67,7 @@ def write_strip(path: Path, episodes: Sequence[Sequence[Frame]], columns: int = 
 
     The goal of an episode stands above its row; the suffix of the file selects the format.
     """
-    check_strip(path)
+    check_suffix(path, "A film strip")
     side = 240
     width = columns * (side + _MARGIN) + _MARGIN
     title = _LINE if any(frames[0].goal for frames in episodes) else 0

@@ -190,6 +190,7 @@ def _copy_pose(env: ReachVectorEnv, data: mujoco.MjData) -> None:
     data.qpos[:] = batch.bind("qpos")[0]
     data.mocap_pos[:] = batch.bind("mocap_pos")[0]
     data.mocap_quat[:] = batch.bind("mocap_quat")[0]
-    hidden = ~np.isin(np.arange(len(scene.targets)), env.running.objects[0])
-    data.mocap_pos[scene.target_mocap[hidden], 2] = FAR_BELOW_M
+    if scene.lifting is None:  # else they are far above
+        hidden = ~np.isin(np.arange(len(scene.targets)), env.running.objects[0])
+        data.mocap_pos[scene.target_mocap[hidden], 2] = FAR_BELOW_M
     mujoco.mj_forward(env.scene.model, data)
