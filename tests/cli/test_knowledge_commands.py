@@ -97,6 +97,9 @@ def test_fit_and_evaluate(capsys, tmp_path):
     assert 0 < first["hits_at_10"] <= 1
     code, text, _ = run(capsys, "embed", "--source", model, "--dim", "16")
     assert "6 slots of 16 numbers" in text
+    run(capsys, "fit", *options, "--valid", "0.02", "--test", "0.02", "--out", model)
+    run(capsys, "evaluate", model, "--json", tested)
+    assert json.loads(tested.read_text())["triples"] == 11  # those that `fit` did not train on
 
 
 def test_probe(capsys, tmp_path):

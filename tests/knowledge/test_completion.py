@@ -40,3 +40,8 @@ def test_only_facts_about_the_given_objects_are_added():
 def test_an_unknown_model_is_refused():
     with pytest.raises(UserError, match="Unknown graph-embedding model"):
         completed(graph_of(TRUE), VESSELS, model="bert")
+
+
+def test_without_candidates_nothing_is_added():
+    known = graph_of([("mug", "usedFor", "drinking"), *TRUE])
+    assert completed(known, ["drinking"], model="complex") == known

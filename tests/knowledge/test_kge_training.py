@@ -245,3 +245,34 @@ def test_graph_embeddings_are_the_same_in_any_process():
     with redirect_stdout(StringIO()) as here:
         exec(code, {})
     assert done.stdout == here.getvalue()
+
+
+@pytest.mark.parametrize("name", list(MODELS))
+def test_a_training_that_diverges_is_refused(name):
+    split = split_graph(family_graph())
+    config = KgeConfig(model=name, dim=8, epochs=10, learning_rate=1e37)
+    sizes = split.entities, split.relations
+    for valid in (None, split.valid):
+        with pytest.raises(UserError, match=r"diverged.*Lower learning_rate"):
+            train(config, split.train, *sizes, valid=valid)
+    model = new_model(config, *sizes)
+    model.entity.data[0] = float("nan")
+    with pytest.raises(UserError, match="non-finite score"):
+        rank(model, split.test, split.everything)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("seed", -1), ("n3", float("nan")), ("n3", -1.0), ("learning_rate", 0.0)]
+    + [("label_smoothing", value) for value in (-0.1, 2.0)]
+    + [(name, 0) for name in ("dim", "epochs", "batch_size", "patience", "threads")]
+    + [("evaluate_every", 0)],
+)
+def test_numbers_of_the_config_are_checked(field, value):
+    with pytest.raises(UserError, match=rf"{field} must"):
+        KgeConfig(**{field: value})
+
+
+def test_shares_below_one_triple_are_named():
+    with pytest.raises(UserError, match=r"No triple of 4 can be held out by shares of valid=0.01"):
+        split_graph(graph_of([(h, "r", t) for h in "ab" for t in "cd"]), valid=0.01, test=0.01)

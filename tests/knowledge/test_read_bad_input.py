@@ -118,6 +118,7 @@ OPENKE = {
         ("train2id.txt", "1\n0 1\n", "line 2: expected three ids"),
         ("train2id.txt", "1\n0 7 0\n", "line 2: '0 7 0' holds an id that is not among the 2"),
         ("train2id.txt", "2\n0 1 0\n", "number of lines that follow, 1, got '2'"),
+        ("test2id.txt", "1\n0 1 0\n", "the triple mug isA cup is in several of train2id.txt"),
     ],
 )
 def test_malformed_openke_files(tmp_path, name, text, message):

@@ -26,12 +26,16 @@ class SplitOptions(GraphOptions, TableCommand):
     test: float = 0.1
     """Share of triples to test on, where the graph has no split."""
 
-    def split(self, seed: int) -> "Split":
+    def shares(self) -> dict[str, float]:
+        """Return the shares of triples to hold out."""
+        return {"valid": self.valid, "test": self.test}
+
+    def split(self, seed: int, shares: dict[str, float]) -> "Split":
         """Return the graph's own split, or a random one."""
         from knowarm.knowledge.kge.train import split_graph  # imports torch, which takes seconds
 
         if self.graph is None or not (self.graph.is_dir() and is_openke(self.graph)):
-            return split_graph(self.read(), valid=self.valid, test=self.test, seed=seed)
+            return split_graph(self.read(), **shares, seed=seed)
         split = read_openke_split(self.graph)
         if not len(split.test):
             raise UserError(f"{self.graph} has no test2id.txt with triples to test on. Add one.")
@@ -55,7 +59,7 @@ class Fit(SplitOptions):
         )
 
         check_suffix(self.out, "models", (".safetensors",))
-        config, split = self.training, self.split(self.training.seed)
+        config, split = self.training, self.split(self.training.seed, self.shares())
         end = "\r" if sys.stdout.isatty() else "\n"
 
         def on_epoch(epoch: int, loss: float, mrr: float | None) -> None:
@@ -70,7 +74,7 @@ class Fit(SplitOptions):
         found = _print_scores(config.model, done.model, split)
         print(f"Best of {done.epochs} epochs: {done.best_epoch}.")
         if self.out is not None:
-            save_model(done.model, config, split.graph, self.out)
+            save_model(done.model, config, split.graph, self.out, self.shares())
             print(f"Wrote {self.out}")
         return {**found, "epochs": done.best_epoch, "config": asdict(config)}
 
@@ -80,14 +84,15 @@ class KnowledgeEvaluate(SplitOptions):
     """Test a model written by `fit --out` on the test triples of the graph it was fitted on."""
 
     model: Annotated[Path, tyro.conf.Positional]
-    """The model's .safetensors file. The options are those that were given to `fit`."""
+    """The model's .safetensors file. It says which triples were held out. For an older
+    file, which does not, give the `--valid` and `--test` of `fit`."""
 
     def result(self) -> dict[str, Any]:
         """Load, rank and print."""
         from knowarm.knowledge.kge.train import load_model  # imports torch, which takes seconds
 
         stored = load_model(self.model)
-        split = self.split(stored.config.seed)
+        split = self.split(stored.config.seed, stored.shares or self.shares())
         names = tuple(split.graph.names), tuple(split.graph.relation_names)
         if names != (stored.entities, stored.relations):
             raise UserError(

@@ -43,6 +43,13 @@ def read_openke_split(folder: Path) -> "Split":
         )
     triples, nodes = np.concatenate(list(parts.values())), np.arange(len(names), dtype=np.int32)
     graph = KnowledgeGraph(names, relation_names, triples, nodes=nodes)
+    distinct = [np.unique(part, axis=0) for part in parts.values()]
+    rows, counts = np.unique(np.concatenate(distinct), axis=0, return_counts=True)
+    for head, relation, tail in rows[counts > 1][:1]:
+        raise UserError(
+            f"{folder}: the triple {names[head]} {relation_names[relation]} {names[tail]} is in "
+            f"several of {', '.join(f'{part}2id.txt' for part in PARTS)}. Leave it in one of them."
+        )
     from knowarm.knowledge.kge.train import Split  # torch takes a second to import
 
     return Split(graph=graph, **parts)

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from knowarm.config import above_zero, at_least, check_numbers, fraction
+
 
 @dataclass(frozen=True, kw_only=True)
 class KgeConfig:
@@ -29,3 +31,10 @@ class KgeConfig:
     """Seed of the initial vectors and the order of triples."""
     threads: int = 1
     """CPU threads; with one, the same seed gives the same bytes on the same machine."""
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        at_least(self, 1, "dim", "epochs", "batch_size", "evaluate_every", "patience", "threads")
+        above_zero(self, "learning_rate")
+        at_least(self, 0, "n3")
+        fraction(self, "label_smoothing")

@@ -44,7 +44,10 @@ def completed(
     pairs = np.unique(np.stack([graph.relations[about], graph.tails[about]], 1), axis=0)
     trained_on = set(map(tuple, split.train.tolist()))
     every = ((head, *pair) for head, pair in product(ids, pairs.tolist()))
-    triples = torch.tensor([each for each in every if each not in trained_on])
+    candidates = [each for each in every if each not in trained_on]
+    if not candidates:
+        return graph
+    triples = torch.tensor(candidates)
     heads, relations, tails = triples.T
     with torch.no_grad():
         score = trained(heads, relations).gather(1, tails[:, None])[:, 0]

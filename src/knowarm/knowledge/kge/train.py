@@ -2,7 +2,7 @@
 
 import json
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from copy import deepcopy
 from dataclasses import asdict
 from pathlib import Path
@@ -21,6 +21,11 @@ from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.kge.models import MODELS, KgeModel
 from knowarm.reading import reading, writing
+
+_DIVERGED = (
+    "The graph embedding diverged: {}. Lower learning_rate, n3 or label_smoothing, or leave them "
+    "out, and train again."
+)
 
 
 class Trained(NamedTuple):
@@ -88,6 +93,8 @@ def _ranks(model: KgeModel, triples: np.ndarray, known: np.ndarray, batch_size: 
     for start in range(0, len(triples), batch_size):
         batch = torch.from_numpy(triples[start : start + batch_size])
         scores = model(batch[:, 0], batch[:, 1])
+        if not torch.isfinite(scores).all():
+            raise UserError(_DIVERGED.format("the model gives a non-finite score"))
         true = scores.gather(1, batch[:, 2:])
         for row, (h, r, _) in enumerate(batch.tolist()):
             scores[row, answers[h, r]] = -torch.inf
@@ -136,7 +143,8 @@ def train(
         model = new_model(config, entities, relations)
         rate = model.learning_rate if config.learning_rate is None else config.learning_rate
         n3 = model.n3 if config.n3 is None else config.n3
-        optimizer = torch.optim.Adam(model.parameters(), lr=rate)
+        weights = list(model.parameters())
+        optimizer = torch.optim.Adam(weights, lr=rate)
         order = torch.Generator().manual_seed(config.seed + 1)
         queries = torch.from_numpy(np.concatenate([triples, reciprocal(triples, model.relations)]))
         losses: list[float] = []
@@ -156,6 +164,8 @@ def train(
                 optimizer.step()
                 total += loss.item() * len(rows)
             losses.append(total / len(queries))
+            if not all(map(torch.all, map(torch.isfinite, (torch.tensor(total), *weights)))):
+                raise UserError(_DIVERGED.format(f"its loss in epoch {epoch} is not finite"))
             mrr = None
             if valid is not None and (epoch % config.evaluate_every == 0 or epoch == config.epochs):
                 mrr = rank(model, valid, known).mrr
@@ -226,9 +236,14 @@ def split_graph(
             uses[relation] -= 1
             held.append(int(row))
     if not held:
+        why = "so that every entity stays in training. Give a larger graph"
+        if not sum(wanted):
+            why = (
+                f"by shares of valid={valid} and test={test}. Give larger shares or a larger graph"
+            )
         raise UserError(
-            f"No triple of {len(triples)} can be held out so that every entity stays in training. "
-            f"Give a larger graph, or a folder with train2id.txt and test2id.txt."
+            f"No triple of {len(triples)} can be held out {why}, or a folder with train2id.txt and "
+            "test2id.txt."
         )
     testing = held[: max(1, round(len(held) * test / (test + valid)))]
     validating = held[len(testing) :]
@@ -249,17 +264,26 @@ class StoredModel(NamedTuple):
     model: KgeModel
     entities: tuple[str, ...]
     relations: tuple[str, ...]
+    shares: dict[str, float]
+    """Shares of the graph that were held out, as arguments of `split_graph`; empty if unknown."""
 
 
-def save_model(model: KgeModel, config: KgeConfig, graph: KnowledgeGraph, path: Path) -> None:
-    """Write a model."""
+def save_model(
+    model: KgeModel,
+    config: KgeConfig,
+    graph: KnowledgeGraph,
+    path: Path,
+    shares: Mapping[str, float] | None = None,
+) -> None:
+    """Write a model, with the shares of the graph that were held out by `split_graph`."""
     tensors = {name: value.detach().contiguous() for name, value in model.state_dict().items()}
     for name, names in (("entities", graph.names), ("relations", graph.relation_names)):
         tensors[f"names.{name}"] = torch.from_numpy(np.frombuffer(names.blob, np.uint8).copy())
+    about = {"config": json.dumps(asdict(config)), "shares": json.dumps(dict(shares or {}))}
     with writing(path, "Give another path."):
         path.parent.mkdir(parents=True, exist_ok=True)
         # `save_file` raises another type of error than `OSError` when a disk is full.
-        path.write_bytes(save(tensors, {"format": FORMAT, "config": json.dumps(asdict(config))}))
+        path.write_bytes(save(tensors, {"format": FORMAT, **about}))
 
 
 def load_model(path: Path) -> StoredModel:
@@ -276,6 +300,7 @@ def load_model(path: Path) -> StoredModel:
         )
     with reading(path, AGAIN):
         config = from_dict(KgeConfig, json.loads(about["config"]))
+        shares = {name: float(x) for name, x in json.loads(about.get("shares", "{}")).items()}
         entities, relations = (
             tuple(tensors.pop(f"names.{kind}").numpy().tobytes().decode().split("\0")[:-1])
             for kind in ("entities", "relations")
@@ -284,4 +309,4 @@ def load_model(path: Path) -> StoredModel:
             raise ValueError("it contains non-finite values")
         model = new_model(config, len(entities), len(relations))
         model.load_state_dict(tensors)
-    return StoredModel(config=config, model=model, entities=entities, relations=relations)
+    return StoredModel(config, model, entities, relations, shares)

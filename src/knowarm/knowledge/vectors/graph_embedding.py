@@ -82,7 +82,7 @@ def embed_graph(model: str, graph: KnowledgeGraph, *, dim: int, seed: int) -> En
 
 
 def stored_lookup(path: Path, graph: KnowledgeGraph) -> EntityLookup:
-    """Read the vectors of a model that `kge.store.save_model` wrote."""
+    """Read the vectors of a model that `kge.train.save_model` wrote."""
     from knowarm.knowledge.kge.train import load_model  # torch takes a second to import
 
     stored = load_model(path)
