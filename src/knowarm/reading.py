@@ -108,13 +108,13 @@ def bounded(stream: Any, path: Path) -> IO[bytes]:
 
 
 def read_text(path: Path, *, remedy: str, most: int = MAX_JSON) -> str:
-    """Read a UTF-8 text file of at most ``most`` bytes."""
+    """Read a UTF-8 text file of at most ``most`` bytes, without its byte order mark."""
     with reading(path, remedy):
         with path.open("rb") as file:
             data = file.read(most + 1)
         if len(data) > most:
             raise ValueError(f"it is larger than {most / 2**20:.0f} MiB")
-        return data.decode()
+        return data.decode("utf-8-sig")
 
 
 def read_json(

@@ -147,3 +147,10 @@ def test_edits_change_answers():
 def test_edits_that_do_not_fit_are_refused(edit, message):
     with pytest.raises(UserError, match=message):
         edited(GRAPH, [edit])
+
+
+@pytest.mark.parametrize("edit", ["+ mug likes tea", "+ http://a/mug likes tea"])
+def test_an_edit_of_several_things_is_refused(edit):
+    graph = graph_of([("http://a/mug", "http://a/likes", "x"), ("http://b/mug", "b:likes", "y")])
+    with pytest.raises(UserError, match=r"'(mug|likes)' names 2 (entities|relations)"):
+        edited(graph, [edit])

@@ -5,7 +5,7 @@ from knowarm.knowledge import graph_of, household
 from knowarm.knowledge.formats import HOUSEHOLD
 from knowarm.knowledge.graph.graph import Names
 from knowarm.knowledge.graph.statistics import graph_statistics
-from knowarm.knowledge.graph.terms import label_of
+from knowarm.knowledge.graph.terms import label_of, local_name
 from knowarm.world.config import EnvConfig
 from knowarm.world.objects import TARGETS
 
@@ -94,3 +94,18 @@ def test_memory_is_small():
     arrays = (graph.heads, graph.relations, graph.tails, graph.by_tail, graph.tails_sorted)
     names = sum(len(n.blob) + n.offsets.nbytes for n in (graph.names, graph.relation_names))
     assert (sum(a.nbytes for a in (*arrays, graph.nodes)) + names) / len(graph) < 80
+
+
+def test_short_names_are_those_that_are_shown():
+    base = "http://a.org/"
+    names = [f"{base}wine%20tasting", f"{base}light/", f"{base}k#Mug#", "coffee/tea", '"a/50%"']
+    graph = graph_of([("mug", "isA", name) for name in names])
+    for short, name in (("wine tasting", names[0]), ("light", names[1]), ("Mug", names[2])):
+        assert graph.names[graph.entity_id(short)] == name
+        assert local_name(name) == short
+    for short in ("tea", "wine%20tasting", "a/50%"):
+        assert graph.find_entity(short) is None
+    several = graph_of([("http://a/x/", "http://a/r", "y"), ("http://b/x", "http://b/r", "y")])
+    for find in (several.find_entity, several.entity_id, several.find_relation):
+        with pytest.raises(UserError, match=r"names 2 (entities|relations).*Give the full name"):
+            find("x" if find != several.find_relation else "r")

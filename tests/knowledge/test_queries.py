@@ -140,3 +140,18 @@ def test_the_shipped_graph_has_something_to_ask_about_every_object(shipped):
     assert (facts.sum(0) >= 2).all()
     assert all(shipped.answers([query]).sum() >= 2 * len(COLOURS) for query in single[:40])
     assert all(parse_query(query.name) == query for query in shipped.queries("all"))
+
+
+def test_a_value_may_hold_several_words_after_and():
+    graph = graph_of([("mug", "usedFor", "rock and roll music"), ("pan", "usedFor", "soup")])
+    asked = QueryGraph(graph, [("mug", "red"), ("pan", "red"), ("pan", "blue")])
+    for query in asked.queries("none"):
+        assert asked.parse(query.name) == query
+    text = "usedFor rock and roll music and hasColor red"
+    assert asked.parse(text).conditions[0].value == "rock and roll music"
+
+
+def test_a_relation_of_two_namespaces_is_refused():
+    graph = graph_of([("mug", "http://a/usedFor", "tea"), ("pan", "http://b/usedFor", "soup")])
+    with pytest.raises(UserError, match="'usedFor' names 2 relations of the graph"):
+        QueryGraph(graph, [("mug", "red"), ("pan", "red")]).queries()

@@ -5,9 +5,11 @@ import pytest
 from benchmarks.apartment_graph import write_openke
 from knowarm.errors import UserError
 from knowarm.knowledge import graph_of, household, read_graph
-from knowarm.knowledge.formats import write_graph
+from knowarm.knowledge.formats import WRITERS, write_graph
 from knowarm.knowledge.formats.openke import read_openke_split
 from knowarm.knowledge.formats.tables import read_conceptnet
+from knowarm.knowledge.graph.builder import union
+from knowarm.knowledge.graph.edits import edited
 from knowarm.knowledge.graph.sparql import sparql
 from knowarm.knowledge.kge.train import split_graph
 
@@ -123,6 +125,9 @@ def test_bad_sparql(query):
         "SELECT ?c WHERE { SERVICE <http://127.0.0.1:9/> { ?a ?b ?c } }",
         "SELECT ?c WHERE { ?a ?b 1service silent<http://127.0.0.1:9/> { ?a ?b ?c } }",
         "SELECT ?c FROM <http://127.0.0.1:9/x> WHERE { ?a ?b ?c }",
+        "SELECT ?c WHERE { ?a <x:y> '# ' . SERVICE ?s { ?a ?b ?c } }",
+        "SELECT ?c WHERE { ?a :\\# ?b . SERVICE SILENT :s{ ?a ?b ?c } }",
+        "# {\nSELECT ?c FROM <http://127.0.0.1:9/x> WHERE { ?a ?b ?c }",
         "SELECT ?c FROM NAMED <http://127.0.0.1:9/x> WHERE { GRAPH ?g { ?a ?b ?c } }",
     ],
 )
@@ -132,12 +137,12 @@ def test_a_query_reads_the_given_graph_only(query):
 
 
 def test_keywords_in_names_strings_and_comments_are_no_keywords():
-    """But SERVICE is refused in strings and comments, too."""
-    query = """SELECT ?service WHERE { # from <http://a.org/>
-        ?service :hasColor ?from . FILTER(?from != "a \\"from" && ?from != :from) }"""
+    query = """# from {
+        PREFIX from: <http://a.org/> PREFIX service: <http://a.org/>
+        SELECT ?service WHERE { # from <http://a.org/> SERVICE <http://a.org/> { ?a ?b ?c }
+        ?service :hasColor ?from . FILTER(?from != "a \\"from" && ?from != :from)
+        FILTER(?from != '''SERVICE :a {''' && ?from != service:from) }"""
     assert len(sparql(household(), query).rows) > 40
-    with pytest.raises(UserError, match="nothing is fetched from the network"):
-        sparql(household(), query.replace("# from", "# SERVICE"))
     labels = sparql(
         household(), "SELECT ?l { :mug rdfs:label ?l ; :isA ?o OPTIONAL { ?l :no ?x } }"
     )
@@ -174,3 +179,70 @@ def test_triples_about_triples_are_refused(tmp_path):
     path.write_text("<< <a:b> <c:d> <e:f> >> <a:b> <c:d> .\n")
     with pytest.raises(UserError, match="RDF-star"):
         read_graph(path)
+
+
+def test_blank_nodes_keep_apart(tmp_path):
+    """Those of two files, those of one file, and those that a query makes."""
+    names = ("a.ttl", "b.ttl", "c.ttl")
+    paths = [tmp_path / name for name in names]
+    for path, text in zip(paths, ("[ :q :b ]", "[ :q :c ]", "[ :q :b ], _:unnamed0"), strict=True):
+        path.write_text(f"@prefix : <urn:knowarm:> .\n:{path.stem} :p {text} .\n")
+    one, other, mixed = map(read_graph, paths)
+    assert ("c", "p", "_:unnamed0") in mixed
+    assert ("c", "p", "_:unnamed1") in mixed
+    both = union(one, other)
+    assert ("b", "p", "_:unnamed0") not in both
+    assert list(sparql(both, "SELECT ?x { ?x :q :c }").rows) == [("_:unnamed1",)]
+    assert edited(both, ["+ _:unnamed1 q d"]).find_entity("_:unnamed2") is None
+    made = sparql(one, "CONSTRUCT { [] :of ?x } WHERE { ?y :p ?x }").graph
+    assert list(made) == [("_:unnamed1", "of", "_:unnamed0")]
+
+
+@pytest.mark.parametrize("query", ["SELECT * { ?s ?p ?o }", "CONSTRUCT WHERE { ?s ?p ?o }"])
+def test_an_answer_is_never_cut(monkeypatch, query):
+    monkeypatch.setattr("knowarm.knowledge.graph.sparql.MAX_ROWS", 3)
+    graph = graph_of([("mug", "hasPart", name) for name in "abc"])
+    assert len(sparql(graph, query).rows or sparql(graph, query).graph) == 3
+    with pytest.raises(UserError, match=r"more than 3 rows\. Add a LIMIT"):
+        sparql(union(graph, graph_of([("mug", "hasPart", "d")])), query)
+
+
+@pytest.mark.parametrize("spelling", ["<urn:knowarm:caf%C3%A9>", ":café", "<urn:knowarm:café>"])
+def test_letters_beyond_ascii_have_one_name(tmp_path, spelling):
+    path = tmp_path / "a.ttl"
+    path.write_text(
+        f"@prefix : <urn:knowarm:> . {spelling} :isA :shop . :café :isA :bar .", "utf-8"
+    )
+    graph = read_graph(path)
+    assert list(graph) == [("café", "isA", "bar"), ("café", "isA", "shop")]
+    assert sparql(graph, "SELECT ?x { :café :isA ?x }").rows == (("bar",), ("shop",))
+    for suffix in WRITERS:
+        write_graph(graph, tmp_path / f"b{suffix}")
+        assert read_graph(tmp_path / f"b{suffix}") == graph
+
+
+def test_blank_nodes_beyond_ascii_and_zero_bytes_in_iris(tmp_path):
+    first, second = tmp_path / "a.ttl", tmp_path / "b.ttl"
+    first.write_text("@prefix : <urn:knowarm:> . _:größe :p :a%00b .", "utf-8")
+    graph = read_graph(first)
+    assert graph.entities == ["_:größe", "urn:knowarm:a%00b"]
+    write_graph(graph, second)
+    assert "_:größe" in second.read_text("utf-8")
+    with pytest.raises(UserError, match="zero byte"):
+        graph_of([("a\0b", "p", "c")])
+
+
+@pytest.mark.parametrize("name", ["a.ttl", "a.nt", "a.jsonld", "a.rdf", "a.csv"])
+def test_a_byte_order_mark_is_skipped(tmp_path, name):
+    graph = graph_of([("mug", "isA", "cup")])
+    write_graph(graph, tmp_path / name)
+    (tmp_path / name).write_bytes(b"\xef\xbb\xbf" + (tmp_path / name).read_bytes())
+    assert read_graph(tmp_path / name) == graph
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.tsv"])
+def test_a_header_after_blank_lines_is_no_triple(tmp_path, name):
+    (tmp_path / name).write_text(
+        "\n\nhead,relation,tail\nmug,isA,cup\n".replace(",", "," if name == "a.csv" else "\t")
+    )
+    assert list(read_graph(tmp_path / name)) == [("mug", "isA", "cup")]

@@ -73,7 +73,7 @@ def main(task: dict[str, Any]) -> None:
             raise
         return
     store = ox.Store()
-    store.load(source, ox.RdfFormat.N_TRIPLES)
+    store.bulk_extend(ox.parse(source, ox.RdfFormat.N_TRIPLES))  # `load` renames blank nodes
     result = store.query(task["query"], prefixes=task["prefixes"])
     if isinstance(result, ox.QueryTriples):
         result.serialize(output, ox.RdfFormat.N_TRIPLES)

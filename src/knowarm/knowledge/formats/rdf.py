@@ -6,12 +6,14 @@ Nothing is fetched: a JSON-LD context must lie in the file itself.
 import heapq
 import re
 import shutil
+from codecs import BOM_UTF8
+from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 
-from pyoxigraph import BlankNode, NamedNode, RdfFormat, Triple, parse, serialize
+from pyoxigraph import NamedNode, RdfFormat, Triple, parse, serialize
 
 from knowarm.errors import UserError
 from knowarm.knowledge.formats.oxigraph import run_oxigraph
@@ -22,6 +24,7 @@ from knowarm.knowledge.graph.terms import (
     LABEL_RELATIONS,
     NAMESPACE,
     Term,
+    blank_names,
     iri_of_name,
     literal,
     name_of_iri,
@@ -40,8 +43,8 @@ PREFIXES = {
 }
 """Prefixes of written Turtle and of SPARQL queries."""
 
-_GENERATED = re.compile(r"[a-f][0-9a-f]{25,31}")
-"""Random ids that pyoxigraph gives to blank nodes without a name."""
+_GENERATED = re.compile(r"_:[a-f][0-9a-f]{25,31}")
+"""Random names that pyoxigraph gives to blank nodes without a name."""
 _XML_NAME = re.compile(r"[^\W\d][\w.-]*$")
 """End of an IRI that RDF/XML can write as an element."""
 
@@ -53,20 +56,16 @@ def read_rdf(path: Path, syntax: RdfFormat) -> KnowledgeGraph:
     the file, and named graphs are merged.
     """
     builder = GraphBuilder()
-    unnamed: dict[str, str] = {}
     base = None if syntax == RdfFormat.N_TRIPLES else path.absolute().as_uri()
 
     def name(term: Term | Triple) -> str:
-        if isinstance(term, NamedNode):
-            return term.value  # renamed at the end, once per name
-        if isinstance(term, BlankNode) and _GENERATED.fullmatch(term.value):
-            return unnamed.setdefault(term.value, f"_:unnamed{len(unnamed)}")
-        return name_of_term(term)
+        return term.value if isinstance(term, NamedNode) else name_of_term(term)
 
     with reading(path, "Correct, copy or compress it again."):
-        _refuse_binary(path)
+        mark = _refuse_binary(path)
         try:
             with open_bytes(path) as file, ExitStack() as stack:
+                file.read(mark)
                 triples, lines = file, syntax
                 if syntax in (RdfFormat.RDF_XML, RdfFormat.JSON_LD):
                     task = {"syntax": syntax.file_extension, "base": base}
@@ -80,7 +79,8 @@ def read_rdf(path: Path, syntax: RdfFormat) -> KnowledgeGraph:
                         builder.add_statement(name(head), relation, name(tail))
         except SyntaxError as error:
             raise _malformed(path, syntax, error) from error
-        builder.rename(name_of_iri)
+        unnamed: dict[str, str] = defaultdict(blank_names({*builder.entities}).__next__)
+        builder.rename(lambda n: unnamed[n] if _GENERATED.fullmatch(n) else name_of_iri(n))
         return builder.build()
 
 
@@ -102,7 +102,8 @@ def rdf_triples(graph: KnowledgeGraph) -> Iterator[Triple]:
     return (triple_of_names(*statement) for statement in heapq.merge(graph, labels))
 
 
-def _refuse_binary(path: Path) -> None:
+def _refuse_binary(path: Path) -> int:
+    """Refuse a file with a zero byte; return the length of its byte order mark."""
     with open_bytes(path) as file:
         start = file.read(1 << 16)
     if (place := start.find(b"\0")) >= 0:
@@ -111,6 +112,7 @@ def _refuse_binary(path: Path) -> None:
             f"{path}, line {line}: contains a zero byte, so this is "
             f"not a text file. Check the path and the format."
         )
+    return len(BOM_UTF8) if start.startswith(BOM_UTF8) else 0
 
 
 def _malformed(path: Path, syntax: RdfFormat, error: SyntaxError) -> UserError:

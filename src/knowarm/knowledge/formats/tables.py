@@ -83,7 +83,8 @@ def read_table(path: Path, separator: str) -> KnowledgeGraph:
     """
     builder = GraphBuilder()
     tabs = ((number, line.split("\t")) for number, line in text_lines(path) if line)
-    for number, row in tabs if separator == "\t" else _csv_rows(path, separator):
+    rows = tabs if separator == "\t" else _csv_rows(path, separator)
+    for place, (number, row) in enumerate(rows):
         if len(row) != 3:
             named = {"\t": "tabs", ",": "commas"}[separator]
             raise UserError(
@@ -91,7 +92,7 @@ def read_table(path: Path, separator: str) -> KnowledgeGraph:
                 f"triple has 3 (head, relation, tail) separated by {named}. Correct the line, or "
                 f"give the file the suffix of its separator: .tsv for tabs, .csv for commas."
             )
-        if number == 1 and tuple(cell.strip().lower() for cell in row) in HEADERS:
+        if not place and tuple(cell.strip().lower() for cell in row) in HEADERS:
             continue
         if not all(row):
             empty = HEADERS[0][row.index("")]

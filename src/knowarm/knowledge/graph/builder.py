@@ -8,7 +8,7 @@ from itertools import count
 import numpy as np
 
 from knowarm.knowledge.graph.graph import KnowledgeGraph, Names, Triple
-from knowarm.knowledge.graph.terms import LABEL_RELATIONS, parse_literal
+from knowarm.knowledge.graph.terms import LABEL_RELATIONS, blank_names, parse_literal
 
 
 class GraphBuilder:
@@ -46,10 +46,17 @@ class GraphBuilder:
         self.entities[name]  # the lookup numbers a new name
 
     def rename(self, new_name: Callable[[str], str]) -> None:
-        """Replace every name, after all triples were added; different names stay different."""
-        self.entities = {new_name(name): i for name, i in self.entities.items()}
-        self.relations = {new_name(name): i for name, i in self.relations.items()}
-        self._labels = {new_name(name): label for name, label in self._labels.items()}
+        """Replace every name, after all triples were added; equal new names are one name."""
+        ids = np.frombuffer(self.ids, np.int32).reshape(-1, 3)
+        renamed = []
+        for old, columns in ((self.entities, [0, 2]), (self.relations, [1])):
+            new: dict[str, int] = defaultdict(count().__next__)
+            place = np.array([new[new_name(name)] for name in old], np.int32)
+            ids[:, columns] = place[ids[:, columns]]
+            renamed.append(new)
+        self.entities, self.relations = renamed
+        labels = sorted(self._labels.items(), key=lambda each: each[1], reverse=True)
+        self._labels = {new_name(name): label for name, label in labels}
 
     def build(self, labels: Mapping[str, str] | None = None) -> KnowledgeGraph:
         """Sort and number the names and make the graph.
@@ -93,15 +100,27 @@ def graph_of(
     return builder.build(labels)
 
 
+def with_facts(graph: KnowledgeGraph, triples: Iterable[Triple]) -> KnowledgeGraph:
+    """Return a graph with more triples of its names and of new ones."""
+    return graph_of((*graph, *triples), nodes=graph.entities, labels=graph.own_labels())
+
+
 def union(first: KnowledgeGraph, second: KnowledgeGraph) -> KnowledgeGraph:
-    """Return the triples and entities of both; where labels differ, the first graph's are kept."""
-    builder = GraphBuilder()
-    for graph in (first, second):
-        for triple in graph:
-            builder.add(*triple)
-        for name in graph.entities:
-            builder.add_node(name)
-    return builder.build({**second.own_labels(), **first.own_labels()})
+    """Return the triples and entities of both; where labels differ, the first graph's are kept.
+
+    Blank nodes of two graphs are never the same: those of the second get names that are free.
+    """
+    taken = {*first.entities, *second.entities}
+    both = sorted(set(first.entities).intersection(second.entities))
+    free = blank_names(taken)
+    new = {name: next(free) for name in both if name.startswith("_:")}
+    triples = ((new.get(h, h), r, new.get(t, t)) for h, r, t in second)
+    labels = {new.get(name, name): label for name, label in second.own_labels().items()}
+    return graph_of(
+        (*first, *triples),
+        nodes=(new.get(name, name) for name in taken) if new else taken,
+        labels={**labels, **first.own_labels()},
+    )
 
 
 def difference(first: KnowledgeGraph, second: KnowledgeGraph) -> KnowledgeGraph:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 
 from knowarm.errors import UserError
-from knowarm.knowledge.graph.builder import difference, graph_of, union
+from knowarm.knowledge.graph.builder import difference, graph_of, with_facts
 from knowarm.knowledge.graph.graph import KnowledgeGraph, Names
 
 
@@ -14,7 +14,8 @@ def edited(graph: KnowledgeGraph, edits: Iterable[str]) -> KnowledgeGraph:
     """Apply edits in their order; names are those of the graph, their last parts, or new ones.
 
     Raises:
-        UserError: an edit is malformed, or removes a triple that the graph does not hold.
+        UserError: an edit is malformed, names several things of the graph, or removes a triple that
+            the graph does not hold.
     """
     for text in edits:
         words = list[str]()
@@ -25,10 +26,10 @@ def edited(graph: KnowledgeGraph, edits: Iterable[str]) -> KnowledgeGraph:
                 f"The edit {text!r} must be + or - and a head, a relation and a tail, such as "
                 "'+ mug usedFor lighting'; put names with spaces in double quotes."
             )
-        head, tail = (_known(name, graph.entity_id, graph.names) for name in words[1::2])
-        triple = head, _known(words[2], graph.relation_id, graph.relation_names), tail
+        head, tail = (_known(name, graph.find_entity, graph.names) for name in words[1::2])
+        triple = head, _known(words[2], graph.find_relation, graph.relation_names), tail
         if words[0] == "+":
-            graph = union(graph, graph_of([triple]))
+            graph = with_facts(graph, [triple])
             continue
         if triple not in graph:
             stated = "; ".join(" ".join(each) for each in graph if each[0] == head)
@@ -40,9 +41,7 @@ def edited(graph: KnowledgeGraph, edits: Iterable[str]) -> KnowledgeGraph:
     return graph
 
 
-def _known(name: str, find: Callable[[str], int], names: Names) -> str:
+def _known(name: str, find: Callable[[str], int | None], names: Names) -> str:
     """Return the graph's full name, or the name itself if the graph does not hold it."""
-    try:
-        return names[find(name)]
-    except UserError:
-        return name
+    found = find(name)
+    return name if found is None else names[found]

@@ -1,8 +1,9 @@
 """Knowledge graph: triples as sorted integer arrays with fast neighbour lookup, and gamma."""
 
+import re
 from bisect import bisect_left
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from functools import cached_property
 from typing import Literal, get_args
 
@@ -25,8 +26,6 @@ class Names:
     its rank in the order of code points; ``offsets`` (n + 1,) int64 are the first bytes.
     """
 
-    __slots__ = ("blob", "offsets")
-
     def __init__(self, blob: bytes, offsets: np.ndarray) -> None:
         self.blob = blob
         self.offsets = offsets
@@ -37,7 +36,11 @@ class Names:
         encoded = [name.encode() for name in names]
         offsets = np.zeros(len(encoded) + 1, np.int64)
         np.cumsum([len(name) + 1 for name in encoded], out=offsets[1:])
-        return cls(b"\0".join(encoded) + (b"\0" if encoded else b""), offsets)
+        blob = b"\0".join(encoded) + (b"\0" if encoded else b"")
+        if blob.count(b"\0") > len(encoded):
+            bad = next(name for name in encoded if b"\0" in name)
+            raise UserError(f"The name {bad.decode()!r} contains a zero byte. Rename it.")
+        return cls(blob, offsets)
 
     def __len__(self) -> int:
         return len(self.offsets) - 1
@@ -54,14 +57,29 @@ class Names:
         return place if place < len(self) and self[place] == name else None
 
     def find_local(self, local: str) -> list[int]:
-        """Return the ids of IRIs whose last part is `local` (after `#`, `/` or `:`)."""
-        found, needle = [], local.encode() + b"\0"
-        place = self.blob.find(needle)
+        """Return the ids of IRIs whose `local_name` this is, ascending."""
+        found, needle = list(self._quoted.get(local, ())), local.encode(errors="surrogatepass")
+        place = self.blob.find(needle + b"\0")
         while place >= 0:
             if place and self.blob[place - 1 : place] in (b"#", b"/", b":"):
-                found.append(int(np.searchsorted(self.offsets, place, side="right")) - 1)
-            place = self.blob.find(needle, place + 1)
+                index = self._index(place)
+                found += [index] if local_name(self[index]) == local else []
+            place = self.blob.find(needle + b"\0", place + 1)
+        return sorted(set(found))
+
+    @cached_property
+    def _quoted(self) -> dict[str, list[int]]:
+        """Ids by local name, of the names whose bytes do not end in it."""
+        found = defaultdict(list)
+        places = re.finditer(rb"[#/:]\0|%", self.blob)
+        for index in sorted({self._index(place.start()) for place in places}):
+            if not (name := self[index]).startswith('"'):
+                found[local_name(name)].append(index)
         return found
+
+    def _index(self, place: int) -> int:
+        """Return the id of the name that holds a byte."""
+        return int(np.searchsorted(self.offsets, place, side="right")) - 1
 
 
 class KnowledgeGraph:
@@ -203,13 +221,11 @@ class KnowledgeGraph:
         )
 
     def find_entity(self, name: str) -> int | None:
-        """Return the id as `entity_id`, or None where it raises an error."""
-        with suppress(UserError):
-            return self.entity_id(name)
-        return None
+        """Return the id of an entity given by name, last part of its IRI, or label; None without.
 
-    def entity_id(self, name: str) -> int:
-        """Return the id of an entity given by name, last part of its IRI, or label."""
+        Raises:
+            UserError: several entities have that last part or label.
+        """
         exact = self.names.find(name)
         if exact is not None and self._has_node(exact):
             return exact
@@ -217,30 +233,47 @@ class KnowledgeGraph:
         if not found:
             labelled = (self.names.find(n) for n, label in self.labels.items() if label == name)
             found = [i for i in labelled if i is not None and self._has_node(i)]
-        if len(found) == 1:
-            return found[0]
-        if found:
-            full = ", ".join(sorted(self.names[i] for i in found)[:5])
-            raise UserError(
-                f"{name!r} names {len(found)} entities of the graph: {full}. "
-                f"Give the full name of one of them."
-            )
+        return _single(found, name, self.names, "entities")
+
+    def entity_id(self, name: str) -> int:
+        """Return the id as `find_entity`; raise a `UserError` without."""
+        if (found := self.find_entity(name)) is not None:
+            return found
         names = {local_name(n) for n in self.entities}
         if len(names) > _FEW:
             names = {n for n in names if n[:1] == name[:1] and abs(len(n) - len(name)) < 3}
         raise unknown_name("entity", name, names)
 
-    def relation_id(self, name: str) -> int:
-        """Return the id of a relation given by name or the last part of its IRI."""
+    def find_relation(self, name: str) -> int | None:
+        """Return the id of a relation given by name or last part of its IRI; None without.
+
+        Raises:
+            UserError: several relations have that last part.
+        """
         exact = self.relation_names.find(name)
         found = self.relation_names.find_local(name) if exact is None else [exact]
-        if len(found) == 1:
-            return found[0]
+        return _single(found, name, self.relation_names, "relations")
+
+    def relation_id(self, name: str) -> int:
+        """Return the id as `find_relation`; raise a `UserError` without."""
+        if (found := self.find_relation(name)) is not None:
+            return found
         raise unknown_name("relation", name, [local_name(n) for n in self.relation_names])
 
     def _has_node(self, entity: int) -> bool:
         place = int(np.searchsorted(self.nodes, np.int32(entity)))
         return place < len(self.nodes) and self.nodes[place] == entity
+
+
+def _single(found: Sequence[int], name: str, names: Names, kind: str) -> int | None:
+    """Return what was found by a name, or None; refuse several."""
+    if len(found) > 1:
+        full = ", ".join(sorted(names[i] for i in found)[:5])
+        raise UserError(
+            f"{name!r} names {len(found)} {kind} of the graph: {full}. "
+            f"Give the full name of one of them."
+        )
+    return found[0] if found else None
 
 
 def gamma(
@@ -257,13 +290,14 @@ def gamma(
     The paper (section 4.1): "all the nodes representing the objects that the agent is perceiving
     and the nodes at distance 1 from them", and the edges between the two. The direction "out"
     follows the edges whose head is the object; ``relations`` None follows all; an entity with more
-    edges than ``max_degree`` in that direction is not expanded.
+    edges than ``max_degree`` in that direction is not expanded, unless it was selected by name.
 
     Further hops keep their direction: `mug -> red` may continue to `red -> color` and never returns
     through `red <- fire_truck`, so that an attribute that many objects share stays a leaf.
     """
-    if hops < 0:
-        raise UserError(f"hops is {hops}; it must be 0 or more (the paper's value is 1).")
+    for what, least in (("hops", hops), ("max_degree", max_degree)):
+        if least is not None and least < 0:
+            raise UserError(f"{what} is {least}; it must be 0 or more.")
     if direction not in get_args(Direction):
         raise unknown_name("direction", direction, get_args(Direction))
     start = np.array(sorted({graph.entity_id(name) for name in entities}), np.int32)

@@ -1,9 +1,10 @@
 """SPARQL queries on a knowledge graph, evaluated by pyoxigraph in a child process."""
 
 import re
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
 from functools import partial
-from itertools import islice
-from typing import IO, NamedTuple
+from typing import IO, Any, NamedTuple
 
 from pyoxigraph import (
     QueryBoolean,
@@ -19,7 +20,7 @@ from knowarm.knowledge.formats.oxigraph import run_oxigraph
 from knowarm.knowledge.formats.rdf import PREFIXES, rdf_triples
 from knowarm.knowledge.graph.builder import GraphBuilder
 from knowarm.knowledge.graph.graph import KnowledgeGraph
-from knowarm.knowledge.graph.terms import name_of_term
+from knowarm.knowledge.graph.terms import blank_names, name_of_term
 from knowarm.reading import one_line
 
 EXAMPLE = "SELECT ?colour WHERE { :mug :hasColor ?colour }"
@@ -27,9 +28,14 @@ MAX_ROWS = 1_000_000
 """Most rows of an answer."""
 MAX_QUERY = 20_000
 """Most characters of a query."""
-_IRI = re.compile(r'<[^<>"{}|^`\\\s]*>')
-_SERVICE = re.compile(r"([:?$@]?)[\w%-]*?(service)", re.IGNORECASE)
-_FROM = re.compile(r"([:?$@]?)\b(from)\b", re.IGNORECASE)
+_QUIET = re.compile(
+    r"""<[^<>"{}|^`\\\s]*>|"{3}(?:[^\\]|\\.)*?"{3}|'{3}(?:[^\\]|\\.)*?'{3}|"""
+    r""""(?:[^"\\\n]|\\.)*"|'(?:[^'\\\n]|\\.)*'|\\.|(\#[^\n]*)""",
+    re.DOTALL,
+)
+"""IRIs, strings, escaped characters and, as a group, comments."""
+_SERVICE = re.compile(r"([:?$@]?)[\w%-]*?(service)\s*(?:silent\s*)?[^\s{}]*\s*\{", re.IGNORECASE)
+_FROM = re.compile(r"([:?$@]?)\b(from)\b(?!:)", re.IGNORECASE)
 """Keywords that refer to other data; after the first group it is the name of a thing."""
 
 
@@ -45,7 +51,7 @@ class Answer(NamedTuple):
 
 def sparql(graph: KnowledgeGraph, query: str) -> Answer:
     """Run a query; the prefix `:` stands for plain names, as in `:mug :hasColor ?colour`."""
-    text = _IRI.sub(" ", query)
+    text = _QUIET.sub(lambda found: " " if found[1] else "_", query)
     found = [*_SERVICE.finditer(text), *_FROM.finditer(text.split("{")[0])]
     if word := next((each[2] for each in found if not each[1]), None):
         raise UserError(
@@ -58,7 +64,7 @@ def sparql(graph: KnowledgeGraph, query: str) -> Answer:
     try:
         triples = partial(serialize, rdf_triples(graph), format=RdfFormat.N_TRIPLES)
         with run_oxigraph(triples, query=query, prefixes=PREFIXES) as output:
-            return _answer(output)
+            return _answer(output, graph)
     except UserError:
         raise
     except SyntaxError as error:
@@ -67,25 +73,33 @@ def sparql(graph: KnowledgeGraph, query: str) -> Answer:
         raise UserError(f"SPARQL query: {one_line(error)}. Example: {EXAMPLE}") from error
 
 
-def _answer(output: IO[bytes]) -> Answer:
+def _answer(output: IO[bytes], graph: KnowledgeGraph) -> Answer:
+    """Read an answer; blank nodes that the query made are numbered in its order."""
+    known = set(graph.entities)
+    made: dict[str, str] = defaultdict(blank_names(known).__next__)
+
+    def name(term: Any) -> str:
+        text = "" if term is None else name_of_term(term)
+        return made[text] if text.startswith("_:") and text not in known else text
+
+    def bounded(found: Iterable[Any]) -> Iterator[Any]:
+        for number, each in enumerate(found):
+            if number == MAX_ROWS:
+                raise UserError(f"SPARQL query: more than {MAX_ROWS:,} rows. Add a LIMIT.")
+            yield each
+
     is_graph = output.read(1) != b"{"
     output.seek(0)
     if is_graph:
         builder = GraphBuilder()
-        for quad in islice(parse(output, RdfFormat.N_TRIPLES), MAX_ROWS):
-            builder.add_statement(*map(name_of_term, quad.triple))
+        for quad in bounded(parse(output, RdfFormat.N_TRIPLES)):
+            builder.add_statement(*map(name, quad.triple))
         return Answer((), (), builder.build())
     result = parse_query_results(output, QueryResultsFormat.JSON)
     if isinstance(result, QueryBoolean):
         return Answer(("answer",), (("yes" if result else "no",),))
     columns = tuple(variable.value for variable in result.variables)
-    rows = [
-        tuple("" if t is None else name_of_term(t) for t in row)
-        for row in islice(result, MAX_ROWS + 1)
-    ]
-    if len(rows) > MAX_ROWS:
-        raise UserError(f"SPARQL query: more than {MAX_ROWS:,} rows. Add a LIMIT.")
-    return Answer(columns, tuple(sorted(rows)))
+    return Answer(columns, tuple(sorted(tuple(map(name, row)) for row in bounded(result))))
 
 
 def _malformed(error: SyntaxError) -> UserError:

@@ -9,8 +9,9 @@ The form of a name tells which RDF term it stands for:
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Container, Iterator, Mapping
 from contextlib import suppress
+from itertools import count
 from urllib.parse import quote, unquote
 
 from pyoxigraph import BlankNode, Literal, NamedNode, RdfFormat, Triple, parse
@@ -29,7 +30,8 @@ RDF_TYPE = "http://www.w3.org/1999/02/22-rdf-syntax-ns#type"
 """The relation that Turtle writes as ``a``; its label is "is a"."""
 
 _IRI = re.compile(r'[A-Za-z][A-Za-z0-9+.-]*:[^\s<>"{}|\\^`\x00-\x20]+')
-_BLANK = re.compile(r"_:[A-Za-z0-9_](?:[A-Za-z0-9_.\-·]*[A-Za-z0-9_\-·])?")
+_QUOTED = re.compile(r"[\x00-\x7f]+|\W+")
+_ASCII = "".join(map(chr, range(128)))
 _CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 _SPACE = re.compile(r"[\s_\-]+")
 Term = NamedNode | BlankNode | Literal
@@ -64,17 +66,21 @@ def name_of_iri(iri: str) -> str:
     """
     if iri.startswith(NAMESPACE):
         name = unquote(iri[len(NAMESPACE) :])
-        if name and not name.startswith(('"', "_:")) and iri_of_name(name) == iri:
-            return name
+        if name and not name.startswith(('"', "_:")) and "\0" not in name:
+            own = iri_of_name(name)
+            if own == iri or quote(own, safe=_ASCII) == quote(iri, safe=_ASCII):  # é or %C3%A9
+                return name
     return iri
 
 
 def triple_of_names(head: str, relation: str, tail: str) -> Triple:
     """Return a triple of names as RDF; a literal as head or relation becomes an IRI."""
-    subject, end = (
-        BlankNode(name[2:]) if _BLANK.fullmatch(name) else _node(name) for name in (head, tail)
-    )
-    return Triple(subject, _node(relation), parse_literal(tail) or end)
+    return Triple(_end(head), _node(relation), parse_literal(tail) or _end(tail))
+
+
+def blank_names(taken: Container[str]) -> Iterator[str]:
+    """Yield names of blank nodes that are not taken: _:unnamed0, _:unnamed1, ..."""
+    return (name for name in map("_:unnamed{}".format, count()) if name not in taken)
 
 
 def name_of_term(term: Term | Triple) -> str:
@@ -105,9 +111,17 @@ def label_of(name: str, labels: Mapping[str, str]) -> str:
     return _SPACE.sub(" ", text).strip().lower()
 
 
+def _end(name: str) -> NamedNode | BlankNode:
+    """Return the node of a name that is no literal."""
+    if name.startswith("_:") and ":" not in name[2:]:
+        with suppress(ValueError):
+            return BlankNode(name[2:])
+    return _node(name)
+
+
 def _node(name: str) -> NamedNode:
     """Return the IRI of a name that is neither a literal nor a blank node."""
     if _IRI.fullmatch(name):
         with suppress(ValueError):
             return NamedNode(name)
-    return NamedNode(NAMESPACE + quote(name, safe=""))
+    return NamedNode(NAMESPACE + _QUOTED.sub(lambda found: quote(found[0], safe=""), name))

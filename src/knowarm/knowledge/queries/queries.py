@@ -1,6 +1,6 @@
 """Queries that a graph answers: which there are, and which objects with colours answer them."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from functools import cached_property
 from itertools import combinations
 from typing import Literal, get_args
@@ -25,19 +25,20 @@ Pairs = Literal["none", "colour", "all"]
 """Queries of two conditions: none, a fact and a colour (or the object of a part), or any two."""
 
 
-def parse_query(text: str, relations: Iterable[str] = ()) -> Query:
+def parse_query(text: str, relations: Collection[str] = ()) -> Query:
     """Read a query from its name, e.g. "usedFor drinking and hasColor blue"."""
     known = sorted({*relations, COLOUR_RELATION}, key=len, reverse=True)
     parts: list[str] = []
     for part in text.split(AND):
-        if parts and " " not in part.strip():  # a value that holds the word "and"
+        starts = any(part.strip().startswith(f"{name} ") for name in known)
+        if parts and not (starts if relations else " " in part.strip()):  # a value with an "and"
             parts[-1] += AND + part
         else:
             parts.append(part)
     conditions = []
     for part in map(str.strip, parts):
-        starts = (name for name in known if part.startswith(f"{name} "))
-        relation = next(starts, part.split(" ")[0])
+        named = (name for name in known if part.startswith(f"{name} "))
+        relation = next(named, part.split(" ")[0])
         value = part.removeprefix(relation).strip()
         if not value:
             raise UserError(
@@ -192,10 +193,9 @@ class QueryGraph:
             seen = ((object_of(name) if is_object else colour) for name, colour in self.facets)
             return np.array([each == condition.value for each in seen])
         graph = self.graph
-        try:
-            relation = graph.relation_id(condition.relation)
-            value = graph.entity_id(condition.value)
-        except UserError:  # an edited graph may lack what another one knows
+        relation = graph.find_relation(condition.relation)
+        value = graph.find_entity(condition.value)
+        if relation is None or value is None:  # an edited graph may lack what another one knows
             return np.zeros(len(self.facets), bool)
         rows = (graph.relations == relation) & (graph.tails == value)
         return np.asarray(np.isin(self._ids, graph.heads[rows])[self.owner])
