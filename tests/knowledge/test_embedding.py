@@ -3,6 +3,7 @@ import os
 import subprocess
 import sys
 from contextlib import redirect_stdout
+from dataclasses import replace
 from io import StringIO
 from pathlib import Path
 
@@ -13,9 +14,11 @@ from knowarm.errors import UserError
 from knowarm.knowledge import (
     FULL,
     KnowledgeConfig,
+    graph_of,
     scene_embedding,
     scene_sentences,
     scene_subgraph,
+    write_graph,
 )
 from knowarm.knowledge.vectors.placebos import RandomVectors, ShuffledGraph, WrongObject
 from knowarm.knowledge.vectors.words import WordVectors
@@ -166,3 +169,54 @@ def test_the_same_bytes_in_any_process(facets):
     with redirect_stdout(StringIO()) as here:
         exec(code, {})
     assert done.stdout == here.getvalue()
+
+
+PLUS = KNOWLEDGE["full+"]
+
+
+def test_one_colour_alone_can_be_described():
+    graph = graph_of([("mug", "hasColor", "red"), ("bottle", "hasColor", "red")])
+    found = scene_embedding(PLUS, [("mug", "red"), ("bottle", "red")], graph=graph).matrix
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0, rtol=1e-6)
+    assert found[0] @ found[1] < 0.99
+
+
+def test_an_object_may_have_the_name_of_its_colour():
+    names = ("orange", "mug")
+    graph = graph_of([(n, "hasColor", c) for n in names for c in ("orange", "red")])
+    facets = [(n, c) for n in names for c in ("orange", "red")]
+    found = scene_embedding(PLUS, facets, graph=graph).matrix
+    cosine = found @ found.T
+    assert 0.5 < cosine[0, 2] < 0.99  # the orange and the mug, both in orange
+    assert cosine[1, 2] < cosine[0, 2]
+
+
+def test_colours_that_are_seen_use_the_relation_of_the_graph(tmp_path):
+    x = "http://x/"
+    stated = (f"{x}mug", f"{x}hasColor", f"{x}red")
+    graph = graph_of([stated, *((f"{x}{n}", f"{x}isA", f"{x}cup") for n in ("mug", "bottle"))])
+    write_graph(graph, tmp_path / "g.ttl")
+    config = replace(PLUS, scope="perceived", graph=str(tmp_path / "g.ttl"))
+    facets = [("mug", "red"), ("bottle", "blue")]
+    embedding = scene_embedding(config, facets)
+    assert tuple(scene_sentences(config, facets).values()) == embedding.sentences
+    shown = scene_subgraph(config, facets)
+    assert stated in shown
+    assert (f"{x}bottle", f"{x}hasColor", "blue") in shown
+
+
+@pytest.mark.parametrize("kind", [ShuffledGraph, WrongObject])
+def test_what_is_shown_is_what_a_run_was_given(facets, kind):
+    config = KnowledgeConfig(detail="full", source=kind())
+    for seed in (0, 3):
+        said = tuple(scene_sentences(config, facets, run_seed=seed).values())
+        assert said == scene_embedding(config, facets, run_seed=seed).sentences
+    assert scene_subgraph(config, facets, run_seed=3) != scene_subgraph(config, facets)
+
+
+@pytest.mark.parametrize(
+    "values", [{"seed": -1}, {"dim": 0}, {"hops": -1}, {"max_degree": -1}, {"colour_share": 1.5}]
+)
+def test_numbers_of_the_config_are_checked(values):
+    with pytest.raises(UserError, match=f"{next(iter(values))} must"):
+        KnowledgeConfig(detail="full", **values)

@@ -171,3 +171,8 @@ def test_facts_are_kept_whole():
     for changed in ({"slot_norm": 1.0}, {"head_once": True}, {"scope": "scene"}):
         with pytest.raises(UserError, match="pooling 'facts' keeps every label about a query"):
             replace(known, **changed)
+
+
+def test_one_condition_alone_can_be_described():
+    query = Query.of(("usedFor", "drinking"))
+    assert np.linalg.norm(query_embedding(QUERY, [query]).vector) == pytest.approx(1.0)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from knowarm.config import registered
+from knowarm.config import at_least, check_numbers, fraction, registered
 from knowarm.errors import UserError
 from knowarm.knowledge.graph.graph import Direction
 from knowarm.knowledge.vectors import SOURCES, VectorSource
@@ -46,7 +46,8 @@ class KnowledgeConfig:
     relations: tuple[str, ...] | None = None
     """Relations that Gamma follows; None follows all."""
     max_degree: int | None = None
-    """Entities with more edges than this are not expanded; None sets no limit."""
+    """Entities with more edges than this are not expanded, but for the objects themselves; None
+    sets no limit."""
     colour_relation: str = "hasColor"
     """The relation whose tails are an object's colours."""
     relation_words: bool = True
@@ -80,6 +81,10 @@ class KnowledgeConfig:
     also depends on the training seed."""
 
     def __post_init__(self) -> None:
+        check_numbers(self)
+        at_least(self, 1, "dim")
+        at_least(self, 0, "hops", "max_degree")
+        fraction(self, "colour_share")
         whole = self.relation_words and not self.head_once and self.colour_share is None
         asked = self.scope == "query" and self.slot_norm is None
         if self.pooling == "facts" and not (whole and asked):

@@ -267,8 +267,6 @@ def _embed(
 ) -> _Embedded:
     """Compute slots by the config's source, from the config's graph or the given one."""
     source, coverage = config.source, Coverage()
-    if config.colour_share is not None and not 0 <= config.colour_share <= 1:
-        raise UserError(f"colour_share is {config.colour_share}; it must lie between 0 and 1.")
     matrix, sentences = np.zeros((len(slots), config.slot_dim), np.float32), ("",) * len(slots)
     if not len(slots):
         return _Embedded(matrix, sentences, coverage)
@@ -311,17 +309,17 @@ def _vectors(
             f"{config.dim}. Take vectors of {config.dim} numbers or set dim to {lookup.dim}."
         )
     centre = _centre(lookup, everything) if config.centring else 0.0
-    hue_centre = _centre(lookup, described.hues) if config.centring else 0.0
+    several = len(set(described.hues)) > 1  # a colour less itself would be nothing
+    hue_centre = _centre(lookup, described.hues) if config.centring and several else 0.0
     rows = []
-    for parts, name in zip(described.sentences, described.own, strict=True):
+    for parts, own, rest in zip(*described[:3], strict=True):
         if config.pooling == "facts":
             rows.append(join_facts([lookup.find(part, coverage) for part in parts], centre))
             continue
-        own = [p for p in parts if p.name == name] if config.colour_share is not None else []
-        rest = [lookup.find(p, coverage) for p in parts if p not in own]
-        vector = pool(rest, config.pooling, centre)
-        if own and config.colour_share is not None:
-            hue = pool([lookup.find(own[0], coverage)], config.pooling, hue_centre)
+        labels = parts if config.colour_share is None else rest
+        vector = pool([lookup.find(p, coverage) for p in labels], config.pooling, centre)
+        if own is not None and config.colour_share is not None:
+            hue = pool([lookup.find(own, coverage)], config.pooling, hue_centre)
             length = np.linalg.norm(vector)
             vector = (1 - config.colour_share) * _unit(vector) + config.colour_share * _unit(hue)
             vector = vector * length

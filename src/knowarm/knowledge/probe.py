@@ -60,7 +60,9 @@ class Probe:
         }
 
 
-def probe(config: KnowledgeConfig, facets: Sequence[tuple[str, str]]) -> Probe:
+def probe(
+    config: KnowledgeConfig, facets: Sequence[tuple[str, str]], *, run_seed: int = 0
+) -> Probe:
     """Fit linear probes to the slots of an embedding of the task's (object, colour) pairs.
 
     Every object of the graph that has a colour is embedded by the same config, one slot per
@@ -68,7 +70,7 @@ def probe(config: KnowledgeConfig, facets: Sequence[tuple[str, str]]) -> Probe:
     object and colour of that one. For attributes, all slots of an object are held out, and the
     prediction is the k values with the highest scores, where k values are true.
     """
-    task = scene_embedding(config, facets)
+    task = scene_embedding(config, facets, run_seed=run_seed)
     cosine = _cosine(task.matrix)
     names = tuple(slot.name for slot in task.slots)
     if config.source.placebo or config.detail == "none":

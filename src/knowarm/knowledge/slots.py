@@ -9,7 +9,7 @@ import numpy as np
 from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge.config import FULL, KnowledgeConfig
 from knowarm.knowledge.formats import open_graph
-from knowarm.knowledge.graph.builder import graph_of, union
+from knowarm.knowledge.graph.builder import with_facts
 from knowarm.knowledge.graph.graph import KnowledgeGraph, gamma
 from knowarm.knowledge.graph.terms import label_of, local_name
 from knowarm.knowledge.vectors.source import Facet, SentencePart
@@ -20,7 +20,8 @@ class Described(NamedTuple):
     """What S slots say."""
 
     sentences: list[list[SentencePart]]  # Labels of each slot's sentence
-    own: list[str | None]  # The graph's name of each slot's colour, or of the value in a query
+    own: list[SentencePart | None]  # Label of each slot's colour, or of the value in a query
+    rest: list[list[SentencePart]]  # The labels beside it
     hues: list[SentencePart]  # Labels that `own` is centred among
 
 
@@ -37,17 +38,15 @@ class FacetSlots:
         """Add the colours in which objects are seen, for objects of which the graph states none."""
         if config.scope != "perceived":
             return graph
-        stated = {
-            graph.names[head]
-            for head, relation in zip(graph.heads, graph.relations, strict=True)
-            if local_name(graph.relation_names[relation]) == config.colour_relation
-        }
+        number = graph.find_relation(config.colour_relation)
+        relation = config.colour_relation if number is None else graph.relation_names[number]
+        stated = {graph.names[head] for head in graph.heads[graph.relations == number]}
         seen = []
         for facet in self.facets:
             name = graph.names[graph.entity_id(config.graph_name(facet.object))]
             if facet.colour is not None and name not in stated:
-                seen.append((name, config.colour_relation, config.graph_name(facet.colour)))
-        return union(graph, graph_of(seen)) if seen else graph
+                seen.append((name, relation, config.graph_name(facet.colour)))
+        return with_facts(graph, seen) if seen else graph
 
     def subgraphs(
         self, graph: KnowledgeGraph, config: KnowledgeConfig, seed: int
@@ -70,11 +69,16 @@ class FacetSlots:
         if config.detail == "full":  # every colour of the graph
             rows = graph.relations == graph.relation_id(config.colour_relation)
             hues = [entity_part(graph, graph.names[i]) for i in np.unique(graph.tails[rows])]
-        return Described(
-            sentences=[sentence_parts(subgraph, config) for subgraph, _ in subgraphs],
-            own=[colour for _, colour in subgraphs],
-            hues=hues,
-        )
+        sentences = [sentence_parts(subgraph, config) for subgraph, _ in subgraphs]
+        own, rest = [], []
+        for parts, (subgraph, colour) in zip(sentences, subgraphs, strict=True):
+            hue, others = _apart(parts, colour)
+            if hue is not None and any(head == tail == colour for head, _, tail in subgraph):
+                place = parts.index(hue)  # an object with the name of its colour, such as an orange
+                others = parts[:place] + parts[place + 1 :]
+            own.append(hue)
+            rest.append(others)
+        return Described(sentences, own, rest, hues)
 
 
 @dataclass(frozen=True)
@@ -101,14 +105,10 @@ class ConditionSlots:
         conditions = config.source.change_conditions(self.conditions)
         sentences = [_condition_parts(graph, each, config) for each in conditions]
         values = [_entity(graph, each, config) or each.value for each in conditions]
-        return Described(
-            sentences=sentences,
-            own=[
-                None if {part.name for part in parts} == {value} else value
-                for parts, value in zip(sentences, values, strict=True)
-            ],
-            hues=[entity_part(graph, value) for value in values],
-        )
+        apart = [_apart(parts, value) for parts, value in zip(sentences, values, strict=True)]
+        own = [value if rest else None for value, rest in apart]
+        rest = [rest or parts for (_, rest), parts in zip(apart, sentences, strict=True)]
+        return Described(sentences, own, rest, [entity_part(graph, value) for value in values])
 
 
 def slots_of(config: KnowledgeConfig, facets: Sequence[ObjectColour]) -> tuple[Facet, ...]:
@@ -118,6 +118,14 @@ def slots_of(config: KnowledgeConfig, facets: Sequence[ObjectColour]) -> tuple[F
     if config.detail == "partial":
         return tuple(Facet(name, None) for name in dict.fromkeys(pair[0] for pair in facets))
     return tuple(Facet(name, colour) for name, colour in dict.fromkeys(map(tuple, facets)))
+
+
+def _apart(
+    parts: list[SentencePart], name: str | None
+) -> tuple[SentencePart | None, list[SentencePart]]:
+    """Return the part with a name, if there is one, and the parts with other names."""
+    own = next((part for part in parts if part.name == name), None)
+    return own, [part for part in parts if part.name != name]
 
 
 def _condition_parts(
@@ -170,15 +178,12 @@ def facet_subgraph(
     Returns the graph's name of the colour as well, if the facet has one.
     """
     entity = around.entity_id(facet.object)
-    try:
-        relation = around.relation_id(colour_relation)
-    except UserError as error:
-        relation = -1
-        if facet.colour is not None:
-            known = [local_name(name) for name in around.relation_names]
-            unknown = unknown_name("colour relation", colour_relation, known)
-            hint = "Set colour_relation to the graph's relation, or detail to 'partial'."
-            raise UserError(f"{unknown} {hint}") from error
+    relation = around.find_relation(colour_relation)
+    if relation is None and facet.colour is not None:
+        known = [local_name(name) for name in around.relation_names]
+        unknown = unknown_name("colour relation", colour_relation, known)
+        hint = "Set colour_relation to the graph's relation, or detail to 'partial'."
+        raise UserError(f"{unknown} {hint}")
     colours = (around.heads == entity) & (around.relations == relation)
     keep, colour = ~colours, None
     if facet.colour is not None:
@@ -266,21 +271,24 @@ def graph_parts(graph: KnowledgeGraph, *, relation_words: bool) -> list[Sentence
 
 
 def _subgraphs(
-    config: KnowledgeConfig, facets: Sequence[ObjectColour]
-) -> dict[str, KnowledgeGraph]:
-    """Return the subgraph of each slot, by the slot's name."""
-    slots, source = slots_of(config, facets), config.source
+    config: KnowledgeConfig, facets: Sequence[ObjectColour], run_seed: int
+) -> tuple[KnowledgeGraph, dict[str, KnowledgeGraph]]:
+    """Return the graph that slots are described by, and the subgraph of each by its name."""
+    slots, source, graph = slots_of(config, facets), config.source, open_graph(config.graph)
     if not slots:
-        return {}
-    seed = source.draw_seed(config.seed, 0)
-    graph = source.change_graph(open_graph(config.graph), seed)
-    found = FacetSlots(slots).subgraphs(graph, config, seed)
-    return {slot.name: sub for slot, (sub, _) in zip(slots, found, strict=True)}
+        return graph, {}
+    seed, scene = source.draw_seed(config.seed, run_seed), FacetSlots(slots)
+    graph = source.change_graph(scene.complete(graph, config), seed)
+    found = scene.subgraphs(graph, config, seed)
+    return graph, {slot.name: sub for slot, (sub, _) in zip(slots, found, strict=True)}
 
 
-def scene_subgraph(config: KnowledgeConfig, facets: Sequence[ObjectColour]) -> KnowledgeGraph:
+def scene_subgraph(
+    config: KnowledgeConfig, facets: Sequence[ObjectColour], *, run_seed: int = 0
+) -> KnowledgeGraph:
     """Return the union of the slots' subgraphs."""
-    subgraphs, graph = _subgraphs(config, facets).values(), open_graph(config.graph)
+    graph, found = _subgraphs(config, facets, run_seed)
+    subgraphs = found.values()
     triples = [subgraph.triples for subgraph in subgraphs]
     return KnowledgeGraph(
         graph.names,
@@ -291,6 +299,9 @@ def scene_subgraph(config: KnowledgeConfig, facets: Sequence[ObjectColour]) -> K
     )
 
 
-def scene_sentences(config: KnowledgeConfig, facets: Sequence[ObjectColour]) -> dict[str, str]:
+def scene_sentences(
+    config: KnowledgeConfig, facets: Sequence[ObjectColour], *, run_seed: int = 0
+) -> dict[str, str]:
     """Return the sentence of each slot, by the slot's name."""
-    return {name: sentence(sub, config) for name, sub in _subgraphs(config, facets).items()}
+    found = _subgraphs(config, facets, run_seed)[1]
+    return {name: sentence(sub, config) for name, sub in found.items()}

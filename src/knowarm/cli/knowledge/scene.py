@@ -21,13 +21,14 @@ class KnowledgeShow(SceneOptions):
     def result(self) -> dict[str, Any]:
         """Print the subgraph, the sentence of each slot, and the embedding's shape and norm."""
         config, facets = self.config(), self.facets()
-        embedding = scene_embedding(config, facets, run_seed=self.run_seed())
-        subgraph = scene_subgraph(config, facets)
+        seed = self.run_seed()
+        embedding = scene_embedding(config, facets, run_seed=seed)
+        subgraph = scene_subgraph(config, facets, run_seed=seed)
         triples = list(subgraph)
         title = f"Subgraph: {len(triples)} triples, {len(subgraph.nodes)} entities"
         facts = [[local_name(name) for name in triple] for triple in triples]
         print_table(title, ["head", "relation", "tail"], facts)
-        sentences = scene_sentences(config, facets)
+        sentences = scene_sentences(config, facets, run_seed=seed)
         print_table("Sentences", ["slot", "sentence"], sentences.items())
         described = embedding.describe()
         norms = zip(described["slots"], described["slot_norms"], strict=True)
@@ -90,7 +91,7 @@ class ProbeCommand(SceneOptions):
     def result(self) -> dict[str, Any]:
         """Print cosines, the accuracy of linear probes, and a warning where facets are alike."""
         config = self.config()
-        found = probe(config, self.facets())
+        found = probe(config, self.facets(), run_seed=self.run_seed())
         title = f"Cosine of facets: {self.agent or config.source.short_name}"
         numbers = [str(i) for i in range(1, len(found.slots) + 1)]
         rows = [
@@ -102,6 +103,8 @@ class ProbeCommand(SceneOptions):
             columns = ["target", "the task's", "all objects'", "by guessing"]
             shares = [[n, s["task"], s["all"], s["guess"]] for n, s in found.recovered.items()]
             print_table("Share recovered by a linear probe", columns, shares)
+        elif not config.source.placebo and config.detail != "none":
+            print("Nothing to recover: no object, colour or value describes two facets.")
         else:
             print("Nothing to recover: these numbers do not come from the facts about the objects.")
         for first, second, cosine in found.nearly_same:
