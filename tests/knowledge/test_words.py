@@ -6,6 +6,7 @@ import pytest
 
 from knowarm.errors import UserError
 from knowarm.knowledge import KnowledgeConfig, graph_of, scene_embedding
+from knowarm.knowledge.vectors import source_named
 from knowarm.knowledge.vectors.source import Coverage, SentencePart
 from knowarm.knowledge.vectors.words import (
     WordLookup,
@@ -153,3 +154,29 @@ def test_a_file_of_vectors_through_the_same_door(vectors, tmp_path):
     )  # fmt: skip
     embedding = scene_embedding(config, [("mug", "light_blue")])
     np.testing.assert_allclose(embedding.vector, [2 / 3, 1 / 3, 1 / 3], rtol=1e-6)
+
+
+def test_a_random_vector_depends_on_the_word_and_the_file_only(vectors):
+    def found(*labels):
+        forms = {form for label in labels for form in all_forms(label, {})}
+        lookup = WordLookup(read_word_vectors(vectors, forms), on_missing="hash")
+        return find(lookup, "zyx")[0].vectors
+
+    alone = found("zyx")
+    assert np.linalg.norm(alone) == pytest.approx(np.sqrt(3))  # of 1, 1, 1, sqrt 3, 2, 2, 2
+    assert (found("zyx", "mug") == alone).all()
+    assert (found("zyx", "color", "box") == alone).all()
+
+
+def test_aliases_are_read_from_the_file_as_they_are_looked_up(vectors):
+    aliases = {"IRB120": "Boxes", "teacup": "crate", "crate": "mug"}
+    for label, row in (("irb120", [0, 2, 0]), ("teacup", [0, 1, 0])):
+        lookup = WordLookup(read_word_vectors(vectors, all_forms(label, aliases)), aliases=aliases)
+        assert find(lookup, label)[0].vectors.tolist() == [row]
+
+
+def test_short_names_of_files_and_values_that_are_not_taken():
+    for name in ("v.txt", "v.txt.gz", "v.txt.bz2", "v.txt.xz", "v.zip"):
+        assert source_named(name) == WordVectors(file=name)
+    with pytest.raises(UserError, match="'zeros' takes no value, got 'zeros:foo'"):
+        source_named("zeros:foo")

@@ -4,6 +4,7 @@ from dataclasses import fields
 from pathlib import Path
 
 from knowarm.errors import UserError, unknown_name
+from knowarm.knowledge.formats import COMPRESSED
 from knowarm.knowledge.vectors.graph_embedding import GraphEmbedding
 from knowarm.knowledge.vectors.placebos import (
     Learned,
@@ -45,13 +46,15 @@ def source_named(name: str) -> VectorSource:
         if issubclass(cls, Placebo):
             return cls(matches=source_named(value)) if value else cls()
         first = next((field.name for field in fields(cls) if field.name != "kind"), None)
+        if value and not first:
+            raise UserError(f"The source {kind!r} takes no value, got {name!r}. Give {kind!r}.")
         try:
             return cls(**{first: value}) if first and value else cls()
         except TypeError as error:
             raise UserError(f"{name!r} needs a value for {first}: {name}:{first}.") from error
     if name.endswith(".safetensors"):
         return GraphEmbedding(file=name)
-    if "/" in name or "\\" in name or Path(name).suffix in (".txt", ".gz", ".zip", ".vec"):
+    if "/" in name or "\\" in name or Path(name).suffix in (".txt", ".vec", *COMPRESSED):
         return WordVectors(file=name)
     from knowarm.knowledge.kge.models import MODELS  # torch takes a second to import
 

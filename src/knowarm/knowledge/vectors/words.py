@@ -1,9 +1,11 @@
 """Word vectors, shipped or from a file in the formats of GloVe and word2vec, and their lookup."""
 
 import hashlib
+import math
 import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from itertools import chain, islice
@@ -50,6 +52,7 @@ class WordTable:
     # Place of each word in the file, 1 = most frequent, (n,) int64
     ranks: np.ndarray = field(repr=False)
     size: int  # Number of words in the whole file
+    length: float  # Median length of its vectors, of a file of its first hundred
 
     @property
     def dim(self) -> int:
@@ -98,6 +101,8 @@ def read_word_vectors(path: Path, wanted: Collection[str] | None = None) -> Word
     beginning = list(islice(lines, _FIRST_LINES))
     header = int(bool(beginning) and _HEADER.fullmatch(beginning[0][1]) is not None)
     dim = _dimension([line for _, line in beginning[header:]], path, header)
+    lengths = [_length(line, dim) for _, line in beginning[header:]]
+    length = float(np.median([each for each in lengths if np.isfinite(each)] or [1.0]))
     for number, line in chain(beginning, lines):
         if line.count(b" ") != dim:
             if number <= header or not line.strip():
@@ -124,7 +129,7 @@ def read_word_vectors(path: Path, wanted: Collection[str] | None = None) -> Word
                 "or text. Correct or delete the line."
             )
     vectors = np.array(rows, np.float32).reshape(len(rows), dim)
-    return WordTable(path.name, tuple(words), vectors, np.array(ranks), count)
+    return WordTable(path.name, tuple(words), vectors, np.array(ranks), count, length)
 
 
 def _dimension(lines: list[bytes], path: Path, header: int) -> int:
@@ -137,6 +142,13 @@ def _dimension(lines: list[bytes], path: Path, header: int) -> int:
             f"Give a file in GloVe's format, e.g. glove.6B.50d.txt."
         )
     return dim
+
+
+def _length(line: bytes, dim: int) -> float:
+    """Return the length of the vector of a line, NaN if it holds none."""
+    with suppress(ValueError):
+        return float(np.linalg.norm(np.array(line.rstrip(b" ").rsplit(b" ", dim)[1:], np.float32)))
+    return math.nan
 
 
 def _check_wide(line: bytes, dim: int, path: Path, number: int) -> None:
@@ -185,7 +197,8 @@ def shipped_vectors(name: str) -> WordTable:
     tensors = load_file(SHIPPED[name])
     words = tuple(tensors["words"].tobytes().decode().split("\n"))
     vectors, ranks = tensors["vectors"].astype(np.float32), np.arange(1, len(words) + 1)
-    return WordTable(name, words, vectors, ranks, len(words))
+    length = float(np.median(np.linalg.norm(vectors, axis=1)))
+    return WordTable(name, words, vectors, ranks, len(words), length)
 
 
 class WordLookup:
@@ -260,12 +273,11 @@ class WordLookup:
 
     def _hashed(self, label: str, coverage: Coverage) -> Found:
         """Return random vectors of the median length that depend on the words' letters only."""
-        length = float(np.median(np.linalg.norm(self.words.vectors, axis=1)))
         vectors = []
         for word in label.split():
             seed = int.from_bytes(hashlib.sha256(word.encode()).digest()[:8], "little")
             vector = np.random.default_rng(seed).standard_normal(self.dim)
-            vectors.append(vector * (length / np.linalg.norm(vector)))
+            vectors.append(vector * (self.words.length / np.linalg.norm(vector)))
         coverage.how[label] = "hash"
         coverage.missing |= set(label.split())
         rarest = np.full(len(vectors), 1.0 / self.words.size)
@@ -287,14 +299,11 @@ def word_forms(word: str) -> list[str]:
 
 def all_forms(label: str, aliases: Mapping[str, str]) -> set[str]:
     """Return every spelling that the lookup of a label may try."""
-    forms = {label, *joined_forms(label)}
-    for word in label.split():
-        forms |= {word, *word_forms(word)}
-    for key in (label, *label.split()):
-        if key in aliases:
-            alias = aliases[key].lower()
-            forms |= {alias, *alias.split(), *joined_forms(alias)}
-    return forms
+    known = {key.lower(): alias.lower().split() for key, alias in aliases.items()}
+    words = [*label.split(), *known.get(label, ())]
+    words += [other for word in words for other in known.get(word, ())]
+    forms = (form for word in words for form in (word, *word_forms(word)))
+    return {label, *joined_forms(label), *forms}
 
 
 def _stems(word: str) -> Iterator[str]:
