@@ -76,6 +76,13 @@ def test_a_question_is_answered_from_the_command_line(tmp_path, capsys):
     assert "http" not in text.replace("http-equiv", "")
 
 
+def test_an_edit_may_give_a_question_its_first_answer(tmp_path):
+    path = tmp_path / "first.json"
+    words = ["ask", RUN, "usedFor juggling", "--edit", "+ lamp usedFor juggling"]
+    assert main([*words, "--json", str(path)]) == 0
+    assert {name.split("/")[0] for name in json.loads(path.read_text())["answers"]} == {"lamp"}
+
+
 def test_an_edit_leads_the_arm_to_another_object(asker, tmp_path, capsys):
     path, edits = tmp_path / "edited.json", ["- mug usedFor drinking", "+ lamp usedFor drinking"]
     assert main(["ask", RUN, "usedFor drinking", "--edit", *edits, "--json", str(path)]) == 0

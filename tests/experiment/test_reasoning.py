@@ -12,7 +12,7 @@ from knowarm.experiment.agents import AGENTS, controls_of
 from knowarm.experiment.build import build, slots_of
 from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.evaluate import evaluate
-from knowarm.experiment.graph_at_test import answer_table, graph_at_test, varied_graphs
+from knowarm.experiment.graph_at_test import answer_table, graph_at_test, varied_graphs, with_graph
 from knowarm.experiment.load import load_agent, reasoning_module
 from knowarm.experiment.names import experiment_config, experiment_names
 from knowarm.experiment.run import train
@@ -22,6 +22,7 @@ from knowarm.perception.config import ModuleSpec
 from knowarm.perception.grounding import GroundingNetwork
 from knowarm.perception.images import query_answers
 from knowarm.world.config import facets_of, questions_of
+from knowarm.world.objects import CHOOSE_TARGETS
 from tests.experiment.test_zoo import ZOO
 from tests.tiny import CHOOSE, CHOOSE_ENV
 
@@ -207,3 +208,13 @@ def test_an_empty_graph_is_not_the_intact_one(trained):
     assert answer_table(trained.config, env, facets).any()
     with pytest.raises(UserError, match="no facets to ask about"):
         answer_table(trained.config, env, facets, graph=graph_of([]))
+
+
+def test_targets_of_files_go_by_their_names():
+    bowl = str(ZOO.parent / "examples" / "own_robot" / "bowl.toml")
+    targets = [*(name for name in CHOOSE_TARGETS if name != "bowl"), bowl]
+    config = experiment_config("irb120-choose-answers-fast", env={"targets": targets})
+    assert bowl in with_graph(config, "objects").env.targets
+    how = EvaluationConfig(damage="missing", damage_share=1.0)
+    graph = graph_at_test(config, config.env, how)
+    assert not len(graph.out_rows(graph.entity_id("bowl")))

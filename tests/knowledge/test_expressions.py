@@ -154,3 +154,18 @@ def test_an_edit_of_several_things_is_refused(edit):
     graph = graph_of([("http://a/mug", "http://a/likes", "x"), ("http://b/mug", "b:likes", "y")])
     with pytest.raises(UserError, match=r"'(mug|likes)' names 2 (entities|relations)"):
         edited(graph, [edit])
+
+
+def test_the_colour_that_is_shown_counts_even_if_only_the_graph_knows_it():
+    graph = graph_of([*GRAPH, ("mug", "hasColor", "green")])
+    with pytest.raises(UserError, match="No object of the task answers"):
+        answer(graph, FACETS, "hasColor green")
+    assert names("hasPart handle and not hasColor green", graph) == {"mug", "watering_can"}
+
+
+@pytest.mark.parametrize("text", ["(" * 2000 + "usedFor tea" + ")" * 2000, "not " * 2000 + "tea"])
+def test_a_question_nests_no_deeper_than_it_can_be_read(text):
+    with pytest.raises(UserError, match="2000 brackets and negations; at most 50"):
+        answer(GRAPH, FACETS, text)
+    for deep in ("(" * 50 + "usedFor drinking" + ")" * 50, "not " * 50 + "usedFor drinking"):
+        assert names(deep) == {"mug"}

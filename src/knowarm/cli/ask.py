@@ -1,5 +1,6 @@
 """``knowarm ask``: a question to a trained agent, answered by a graph, an image and an arm."""
 
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -59,9 +60,10 @@ class Ask(TableCommand):
         def ask(question: str, edits: tuple[str, ...], scene: int | None) -> Asked:
             answers = [asker.answers(edited(graph, edits), question)]
             if scene is None and edits:
-                before = asker.answers(graph, question)
-                if (before.satisfies != answers[0].satisfies).any():
-                    answers.insert(0, before)
+                with suppress(UserError):  # without the edits the question may have no answer
+                    before = asker.answers(graph, question)
+                    if (before.satisfies != answers[0].satisfies).any():
+                        answers.insert(0, before)
             number = asker.scene(answers) if scene is None else scene
             return asker.ask(answers[-1], number, self.unclear)
 

@@ -54,12 +54,12 @@ def graph_at_test(
         )
     if how.damage is not None:
         graph = open_graph(config.knowledge.graph) if graph is None else graph
-        graph = damaged(graph, how.damage, how.damage_share, how.damage_seed, env.targets)
+        graph = damaged(graph, how.damage, how.damage_share, how.damage_seed, _names(env))
     if how.repair is not None:
         from knowarm.knowledge.kge.completion import completed  # training is needed here only
 
         graph = open_graph(config.knowledge.graph) if graph is None else graph
-        graph = completed(graph, env.targets, model=how.repair, seed=how.damage_seed)
+        graph = completed(graph, _names(env), model=how.repair, seed=how.damage_seed)
     return graph
 
 
@@ -73,7 +73,7 @@ def with_graph(config: ExperimentConfig, path: str) -> ExperimentConfig:
         path: of the graph, or the name of a shipped one.
     """
     _questions(config.env)
-    known = described(open_graph(path), config.env.targets)
+    known = described(open_graph(path), _names(config.env))
     shown = [name for name, is_known in zip(config.env.targets, known, strict=True) if is_known]
     if len(shown) < config.env.task.visible:
         raise UserError(
@@ -166,6 +166,11 @@ def answers_before_edit(env: EnvConfig) -> dict[str, set[str]]:
         query.name: {before.facets[facet][0] for facet in np.flatnonzero(row)}
         for query, row in zip(before.queries, before.satisfies, strict=True)
     }
+
+
+def _names(env: EnvConfig) -> list[str]:
+    """Return the names of the targets, some of which may be given as files."""
+    return list(dict.fromkeys(name for name, _ in facets_of(env)))
 
 
 def _questions(env: EnvConfig) -> QuestionTable:

@@ -39,6 +39,9 @@ SIGNS: dict[str, Callable[[int, int], bool]] = {
 }
 """Comparisons of a count."""
 
+MOST_NESTED = 50
+"""Most brackets and negations of a question."""
+
 _TOKEN = re.compile(r'"[^"]*"|[()]|[<>]=?|=|[^\s()<>="]+|"')
 _KEYWORDS = {"and", "or", "not", "count", "(", ")", *SIGNS}
 _SPARQL = re.compile(r"\s*(PREFIX|BASE|SELECT|ASK|CONSTRUCT|DESCRIBE)\b", re.IGNORECASE)
@@ -86,6 +89,11 @@ class _Reader:
     def __init__(self, text: str, graph: KnowledgeGraph, colours: set[str]) -> None:
         self.text, self.graph, self.colours = text, graph, colours
         self.words, self.place = [*_TOKEN.findall(text), ""], 0
+        if (deep := self.words.count("(") + self.words.count("not")) > MOST_NESTED:
+            raise UserError(
+                f"The question has {deep} brackets and negations; at most {MOST_NESTED} are read. "
+                "Ask a shorter one."
+            )
 
     def whole(self) -> Part:
         """Read to the end."""
@@ -153,15 +161,13 @@ class _Reader:
             names.append(word.strip('"'))
         if not (value := " ".join(names)):
             raise self.wrong(f"a value of {relation}")
-        if relation == COLOUR_RELATION and value in self.colours:
-            seen = f"the image shows {value}"
-            in_graph = self.graph.find_entity(value)
-        else:
-            seen, in_graph = "", self.graph.entity_id(value)  # must exist
+        is_colour = relation == COLOUR_RELATION
+        known = is_colour and value in self.colours  # any other value must be in the graph
+        in_graph = (self.graph.find_entity if known else self.graph.entity_id)(value)
 
         def evidence(entity: int, colour: str | None) -> Evidence | None:
-            if seen and colour is not None:
-                return (seen,) if colour == value else None
+            if is_colour and colour is not None:
+                return (f"the image shows {value}",) if colour == value else None
             links = self.links(entity, relation)
             return next(((text,) for text, tail in links if tail == in_graph), None)
 
