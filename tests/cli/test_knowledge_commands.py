@@ -154,6 +154,12 @@ def test_draw(capsys, tmp_path):
         (("fit", "--out", "a.pt"), "written as .safetensors"),
         (("evaluate", "none.safetensors"), "no model file"),
         (("draw", "--out", "/proc/none/a.svg"), "Cannot write"),
+        (("show", "--objects", "\udcff"), r"Unknown entity '\udcff'"),
+        (("queries", "--objects-per-episode", "0"), "objects_per_episode must be at least 1"),
+        (("queries", "--seed", "-1"), "Queries.seed must lie between 0"),
+        (("subgraph", "--objects", "mug", "--max-degree", "-1"), "max_degree is -1"),
+        (("fit", "--seed", "-1"), "seed must lie between 0"),
+        (("fit", "--batch-size", "0"), "batch_size must be at least 1"),
         (("sho",), "Did you mean 'show'"),
     ],
 )
@@ -228,3 +234,46 @@ def test_the_example_of_an_own_graph(capsys, tmp_path):
     questions = json.loads(out.read_text())["questions"]
     assert set(map(tuple, questions.values())) == {("book",)}
     assert all(query.startswith("ownedBy grandfather") for query in questions)
+
+
+def test_graphs_by_name_and_by_path(capsys, tmp_path, monkeypatch):
+    out = tmp_path / "out.json"
+    run(capsys, "subgraph", "--graph", "household", "--minus", "household", "--json", out)
+    assert json.loads(out.read_text())["triples"] == 0
+    code, _, _ = run(capsys, "subgraph", "--union", "objects", "--json", out)
+    assert code == 0
+    monkeypatch.chdir(tmp_path)
+    files = {"entity": "2\nmug\t0\ncup\t1\n", "relation": "1\nisA\t0\n", "train": "1\n0 1 0\n"}
+    (tmp_path / "families").mkdir()
+    for name, text in files.items():
+        (tmp_path / "families" / f"{name}2id.txt").write_text(text)
+    for graph, triples in (("./families", 1), ("families", 2084)):
+        run(capsys, "subgraph", "--graph", graph, "--json", out)
+        assert json.loads(out.read_text())["triples"] == triples
+
+
+def test_entity_names_of_objects_that_are_no_targets(capsys, tmp_path):
+    out = tmp_path / "out.json"
+    options = ("--objects", "cup", "--entity-names", "cup", "mug", "--json", out)
+    code, _, _ = run(capsys, "show", *options)
+    assert code == 0
+    assert list(json.loads(out.read_text())["sentences"]) == ["blue cup", "red cup"]
+
+
+def test_probe_of_a_real_source_without_anything_to_recover(capsys, tmp_path):
+    graph = tmp_path / "g.csv"
+    graph.write_text("mug,hasColor,red\nbottle,hasColor,blue\n")
+    options = ("--graph", graph, "--objects", "mug", "bottle", "--colours", "fixed")
+    code, text, _ = run(capsys, "probe", *options, "--entity-names", "yellow", "blue")
+    assert code == 0
+    assert "no object, colour or value describes two facets" in text.replace("\n", " ")
+
+
+def test_query_files(capsys, tmp_path):
+    query = tmp_path / "q.rq"
+    query.write_bytes(b"\xef\xbb\xbfASK { :mug ?p ?o }")
+    assert "yes" in run(capsys, "subgraph", "--sparql", query)[1]
+    query.write_bytes("ASK { :café ?p ?o }".encode("latin1"))
+    code, _, error = run(capsys, "subgraph", "--sparql", query)
+    assert code == 2
+    assert "one SPARQL query in UTF-8" in error

@@ -10,6 +10,7 @@ import tyro
 from knowarm.cli.knowledge.options import GraphOptions, check_suffix
 from knowarm.cli.tables import TableCommand, print_table
 from knowarm.errors import UserError
+from knowarm.knowledge.formats import SHIPPED
 from knowarm.knowledge.formats.openke import is_openke, read_openke_split
 from knowarm.knowledge.kge import KgeConfig
 
@@ -34,9 +35,10 @@ class SplitOptions(GraphOptions, TableCommand):
         """Return the graph's own split, or a random one."""
         from knowarm.knowledge.kge.train import split_graph  # imports torch, which takes seconds
 
-        if self.graph is None or not (self.graph.is_dir() and is_openke(self.graph)):
+        graph = self.graph
+        if graph is None or graph in SHIPPED or not is_openke(Path(graph)):
             return split_graph(self.read(), **shares, seed=seed)
-        split = read_openke_split(self.graph)
+        split = read_openke_split(Path(graph))
         if not len(split.test):
             raise UserError(f"{self.graph} has no test2id.txt with triples to test on. Add one.")
         return split

@@ -28,7 +28,7 @@ OBJECTS = EnvConfig().targets  # the default task's objects
 class GraphOptions:
     """The graph that a command works on."""
 
-    graph: Path | None = None
+    graph: str | None = None  # no `Path`, which would drop the "./" of a file
     """A graph file, an OpenKE folder or a shipped graph; "household" by default."""
     format: str | None = None
     """The file's format ("turtle", "ntriples", ...); by default that of its suffix."""
@@ -106,7 +106,9 @@ class SceneOptions(TableCommand):
             if name in TARGETS:
                 pairs = [(name, colour) for colour in TARGETS[name].colours]
             else:
-                pairs = graph_facets([name], open_graph(config.graph), config.colour_relation)
+                graph, named = open_graph(config.graph), config.graph_name(name)
+                found = graph_facets([named], graph, config.colour_relation)
+                pairs = [(name, colour) for _, colour in found]
             facets += pairs[:1] if self.colours == "fixed" else pairs
         return facets
 

@@ -9,8 +9,9 @@ import numpy as np
 
 from knowarm.cli.knowledge.options import OBJECTS, GraphOptions, check_suffix, writing
 from knowarm.cli.tables import TableCommand, print_table
+from knowarm.config import at_least, check_numbers
 from knowarm.errors import UserError, unknown_name
-from knowarm.knowledge import KnowledgeGraph, gamma, read_graph, write_graph
+from knowarm.knowledge import KnowledgeGraph, gamma, write_graph
 from knowarm.knowledge.draw import draw_svg
 from knowarm.knowledge.formats import WRITERS, open_graph
 from knowarm.knowledge.graph.builder import difference, union
@@ -23,6 +24,7 @@ from knowarm.knowledge.queries.queries import Pairs, QueryGraph
 from knowarm.knowledge.queries.splits import SPLITS, QuerySplits, query_splits
 from knowarm.knowledge.slots import graph_facets
 from knowarm.questions import COLOUR_RELATION, QuestionTable
+from knowarm.reading import read_text
 from knowarm.world.objects import COLOURS, TARGETS
 
 SHOWN = 60  # most triples that are printed
@@ -33,7 +35,7 @@ MOST_HELD = 12  # most held-out pairs or new triples that are printed
 class Queries(GraphOptions, TableCommand):
     """Show what a graph can be asked about objects, and what training and each test ask."""
 
-    graph: Path | None = Path("objects")
+    graph: str | None = "objects"
     """A graph file, an OpenKE folder or a shipped graph; by default that of the choose task."""
     objects: tuple[str, ...] = ()
     """Objects of the task; by default every entity that is the head of a triple and the tail of
@@ -52,10 +54,14 @@ class Queries(GraphOptions, TableCommand):
     """Number of objects in a scene."""
     hold_out: tuple[str, ...] = ("S2", "S3", "S4")
     """Splits whose questions training leaves out."""
-    edited: Path | None = None
+    edited: str | None = None
     """Graph of S5; by default values of the graph are swapped."""
     seed: int = 0
     """Seed of what is held out."""
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+        at_least(self, 1, "objects_per_episode")
 
     def result(self) -> dict[str, Any]:
         """Read the graph, make the tables and print them."""
@@ -166,7 +172,8 @@ class SelectionOptions(GraphOptions):
     relations: tuple[str, ...] | None = None
     """Relations to follow; None follows all."""
     max_degree: int | None = None
-    """Entities with more edges than this are not expanded; None sets no limit."""
+    """Entities with more edges than this are not expanded, but for the objects themselves; None
+    sets no limit."""
 
     def select(self, graph: KnowledgeGraph) -> KnowledgeGraph:
         """Return the neighbourhood of the objects."""
@@ -199,9 +206,9 @@ class Draw(SelectionOptions):
 class Subgraph(SelectionOptions, TableCommand):
     """Select a part of a graph, print it, and optionally write it in another format."""
 
-    union: Path | None = None
+    union: str | None = None
     """Add the triples of this graph before the selection."""
-    minus: Path | None = None
+    minus: str | None = None
     """Remove the triples of this graph before the selection."""
     sparql: str | None = None
     """Run this SPARQL query (or the query in this .rq file) instead; `:mug` is the entity mug."""
@@ -215,9 +222,9 @@ class Subgraph(SelectionOptions, TableCommand):
         check_suffix(self.out, "graphs", tuple(WRITERS))
         graph = self.read()
         if self.union is not None:
-            graph = union(graph, read_graph(self.union))
+            graph = union(graph, open_graph(self.union))
         if self.minus is not None:
-            graph = difference(graph, read_graph(self.minus))
+            graph = difference(graph, open_graph(self.minus))
         if self.sparql is not None:
             answer = sparql(graph, _text(self.sparql))
             if answer.graph is None:
@@ -241,9 +248,7 @@ def _text(query: str) -> str:
     """Return a query, or the content of a query file."""
     if "\n" in query or not query.endswith((".rq", ".sparql")):
         return query
-    if not Path(query).is_file():
-        raise UserError(f"There is no query file {query}.")
-    return Path(query).read_text("utf-8")
+    return read_text(Path(query), remedy="Give a file of one SPARQL query in UTF-8.")
 
 
 def _print_triples(graph: KnowledgeGraph) -> dict[str, Any]:
