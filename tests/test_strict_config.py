@@ -46,6 +46,7 @@ def test_the_kind_of_an_alternative_is_read_from_its_name():
         ({"robot": "x", "algorithm": {"name": "slow", "workres": 3}}, "'workers'"),
         ({"robot": "x", "algorithm": {"name": "medium"}}, "algorithm.name"),
         ({}, "'robot' is missing"),
+        ({"robot": "x", "limit": 10**400}, "limit must be below 1.8e308, got 1329 bits"),
         ({"robot": 3}, "robot must be of type str, got 3"),
         ({"robot": "x", "targets": "mug"}, "targets must be a list"),
         ({"robot": "x", "hidden": "shrink"}, "hidden"),

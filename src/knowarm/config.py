@@ -180,7 +180,11 @@ def _typed(hint: Any, value: Any, path: str) -> Any:
             raise UserError(f"{path} must map names to values, got {value!r}.")
         return {key: _typed(args[1], item, f"{path}.{key}") for key, item in value.items()}
     if hint is float and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
+        try:
+            return float(value)
+        except OverflowError:
+            bits = value.bit_length()
+            raise UserError(f"{path} must be below 1.8e308, got {bits} bits.") from None
     if isinstance(hint, type) and (
         not isinstance(value, hint) or (isinstance(value, bool) and hint is not bool)
     ):

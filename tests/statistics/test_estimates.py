@@ -80,6 +80,15 @@ def test_equal_scores_without_spread_are_no_difference():
     assert one_way_anova([np.ones(3), np.zeros(3)]) == (np.inf, 0)
 
 
+def test_a_spread_of_rounding_alone_is_none():
+    compared = welch(np.full(3, 0.7), np.full(3, 0.1))
+    assert (compared.effect_size, compared.p_value) == (None, 0)
+    assert compared.difference.low == compared.difference.high == pytest.approx(0.6)
+    steps = np.array([0.3, 0.4, 0.5])
+    assert paired(steps, steps - 0.2).effect_size is None
+    assert paired(steps, np.array([0.1, 0.2, 0.3]) + 0.2).p_value == 1
+
+
 def test_one_side_without_spread_is_compared_without_a_warning():
     compared = welch(np.full(3, 0.5), np.array([0.2, 0.3, 0.4]))
     assert compared.difference.low < compared.difference.estimate < compared.difference.high

@@ -134,8 +134,10 @@ def _t_test(
 ) -> Comparison:
     """Run one of SciPy's t tests; without any spread the difference is exact."""
     difference = float(first.mean() - second.mean())
-    ends, p_value, effect_size = (difference, difference), 0.0 if difference else 1.0, None
-    if spread:
+    rounding = 1e-12 * max(np.abs(first).max(), np.abs(second).max())
+    p_value, effect_size = 0.0 if abs(difference) > rounding else 1.0, None
+    ends = difference, difference
+    if spread > rounding:
         with warnings.catch_warnings():  # SciPy warns of a sample whose values are all equal
             warnings.filterwarnings("ignore", "Precision loss", RuntimeWarning)
             result = test(first, second, **options)
