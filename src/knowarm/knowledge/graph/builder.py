@@ -110,17 +110,14 @@ def union(first: KnowledgeGraph, second: KnowledgeGraph) -> KnowledgeGraph:
 
     Blank nodes of two graphs are never the same: those of the second get names that are free.
     """
-    taken = {*first.entities, *second.entities}
-    both = sorted(set(first.entities).intersection(second.entities))
-    free = blank_names(taken)
-    new = {name: next(free) for name in both if name.startswith("_:")}
+    own = set(first.entities)
+    free = blank_names(own.union(second.entities))
+    both = (name for name in second.entities if name.startswith("_:") and name in own)
+    new = {name: next(free) for name in both}
     triples = ((new.get(h, h), r, new.get(t, t)) for h, r, t in second)
+    nodes = (*own, *(new.get(name, name) for name in second.entities))
     labels = {new.get(name, name): label for name, label in second.own_labels().items()}
-    return graph_of(
-        (*first, *triples),
-        nodes=(new.get(name, name) for name in taken) if new else taken,
-        labels={**labels, **first.own_labels()},
-    )
+    return graph_of((*first, *triples), nodes=nodes, labels=labels | first.own_labels())
 
 
 def difference(first: KnowledgeGraph, second: KnowledgeGraph) -> KnowledgeGraph:

@@ -24,8 +24,9 @@ def damaged(
 ) -> KnowledgeGraph:
     """Damage a share of the triples about some objects; all entities and other triples stay.
 
-    What a smaller share damages, a larger one damages as well. The share of "adversarial" is
-    reached up to the triples of one pair of values, or as far as there are pairs.
+    What a smaller share damages, a larger one damages as well. The share of "wrong" is
+    reached as far as there are other tails, and that of "adversarial" up to the triples of one pair
+    of values, or as far as there are pairs.
 
     Raises:
         UserError: an unknown kind, or a share outside 0 to 1.

@@ -221,11 +221,7 @@ class KnowledgeGraph:
         )
 
     def find_entity(self, name: str) -> int | None:
-        """Return the id of an entity given by name, last part of its IRI, or label; None without.
-
-        Raises:
-            UserError: several entities have that last part or label.
-        """
+        """Return the id by name, last part of the IRI, or label; None without, refuse several."""
         exact = self.names.find(name)
         if exact is not None and self._has_node(exact):
             return exact
@@ -245,11 +241,7 @@ class KnowledgeGraph:
         raise unknown_name("entity", name, names)
 
     def find_relation(self, name: str) -> int | None:
-        """Return the id of a relation given by name or last part of its IRI; None without.
-
-        Raises:
-            UserError: several relations have that last part.
-        """
+        """Return the id by name or last part of the IRI; None without, refuse several."""
         exact = self.relation_names.find(name)
         found = self.relation_names.find_local(name) if exact is None else [exact]
         return _single(found, name, self.relation_names, "relations")

@@ -236,11 +236,10 @@ def split_graph(
             uses[relation] -= 1
             held.append(int(row))
     if not held:
-        why = "so that every entity stays in training. Give a larger graph"
-        if not sum(wanted):
-            why = (
-                f"by shares of valid={valid} and test={test}. Give larger shares or a larger graph"
-            )
+        shares = f"by shares of valid={valid} and test={test}. Give larger ones"
+        why = (
+            "so that every entity stays in training. Give a larger graph" if sum(wanted) else shares
+        )
         raise UserError(
             f"No triple of {len(triples)} can be held out {why}, or a folder with train2id.txt and "
             "test2id.txt."
