@@ -204,10 +204,13 @@ def test_an_answer_of_very_many_rows(monkeypatch):
         sparql(household(), "SELECT * { ?s ?p ?o }")
 
 
-@pytest.mark.parametrize("hidden", ["# SERVICE", '"SERVICE"', "'a\\'SERVICE'"])
-def test_service_is_refused_wherever_it_stands(hidden):
+@pytest.mark.parametrize(
+    "before", ["# '\n", '"#"', "'a\\'#'", "<http://a#b>", ":a\\#", '"""\n"#"""']
+)
+@pytest.mark.parametrize("service", ["SERVICE <http://a>", "service silent:s", "1SERVICE ?s"])
+def test_service_is_refused_wherever_it_stands(before, service):
     with pytest.raises(UserError, match="nothing is fetched"):
-        sparql(household(), f"ASK {{ ?s ?p ?o }} {hidden}")
+        sparql(household(), f"ASK {{ ?s ?p {before} {service}{{ ?s ?p ?o }} }}")
 
 
 def test_brackets_in_strings_are_no_nesting(tmp_path):

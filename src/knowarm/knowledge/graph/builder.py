@@ -112,8 +112,7 @@ def union(first: KnowledgeGraph, second: KnowledgeGraph) -> KnowledgeGraph:
     """
     own = set(first.entities)
     free = blank_names(own.union(second.entities))
-    both = (name for name in second.entities if name.startswith("_:") and name in own)
-    new = {name: next(free) for name in both}
+    new = {n: next(free) for n in second.entities if n.startswith("_:") and n in own}
     triples = ((new.get(h, h), r, new.get(t, t)) for h, r, t in second)
     nodes = (*own, *(new.get(name, name) for name in second.entities))
     labels = {new.get(name, name): label for name, label in second.own_labels().items()}

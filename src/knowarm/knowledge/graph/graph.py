@@ -1,6 +1,5 @@
 """Knowledge graph: triples as sorted integer arrays with fast neighbour lookup, and gamma."""
 
-import re
 from bisect import bisect_left
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -71,8 +70,10 @@ class Names:
     def _quoted(self) -> dict[str, list[int]]:
         """Ids by local name, of the names whose bytes do not end in it."""
         found = defaultdict(list)
-        places = re.finditer(rb"[#/:]\0|%", self.blob)
-        for index in sorted({self._index(place.start()) for place in places}):
+        data = np.frombuffer(self.blob, np.uint8)
+        ends = np.isin(data[self.offsets[1:] - 2], list(b"#/:"))
+        places = np.searchsorted(self.offsets, np.flatnonzero(data == ord("%")), side="right")
+        for index in np.union1d(np.flatnonzero(ends), places - 1).tolist():
             if not (name := self[index]).startswith('"'):
                 found[local_name(name)].append(index)
         return found
