@@ -44,7 +44,7 @@ from knowarm.report.collect import collect
 from knowarm.world.objects import TARGETS
 from knowarm.world.robots import ROBOTS
 from knowarm.world.robots.robot import read_robot, read_target
-from knowarm.world.scene.compose import read_mjcf
+from knowarm.world.scene.mjcf import read_mjcf
 from tests.robustness.mutator import mutate
 from tests.robustness.packs import pack_readers
 from tests.tiny import TINY, short

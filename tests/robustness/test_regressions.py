@@ -28,8 +28,8 @@ from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.kge.train import FORMAT, load_model, new_model, save_model
 from knowarm.learn.checkpoint import Checkpoint, CheckpointStore, read_checkpoint
 from knowarm.world.robots.robot import read_robot
-from knowarm.world.scene import compose
-from knowarm.world.scene.compose import read_mjcf
+from knowarm.world.scene import mjcf
+from knowarm.world.scene.mjcf import read_mjcf
 from tests.robustness.interrupts import MJCF
 
 ZOO = Path(__file__).parent.parent.parent / "zoo"
@@ -179,7 +179,7 @@ def test_an_over_long_path_of_a_robots_file(tmp_path):
 
 
 def test_a_robots_file_that_takes_too_long(tmp_path, monkeypatch):
-    monkeypatch.setattr(compose, "COMPILE_S", 0.1)
+    monkeypatch.setattr(mjcf, "COMPILE_S", 0.1)
     (tmp_path / "a.xml").write_text(MJCF.replace("300000", "6000"))
     with pytest.raises(UserError, match="takes more than 0 s to compile"):
         read_mjcf(tmp_path / "a.xml", "Robot 'own'")

@@ -32,7 +32,7 @@ from knowarm.world.objects.families import (
     instance,
     look_of,
 )
-from knowarm.world.scene.compose import read_mjcf
+from knowarm.world.scene.mjcf import read_mjcf
 from knowarm.world.scene.scene import find_targets
 from knowarm.world.tasks.episodes import evaluation_episodes
 

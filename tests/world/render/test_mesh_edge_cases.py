@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from knowarm.errors import UserError
 from knowarm.world.render import Raycaster
 from knowarm.world.render.scenery import read_scenery
-from knowarm.world.scene.compose import read_mjcf
+from knowarm.world.scene.mjcf import read_mjcf
 from tests.world.render.raycast_scenes import CAMERA, random_states, torus
 from tests.world.render.test_geometry import agreement
 

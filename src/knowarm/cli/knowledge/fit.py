@@ -19,17 +19,8 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SplitOptions(GraphOptions, TableCommand):
-    """A graph, and the triples that are held out; an OpenKE folder has its own split."""
-
-    valid: float = 0.1
-    """Share of triples for early stopping, where the graph has no split."""
-    test: float = 0.1
-    """Share of triples to test on, where the graph has no split."""
-
-    def shares(self) -> dict[str, float]:
-        """Return the shares of triples to hold out."""
-        return {"valid": self.valid, "test": self.test}
+class SplitCommand(GraphOptions, TableCommand):
+    """A command on a graph of which triples are held out; an OpenKE folder has its own split."""
 
     def split(self, seed: int, shares: dict[str, float]) -> "Split":
         """Return the graph's own split, or a random one."""
@@ -45,9 +36,13 @@ class SplitOptions(GraphOptions, TableCommand):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fit(SplitOptions):
+class Fit(SplitCommand):
     """Train vectors for the entities of a graph, and test them by link prediction."""
 
+    valid: float = 0.1
+    """Share of triples for early stopping, where the graph has no split."""
+    test: float = 0.1
+    """Share of triples to test on, where the graph has no split."""
     training: Annotated[KgeConfig, tyro.conf.OmitArgPrefixes] = field(default_factory=KgeConfig)
     """The model and its training."""
     out: Path | None = None
@@ -61,7 +56,8 @@ class Fit(SplitOptions):
         )
 
         check_suffix(self.out, "models", (".safetensors",))
-        config, split = self.training, self.split(self.training.seed, self.shares())
+        config, shares = self.training, {"valid": self.valid, "test": self.test}
+        split = self.split(config.seed, shares)
         end = "\r" if sys.stdout.isatty() else "\n"
 
         def on_epoch(epoch: int, loss: float, mrr: float | None) -> None:
@@ -76,25 +72,24 @@ class Fit(SplitOptions):
         found = _print_scores(config.model, done.model, split)
         print(f"Best of {done.epochs} epochs: {done.best_epoch}.")
         if self.out is not None:
-            save_model(done.model, config, split.graph, self.out, self.shares())
+            save_model(done.model, config, split.graph, self.out, shares)
             print(f"Wrote {self.out}")
         return {**found, "epochs": done.best_epoch, "config": asdict(config)}
 
 
 @dataclass(frozen=True, kw_only=True)
-class KnowledgeEvaluate(SplitOptions):
+class KnowledgeEvaluate(SplitCommand):
     """Test a model written by `fit --out` on the test triples of the graph it was fitted on."""
 
     model: Annotated[Path, tyro.conf.Positional]
-    """The model's .safetensors file. It says which triples were held out. For an older
-    file, which does not, give the `--valid` and `--test` of `fit`."""
+    """The model's .safetensors file. It says which triples were held out."""
 
     def result(self) -> dict[str, Any]:
         """Load, rank and print."""
         from knowarm.knowledge.kge.train import load_model  # imports torch, which takes seconds
 
         stored = load_model(self.model)
-        split = self.split(stored.config.seed, stored.shares or self.shares())
+        split = self.split(stored.config.seed, stored.shares)
         names = tuple(split.graph.names), tuple(split.graph.relation_names)
         if names != (stored.entities, stored.relations):
             raise UserError(

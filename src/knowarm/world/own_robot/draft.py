@@ -21,7 +21,7 @@ from knowarm.world.config import EnvConfig
 from knowarm.world.own_robot.draft_gripper import find_gripper
 from knowarm.world.own_robot.draft_reach import Layout, find_layout, spread_rad
 from knowarm.world.robots.robot import Robot
-from knowarm.world.scene.compose import read_mjcf
+from knowarm.world.scene.mjcf import read_mjcf
 from knowarm.world.scene.scene import Scene, build_scene, find_targets
 from knowarm.world.tasks.reward import measure
 

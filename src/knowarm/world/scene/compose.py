@@ -1,10 +1,7 @@
 """Composition of a scene: one ``MjSpec`` of robot, servos, targets, support, lights and camera."""
 
-from collections.abc import Iterable, Sequence
-from concurrent.futures import Future
+from collections.abc import Sequence
 from itertools import count
-from pathlib import Path
-from threading import Thread
 from typing import Any
 
 import mujoco
@@ -12,47 +9,13 @@ import numpy as np
 
 from knowarm.errors import UserError
 from knowarm.questions import object_of
-from knowarm.reading import one_line, reading
 from knowarm.world.objects import Target
 from knowarm.world.robots.robot import Robot, Table
+from knowarm.world.scene.mjcf import check_names, hide_sites, hold, read_mjcf, strip
 
 ROBOT_PREFIX = "robot/"  # Prefix of all names of the robot's own file in the scene
 ROBOT_BIT, SUPPORT_BIT = 1, 2
 """MuJoCo contact bits: the only contacts are those between robot and support."""
-COMPILE_S = 120.0  # Most time that an MJCF file may take to compile
-
-
-def read_mjcf(path: Path, owner: str, xml: str | None = None) -> mujoco.MjSpec:
-    """Read an MJCF file, or its text; messages name the owner of it ("Robot 'irb120'")."""
-    if xml is not None:
-        return mujoco.MjSpec.from_string(xml)
-    with reading(path, "Give the path of an MJCF file."):
-        is_file = path.is_file()
-    if not is_file:
-        raise UserError(f"{owner}: mjcf is {str(path)!r}, and there is no such file.")
-    compiled: Future[mujoco.MjSpec] = Future()
-
-    def compile_file() -> None:
-        try:
-            spec = mujoco.MjSpec.from_file(str(path))
-            spec.compile()
-            compiled.set_result(spec)
-        except Exception as error:
-            compiled.set_exception(error)
-
-    # MuJoCo does not notice Ctrl-C; waiting for another thread does.
-    Thread(target=compile_file, daemon=True).start()
-    try:
-        return compiled.result(COMPILE_S)
-    except TimeoutError:
-        raise UserError(
-            f"{owner}: mjcf {str(path)!r} takes more than {COMPILE_S:.0f} s to compile."
-        ) from None
-    except (ValueError, mujoco.FatalError) as error:
-        raise UserError(
-            f"{owner}: mjcf {str(path)!r} does not compile: {one_line(error)}. Correct the file; "
-            f"`python -m mujoco.viewer --mjcf={path}` shows the same error."
-        ) from None
 
 
 def attach_robot(spec: mujoco.MjSpec, robot: Robot) -> None:
@@ -60,19 +23,19 @@ def attach_robot(spec: mujoco.MjSpec, robot: Robot) -> None:
     owner = f"Robot {robot.name!r}"
     part = read_mjcf(robot.mjcf, owner)
     for field in ("joints", "held_joints"):
-        _check_names(owner, field, getattr(robot, field), robot.mjcf, "joints", part.joints)
+        check_names(owner, field, getattr(robot, field), robot.mjcf, "joints", part.joints)
     if robot.tcp_body is not None:
-        _check_names(owner, "tcp_body", [robot.tcp_body], robot.mjcf, "bodies", part.bodies)
+        check_names(owner, "tcp_body", [robot.tcp_body], robot.mjcf, "bodies", part.bodies)
         body = part.body(robot.tcp_body)
         body.add_site(name=robot.tcp_site, pos=robot.tcp_position_m, quat=robot.tcp_quaternion)
     else:
         remedy = " Name one of them, or set tcp_body to have the site added."
-        _check_names(owner, "tcp_site", [robot.tcp_site], robot.mjcf, "sites", part.sites, remedy)
-    _strip(part)
+        check_names(owner, "tcp_site", [robot.tcp_site], robot.mjcf, "sites", part.sites, remedy)
+    strip(part)
     for joint in list(part.joints):
         if joint.name not in robot.joints:
             if joint.name in robot.held_joints:
-                _hold(part, joint, robot.held_joints[joint.name], owner)
+                hold(part, joint, robot.held_joints[joint.name], owner)
             part.delete(joint)
     for body in part.bodies:
         body.gravcomp = 1
@@ -80,50 +43,9 @@ def attach_robot(spec: mujoco.MjSpec, robot: Robot) -> None:
         collides = geom.contype != 0 or geom.conaffinity != 0
         geom.contype = ROBOT_BIT if collides else 0
         geom.conaffinity = SUPPORT_BIT if collides else 0
-    _hide_sites(part)
+    hide_sites(part)
     frame = spec.worldbody.add_frame(pos=robot.base_position_m)
     spec.attach(part, frame=frame, prefix=ROBOT_PREFIX)
-
-
-def _strip(part: mujoco.MjSpec) -> None:
-    """Delete what a file contains for its own demo; it would refer to removed joints, too."""
-    kinds = "keys actuators sensors equalities tendons pairs excludes lights cameras"
-    for kind in kinds.split():
-        for element in list(getattr(part, kind)):
-            part.delete(element)
-
-
-def _hold(part: mujoco.MjSpec, joint: mujoco.MjsJoint, value: float, owner: str) -> None:
-    """Move a joint's body to its pose at a joint value, so that the joint can be removed."""
-    body, in_degrees = joint.parent, part.compiler.degree
-    is_hinge = joint.type == mujoco.mjtJoint.mjJNT_HINGE
-    value -= np.radians(joint.ref) if is_hinge and in_degrees else joint.ref
-    if value == 0:
-        return
-    if body.alt.type != mujoco.mjtOrientation.mjORIENTATION_QUAT:
-        sequence = part.compiler.eulerseq
-        body.quat = mujoco.MjSpec.resolve_orientation(in_degrees, sequence, body.alt)
-        body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-    flat = np.zeros(9)
-    mujoco.mju_quat2Mat(flat, body.quat)
-    rotation = flat.reshape(3, 3)
-    axis = np.asarray(joint.axis) / np.linalg.norm(joint.axis)
-    if joint.type == mujoco.mjtJoint.mjJNT_SLIDE:
-        body.pos = body.pos + rotation @ axis * value
-    elif is_hinge:
-        turn = np.zeros(4)
-        mujoco.mju_axisAngle2Quat(turn, axis, value)
-        turned = np.zeros(9)
-        mujoco.mju_quat2Mat(turned, turn)
-        arm = np.asarray(joint.pos)
-        body.pos = body.pos + rotation @ (arm - turned.reshape(3, 3) @ arm)
-        quaternion = np.zeros(4)
-        mujoco.mju_mulQuat(quaternion, body.quat, turn)
-        body.quat = quaternion
-    else:
-        raise UserError(
-            f"{owner}: held_joints can hold hinges and slides; {joint.name!r} is neither."
-        )
 
 
 def attach_target(
@@ -141,9 +63,9 @@ def attach_target(
             f"{owner}: {target.mjcf.name} must hold one top-level body with all geoms in it; it "
             f"holds {len(bodies)}."
         )
-    _check_names(owner, "grasp_site", [target.grasp_site], target.mjcf, "sites", part.sites)
-    _check_names(owner, "coloured_geoms", target.coloured_geoms, target.mjcf, "geoms", part.geoms)
-    _strip(part)
+    check_names(owner, "grasp_site", [target.grasp_site], target.mjcf, "sites", part.sites)
+    check_names(owner, "coloured_geoms", target.coloured_geoms, target.mjcf, "geoms", part.geoms)
+    strip(part)
     for joint in list(part.joints):
         part.delete(joint)
     free = (name for i in count() if part.geom(name := f"geom_{i}") is None)
@@ -155,7 +77,7 @@ def attach_target(
     for geom in list(part.geoms):
         if target != next((each for each in parts if geom.name in each.part_geoms), parts[0]):
             part.delete(geom)
-    _hide_sites(part)
+    hide_sites(part)
     yaw = np.radians(robot.yaw_deg(target.name))
     body = bodies[0]
     body.name = body.name or "body"
@@ -165,31 +87,6 @@ def attach_target(
     body.quat = [np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
     frame = spec.worldbody.add_frame()
     spec.attach(part, frame=frame, prefix=f"{target.name}/")
-
-
-def _hide_sites(part: mujoco.MjSpec) -> None:
-    """Move the sites to group 5, which no image shows and viewers show on request."""
-    for site in part.sites:
-        site.group = 5
-
-
-def _check_names(
-    owner: str,
-    field: str,
-    names: Iterable[str],
-    mjcf: Path,
-    kind: str,
-    elements: Iterable[Any],
-    remedy: str = "",
-) -> None:
-    """Check that all names of a field are among the elements of an MJCF file."""
-    known = {element.name for element in elements if element.name}
-    for name in names:
-        if name not in known:
-            raise UserError(
-                f"{owner}: {field} names {name!r}, which {mjcf.name} does not have. Its {kind}: "
-                f"{', '.join(sorted(known)) or 'none'}.{remedy}"
-            )
 
 
 CONTROL_PERIOD_S = 0.1

@@ -1,0 +1,114 @@
+"""MJCF files of robots and objects: read, checked, and reduced to what a scene simulates."""
+
+from collections.abc import Iterable
+from concurrent.futures import Future
+from pathlib import Path
+from threading import Thread
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from knowarm.errors import UserError
+from knowarm.reading import one_line, reading
+
+COMPILE_S = 120.0  # Most time that an MJCF file may take to compile
+
+
+def read_mjcf(path: Path, owner: str, xml: str | None = None) -> mujoco.MjSpec:
+    """Read an MJCF file, or its text; messages name the owner of it ("Robot 'irb120'")."""
+    if xml is not None:
+        return mujoco.MjSpec.from_string(xml)
+    with reading(path, "Give the path of an MJCF file."):
+        is_file = path.is_file()
+    if not is_file:
+        raise UserError(f"{owner}: mjcf is {str(path)!r}, and there is no such file.")
+    compiled: Future[mujoco.MjSpec] = Future()
+
+    def compile_file() -> None:
+        try:
+            spec = mujoco.MjSpec.from_file(str(path))
+            spec.compile()
+            compiled.set_result(spec)
+        except Exception as error:
+            compiled.set_exception(error)
+
+    # MuJoCo does not notice Ctrl-C; waiting for another thread does.
+    Thread(target=compile_file, daemon=True).start()
+    try:
+        return compiled.result(COMPILE_S)
+    except TimeoutError:
+        raise UserError(
+            f"{owner}: mjcf {str(path)!r} takes more than {COMPILE_S:.0f} s to compile."
+        ) from None
+    except (ValueError, mujoco.FatalError) as error:
+        raise UserError(
+            f"{owner}: mjcf {str(path)!r} does not compile: {one_line(error)}. Correct the file; "
+            f"`python -m mujoco.viewer --mjcf={path}` shows the same error."
+        ) from None
+
+
+def strip(part: mujoco.MjSpec) -> None:
+    """Delete what a file contains for its own demo; it would refer to removed joints, too."""
+    kinds = "keys actuators sensors equalities tendons pairs excludes lights cameras"
+    for kind in kinds.split():
+        for element in list(getattr(part, kind)):
+            part.delete(element)
+
+
+def hold(part: mujoco.MjSpec, joint: mujoco.MjsJoint, value: float, owner: str) -> None:
+    """Move a joint's body to its pose at a joint value, so that the joint can be removed."""
+    body, in_degrees = joint.parent, part.compiler.degree
+    is_hinge = joint.type == mujoco.mjtJoint.mjJNT_HINGE
+    value -= np.radians(joint.ref) if is_hinge and in_degrees else joint.ref
+    if value == 0:
+        return
+    if body.alt.type != mujoco.mjtOrientation.mjORIENTATION_QUAT:
+        sequence = part.compiler.eulerseq
+        body.quat = mujoco.MjSpec.resolve_orientation(in_degrees, sequence, body.alt)
+        body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    flat = np.zeros(9)
+    mujoco.mju_quat2Mat(flat, body.quat)
+    rotation = flat.reshape(3, 3)
+    axis = np.asarray(joint.axis) / np.linalg.norm(joint.axis)
+    if joint.type == mujoco.mjtJoint.mjJNT_SLIDE:
+        body.pos = body.pos + rotation @ axis * value
+    elif is_hinge:
+        turn = np.zeros(4)
+        mujoco.mju_axisAngle2Quat(turn, axis, value)
+        turned = np.zeros(9)
+        mujoco.mju_quat2Mat(turned, turn)
+        arm = np.asarray(joint.pos)
+        body.pos = body.pos + rotation @ (arm - turned.reshape(3, 3) @ arm)
+        quaternion = np.zeros(4)
+        mujoco.mju_mulQuat(quaternion, body.quat, turn)
+        body.quat = quaternion
+    else:
+        raise UserError(
+            f"{owner}: held_joints can hold hinges and slides; {joint.name!r} is neither."
+        )
+
+
+def hide_sites(part: mujoco.MjSpec) -> None:
+    """Move the sites to group 5, which no image shows and viewers show on request."""
+    for site in part.sites:
+        site.group = 5
+
+
+def check_names(
+    owner: str,
+    field: str,
+    names: Iterable[str],
+    mjcf: Path,
+    kind: str,
+    elements: Iterable[Any],
+    remedy: str = "",
+) -> None:
+    """Check that all names of a field are among the elements of an MJCF file."""
+    known = {element.name for element in elements if element.name}
+    for name in names:
+        if name not in known:
+            raise UserError(
+                f"{owner}: {field} names {name!r}, which {mjcf.name} does not have. Its {kind}: "
+                f"{', '.join(sorted(known)) or 'none'}.{remedy}"
+            )
