@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from knowarm.experiment.names import experiment_config
+from knowarm.experiment.run import other_fields
 from knowarm.experiment.run_folder import RunFolder
 
 GRAPH = "head,relation,tail\nmug,usedFor,drinking\n"
@@ -76,3 +77,34 @@ def test_the_edited_graph_of_s5_is_kept(tmp_path):
     folder.write_experiment(config)
     edited.unlink()
     assert Path(folder.experiment().env.task.queries.edited).read_text() == GRAPH
+
+
+def test_a_resumed_run_keeps_the_name_of_the_original(run):
+    folder, path, config = run
+    before = folder.config_path.read_text()
+    path.write_text("head,relation,tail\nmug,is,red\n")
+    assert "restore" in other_fields(folder, config)["knowledge.graph"]
+    folder.write_experiment(folder.experiment())
+    assert folder.config_path.read_text() == before
+    path.write_text(GRAPH)
+    assert folder.experiment() == config
+
+
+def test_a_graph_that_was_copied_in_part_is_copied_again(run):
+    folder, _, config = run
+    (copy,) = folder.graphs.glob("*/kitchen.csv")
+    copy.rename(copy.with_name(".kitchen.csv.tmp")).write_text("head,rel")
+    folder.write_experiment(config)
+    assert [each.read_text() for each in folder.graphs.glob("*/*")] == [GRAPH]
+
+
+def test_folders_inside_a_graph_are_compared(run, tmp_path):
+    folder, _, config = run
+    inner = tmp_path / "openke" / "more"
+    inner.mkdir(parents=True)
+    (inner / "facts.csv").write_text(GRAPH)
+    config = replace(config, knowledge=replace(config.knowledge, graph=str(inner.parent)))
+    folder.write_experiment(config)
+    assert folder.experiment() == config
+    (inner / "facts.csv").write_text("changed")
+    assert folder.experiment() != config

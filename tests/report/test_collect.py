@@ -11,6 +11,8 @@ import pytest
 from knowarm.config import to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.config import EvaluationConfig
+from knowarm.experiment.names import experiment_config
+from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.summary import EPISODE_COLUMNS, read_table, write_table
 from knowarm.report import write_report
 from knowarm.report.collect import collect
@@ -263,6 +265,41 @@ def test_untrained_policies_are_references_and_never_compared(tmp_path):
     task = collect(paths).tasks[0]
     assert task.label == LABEL
     assert [each.name for each in task.references] == ["untrained bm", "untrained full"]
+
+
+@pytest.mark.parametrize("other", ["env", "split"])
+def test_an_untrained_policy_of_another_task_is_no_reference(tmp_path, other):
+    paths = study(tmp_path)
+    folder = paths[0] / "evaluation" / f"{LABEL}-untrained"
+    env = env_of() | ({"ignore_roll": True} if other == "env" else {})
+    size = replace(LIGHT, evaluation={"split": "S4"} if other == "split" else {})
+    write_evaluation(folder, "bm", 0.0, env, np.random.default_rng(0), size)
+    assert not collect(paths).tasks[0].references
+
+
+@pytest.mark.parametrize("change", ["gone", "edited", "elsewhere"])
+def test_seeds_trained_with_one_graph_are_one_agent(tmp_path, change):
+    graphs = [tmp_path / "kitchen.csv", tmp_path / "other" / "kitchen.csv"]
+    graphs[1].parent.mkdir()
+    paths = []
+    for seed in range(2):
+        for graph in graphs:
+            graph.write_text("head,relation,tail\nmug,usedFor,drinking\n")
+        graph = str(graphs[seed if change == "elsewhere" else 0])
+        config = experiment_config("irb120-full-fast", seed=seed, knowledge={"graph": graph})
+        folder = RunFolder.create(tmp_path / "runs" / str(seed))
+        folder.write_experiment(config)
+        paths.append(folder.path)
+        if seed == 0 and change == "gone":
+            graphs[0].unlink()
+    if change == "edited":
+        graphs[0].write_text("changed")
+    (group,) = collect(paths).tasks[0].groups
+    assert (group.name, len(group.runs)) == ("full", 2)
+    if change == "edited":  # a seed trained with the new content is another agent's
+        config = experiment_config("irb120-full-fast", seed=2, knowledge={"graph": graph})
+        (folder := RunFolder.create(tmp_path / "runs" / "2")).write_experiment(config)
+        assert len(collect([*paths, folder.path]).tasks[0].groups) == 2
 
 
 def test_a_report_is_written_whatever_is_missing(tmp_path):

@@ -82,7 +82,7 @@ def train(
     config = override(config, overrides) if overrides else config
     path = run_path(Path(runs), config)
     if resume:
-        different = other_fields(RunFolder.open(path).experiment(), config)
+        different = other_fields(RunFolder.open(path), config)
         different.pop("total_steps", None)
         if different:
             raise UserError(
@@ -240,7 +240,11 @@ def _describe(
     folder.write_experiment(config)
 
 
-def other_fields(run: ExperimentConfig, given: ExperimentConfig) -> dict[str, str]:
-    """Return the fields in which two configs differ, each with "field: value | value"."""
-    different = differences(to_dict(run), to_dict(given)).items()
-    return {name: f"{name}: {one!r} | {other!r}" for name, (one, other) in different}
+def other_fields(run: RunFolder, given: ExperimentConfig) -> dict[str, str]:
+    """Return the fields in which a run and a config differ, each with "field: value | value"."""
+    different = differences(to_dict(run.experiment()), to_dict(given)).items()
+    found = {name: f"{name}: {one!r} | {other!r}" for name, (one, other) in different}
+    for name, (one, other) in different:
+        if str(one).startswith(str(run.graphs)):
+            found[name] += f" (restore {other} from this copy: it has changed since)"
+    return found

@@ -14,12 +14,12 @@ Layout of ``runs/<experiment>/<seed>/``::
     evaluation/<label>/    post-training evaluations
 """
 
-import filecmp
 import hashlib
 import os
 import platform
 import shutil
 import subprocess
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -57,6 +57,7 @@ class RunFolder:
 
     def __post_init__(self) -> None:
         self.config_path = self.path / "config.json"
+        self.graphs = self.path / "graphs"
         self.checkpoints = self.path / "checkpoints"
         self.tensorboard = self.path / "tensorboard"
         self.metrics_path = self.path / "metrics.csv"
@@ -102,7 +103,7 @@ class RunFolder:
 
     def config(self) -> dict[str, Any]:
         """Read the resolved configuration as JSON values, with graphs that can be read."""
-        return self._with_graphs(read_json(self.config_path))
+        return with_graphs(read_json(self.config_path), self._readable)
 
     def experiment(self) -> ExperimentConfig:
         """Read the configuration that the run was started with."""
@@ -111,37 +112,34 @@ class RunFolder:
         return from_dict(ExperimentConfig, values)
 
     def write_experiment(self, config: ExperimentConfig) -> None:
-        """Write the configuration and its graphs; a folder with a configuration holds a run."""
-        values = to_dict(config)
-        for path in sorted(graph_files(values)):
-            copy = self._graph(path)
-            with writing(copy):
-                copy.parent.mkdir(parents=True, exist_ok=True)
-                copy_file = shutil.copytree if path.is_dir() else shutil.copyfile
-                if not copy.exists():
-                    copy_file(path, copy)
+        """Write the configuration and its graphs; a folder with a configuration holds a run.
+
+        A run that resumes with its copy of a graph keeps the name of the original.
+        """
+        begun = read_json(self.config_path) if self.config_path.exists() else {}
+        originals = {str(self._graph(path)): str(path) for path in graphs_of(begun)}
+        values = with_graphs(to_dict(config), lambda graph: originals.get(graph, graph))
+        for path in graphs_of(values):
+            if path.exists() and not (copy := self._graph(path)).exists():
+                temporary = copy.with_name(f".{copy.name}.tmp")
+                with writing(copy):
+                    shutil.rmtree(copy.parent, ignore_errors=True)  # what a killed process left
+                    copy.parent.mkdir(parents=True)
+                    (shutil.copytree if path.is_dir() else shutil.copyfile)(path, temporary)
+                    temporary.rename(copy)
         write_json(self.config_path, {"format": FORMAT, **values})
 
     def _graph(self, original: Path) -> Path:
         """Where the copy of a graph is; graphs of one name lie in folders of their own."""
         place = hashlib.sha256(str(original).encode()).hexdigest()[:8]
-        return self.path / "graphs" / place / original.name
-
-    def _with_graphs(self, values: Any) -> Any:
-        """Replace paths of graphs that are gone, or have changed, by those of the copies."""
-        if isinstance(values, dict):
-            return {
-                key: self._readable(value)
-                if key in GRAPHS and isinstance(value, str) and value not in SHIPPED
-                else self._with_graphs(value)
-                for key, value in values.items()
-            }
-        return values
+        return self.graphs / place / original.name
 
     def _readable(self, graph: str) -> str:
+        """Return the path of a graph, or that of the copy if it is gone or has changed."""
         with reading(self.config_path, "Restore the file."):
             copy = self._graph(Path(graph))
-            return str(copy) if copy.exists() and not same_files(Path(graph), copy) else graph
+            changed = copy.exists() and graph_digest(copy) != graph_digest(Path(graph))
+            return str(copy) if changed else graph
 
     def ended_early_at(self, rule: StopWhen | None) -> int | None:
         """Return the step at which an early end was reached, or None."""
@@ -153,7 +151,7 @@ class RunFolder:
 
     def provenance(self) -> dict[str, Any]:
         """Read what a run was trained with, and on."""
-        return self._with_graphs(read_json(self.path / "provenance.json"))
+        return with_graphs(read_json(self.path / "provenance.json"), self._readable)
 
     def summaries(self) -> list[dict[str, Any]]:
         """Read the summaries of the post-training evaluations, by label."""
@@ -179,24 +177,37 @@ GRAPHS = ("graph", "edited")
 """Fields that name a graph: a path, or a shipped one."""
 
 
-def graph_files(values: Any) -> set[Path]:
-    """Return the files and folders of the graphs that a configuration names."""
+def with_graphs(values: Any, renamed: Callable[[str], str]) -> Any:
+    """Replace the paths of the graphs that a configuration names; shipped graphs stay."""
     if not isinstance(values, dict):
-        return set()
-    found = set().union(*map(graph_files, values.values()))
-    named = [values.get(key) for key in GRAPHS]
-    paths = {Path(name) for name in named if isinstance(name, str) and name not in SHIPPED}
-    return found | {path for path in paths if path.exists()}
+        return values
+    return {
+        key: renamed(value)
+        if key in GRAPHS and isinstance(value, str) and value not in SHIPPED
+        else with_graphs(value, renamed)
+        for key, value in values.items()
+    }
 
 
-def same_files(first: Path, second: Path) -> bool:
-    """Tell whether two files, or two folders of files, are equal."""
-    if first.is_dir() and second.is_dir():
-        names = [sorted(each.name for each in path.iterdir()) for path in (first, second)]
-        return names[0] == names[1] and not any(
-            filecmp.cmpfiles(first, second, names[0], False)[1:]
-        )
-    return first.is_file() and second.is_file() and filecmp.cmp(first, second, shallow=False)
+def graphs_of(values: Any) -> list[Path]:
+    """Return the paths of the graphs that a configuration names, in order."""
+    found: list[str] = []
+
+    def note(graph: str) -> str:
+        found.append(graph)
+        return graph
+
+    with_graphs(values, note)
+    return [Path(graph) for graph in sorted(set(found))]
+
+
+def graph_digest(path: Path) -> str:
+    """Return a digest of the files of a graph and of their names inside a folder."""
+    files = sorted(path.rglob("*")) if path.is_dir() else [path]
+    whole = hashlib.sha256()
+    for file in (each for each in files if each.is_file()):
+        whole.update(f"{file.relative_to(path)} {digest(file.read_bytes())}\n".encode())
+    return whole.hexdigest()
 
 
 PACKAGES = ("knowarm", "torch", "mujoco", "numpy", "numba", "gymnasium", "safetensors")

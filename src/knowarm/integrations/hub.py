@@ -18,7 +18,7 @@ RUN_FILES = (
     "provenance.json",
     "knowledge.safetensors",
     "perception.safetensors",
-    "graphs/**",
+    "graphs/**/*",
     "checkpoints/best/*",
     "evaluation/*/summary.json",
 )

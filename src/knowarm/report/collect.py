@@ -36,7 +36,7 @@ NOT_A_TASK = {field for agent in AGENTS.values() for field in agent.task}
 # Top-level fields of the config that are no setting of the agent.
 NOT_A_SETTING = {"agent", "role", "name", "seed", "env", "format", "checkpoint_every_steps"}
 # Beginnings of the names of evaluation settings that do not change the agent's numbers.
-NOT_A_RULE = ("record", "blind")
+NOT_A_RULE = ("record", "blind", "label")
 # Settings that only seed random draws: runs that differ in them are seeds of one agent.
 DRAWS = {"knowledge.seed"}
 
@@ -114,11 +114,9 @@ def _label(runs: list[RunData]) -> str:
 
 
 def _same_rules(first: Evaluation, second: Evaluation) -> bool:
-    """Return whether two policies were evaluated on the same episodes with the same thresholds."""
-    env, other_env = (each.summary.get("env", {}) for each in (first, second))
-    config = ("episodes", "seed", "seeds", "distance_m", "angle_deg")
-    same_env = all(env.get(n) == other_env.get(n) for n in ("robot", "targets", "colours"))
-    return same_env and all(first.config.get(n) == second.config.get(n) for n in config)
+    """Return whether two policies were evaluated on the same task by the same rules."""
+    env, other_env = (_task_env(each.summary.get("env", {})) for each in (first, second))
+    return env == other_env and rules(first) == rules(second)
 
 
 def rules(evaluation: Evaluation) -> str:
@@ -217,10 +215,15 @@ def _most_common(values: Any) -> Any:
 
 def _task_key(run: RunData) -> str:
     """Return a key that is equal for runs on the same task with the same algorithm."""
-    env = {name: value for name, value in run.env.items() if name not in NOT_THE_TASK}
+    return json.dumps([_task_env(run.env), run.algorithm], sort_keys=True)
+
+
+def _task_env(env: dict[str, Any]) -> dict[str, Any]:
+    """Return what makes the task of an environment."""
+    env = {name: value for name, value in env.items() if name not in NOT_THE_TASK}
     if isinstance(task := env.get("task"), dict):
         env["task"] = {name: value for name, value in task.items() if name not in NOT_A_TASK}
-    return json.dumps([env, run.algorithm], sort_keys=True)
+    return env
 
 
 def _agent_settings(run: RunData) -> dict[str, Any]:

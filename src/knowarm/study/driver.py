@@ -87,7 +87,7 @@ def check_folder(study: StudyConfig, out: Path) -> None:
             continue
         different: dict[str, str] = {}
         with suppress(UserError):  # damaged: this run alone fails
-            different = other_fields(RunFolder.open(folder.path).experiment(), config)
+            different = other_fields(RunFolder.open(folder.path), config)
         if different:
             raise UserError(
                 f"The run {folder.path} has another config than the study (run | study): "
