@@ -154,6 +154,7 @@ def test_histograms_integrate_to_one():
         (format.points(0.0), "0.0"),
         (format.steps(4_000_000), "4\u202fM"),
         (format.steps(1_250), "1.25\u202fk"),
+        (format.steps(999_700), "1\u202fM"),
         (format.p_value(0.0001), "< .001"),
         (format.p_value(0.0321), ".032"),
         (format.p_value(1.0), "1"),

@@ -10,6 +10,10 @@ import pytest
 from knowarm.errors import UserError
 from knowarm.report import write_report
 from knowarm.report.blocks import Column, cells
+from knowarm.report.charts import SUCCESS_AXIS
+from knowarm.report.collect import collect
+from knowarm.report.pages.knowledge import _other_conditions
+from knowarm.report.pages.training import curve_figure
 from knowarm.report.write import _cell
 from knowarm.statistics import Interval
 from tests.report.synthetic_study import LABEL, Size, Truth, robot_title, write_study
@@ -236,7 +240,8 @@ def test_lift_tests_are_shown_by_their_thresholds(tmp_path):
     runs = write_study(tmp_path / "runs", Truth(success={"bm": 0.5}), seeds=2, size=Size(points=4))
     for path, lifted in zip(runs, (0.1, 0.3), strict=True):
         plain = path / "evaluation" / LABEL
-        for label, distance in (("lift", 0.05), ("near", 0.01)):
+        others = (("near-latest", 0.01), ("near-untrained", 0.01))  # of other networks
+        for label, distance in (("lift", 0.05), ("near", 0.01), *others):
             summary = json.loads((plain / "summary.json").read_text())
             summary["config"]["distance_m"] = distance
             summary |= {"lifted": lifted, "grasps": 2 * lifted, "lift_episodes": 20}
@@ -246,6 +251,7 @@ def test_lift_tests_are_shown_by_their_thresholds(tmp_path):
     page = write_report(runs, tmp_path / "report.html")
     (table,) = (page.parent / "report-data").glob("*lifts*.csv")
     rows = rows_of(table)
+    assert [row["seeds"] for row in rows] == ["2", "2"]
     assert [("within 1 cm" in row["rules"], "within 5 cm" in row["rules"]) for row in rows] == [
         (False, True),
         (True, False),
@@ -254,6 +260,33 @@ def test_lift_tests_are_shown_by_their_thresholds(tmp_path):
         assert float(row["lifted"]) == pytest.approx(0.2)
         assert float(row["grasps"]) == pytest.approx(0.4)
         assert (row["pushed"], row["missed"], row["slipped"]) == ("10", "2", "0")
+
+
+def test_other_conditions_compare_evaluations_by_one_rule(tmp_path):
+    truth = Truth(success={"bm": 0.5, "full": 0.5})
+    runs = write_study(tmp_path / "runs", truth, seeds=2, size=Size(points=4, tables=False))
+    for path in runs:
+        summary = json.loads((path / "evaluation" / LABEL / "summary.json").read_text())
+        summary["config"] |= {"actions": "sampled"} | (
+            {"distance_m": 0.01} if "-bm-" in str(path) else {}
+        )
+        (path / "evaluation" / "sampled").mkdir()
+        (path / "evaluation" / "sampled" / "summary.json").write_text(json.dumps(summary))
+    task = collect(runs).tasks[0]
+    rows = _other_conditions(task, task.subjects[0], "")[0].rows
+    assert [row["agent"] for row in rows] == ["bm", "full"]
+    assert not any("difference" in row for row in rows)
+    assert "within 1 cm" in rows[0]["label"]
+
+
+def test_a_curve_counts_the_seeds_that_reach_each_step(tmp_path):
+    truth = Truth(success={"bm": 0.5})
+    runs = write_study(tmp_path / "runs", truth, seeds=2, size=Size(points=12, tables=False))
+    lines = (runs[0] / "evaluations.csv").read_text().splitlines(keepends=True)
+    (runs[0] / "evaluations.csv").write_text("".join(lines[:7]))
+    task = collect(runs).tasks[0]
+    table = curve_figure(task, {"success": SUCCESS_AXIS}, "training", "").table
+    assert (table.rows[0]["seeds"], table.rows[-1]["seeds"]) == (2, 1)
 
 
 def test_anova_says_what_it_does_not_show(made):

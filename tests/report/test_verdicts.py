@@ -13,7 +13,7 @@ from knowarm.report.model import StudyData, TaskData
 from knowarm.report.pages import build_pages, inputs
 from knowarm.report.pages.paper import paper_blocks
 from knowarm.report.verdicts.claims import claims, scores
-from knowarm.report.verdicts.knowledge import finding, findings
+from knowarm.report.verdicts.knowledge import answer, finding, findings
 from knowarm.report.verdicts.learning import learning_verdict, vision_verdict
 from knowarm.statistics import area_under_curve, holm, share_difference, welch, wilson
 from tests.report.synthetic_study import LABEL, Size, Truth, redraw, write_run, write_study
@@ -289,6 +289,15 @@ def test_the_promise_holds_over_many_tasks_and_many_studies():
         ]
         loud += bool((holm(gates) <= 0.05).any())
     assert loud / 400 <= 0.08  # .05 and three standard deviations
+
+
+def test_two_splits_of_one_task_are_not_both_tasks():
+    task, subject = SimpleNamespace(title="A"), SimpleNamespace(name="full")
+    on = [
+        SimpleNamespace(task=task, subject=subject, outcome=o, kind="understood")
+        for o in ("S1", "S4")
+    ]
+    assert "full: on S1, A and S4, A the query is understood" in answer(on, 2).sentence
 
 
 def test_curves_are_compared_as_far_as_every_agent_has_a_run(tmp_path):

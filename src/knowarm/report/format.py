@@ -63,7 +63,7 @@ def steps(value: float | None) -> str:
         return shown.replace("-", MINUS)
 
     for size, unit in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
-        if abs(value) >= size:
+        if abs(float(f"{value:.3g}")) >= size:
             return f"{three_digits(value / size)}{NARROW_SPACE}{unit}"
     return three_digits(value)
 

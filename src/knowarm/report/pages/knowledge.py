@@ -1,16 +1,20 @@
 """Page "Knowledge": each subject against the controls, and under other conditions."""
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+
+import numpy as np
 
 from knowarm.experiment.agents import AGENTS
 from knowarm.report import format
 from knowarm.report.blocks import Block, Column, DataTable, Figure, Panel, Row, cells, table_of
 from knowarm.report.charts import POINTS_AXIS
-from knowarm.report.collect import LATEST, UNTRAINED
+from knowarm.report.collect import LATEST, UNTRAINED, rules
 from knowarm.report.diagrams import Dot, dot_chart
 from knowarm.report.format import slugs
-from knowarm.report.model import Group, TaskData
+from knowarm.report.model import Evaluation, Group, TaskData
+from knowarm.report.pages.results import conditions
 from knowarm.report.verdicts.claims import Claim
 from knowarm.report.verdicts.knowledge import finding
 from knowarm.statistics import welch
@@ -109,18 +113,21 @@ def _other_conditions(task: TaskData, subject: Group, stem: str) -> list[Block]:
     rows: list[Row] = []
     sources = []
     for label in sorted(each for each in labels if not each.endswith((UNTRAINED, LATEST))):
-        at_label = {group: replace(group, label=label) for group in task.groups}
-        own = at_label[subject].scores("success")
-        for group, each in at_label.items():
-            if not each.evaluations:
-                continue
-            values, colour = each.scores("success"), task.colours[group.name]
-            row: Row = {"label": label, "agent": group.name, "seeds": len(values)}
-            row |= {"success": float(values.mean()), "_colour": colour}
-            if group is not subject and min(len(own), len(values)) > 1:
-                row |= cells("difference", welch(own, values).difference)
-            rows.append(row)
-            sources += [evaluation.folder for evaluation in each.evaluations]
+        found: dict[str, dict[Group, list[Evaluation]]] = defaultdict(lambda: defaultdict(list))
+        for group in task.groups:
+            for each in replace(group, label=label).evaluations:
+                found[rules(each)][group].append(each)
+        for alike in found.values():
+            own = np.array([each.summary["success"] for each in alike.get(subject, ())])
+            for group, evaluations in alike.items():
+                values = np.array([each.summary["success"] for each in evaluations])
+                name = f"{label}: {conditions(evaluations[0])}" if len(found) > 1 else label
+                row: Row = {"label": name, "agent": group.name, "seeds": len(values)}
+                row |= {"success": float(values.mean()), "_colour": task.colours[group.name]}
+                if group is not subject and min(len(own), len(values)) > 1:
+                    row |= cells("difference", welch(own, values).difference)
+                rows.append(row)
+                sources += [evaluation.folder for evaluation in evaluations]
     if not rows:
         return []
     columns: list[str | Column] = [

@@ -17,6 +17,7 @@ from knowarm.report.blocks import (
     table_of,
 )
 from knowarm.report.charts import SUCCESS_AXIS, Axis
+from knowarm.report.collect import HELD_OUT, LATEST, UNTRAINED, rules
 from knowarm.report.diagrams import Dot, dot_chart
 from knowarm.report.model import Evaluation, Group, SplitGroup, TaskData
 from knowarm.statistics import Interval
@@ -68,7 +69,7 @@ def _table(task: TaskData) -> DataTable:
         "deviations are within an evaluation, averaged over seeds."
     )
     sources = [evaluation.folder / "summary.json" for evaluation in shown]
-    return table_of(task, "evaluation", _rules(first), columns, rows, sources, note)
+    return table_of(task, "evaluation", conditions(first), columns, rows, sources, note)
 
 
 def _vision(task: TaskData) -> DataTable | None:
@@ -114,16 +115,18 @@ def _lifts(task: TaskData) -> DataTable | None:
     rows: list[Row] = []
     sources = []
     for group in task.groups:
-        found: dict[str, list[Evaluation]] = {}
-        for each in (each for run in group.runs for each in run.evaluations.values()):
-            if "lifted" in each.summary:
-                found.setdefault(_rules(each), []).append(each)
-        for rules, tests in found.items():
+        found: dict[tuple[str, str], list[Evaluation]] = {}
+        for label, each in (pair for run in group.runs for pair in run.evaluations.items()):
+            if "lifted" in each.summary and not label.endswith((UNTRAINED, LATEST)):
+                found.setdefault((label, rules(each)), []).append(each)
+        for (label, _), tests in found.items():
             ended: Counter[str] = Counter()
             for each in tests:
                 ended.update(each.summary.get("lift_outcomes", {}))
             row = row_of(task, SplitGroup(group, "", tests), "success", "lifted", "grasps")
-            rows.append(row | {"rules": rules} | {name: ended[name] for name in causes})
+            held_out = " (held out)" if label.endswith(HELD_OUT) else ""
+            row["rules"] = f"{conditions(tests[0])}{held_out}"
+            rows.append(row | {name: ended[name] for name in causes})
             sources += [each.folder / "summary.json" for each in tests]
     if not rows:
         return None
@@ -140,7 +143,7 @@ def _lifts(task: TaskData) -> DataTable | None:
     return table_of(task, "lifts", title, columns, rows, sources, note)
 
 
-def _rules(evaluation: Evaluation | None) -> str:
+def conditions(evaluation: Evaluation | None) -> str:
     """Describe the episodes, thresholds and actions of an evaluation."""
     config = evaluation.config if evaluation else {}
     if evaluation is None or not {"distance_m", "angle_deg"} <= config.keys():

@@ -134,7 +134,8 @@ def _thinned(curve: Curve, key: str) -> tuple[np.ndarray, np.ndarray]:
 def _add_rows(rows: dict[tuple[str, float], Row], line: Series, key: str) -> None:
     """Add the values of a line to the rows of its agent and steps."""
     for i, (x, y) in enumerate(zip(line.x.tolist(), line.y.tolist(), strict=True)):
-        first = {"agent": line.name, "seeds": len(line.faint), "step": x, "_colour": line.colour}
+        seeds = sum(bool(steps[0] <= x <= steps[-1]) for steps, _ in line.faint)
+        first = {"agent": line.name, "seeds": seeds, "step": x, "_colour": line.colour}
         row = rows.setdefault((line.name, x), first)
         row[key] = y
         if line.low is not None and line.high is not None:

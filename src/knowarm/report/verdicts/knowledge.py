@@ -139,19 +139,19 @@ def answer(findings: Sequence[Finding], tasks: int) -> Verdict:
         place = [each.outcome] * (each.outcome != "success") + [each.task.title] * (tasks > 1)
         name = each.subject.name if each.subject else "agents with knowledge"
         places[name][WORDS[each.kind]].append(", ".join(place))
-    parts = []
+    titles, parts = {each.task.title for each in findings}, []
     for name, said in places.items():
-        clauses = [f"{_where(found, tasks)}{words}" for words, found in said.items()]
+        clauses = [f"{_where(found, tasks, titles)}{words}" for words, found in said.items()]
         parts.append(f"{name}: {'; '.join(clauses)}.")
     tones = {TONES.get(each.kind, "open") for each in findings}
     sentence = f"Does the knowledge help? {' '.join(parts) or 'There is nothing to compare.'}"
     return Verdict(sentence=sentence, tone=tones.pop() if len(tones) == 1 else "open")
 
 
-def _where(places: Sequence[str], tasks: int) -> str:
+def _where(places: Sequence[str], tasks: int, titles: set[str]) -> str:
     """Return where a finding holds: on some splits or tasks, or nothing for a single task."""
     if not any(places):
         return ""
-    if len(places) == tasks > 1:
+    if len(places) == tasks > 1 and titles.issuperset(places):
         return "on both tasks " if tasks == 2 else f"on all {tasks} tasks "
     return f"on {listed(places)} "
