@@ -4,6 +4,7 @@ import contextlib
 import io
 import json
 import shutil
+from pathlib import Path
 
 import pytest
 from rich.console import Console
@@ -11,7 +12,7 @@ from rich.console import Console
 from knowarm.cli.main import main
 from knowarm.cli.study import status_tables, study_progress
 from knowarm.errors import UserError
-from knowarm.study.config import SHIPPED, read_study
+from knowarm.study.config import SHIPPED, read_study, write_study
 from knowarm.study.driver import open_study
 from knowarm.study.status import FAILURE, study_status
 from knowarm.study.worker import record_failure
@@ -52,6 +53,28 @@ def test_status_retry_stop_report_and_pack(capsys, tmp_path, finished, inline):
     assert "Complete" in capsys.readouterr().out
 
 
+def test_this_folder_is_packed_and_other_runs_are_named(capsys, tmp_path, finished, monkeypatch):
+    out = shutil.copytree(finished, tmp_path / "tiny")
+    shutil.copytree(out / "irb120-bm-ppo" / "0", out / "irb120-bm-ppo" / "7")
+    monkeypatch.chdir(out)
+    assert main(["study", "pack", "."]) == 0
+    assert "Left out: irb120-bm-ppo/7 is no run of the study." in capsys.readouterr().out
+    assert (tmp_path / "tiny.tar.gz").is_file()
+
+
+def test_a_shipped_name_is_never_a_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "smoke").mkdir()
+    write_study(read_study("smoke"), tmp_path / "smoke")
+    places = []
+    monkeypatch.setattr(
+        "knowarm.cli.study.run_study", lambda study, out, **options: places.append(out) or []
+    )
+    for name in ("smoke", "./smoke"):
+        main(["study", "run", name])
+    assert places == [Path("runs/smoke"), Path("smoke")]
+
+
 @pytest.mark.parametrize(
     ("name", "old", "new", "state"),
     [
@@ -79,7 +102,10 @@ def test_damage_to_one_run_leaves_the_others(
     assert main(["report", str(out), "--out", str(tmp_path / "r.html")]) == 0
     with contextlib.suppress(SystemExit):  # exit code 1: one run is not done
         assert main(["study", "run", str(out)]) == 0
-    assert "Wrote" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "Wrote" in printed
+    assert "knowarm study retry" not in printed
+    assert ("Repair or remove" in printed) == (state == "damaged")
 
 
 def test_a_study_of_very_many_runs_is_refused_where_it_is_read(tmp_path, finished):

@@ -64,6 +64,7 @@ def test_controls_match_the_agents_of_a_study():
 
 def test_controls_of_a_study_of_choosing_have_its_task(tmp_path):
     control = read_study("controls", of="choose")
+    assert control.name == "choose-controls"
     assert "irb120-choose-query-random-fast" in control.cells()
     assert {ExperimentName.parse(cell).task for cell in control.cells()} == {"choose"}
     assert {run.env for run in control.runs()} <= {run.env for run in read_study("choose").runs()}
@@ -106,6 +107,10 @@ def test_overrides_of_some_experiments_come_last(tmp_path):
         (("episodes = 2\nrecord", "episodes = 0\nrecord"), ["episodes must be at least 1"]),
         (('name = "tiny"', 'name = "../x"'), ["line 2", "name must consist"]),
         (("[overrides]", '[where]\nkind = "slurm"\n[overrides]'), ["line 6", "'slurm'", "local"]),
+        (
+            ("[[eval", '[[overrides_for]]\nexperiments = "*"\nfields.name = "x"\n[[eval'),
+            ["overrides_for.fields must not set 'name'"],
+        ),
         (("[overrides]", "[overrides"), ["not TOML", "line 5"]),
     ],
 )

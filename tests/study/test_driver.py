@@ -13,7 +13,7 @@ from knowarm.study import driver, executor
 from knowarm.study.config import OverridesFor, write_study
 from knowarm.study.driver import request_stop, retry, run_study
 from knowarm.study.executor import LocalExecutor, Where
-from knowarm.study.status import FAILURE, study_status, totals
+from knowarm.study.status import FAILURE, is_trained, study_status, totals
 from knowarm.study.worker import STOP
 from tests.study.tiny import InlineExecutor, tiny
 from tests.tiny import STUDY
@@ -130,6 +130,37 @@ def test_other_studies_and_changed_runs_are_refused(tmp_path, executors):
     with pytest.raises(UserError, match=r"bm-ppo/0 has another config.*total_steps: 40 \| 100"):
         run_study(changed, tmp_path)
     assert len(run_study(tiny(seeds=(0, 1)), tmp_path)) == 2  # more seeds are no other study
+    with pytest.raises(UserError, match=r"no longer belong to it: irb120-bm-ppo/0 \(1\)"):
+        run_study(tiny(seeds=(1, 2)), tmp_path)
+
+
+def test_a_silent_run_that_another_process_holds_is_not_waited_for(
+    tmp_path, executors, monkeypatch
+):
+    study, start = tiny(seeds=(0,)), time.monotonic()
+    path = train(study.runs()[0], tmp_path, should_stop=lambda: True).folder.path
+    monkeypatch.setattr("knowarm.study.status.SILENT_S", -1.0)
+    with lock_folder(path, remedy=""):
+        ended = run_study(study, tmp_path, should_stop=lambda: time.monotonic() - start > 20)
+    assert [each.state for each in ended] == ["stalled"]
+    assert time.monotonic() - start < 20
+
+
+def test_a_run_with_pending_interim_evaluations_is_not_trained(tmp_path):
+    (config,) = tiny(seeds=(0,)).runs()
+    folder = train(config, tmp_path).folder
+    assert is_trained(folder, config)
+    meta = folder.checkpoints / "latest" / "meta.json"
+    assert '"pending": 0' in meta.read_text()
+    meta.write_text(meta.read_text().replace('"pending": 0', '"pending": 1'))
+    assert not is_trained(folder, config)
+
+
+@pytest.mark.parametrize(("visible", "gpus"), [("-1", []), ("1,-1,2", ["1"]), ("0,1", ["0", "1"])])
+def test_gpus_that_the_environment_hides_are_not_used(monkeypatch, visible, gpus):
+    monkeypatch.setattr("torch.cuda.device_count", lambda: 0)
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible)
+    assert executor._gpus() == gpus
 
 
 def test_a_folder_in_use_is_refused(tmp_path, executors):

@@ -199,5 +199,10 @@ def test_what_cannot_be_packed_is_refused(finished, tmp_path):
         pack_study(tmp_path, tmp_path / "x.tar.gz")
     with pytest.raises(UserError, match=r"\.tar\.gz"):
         pack_study(finished, tmp_path / "x.zip")
+    long = shutil.copytree(finished, tmp_path / "long") / "irb120-bm-ppo" / "0" / "graphs" / "0a"
+    long.mkdir(parents=True)
+    (long / f"{'g' * 110}.ttl").write_text("")
+    with pytest.raises(UserError, match="at most 100 characters"):
+        pack_study(tmp_path / "long", tmp_path / "x.tar.gz")
     with lock_folder(finished, remedy=""), pytest.raises(UserError, match="Stop it"):
         pack_study(finished, tmp_path / "x.tar.gz")

@@ -22,7 +22,15 @@ from knowarm.experiment.run_lock import StopRequest
 from knowarm.reading import read_json
 from knowarm.report import write_report
 from knowarm.study.config import SHIPPED, STUDY_FILE, StudyConfig, read_study
-from knowarm.study.driver import OnStatus, check_folder, open_study, request_stop, retry, run_study
+from knowarm.study.driver import (
+    OnStatus,
+    check_folder,
+    open_study,
+    request_stop,
+    retry,
+    run_study,
+    runs_beside,
+)
 from knowarm.study.estimate import SECONDS, estimate
 from knowarm.study.executor import RunKey
 from knowarm.study.pack import SUFFIX, Part, pack_study, unpack_study
@@ -164,22 +172,26 @@ class StudyRun:
         chosen: dict[str, Any] = {"at_once": self.at_once, "cores": self.cores}
         where = replace(study.where, **{k: v for k, v in chosen.items() if v is not None})
         study = replace(study, where=where, seeds=self.seeds or study.seeds)
-        is_folder = (Path(self.study) / STUDY_FILE).is_file()
+        is_folder = self.study not in SHIPPED and (Path(self.study) / STUDY_FILE).is_file()
         out = self.out or (Path(self.study) if is_folder else Path("runs") / study.name)
         if self.dry_run:
             _print_estimate(study, out)
             return
         with StopRequest() as should_stop, study_progress(study) as progress:
             statuses = run_study(study, out, should_stop=should_stop, on_status=progress)
-        for each in (failed := [each for each in statuses if each.state in BAD]):
+        for each in (bad := [each for each in statuses if each.state in BAD]):
             print(f"{each.name} {each.state}: {printable(each.detail)}")
         if any(each.step for each in statuses):
             print(f"Wrote {write_report([out], out / 'report.html')}: open it in a browser.")
         if all(each.state == "done" for each in statuses):
             print(f"Complete: {out}")
             return
-        again = f"Let them resume with: knowarm study retry {out}, then the same command."
-        print(again if failed else "Stopped and saved. Run the same command again to continue.")
+        if any(each.state == "failed" for each in bad):
+            print(f"Let failed runs resume with: knowarm study retry {out}, then the same command.")
+        if any(each.state == "damaged" for each in bad):
+            print("Repair or remove what is damaged, then run the same command again.")
+        if not bad:
+            print("Stopped and saved. Run the same command again to continue.")
         sys.exit(1)
 
 
@@ -263,8 +275,11 @@ class Pack(FolderCommand):
 
     def run(self) -> None:
         """Write the file."""
-        file = self.out or self.folder.with_name(self.folder.name + SUFFIX)
+        folder = self.folder if self.folder.name.strip(".") else self.folder.resolve()
+        file = self.out or folder.with_name(folder.name + SUFFIX)
         count = pack_study(self.folder, file, leave_out=self.leave_out)
+        for name in runs_beside(open_study(self.folder), self.folder):
+            print(f"Left out: {name} is no run of the study.")
         print(f"Wrote {file}: {count:,} files, {file.stat().st_size / 2**20:.1f} MiB")
 
 

@@ -20,6 +20,7 @@ import platform
 import shutil
 import subprocess
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -140,6 +141,20 @@ class RunFolder:
             copy = self._graph(Path(graph))
             changed = copy.exists() and graph_digest(copy) != graph_digest(Path(graph))
             return str(copy) if changed else graph
+
+    def checkpoint_fact(self, name: str, missing: int) -> int:
+        """Return a number that the latest checkpoint states."""
+        for each in ("latest", "previous"):
+            with suppress(UserError, KeyError, TypeError, ValueError, OverflowError):
+                return int(read_json(self.checkpoints / each / "meta.json")["facts"][name])
+        return missing
+
+    @property
+    def steps_trained(self) -> int:
+        """Environment steps that a run took of those it was to take; all, if it does not say."""
+        config = self.experiment()
+        total = config.total_steps
+        return total if config.stop_when else min(total, self.checkpoint_fact("step", total))
 
     def ended_early_at(self, rule: StopWhen | None) -> int | None:
         """Return the step at which an early end was reached, or None."""

@@ -193,7 +193,8 @@ class Trainer(ABC):
                 for step, values in self._evaluations.pending()
                 if step <= checkpoint.facts["step"]
             }
-            state, facts = {**checkpoint.state, **pending}, {**checkpoint.facts, **best}
+            facts = {**checkpoint.facts, **best, "pending": len(pending)}
+            state = {**checkpoint.state, **pending}
             self.checkpoints.save(replace(checkpoint, state=state, facts=facts))
 
     def _should_stop(self) -> bool:

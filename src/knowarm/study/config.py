@@ -144,12 +144,16 @@ class StudyConfig:
 
     def _experiment(self, name: str) -> ExperimentConfig:
         config = experiment_config(name)
-        if fixed := sorted({"name", "seed"} & {*self.overrides}):
-            raise UserError(f"overrides must not set {fixed[0]!r}; it follows from the study.")
-        config = override(config, self.overrides, where="overrides")
-        for each in self.overrides_for:
-            if fnmatch.filter([name], each.experiments):
-                config = override(config, each.fields, where="overrides_for.fields")
+        given = [("overrides", self.overrides)]
+        given += [
+            ("overrides_for.fields", each.fields)
+            for each in self.overrides_for
+            if fnmatch.filter([name], each.experiments)
+        ]
+        for where, fields in given:
+            if fixed := sorted({"name", "seed"} & {*fields}):
+                raise UserError(f"{where} must not set {fixed[0]!r}; it follows from the study.")
+            config = override(config, fields, where=where)
         return config
 
 
@@ -182,7 +186,10 @@ def read_study(source: Path | str, *, of: Path | str | None = None) -> StudyConf
         if of is not None and controlled is None:
             raise UserError(f"{source} is no study of controls: leave out 'of'.")
         if controlled is not None:
-            values = to_dict(controls(read_study(of or controlled), "controls")) | values
+            studied = read_study(of or controlled)
+            if str(of or controlled) != controlled:
+                values["name"] = f"{studied.name}-{values['name']}"
+            values = to_dict(controls(studied, "controls")) | values
         return from_dict(StudyConfig, values)
     except UserError as error:
         line = _line(path.read_text(encoding="utf-8"), str(error))

@@ -67,9 +67,18 @@ def run_study(
 
 def check_folder(study: StudyConfig, out: Path) -> None:
     """Check that a study can go on in a folder, before anything is written."""
-    if (out / STUDY_FILE).exists() and (other := read_study(out).name) != study.name:
-        found = f"holds the study {other!r}, not {study.name!r}"
-        raise UserError(f"{out} {found}: choose another folder.")
+    if (out / STUDY_FILE).exists():
+        before = read_study(out)
+        if before.name != study.name:
+            found = f"holds the study {before.name!r}, not {study.name!r}"
+            raise UserError(f"{out} {found}: choose another folder.")
+        lost = sorted({*runs_beside(study, out)} & {f"{c.name}/{c.seed}" for c in before.runs()})
+        if lost:
+            raise UserError(
+                f"{out} holds runs of the study that would no longer belong to it: "
+                f"{', '.join(lost[:3])} ({len(lost)}). Keep their experiments and seeds in the "
+                "study, or choose another folder."
+            )
     if (out / PACKED).exists():
         statuses = [each for each in study_status(study, out) if each.state != "waiting"]
         begun = [each.name for each in statuses if each.state != "done"]
@@ -100,6 +109,13 @@ def check_folder(study: StudyConfig, out: Path) -> None:
             f"{missing} runs may take {needed:.1f} GiB, and {there} has {free:.1f} GiB free: free "
             "space, or choose a folder on another disk."
         )
+
+
+def runs_beside(study: StudyConfig, out: Path) -> list[str]:
+    """Return the runs in the folder of a study that are not of the study."""
+    known = {run_path(out, config) for config in study.runs()}
+    found = sorted(path.parent for path in out.glob("*/*/config.json"))
+    return [path.relative_to(out).as_posix() for path in found if path not in known]
 
 
 def retry(out: Path, names: Sequence[str] = ()) -> list[str]:
@@ -167,7 +183,8 @@ class _Driver:
                 if not stopping:
                     self._start(statuses)
                 others = any(each.state == "running" for each in statuses)
-                left = any(each.state in UNFINISHED for each in statuses)
+                free = (each for each in statuses if each.state in UNFINISHED)
+                left = any(not is_locked(self._out / each.name) for each in free)
                 if not self._mine and (stopping or not (left or others)):
                     return
             time.sleep(POLL_S)

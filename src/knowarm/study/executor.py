@@ -7,6 +7,7 @@ import sys
 import time
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -152,5 +153,6 @@ def _gpus() -> list[str]:
     """Return the names of the visible GPUs, as ``CUDA_VISIBLE_DEVICES`` takes them."""
     import torch  # takes a second to import
 
-    visible = [name for name in os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",") if name]
+    names = os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",")
+    visible = list(takewhile(lambda name: name and not name.startswith("-"), names))  # as CUDA
     return visible or [str(i) for i in range(torch.cuda.device_count())]

@@ -89,7 +89,13 @@ def pack_study(out: Path, file: Path, *, leave_out: Collection[Part] = ()) -> in
         for name, data in ({PACKED: text.encode()} | contents).items():
             member = tarfile.TarInfo(name)
             member.size = len(data)
-            archive.addfile(member, io.BytesIO(data))
+            try:
+                archive.addfile(member, io.BytesIO(data))
+            except ValueError:  # a name that a header does not hold
+                raise UserError(
+                    f"Cannot pack {out / name}: a pack holds file names of at most 100 characters. "
+                    "Shorten it; for a graph, train with a file of a shorter name."
+                ) from None
     return len(contents)
 
 

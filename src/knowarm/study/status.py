@@ -112,17 +112,18 @@ def _state(
 
 
 def is_trained(folder: RunFolder, config: ExperimentConfig) -> bool:
-    """Return whether a run has taken all its steps and saved its last checkpoint."""
+    """Return whether a run has taken all its steps, and no interim evaluation is pending."""
     early = folder.ended_early_at(config.stop_when)
-    return checkpoint_step(folder) >= (config.total_steps if early is None else early)
+    if early is not None:
+        return checkpoint_step(folder) >= early
+    return checkpoint_step(folder) >= config.total_steps and not folder.checkpoint_fact(
+        "pending", 0
+    )
 
 
 def checkpoint_step(folder: RunFolder) -> int:
     """Return the step of the latest checkpoint; -1 without one."""
-    for name in ("latest", "previous"):
-        with suppress(UserError, KeyError, TypeError, ValueError, OverflowError):
-            return int(read_json(folder.checkpoints / name / "meta.json")["facts"]["step"])
-    return -1
+    return folder.checkpoint_fact("step", -1)
 
 
 def missing_evaluations(
