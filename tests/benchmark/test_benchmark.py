@@ -2,12 +2,13 @@
 
 import copy
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from knowarm.benchmark.leaderboard import read_rows, tables, write_leaderboard
+from knowarm.benchmark.leaderboard import left_out, read_rows, tables, write_leaderboard
 from knowarm.benchmark.policies import (
     Batch,
     Entrant,
@@ -132,6 +133,21 @@ def test_a_row_verifies_and_another_policy_does_not(stored):
         verify(row, playing("zero"))
 
 
+def test_a_row_is_of_different_seeds_of_one_policy(small):
+    with pytest.raises(UserError, match="zero is given twice"):
+        run_suite(small, [entrant("zero")] * 2, name="x")
+    with pytest.raises(UserError, match=r"must have equal inputs, got \('image'"):
+        run_suite(small, [playing("oracle")[0], entrant("zero")], name="x")
+
+
+def test_a_row_says_how_long_its_policy_was_trained(tmp_path):
+    run = shutil.copytree(ROOT / "zoo/irb120-full-fast", tmp_path / "run")
+    assert "irb120-full-fast, 1,500,000 steps" in entrant(str(run)).training
+    (run / "checkpoints/latest").mkdir()
+    write_json(run / "checkpoints/latest/meta.json", {"facts": {"step": 1000}})
+    assert "irb120-full-fast, 1,000 steps" in entrant(str(run)).training
+
+
 def without_black(row):
     row = copy.deepcopy(row)
     for cell in row["cells"].values():
@@ -185,6 +201,8 @@ def test_rows_of_another_suite_or_format_are_refused(stored):
 def test_the_leaderboard_ranks_by_intervals_and_shows_controls(stored, small):
     weak = run_suite(small, [entrant("zero")], name="zero <b>")
     write_json(stored.parent / "zero.json", weak)
+    partial = weak | {"summary": {TABLE: {"cells": []}}}
+    assert left_out([weak, partial]) == [f"zero <b> lacks cells of {TABLE}"]
     table, _ = tables(read_rows(stored.parent))
     assert [(line["name"], line["rank"]) for line in table["lines"]] == [
         ("oracle", 1),
@@ -316,9 +334,11 @@ def test_the_commands(tmp_path, monkeypatch, capsys):
     assert main(["benchmark", "verify", str(row), "--policy", "my_policy:Random"]) == 0
     assert main(["benchmark", "table", str(row.parent), "--out", str(page)]) == 0
     assert main(["benchmark", "run", "reach-v1", "--policy", "oracle", "--cells", "panda"]) == 2
+    assert main([*few[:-3], "--out", str(tmp_path)]) == 2
     shown = capsys.readouterr()
     assert "played again with the same outcomes" in shown.out
     assert "names code or a server (my_policy:Random)" in shown.err
+    assert f"Cannot write {tmp_path}" in shown.err
     assert page.exists()
 
 

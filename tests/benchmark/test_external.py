@@ -131,6 +131,15 @@ def test_an_exported_policy_acts_as_the_same_policy_here(tmp_path, monkeypatch):
         local = actions_of(trained.agent, count)
         np.testing.assert_array_equal(actions_of(made.make(CELL), count), local)
     assert len(sessions) == 1, "runners share the model"
+    contract = (tmp_path / "contract.json").read_text()
+    for text in (
+        "{}",
+        contract[:-9],
+        contract.replace('"digests": {', '"digests": {"x.onnx": "",'),
+    ):
+        (tmp_path / "contract.json").write_text(text)
+        with pytest.raises(UserError, match="Export the policy again"):
+            entrant(str(tmp_path))
 
 
 def test_a_served_policy_acts_as_the_same_policy_here():

@@ -3,6 +3,7 @@
 import base64
 import hashlib
 import json
+import shutil
 import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import ClassVar
@@ -133,14 +134,18 @@ def load():
 
 
 @pytest.mark.slow(20)
-def test_a_run_goes_to_the_hub_and_back(hub):
-    done = hub("push", ZOO, "someone/reach")
+def test_a_run_goes_to_the_hub_and_back(hub, tmp_path):
+    run = shutil.copytree(ZOO, tmp_path / "run")
+    (run / "graphs" / "0a1b2c3d").mkdir(parents=True)
+    (run / "graphs" / "0a1b2c3d" / "mine.ttl").write_text("<a> <b> <c> .\n")
+    done = hub("push", run, "someone/reach")
     assert done.returncode == 0, done.stderr
     assert "/someone/reach" in done.stdout
     card = Hub.repos["someone/reach"]["README.md"].decode()
     assert "irb120-full-fast" in card
     assert "library_name: knowarm" in card
     assert not any("latest" in name for name in Hub.repos["someone/reach"])
+    assert "graphs/0a1b2c3d/mine.ttl" in Hub.repos["someone/reach"]
     loaded = hub(load=load)
     assert loaded.returncode == 0, loaded.stderr
     own = knowarm.load_agent(ZOO)

@@ -48,6 +48,17 @@ def tables(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     return [table for table in found if table["lines"]]
 
 
+def left_out(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """Name the rows that `tables` leaves out of a table, because they lack cells of it."""
+    return [
+        f"{row['name']} lacks cells of {name}"
+        for row in rows
+        for name, summary in row["summary"].items()
+        if len(summary["cells"])
+        < sum(c.table == name for c in read_suite(row["suite"]).cells.values())
+    ]
+
+
 def _line(row: dict[str, Any], table: str, cells: list[str], wanted: int) -> dict[str, Any]:
     summary, policy = row["summary"][table], row["policy"]
     seeds = len(policy["specs"])

@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -22,6 +23,7 @@ from knowarm.experiment.load import load_agent
 from knowarm.integrations.runner import Runner
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.learn.algorithms import privileged_uses
+from knowarm.reading import reading
 from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
 from knowarm.world.config import facets_of, questions_of
 from knowarm.world.envs.vector_env import ReachVectorEnv
@@ -245,7 +247,7 @@ def _run(spec: str) -> Entrant:
         "simulator": config.role == "privileged",
     }
     privileged = privileged_uses(to_dict(config.algorithm))
-    training = f"{config.name}, {config.total_steps:,} steps"
+    training = f"{config.name}, {trained.folder.steps_trained:,} steps"
     if privileged:
         training += f"; training used the simulator's state for {', '.join(privileged)}"
     controls = {}
@@ -295,11 +297,14 @@ class _Runners:
 
 
 def _exported(spec: str, folder: Path) -> Entrant:
-    data = (folder / "contract.json").read_bytes()
-    contract = json.loads(data)
-    rows, names = contract["knowledge"]["rows"], set(contract["joints"]["names"])
+    if find_spec("onnxruntime") is None:
+        raise UserError("An exported folder needs pip install 'knowarm[onnx]'.")
+    with reading(folder, "Export the policy again."):
+        data = (folder / "contract.json").read_bytes()
+        contract = json.loads(data)
+        rows, names = contract["knowledge"]["rows"], set(contract["joints"]["names"])
+        loaded = Runner.load(folder)
     inputs = ("image", "words") if len(rows) > 1 else ("image",)
-    loaded = Runner.load(folder)
     policy = _Runners(lambda: copy.copy(loaded), inputs, "exported")  # which share the models
 
     def make(cell: Cell) -> AgentProtocol:

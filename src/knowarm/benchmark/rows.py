@@ -54,6 +54,7 @@ def run_suite(
         for cell in suite.cells.values()
         if not cells or any(cell.name.startswith(each) for each in cells)
     ]
+    _check_seeds(entrants)
     played: dict[str, list[dict[str, Any]]] = {cell.name: [] for cell in chosen}
     for each in entrants:
         for cell in chosen:
@@ -81,6 +82,17 @@ def _declared(entrants: Sequence[Entrant]) -> dict[str, Any]:
         "inputs": list(entrants[0].inputs),
         "training": entrants[0].training,
     }
+
+
+def _check_seeds(entrants: Sequence[Entrant]) -> None:
+    """Check that the policies of a row are different training seeds of one policy."""
+    for name in ("inputs", "training"):
+        if len(found := dict.fromkeys(getattr(each, name) for each in entrants)) > 1:
+            given = " | ".join(map(str, found))
+            raise UserError(f"The seeds of one policy must have equal {name}, got {given}.")
+    seeds = [(each.spec, each.seed) for each in entrants]
+    for spec, _ in (each for each in seeds if seeds.count(each) > 1):
+        raise UserError(f"{spec} is given twice. Give each training seed once.")
 
 
 def _play_cell(suite: Suite, cell: Cell, entrant: Entrant) -> dict[str, Any]:

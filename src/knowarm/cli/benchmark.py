@@ -9,11 +9,11 @@ from typing import Annotated
 
 import tyro
 
-from knowarm.benchmark.leaderboard import read_rows, write_leaderboard
+from knowarm.benchmark.leaderboard import left_out, read_rows, write_leaderboard
 from knowarm.benchmark.policies import Entrant, entrant
 from knowarm.benchmark.rows import read_row, run_suite, verify
 from knowarm.benchmark.suites import read_suite, suite_names
-from knowarm.cli.tables import print_table
+from knowarm.cli.tables import check_output, print_table
 from knowarm.config import at_least
 from knowarm.errors import UserError
 from knowarm.reading import write_json
@@ -66,7 +66,7 @@ class RunSuite:
         """Play, print and write."""
         name, suite = self.name or self.policy[0], read_suite(self.suite)
         if self.trial is None:
-            self.out.parent.mkdir(parents=True, exist_ok=True)  # before minutes of playing
+            check_output(self.out, "--out")  # before minutes of playing
         else:
             at_least(self, 1, "trial")
             few = {k: replace(c, episodes=c.episodes[: self.trial]) for k, c in suite.cells.items()}
@@ -130,8 +130,11 @@ class WriteTable:
 
     def run(self) -> None:
         """Write and print the paths."""
-        for path in write_leaderboard(read_rows(self.rows), self.out):
+        rows = read_rows(self.rows)
+        for path in write_leaderboard(rows, self.out):
             print(f"Wrote {path}")
+        for each in left_out(rows):
+            print(f"Left out: {each}.")
 
 
 def _entrants(specs: Sequence[str]) -> list[Entrant]:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from knowarm.errors import UserError
+from knowarm.experiment.algorithms import algorithm_of
 from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.experiment.run_folder import RunFolder
 
@@ -122,8 +123,9 @@ def _run_text(folder: RunFolder) -> str:
     config = folder.experiment()
     lines = [
         f"Policy `{config.name}`, training seed {config.seed}: robot `{config.env.robot}`, task "
-        f"`{config.env.task.kind_of()}`, algorithm `{config.algorithm.name}`, "
-        f"{config.total_steps:,} steps. One training seed: no claim about the agent.",
+        f"`{config.env.task.kind_of()}`, algorithm "
+        f"`{algorithm_of(folder.config())}`, {folder.steps_trained:,} steps. "
+        "One training seed: no claim about the agent.",
         "",
         "| evaluation | episodes | success % | open-loop % | black images % |",
         "|---|---|---|---|---|",
