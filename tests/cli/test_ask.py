@@ -2,6 +2,7 @@
 
 import http.client
 import json
+import socket
 import threading
 from pathlib import Path
 from types import SimpleNamespace
@@ -133,6 +134,8 @@ def test_without_one_visible_answer_the_arm_can_stay(asker):
     ("arguments", "message"),
     [
         ([RUN], "Give a question"),
+        ([RUN, "--browser", "--page", "x.html"], "leave out --page"),
+        ([RUN, "--browser", "--port", "70000"], "cannot listen on 127.0.0.1, port 70000"),
         ([RUN, "usedFor drinkin"], "Did you mean 'drinking'"),
         ([RUN, "usedFor drinking", "--edit", "mug red"], "must be + or -"),
         ([RUN, "usedFor drinking", "--scene", "4000"], "scene must be 0 to 3999, got 4000"),
@@ -192,6 +195,11 @@ def test_the_served_page_answers_questions_edits_and_mistakes(served):
     assert "Traceback" not in text
     assert get(served, "/", host="evil.example")[0] == 403
     assert get(served, "/other")[0] == 404
+
+
+def test_an_idle_connection_does_not_block_the_page(served):
+    with socket.create_connection(("127.0.0.1", served)):
+        assert get(served, "/other")[0] == 404
 
 
 def test_scenes_of_families_show_what_looks_like_the_names_of_the_network():

@@ -318,5 +318,7 @@ def test_evaluate_and_record_take_a_task_by_name(tmp_path, capsys):
         main(["record", "oracle", "--env.task", "choose", *options, "--to", str(tmp_path / "d")])
         == 0
     )
+    assert main(["record", "oracle", "--seed", "-1", "--to", str(tmp_path / "e")]) == 2
+    assert "seed must be at least 0, got -1" in capsys.readouterr().err
     assert main(["evaluate", "oracle", "--env.task", "chose"]) == 2
     assert "'choose'" in capsys.readouterr().err

@@ -23,7 +23,8 @@ def test_a_scripted_agent_is_drawn_as_a_strip(
         (["tiaga", "--strip", "x.png"], "Unknown robot 'tiaga'. Did you mean 'tiago'"),
         (["irb120", "--agent", "orakle"], "Unknown agent or run folder 'orakle'"),
         (["irb120", "--targets", "bttle", "--strip", "x.png"], "Did you mean 'bottle'"),
-        (["irb120", "--episodes", "0"], "--episodes must be at least 1, got 0"),
+        (["irb120", "--episodes", "0"], "episodes must be at least 1, got 0"),
+        (["irb120", "--seed", "-1", "--strip", "x.png"], "seed must be at least 0, got -1"),
         (["irb120", "--agent", "runs/none/0", "--strip", "x.png"], "runs/none/0"),
     ],
 )

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from knowarm.cli.main import main
+from knowarm.cli.main import _parse, main
 from knowarm.experiment.summary import read_table
 from knowarm.reading import read_json
 from knowarm.world.tasks import TASKS, VARIABLE
@@ -49,6 +49,13 @@ def test_it_is_trained_evaluated_and_reported(
     held = read_table(evaluation / "episodes.parquet")["held"]
     assert held.shape == (4,)
     assert (held >= 0).all()
+
+    name, options = "irb120-hover-full-ppo", ["--tasks", "hover:Hover"]
+    command = _parse("train", [name, *options])  # which Ctrl-C prints
+    assert (command.again, command.tasks) == (
+        "knowarm train irb120-hover-full-ppo --tasks hover:Hover",
+        " --tasks hover:Hover",
+    )
 
     start_afresh(monkeypatch)  # a report reads files only
     page = tmp_path / "report.html"

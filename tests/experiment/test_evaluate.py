@@ -310,8 +310,24 @@ def test_unclear_is_refused_for_an_agent_with_a_vector():
 
 def test_another_task_does_not_replace_the_evaluation_of_the_own():
     env = replace(load_agent(ZOO).config.env, image_size=32)
-    with pytest.raises(UserError, match="label"):
-        evaluate(ZOO, env, BRIEF)
+    for agent in (ZOO, load_agent(ZOO, which="untrained")):
+        with pytest.raises(UserError, match="label"):
+            evaluate(agent, env, BRIEF)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"robot": "irb120"}, r"\(7, 64\) \| \(6, 64\)"),
+        ({"image_size": 32}, r"\(7, 64\) \| \(7, 32\)"),
+        ({"colours": "randomized"}, "knowledge of"),
+        ({"targets": ("mug", "lamp", "bottle")}, "knowledge of .*lamp"),
+    ],
+)
+def test_an_environment_that_an_agent_does_not_fit_is_refused(changes, words):
+    trained = load_agent(ZOO)
+    with pytest.raises(UserError, match=words):
+        evaluate(trained, replace(trained.config.env, **changes), BRIEF, write=False)
 
 
 def test_evaluations_that_differ_have_folders_of_their_own():

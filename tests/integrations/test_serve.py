@@ -1,9 +1,11 @@
 """The policy server plays as in process, and stands what clients do wrong."""
 
+import contextlib
 import os
 import subprocess
 import threading
 import urllib.request
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +26,14 @@ pytest.importorskip("msgpack")
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from knowarm.integrations.serve import MOST_BYTES, PolicyServer, pack, unpack
+from knowarm.integrations.serve import (
+    MOST_BYTES,
+    MOST_CONNECTIONS,
+    Client,
+    PolicyServer,
+    pack,
+    unpack,
+)
 
 ROOT = Path(__file__).parents[2]
 ZOO = ROOT / "zoo"
@@ -108,16 +117,38 @@ def test_a_new_connection_starts_an_episode_and_clients_do_not_mix(parts, server
     assert (first != second).any()
 
 
+def test_a_reset_of_numpy_starts_an_episode(parts, server):
+    again = observation(parts, reset=np.True_)
+    with client(server) as connection:
+        connection.recv()
+        answers = [
+            unpack(ask(connection, each))["actions"]
+            for each in (observation(parts), observation(parts), again)
+        ]
+    np.testing.assert_array_equal(answers[0], answers[2])
+    assert (answers[0] != answers[1]).any()
+
+
+def test_a_client_of_a_full_server_is_told_so(server):
+    with contextlib.ExitStack() as others:
+        for _ in range(MOST_CONNECTIONS):
+            others.enter_context(client(server)).recv()
+        with pytest.raises(UserError, match="refuses: The server has 8 clients"):
+            Client(f"ws://127.0.0.1:{server.port}")
+
+
 def test_healthz(server):
     with urllib.request.urlopen(f"http://127.0.0.1:{server.port}/healthz") as answer:
         assert (answer.status, answer.read()) == (200, b"OK\n")
 
 
-def objects():
+def packed(array):
     import msgpack
 
-    array = {b"__ndarray__": True, b"data": b"x", b"dtype": "|O", b"shape": [1]}
     return msgpack.packb({"observation/image": array})
+
+
+OBJECTS = {b"__ndarray__": True, b"data": b"x", b"dtype": "|O", b"shape": [1]}
 
 
 @pytest.mark.parametrize(
@@ -127,10 +158,13 @@ def objects():
         ({"observation/image": "no array"}, "lacks the array"),
         ({"observation/state": np.zeros(5)}, "must hold"),
         ({"observation/state": np.full(6, np.nan)}, "not finite"),
+        ({"observation/state": {"a": 1}}, "must be a list of numbers"),
         ({"prompt": "usedFor flying"}, "knowledge must be"),
+        (partial(packed, {b"__npgeneric__": True, b"dtype": "|i1", b"data": 300}), "msgpack"),
+        (partial(packed, {b"__ndarray__": True, b"dtype": "i4,(", b"data": b""}), "msgpack"),
         (b"\xc1", "msgpack"),
         ("text", "binary"),
-        (objects, "dtype"),
+        (partial(packed, OBJECTS), "dtype"),
     ],
 )
 def test_bad_messages_get_one_line_and_the_connection_ends(parts, server, change, words):

@@ -53,6 +53,8 @@ class Ask(TableCommand):
         """Answer, play, and print or show."""
         if not self.question and not self.browser:
             raise UserError('Give a question, such as "usedFor drinking and not hasColor blue".')
+        if self.browser and self.page is not None:
+            raise UserError("--browser serves a page and writes none: leave out --page.")
         trained = load_agent(self.agent)
         graph = open_graph(self.graph or trained.config.knowledge.graph)
         asker = Asker(trained, self.seed)

@@ -117,6 +117,7 @@ class Record:
     def run(self) -> None:
         """Play, write and say how many episodes succeeded."""
         at_least(self, 1, "episodes")
+        at_least(self, 0, "seed")
         agent: AgentProtocol
         config = self.env
         if is_scripted(self.agent, self.env):

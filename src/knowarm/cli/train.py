@@ -3,6 +3,7 @@
 What imports torch, which takes seconds, is imported after the options are read.
 """
 
+import os
 import shlex
 import sys
 from dataclasses import dataclass, field, replace
@@ -29,7 +30,7 @@ from knowarm.experiment.run_lock import StopRequest
 from knowarm.perception.config import PerceptionConfig
 from knowarm.reading import read_toml
 from knowarm.world.config import EnvConfig
-from knowarm.world.tasks import task_type
+from knowarm.world.tasks import VARIABLE, task_type
 
 USAGE = f"""usage: knowarm train EXPERIMENT [OPTIONS]
 
@@ -110,7 +111,10 @@ def parse_train(arguments: list[str]) -> Train:
         if not path.exists():
             raise UserError(f"There is no run to resume in {path}: leave out --resume.")
         command = _parse_options(name, rest, RunFolder.open(path).experiment())
-    return replace(command, again=again, tasks=f" --tasks {task}" if task and ":" in task else "")
+    tasks = f" --tasks {task}" if task and ":" in task else ""
+    if not tasks and (own := os.environ.get(VARIABLE, "").rpartition(",")[2]):  # of `--tasks`
+        again, tasks = f"{again} --tasks {own}", f" --tasks {own}"
+    return replace(command, again=again, tasks=tasks)
 
 
 def _parse_options(name: str, arguments: list[str], config: ExperimentConfig) -> Train:

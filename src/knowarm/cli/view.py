@@ -9,6 +9,7 @@ import tyro
 
 from knowarm.cli.evaluate import is_scripted
 from knowarm.cli.tables import FilePath
+from knowarm.config import at_least
 from knowarm.errors import UserError
 from knowarm.experiment.names import task_for
 from knowarm.integrations.rerun import check_rrd, write_rrd
@@ -69,8 +70,8 @@ class View:
 
     def run(self) -> None:
         """Play the episodes and show or record them."""
-        if self.episodes < 1:
-            raise UserError(f"--episodes must be at least 1, got {self.episodes}.")
+        at_least(self, 1, "episodes")
+        at_least(self, 0, "seed")
         if self.strip is not None:
             check_suffix(self.strip, "A film strip")
         if self.video is not None:

@@ -37,7 +37,7 @@ from knowarm.reading import write_json, writing
 from knowarm.statistics import share_difference, wilson
 from knowarm.world.agents import BLIND_AGENTS, AgentProtocol
 from knowarm.world.agents.play import play
-from knowarm.world.config import EnvConfig
+from knowarm.world.config import EnvConfig, facets_of
 from knowarm.world.envs.vector_env import ReachVectorEnv
 from knowarm.world.lifting.model import lifting_model
 from knowarm.world.tasks.episodes import Episodes, evaluation_episodes
@@ -155,8 +155,6 @@ def evaluate(
         if agent.agent.generator is not None:  # another evaluation may have drawn from it
             agent.agent.generator.manual_seed(config.seed)
         blind_episodes = config.blind_episodes if agent.which != "untrained" else 0
-        if agent.which != "best":
-            config = dataclasses.replace(config, label=f"{config.folder}-{agent.which}")
         if config.graph is not None:
             agent = dataclasses.replace(agent, config=with_graph(agent.config, config.graph))
         if write and env_config not in (None, agent.config.env) and config.label is None:
@@ -164,6 +162,8 @@ def evaluate(
                 "This task is not the agent's own, and its evaluation would replace that in the "
                 "run folder. Give it a label=..., or set write=False."
             )
+        if agent.which != "best":
+            config = dataclasses.replace(config, label=f"{config.folder}-{agent.which}")
         env_config = env_config or agent.config.env
         agent_name = f"{agent.config.name}/{agent.config.seed}"
         folder = agent.folder.evaluation(config.folder)
@@ -181,6 +181,7 @@ def evaluate(
     try:
         if trained is not None:
             agent, table = agent_for_test(trained, judged, config)
+            _check_fits(trained, env, knows_task=table is not None or agent is not trained.agent)
         fixed = _episodes(env, config)
         if config.lift and judged.task.solid:
             raise UserError("lift=True lifts where episodes of a task without solid objects end.")
@@ -293,6 +294,22 @@ def agent_for_test(
     facets = network.spec.facets
     answers = answer_table(trained.config, env, facets, graph=graph, control=control)
     return trained.answering(answers, config.unclear), None
+
+
+def _check_fits(trained: TrainedAgent, env: ReachVectorEnv, *, knows_task: bool) -> None:
+    """Check that an agent, with knowledge of the task or of its own, can play in an environment."""
+    own, new = trained.policy.shape, (env.scene.num_joints, env.config.image_size)
+    found: dict[str, Any] = {"joints, image size": ((own.joints, own.image_size), new)}
+    indexes = trained.policy.uses_knowledge and (trained.module is None or trained.network)
+    if indexes and not knows_task:
+        both = (trained.config.env, env.config)
+        found["knowledge of"] = [each.task.knowledge_rows(facets_of(each)) for each in both]
+    for name, (one, other) in found.items():
+        if one != other:
+            raise UserError(
+                f"{trained.config.name} does not fit this environment (agent | environment): "
+                f"{name} {one!s:.80} | {other!s:.80}. Evaluate it in one like its own."
+            )
 
 
 def env_for_test(env_config: EnvConfig, config: EvaluationConfig) -> EnvConfig:

@@ -73,6 +73,8 @@ def make_server(
     """Make a server on the loopback interface, which listens and answers one request at a time."""
 
     class Handler(BaseHTTPRequestHandler):
+        timeout = 1.0  # [s]: browsers keep connections that ask nothing
+
         def do_GET(self) -> None:
             url = urlsplit(self.path)
             reason = refusal(self.path, self.headers)

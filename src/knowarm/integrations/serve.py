@@ -50,7 +50,7 @@ def unpack(data: bytes) -> Any:
     """
     try:
         return msgpack.unpackb(data, object_hook=_unpack_array)
-    except (ValueError, TypeError, KeyError, AttributeError, msgpack.UnpackException) as error:
+    except Exception as error:  # NumPy and msgpack raise many types
         raise ValueError(f"the message is no msgpack map of numbers and arrays: {error}") from error
 
 
@@ -183,9 +183,11 @@ class Client:
         try:
             link = connect(url, compression=None, max_size=MOST_BYTES)
             self._link = contextlib.ExitStack().enter_context(link)
-            self._link.recv()  # metadata
+            about = self._link.recv()
         except (OSError, WebSocketException, ValueError) as error:
             raise UserError(f"No policy server answers at {url}: {error}.") from None
+        if isinstance(about, str):  # no metadata
+            raise UserError(f"The policy server at {url} refuses: {about:.300}")
 
     def start(self, joints: Mapping[str, float], knowledge: str | None = None) -> None:
         """Start an episode with the next step."""
@@ -214,8 +216,11 @@ def act(runner: Runner, observation: Any) -> np.ndarray:
     image = observation.get(IMAGE)
     if not isinstance(image, np.ndarray):
         raise ValueError(f"the observation lacks the array {IMAGE!r}")
-    if not runner.is_started or observation.get(RESET) is True:
-        state = np.asarray(observation.get(STATE, ()), np.float64).ravel()
+    if not runner.is_started or observation.get(RESET) in (True,):  # also of NumPy
+        try:
+            state = np.asarray(observation.get(STATE, ()), np.float64).ravel()
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{STATE!r} must be a list of numbers: {error}") from error
         if len(state) != len(runner.joint_names):
             names = ", ".join(runner.joint_names)
             raise ValueError(f"{STATE!r} must hold {names} as an episode starts, got {len(state)}")

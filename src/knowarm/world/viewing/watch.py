@@ -135,8 +135,8 @@ def listen(port: int) -> socket.socket:
     for each in [port] if port else PORTS:
         try:
             return socket.create_server((ADDRESS, each))
-        except OSError as error:
-            reason = error.strerror or str(error)
+        except (OSError, OverflowError) as error:
+            reason = getattr(error, "strerror", None) or str(error)
     raise UserError(
         f"The viewer cannot listen on {ADDRESS}, port {port or PORTS[0]}: {reason}. Choose another "
         "port."
