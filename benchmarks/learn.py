@@ -220,7 +220,7 @@ def train_ppo(
 
     Returns:
         ``steps_per_s``; ``share_environment`` (images included), ``share_images``,
-        ``share_inference`` and ``share_update`` of the time; ``precision`` of matrix products.
+        ``share_inference`` and ``share_update`` of the time.
     """
     rows: list[Metrics] = []
     images: list[float] = []
@@ -250,7 +250,6 @@ def train_ppo(
         "share_images": (images[-1] - images[first]) / elapsed(),
         "share_inference": share("inference_s"),
         "share_update": share("learn_s"),
-        "precision": trainer.matmul_precision,
     }
 
 
@@ -305,7 +304,6 @@ COLUMNS = {
     "share_images": "images",
     "share_inference": "inference",
     "share_update": "update",
-    "staleness_mean": "staleness",
 }
 """Column titles of the table, by field of a row; the JSON has more fields."""
 
@@ -324,7 +322,6 @@ def print_learn(result: dict[str, Any]) -> None:
             [list(row.values()) for row in result["success"]],
         )
     print("physics, images, inference, update: shares of the time.")
-    print("staleness: mean number of other workers' updates since a worker read the parameters.")
     print("raycaster: frames/s of one core, without training.")
     for name, value in result.items():
         if name.startswith("ratio_") and value is not None:

@@ -75,15 +75,15 @@ def refuse_module(experiment: ExperimentConfig) -> None:
     if experiment.has_module:
         raise UserError(
             f"{experiment.name} has a perception module or a grounding network beside its policy, "
-            "which benchmarks do not train: choose an agent without one, such as bm or mask."
+            "which benchmarks do not train: choose an agent without one, such as bm or full."
         )
 
 
 def with_algorithm(experiment: ExperimentConfig, algorithm: str) -> ExperimentConfig:
-    """Return the experiment of the same robot, agent and colours with another algorithm."""
+    """Return the experiment of the same robot, task, agent and colours with another algorithm."""
     env = experiment.env
     return experiment_config(
-        str(ExperimentName(env.robot, "reach", experiment.agent, env.colours, algorithm))
+        str(ExperimentName(env.robot, env.task.kind_of(), experiment.agent, env.colours, algorithm))
     )
 
 

@@ -5,7 +5,9 @@ from dataclasses import replace
 import pytest
 
 from benchmarks.learn import LearnBenchConfig, bench_learn, in_turns
+from benchmarks.time_to_success import with_algorithm
 from knowarm.errors import UserError
+from knowarm.experiment.names import experiment_config
 
 
 @pytest.mark.slow
@@ -47,3 +49,8 @@ def test_configurations_take_turns_and_the_median_counts() -> None:
 def test_sizes_out_of_range_are_refused() -> None:
     with pytest.raises(UserError, match="cores must be at least 1, got 0"):
         LearnBenchConfig(cores=0)
+
+
+def test_another_algorithm_is_measured_on_the_same_task():
+    chosen = with_algorithm(experiment_config("irb120-choose-bm-fast"), "ppo")
+    assert chosen.name == "irb120-choose-bm-ppo"

@@ -1,8 +1,10 @@
+from knowarm.experiment import logs
 from knowarm.experiment.logs import TrainingProgress
 
 
-def test_the_few_early_successes_of_one_update_do_not_stand_for_all(capsys):
-    with TrainingProgress("run", 1000, every_s=0.0) as progress:
+def test_the_few_early_successes_of_one_update_do_not_stand_for_all(capsys, monkeypatch):
+    monkeypatch.setattr(logs, "LINE_S", 0.0)
+    with TrainingProgress("run", 1000) as progress:
         progress.metrics({"step": 1, "episodes": 96, "return_mean": -20.0, "success": 0.0})
         progress.metrics({"step": 2, "episodes": 4, "return_mean": 80.0, "success": 1.0})
         progress.metrics({"step": 3, "episodes": 0})
@@ -10,8 +12,9 @@ def test_the_few_early_successes_of_one_update_do_not_stand_for_all(capsys):
     assert "return -16.0 success 4 %" in last
 
 
-def test_old_episodes_are_forgotten(capsys):
-    with TrainingProgress("run", 1000, every_s=0.0) as progress:
+def test_old_episodes_are_forgotten(capsys, monkeypatch):
+    monkeypatch.setattr(logs, "LINE_S", 0.0)
+    with TrainingProgress("run", 1000) as progress:
         for step in range(1, 40):
             value = -100.0 if step < 20 else 50.0
             row = {"step": step, "episodes": 100, "return_mean": value, "success": 0.0}

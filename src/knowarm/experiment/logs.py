@@ -18,18 +18,20 @@ from knowarm.learn.trainer import Metrics
 EPISODES_SHOWN = 500
 """Number of latest episodes over which the displayed return and success are averaged."""
 
+LINE_S = 10.0
+"""Time between two plain lines [s]."""
+
 
 class TrainingProgress:
     """Progress display of one training; use it as a context manager.
 
     On a terminal: a bar with rate, remaining time and the latest return and success. Elsewhere: a
-    plain line every ``every_s`` seconds.
+    plain line every `LINE_S` seconds.
     """
 
-    def __init__(self, label: str, total_steps: int, *, every_s: float = 10.0):
+    def __init__(self, label: str, total_steps: int):
         self._label = label
         self._total = total_steps
-        self._every_s = every_s
         self._console = Console(stderr=True)
         self._bar: Progress | None = None
         self._figures = ""
@@ -71,7 +73,7 @@ class TrainingProgress:
         speed = f"{rate:,.0f} steps/s" if rate else ""
         if self._bar is not None:
             self._bar.update(self._task, completed=step, rate=speed, figures=self._figures)
-        elif now - self._last_line_time >= self._every_s:
+        elif now - self._last_line_time >= LINE_S:
             self._last_line_time = now
             left = max(self._total - step, 0)
             remaining = f"{left / rate / 60:.1f} min left" if rate else ""
