@@ -109,7 +109,7 @@ def test_overrides_of_some_experiments_come_last(tmp_path):
         (("[overrides]", '[where]\nkind = "slurm"\n[overrides]'), ["line 6", "'slurm'", "local"]),
         (
             ("[[eval", '[[overrides_for]]\nexperiments = "*"\nfields.name = "x"\n[[eval'),
-            ["overrides_for.fields must not set 'name'"],
+            ["overrides must not set 'name'"],
         ),
         (("[overrides]", "[overrides"), ["not TOML", "line 5"]),
     ],

@@ -130,7 +130,7 @@ def test_other_studies_and_changed_runs_are_refused(tmp_path, executors):
     with pytest.raises(UserError, match=r"bm-ppo/0 has another config.*total_steps: 40 \| 100"):
         run_study(changed, tmp_path)
     assert len(run_study(tiny(seeds=(0, 1)), tmp_path)) == 2  # more seeds are no other study
-    with pytest.raises(UserError, match=r"no longer belong to it: irb120-bm-ppo/0 \(1\)"):
+    with pytest.raises(UserError, match=r"no longer belong to the study: irb120-bm-ppo/0 \(1\)"):
         run_study(tiny(seeds=(1, 2)), tmp_path)
 
 

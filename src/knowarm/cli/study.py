@@ -22,19 +22,11 @@ from knowarm.experiment.run_lock import StopRequest
 from knowarm.reading import read_json
 from knowarm.report import write_report
 from knowarm.study.config import SHIPPED, STUDY_FILE, StudyConfig, read_study
-from knowarm.study.driver import (
-    OnStatus,
-    check_folder,
-    open_study,
-    request_stop,
-    retry,
-    run_study,
-    runs_beside,
-)
+from knowarm.study.driver import OnStatus, check_folder, open_study, request_stop, retry, run_study
 from knowarm.study.estimate import SECONDS, estimate
 from knowarm.study.executor import RunKey
 from knowarm.study.pack import SUFFIX, Part, pack_study, unpack_study
-from knowarm.study.status import RunStatus, seconds_left, study_status, totals
+from knowarm.study.status import RunStatus, runs_beside, seconds_left, study_status, totals
 
 EVERY_S = 60.0  # time between two plain lines without a change
 STYLES = {"running": "cyan", "failed": "red", "stalled": "yellow", "done": "green"}

@@ -243,8 +243,8 @@ def _describe(
 def other_fields(run: RunFolder, given: ExperimentConfig) -> dict[str, str]:
     """Return the fields in which a run and a config differ, each with "field: value | value"."""
     different = differences(to_dict(run.experiment()), to_dict(given)).items()
-    found = {name: f"{name}: {one!r} | {other!r}" for name, (one, other) in different}
-    for name, (one, other) in different:
-        if str(one).startswith(str(run.graphs)):
-            found[name] += f" (restore {other} from this copy: it has changed since)"
-    return found
+    copies, hint = str(run.graphs), " (a copy: restore the graph from it, which has changed since)"
+    return {
+        name: f"{name}: {one!r}{hint * str(one).startswith(copies)} | {other!r}"
+        for name, (one, other) in different
+    }

@@ -118,17 +118,22 @@ class RunFolder:
         A run that resumes with its copy of a graph keeps the name of the original.
         """
         begun = read_json(self.config_path) if self.config_path.exists() else {}
-        originals = {str(self._graph(path)): str(path) for path in graphs_of(begun)}
-        values = with_graphs(to_dict(config), lambda graph: originals.get(graph, graph))
-        for path in graphs_of(values):
-            if path.exists() and not (copy := self._graph(path)).exists():
-                temporary = copy.with_name(f".{copy.name}.tmp")
-                with writing(copy):
-                    shutil.rmtree(copy.parent, ignore_errors=True)  # what a killed process left
-                    copy.parent.mkdir(parents=True)
-                    (shutil.copytree if path.is_dir() else shutil.copyfile)(path, temporary)
-                    temporary.rename(copy)
+        names: dict[str, str] = {}  # of the originals, by copy
+        with_graphs(begun, lambda graph: names.setdefault(str(self._graph(Path(graph))), graph))
+        values = with_graphs(to_dict(config), lambda graph: self._kept(names.get(graph, graph)))
         write_json(self.config_path, {"format": FORMAT, **values})
+
+    def _kept(self, graph: str) -> str:
+        """Copy a graph, unless there is a copy; return its path."""
+        path, copy = Path(graph), self._graph(Path(graph))
+        if path.exists() and not copy.exists():
+            temporary = copy.with_name(f".{copy.name}.tmp")
+            with writing(copy):
+                shutil.rmtree(copy.parent, ignore_errors=True)  # what a killed process left
+                copy.parent.mkdir(parents=True)
+                (shutil.copytree if path.is_dir() else shutil.copyfile)(path, temporary)
+                temporary.rename(copy)
+        return graph
 
     def _graph(self, original: Path) -> Path:
         """Where the copy of a graph is; graphs of one name lie in folders of their own."""
@@ -139,7 +144,7 @@ class RunFolder:
         """Return the path of a graph, or that of the copy if it is gone or has changed."""
         with reading(self.config_path, "Restore the file."):
             copy = self._graph(Path(graph))
-            changed = copy.exists() and graph_digest(copy) != graph_digest(Path(graph))
+            changed = copy.exists() and graph_content(str(copy)) != graph_content(graph)
             return str(copy) if changed else graph
 
     def checkpoint_fact(self, name: str, missing: int) -> int:
@@ -204,25 +209,13 @@ def with_graphs(values: Any, renamed: Callable[[str], str]) -> Any:
     }
 
 
-def graphs_of(values: Any) -> list[Path]:
-    """Return the paths of the graphs that a configuration names, in order."""
-    found: list[str] = []
-
-    def note(graph: str) -> str:
-        found.append(graph)
-        return graph
-
-    with_graphs(values, note)
-    return [Path(graph) for graph in sorted(set(found))]
-
-
-def graph_digest(path: Path) -> str:
-    """Return a digest of the files of a graph and of their names inside a folder."""
-    files = sorted(path.rglob("*")) if path.is_dir() else [path]
-    whole = hashlib.sha256()
-    for file in (each for each in files if each.is_file()):
-        whole.update(f"{file.relative_to(path)} {digest(file.read_bytes())}\n".encode())
-    return whole.hexdigest()
+def graph_content(graph: str) -> str:
+    """Return the name of a graph's file or folder with a digest of the content, wherever it is."""
+    path, whole = Path(graph), hashlib.sha256()
+    for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
+        if file.is_file():
+            whole.update(f"{file.relative_to(path)} {digest(file.read_bytes())}\n".encode())
+    return f"{path.name} ({whole.hexdigest()[:16]})"
 
 
 PACKAGES = ("knowarm", "torch", "mujoco", "numpy", "numba", "gymnasium", "safetensors")

@@ -14,7 +14,7 @@ from knowarm.errors import UserError
 from knowarm.experiment.algorithms import algorithm_of
 from knowarm.experiment.config import StopWhen
 from knowarm.experiment.csv_log import LARGEST, number_in, read_csv
-from knowarm.experiment.run_folder import RunFolder, graph_digest, with_graphs
+from knowarm.experiment.run_folder import RunFolder, graph_content, with_graphs
 from knowarm.knowledge.queries.queries import parse_query
 from knowarm.questions import AND
 from knowarm.reading import one_line, read_json
@@ -90,7 +90,7 @@ def read_run(path: Path, problems: list[FolderProblem]) -> RunData:
     if missing := [name for name in NEEDED_CONFIG if name not in config]:
         raise UserError(f"config.json lacks {', '.join(missing)}")
     with suppress(UserError):  # a field that the run's version did not have takes its default
-        config = with_graphs(to_dict(folder.experiment()), _by_content)
+        config = with_graphs(to_dict(folder.experiment()), graph_content)
     provenance: dict[str, Any] = {}
     with _attempt(path, "kept; versions and parameters unknown", problems):
         provenance = check(folder.provenance(), PROVENANCE)
@@ -120,12 +120,6 @@ def read_run(path: Path, problems: list[FolderProblem]) -> RunData:
             done += ", left out of means over longer trainings"
         problems.append(FolderProblem(path, what, done))
     return run
-
-
-def _by_content(graph: str) -> str:
-    """Name a graph by its content: wherever its file is, seeds trained with it are one agent's."""
-    path = Path(graph)
-    return f"{path.name} ({graph_digest(path)[:8]})" if path.exists() else graph
 
 
 def read_curve(path: Path, problems: list[FolderProblem]) -> Curve:

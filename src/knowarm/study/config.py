@@ -144,16 +144,13 @@ class StudyConfig:
 
     def _experiment(self, name: str) -> ExperimentConfig:
         config = experiment_config(name)
-        given = [("overrides", self.overrides)]
-        given += [
-            ("overrides_for.fields", each.fields)
-            for each in self.overrides_for
-            if fnmatch.filter([name], each.experiments)
-        ]
-        for where, fields in given:
-            if fixed := sorted({"name", "seed"} & {*fields}):
-                raise UserError(f"{where} must not set {fixed[0]!r}; it follows from the study.")
-            config = override(config, fields, where=where)
+        given = {*self.overrides, *(name for each in self.overrides_for for name in each.fields)}
+        if fixed := sorted({"name", "seed"} & given):
+            raise UserError(f"overrides must not set {fixed[0]!r}; it follows from the study.")
+        config = override(config, self.overrides, where="overrides")
+        for each in self.overrides_for:
+            if fnmatch.filter([name], each.experiments):
+                config = override(config, each.fields, where="overrides_for.fields")
         return config
 
 

@@ -16,7 +16,7 @@ from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.run_lock import is_locked, lock_folder
 from knowarm.study.config import PACKED, STUDY_FILE, StudyConfig, read_study, write_study
 from knowarm.study.executor import LOG, Ended, LocalExecutor, RunKey
-from knowarm.study.status import FAILURE, RunStatus, checkpoint_step, seconds_left, study_status
+from knowarm.study.status import FAILURE, RunStatus, runs_beside, seconds_left, study_status
 from knowarm.study.worker import STOP, record_failure
 
 RUN_GIB = 0.15  # disk space that a run of default length may take
@@ -75,9 +75,8 @@ def check_folder(study: StudyConfig, out: Path) -> None:
         lost = sorted({*runs_beside(study, out)} & {f"{c.name}/{c.seed}" for c in before.runs()})
         if lost:
             raise UserError(
-                f"{out} holds runs of the study that would no longer belong to it: "
-                f"{', '.join(lost[:3])} ({len(lost)}). Keep their experiments and seeds in the "
-                "study, or choose another folder."
+                f"{out} holds runs that would no longer belong to the study: {', '.join(lost[:3])} "
+                f"({len(lost)}). Keep their experiments and seeds, or choose another folder."
             )
     if (out / PACKED).exists():
         statuses = [each for each in study_status(study, out) if each.state != "waiting"]
@@ -109,13 +108,6 @@ def check_folder(study: StudyConfig, out: Path) -> None:
             f"{missing} runs may take {needed:.1f} GiB, and {there} has {free:.1f} GiB free: free "
             "space, or choose a folder on another disk."
         )
-
-
-def runs_beside(study: StudyConfig, out: Path) -> list[str]:
-    """Return the runs in the folder of a study that are not of the study."""
-    known = {run_path(out, config) for config in study.runs()}
-    found = sorted(path.parent for path in out.glob("*/*/config.json"))
-    return [path.relative_to(out).as_posix() for path in found if path not in known]
 
 
 def retry(out: Path, names: Sequence[str] = ()) -> list[str]:
@@ -211,7 +203,7 @@ class _Driver:
         if not killed:
             record_failure(path, f"{problem}; see {path / LOG}")
             return
-        self._deaths[run, step := checkpoint_step(RunFolder(path))] += 1
+        self._deaths[run, step := RunFolder(path).checkpoint_fact("step", -1)] += 1
         if (count := self._deaths[run, step]) > self._study.where.retries:
             reason = f"{problem}, {count} times since step {max(step, 0):,}; out of memory?"
             record_failure(path, reason)

@@ -114,16 +114,15 @@ def _state(
 def is_trained(folder: RunFolder, config: ExperimentConfig) -> bool:
     """Return whether a run has taken all its steps, and no interim evaluation is pending."""
     early = folder.ended_early_at(config.stop_when)
-    if early is not None:
-        return checkpoint_step(folder) >= early
-    return checkpoint_step(folder) >= config.total_steps and not folder.checkpoint_fact(
-        "pending", 0
-    )
+    step, pending = (folder.checkpoint_fact(name, -1) for name in ("step", "pending"))
+    return step >= config.total_steps and pending < 1 if early is None else step >= early
 
 
-def checkpoint_step(folder: RunFolder) -> int:
-    """Return the step of the latest checkpoint; -1 without one."""
-    return folder.checkpoint_fact("step", -1)
+def runs_beside(study: StudyConfig, out: Path) -> list[str]:
+    """Return the runs in the folder of a study that are not of the study."""
+    known = {run_path(out, config) for config in study.runs()}
+    found = sorted(path.parent for path in out.glob("*/*/config.json"))
+    return [path.relative_to(out).as_posix() for path in found if path not in known]
 
 
 def missing_evaluations(

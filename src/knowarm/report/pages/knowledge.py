@@ -4,8 +4,6 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from knowarm.experiment.agents import AGENTS
 from knowarm.report import format
 from knowarm.report.blocks import Block, Column, DataTable, Figure, Panel, Row, cells, table_of
@@ -13,7 +11,7 @@ from knowarm.report.charts import POINTS_AXIS
 from knowarm.report.collect import LATEST, UNTRAINED, rules
 from knowarm.report.diagrams import Dot, dot_chart
 from knowarm.report.format import slugs
-from knowarm.report.model import Evaluation, Group, TaskData
+from knowarm.report.model import Evaluation, Group, SplitGroup, TaskData
 from knowarm.report.pages.results import conditions
 from knowarm.report.verdicts.claims import Claim
 from knowarm.report.verdicts.knowledge import finding
@@ -118,9 +116,9 @@ def _other_conditions(task: TaskData, subject: Group, stem: str) -> list[Block]:
             for each in replace(group, label=label).evaluations:
                 found[rules(each)][group].append(each)
         for alike in found.values():
-            own = np.array([each.summary["success"] for each in alike.get(subject, ())])
+            own = SplitGroup(subject, "", alike.get(subject, [])).scores("success")
             for group, evaluations in alike.items():
-                values = np.array([each.summary["success"] for each in evaluations])
+                values = SplitGroup(group, "", evaluations).scores("success")
                 name = f"{label}: {conditions(evaluations[0])}" if len(found) > 1 else label
                 row: Row = {"label": name, "agent": group.name, "seeds": len(values)}
                 row |= {"success": float(values.mean()), "_colour": task.colours[group.name]}

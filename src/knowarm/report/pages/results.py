@@ -124,8 +124,7 @@ def _lifts(task: TaskData) -> DataTable | None:
             for each in tests:
                 ended.update(each.summary.get("lift_outcomes", {}))
             row = row_of(task, SplitGroup(group, "", tests), "success", "lifted", "grasps")
-            held_out = " (held out)" if label.endswith(HELD_OUT) else ""
-            row["rules"] = f"{conditions(tests[0])}{held_out}"
+            row["rules"] = conditions(tests[0]) + " (held out)" * label.endswith(HELD_OUT)
             rows.append(row | {name: ended[name] for name in causes})
             sources += [each.folder / "summary.json" for each in tests]
     if not rows:
