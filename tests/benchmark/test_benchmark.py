@@ -134,7 +134,7 @@ def test_a_row_verifies_and_another_policy_does_not(stored):
 
 
 def test_a_row_is_of_different_seeds_of_one_policy(small):
-    with pytest.raises(UserError, match="zero is given twice"):
+    with pytest.raises(UserError, match="Give each seed once, got zero, zero"):
         run_suite(small, [entrant("zero")] * 2, name="x")
     with pytest.raises(UserError, match=r"must have equal inputs, got \('image'"):
         run_suite(small, [playing("oracle")[0], entrant("zero")], name="x")

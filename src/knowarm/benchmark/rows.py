@@ -90,9 +90,9 @@ def _check_seeds(entrants: Sequence[Entrant]) -> None:
         if len(found := dict.fromkeys(getattr(each, name) for each in entrants)) > 1:
             given = " | ".join(map(str, found))
             raise UserError(f"The seeds of one policy must have equal {name}, got {given}.")
-    seeds = [(each.spec, each.seed) for each in entrants]
-    for spec, _ in (each for each in seeds if seeds.count(each) > 1):
-        raise UserError(f"{spec} is given twice. Give each training seed once.")
+    different = {each.digest or f"{each.spec}/{each.seed}" for each in entrants}
+    if len(different) < len(entrants):
+        raise UserError(f"Give each seed once, got {', '.join(each.spec for each in entrants)}.")
 
 
 def _play_cell(suite: Suite, cell: Cell, entrant: Entrant) -> dict[str, Any]:
