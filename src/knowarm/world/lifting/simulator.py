@@ -78,7 +78,7 @@ class LiftSimulator(MujocoSimulator):
             self._qpos[ids[:, None], start + np.arange(7)] = pose
         super().reset(ids, joint_targets, target_position, distractor_position, visible)
 
-    def step(self, joint_targets: Floats) -> None:
+    def step(self, joint_targets: Floats, substeps: int | None = None) -> None:
         """Advance by a control period to joint targets (n, J) [rad]; a grip takes small steps."""
         self._set_servos(slice(None), joint_targets)
         centres = self._centre[:, self.lifting.bodies]
