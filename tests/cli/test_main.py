@@ -76,7 +76,10 @@ for words in {MISTYPED}:
     assert "Did you mean 'film'" in done.stderr.replace("\n", " ")
 
 
-def test_help_of_train_shows_ten_options_a_group_or_all(capsys):
+@pytest.mark.parametrize("columns", ["80", "200"])
+def test_help_of_train_shows_ten_options_a_group_or_all(capsys, monkeypatch, columns):
+    monkeypatch.setenv("COLUMNS", columns)
+
     def shown(*words):
         with pytest.raises(SystemExit):
             main(["train", "irb120-full-fast", *words])
@@ -86,6 +89,7 @@ def test_help_of_train_shows_ten_options_a_group_or_all(capsys):
     assert len(first) == 10
     assert {"seed", "total-steps", "knowledge.graph"} < set(first)
     assert all(name.startswith("env.") for name in group)
+    assert len(shown("--help", "policy")) > 2
     assert len(group) < len(everything)
     assert {*first, *group} < set(everything)
     assert main(["train", "irb120-full-fast", "--help", "knowlege"]) == 2

@@ -1,11 +1,13 @@
 """Parsing of the command line: groups of commands, options, and names that come first."""
 
+import os
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stdout, suppress
 from functools import partial
 from io import BytesIO, TextIOWrapper
+from shutil import get_terminal_size
 from textwrap import fill, indent, wrap
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
 
 Command = TypeVar("Command")
 HELP = ("-h", "--help")
+WIDEST = 120  # columns of a help text; from 130 on tyro sets two side by side
 REGISTRY = ConstructorRegistry()
 """Rules by which values of options are read, beside tyro's own."""
 
@@ -63,9 +66,14 @@ def parse_options(
 
 
 def _printed(show: Callable[[], Any]) -> str:
-    """Return what a function prints before it ends the program."""
-    with redirect_stdout(TextIOWrapper(BytesIO(), "utf-8")) as text, suppress(SystemExit):
-        show()
+    """Return what a function prints before it ends the program, in a single column."""
+    before = os.environ.get("COLUMNS")
+    os.environ["COLUMNS"] = str(min(get_terminal_size().columns, WIDEST))
+    try:
+        with redirect_stdout(TextIOWrapper(BytesIO(), "utf-8")) as text, suppress(SystemExit):
+            show()
+    finally:
+        os.environ.pop("COLUMNS") if before is None else os.environ.update(COLUMNS=before)
     text.seek(0)
     return text.read()
 

@@ -137,7 +137,9 @@ def _parse(name: str, arguments: list[str]) -> Any:
     told = io.StringIO()
     try:
         with redirect_stderr(told):
-            return parse_command(command, f"knowarm {name}", f"{about.capitalize()}.", arguments)
+            return parse_command(
+                command, f"knowarm {name}", f"{about[0].upper()}{about[1:]}.", arguments
+            )
     except SystemExit:  # tyro frames what classes of grouped options refuse
         words = " ".join(line.strip("│╭╮╰╯─ ") for line in told.getvalue().splitlines())
         if refused := re.search(r"Error parsing [\w.]+: (.+?) +For full helptext", words):
