@@ -2,7 +2,10 @@
 
 pip install 'knowarm[ros]'
 python examples/ros_robot.py zoo/irb120-full-fast --episodes 1 &
-knowarm ros zoo/irb120-full-fast --knowledge "the knowledge that it prints"
+knowarm ros zoo/irb120-full-fast
+
+A policy whose contract has several rows of knowledge, such as one of the choose task, also takes
+--knowledge "the knowledge that this program prints"; one whose contract has one row takes none.
 """
 
 import argparse
