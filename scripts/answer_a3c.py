@@ -92,4 +92,9 @@ def conclusion(task: TaskData) -> str:
                 line += f", {success} of 1,000 episodes after training (10 cm, 17 degrees)"
                 line += f", where the best list of actions reaches {listed}"
             lines.append(f"{line}.")
+    if all(len(group.runs) == 1 for group in task.groups) and len(task.groups) > 1:
+        lines.append(
+            "- One training seed each and no control of the network's size: nothing about the "
+            "knowledge follows from the difference."
+        )
     return "\n".join(lines)

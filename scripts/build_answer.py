@@ -9,7 +9,7 @@ import argparse
 import re
 import tempfile
 import textwrap
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -233,17 +233,19 @@ def page(
 
 def processors_of(agents: Sequence[Agent]) -> list[str]:
     """Say which agents and seeds ran on which processor."""
-    used: dict[str, list[tuple[str, int]]] = defaultdict(list)
+    used: dict[str, dict[str, set[int]]] = defaultdict(lambda: defaultdict(set))
+    counts: Counter[str] = Counter()
     for each in agents:
         for processor, seed in zip(each.processors, each.seeds, strict=True):
-            used[processor].append((each.name, seed))
+            used[processor][each.name].add(seed)
+            counts[processor] += 1
     lines = []
-    for processor, runs in used.items():
-        names, seeds = (sorted({run[i] for run in runs}, key=str) for i in (0, 1))
-        lines.append(
-            f"{len(runs)} runs on an {processor} ({', '.join(f'`{name}`' for name in names)}; "
-            f"seeds {', '.join(map(str, seeds))})"
-        )
+    for processor, seeds_of in used.items():
+        alike: dict[str, list[str]] = defaultdict(list)
+        for name, seeds in sorted(seeds_of.items()):
+            alike[", ".join(map(str, sorted(seeds)))].append(f"`{name}`")
+        who = "; ".join(f"{', '.join(names)}: seeds {seeds}" for seeds, names in alike.items())
+        lines.append(f"{counts[processor]} runs on an {processor} ({who})")
     return lines
 
 
@@ -343,7 +345,8 @@ def done(folder: Path) -> str:
     failed = ", ".join(f"`{run.name}` ({run.detail})" for run in runs if run.state == "failed")
     failures = f"failed: {failed}" if failed else "none failed"
     if count == len(runs):
-        return f"All {count} runs of the study `{study.name}` are done."
+        every = "Both" if count == 2 else f"All {count}"
+        return f"{every} runs of the study `{study.name}` are done."
     return f"Of the study `{study.name}` {count} of {len(runs)} runs are done; {failures}."
 
 
