@@ -8,7 +8,16 @@ from knowarm.experiment.csv_log import training_seconds
 from knowarm.report.collect import collect
 from knowarm.report.model import Group, TaskData
 from knowarm.report.pages.paper import published_result
-from scripts.answer_cells import table
+from scripts.answer_cells import (
+    Cell,
+    agents_table,
+    comparison_table,
+    comparisons,
+    table,
+    tasks_of,
+    title_of,
+    verdict,
+)
 
 EVERY = 10_000_000
 """Steps between two columns of the table."""
@@ -25,6 +34,31 @@ Interim success (5 cm, 15 degrees) and accuracy (the distance alone, 10 cm) in p
 each the mean of the last {count} evaluations of 40 episodes. An update learns from {batch:,} steps,
 the paper's from 50 or fewer, so there are {updates:,} updates instead of 1.4 million. Workers
 update in another order each time, so the same command does not give the same bytes."""
+
+TUNED = """**Protocol.** Study `a3c-tuned`: IRB120, {total} million steps, training {seeds};
+{hours:.1f} core hours. {progress} The preset [differs](../reference/algorithms.md#a3c) from the
+paper's numbers. Outcomes as with `fast`, of interim evaluations every {every:,} steps."""
+
+
+def tuned_section(study: Path, progress: str) -> list[str]:
+    """Return the blocks on A3C with settings that learn from an unpacked study."""
+    cells = [Cell(task, agents, comparisons(agents)) for task, agents in tasks_of([study])]
+    every = [agent for cell in cells for agent in cell.agents.values()]
+    (total,) = {run.config["total_steps"] for cell in cells for run in cell.task.runs}
+    (between,) = {run.config["interim"]["every_steps"] for cell in cells for run in cell.task.runs}
+    seeds = sorted({seed for each in every for seed in each.seeds})
+    text = TUNED.format(
+        total=total // 10**6,
+        seeds=f"seed{'s' * (len(seeds) > 1)} {', '.join(map(str, seeds))}",
+        hours=2 * sum(each.hours for each in every),
+        progress=progress,
+        every=between,
+    )
+    blocks = ["## A3C with settings that learn", text]
+    for cell in cells:
+        blocks += [f"### {title_of(cell.task)}", agents_table(cell.agents)]
+        blocks += [comparison_table(cell.compared)] if cell.compared else []
+    return [*blocks, "\n".join(f"- {verdict(cell)}" for cell in cells)]
 
 
 def until(group: Group, key: str, step: float) -> str:

@@ -17,6 +17,7 @@ from knowarm.statistics.survival import area_under_curve, first_crossing
 LEVEL = 0.8
 FEWEST = 3
 """Fewest seeds of a comparison."""
+SIGNIFICANT = 0.05
 CONTROLS = {
     "wide": "a network as large, without knowledge",
     "zeros": "a vector of zeros",
@@ -76,13 +77,17 @@ def tasks_of(folders: Sequence[Path]) -> Iterator[tuple[TaskData, dict[str, Agen
 
 
 def percent(values: np.ndarray) -> str:
-    """Format a mean of shares with its interval over seeds."""
+    """Format a mean of shares with its interval over seeds, if there are several."""
+    if len(values) == 1:
+        return f"{100 * values[0]:.1f}"
     each = bootstrap([values])
     return f"{100 * each.estimate:.1f} [{100 * each.low:.0f}, {100 * each.high:.0f}]"
 
 
 def thousands(values: np.ndarray) -> str:
-    """Format a mean of steps with its interval over seeds, in thousands."""
+    """Format a mean of steps with its interval over seeds, if several, in thousands."""
+    if len(values) == 1:
+        return f"{values[0] / 1e3:,.0f}"
     each = bootstrap([values])
     return f"{each.estimate / 1e3:,.0f} [{each.low / 1e3:,.0f}, {each.high / 1e3:,.0f}]"
 
@@ -204,6 +209,34 @@ class Cell:
         adjusted = holm([each.p_value for each in self.compared])
         pairs = zip(self.compared, adjusted, strict=True)
         return next(((c, p) for c, p in pairs if (c.first, c.second) == (first, second)), None)
+
+
+def verdict(cell: Cell) -> str:
+    """Answer the paper's claim for a cell."""
+    title, main = title_of(cell.task), cell.of("full", "bm")
+    if main is None:
+        return f"**{title}**: not enough seeds."
+    compared, p_value = main
+    length = f"{signed(compared.share, 100)} % of the baseline's steps, p {p_value:.2g}"
+    points = f"{signed(compared.success, 100, 1)} points of success"
+    if p_value >= SIGNIFICANT:
+        low = -100 * compared.share.low
+        return (
+            f"**{title}**: no effect of full knowledge on the steps is found ({length}); the "
+            f"95 % interval excludes a saving of more than {max(0, low):.0f} %. {points}."
+        )
+    if compared.share.estimate > 0:
+        return f"**{title}**: full knowledge learns more slowly ({length}). {points}."
+    tested = {name: pair[1] for name in CONTROLS if (pair := cell.of("full", name))}
+    alike = [f"`{name}` ({CONTROLS[name]})" for name, p in tested.items() if p >= SIGNIFICANT]
+    cause = (
+        f"but not than {', '.join(alike)}, so the content of the knowledge is not the reason"
+        if alike
+        else "and than every control"
+        if tested
+        else "but no control ran"
+    )
+    return f"**{title}**: full knowledge learns faster ({length}), {cause}. {points}."
 
 
 def runs_table(cells: Sequence[Cell]) -> str:

@@ -22,54 +22,26 @@ from knowarm.statistics import Interval
 from knowarm.study.driver import open_study
 from knowarm.study.pack import unpack_study
 from knowarm.study.status import study_status
-from scripts.answer_a3c import a3c_section
+from scripts.answer_a3c import a3c_section, tuned_section
 from scripts.answer_cells import (
     CONTROLS,
+    SIGNIFICANT,
     Agent,
     Cell,
     agents_table,
     comparison_table,
     comparisons,
     runs_table,
-    signed,
     table,
     tasks_of,
     title_of,
+    verdict,
 )
 from scripts.answer_fusions import fusions_section
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
 PAGE = RESULTS / "answer.md"
 STUDIES = ("answer", "paper")  # of a cell that two studies have, the first counts
-SIGNIFICANT = 0.05
-
-
-def verdict(cell: "Cell") -> str:
-    """Answer the paper's claim for a cell."""
-    title, main = title_of(cell.task), cell.of("full", "bm")
-    if main is None:
-        return f"**{title}**: not enough seeds."
-    compared, p_value = main
-    length = f"{signed(compared.share, 100)} % of the baseline's steps, p {p_value:.2g}"
-    points = f"{signed(compared.success, 100, 1)} points of success"
-    if p_value >= SIGNIFICANT:
-        low = -100 * compared.share.low
-        return (
-            f"**{title}**: no effect of full knowledge on the steps is found ({length}); the "
-            f"95 % interval excludes a saving of more than {max(0, low):.0f} %. {points}."
-        )
-    if compared.share.estimate > 0:
-        return f"**{title}**: full knowledge learns more slowly ({length}). {points}."
-    tested = {name: pair[1] for name in CONTROLS if (pair := cell.of("full", name))}
-    alike = [f"`{name}` ({CONTROLS[name]})" for name, p in tested.items() if p >= SIGNIFICANT]
-    cause = (
-        f"but not than {', '.join(alike)}, so the content of the knowledge is not the reason"
-        if alike
-        else "and than every control"
-        if tested
-        else "but no control ran"
-    )
-    return f"**{title}**: full knowledge learns faster ({length}), {cause}. {points}."
 
 
 def saving(task: TaskData, agent: str) -> float | None:
@@ -295,8 +267,8 @@ The report of the twelve cells is `paper.html`. The policies `zoo/irb120-full-fa
 `zoo/tiago-full-fast` are seeds 0: `knowarm evaluate zoo/irb120-full-fast` prints 99.6 % [99.0,
 99.8], `zoo/tiago-full-fast` 99.9 % [99.4, 100.0].
 
-Repeat: `knowarm study run` with `answer`, `paper`, `a3c`, `fusions` and `choose`, then
-`python -m scripts.build_answer`."""
+Repeat: `knowarm study run` with `answer`, `paper`, `a3c`, `a3c-tuned`, `fusions` and
+`choose`, then `python -m scripts.build_answer`."""
 
 
 def wrapped(text: str) -> str:
@@ -325,7 +297,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         folder = {
             name: unpack_study(RESULTS / f"{name}.tar.gz", Path(temporary) / name)
-            for name in (*STUDIES, "a3c", "fusions", "choose")
+            for name in (*STUDIES, "a3c", "a3c-tuned", "fusions", "choose")
         }
         shares = RESULTS / "fusions.csv", RESULTS / "fusions-blind.csv"
         progress = done(folder["fusions"])
@@ -333,7 +305,8 @@ def main() -> None:
         cells = tasks_of([folder[name] for name in STUDIES])
         progress = " ".join(done(folder[name]) for name in STUDIES)
         a3c = a3c_section(folder["a3c"], done(folder["a3c"]))
-        text = page(list(cells), progress, [*a3c, *fusions])
+        tuned = tuned_section(folder["a3c-tuned"], done(folder["a3c-tuned"]))
+        text = page(list(cells), progress, [*a3c, *tuned, *fusions])
         given.out.write_text(text, encoding="utf-8")
 
 
