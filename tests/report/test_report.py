@@ -147,7 +147,7 @@ def test_files_of_others_are_not_overwritten(tmp_path):
     table = tmp_path / "report-data" / "training-irb120-fixed-colours-ppo.csv"
     table.parent.mkdir(exist_ok=True)
     table.write_text("mine")
-    with pytest.raises(UserError, match="is not part of an earlier report"):
+    with pytest.raises(UserError, match="exists, and no report wrote it"):
         write_report(runs, tmp_path / "report.html")
     assert table.read_text() == "mine"
 

@@ -103,7 +103,7 @@ def _write_data(study: StudyData, pages: Sequence[Page], out: Path) -> None:
 
 
 def _remove_earlier(out: Path, folder: Path, names: Sequence[str]) -> None:
-    """Remove the CSV files of an earlier report, as its manifest lists them, and no others."""
+    """Remove the CSV files that the manifest in the folder lists, and no others."""
     report, manifest = out.with_suffix(".json"), folder / MANIFEST
     earlier = read_json(report) if report.is_file() else {}
     if report.exists() and not {"knowarm", "tables", "verdicts"} <= set(earlier):
@@ -112,7 +112,7 @@ def _remove_earlier(out: Path, folder: Path, names: Sequence[str]) -> None:
     own = read_json(manifest).get("files") if manifest.is_file() else []
     own = [name for name in own if isinstance(name, str)] if isinstance(own, list) else []
     if strange := [name for name in names if name not in own and (folder / name).exists()]:
-        what = f"{folder / strange[0]} exists and is not part of an earlier report"
+        what = f"{folder / strange[0]} exists, and no report wrote it"
         raise UserError(f"{what}. {MOVE}")
     with writing(folder):
         for name in own:
