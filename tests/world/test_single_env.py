@@ -87,6 +87,8 @@ def test_an_id_and_another_task_are_refused() -> None:
     assert make("knowarm/IRB120Choose-v0", task="choose", image_size=8).config.task.kind == "choose"
     with pytest.raises(UserError, match="names the task 'reach', and task is 'choose'"):
         make("knowarm/IRB120Reach-v0", task="choose")
+    with pytest.raises(UserError, match="names the task 'choose', and task is 'reach'"):
+        make("knowarm/IRB120Choose-v0", task="reach")
 
 
 def test_final_observations_carry_the_knowledge_of_the_episode_that_ended() -> None:

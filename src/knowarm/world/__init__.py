@@ -48,13 +48,17 @@ def _ids() -> dict[str, tuple[str, str]]:
 
 @overload
 def make(
-    robot: str, num_envs: None = None, device: None = None, task: "str | Task" = ..., **options: Any
+    robot: str,
+    num_envs: None = None,
+    device: None = None,
+    task: "str | Task | None" = ...,
+    **options: Any,
 ) -> "ReachEnv": ...
 
 
 @overload
 def make(
-    robot: str, num_envs: int, device: None = None, task: "str | Task" = ..., **options: Any
+    robot: str, num_envs: int, device: None = None, task: "str | Task | None" = ..., **options: Any
 ) -> "ReachVectorEnv": ...
 
 
@@ -63,7 +67,7 @@ def make(
     robot: str,
     num_envs: int,
     device: Literal["cpu", "cuda"],
-    task: "str | Task" = ...,
+    task: "str | Task | None" = ...,
     **options: Any,
 ) -> "TorchReachVectorEnv": ...
 
@@ -72,7 +76,7 @@ def make(
     robot: str,
     num_envs: int | None = None,
     device: str | None = None,
-    task: "str | Task" = "reach",
+    task: "str | Task | None" = None,
     **options: Any,
 ) -> Any:
     """Create an environment.
@@ -82,7 +86,8 @@ def make(
             robot.
         num_envs: number of environments; None for a single, unbatched one.
         device: None for NumPy arrays; "cpu" or "cuda" for torch tensors (with ``num_envs``).
-        task: name of a task, ``package.module:Name`` of your own, or a task.
+        task: name of a task, ``package.module:Name`` of your own, or a task; None for that of a
+            Gymnasium id, else "reach".
         options: fields of ``EnvConfig``, and arguments of the environment's constructor.
 
     Returns:
@@ -95,8 +100,8 @@ def make(
 
     ids = _ids()
     short = robot if "/" in robot else f"{NAMESPACE}/{robot}"
-    name, own = ids.get(short, (robot, task))
-    if task not in ("reach", own):
+    name, own = ids.get(short, (robot, task or "reach"))
+    if task not in (None, own):
         raise UserError(
             f"The id {robot!r} names the task {own!r}, and task is {task!r}. Leave out task, or "
             f"give the robot's name, {name!r}."
