@@ -3,14 +3,26 @@
 python -m scripts.freeze_suites reach-v1
 """
 
+import json
 import sys
-from dataclasses import replace
-from typing import get_args
+from dataclasses import fields, replace
+from typing import Any, get_args
 
 import numpy as np
+from numpy.typing import NDArray
+from safetensors.numpy import save
 
 from knowarm.benchmark.policies import FixedList
-from knowarm.benchmark.suites import FOLDER, Cell, Split, Suite, digest_of, freeze, read_suite
+from knowarm.benchmark.suites import (
+    FOLDER,
+    Cell,
+    Split,
+    Suite,
+    digest_of,
+    parse_suite,
+    read_suite,
+)
+from knowarm.config import to_dict
 from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.evaluate import env_for_test
 from knowarm.experiment.names import experiment_config
@@ -21,13 +33,44 @@ from knowarm.world.agents.open_loop import search_open_loop
 from knowarm.world.agents.play import play
 from knowarm.world.config import questions_of
 from knowarm.world.envs.vector_env import ReachVectorEnv
-from knowarm.world.tasks.episodes import evaluation_episodes
+from knowarm.world.tasks.episodes import Episodes, evaluation_episodes
 
 EPISODES = 500
 OPTIONS = {"training_seeds": 5, "control_episodes": 200}
 SEED = 7_000_003  # of the episodes; no training and no other evaluation draws from it
 REACH = {"fixed": "bm", "randomized": "bm-dr"}
 SPLITS: tuple[Split, ...] = ("S1", "S2", "S3", "S4", "S5")
+
+
+def freeze(
+    name: str, about: str, cells: list[Cell], *, training_seeds: int, control_episodes: int
+) -> Suite:
+    """Make a suite of cells."""
+    arrays: dict[str, NDArray[Any]] = {}
+    described = {}
+    for cell in cells:
+        for field in fields(Episodes):
+            arrays[f"{cell.name}/{field.name}"] = getattr(cell.episodes, field.name)
+        arrays[f"{cell.name}/open_loop"] = cell.open_loop.astype(np.uint8)
+        described[cell.name] = {
+            "env": to_dict(cell.env),
+            "split": cell.split,
+            "reference": cell.reference,
+            "questions": cell.questions,
+        }
+        if cell.graph is not None:
+            lines = ["\t".join(triple) for triple in cell.graph]
+            described[cell.name]["graph"] = {"triples": lines, "entities": cell.graph.entities}
+    values = {
+        "format": 1,
+        "name": name,
+        "about": about,
+        "training_seeds": training_seeds,
+        "control_episodes": control_episodes,
+        "cells": described,
+    }
+    arrays = {key: np.ascontiguousarray(array) for key, array in arrays.items()}
+    return parse_suite((json.dumps(values, indent=1) + "\n").encode(), save(arrays))
 
 
 def cell(name: str, experiment: str, how: EvaluationConfig) -> Cell:
@@ -96,5 +139,6 @@ if __name__ == "__main__":
         if (FOLDER / f"{name}.json").exists():
             raise SystemExit(f"{name} is published: make a new version.")
         suite = SUITES[name]()
-        suite.write(FOLDER)
+        for suffix, data in zip((".json", ".safetensors"), suite.data, strict=True):
+            (FOLDER / f"{name}{suffix}").write_bytes(data)
         print(suite.name, suite.digest)

@@ -17,9 +17,7 @@ import knowarm
 from knowarm.cli.main import main
 from knowarm.knowledge.vectors import SOURCES, VectorSource
 from knowarm.knowledge.vectors.source import Found
-from knowarm.learn import Checkpoint, Trainer, TrainingResult
-from knowarm.learn.algorithms import AlgorithmConfig
-from knowarm.learn.checkpoint import policy_arrays
+from knowarm.learn import AlgorithmConfig, Checkpoint, SynchronousTrainer, policy_arrays
 from knowarm.policy.config import FUSIONS
 from knowarm.policy.fusion import Fusion
 from knowarm.report.collect import collect
@@ -151,43 +149,27 @@ class RandomSearchConfig(AlgorithmConfig):
     candidates: int = 2
 
 
-class RandomSearchTrainer(Trainer):
-    """Evaluate randomly initialized policies and keep the best one."""
+class RandomSearchTrainer(SynchronousTrainer):
+    """Evaluate randomly initialized policies; the base class keeps the best one."""
 
-    def __init__(self, config, policy, env, *, evaluate, **options):
-        super().__init__(policy, evaluate=evaluate, **options)
-        self.config, self.env, self.evaluate = config, env, evaluate
+    def __init__(self, config, policy, **options):
+        super().__init__(policy, **options)
+        self.config = config
 
-    def train(self, total_steps):
-        self.env.reset(seed=0)
-        while self.step < total_steps:
-            self.policy.reset_parameters(torch.Generator().manual_seed(self.step))
-            results = self.evaluate(self.policy)
-            is_best = self.best.update(self.step, results["return_mean"])
-            facts = {"step": self.step, "best_return": self.best.value, "best_step": self.step}
-            checkpoint = Checkpoint(policy=policy_arrays(self.policy), facts=facts)
-            self.checkpoints.save(checkpoint)
-            if is_best:
-                self.checkpoints.save_best(checkpoint)
-            self.hooks.on_metrics({"step": self.step})
-            self.hooks.on_evaluation(self.step, results, is_best)
-            self.step += total_steps // self.config.candidates
-        return TrainingResult(
-            step=self.step,
-            reason="finished",
-            best_return=self.best.value,
-            best_step=self.best.step,
-        )
+    def update(self, total_steps):
+        self.step += total_steps // self.config.candidates
+        self.policy.reset_parameters(torch.Generator().manual_seed(self.step))
+        return {}
 
-    def _train(self, total_steps):
-        raise NotImplementedError
+    def checkpoint(self):
+        return Checkpoint(policy=policy_arrays(self.policy), facts={"step": self.step})
 
-    def _restore(self, checkpoint):
+    def restore(self, checkpoint):
         pass
 
 
-def make_random_search(config, policy, make_env, make_evaluate, **options) -> Trainer:
-    return RandomSearchTrainer(config, policy, make_env(2), evaluate=make_evaluate(), **options)
+def make_random_search(config, policy, make_env, make_evaluate, **options):
+    return RandomSearchTrainer(config, policy, evaluate=make_evaluate(), **options)
 
 
 def test_an_algorithm(monkeypatch, listed, tmp_path):

@@ -18,8 +18,7 @@ Train the paper's agent and its baseline, evaluate both on the same episodes, an
 
 Use one part alone::
 
-    env = knowarm.make("irb120", num_envs=64)           # a Gymnasium vector environment
-    env = knowarm.make("irb120", task="choose", num_envs=64)
+    env = knowarm.make("irb120", task="choose", num_envs=64)  # a Gymnasium vector environment
     graph = knowarm.read_graph("kitchen.ttl")           # RDF, ConceptNet, OpenKE or a table
     config = knowarm.KnowledgeConfig(detail="full")
     vector = knowarm.scene_embedding(config, [("mug", "red"), ("bottle", "yellow")]).vector
@@ -85,6 +84,7 @@ Policy and learning
 Registries: to extend KnowArm, add an entry (see CONTRIBUTING.md)
     AGENTS, Agent       knowledge, policy and role of each agent
     ALGORITHMS, Algorithm    config and trainer of each learning algorithm
+    register_algorithm  add one of your own module
     ROBOTS              robots by name
     TARGETS             target objects by name
 Errors

@@ -4,6 +4,7 @@ from .experiment.agents import AGENTS as AGENTS
 from .experiment.agents import Agent as Agent
 from .experiment.algorithms import ALGORITHMS as ALGORITHMS
 from .experiment.algorithms import Algorithm as Algorithm
+from .experiment.algorithms import register_algorithm as register_algorithm
 from .experiment.config import EvaluationConfig as EvaluationConfig
 from .experiment.config import ExperimentConfig as ExperimentConfig
 from .experiment.evaluate import EvaluationResult as EvaluationResult

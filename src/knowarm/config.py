@@ -10,18 +10,20 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 from knowarm.errors import UserError, unknown_name
 
 T = TypeVar("T")
-_TYPES, _REMEDY = "knowarm.config.types", "knowarm.config.remedy"
+_TYPES, _OWN = "knowarm.config.types", "knowarm.config.own"
 
 
-def registered(config_types: Callable[[], Iterable[type]], remedy: str = "") -> dict[str, Any]:
+def registered(config_types: Callable[[], Iterable[type]], own: str = "") -> dict[str, Any]:
     """Return the metadata of a dataclass field whose value is one of several registered configs.
 
     The types are looked up whenever a config is read. As in a union, a literal field ``kind`` or
-    ``name`` tells them apart in JSON.
+    ``name`` tells them apart in JSON. ``own`` names what other packages can register.
     """
-    return {_TYPES: config_types, _REMEDY: remedy}
+    return {_TYPES: config_types, _OWN: own}
 
 
+TAGS = ("kind", "name")
+"""Literal fields that tell configs apart, in the order of preference."""
 MAX_SEED = 2**63 - 1
 """Largest seed: PyTorch's generators take no larger one."""
 
@@ -146,9 +148,12 @@ def from_dict(cls: type[T], values: Mapping[str, Any], *, where: str = "") -> T:
             try:
                 arguments[name] = _typed(hint, values[name], path)
             except UserError as error:
-                remedy = field.metadata.get(_REMEDY, "")
-                if not remedy or "kind" not in str(error):
+                own, unknown = field.metadata.get(_OWN), (f"Unknown {path}.{tag} " for tag in TAGS)
+                if not own or not str(error).startswith(tuple(unknown)):
                     raise
+                remedy = (
+                    f"Read one of your own with `--{own}s package.module:Name`, or register_{own}."
+                )
                 raise UserError(f"{error} {remedy}") from None
         elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
             raise UserError(f"Field {path!r} is missing; {kind} requires it.")
@@ -221,5 +226,5 @@ def _tags(cls: Any) -> list[tuple[str, str]]:
     if not dataclasses.is_dataclass(cls):
         return []
     hints = typing.get_type_hints(cls)
-    field = next((name for name in ("kind", "name") if get_origin(hints.get(name)) is Literal), "")
+    field = next((name for name in TAGS if get_origin(hints.get(name)) is Literal), "")
     return [(field, choice) for choice in get_args(hints.get(field))]

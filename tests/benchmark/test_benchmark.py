@@ -17,13 +17,14 @@ from knowarm.benchmark.policies import (
     entrant,
 )
 from knowarm.benchmark.rows import read_row, run_suite, verify
-from knowarm.benchmark.suites import freeze, parse_suite, read_suite, suite_names
+from knowarm.benchmark.suites import parse_suite, read_suite, suite_names
 from knowarm.cli.main import main
 from knowarm.errors import UserError
 from knowarm.knowledge.formats import open_graph
 from knowarm.reading import write_json
 from knowarm.world.config import questions_of
 from knowarm.world.envs.vector_env import ReachVectorEnv
+from scripts.freeze_suites import freeze
 from tests.source_tree import ROOT
 
 TABLE = "irb120, fixed colours"

@@ -5,12 +5,13 @@ from dataclasses import MISSING, fields, is_dataclass
 
 import pytest
 
-from knowarm.benchmark.suites import FOLDER, freeze, parse_suite, read_suite, suite_names
+from knowarm.benchmark.suites import FOLDER, parse_suite, read_suite, suite_names
 from knowarm.config import to_dict
 from knowarm.experiment.graph_queries import GraphQueries
 from knowarm.world.config import EnvConfig
 from knowarm.world.scene.appearance import VisualRandomization
 from knowarm.world.tasks.choose.choose import Choose
+from scripts.freeze_suites import freeze
 
 NAMES = suite_names()
 CONFIGS = (EnvConfig, Choose, GraphQueries, VisualRandomization)

@@ -106,7 +106,6 @@ def commands(folder: Path, scratch: Path) -> dict[str, list[str]]:
     few = ["--episodes", "2", "--blind-episodes", "0", "--no-save"]
     return {
         "status": ["study", "status", study, "--json", str(scratch / "status.json")],
-        "study report": ["study", "report", study, "--out", str(scratch / "s.html")],
         "report": ["report", study, "--out", str(scratch / "r.html")],
         "run": ["study", "run", study],
         "retry": ["study", "retry", study],

@@ -29,9 +29,10 @@ PARTS = re.compile(
 )
 COMMAND = re.compile(r"(?:knowarm|sed|export) |python (?:examples/|-m benchmarks\.)")
 SHORT = [
-    (r"^knowarm train .*", "--total-steps 1600 --interim.episodes 2 --algorithm.processes 1"),
+    (r"^knowarm train .*", "--total-steps 1600 --interim.episodes 2"),
+    (r"^knowarm train (?!.*-a2c)", "--algorithm.processes 1 --algorithm.minibatches 1"),
     (r"^knowarm train .*-choose-(?!bm)", "--grounding.images 500 --grounding.rounds 1"),
-    (r"^knowarm train .*", "--algorithm.num-envs 32 --algorithm.minibatches 1"),
+    (r"^knowarm train .*", "--algorithm.num-envs 32"),
     (r"^knowarm evaluate (?!.*--episodes)", "--episodes 10"),
     (r"^knowarm evaluate ", "--blind-episodes 4"),
     (r"^knowarm record ", "--episodes 2"),

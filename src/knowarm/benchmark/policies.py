@@ -5,7 +5,6 @@ import hashlib
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Protocol
@@ -23,6 +22,7 @@ from knowarm.experiment.load import load_agent
 from knowarm.integrations.runner import Runner
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.learn.algorithms import privileged_uses
+from knowarm.own import load
 from knowarm.reading import reading
 from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
 from knowarm.world.config import facets_of, questions_of
@@ -321,10 +321,11 @@ def _exported(spec: str, folder: Path) -> Entrant:
 def _user_policy(spec: str) -> Any:
     """Make what ``module:Name`` names, or load a file with its ``load``: ``module:Name:FILE``."""
     module, name, *file = spec.split(":", 2)
+    needed = "a class with the methods reset and act"
+    made = load(f"{module}:{name}", "policy", lambda each: each is not None, needed)
     try:
-        made = getattr(import_module(module), name)
         policy = made.load(file[0]) if file else made() if callable(made) else made
-    except (ImportError, AttributeError, OSError, ValueError) as error:
+    except (AttributeError, OSError, ValueError) as error:
         raise UserError(f"Cannot make the policy {spec!r}: {error}.") from None
     return PredictingPolicy(policy) if hasattr(policy, "predict") else policy
 

@@ -9,14 +9,13 @@ import json
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from safetensors.numpy import load, save
+from safetensors.numpy import load
 
 import knowarm.experiment.graph_queries  # noqa: F401  (registers questions that suites ask)
-from knowarm.config import from_dict, to_dict
+from knowarm.config import from_dict
 from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.knowledge.graph.builder import graph_of
@@ -26,7 +25,6 @@ from knowarm.world.config import EnvConfig, questions_of
 from knowarm.world.tasks.episodes import Episodes
 
 FOLDER = Path(__file__).parent / "suites"
-FORMAT = 1
 
 CONTROLS = {
     "open-loop": "the best fixed list of actions that a search found",
@@ -97,12 +95,6 @@ class Suite:
         """SHA-256 of both files."""
         return hashlib.sha256(b"".join(self.data)).hexdigest()
 
-    def write(self, folder: Path) -> None:
-        """Write the two files."""
-        folder.mkdir(parents=True, exist_ok=True)
-        for suffix, data in zip((".json", ".safetensors"), self.data, strict=True):
-            (folder / f"{self.name}{suffix}").write_bytes(data)
-
 
 def suite_names() -> list[str]:
     """Names of the shipped suites."""
@@ -135,37 +127,6 @@ def parse_suite(text: bytes, arrays: bytes) -> Suite:
         cells[name] = Cell(name, env, episodes=Episodes(**found), open_loop=listed, **cell)
     del values["format"]
     return Suite(**values, cells=cells, data=(text, arrays))
-
-
-def freeze(
-    name: str, about: str, cells: list[Cell], *, training_seeds: int, control_episodes: int
-) -> Suite:
-    """Make a suite of cells; ``scripts/freeze_suites.py`` writes the shipped ones."""
-    arrays: dict[str, NDArray[Any]] = {}
-    described = {}
-    for cell in cells:
-        for field in fields(Episodes):
-            arrays[f"{cell.name}/{field.name}"] = getattr(cell.episodes, field.name)
-        arrays[f"{cell.name}/open_loop"] = cell.open_loop.astype(np.uint8)
-        described[cell.name] = {
-            "env": to_dict(cell.env),
-            "split": cell.split,
-            "reference": cell.reference,
-            "questions": cell.questions,
-        }
-        if cell.graph is not None:
-            lines = ["\t".join(triple) for triple in cell.graph]
-            described[cell.name]["graph"] = {"triples": lines, "entities": cell.graph.entities}
-    values = {
-        "format": FORMAT,
-        "name": name,
-        "about": about,
-        "training_seeds": training_seeds,
-        "control_episodes": control_episodes,
-        "cells": described,
-    }
-    arrays = {key: np.ascontiguousarray(array) for key, array in arrays.items()}
-    return parse_suite((json.dumps(values, indent=1) + "\n").encode(), save(arrays))
 
 
 def digest_of(table: QuestionTable | None) -> str | None:

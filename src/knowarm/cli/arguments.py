@@ -15,6 +15,8 @@ import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from knowarm.errors import UserError, unknown_name
+from knowarm.experiment import algorithms
+from knowarm.world import tasks
 
 if TYPE_CHECKING:
     from knowarm.knowledge.vectors import VectorSource
@@ -22,6 +24,11 @@ if TYPE_CHECKING:
 Command = TypeVar("Command")
 HELP = ("-h", "--help")
 WIDEST = 120  # columns of a help text; from 130 on tyro sets two side by side
+OWN: dict[str, tuple[str, Callable[[str], Any]]] = {
+    "--tasks": (tasks.VARIABLE, tasks.register_task),
+    "--algorithms": (algorithms.VARIABLE, algorithms.register_algorithm),
+}
+"""Options of every command that import a part of your own: variable that does too, and how."""
 REGISTRY = ConstructorRegistry()
 """Rules by which values of options are read, beside tyro's own."""
 

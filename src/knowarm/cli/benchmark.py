@@ -1,7 +1,6 @@
 """``knowarm benchmark``: score any policy on frozen episodes, verify rows, make a leaderboard."""
 
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from knowarm.benchmark.leaderboard import left_out, read_rows, write_leaderboard
-from knowarm.benchmark.policies import Entrant, entrant
+from knowarm.benchmark.policies import entrant
 from knowarm.benchmark.rows import read_row, run_suite, verify
 from knowarm.benchmark.suites import read_suite, suite_names
 from knowarm.cli.tables import check_output, print_table
@@ -71,7 +70,7 @@ class RunSuite:
             at_least(self, 1, "trial")
             few = {k: replace(c, episodes=c.episodes[: self.trial]) for k, c in suite.cells.items()}
             suite = replace(suite, cells=few)
-        entrants = _entrants(self.policy)
+        entrants = list(map(entrant, self.policy))
         row = run_suite(suite, entrants, name=name, cells=self.cells, report=_report)
         for table, summary in row["summary"].items():
             names = summary["cells"]
@@ -113,7 +112,7 @@ class VerifyRow:
                     f"{self.row} names code or a server ({code[0]}), which a row of somebody else "
                     f"must not choose: give it yourself, --policy {code[0]}, or use --no-play."
                 )
-            entrants = _entrants(specs)
+            entrants = list(map(entrant, specs))
             verify(row, entrants, tolerance=self.tolerance, report=_report)
         how = "played again with the same outcomes" if self.play else "consistent; not played again"
         print(f"{self.row}: {how}.")
@@ -135,11 +134,6 @@ class WriteTable:
             print(f"Wrote {path}")
         for each in left_out(rows):
             print(f"Left out: {each}.")
-
-
-def _entrants(specs: Sequence[str]) -> list[Entrant]:
-    sys.path.insert(0, "")  # a policy in the current folder
-    return [entrant(spec) for spec in specs]
 
 
 def _percent(share: float | None) -> str:

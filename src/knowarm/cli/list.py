@@ -7,7 +7,7 @@ import tyro
 
 from knowarm.cli.tables import TableCommand, print_table
 from knowarm.experiment.agents import AGENTS
-from knowarm.experiment.algorithms import ALGORITHMS
+from knowarm.experiment.algorithms import algorithms
 from knowarm.experiment.names import DEFAULT_EXPERIMENT, experiment_names
 from knowarm.learn.algorithms import privileged_uses
 from knowarm.world import env_id
@@ -54,7 +54,7 @@ class List(TableCommand):
         if "algorithms" in shown:
             rows = [
                 [name, each.total_steps, ", ".join(privileged_uses(vars(each.config))), each.about]
-                for name, each in ALGORITHMS.items()
+                for name, each in algorithms().items()
             ]
             columns = ["algorithm", "steps", "simulator's state in training", "description"]
             print_table("Algorithms", columns, rows)
@@ -78,7 +78,7 @@ class List(TableCommand):
             "targets": {name: list(target.colours) for name, target in TARGETS.items()},
             "agents": {name: agent.about for name, agent in AGENTS.items()},
             "roles": {name: agent.role for name, agent in AGENTS.items()},
-            "algorithms": list(ALGORITHMS),
+            "algorithms": list(algorithms()),
             "scripted_agents": list(SCRIPTED_AGENTS),
             "experiments": experiment_names(),
         }

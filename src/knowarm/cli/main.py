@@ -15,10 +15,10 @@ from importlib import import_module
 from typing import Any
 
 import knowarm
-from knowarm.cli.arguments import group_help, parse_command, take_option
+from knowarm.cli.arguments import OWN, group_help, parse_command, take_option
 from knowarm.errors import UserError, printable, unknown_name
+from knowarm.own import named_by
 from knowarm.private_apis import end_process
-from knowarm.world.tasks import VARIABLE, register_task
 
 COMMANDS = {
     "demo": ("train:Demo", "train two agents for a short time, evaluate them, write a report"),
@@ -126,11 +126,11 @@ def _parse(name: str, arguments: list[str]) -> Any:
     """Return the command with its arguments, ready to run."""
     if name not in COMMANDS:
         raise unknown_name("command", name, COMMANDS)
-    arguments, task = take_option(arguments, "--tasks", "package.module:Name")
-    if task is not None:
-        register_task(task)
-        tasks = (os.environ.get(VARIABLE), task)
-        os.environ[VARIABLE] = ",".join(filter(None, tasks))  # for child processes
+    for flag, (variable, register) in OWN.items():
+        arguments, place = take_option(arguments, flag, "package.module:Name")
+        if place is not None:
+            register(place)
+            os.environ[variable] = ",".join([*named_by(variable), place])  # for child processes
     where, about = COMMANDS[name]
     module, _, attribute = where.partition(":")
     command = getattr(import_module(f"knowarm.cli.{module}"), attribute)

@@ -10,14 +10,13 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from rich.console import Console, Group
+from rich.console import Group
 from rich.live import Live
-from rich.progress import Progress, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
 from knowarm.cli.tables import FilePath, TableCommand, lay_out, make_console, print_table
-from knowarm.errors import UserError, printable
+from knowarm.errors import printable
 from knowarm.experiment.run_lock import StopRequest
 from knowarm.reading import read_json
 from knowarm.report import write_report
@@ -191,9 +190,7 @@ def _print_estimate(study: StudyConfig, out: Path) -> None:
     """Print the runs that a study will make, and what they will cost."""
     check_folder(study, out)
     print(f"Measuring training, {SECONDS + START_S:.0f} s if idle ...", file=sys.stderr, flush=True)
-    with Progress(TimeElapsedColumn(), console=Console(stderr=True), transient=True) as clock:
-        clock.add_task("", total=None)
-        found = estimate(study, out)
+    found = estimate(study, out)
     steps: dict[str, list[int]] = {}
     for each in found.statuses:
         steps.setdefault(each.experiment, []).append(each.steps_left)
@@ -287,28 +284,8 @@ class Unpack:
     def run(self) -> None:
         """Write the folder."""
         out = self.out or self.file.with_name(self.file.name.removesuffix(SUFFIX))
-        print(f"Unpacked: {unpack_study(self.file, out)}. Report: knowarm study report {out}")
-
-
-@dataclass(frozen=True, kw_only=True)
-class StudyReport(FolderCommand):
-    """Write the report of a study, also of one that is not complete, and list what is missing."""
-
-    out: FilePath = None
-    """HTML file. Default: report.html in the folder of the study."""
-
-    def run(self) -> None:
-        """Write the report."""
-        study = open_study(self.folder)
-        statuses = study_status(study, self.folder)
-        if all(each.state == "waiting" for each in statuses):
-            raise UserError(f"No run of {self.folder} has started: there is nothing to report.")
-        path = write_report([self.folder], self.out or self.folder / "report.html")
-        for each in statuses:
-            if each.state != "done":
-                share = f"{each.step:,} of {each.total_steps:,} steps"
-                print(f"Missing: {each.name} is {each.state} ({share})")
-        print(f"Wrote {path}. {summary_line(study, statuses)}")
+        report = f"knowarm report {out} --out {out / 'report.html'}"
+        print(f"Unpacked: {unpack_study(self.file, out)}. Report: {report}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -341,7 +318,6 @@ COMMANDS: dict[str, type] = {
     "status": Status,
     "retry": Retry,
     "stop": Stop,
-    "report": StudyReport,
     "pack": Pack,
     "unpack": Unpack,
 }

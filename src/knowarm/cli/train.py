@@ -3,7 +3,6 @@
 What imports torch, which takes seconds, is imported after the options are read.
 """
 
-import os
 import shlex
 import sys
 from dataclasses import dataclass, field, replace
@@ -14,6 +13,7 @@ from typing import Annotated, Any
 import tyro
 
 from knowarm.cli.arguments import (
+    OWN,
     answer_help,
     parse_options,
     take_experiment,
@@ -27,10 +27,11 @@ from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.demo import STEPS, demo
 from knowarm.experiment.names import DEFAULT_EXPERIMENT, ExperimentName, experiment_config
 from knowarm.experiment.run_lock import StopRequest
+from knowarm.own import named_by
 from knowarm.perception.config import PerceptionConfig
 from knowarm.reading import read_toml
 from knowarm.world.config import EnvConfig
-from knowarm.world.tasks import VARIABLE, task_type
+from knowarm.world.tasks import task_type
 
 USAGE = f"""usage: knowarm train EXPERIMENT [OPTIONS]
 
@@ -63,8 +64,8 @@ class Train:
     perception.safetensors of another run, for agents that would train such a network first."""
     again: tyro.conf.Suppress[str] = ""
     """The command that resumes this run."""
-    tasks: tyro.conf.Suppress[str] = ""
-    """What evaluations need to know of a task of one's own."""
+    own: tyro.conf.Suppress[str] = ""
+    """Options by which evaluations find a task and an algorithm of one's own."""
 
     def run(self) -> int:
         """Train until the last step or Ctrl-C; return the exit code."""
@@ -82,7 +83,7 @@ class Train:
         print(f"Trained for {result.step:,} steps: {where}")
         if (best := result.best_return) is not None:
             print(f"Best interim evaluation: return {best:.1f} at step {result.best_step:,}")
-        print(f"Evaluate it with: knowarm evaluate {where}{self.tasks}")
+        print(f"Evaluate it with: knowarm evaluate {where}{self.own}")
         return 0
 
 
@@ -111,10 +112,11 @@ def parse_train(arguments: list[str]) -> Train:
         if not path.exists():
             raise UserError(f"There is no run to resume in {path}: leave out --resume.")
         command = _parse_options(name, rest, RunFolder.open(path).experiment())
-    tasks = f" --tasks {task}" if task and ":" in task else ""
-    if not tasks and (own := os.environ.get(VARIABLE, "").rpartition(",")[2]):  # of `--tasks`
-        again, tasks = f"{again} --tasks {own}", f" --tasks {own}"
-    return replace(command, again=again, tasks=tasks)
+    own = [f" {flag} {places[-1]}" for flag, (name, _) in OWN.items() if (places := named_by(name))]
+    again = "".join([again, *own])
+    if task and ":" in task:
+        own = [f" --tasks {task}", *(each for each in own if not each.startswith(" --tasks"))]
+    return replace(command, again=again, own="".join(own))
 
 
 def _parse_options(name: str, arguments: list[str], config: ExperimentConfig) -> Train:

@@ -1,14 +1,26 @@
-"""Registry of learning algorithms: default config, trainer and training length of each."""
+"""Registry of learning algorithms: default config, trainer and training length of each.
+
+One of another package is found by its entry point in the group "knowarm.algorithms", by the
+environment variable ``KNOWARM_ALGORITHMS``, or after `register_algorithm`.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from knowarm.errors import UserError
 from knowarm.learn.algorithms import A3CConfig, AlgorithmConfig, PPOConfig
+from knowarm.own import installed, load, named_by
 
 if TYPE_CHECKING:
     from knowarm.learn import MakeEvaluate, TorchVectorEnv, Trainer
     from knowarm.policy import Policy
+
+GROUP = "knowarm.algorithms"
+"""Group of the entry points of other packages."""
+
+VARIABLE = "KNOWARM_ALGORITHMS"
+"""Environment variable with further ones, as ``package.module:Name`` separated by commas."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,14 +160,40 @@ ALGORITHMS: dict[str, Algorithm] = {
         policy={"pixel_shift": 0.5, "pixel_scale": 4.0},
     ),
 }
-"""Every algorithm by name; the first is that of the default experiment."""
+"""Algorithms by name; the first is that of the default experiment. See `algorithms`."""
 
 DEMO_ALGORITHM = "distil"
 """Algorithm of the demo: the fastest to a trained arm."""
 
 
+def algorithms() -> dict[str, Algorithm]:
+    """Return all algorithms by name: shipped, installed and registered."""
+    for place in (*installed(GROUP).values(), *named_by(VARIABLE)):
+        register_algorithm(place)
+    return ALGORITHMS
+
+
+def register_algorithm(place: str) -> Algorithm:
+    """Add an algorithm of your own module to ``ALGORITHMS``, by the ``name`` of its config.
+
+    Args:
+        place: where the `Algorithm` is, as ``package.module:Name``.
+
+    Raises:
+        UserError: it cannot be imported, is no algorithm, or has the name of another one.
+    """
+    needed = "an instance of knowarm.Algorithm"
+    found: Algorithm = load(place, "algorithm", lambda each: isinstance(each, Algorithm), needed)
+    if ALGORITHMS.setdefault(found.config.name, found) is not found:
+        raise UserError(
+            f"The config of the algorithm {place} has the name {found.config.name!r}, which "
+            "another one has already; give its field ``name`` another literal."
+        )
+    return found
+
+
 def algorithm_of(config: Mapping[str, Any]) -> str:
     """Return the name of the algorithm of a stored experiment, or of its trainer if it has none."""
     trainer = str(config["algorithm"].get("name", "?"))
-    entry = ALGORITHMS.get(name := str(config.get("algorithm_name")))
+    entry = algorithms().get(name := str(config.get("algorithm_name")))
     return name if entry and entry.config.name == trainer else trainer

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from knowarm.errors import UserError
-from knowarm.experiment.algorithms import ALGORITHMS
+from knowarm.experiment.algorithms import algorithms
 from knowarm.experiment.config import ExperimentConfig, InterimConfig
 from knowarm.experiment.load import policy_agent
 from knowarm.knowledge import Embedding, query_embedding, scene_embedding
@@ -90,7 +90,7 @@ def make_trainer(
     """Make the trainer of an experiment; ``options`` are those of `knowarm.learn.Trainer`."""
     evaluation = partial(interim_evaluation, config.env, config.interim, config.seed, perception)
     options |= {"make_env": EnvFactory(config.env, perception), "make_evaluate": evaluation}
-    return ALGORITHMS[config.algorithm.name].make_trainer(
+    return algorithms()[config.algorithm.name].make_trainer(
         config.algorithm, policy, seed=config.seed, **options
     )
 

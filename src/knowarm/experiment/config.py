@@ -8,7 +8,7 @@ from typing import Literal
 from knowarm.config import above_zero, at_least, check_numbers, fraction, registered
 from knowarm.errors import UserError
 from knowarm.experiment.agents import Role
-from knowarm.experiment.algorithms import ALGORITHMS
+from knowarm.experiment.algorithms import algorithms
 from knowarm.experiment.graph_queries import GraphQueries as GraphQueries  # registers itself
 from knowarm.knowledge.config import KnowledgeConfig
 from knowarm.knowledge.graph.damage import Damage
@@ -97,7 +97,7 @@ class ExperimentConfig:
     the facets that answer it by the graph, which the network looks for by their names."""
     algorithm: AlgorithmConfig = field(
         default_factory=PPOConfig,
-        metadata=registered(lambda: [type(entry.config) for entry in ALGORITHMS.values()]),
+        metadata=registered(lambda: [type(e.config) for e in algorithms().values()], "algorithm"),
     )
     """The learning algorithm and its hyperparameters."""
     interim: InterimConfig = field(default_factory=InterimConfig)

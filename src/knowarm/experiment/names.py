@@ -7,7 +7,7 @@ from typing import Any
 from knowarm.config import override
 from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.agents import AGENTS, Agent, first_of_role
-from knowarm.experiment.algorithms import ALGORITHMS
+from knowarm.experiment.algorithms import algorithms
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.graph_queries import GraphQueries
 from knowarm.knowledge import QUERY
@@ -28,7 +28,7 @@ class ExperimentName:
     """Name of an experiment: ``<robot>[-<task>]-<agent>[-dr]-<algorithm>``.
 
     ``str`` writes it and `parse` reads it. The parts are names in ``ROBOTS``, ``task_names``,
-    ``AGENTS`` and ``ALGORITHMS``, and the colours of the targets (paper section 4.2.5).
+    ``AGENTS`` and ``algorithms``, and the colours of the targets (paper section 4.2.5).
     """
 
     robot: str
@@ -42,7 +42,7 @@ class ExperimentName:
             ("robot", self.robot, ROBOTS),
             ("task", self.task, task_names()),
             ("agent", self.agent, AGENTS),
-            ("algorithm", self.algorithm, ALGORITHMS),
+            ("algorithm", self.algorithm, algorithms()),
         ):
             if value not in known:
                 raise unknown_name(f"{what} of the experiment", value, known)
@@ -69,8 +69,8 @@ class ExperimentName:
         robots = [each for each in ROBOTS if text.startswith(f"{each}-")]
         robot = max(robots, key=len, default=text.partition("-")[0])
         rest = text.removeprefix(f"{robot}-")
-        algorithms = [each for each in ALGORITHMS if rest.endswith(f"-{each}")]
-        algorithm = max(algorithms, key=len, default=rest.rpartition("-")[2])
+        endings = [each for each in algorithms() if rest.endswith(f"-{each}")]
+        algorithm = max(endings, key=len, default=rest.rpartition("-")[2])
         middle = rest.removesuffix(algorithm).removesuffix("-")
         if not middle:
             raise UserError(
@@ -118,7 +118,7 @@ def experiment_names() -> list[str]:
         for agent, entry in AGENTS.items()
         for task in tasks_of(entry)
         for colours in colours_of(task)
-        for algorithm in ALGORITHMS
+        for algorithm in algorithms()
     ]
 
 
@@ -127,7 +127,7 @@ def _example(text: str) -> str:
     words = (text, *text.split("-"))
     robot = next((each for each in words if each in ROBOTS), next(iter(ROBOTS)))
     agent = next((each for each in words if each in AGENTS), first_of_role("knowledge"))
-    algorithm = next((each for each in words if each in ALGORITHMS), next(iter(ALGORITHMS)))
+    algorithm = next((each for each in words if each in algorithms()), next(iter(algorithms())))
     task = tasks_of(AGENTS[agent])[0]
     return str(ExperimentName(robot, task, agent, colours_of(task)[0], algorithm))
 
@@ -166,7 +166,7 @@ def task_for(name: str, **fields: Any) -> Task:
 
 
 def _config(name: ExperimentName) -> ExperimentConfig:
-    agent, algorithm = AGENTS[name.agent], ALGORITHMS[name.algorithm]
+    agent, algorithm = AGENTS[name.agent], algorithms()[name.algorithm]
     task, knowledge = task_for(name.task, **agent.task), agent.knowledge
     policy = {**algorithm.policy, **(algorithm.grounded if agent.grounding else {})}
     queries = getattr(task, "queries", None)

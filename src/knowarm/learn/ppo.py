@@ -12,7 +12,7 @@ from knowarm.learn.algorithms import PPOConfig, privileged_uses
 from knowarm.learn.checkpoint import Checkpoint, policy_arrays, select
 from knowarm.learn.collector import Collector
 from knowarm.learn.environment import PrivilegedVectorEnv, ThresholdCurriculum, TorchVectorEnv
-from knowarm.learn.evaluation import MAX_PENDING, Metrics
+from knowarm.learn.evaluation import Metrics
 from knowarm.learn.guards import FiniteGuard, HealthMonitor
 from knowarm.learn.learner import make_learner
 from knowarm.learn.losses import PPOLossTerms, advantages
@@ -21,7 +21,7 @@ from knowarm.learn.parallel.processes import keep_freed_memory
 from knowarm.learn.parallel.shared_tensors import flatten_parameters
 from knowarm.learn.privileged import PrivilegedLearning, teaching_env
 from knowarm.learn.rollout import TrainingNetwork
-from knowarm.learn.trainer import StopReason, Trainer, crossed
+from knowarm.learn.trainer import StopReason, SynchronousTrainer
 from knowarm.policy import Policy
 from knowarm.seeding import torch_generator
 
@@ -35,7 +35,7 @@ LOSS_METRICS = {
 """Metrics that are means over gradient steps, and their fields of the loss terms."""
 
 
-class PPOTrainer(Trainer):
+class PPOTrainer(SynchronousTrainer):
     """Recurrent PPO with minibatches of whole environments and stored initial states.
 
     `train` changes two settings of the process: PyTorch's thread count, restored afterwards, and
@@ -103,47 +103,21 @@ class PPOTrainer(Trainer):
         self._guard = FiniteGuard(self.failure_folder)
         self._health = HealthMonitor(policy.shape.joints, policy.shape.levels, config.gamma)
 
-    def save(self) -> None:
-        """Save a checkpoint now, if there is a store."""
-        if self.checkpoints is not None:
-            self._save(self._checkpoint())
+    def parameters(self) -> np.ndarray:
+        """Copy the parameters that interim evaluations play: the averages, if there are any."""
+        return super().parameters() if self._average is None else self._average.copy()
 
     def _train(self, total_steps: int) -> StopReason:
         keep_freed_memory()
-        with self._learner.running():
-            return self._train_until(total_steps)
-
-    def _train_until(self, total_steps: int) -> StopReason:
-        begin = time.perf_counter()
-        if self._evaluates_start:
-            self._submit_evaluation()
-        while self.step < total_steps:
-            if self._should_stop():
-                self._take_evaluations()
-                self.save()
-                return "stopped"
-            before, start = self.step, time.perf_counter()
-            self.policy.matmul_precision = self.matmul_precision
-            metrics = self._update(total_steps)
+        self.policy.matmul_precision = self.matmul_precision
+        try:
+            with self._learner.running():
+                return super()._train(total_steps)
+        finally:
             self.policy.matmul_precision = "float32"
-            now = time.perf_counter()
-            speed = (self.step - before) / (now - start)
-            times = {"step": self.step, "wall_time_s": now - begin, "steps_per_s": speed}
-            self.hooks.on_metrics({**times, **metrics})
-            if crossed(before, self.step, self.evaluate_every):
-                self._submit_evaluation()
-            self._take_evaluations()
-            if crossed(before, self.step, self.checkpoint_every):
-                self.save()
-        return self._finish(self.save)
 
-    def _submit_evaluation(self) -> None:
-        average = self._average
-        values = flatten_parameters(self.policy) if average is None else average.copy()
-        self._evaluations.submit(self.step, values)
-        self._wait_for_evaluations(leave=MAX_PENDING)
-
-    def _checkpoint(self) -> Checkpoint:
+    def checkpoint(self) -> Checkpoint:
+        """See `SynchronousTrainer.checkpoint`."""
         privileged = self._privileged.get_state() if self._privileged else {}
         head = {} if self._head is None else policy_arrays(self._head)
         average = {} if self._average is None else {"average": self._average.copy()}
@@ -160,7 +134,8 @@ class PPOTrainer(Trainer):
             facts={"step": self.step},
         )
 
-    def _restore(self, checkpoint: Checkpoint) -> None:
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """See `Trainer.restore`."""
         self._optimizer.set_state(checkpoint.optimizer)
         if self._head is not None:
             arrays = select(checkpoint.state, "auxiliary/")
@@ -172,7 +147,7 @@ class PPOTrainer(Trainer):
         self._collector.set_state(select(checkpoint.state, "collector/"))
         self._minibatch_generator.set_state(torch.from_numpy(checkpoint.state["order"]))
 
-    def _update(self, total_steps: int) -> Metrics:
+    def update(self, total_steps: int) -> Metrics:
         """Collect one rollout, learn from it, and return the metrics of both."""
         config, rollout = self.config, self._learner.rollout
         progress = self.step / total_steps

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from knowarm.learn.algorithms import PPOConfig
 from knowarm.learn.losses import PPOLossTerms, next_values, ppo_loss
-from knowarm.learn.parallel.shared_tensors import TensorSpecs
+from knowarm.learn.parallel.shared_tensors import TensorSpecs, zeros
 from knowarm.policy import Policy, State
 from knowarm.policy.encoder import orthogonal
 from knowarm.seeding import torch_generator
@@ -32,6 +32,11 @@ class Rollout:
     last_value: Tensor  # (B,) float32: value of the observation after the last step
     start_h: Tensor  # (B, H) float32: hidden state before the first step
     start_c: Tensor  # (B, H) float32: cell state before the first step
+
+    @classmethod
+    def zeros(cls, steps: int, batch: int, policy: Policy) -> "Rollout":
+        """Allocate a rollout of T steps of B environments on the CPU."""
+        return cls(**zeros(rollout_specs(steps, batch, policy)))
 
     @property
     def shape(self) -> tuple[int, int]:

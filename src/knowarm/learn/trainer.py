@@ -1,5 +1,6 @@
 """Trainer base class: hooks, interim evaluations, the best policy, checkpoints, resuming."""
 
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -12,6 +13,7 @@ import torch
 
 from knowarm.learn.checkpoint import Checkpoint, CheckpointStore, select
 from knowarm.learn.evaluation import (
+    MAX_PENDING,
     BackgroundEvaluations,
     Evaluate,
     Evaluations,
@@ -19,7 +21,7 @@ from knowarm.learn.evaluation import (
     MakeEvaluate,
     Metrics,
 )
-from knowarm.learn.parallel.shared_tensors import unflatten_parameters
+from knowarm.learn.parallel.shared_tensors import flatten_parameters, unflatten_parameters
 from knowarm.policy import Policy
 
 StopReason = Literal["finished", "stopped"]
@@ -174,14 +176,14 @@ class Trainer(ABC):
         if self.evaluates:
             pending = select(checkpoint.state, _PENDING)
             self.pending_evaluations = {int(step): values for step, values in pending.items()}
-        self._restore(checkpoint)
+        self.restore(checkpoint)
 
     @abstractmethod
     def _train(self, total_steps: int) -> StopReason:
         """Train; see `train`."""
 
     @abstractmethod
-    def _restore(self, checkpoint: Checkpoint) -> None:
+    def restore(self, checkpoint: Checkpoint) -> None:
         """Restore what `resume` does not: optimizer, environments, generators, counters."""
 
     def _save(self, checkpoint: Checkpoint) -> None:
@@ -235,6 +237,53 @@ class Trainer(ABC):
                 facts = {"step": done.step, **done.results}
                 self.checkpoints.save_best(Checkpoint(policy=parameters, facts=facts))
             self.hooks.on_evaluation(done.step, done.results, is_best)
+
+
+class SynchronousTrainer(Trainer):
+    """Base class of trainers that take steps and learn from them in turn; see `Trainer`."""
+
+    @abstractmethod
+    def update(self, total_steps: int) -> Metrics:
+        """Take some steps, add their number to ``step``, learn, and return a row of metrics."""
+
+    @abstractmethod
+    def checkpoint(self) -> Checkpoint:
+        """Return all that `restore` needs to continue identically."""
+
+    def parameters(self) -> np.ndarray:
+        """Copy the parameters that interim evaluations play, those of the policy."""
+        return flatten_parameters(self.policy)
+
+    def save(self) -> None:
+        """Save a checkpoint now, if there is a store."""
+        if self.checkpoints is not None:
+            self._save(self.checkpoint())
+
+    def _train(self, total_steps: int) -> StopReason:
+        begin = time.perf_counter()
+        if self._evaluates_start:
+            self._submit_evaluation()
+        while self.step < total_steps:
+            if self._should_stop():
+                self._take_evaluations()
+                self.save()
+                return "stopped"
+            before, start = self.step, time.perf_counter()
+            metrics = self.update(total_steps)
+            now = time.perf_counter()
+            speed = (self.step - before) / (now - start)
+            times = {"step": self.step, "wall_time_s": now - begin, "steps_per_s": speed}
+            self.hooks.on_metrics({**times, **metrics})
+            if crossed(before, self.step, self.evaluate_every):
+                self._submit_evaluation()
+            self._take_evaluations()
+            if crossed(before, self.step, self.checkpoint_every):
+                self.save()
+        return self._finish(self.save)
+
+    def _submit_evaluation(self) -> None:
+        self._evaluations.submit(self.step, self.parameters())
+        self._wait_for_evaluations(leave=MAX_PENDING)
 
 
 def crossed(before: int, after: int, every: int) -> bool:

@@ -6,4 +6,6 @@ from .lstm import State as State
 from .policy import MakePolicy as MakePolicy
 from .policy import MatmulPrecision as MatmulPrecision
 from .policy import Policy as Policy
+from .policy import entropy as entropy
+from .policy import log_probability as log_probability
 from .policy import matched_without_knowledge as matched_without_knowledge

@@ -9,14 +9,12 @@ from knowarm.questions import QuestionTable
 from knowarm.world.robots import DEFAULT_ROBOT
 from knowarm.world.scene.appearance import VisualRandomization
 from knowarm.world.scene.scene import Scene, find_targets, load_scene
-from knowarm.world.tasks import task_type, task_types
+from knowarm.world.tasks import task_names, task_type
 from knowarm.world.tasks.held_out import HeldOut
 from knowarm.world.tasks.sampling import Colours, Setting, list_facets
 from knowarm.world.tasks.task import Task
 
 MAX_IMAGE_SIZE = 4096
-
-TASK_REMEDY = "Read a task of your own with `--tasks package.module:Name`, or register_task."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +24,8 @@ class EnvConfig:
     robot: str = DEFAULT_ROBOT
     """A robot that `knowarm list` names, or the TOML file of your own robot."""
     task: Task = field(
-        default_factory=lambda: task_type("reach")(), metadata=registered(task_types, TASK_REMEDY)
+        default_factory=lambda: task_type("reach")(),
+        metadata=registered(lambda: map(task_type, task_names()), "task"),
     )
     """What an episode is, what counts as success, reward and infos: ``Reach``, ``Choose``, or a
     task of your own."""

@@ -120,7 +120,8 @@ class A3CTrainer(Trainer):
         self._save(checkpoint)
         return reason
 
-    def _restore(self, checkpoint: Checkpoint) -> None:
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """See `Trainer.restore`."""
         self._shared["values"].copy_(self._parameters.values)
         for name in ("mean_square", "steps", "updates", "evaluated"):
             self._shared[name].copy_(torch.from_numpy(checkpoint.optimizer[name]))

@@ -19,8 +19,8 @@ from knowarm.learn.environment import ThresholdCurriculum
 from knowarm.learn.guards import FiniteGuard
 from knowarm.learn.losses import LossTerms, a3c_loss, advantages, n_step_returns
 from knowarm.learn.optimizer import resolve_precision
-from knowarm.learn.parallel.shared_tensors import FlatParameters, SharedTensors, zeros
-from knowarm.learn.rollout import Rollout, rollout_specs
+from knowarm.learn.parallel.shared_tensors import FlatParameters, SharedTensors
+from knowarm.learn.rollout import Rollout
 from knowarm.policy import Policy
 
 IDLE_S = 0.05
@@ -49,8 +49,7 @@ class A3CWorker:
             self._collector.set_state(args.state)
         elif args.threshold_factor is not None and self._curriculum.is_used:
             self._curriculum.factor = args.threshold_factor
-        specs = rollout_specs(config.rollout_steps, config.envs_per_worker, self._policy)
-        self._rollout = Rollout(**zeros(specs))
+        self._rollout = Rollout.zeros(config.rollout_steps, config.envs_per_worker, self._policy)
         self._guard = FiniteGuard(args.failure_folder)
 
     def run(self) -> None:

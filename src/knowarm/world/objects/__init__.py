@@ -26,8 +26,6 @@ class Target:
     """Names of the geoms that have this colour; the others keep the file's."""
     grasp_site: str = "grasp"
     """Site of the grasp frame; it is never visible."""
-    grasp_width_m: float | None = None
-    """Distance between the fingers that the grasp needs [m]; None if it was not measured."""
     part_geoms: tuple[str, ...] = ()
     """Geoms of the part that is grasped, drawn with it where other parts of the same object are
     targets too; the first part draws what belongs to none."""

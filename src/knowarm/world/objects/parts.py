@@ -18,7 +18,6 @@ PARTS: dict[str, Target] = {
         TARGETS[name],
         name=f"{name}{PART}{part}",
         grasp_site=values["site"],
-        grasp_width_m=values["width_m"],
         part_geoms=tuple(values["geoms"]),
     )
     for name, parts in _TABLE.items()

@@ -6,15 +6,10 @@ variable ``KNOWARM_TASKS``, or after `register_task`. Files never name a module:
 holds the task's ``kind``.
 """
 
-import os
-import sys
-from functools import cache
-from importlib import import_module
-from importlib.metadata import entry_points
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from knowarm.errors import UserError, unknown_name
+from knowarm.own import installed, load, named_by
 
 if TYPE_CHECKING:  # Importing this package imports no simulator.
     from knowarm.world.tasks.task import Task
@@ -35,18 +30,12 @@ TASKS: dict[str, str] = {
 """Tasks by their ``kind``, as ``package.module:Name``. To add one, add an entry."""
 
 
-@cache
-def _installed() -> dict[str, str]:
-    """Return the tasks of the entry points of installed packages."""
-    return {point.name: point.value for point in entry_points(group=GROUP)}
-
-
 def task_names() -> list[str]:
     """List the names of all tasks: shipped, installed and registered."""
-    for place in filter(None, os.environ.get(VARIABLE, "").split(",")):
+    for place in named_by(VARIABLE):
         if place not in TASKS.values():
             register_task(place)
-    return list(dict.fromkeys([*TASKS, *_installed()]))
+    return list(dict.fromkeys([*TASKS, *installed(GROUP)]))
 
 
 def task_type(name: str) -> "type[Task]":
@@ -56,12 +45,7 @@ def task_type(name: str) -> "type[Task]":
     names = task_names()
     if name not in names:
         raise unknown_name("task", name, names)
-    return _load((_installed() | TASKS)[name])
-
-
-def task_types() -> "list[type[Task]]":
-    """Return the classes of all tasks."""
-    return [task_type(name) for name in task_names()]
+    return _load((installed(GROUP) | TASKS)[name])
 
 
 def register_task(place: str) -> "type[Task]":
@@ -75,7 +59,7 @@ def register_task(place: str) -> "type[Task]":
     """
     found = _load(place)
     name = found.kind_of()
-    other = (_installed() | TASKS).get(name, place)
+    other = (installed(GROUP) | TASKS).get(name, place)
     if other != place:
         raise UserError(
             f"The task {place} has the kind {name!r}, which {other} has already; give its field "
@@ -85,26 +69,13 @@ def register_task(place: str) -> "type[Task]":
     return found
 
 
-@cache
 def _load(place: str) -> "type[Task]":
     """Import a class given as ``package.module:Name``."""
     from knowarm.world.tasks.task import Task
 
-    module, _, name = place.partition(":")
-    if not module or module.startswith(".") or not name:
-        raise UserError(f"A task of your own is given as package.module:Name, got {place!r}.")
-    if str(Path.cwd()) not in sys.path:  # the program's own start leaves it out
-        sys.path.append(str(Path.cwd()))
-    try:
-        found = getattr(import_module(module), name, None)
-    except ImportError as error:
-        raise UserError(
-            f"Cannot import the task {place!r}: {error}. Give package.module:Name, and run from a "
-            "folder that contains the package, or install it."
-        ) from error
-    if not (isinstance(found, type) and issubclass(found, Task)):
-        raise UserError(
-            f"{place!r} is no task: {module} has {'no' if found is None else 'another'} {name!r}. "
-            "Name a class derived from knowarm.world.tasks.task.Task."
-        )
-    return found
+    return load(
+        place,
+        "task",
+        lambda found: isinstance(found, type) and issubclass(found, Task),
+        "a class derived from knowarm.world.tasks.task.Task",
+    )
