@@ -1,7 +1,9 @@
 """The check of the built site, and what it cannot see: blocks of code that nothing runs."""
 
 import re
+from importlib import import_module
 
+from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.study.config import read_study
 from scripts.check_site import offenders
 from scripts.figures import style
@@ -87,7 +89,9 @@ def test_a_snippet_that_nothing_runs_is_found():
     assert list(unrun("README.md", block)) == []
 
 
-def test_the_study_files_of_the_documentation_can_be_read(tmp_path):
+def test_the_study_files_of_the_documentation_can_be_read(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "examples" / "own_algorithm"))  # one names it
+    monkeypatch.setitem(ALGORITHMS, "a2c", import_module("a2c").A2C)
     studies = [
         block
         for text in files("docs", suffix=".md").values()

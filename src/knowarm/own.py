@@ -27,8 +27,7 @@ def load(place: str, what: str, fits: Callable[[Any], bool], needed: str) -> Any
     """Import a task or an algorithm, as ``what`` says.
 
     Raises:
-        UserError: it is no place, cannot be imported, or does not fit; the message says ``what``
-            and what is ``needed``.
+        UserError: it is no place, cannot be imported, or is not what is ``needed``.
     """
     module, _, name = place.partition(":")
     if not module or module.startswith(".") or not name:

@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from rich.console import Group
+from rich.console import Console, Group
 from rich.live import Live
+from rich.progress import Progress, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
@@ -190,7 +191,9 @@ def _print_estimate(study: StudyConfig, out: Path) -> None:
     """Print the runs that a study will make, and what they will cost."""
     check_folder(study, out)
     print(f"Measuring training, {SECONDS + START_S:.0f} s if idle ...", file=sys.stderr, flush=True)
-    found = estimate(study, out)
+    with Progress(TimeElapsedColumn(), console=Console(stderr=True), transient=True) as clock:
+        clock.add_task("", total=None)
+        found = estimate(study, out)
     steps: dict[str, list[int]] = {}
     for each in found.statuses:
         steps.setdefault(each.experiment, []).append(each.steps_left)
