@@ -1,4 +1,4 @@
-"""Parts of your own modules, given as ``package.module:Name``: tasks and algorithms."""
+"""Parts of your own modules, given as ``package.module:Name``: tasks, algorithms, policies."""
 
 import os
 import sys
@@ -24,7 +24,7 @@ def named_by(variable: str) -> list[str]:
 
 
 def load(place: str, what: str, fits: Callable[[Any], bool], needed: str) -> Any:
-    """Import a task or an algorithm, as ``what`` says.
+    """Import a task, an algorithm or a policy, as ``what`` says.
 
     Raises:
         UserError: it is no place, cannot be imported, or is not what is ``needed``.

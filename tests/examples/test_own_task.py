@@ -43,7 +43,8 @@ def test_it_is_trained_evaluated_and_reported(
     options = ["--episodes", "4", "--record-films", "1", "--blind-episodes", "0"]
     capsys.readouterr()
     assert main(["evaluate", str(run), *options]) == 2
-    assert "hover" in capsys.readouterr().err
+    assert "'hover'" in (err := capsys.readouterr().err)
+    assert "Read one of your own with `--tasks package.module:Name`" in err
     assert main(["evaluate", str(run), *options, "--tasks", "hover:Hover"]) == 0
     (evaluation,) = (run / "evaluation").iterdir()
     held = read_table(evaluation / "episodes.parquet")["held"]
