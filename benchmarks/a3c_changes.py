@@ -5,11 +5,13 @@ python -m benchmarks.a3c_changes leave-out --steps 5000000 --csv runs/a3c-change
 python -m benchmarks.a3c_changes set --groups thresholds rewards --steps 5000000
 
 "add" makes each change alone, to the settings of the study `a3c`; "leave-out" makes all but one,
-which all together are `a3c-tuned`; "set" makes those that are named. Runs that exist are resumed.
+which all together are `a3c-tuned`; "set" makes those that are named. Runs that exist are resumed,
+rows that the CSV file has are kept.
 """
 
 import argparse
 import csv
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -39,7 +41,7 @@ GROUPS = {
 """Settings in which `a3c-tuned` differs from the study `a3c`, by the name of a change."""
 
 EVALUATIONS = 4
-"""Last interim evaluations whose mean is reported."""
+"""Last of 20 interim evaluations whose mean is reported, and twentieths of the training's log."""
 
 
 def settings(config: ExperimentConfig) -> dict[str, Any]:
@@ -86,12 +88,21 @@ def measure(config: ExperimentConfig, runs: Path) -> dict[str, Any]:
 
 
 def outcome(folder: RunFolder) -> dict[str, Any]:
-    """Return the means of the last interim evaluations."""
-    rows = read_csv(folder.evaluations_path)[-EVALUATIONS:]
+    """Return the means of the last interim evaluations, and of the training episodes near them."""
+    evaluations = read_csv(folder.evaluations_path)[-EVALUATIONS:]
+    log = read_csv(folder.metrics_path)
+    first = float(log[-1]["step"]) * (1 - EVALUATIONS / 20)
+    training = [row for row in log if float(row["step"]) > first]
     return {
-        name: sum(float(row[name]) for row in rows) / len(rows)
-        for name in ("success", "accuracy", "return_mean")
+        **{name: _mean(evaluations, name) for name in ("success", "accuracy", "return_mean")},
+        **{f"training_{name}": _mean(training, name) for name in ("success", "return_mean")},
+        "entropy": _mean(training, "entropy"),
     }
+
+
+def _mean(rows: list[dict[str, str]], name: str) -> float:
+    values = [float(row[name]) for row in rows if row.get(name)]
+    return sum(values) / len(values) if values else math.nan
 
 
 def variants(mode: str, groups: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
@@ -117,8 +128,13 @@ def main() -> None:
     parser.add_argument("--csv", type=Path)
     given = parser.parse_args()
     rows: list[dict[str, Any]] = []
+    if given.csv is not None and given.csv.exists():
+        rows = list(csv.DictReader(given.csv.read_text(encoding="utf-8").splitlines()))
+    done = {(row["change"], int(row["seed"]), int(row["steps"])) for row in rows}
     for seed in given.seeds:
         for name, groups in variants(given.mode, tuple(given.groups)).items():
+            if (name, seed, given.steps) in done:
+                continue
             config = changed(groups, given.steps, seed)
             result = measure(config, given.runs / str(given.steps) / name)
             rows.append({"change": name, "seed": seed, "steps": given.steps, **result})

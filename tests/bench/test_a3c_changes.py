@@ -1,5 +1,11 @@
 """The changes between the published A3C and the one that learns."""
 
+import csv
+
+import numpy as np
+import pytest
+
+from benchmarks import a3c_changes
 from benchmarks.a3c_changes import GROUPS, changed, differences, outcome, published, settings, tuned
 from benchmarks.a3c_changes import variants as variants_of
 from knowarm.experiment.csv_log import read_csv
@@ -31,3 +37,22 @@ def test_the_outcome_is_the_mean_of_the_last_evaluations(reach_run):
     rows = read_csv(reach_run.folder.evaluations_path)
     found = outcome(reach_run.folder)
     assert found["return_mean"] == sum(float(row["return_mean"]) for row in rows) / len(rows)
+    log = read_csv(reach_run.folder.metrics_path)
+    last = [row for row in log if float(row["step"]) > 0.8 * float(log[-1]["step"])]
+    assert found["entropy"] == pytest.approx(np.mean([float(row["entropy"]) for row in last]))
+
+
+def test_rows_of_the_csv_file_are_kept_and_not_trained_again(tmp_path, monkeypatch, capsys):
+    path = tmp_path / "changes.csv"
+    path.write_text("change,seed,steps,success\nnone,0,100,0.5\n")
+    trained = []
+    monkeypatch.setattr(
+        a3c_changes,
+        "measure",
+        lambda config, runs: trained.append(config.seed) or {"success": 0.25},
+    )
+    words = ["changes", "set", "--steps", "100", "--seeds", "0", "1", "--csv", str(path)]
+    monkeypatch.setattr("sys.argv", [*words, "--runs", str(tmp_path)])
+    a3c_changes.main()
+    assert trained == [1]
+    assert [row["success"] for row in csv.DictReader(path.open())] == ["0.5", "0.25"]
