@@ -250,7 +250,8 @@ def test_purpose():
 
 
 @example("Task", "Reach", "Choose", "TASKS", "register_task", "NameQueries", "GraphQueries")
-def test_tasks():
+def test_tasks(monkeypatch):
+    monkeypatch.setenv("KNOWARM_TASKS", "")
     assert {"reach", "choose"} <= set(knowarm.TASKS)
     assert knowarm.register_task("knowarm.world.tasks.reach:Reach") is knowarm.Reach
     assert issubclass(knowarm.Choose, knowarm.Task)

@@ -97,7 +97,6 @@ class A2CTrainer(SynchronousTrainer):
                 for name, value in values.items()
             },
             state=self.collector.get_state(),
-            facts={"step": self.step},
         )
 
     def restore(self, checkpoint: Checkpoint) -> None:

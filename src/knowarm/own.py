@@ -23,6 +23,12 @@ def named_by(variable: str) -> list[str]:
     return [place for place in os.environ.get(variable, "").split(",") if place]
 
 
+def share(variable: str, place: str) -> None:
+    """Name a place in an environment variable, last, for the processes that this one starts."""
+    others = (each for each in named_by(variable) if each != place)
+    os.environ[variable] = ",".join([*others, place])
+
+
 def load(place: str, what: str, fits: Callable[[Any], bool], needed: str) -> Any:
     """Import a task, an algorithm or a policy, as ``what`` says.
 

@@ -1,5 +1,6 @@
 """Tests of the command line: help, names and errors of every command."""
 
+import dataclasses
 import json
 import os
 import re
@@ -18,6 +19,7 @@ from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.world.objects import TARGETS
 from knowarm.world.robots import ROBOTS
+from tests.tiny import short
 
 ROOT = Path(__file__).parent.parent.parent
 
@@ -120,6 +122,14 @@ def test_options_of_train_come_from_a_file(tmp_path, capsys):
     file.write_text("[algorithm]\nnum_env = 64\n")
     assert main(["train", *words]) == 2
     assert "'num_envs'" in capsys.readouterr().err
+
+
+def test_a_file_changes_a_resumed_training_as_options_do(tmp_path, reach_run, copy_of):
+    runs = copy_of(reach_run).path.parents[1]
+    file = tmp_path / "run.toml"
+    file.write_text("total_steps = 6400\n")
+    words = ["irb120-full-ppo", "--runs", str(runs), "--resume", "--config", str(file)]
+    assert parse_train(words).config == dataclasses.replace(short(), total_steps=6400)
 
 
 def test_list_shows_and_writes_the_names(capsys, tmp_path):

@@ -1,6 +1,8 @@
 """The example ``own_algorithm``: trained, resumed to the byte, evaluated and found by its name."""
 
+import dataclasses
 import re
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -85,6 +87,14 @@ def test_a_resumed_training_has_the_bytes_of_an_uninterrupted_one(tmp_path: Path
             np.testing.assert_array_equal(array, others[name], err_msg=name)
 
 
+def test_the_processes_of_a_study_know_what_is_registered_here() -> None:
+    register_algorithm("a2c:A2C")
+    program = "from knowarm.experiment.algorithms import algorithms; print(*algorithms())"
+    words = [sys.executable, "-c", program]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    assert "a2c" in done.stdout.split()
+
+
 def test_the_tutorial_shows_parts_of_the_file() -> None:
     page = (FOLDER.parents[1] / "docs/tutorials/own-algorithm.md").read_text("utf-8")
     parts = re.findall(r"skip part of the file -->\n\n```python\n(.*?)```", page, re.DOTALL)
@@ -97,6 +107,13 @@ def test_the_variable_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(VARIABLE, "a2c:A2C")
     assert algorithms()["a2c"].about == "advantage actor-critic in one process"
     assert experiment_config(NAME).algorithm == algorithms()["a2c"].config
+
+
+def test_a_mistyped_field_of_its_policy_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    mistyped = dataclasses.replace(FAST, policy={"pixel_shfit": 0.0})
+    monkeypatch.setitem(ALGORITHMS, "mine", mistyped)
+    with pytest.raises(UserError, match=r"'pixel_shfit'.*Did you mean 'pixel_shift'"):
+        experiment_config("irb120-bm-mine")
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,7 @@ from knowarm.learn.checkpoint import (
     policy_arrays,
     read_checkpoint,
 )
+from knowarm.reading import read_json, write_json
 from knowarm.world.config import questions_of
 from knowarm.world.scene import scene
 from tests.tiny import short
@@ -127,6 +128,19 @@ def test_another_config_is_not_resumed(reach_run, copy_of):
     assert train(short(total_steps=180), runs, resume=True).result.step == 180
 
 
+def test_evaluations_of_a_policy_that_learns_on_are_set_aside(reach_run, copy_of):
+    folder = copy_of(reach_run)
+    folder.evaluation("random").mkdir(parents=True)
+    write_json(folder.evaluation("random") / "summary.json", {"success": 0.5})
+    runs = folder.path.parents[1]
+    train(short(), runs, resume=True)  # nothing was left to train
+    assert folder.evaluation("random").is_dir()
+    train(short(total_steps=180), runs, resume=True)
+    assert not (folder.path / "evaluation").exists()
+    aside = folder.path / "evaluation-at-160" / "random" / "summary.json"
+    assert read_json(aside) == {"success": 0.5}
+
+
 def test_nothing_to_resume_is_said(tmp_path):
     with pytest.raises(UserError, match="is not a run folder"):
         train(short(), tmp_path, resume=True)
@@ -208,6 +222,7 @@ def test_names_say_what_they_are():
     assert isinstance(config.algorithm, A3CConfig)
     assert isinstance(experiment_config("irb120-bm-ppo").algorithm, PPOConfig)
     assert experiment_config("irb120-bm-ppo").env.colours == "fixed"
+    assert experiment_config("irb120-bm-ppo", name="mine").name == "mine"
     assert all(name == experiment_config(name).name for name in experiment_names())
 
 

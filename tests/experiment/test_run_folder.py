@@ -1,9 +1,11 @@
+import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from knowarm.errors import UserError
+from knowarm.experiment import run_folder
 from knowarm.experiment.csv_log import CsvLog, read_csv
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.reading import write_json
@@ -15,6 +17,23 @@ def test_a_run_folder_is_created_once(tmp_path):
     with pytest.raises(UserError, match="resume=True"):
         RunFolder.create(folder.path)
     assert RunFolder.open(folder.path).config() == {"format": 1}
+
+
+def test_the_commit_of_another_project_is_not_taken_for_the_packages(tmp_path, monkeypatch):
+    def git(*words):
+        identity = ("-c", "user.name=a", "-c", "user.email=a@example.org")
+        subprocess.run(["git", "-C", tmp_path, *identity, *words], check=True, capture_output=True)
+
+    git("init")
+    installed = tmp_path / "venv" / "knowarm" / "run_folder.py"
+    installed.parent.mkdir(parents=True)
+    installed.touch()
+    git("commit", "--allow-empty", "-m", "theirs")
+    monkeypatch.setattr(run_folder, "__file__", str(installed))
+    assert run_folder.provenance()["commit"] is None
+    git("add", str(installed))
+    git("commit", "-m", "ours")
+    assert len(run_folder.provenance()["commit"]) == 40
 
 
 def test_what_is_no_run_folder_is_refused(tmp_path):

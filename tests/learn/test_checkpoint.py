@@ -61,7 +61,7 @@ def test_the_best_is_replaced_and_stands_alone(store):
 
 @pytest.mark.parametrize("file", ["policy.safetensors", "state.safetensors", "meta.json"])
 @pytest.mark.parametrize("harm", ["truncate", "delete", "overwrite"])
-def test_a_damaged_latest_falls_back_to_the_previous(store, file, harm):
+def test_a_damaged_latest_falls_back_to_the_previous(store, file, harm, caplog):
     store.save(made(1))
     store.save(made(2))
     path = store.folder / "latest" / file
@@ -72,6 +72,7 @@ def test_a_damaged_latest_falls_back_to_the_previous(store, file, harm):
     else:
         path.write_bytes(b"\0" * path.stat().st_size)
     assert store.load().facts["step"] == 1
+    assert file in caplog.text
     with pytest.raises(UserError, match=file):
         read_checkpoint(store.folder / "latest")
 

@@ -111,6 +111,7 @@ def test_the_policy_acts_after_the_glimpses():
     built, rows = trainer(dataclasses.replace(CONFIG, glimpse_until=0.5, practice_until=0.0))
     built.train(4 * 48)
     assert [row["environment_s"] > 0 for row in rows] == [False, False, True, True]
+    assert ["approx_kl" in row for row in rows] == [False, False, True, True]
     assert not bool(built._learner.rollout.episode_start.all())
 
 
@@ -134,6 +135,8 @@ def test_imitation_alone_leaves_the_critic_alone():
 def test_glimpses_cannot_be_reinforced():
     with pytest.raises(UserError, match="glimpses have no actions to reinforce"):
         PPOConfig(glimpse_until=0.5, imitation_coef=1.0)
+    with pytest.raises(UserError, match=r"target_kl 0\.1: glimpses have no actions"):
+        dataclasses.replace(CONFIG, glimpse_until=0.5, target_kl=0.1)
 
 
 def test_imitation_raises_the_agreement_with_the_teacher():

@@ -60,6 +60,16 @@ def test_ppo_trains_on_it_without_checkpoints():
         trainer._collector.env.get_state()
 
 
+def test_a_threshold_factor_of_the_environment_is_found_behind_the_adapter():
+    config = PPOConfig(num_envs=8, minibatches=2, processes=1, threshold_factor=3.0)
+    env = vector()
+    with pytest.raises(UserError, match="SyncVectorEnv has no threshold_factor"):
+        PPOTrainer(config, toy_policy(features=16), NumpyToTorch(env), seed=0)
+    env.threshold_factor = 1.0
+    PPOTrainer(config, toy_policy(features=16), NumpyToTorch(env), seed=0)
+    assert env.threshold_factor == 3.0
+
+
 def test_another_autoreset_mode_is_rejected():
     with pytest.raises(UserError, match="'NextStep'; training needs SAME_STEP"):
         NumpyToTorch(vector(AutoresetMode.NEXT_STEP))

@@ -32,7 +32,7 @@ def build(*, recall=False, hooks=None, **changes):
 
 def advantages_by_hand(rollout, scale, gamma, gae_lambda):
     """Return the advantages (T, B), one environment and step after the other, in float64."""
-    steps, batch = rollout.shape
+    steps, batch = rollout.reward.shape
     values = rollout.value.double().numpy()
     result = np.zeros((steps, batch))
     for b in range(batch):

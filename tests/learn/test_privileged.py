@@ -13,6 +13,7 @@ from knowarm.learn.learner import make_learner
 from knowarm.learn.optimizer import MUON_PARAMETERS, Float32Muon, PolicyOptimizer
 from knowarm.learn.privileged import (
     AUXILIARY_QUANTITIES,
+    PrivilegedLearning,
     RunningNormalizer,
     StateCritic,
     auxiliary_columns,
@@ -102,10 +103,10 @@ def test_the_critics_values_enter_the_targets_as_those_of_a_plain_loop():
     assert rollout.truncated.any()
     reward = 0.05 * (rollout.reward + privileged.progress_reward()).double().numpy()
     values, following = (each.double().numpy() for each in used[-1])
-    expected = np.zeros(rollout.shape)
-    for b in range(rollout.shape[1]):
+    expected = np.zeros(rollout.reward.shape)
+    for b in range(rollout.reward.shape[1]):
         carried = 0.0
-        for t in reversed(range(rollout.shape[0])):
+        for t in reversed(range(rollout.reward.shape[0])):
             ended = bool(rollout.terminated[t, b])
             delta = reward[t, b] + 0.9 * (0.0 if ended else following[t, b]) - values[t, b]
             carried = delta + 0.9 * 0.95 * (0.0 if bool(rollout.done[t, b]) else carried)
@@ -240,9 +241,22 @@ def test_an_environment_without_privileged_state_is_refused():
                 PPOTrainer(dataclasses.replace(CONFIG, **option), toy_policy(), env, seed=0)
 
 
+def test_other_columns_are_enough_without_the_progress_reward():
+    env = toy_env(8, recall=False, length=5)
+    env.privileged_columns = ("a/0", "b/0")
+    config = dataclasses.replace(CONFIG, critic="state")
+    assert PrivilegedLearning(config, env, seed=0).critic is not None
+    with pytest.raises(UserError, match="progress_coef needs the privileged columns distance/0"):
+        PrivilegedLearning(dataclasses.replace(config, progress_coef=1.0), env, seed=0)
+
+
 @pytest.mark.parametrize(
     ("field", "value"),
     [
+        ("vf_coef", -1.0),
+        ("ent_coef", -1.0),
+        ("target_kl", 0.0),
+        ("reinforcement_coef", 0.0),
         ("auxiliary_coef", -1.0),
         ("progress_coef", -0.1),
         ("threshold_factor", 0.9),

@@ -50,6 +50,13 @@ def test_ends_of_episodes_are_marked_as_stable_baselines_wants_them():
     assert not np.array_equal(infos[0]["terminal_observation"]["image"], before[1])
 
 
+def test_a_later_seed_is_of_the_next_reset_alone():
+    env, plain = vectorized(), ReachVectorEnv(EnvConfig(**SHORT), 4)
+    env.seed(3)  # as an algorithm of Stable-Baselines3 does with its own seed
+    np.testing.assert_array_equal(env.reset()["image"], plain.reset(seed=3)[0])
+    np.testing.assert_array_equal(env.reset()["image"], plain.reset()[0])
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["vectorized", "single"])
 def test_multi_input_lstm_policy_trains_unchanged(kind):

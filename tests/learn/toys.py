@@ -133,7 +133,7 @@ def fill_with_noise(learner, *, facets=1, seed=2):
     rng, rollout, targets = np.random.default_rng(seed), learner.rollout, learner.targets
     rollout.patches.copy_(torch.from_numpy(rng.integers(0, 256, rollout.patches.shape, np.uint8)))
     rollout.facet.copy_(torch.from_numpy(rng.integers(0, facets, rollout.facet.shape)))
-    rollout.episode_start.copy_(torch.from_numpy(rng.random(rollout.shape) < 0.2))
+    rollout.episode_start.copy_(torch.from_numpy(rng.random(rollout.reward.shape) < 0.2))
     rollout.action.copy_(torch.from_numpy(rng.integers(0, LEVELS, rollout.action.shape)))
     floats = (rollout.log_probability, rollout.start_h, rollout.start_c)
     for tensor in (*floats, targets.advantage, targets.returns):

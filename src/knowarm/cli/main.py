@@ -17,7 +17,6 @@ from typing import Any
 import knowarm
 from knowarm.cli.arguments import OWN, group_help, parse_command, take_option
 from knowarm.errors import UserError, printable, unknown_name
-from knowarm.own import named_by
 from knowarm.private_apis import end_process
 
 COMMANDS = {
@@ -126,11 +125,10 @@ def _parse(name: str, arguments: list[str]) -> Any:
     """Return the command with its arguments, ready to run."""
     if name not in COMMANDS:
         raise unknown_name("command", name, COMMANDS)
-    for flag, (variable, register) in OWN.items():
+    for flag, (_, register) in OWN.items():
         arguments, place = take_option(arguments, flag, "package.module:Name")
         if place is not None:
             register(place)
-            os.environ[variable] = ",".join([*named_by(variable), place])  # for child processes
     where, about = COMMANDS[name]
     module, _, attribute = where.partition(":")
     command = getattr(import_module(f"knowarm.cli.{module}"), attribute)

@@ -111,12 +111,12 @@ def parse_train(arguments: list[str]) -> Train:
         path = run_path(command.runs, command.config)
         if not path.exists():
             raise UserError(f"There is no run to resume in {path}: leave out --resume.")
-        command = _parse_options(name, rest, RunFolder.open(path).experiment())
-    own = [f" {flag} {places[-1]}" for flag, (name, _) in OWN.items() if (places := named_by(name))]
-    again = "".join([again, *own])
-    if task and ":" in task:
-        own = [f" --tasks {task}", *(each for each in own if not each.startswith(" --tasks"))]
-    return replace(command, again=again, own="".join(own))
+        stored = RunFolder.open(path).experiment()
+        command = _parse_options(name, rest, override(stored, values))
+    own = {flag: places[-1] for flag, (name, _) in OWN.items() if (places := named_by(name))}
+    words = {f" {flag} {place}": place != task for flag, place in own.items()}
+    again += "".join(each for each, is_new in words.items() if is_new)
+    return replace(command, again=again, own="".join(words))
 
 
 def _parse_options(name: str, arguments: list[str], config: ExperimentConfig) -> Train:

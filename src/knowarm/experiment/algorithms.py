@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from knowarm.errors import UserError
 from knowarm.learn.algorithms import A3CConfig, AlgorithmConfig, PPOConfig
-from knowarm.own import installed, load, named_by
+from knowarm.own import installed, load, named_by, share
 
 if TYPE_CHECKING:
     from knowarm.learn import MakeEvaluate, TorchVectorEnv, Trainer
@@ -169,12 +169,14 @@ DEMO_ALGORITHM = "distil"
 def algorithms() -> dict[str, Algorithm]:
     """Return all algorithms by name: shipped, installed and registered."""
     for place in (*installed(GROUP).values(), *named_by(VARIABLE)):
-        register_algorithm(place)
+        _add(place)
     return ALGORITHMS
 
 
 def register_algorithm(place: str) -> Algorithm:
     """Add an algorithm of your own module to ``ALGORITHMS``, by the ``name`` of its config.
+
+    Processes that this one starts know it, too.
 
     Args:
         place: where the `Algorithm` is, as ``package.module:Name``.
@@ -182,6 +184,12 @@ def register_algorithm(place: str) -> Algorithm:
     Raises:
         UserError: it cannot be imported, is no algorithm, or has the name of another one.
     """
+    found = _add(place)
+    share(VARIABLE, place)
+    return found
+
+
+def _add(place: str) -> Algorithm:
     needed = "an instance of knowarm.Algorithm"
     found: Algorithm = load(place, "algorithm", lambda each: isinstance(each, Algorithm), needed)
     if ALGORITHMS.setdefault(found.config.name, found) is not found:

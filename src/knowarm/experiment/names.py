@@ -144,7 +144,7 @@ TASK_FIELDS: dict[str, dict[str, Any]] = {
 """Fields of tasks that have other values in the named experiments, by task."""
 
 
-def experiment_config(name: str, **overrides: Any) -> ExperimentConfig:
+def experiment_config(name: str, /, **overrides: Any) -> ExperimentConfig:
     """Return the config of a named experiment.
 
     Args:
@@ -181,7 +181,7 @@ def _config(name: ExperimentName) -> ExperimentConfig:
         total_steps=algorithm.total_steps,
         env=EnvConfig(robot=name.robot, task=task, colours=name.colours),
         knowledge=knowledge,
-        policy=dataclasses.replace(agent.policy, **policy),
+        policy=override(agent.policy, policy, where="policy"),
         grounding=agent.grounding,
         reasoning=agent.reasoning,
         algorithm=algorithm.config,

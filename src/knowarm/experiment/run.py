@@ -164,6 +164,8 @@ def _train_locked(
             trainer.resume()
             progress.line(f"resuming at step {trainer.step:,}")
             keep_to_step = trainer.step
+            if trainer.step < config.total_steps and not should_end():
+                folder.set_evaluations_aside(trainer.step)
         else:
             # Written after the trainer is built: a config that this machine cannot train leaves
             # no run behind.

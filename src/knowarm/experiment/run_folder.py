@@ -102,6 +102,14 @@ class RunFolder:
         """Folder of one post-training evaluation."""
         return self.path / "evaluation" / label
 
+    def set_evaluations_aside(self, step: int) -> None:
+        """Rename the folder of evaluations to ``evaluation-at-<step>``: the training goes on."""
+        path = self.path / "evaluation"
+        if path.is_dir():
+            with writing(path):
+                shutil.copytree(path, f"{path}-at-{step}", dirs_exist_ok=True)
+                shutil.rmtree(path)
+
     def config(self) -> dict[str, Any]:
         """Read the resolved configuration as JSON values, with graphs that can be read."""
         return with_graphs(read_json(self.config_path), self._readable)
@@ -247,6 +255,7 @@ def _commit() -> str | None:
     """Commit of the checkout the package runs from, with "+changes" for uncommitted edits."""
     here = Path(__file__).parent
     try:
+        _git("ls-files", "--error-unmatch", Path(__file__).name, at=here)  # else another project's
         commit = _git("rev-parse", "HEAD", at=here)
         return commit + ("+changes" if _git("status", "--porcelain", "-uno", at=here) else "")
     except (OSError, subprocess.CalledProcessError):

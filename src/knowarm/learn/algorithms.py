@@ -170,14 +170,18 @@ class PPOConfig(ScheduleConfig):
         super().__post_init__()
         counts = ("num_envs", "rollout_steps", "epochs", "minibatches", "processes")
         at_least(self, 1, *counts, "average_updates")
-        above_zero(self, "adam_eps", "clip_range", "reward_scale", "max_grad_norm")
+        above_zero(self, "adam_eps", "clip_range", "reward_scale", "max_grad_norm", "target_kl")
         at_least(self, 1, "imitation_way")
         fraction(self, "gamma", "gae_lambda", "practice_until", "glimpse_until", "imitation_stay")
-        at_least(self, 0, "auxiliary_coef", "progress_coef", "imitation_coef", "reinforcement_coef")
-        if self.glimpse_until and self.reinforcement_coef:
+        learns = ("auxiliary_coef", "imitation_coef", "reinforcement_coef")
+        at_least(self, 0, *learns, "progress_coef", "vf_coef", "ent_coef")
+        if not any(getattr(self, name) for name in learns):
+            raise UserError(f"{', '.join(learns)} are all 0: nothing is learned. Set one above 0.")
+        if self.glimpse_until and (self.reinforcement_coef or self.target_kl):
             raise UserError(
-                f"glimpse_until is {self.glimpse_until} and reinforcement_coef "
-                f"{self.reinforcement_coef}: glimpses have no actions to reinforce. Set one to 0."
+                f"glimpse_until is {self.glimpse_until}, reinforcement_coef "
+                f"{self.reinforcement_coef} and target_kl {self.target_kl}: glimpses have no "
+                "actions to reinforce. Set glimpse_until to 0, or leave the others 0 and None."
             )
         if self.normalize_advantages and self.num_envs * self.rollout_steps == 1:
             raise UserError(
@@ -257,6 +261,7 @@ class A3CConfig(ScheduleConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         at_least(self, 1, "workers", "envs_per_worker", "rollout_steps", "log_every_steps")
+        at_least(self, 0, "vf_coef", "ent_coef")
         above_zero(self, "rmsprop_eps", "reward_scale", "max_grad_norm")
         fraction(self, "gamma", "gae_lambda", "rmsprop_alpha")
         if self.rollout_ends_with_episode and self.envs_per_worker > 1:

@@ -6,6 +6,7 @@ A checkpoint is a folder of four files: ``policy.safetensors``, ``optimizer.safe
 
 import hashlib
 import json
+import logging
 import operator
 import os
 import shutil
@@ -22,6 +23,7 @@ from torch import nn
 from knowarm.errors import UserError
 from knowarm.reading import UnreadableFileError, read_json, reading
 
+log = logging.getLogger("knowarm.learn")
 Arrays = dict[str, np.ndarray]
 FORMAT = 1
 PARTS = ("policy", "optimizer", "state")
@@ -83,6 +85,7 @@ class CheckpointStore:
                 try:
                     return read_checkpoint(self.folder / name, self.description)
                 except UnreadableFileError as error:
+                    log.warning("%s", error)
                     problems.append(str(error))
         raise UserError(
             " ".join(problems)

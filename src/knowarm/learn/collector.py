@@ -142,7 +142,7 @@ class Collector:
         With ``privileged``, the states of a `PrivilegedVectorEnv` are recorded. Returns the number
         of steps t; only the rollout's first t rows are valid (`Rollout.first`).
         """
-        steps, _ = rollout.shape
+        steps = len(rollout.reward)
         infer = infer or partial(infer_step, self.policy)
         logits: list[Tensor] = []
         rollout.start_h.copy_(self._state[0])

@@ -178,7 +178,7 @@ class ThresholdCurriculum:
 
     def __init__(self, config: ScheduleConfig, env: Any) -> None:
         self._config = config
-        self._env = env
+        self._env = env = env.env if isinstance(env, NumpyToTorch) else env
         self.is_used = config.threshold_factor > 1
         if self.is_used:
             if not hasattr(env, "threshold_factor"):

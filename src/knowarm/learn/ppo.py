@@ -131,7 +131,6 @@ class PPOTrainer(SynchronousTrainer):
                 **{f"auxiliary/{k}": v for k, v in head.items()},
                 **average,
             },
-            facts={"step": self.step},
         )
 
     def restore(self, checkpoint: Checkpoint) -> None:
@@ -158,7 +157,8 @@ class PPOTrainer(SynchronousTrainer):
         self._optimizer.set_learning_rate(rate)
         environment_s, start = self._collector.environment_s, time.perf_counter()
         record = self._privileged.rollout if self._privileged else None
-        if record is not None and progress < config.glimpse_until:
+        glimpses = record is not None and progress < config.glimpse_until
+        if record is not None and glimpses:
             self._collector.glimpse(rollout, record)
         else:
             self._collector.collect(rollout, self._learner.infer, privileged=record)
@@ -175,6 +175,7 @@ class PPOTrainer(SynchronousTrainer):
         means = {
             name: float(torch.stack([getattr(term, field) for term in terms]).mean())
             for name, field in LOSS_METRICS.items()
+            if not (glimpses and name in ("approx_kl", "clip_fraction"))  # they have no actions
         }
         self._health.watch(
             step=self.step, entropy=means["entropy"], values=rollout.value, rewards=reward
@@ -210,7 +211,8 @@ class PPOTrainer(SynchronousTrainer):
         privileged, reward, following = self._privileged, rollout.reward, None
         if privileged is not None:
             privileged.update()
-            reward = reward + privileged.progress_reward()
+            if config.progress_coef:
+                reward = reward + privileged.progress_reward()
             if privileged.critic is not None:
                 value, following = privileged.values()
                 rollout.value.copy_(value)

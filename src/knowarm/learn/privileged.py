@@ -174,7 +174,13 @@ class PrivilegedLearning:
         self._progress_coef = config.progress_coef
         self._weighted_way = config.imitation_way
         self._auxiliary = torch.tensor(auxiliary_columns(columns), device=env.device)
-        self._distance, self._angle = columns.index("distance/0"), columns.index("angle/0")
+        if config.progress_coef:
+            if not {"distance/0", "angle/0"} <= set(columns):
+                raise UserError(
+                    "progress_coef needs the privileged columns distance/0 and angle/0; "
+                    f"{type(env).__name__} has {', '.join(columns)}. Add them, or set it to 0."
+                )
+            self._distance, self._angle = columns.index("distance/0"), columns.index("angle/0")
         self._normalizer = RunningNormalizer(len(columns), env.device)
         self._standardized = self.rollout
 

@@ -39,12 +39,6 @@ class Rollout:
         return cls(**zeros(rollout_specs(steps, batch, policy)))
 
     @property
-    def shape(self) -> tuple[int, int]:
-        """(T, B)."""
-        steps, batch = self.reward.shape
-        return steps, batch
-
-    @property
     def start_state(self) -> State:
         """Recurrent state before the first step."""
         return self.start_h, self.start_c

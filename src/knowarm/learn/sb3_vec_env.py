@@ -27,14 +27,16 @@ class SB3VecEnv(VecEnv):
     def __init__(self, env: VectorEnv[Any, Any, Any], *, seed: int | None = None) -> None:
         self.env = env  # read by the constructor of VecEnv, for its render_mode
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
-        self._seed = seed
+        if seed is not None:
+            self.seed(seed)
         self._actions = np.zeros(0)
 
     def reset(self) -> Observations:
-        """Start new episodes; the first call uses the seed."""
-        observations, self.reset_infos = self.env.reset(seed=self._seed), [{}] * self.num_envs
-        self._seed = None
-        return observations[0]
+        """Start new episodes; the first call uses the seed, of `VecEnv.seed` if that was called."""
+        observations, _ = self.env.reset(seed=self._seeds[0])
+        self.reset_infos = [{}] * self.num_envs
+        self._reset_seeds()
+        return observations
 
     def step_async(self, actions: np.ndarray) -> None:
         """Store the actions (n, J) for `step_wait`."""

@@ -190,12 +190,13 @@ class Trainer(ABC):
         """Save a checkpoint, if there is a store, with the best and the pending evaluations."""
         if self.checkpoints is not None:
             best = {"best_return": self.best.value, "best_step": self.best.step}
+            facts = {"step": self.step, **checkpoint.facts, **best}
             pending = {
                 f"{_PENDING}{step}": values
                 for step, values in self._evaluations.pending()
-                if step <= checkpoint.facts["step"]
+                if step <= facts["step"]
             }
-            facts = {**checkpoint.facts, **best, "pending": len(pending)}
+            facts["pending"] = len(pending)
             state = {**checkpoint.state, **pending}
             self.checkpoints.save(replace(checkpoint, state=state, facts=facts))
 

@@ -6,7 +6,7 @@ from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal
 
-from knowarm.config import at_least
+from knowarm.config import above_zero, at_least
 from knowarm.errors import UserError, unknown_name
 
 if TYPE_CHECKING:
@@ -72,6 +72,7 @@ class PolicyConfig:
         if self.fusion not in FUSIONS:
             raise unknown_name("fusion", self.fusion, FUSIONS)
         at_least(self, 1, "features", "knowledge_width")
+        above_zero(self, "pixel_scale")
         if isinstance(self.hidden, int) and self.hidden < 1:
             raise UserError(f"hidden must be 'grow', 'fixed' or at least 1, got {self.hidden}.")
 

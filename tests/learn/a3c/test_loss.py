@@ -39,7 +39,7 @@ def test_half_the_squared_error_enters_with_the_papers_weight_1():
 def test_a_rollout_ends_with_its_episode():
     _, rollout, taken = collected()
     assert taken == [5, 5]
-    assert rollout.shape == (5, 1)
+    assert rollout.reward.shape == (5, 1)
     assert rollout.truncated[:, 0].tolist() == [False] * 4 + [True]
     assert rollout.episode_start[:, 0].tolist() == [True] + [False] * 4
     assert rollout.start_h.shape == (1, 8)

@@ -1,5 +1,6 @@
 """A task from a module outside the package: the example ``hover``."""
 
+import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,7 +15,7 @@ from knowarm.world.agents.play import play
 from knowarm.world.agents.scripted import OracleAgent
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ReachVectorEnv
-from knowarm.world.tasks import TASKS, register_task, task_names, task_type
+from knowarm.world.tasks import TASKS, VARIABLE, register_task, task_names, task_type
 from knowarm.world.tasks.episodes import evaluation_episodes
 from knowarm.world.tasks.reach import Reach
 from knowarm.world.tasks.task import Task
@@ -34,7 +35,11 @@ class Twice(Reach):
 def hover(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     monkeypatch.syspath_prepend(str(FOLDER))
     monkeypatch.setitem(TASKS, "hover", "hover:Hover")
-    yield task_type("hover:Hover")
+    monkeypatch.setenv(VARIABLE, "other:Task")
+    found = task_type("hover:Hover")
+    assert os.environ[VARIABLE] == "other:Task,hover:Hover"  # child processes know it, too
+    monkeypatch.setenv(VARIABLE, "")
+    yield found
     sys.modules.pop("hover", None)
 
 

@@ -9,7 +9,7 @@ holds the task's ``kind``.
 from typing import TYPE_CHECKING
 
 from knowarm.errors import UserError, unknown_name
-from knowarm.own import installed, load, named_by
+from knowarm.own import installed, load, named_by, share
 
 if TYPE_CHECKING:  # Importing this package imports no simulator.
     from knowarm.world.tasks.task import Task
@@ -49,7 +49,7 @@ def task_type(name: str) -> "type[Task]":
 
 
 def register_task(place: str) -> "type[Task]":
-    """Add a task of your own module to ``TASKS``, by its ``kind``.
+    """Add a task of your own module to ``TASKS``, by its ``kind``, here and in child processes.
 
     Args:
         place: where its class is, as ``package.module:Name``.
@@ -66,6 +66,7 @@ def register_task(place: str) -> "type[Task]":
             "``kind`` another literal."
         )
     TASKS[name] = place
+    share(VARIABLE, place)
     return found
 
 
