@@ -61,7 +61,7 @@ def main() -> None:
         runs = [run for run in given.runs if run.parent == folder]
         for kind in KINDS:
             shares = [success(run, kind, given.episodes, given.seed) for run in runs]
-            found = bootstrap([np.array(shares)])
+            found = bootstrap(np.array(shares))
             interval = {"mean": found.estimate, "low": found.low, "high": found.high}
             rows.append({"runs": str(folder), "images": kind, "seeds": shares, **interval})
             mean, low, high = (100 * each for each in interval.values())

@@ -31,10 +31,11 @@ EVALUATIONS = 4
 
 TEXT = """**Protocol.** Study `a3c`: IRB120, fixed colours, the paper's hyperparameters, with two
 workers of 32 environments instead of 17 of one, seed 0, {total} million steps; {hours}. {progress}
-Interim success (5 cm, 15 degrees) and accuracy (the distance alone, 10 cm) in percent, and return,
-each the mean of the last {count} evaluations of 40 episodes. An update learns from {batch:,} steps,
-the paper's from 50 or fewer, so there are {updates:,} updates instead of 1.4 million. Workers
-update in another order each time, so the same command does not give the same bytes."""
+Interim success (5 cm, 15 degrees) and accuracy (the distance alone, 5 cm; the paper's counts 10 cm)
+in percent, and return, each the mean of the last {count} evaluations of 40 episodes. An update
+learns from {batch:,} steps, the paper's from 50 or fewer, so there are {updates:,} updates instead
+of 1.4 million. Workers update in another order each time, so the same command does not give the
+same bytes."""
 
 TUNED = """**Protocol.** Study `a3c-tuned`: IRB120, {total} million steps, training {seeds};
 {hours:.1f} core hours. {progress} The preset [differs](../reference/algorithms.md#a3c) from the

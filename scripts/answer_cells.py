@@ -80,7 +80,7 @@ def percent(values: np.ndarray) -> str:
     """Format a mean of shares with its interval over seeds, if there are several."""
     if len(values) == 1:
         return f"{100 * values[0]:.1f}"
-    each = bootstrap([values])
+    each = bootstrap(values)
     return f"{100 * each.estimate:.1f} [{100 * each.low:.0f}, {100 * each.high:.0f}]"
 
 
@@ -88,16 +88,20 @@ def thousands(values: np.ndarray) -> str:
     """Format a mean of steps with its interval over seeds, if several, in thousands."""
     if len(values) == 1:
         return f"{values[0] / 1e3:,.0f}"
-    each = bootstrap([values])
+    each = bootstrap(values)
     return f"{each.estimate / 1e3:,.0f} [{each.low / 1e3:,.0f}, {each.high / 1e3:,.0f}]"
 
 
-def detectable(first: Agent, second: Agent) -> float:
-    """Return the difference in steps that a t test with these seeds finds in 80 % of studies."""
+def detectable(first: Agent, second: Agent, count: int) -> float:
+    """Return the difference in steps that a t test with these seeds finds in 80 % of studies.
+
+    It is corrected for ``count`` comparisons (Bonferroni, the first step of Holm's correction).
+    """
     spread = float(np.sqrt((first.steps.var(ddof=1) + second.steps.var(ddof=1)) / 2))
-    count = min(len(first.seeds), len(second.seeds))
-    sizes = np.linspace(0.01, 10, 1000)
-    return spread * next(size for size in sizes if power_of_two_samples(size, count) >= 0.8)
+    runs = min(len(first.seeds), len(second.seeds))
+    sizes = np.linspace(0.01, 20, 2000)
+    power = (power_of_two_samples(size, runs, 0.05 / count) for size in sizes)
+    return spread * next(size for size, each in zip(sizes, power, strict=True) if each >= 0.8)
 
 
 @dataclass(frozen=True)
@@ -116,8 +120,8 @@ class Comparison:
     detectable: float
 
     @classmethod
-    def of(cls, first: Agent, second: Agent) -> "Comparison":
-        """Compare two agents."""
+    def of(cls, first: Agent, second: Agent, count: int) -> "Comparison":
+        """Compare two agents, as one of ``count`` comparisons."""
         steps = welch(first.steps, second.steps).difference
         samples = [CensoredData.right_censored(a.steps, ~a.reached) for a in (first, second)]
         base = float(second.steps.mean())
@@ -128,7 +132,7 @@ class Comparison:
             Interval(*(each / base for each in (steps.estimate, steps.low, steps.high))),
             welch(first.success, second.success).difference,
             float(logrank(*samples).pvalue),
-            detectable(first, second),
+            detectable(first, second, count),
         )
 
 
@@ -163,12 +167,12 @@ def agents_table(agents: Mapping[str, Agent]) -> str:
 
 def comparisons(agents: Mapping[str, Agent]) -> list[Comparison]:
     """Compare full and partial knowledge with the baseline, full knowledge with the controls."""
-    pairs = [("full", "bm"), ("partial", "bm"), *(("full", control) for control in CONTROLS)]
-    return [
-        Comparison.of(agents[first], agents[second])
-        for first, second in pairs
+    pairs = [
+        (agents[first], agents[second])
+        for first, second in (("full", "bm"), ("partial", "bm"), *(("full", c) for c in CONTROLS))
         if all(name in agents and len(agents[name].seeds) >= FEWEST for name in (first, second))
     ]
+    return [Comparison.of(*pair, count=len(pairs)) for pair in pairs]
 
 
 def comparison_table(found: Sequence[Comparison]) -> str:

@@ -224,15 +224,16 @@ def processors_of(agents: Sequence[Agent]) -> list[str]:
 TOP = """<!-- Written by scripts/build_answer.py from the packs; do not edit. -->
 # Does semantic knowledge help a robot arm to learn?
 
-**Protocol.** {runs} runs of the paper's task with `fast`, 1.5 million steps, one process, training
-seeds {seeds}; {hours:.0f} hours of one core. {progress} The outcomes and comparisons of `answer`
-were fixed when the runs of `bm`, `partial` and `full` with seeds 0 to 2 were known, and before any
-other run. Primary: environment steps until 80 % of the 40 interim episodes succeed (5 cm, 15
-degrees); a run that never does counts as 1.5 million, and as censored in the log-rank test.
-Secondary: success of 1,000 episodes after training (10 cm, 17 degrees), and area under the curve of
-interim success. Brackets: 95 % intervals over training seeds (bootstrap of means, too narrow below
-about ten seeds; Welch's t for differences). p: log-rank, Holm's correction over the comparisons of
-a cell. *Detectable*: the difference in thousands of steps that as many seeds find in 80 % of
+**Protocol.** {runs} runs of the paper's task with `fast` (IRB120 from the study `answer`, TIAGo
+from `paper`), 1.5 million steps, one process, training seeds {seeds}; {hours:.0f} hours of one
+core. {progress} The outcomes and comparisons of `answer` were fixed when the runs of `bm`,
+`partial` and `full` with seeds 0 to 2 were known, and before any other run. Primary: environment
+steps until 80 % of the 40 interim episodes succeed (5 cm, 15 degrees); a run that never does counts
+as 1.5 million, and as censored in the log-rank test. Secondary: success of 1,000 episodes after
+training (10 cm, 17 degrees), and area under the curve of interim success. Brackets: 95 % intervals
+over training seeds (bootstrap of means, too narrow below about ten seeds; Welch's t for
+differences). p: log-rank, Holm's correction over the comparisons of a cell. *Detectable*: the
+difference in thousands of steps that a t test with as many seeds, also corrected, finds in 80 % of
 studies.
 
 {controls}"""
@@ -249,7 +250,7 @@ PAPER = """The paper's accuracy counts the distance alone, of one training seed 
 after the step of its best model. Here success counts distance and angle, as means over seeds, with
 another algorithm and simulator."""
 
-FIGURE = "![Success of every run](../images/reach-success.svg)"
+FIGURE = "![Success of every run of `bm`, `partial` and `full`](../images/reach-success.svg)"
 
 BOTTOM = """## What this cannot say
 

@@ -114,7 +114,10 @@ def test_a_field_that_a_run_lacks_has_its_default(tmp_path):
 def test_what_is_no_run_folder_is_named(tmp_path):
     paths = study(tmp_path)
     (tmp_path / "empty").mkdir()
-    found = collect([*paths, tmp_path / "empty", tmp_path / "nowhere"])
+    packed = tmp_path / "study.tar.gz"
+    packed.touch()
+    found = collect([*paths, tmp_path / "empty", tmp_path / "nowhere", packed])
+    assert "knowarm study unpack: left out" in named(found, packed)
     assert "holds no run folder: left out" in named(found, tmp_path / "empty")
     assert "does not exist: left out" in named(found, tmp_path / "nowhere")
     with pytest.raises(UserError, match="Nothing to report"):

@@ -333,6 +333,8 @@ def test_a_stopped_run_is_no_mean_over_a_longer_training(tmp_path):
     ended = next(run for each in tasks for run in each.runs if run.path == paths[0])
     assert ended.ended_early
     assert ended.lasts(task.horizon)
+    alone = next(each for each in tasks if ended in each.runs)
+    assert alone.horizon == config["total_steps"] > ended.steps_done
 
 
 def test_the_inputs_page_says_which_agents_receive_the_query(monkeypatch):

@@ -100,6 +100,22 @@ def test_a_killed_worker_is_started_again_a_few_times(tmp_path, executors):
     assert status.detail.startswith("its process was killed by signal 9, 3 times since step 0")
 
 
+def test_retry_starts_the_count_of_kills_again(tmp_path):
+    study = tiny(seeds=(0,), where=Where(retries=2))
+    write_study(study, tmp_path)
+    under_way = driver._Driver(study, tmp_path, None, print)
+    run = ("irb120-bm-ppo", 0)
+    failure = tmp_path / run[0] / "0" / FAILURE
+
+    def kill():
+        under_way._take_end(executor.Ended(run, "killed", True), False)
+        return failure.exists()
+
+    assert [kill() for _ in range(3)] == [False, False, True]
+    assert retry(tmp_path) == ["irb120-bm-ppo/0"]
+    assert [kill() for _ in range(3)] == [False, False, True]
+
+
 def test_a_run_that_another_worker_began_meanwhile_is_resumed(tmp_path, executors, monkeypatch):
     resumed = []
 

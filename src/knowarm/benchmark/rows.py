@@ -176,7 +176,7 @@ def _share(seeds: Sequence[Bits]) -> dict[str, Any]:
     """Return a share with its interval, over training seeds if they differ, else over episodes."""
     shares = [float(each.mean()) for each in seeds]
     if len(set(shares)) > 1:
-        found = bootstrap([np.array(shares)])
+        found = bootstrap(np.array(shares))
     else:
         every = np.concatenate(seeds)
         found = wilson(int(every.sum()), len(every))

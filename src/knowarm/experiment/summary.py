@@ -248,7 +248,7 @@ def _numbers(episodes: Columns) -> dict[str, Any]:
     for name in ("return", "length"):
         values[f"{name}_mean"] = float(np.mean(episodes[name]))
         values[f"{name}_std"] = _std(episodes[name])
-        values |= bootstrap([episodes[name]], repetitions=2_000).named(f"{name}_mean")
+        values |= bootstrap(episodes[name], repetitions=2_000).named(f"{name}_mean")
     shares = {"accuracy": "accurate", "success": "success", "success_wide": "success_wide"}
     shares |= {"choice": "choice_correct", "right_object": "object_correct"}
     for name, column in shares.items():

@@ -87,7 +87,7 @@ class Evaluated:
         found = [each for each in self.evaluations if each.numbers(part, name).get(key) is not None]
         if len(found) < 2:
             return found[0].interval(key, part, name) if found else None
-        return bootstrap([np.array([float(each.numbers(part, name)[key]) for each in found])])
+        return bootstrap(np.array([float(each.numbers(part, name)[key]) for each in found]))
 
 
 @dataclass(frozen=True)
@@ -306,10 +306,16 @@ class TaskData:
 
     @property
     def horizon(self) -> float:
-        """Steps to which every agent with success curves has at least one run; 0 without any."""
-        curves = [[r.interim for r in g.runs if r.has_success_curve] for g in self.groups]
-        longest = [max(float(curve["step"][-1]) for curve in each) for each in curves if each]
-        return min(longest, default=0.0)
+        """Steps to which every agent with success curves has at least one run; 0 without any.
+
+        A run that its ``stop_when`` ended counts to ``total_steps``.
+        """
+        runs = [[r for r in g.runs if r.has_success_curve] for g in self.groups]
+        ends = [
+            [r.config["total_steps"] if r.ended_early else r.interim["step"][-1] for r in each]
+            for each in runs
+        ]
+        return float(min((max(each) for each in ends if each), default=0.0))
 
 
 @dataclass(frozen=True)

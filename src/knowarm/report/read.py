@@ -252,7 +252,9 @@ def _run_folders(paths: Sequence[Path], problems: list[FolderProblem]) -> list[P
         inside = [path] if (path / "config.json").is_file() else []
         inside = inside or sorted(config.parent for config in path.rglob("config.json"))
         if not inside:
-            what = "holds no run folder" if path.is_dir() else "does not exist"
+            what = "holds no run folder" if path.exists() else "does not exist"
+            if path.is_file():
+                what = "is no folder; unpack a packed study first: knowarm study unpack"
             problems.append(FolderProblem(path, what, "left out"))
         for folder in inside:
             found.setdefault(folder.resolve(), folder)  # a folder given twice counts once

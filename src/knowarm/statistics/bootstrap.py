@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-CONFIDENCE = 0.95  # of every interval of this package, unless an argument says otherwise
+CONFIDENCE = 0.95  # of every interval of this package
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Interval:
         return {name: self.estimate, f"{name}_low": self.low, f"{name}_high": self.high}
 
 
-def wilson(successes: int, trials: int, confidence: float = CONFIDENCE) -> Interval:
+def wilson(successes: int, trials: int) -> Interval:
     """Compute Wilson's score interval of a proportion.
 
     Unlike the normal approximation it stays inside 0..1 and has a positive width at 0 and 100 %.
@@ -35,14 +35,13 @@ def wilson(successes: int, trials: int, confidence: float = CONFIDENCE) -> Inter
     Args:
         successes: number of successes, 0..trials.
         trials: number of trials, at least 1.
-        confidence: coverage, in 0..1.
 
     Raises:
         ValueError: there are no trials, or more successes than trials.
     """
     if not 0 <= successes <= trials or trials < 1:  # SciPy checks it in some versions only
         raise ValueError(f"successes must lie between 0 and trials, got {successes} of {trials}")
-    ends = scipy.stats.binomtest(successes, trials).proportion_ci(confidence, method="wilson")
+    ends = scipy.stats.binomtest(successes, trials).proportion_ci(CONFIDENCE, method="wilson")
     return Interval(successes / trials, float(ends.low), float(ends.high))
 
 
@@ -54,10 +53,7 @@ def share_difference(first: Interval, second: Interval) -> Interval:
 
     Args:
         first: of `wilson`.
-        second: of `wilson`, of the same coverage.
-
-    Returns:
-        First minus second, with an interval of their coverage.
+        second: of `wilson`.
     """
     difference = first.estimate - second.estimate
     below = math.hypot(first.estimate - first.low, second.high - second.estimate)
@@ -75,36 +71,26 @@ def iqm(scores: np.ndarray, axis: int = -1) -> np.ndarray:
 
 
 def bootstrap(
-    strata: Sequence[np.ndarray],
+    scores: np.ndarray,
     statistic: Callable[..., np.ndarray] = np.mean,
     *,
     repetitions: int = 10_000,
-    seed: int = 0,
 ) -> Interval:
-    """Compute a stratified percentile bootstrap interval: each stratum is resampled by itself.
+    """Compute a percentile bootstrap interval; of a single score it has no width.
 
     One score is one observation: the score of one training run when methods are compared, the
-    return of one episode when a single trained network is described. A stratum of a single score
-    is held fixed; with no other stratum the interval has zero width.
+    return of one episode when a single trained network is described.
 
     Args:
-        strata: one (n_i,) array per task; the statistic is taken over all of them together.
+        scores: (n,) array.
         statistic: function of an array and an ``axis``, such as ``np.mean`` or ``iqm``.
         repetitions: number of resamples.
-        seed: seed of the resampling; equal seeds give equal intervals.
     """
-    samples = [np.asarray(stratum, np.float64) for stratum in strata]
-    estimate = float(statistic(np.concatenate(samples), axis=-1))
-    varying = [sample for sample in samples if sample.size > 1]
-    if not varying:
+    scores = np.asarray(scores, np.float64)
+    estimate = float(statistic(scores, axis=-1))
+    if scores.size < 2:
         return Interval(estimate, estimate, estimate)
-    single = np.array([sample[0] for sample in samples if sample.size == 1])
-
-    def over_all(*drawn: np.ndarray, axis: int) -> np.ndarray:
-        fixed = np.broadcast_to(single, (*drawn[0].shape[:-1], single.size))
-        return statistic(np.concatenate([*drawn, fixed], axis=axis), axis=axis)
-
-    return Interval(estimate, *_percentiles(varying, over_all, repetitions, seed))
+    return Interval(estimate, *_percentiles([scores], statistic, repetitions))
 
 
 def probability_of_improvement(first: np.ndarray, second: np.ndarray) -> Interval:
@@ -124,7 +110,7 @@ def probability_of_improvement(first: np.ndarray, second: np.ndarray) -> Interva
         return ((a > b) + 0.5 * (a == b)).mean(axis=(-2, -1))
 
     estimate = float(wins(*samples, axis=-1))
-    return Interval(estimate, *_percentiles(samples, wins, REPETITIONS, 0))
+    return Interval(estimate, *_percentiles(samples, wins, REPETITIONS))
 
 
 def performance_profile(
@@ -148,11 +134,11 @@ def performance_profile(
 
 
 def _percentiles(
-    samples: Sequence[np.ndarray], statistic: Callable[..., Any], repetitions: int, seed: int
+    samples: Sequence[np.ndarray], statistic: Callable[..., Any], repetitions: int
 ) -> tuple[float, float]:
     """Resample every sample by itself; return the ends of the percentile interval."""
     sizes = {"n_resamples": repetitions, "batch": max(1, BLOCK // sum(s.size for s in samples))}
     kind = {"vectorized": True, "confidence_level": CONFIDENCE, "method": "percentile"}
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     result = scipy.stats.bootstrap(samples, statistic, **sizes, **kind, rng=rng)
     return float(result.confidence_interval.low), float(result.confidence_interval.high)

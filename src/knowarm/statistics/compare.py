@@ -44,13 +44,11 @@ def welch(first: np.ndarray, second: np.ndarray) -> Comparison:
 
 
 def paired(first: np.ndarray, second: np.ndarray) -> Comparison:
-    """Compare two agents on the same episodes (Student's paired t test).
-
-    The result is about these two trained networks, not about the methods that trained them.
+    """Compare pairs of values, such as a method's with chance (Student's paired t test).
 
     Args:
-        first: (n,) one value per episode.
-        second: (n,) values of the same episodes in the same order.
+        first: (n,) one value per training seed.
+        second: (n,) values of the same seeds in the same order.
 
     Raises:
         ValueError: the lengths differ, or there are fewer than two pairs.
@@ -97,15 +95,15 @@ def holm(p_values: Sequence[float]) -> np.ndarray:
     return adjusted
 
 
-def power_of_two_samples(effect_size: float, count: int) -> float:
-    """Compute the power of the two-sided two-sample t test at a significance level of 5 %.
+def power_of_two_samples(effect_size: float, count: int, alpha: float = 0.05) -> float:
+    """Compute the power of the two-sided two-sample t test at a significance level ``alpha``.
 
     Args:
         effect_size: true difference in standard deviations (Cohen's d).
         count: runs of each agent, at least 2.
     """
     freedom, noncentrality = 2 * count - 2, abs(effect_size) * math.sqrt(count / 2)
-    critical = scipy.stats.t.ppf(0.975, freedom)
+    critical = scipy.stats.t.ppf(1 - alpha / 2, freedom)
     # Where SciPy's tail underflows to NaN the power is 1 to machine precision.
     upper = float(scipy.stats.nct.sf(critical, freedom, noncentrality))
     lower = float(scipy.stats.nct.cdf(-critical, freedom, noncentrality))

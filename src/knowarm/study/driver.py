@@ -205,5 +205,6 @@ class _Driver:
             return
         self._deaths[run, step := RunFolder(path).checkpoint_fact("step", -1)] += 1
         if (count := self._deaths[run, step]) > self._study.where.retries:
+            del self._deaths[run, step]  # `retry` starts the count again
             reason = f"{problem}, {count} times since step {max(step, 0):,}; out of memory?"
             record_failure(path, reason)

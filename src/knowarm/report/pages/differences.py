@@ -109,7 +109,7 @@ def _scores(task: TaskData) -> DataTable:
         measures = (("mean", final, np.mean), ("iqm", final, iqm), ("area", speed, np.mean))
         for key, values, statistic in measures:
             if values.size > 1:
-                row |= cells(key, bootstrap([values], statistic))
+                row |= cells(key, bootstrap(values, statistic))
             elif values.size:
                 row[key] = float(values[0])
         if group is not baseline and min(final.size, base.size) > 1:

@@ -13,7 +13,7 @@ from knowarm.report.diagrams import Dot, dot_chart
 from knowarm.report.format import slugs
 from knowarm.report.model import Evaluation, Group, SplitGroup, TaskData
 from knowarm.report.pages.results import conditions
-from knowarm.report.verdicts.claims import Claim
+from knowarm.report.verdicts.claims import TOLERANCE, Claim, size_of
 from knowarm.report.verdicts.knowledge import finding
 from knowarm.statistics import welch
 
@@ -44,18 +44,18 @@ def knowledge_blocks(task: TaskData, decided: list[Claim]) -> list[Block]:
 
 def _controls(task: TaskData, subject: Group, final: list[Claim], stem: str) -> Block:
     """Show the difference to every other agent, with its role and its size."""
-    size = _size(subject)
+    size = size_of(subject, "parameters")
     rows: list[Row] = []
     for claim in final:
         if (other := claim.second) is None:
             continue
-        parameters = _size(other)
+        parameters = size_of(other, "parameters")
         row: Row = {
             "control": other.name,
             "role": (other.role or "unknown").replace("_", " "),
             "about": AGENTS[other.agent].about if other.agent in AGENTS else None,
             "parameters": parameters,
-            "equal": None if not (size and parameters) else abs(parameters / size - 1) <= 0.02,
+            "equal": size and parameters and abs(parameters / size - 1) <= TOLERANCE,
             "adjusted_p": claim.adjusted_p,
             "verdict": claim.verdict,
         }
@@ -64,7 +64,7 @@ def _controls(task: TaskData, subject: Group, final: list[Claim], stem: str) -> 
         rows.append(row)
     columns: list[str | Column] = [
         *(Column("control", "agent"), "role", "about", "parameters"),
-        Column("equal", f"as many as {subject.name}", hint="within 2 %"),
+        Column("equal", f"as many as {subject.name}", hint=f"within {TOLERANCE:.0%}"),
         Column("difference", "success [points]", "points", interval=True),
         *(Column("adjusted_p", "adjusted p", "p"), Column("verdict", f"{subject.name} is")),
     ]
@@ -98,11 +98,6 @@ def forest_figure(table: DataTable, caption: str, panels: Mapping[str, Sequence[
     if not drawn:
         return table
     return Figure(table=table, caption=caption, panels=drawn, open_table=True)
-
-
-def _size(group: Group) -> int | None:
-    totals = (run.parameters.get("total") for run in group.runs)
-    return next((int(total) for total in totals if total), None)
 
 
 def _other_conditions(task: TaskData, subject: Group, stem: str) -> list[Block]:

@@ -129,4 +129,4 @@ def _best_steps(group: Group | None) -> Interval | None:
     """Estimate the mean step of the best interim model over training seeds."""
     runs = [run for run in group.runs if group.label in run.evaluations] if group else []
     steps = [run.best_step for run in runs if run.best_step]
-    return bootstrap([np.array(steps)]) if steps else None
+    return bootstrap(np.array(steps)) if steps else None

@@ -173,7 +173,7 @@ def mismatch(group: Group, subject: Group) -> str | None:
     for name in SIZES:
         if name == "norm" and group.role != "content_control":
             continue
-        own, other = _size(group, name), _size(subject, name)
+        own, other = size_of(group, name), size_of(subject, name)
         if own is None or other is None:
             return f"{name} unknown"
         if abs(own - other) > TOLERANCE * abs(other):
@@ -181,11 +181,11 @@ def mismatch(group: Group, subject: Group) -> str | None:
     return None
 
 
-def _size(group: Group, name: str) -> float | None:
+def size_of(group: Group, name: str) -> float | None:
     """Return a stored size of an agent's network or input; None if it is not stored."""
     part, key = SIZES[name]
     value = (group.runs[0].provenance.get(part) or {}).get(key)
-    return float(value) if isinstance(value, int | float) else None
+    return value if isinstance(value, int | float) else None
 
 
 def scores(task: TaskData, group: Group, outcome: str) -> np.ndarray:
