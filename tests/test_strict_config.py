@@ -5,6 +5,8 @@ import pytest
 
 from knowarm.config import from_dict, to_dict
 from knowarm.errors import UserError
+from knowarm.experiment.names import experiment_config
+from knowarm.knowledge import KnowledgeConfig
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -17,6 +19,14 @@ class Slow:
 class Fast:
     name: Literal["fast"] = "fast"
     rate: float = 1e-3
+
+
+def test_a_mistyped_choice_is_refused_where_a_config_is_made():
+    with pytest.raises(UserError, match=r"'Mean'.*Did you mean 'mean'"):
+        KnowledgeConfig(detail="full", pooling="Mean")
+    config = experiment_config("irb120-full-fast")
+    with pytest.raises(UserError, match="'Full'"):
+        dataclasses.replace(config, knowledge=dataclasses.replace(config.knowledge, detail="Full"))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -5,6 +5,7 @@ import math
 import types
 import typing
 from collections.abc import Callable, Iterable, Mapping
+from functools import cache
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 
 from knowarm.errors import UserError, unknown_name
@@ -28,18 +29,23 @@ MAX_SEED = 2**63 - 1
 """Largest seed: PyTorch's generators take no larger one."""
 
 
-def check_numbers(config: Any, *, where: str = "") -> None:
-    """Check that every number in a (nested) config is finite, and seeds fit into 63 bits."""
+_hints: Callable[[Any], dict[str, Any]] = cache(typing.get_type_hints)
+
+
+def check_values(config: Any, *, where: str = "") -> None:
+    """Check choices of a (nested) config, that numbers are finite, and seeds fit into 63 bits."""
     if dataclasses.is_dataclass(config):
-        prefix = where or type(config).__name__
+        prefix, hints = where or type(config).__name__, _hints(type(config))
         for field in dataclasses.fields(config):
-            check_numbers(getattr(config, field.name), where=f"{prefix}.{field.name}")
+            if get_origin(hints[field.name]) is Literal:
+                _typed(hints[field.name], getattr(config, field.name), f"{prefix}.{field.name}")
+            check_values(getattr(config, field.name), where=f"{prefix}.{field.name}")
     elif isinstance(config, Mapping):
         for key, value in config.items():
-            check_numbers(value, where=f"{where}.{key}")
+            check_values(value, where=f"{where}.{key}")
     elif isinstance(config, tuple | list):
         for i, value in enumerate(config):
-            check_numbers(value, where=f"{where}[{i}]")
+            check_values(value, where=f"{where}[{i}]")
     elif isinstance(config, float) and not math.isfinite(config):
         raise UserError(f"{where} must be a finite number, got {config}.")
     elif isinstance(config, int) and where.endswith(".seed") and not 0 <= config <= MAX_SEED:

@@ -3,7 +3,11 @@ import json
 import numpy as np
 import pytest
 
-from knowarm.knowledge.probe import _predict, _share_found, probe
+from knowarm.experiment.agents import AGENTS
+from knowarm.knowledge.formats import shipped_graph
+from knowarm.knowledge.probe import _predict, _share_found, probe, query_agreement
+from knowarm.knowledge.queries.queries import QueryGraph
+from tests.knowledge.choice import CHOICE
 from tests.knowledge.helpers import KNOWLEDGE
 
 
@@ -56,3 +60,8 @@ def test_ridge_by_hand():
 def test_share_found():
     assert _share_found(np.array([0.9, 0.1, 0.5]), np.array([1.0, 1.0, 0.0])) == 0.5
     assert _share_found(np.array([0.9, 0.1, 0.5]), np.array([1.0, 0.0, 1.0])) == 1.0
+
+
+def test_slots_of_zeros_agree_with_nothing():
+    asked = QueryGraph(shipped_graph("objects"), CHOICE)
+    assert query_agreement(AGENTS["query-zeros"].knowledge, asked) is None

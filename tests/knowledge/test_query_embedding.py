@@ -44,6 +44,11 @@ def test_a_row_holds_facts_first_and_colours_last():
     assert (both[1] == blue[1]).all()
 
 
+def test_a_query_that_was_not_embedded_is_named():
+    with pytest.raises(UserError, match="No slot describes contains tea: embed the queries first"):
+        query_embedding(QUERY, ASKED[:3]).table(ASKED)
+
+
 def test_a_slot_says_what_the_graph_links_to_the_value():
     embedding = query_embedding(PAPER, ASKED)
     drinking = embedding.sentences[embedding.slots.index(Condition("usedFor", "drinking"))]

@@ -5,6 +5,7 @@ from knowarm.errors import UserError
 from knowarm.knowledge import graph_of
 from knowarm.knowledge.formats import shipped_graph
 from knowarm.knowledge.graph.builder import difference, union
+from knowarm.knowledge.graph.edits import edited
 from knowarm.knowledge.queries.splits import query_splits
 from knowarm.questions import Query
 from tests.knowledge.choice import CHOICE, OBJECTS
@@ -160,6 +161,20 @@ def test_an_edited_graph_of_the_user_is_a_test():
     unchanged = query_splits(GRAPH, CHOICE, edited=GRAPH)
     with pytest.raises(UserError, match=r"S5 .* is empty: the edited graph gives no query"):
         unchanged.test("S5")
+
+
+def test_edits_keep_the_labels_of_what_loses_its_last_triple():
+    uses = {"mug": "Q1", "jug": "Q1", "lamp": "Q2", "book": "Q3"}
+    triples = [(name, "usedFor", f"http://e.org/{use}") for name, use in uses.items()]
+    words = {"Q1": "drinking", "Q2": "lighting", "Q3": "reading"}
+    labels = {f"http://e.org/{use}": word for use, word in words.items()}
+    graph = graph_of(triples, labels=labels)
+    facets = [(name, colour) for name in uses for colour in ("red", "blue")]
+    split = query_splits(graph, facets, hold_out=(), objects=3)
+    assert set(split.edited) != set(graph)
+    assert split.edited.own_labels() == labels
+    changed = edited(graph, ["- lamp usedFor lighting", "+ book usedFor lighting"])
+    assert ("book", "usedFor", "http://e.org/Q2") in changed
 
 
 def test_splits_that_a_graph_does_not_allow_say_why():

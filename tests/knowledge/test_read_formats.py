@@ -58,6 +58,16 @@ def test_tables_with_and_without_a_header(tmp_path):
         assert set(read_graph(path)) == expected
 
 
+def test_spaces_after_the_commas_are_no_part_of_the_names(tmp_path):
+    path = tmp_path / "home.csv"
+    path.write_text('head, relation, tail\nmug, usedFor, drinking\nmug, isA, "cup, small"\n')
+    assert set(read_graph(path)) == {("mug", "usedFor", "drinking"), ("mug", "isA", "cup, small")}
+
+
+def test_shipped_graphs_are_read_by_their_names():
+    assert set(read_graph("household")) == set(household())
+
+
 def test_openke_keeps_its_split(tmp_path):
     split = split_graph(household())
     write_openke(split, tmp_path)

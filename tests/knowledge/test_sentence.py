@@ -17,6 +17,12 @@ MUG = graph_of(
 )
 
 
+def test_templates_name_relations_by_their_last_part():
+    graph = graph_of([("mug", "http://e.org/isMadeOf", "clay")])
+    config = KnowledgeConfig(detail="full", templates={"isMadeOf": "made of"})
+    assert sentence(graph, config) == "mug made of clay"
+
+
 def test_the_papers_form():
     said = "mug has color light blue mug is a drinking cup mug is made of ceramic"
     assert sentence(MUG) == said

@@ -126,6 +126,8 @@ def test_a_label_of_which_no_word_is_known(vectors):
     assert found.vectors.shape == (0, 3)
     assert coverage.describe()["missing_words"] == ["qwv", "zyx"]
     assert coverage.share == 0
+    none, _ = find(WordLookup(table, on_missing="hash"), "")
+    assert none.vectors.shape == (0, 3)
     found, _ = find(WordLookup(table, on_missing="hash"), "zyx qwv")
     again, _ = find(WordLookup(table, on_missing="hash"), "zyx")
     assert found.vectors.shape == (2, 3)

@@ -46,6 +46,15 @@ def answers_of(trained):
 
 
 @torch.no_grad()
+def test_a_policy_in_training_is_given_the_frames_alone(trained, labels, monkeypatch):
+    answering = AnswerGrounding(trained.network, answers_of(trained))
+    images, queries = labels.images[:4], labels.queries[:4]
+    frames = answering.see(images, queries).frames
+    monkeypatch.setattr(answering, "_name", None)  # names serve evaluations only
+    torch.testing.assert_close(answering(images, queries), frames, rtol=0, atol=0)
+
+
+@torch.no_grad()
 def test_the_place_is_the_one_whose_names_answer_best(trained, labels):
     answers, network = answers_of(trained), trained.network
     images, queries = labels.images[:6], labels.queries[:6]

@@ -28,7 +28,7 @@ from knowarm.perception.images import query_answers, sample_images
 from knowarm.perception.module import digest
 from knowarm.perception.training import train_classifier, without_colours
 from knowarm.reading import UnreadableFileError
-from knowarm.world.config import EnvConfig
+from knowarm.world.config import EnvConfig, HeldOut
 from knowarm.world.envs.vector_env import ReachVectorEnv
 from knowarm.world.tasks.choose.choose import Choose
 from tests.tiny import TINY
@@ -102,6 +102,8 @@ def test_held_out_colours_are_not_trained_on_and_tested_apart():
     assert shown == {"red", "yellow", "brown"}
     assert "held-out colours" in spec.accuracy
     assert spec.config.held_out_colours == held.held_out_colours
+    own = replace(env_of(REACH), held_out=HeldOut(colours=("yellow",)))
+    assert without_colours(own, ("blue", "yellow")).held_out.colours == ("yellow", "blue")
     with pytest.raises(UserError, match="cannot be combined with the task 'choose'"):
         without_colours(env_of(CHOOSE), held.held_out_colours)
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from knowarm.config import above_zero, at_least, check_numbers, fraction, registered
+from knowarm.config import above_zero, at_least, check_values, fraction, registered
 from knowarm.errors import UserError
 from knowarm.experiment.agents import Role
 from knowarm.experiment.algorithms import algorithms
@@ -106,7 +106,7 @@ class ExperimentConfig:
     """End training before ``total_steps`` once this rule is met; None trains all steps."""
 
     def __post_init__(self) -> None:
-        check_numbers(self)
+        check_values(self)
         at_least(self, 1, "total_steps", "checkpoint_every_steps")
         scope, task = self.knowledge.scope, self.env.task
         if self.knowledge.detail != "none" and scope not in task.scopes:
@@ -195,7 +195,7 @@ class EvaluationConfig:
     differently."""
 
     def __post_init__(self) -> None:
-        check_numbers(self)
+        check_values(self)
         at_least(self, 1, "episodes", "seeds", "num_envs")
         at_least(self, 0, "blind_episodes", "damage_seed")
         above_zero(self, "distance_m", "angle_deg", "wide_angle_deg")

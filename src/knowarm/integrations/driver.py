@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from knowarm.config import above_zero, at_least, check_numbers
+from knowarm.config import above_zero, at_least, check_values
 from knowarm.errors import UserError
 from knowarm.integrations.runner import Runner
 from knowarm.world.own_robot.camera_check import central_square
@@ -35,7 +35,7 @@ class Safety:
     dry_run: bool = False  # Print the steps and send nothing
 
     def __post_init__(self) -> None:
-        check_numbers(self)
+        check_values(self)
         above_zero(self, "max_age_s", "patience_s", "wait_s", "following_steps")
         at_least(self, 0, "confirm_steps")
         at_least(self, 1, "max_steps")

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from knowarm.config import at_least, check_numbers, fraction, registered
+from knowarm.config import at_least, check_values, fraction, registered
 from knowarm.errors import UserError
 from knowarm.knowledge.graph.graph import Direction
 from knowarm.knowledge.vectors import SOURCES, VectorSource
@@ -81,7 +81,7 @@ class KnowledgeConfig:
     also depends on the training seed."""
 
     def __post_init__(self) -> None:
-        check_numbers(self)
+        check_values(self)
         at_least(self, 1, "dim")
         at_least(self, 0, "hops", "max_degree")
         fraction(self, "colour_share")

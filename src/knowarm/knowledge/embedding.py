@@ -164,10 +164,15 @@ class QueryEmbedding(Embedding):
 
         Facts fill the slots of a row from the first, colours and objects from the last, so that a
         colour is found at one place in all queries; the rest is zero.
+
+        Raises:
+            UserError: a query has a condition without a slot.
         """
         if not self.slots:
             return np.zeros((len(queries), 0), np.float32)
         numbers = {slot: number for number, slot in enumerate(self.slots)}
+        if new := {c.name for query in queries for c in query.conditions if c not in numbers}:
+            raise UserError(f"No slot describes {', '.join(sorted(new))}: embed the queries first.")
         rows = np.zeros((len(queries), self.width, self.slot_dim), np.float32)
         for row, query in zip(rows, queries, strict=True):
             facts = [c for c in query.conditions if not c.is_seen]

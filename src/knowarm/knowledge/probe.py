@@ -193,6 +193,6 @@ def query_agreement(
     both = (answers[:, None] & answers).sum(2)
     either = (answers[:, None] | answers).sum(2)
     pairs = np.triu_indices(len(facts), 1)
-    if not len(pairs[0]) or np.ptp(cosine[pairs]) < 1e-6:
+    if not len(pairs[0]) or not np.ptp(cosine[pairs]) >= 1e-6:  # NaN for slots of zeros
         return None
     return float(scipy.stats.spearmanr(cosine[pairs], (both / either)[pairs]).statistic)

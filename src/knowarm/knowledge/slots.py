@@ -201,15 +201,16 @@ def _colour_row(around: KnowledgeGraph, rows: np.ndarray, facet: Facet, wanted: 
         label = label_of(tail, around.labels)
         if wanted in (tail, local_name(tail)) or label_of(wanted, {}) == label:
             return int(row)
-    if not wanted:
+    if not len(rows):
         raise UserError(
-            f"{facet.object!r} has no colour in the graph, so detail 'full' cannot describe it. "
-            f"Add its colours to the graph, or set detail='partial'."
+            f"{facet.object!r} has no colour in the graph, or none that hops, direction and "
+            "relations reach, so detail 'full' cannot describe it. Add its colours to the graph, "
+            "let them be reached, or set detail='partial'."
         )
     known = sorted(local_name(around.names[around.tails[row]]) for row in rows)
     raise UserError(
         f"The graph does not say that {facet.object!r} can be {wanted!r}. "
-        f"Its colours there: {', '.join(known) or 'none'}. "
+        f"Its colours there: {', '.join(known)}. "
         f"Add that fact to the graph, use colours='fixed' if it has those, or detail='partial'."
     )
 
@@ -248,7 +249,7 @@ def relation_parts(
     graph: KnowledgeGraph, relation: str, config: KnowledgeConfig
 ) -> list[SentencePart]:
     """Return the label of an edge, or nothing where the sentence leaves it out."""
-    words = config.templates.get(relation)
+    words = config.templates.get(relation, config.templates.get(local_name(relation)))
     label = label_of(relation, graph.labels) if words is None else words.lower()
     return [SentencePart(relation, label, True)] if config.relation_words and label else []
 

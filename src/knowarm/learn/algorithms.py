@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from knowarm.config import above_zero, at_least, check_numbers, fraction
+from knowarm.config import above_zero, at_least, check_values, fraction
 from knowarm.errors import UserError
 
 PRIVILEGED_OPTIONS: Mapping[str, tuple[Any, str]] = {
@@ -52,7 +52,7 @@ class ScheduleConfig(AlgorithmConfig):
     """Success of an update's episodes above which the factor decreases."""
 
     def __post_init__(self) -> None:
-        check_numbers(self)
+        check_values(self)
         above_zero(self, "learning_rate")
         fraction(self, "threshold_success", "learning_rate_final")
         at_least(self, 0, "threshold_decrease")

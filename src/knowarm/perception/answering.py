@@ -65,7 +65,7 @@ class AnswerGrounding(PerceptionModule):
 
     def forward(self, images: Tensor, queries: Tensor) -> Tensor:
         """Predict the grasp frames (n, 9) of the objects that answer; see `GoalPredictor`."""
-        return self.see(images, queries).frames
+        return self.locate(images, self.knowledge[queries])
 
     def see(self, images: Tensor, queries: Tensor) -> SeenAnswers:
         """Find the answers to queries (n,) int64 in images (n, H, W, 3) uint8."""

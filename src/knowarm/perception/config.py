@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
-from knowarm.config import above_zero, at_least, check_numbers
+from knowarm.config import above_zero, at_least, check_values
 from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig, facets_of, questions_of, scene_of
 from knowarm.world.objects.families import look_of
@@ -35,7 +35,7 @@ class ModuleTrainingConfig:
     """Largest learning rate of Adam; it rises and falls once (one cycle)."""
 
     def __post_init__(self) -> None:
-        check_numbers(self)
+        check_values(self)
         where = f"{type(self).__name__}."
         at_least(self, 1, "images", "batch", where=where)
         above_zero(self, "learning_rate", where=where)

@@ -78,8 +78,9 @@ def without_colours(env: EnvConfig, colours: tuple[str, ...]) -> EnvConfig:
             f"held_out_colours cannot be combined with the task {env.task.kind!r}, whose questions "
             "decide what is visible. Leave held_out_colours out."
         )
-    places = None if env.held_out is None else env.held_out.places
-    return replace(env, held_out=HeldOut(colours=colours, places=places))
+    own = env.held_out or HeldOut(colours=colours)
+    colours = tuple(dict.fromkeys((*own.colours, *colours)))
+    return replace(env, held_out=replace(own, colours=colours))
 
 
 def minimize(

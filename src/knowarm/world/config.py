@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
-from knowarm.config import above_zero, at_least, check_numbers, registered
+from knowarm.config import above_zero, at_least, check_values, registered
 from knowarm.errors import UserError
 from knowarm.questions import QuestionTable
 from knowarm.world.robots import DEFAULT_ROBOT
@@ -67,7 +67,7 @@ class EnvConfig:
             object.__setattr__(self, "max_episode_steps", self.task.max_steps)
         if self.task.colours is not None:
             object.__setattr__(self, "colours", self.task.colours)
-        check_numbers(self)
+        check_values(self)
         _one_of("colours", self.colours, ("fixed", "randomized"))
         _one_of("dynamics", self.dynamics, ("dynamic", "kinematic"))
         _one_of("renderer", self.renderer, ("raycast", "opengl"))

@@ -9,7 +9,7 @@ import numpy as np
 
 from knowarm.cli.knowledge.options import OBJECTS, GraphOptions, check_suffix, writing
 from knowarm.cli.tables import TableCommand, print_table
-from knowarm.config import at_least, check_numbers
+from knowarm.config import at_least, check_values
 from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge import KnowledgeGraph, gamma, write_graph
 from knowarm.knowledge.draw import draw_svg
@@ -60,7 +60,7 @@ class Queries(GraphOptions, TableCommand):
     """Seed of what is held out."""
 
     def __post_init__(self) -> None:
-        check_numbers(self)
+        check_values(self)
         at_least(self, 1, "objects_per_episode")
 
     def result(self) -> dict[str, Any]:

@@ -60,12 +60,14 @@ def read_graph(path: str | Path, format: str | None = None) -> KnowledgeGraph:
     """Read a graph from a file, or from a folder of OpenKE files.
 
     Args:
-        path: the file or folder.
+        path: the file or folder, or the name of a shipped graph.
         format: key of `FORMATS`; None takes the format of the suffix.
 
     Raises:
         UserError: there is no such file, the format is unknown, or the file is malformed.
     """
+    if str(path) in SHIPPED:
+        return shipped_graph(str(path))
     path = Path(path)
     if not path.exists():
         raise UserError(
@@ -108,8 +110,7 @@ def household() -> KnowledgeGraph:
 
 def open_graph(graph: str | Path | None) -> KnowledgeGraph:
     """Return a graph by the name of a shipped one or by its path; None is the household graph."""
-    name = "household" if graph is None else str(graph)
-    return shipped_graph(name) if name in SHIPPED else read_graph(name)
+    return read_graph("household" if graph is None else graph)
 
 
 def _format_of(path: Path) -> str:

@@ -127,7 +127,7 @@ def _csv_rows(path: Path, separator: str) -> Iterator[tuple[int, list[str]]]:
     """Yield (number of the row's first line, cells)."""
     csv.field_size_limit(MAX_LINE)
     lines = (line + "\n" for _, line in text_lines(path))
-    reader = csv.reader(lines, delimiter=separator, strict=True)
+    reader = csv.reader(lines, delimiter=separator, strict=True, skipinitialspace=True)
     start = 1
     while True:
         try:

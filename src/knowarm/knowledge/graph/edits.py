@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 
 from knowarm.errors import UserError
-from knowarm.knowledge.graph.builder import difference, graph_of, with_facts
+from knowarm.knowledge.graph.builder import graph_of, with_facts
 from knowarm.knowledge.graph.graph import KnowledgeGraph, Names
 
 
@@ -37,7 +37,8 @@ def edited(graph: KnowledgeGraph, edits: Iterable[str]) -> KnowledgeGraph:
                 f"The edit {text!r} removes a triple that the graph does not hold. It states: "
                 f"{stated or f'nothing about {head}'}."
             )
-        graph = difference(graph, graph_of([triple]))
+        rest = [each for each in graph if each != triple]
+        graph = graph_of(rest, nodes=graph.entities, labels=graph.own_labels())
     return graph
 
 

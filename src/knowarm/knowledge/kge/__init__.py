@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from knowarm.config import above_zero, at_least, check_numbers, fraction
+from knowarm.config import above_zero, at_least, check_values, fraction
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +33,7 @@ class KgeConfig:
     """CPU threads; with one, the same seed gives the same bytes on the same machine."""
 
     def __post_init__(self) -> None:
-        check_numbers(self)
+        check_values(self)
         at_least(self, 1, "dim", "epochs", "batch_size", "evaluate_every", "patience", "threads")
         above_zero(self, "learning_rate")
         at_least(self, 0, "n3")

@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from knowarm.errors import UserError
-from knowarm.knowledge.graph.builder import difference, graph_of, union
+from knowarm.knowledge.graph.builder import graph_of
 from knowarm.knowledge.graph.graph import KnowledgeGraph, Triple
 from knowarm.knowledge.graph.terms import local_name
 from knowarm.knowledge.queries.queries import QueryGraph
@@ -225,12 +225,12 @@ def draw_edits(held: HeldOutQuestions, rng: np.random.Generator) -> KnowledgeGra
             "no two values of one relation belong to different objects, so none can be swapped. "
             "Add facts, or give an edited graph of your own."
         )
-    removed, added = list[Triple](), list[Triple]()
+    moved = dict[Triple, Triple]()
     for pair in swapped:
         relation = graph.relation_names[graph.relation_id(pair[0].relation)]
         values = [graph.names[graph.entity_id(each.value)] for each in pair]
         for condition, (old, new) in zip(pair, (values, values[::-1]), strict=True):
             heads = [graph.names[graph.entity_id(name)] for name in held.holders[condition]]
-            removed += [(head, relation, old) for head in heads]
-            added += [(head, relation, new) for head in heads]
-    return union(difference(graph, graph_of(removed)), graph_of(added))
+            moved |= {(head, relation, old): (head, relation, new) for head in heads}
+    triples = [moved.get(triple, triple) for triple in graph]
+    return graph_of(triples, nodes=graph.entities, labels=graph.own_labels())

@@ -10,6 +10,7 @@ import numpy as np
 from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.terms import local_name, parse_literal
+from knowarm.knowledge.slots import graph_facets
 from knowarm.questions import (
     AND,
     COLOUR_RELATION,
@@ -159,14 +160,9 @@ class QueryGraph:
 
         An object of which the graph states colours has these only, any other has all.
         """
-        graph = self.graph
-        named = enumerate(graph.relation_names)
-        wanted = [i for i, name in named if local_name(name) == COLOUR_RELATION]
-        stated = {}
-        for name, entity in zip(self.objects, self._ids, strict=True):
-            rows = graph.out_rows(entity)
-            tails = graph.tails[rows][np.isin(graph.relations[rows], wanted)]
-            stated[name] = {local_name(graph.names[i]) for i in tails}
+        stated = {name: set[str]() for name in self.objects}
+        for name, colour in graph_facets(self.objects, self.graph, COLOUR_RELATION):
+            stated[name] |= {colour} - {""}
         found = np.array([not stated[n] or colour in stated[n] for n, colour in self.facets])
         for number, name in enumerate(self.objects):
             if not found[self.owner == number].any():

@@ -281,7 +281,7 @@ class WordLookup:
         coverage.how[label] = "hash"
         coverage.missing |= set(label.split())
         rarest = np.full(len(vectors), 1.0 / self.words.size)
-        return Found(np.array(vectors, np.float32), rarest)
+        return Found(np.array(vectors, np.float32).reshape(-1, self.dim), rarest)
 
 
 def joined_forms(label: str) -> list[str]:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from knowarm.config import check_numbers
+from knowarm.config import check_values
 from knowarm.errors import UserError
 
 
@@ -39,7 +39,7 @@ class Target:
     """Shape and parts of such an instance, by which it can be recognized."""
 
     def __post_init__(self) -> None:
-        check_numbers(self)
+        check_values(self)
         if not self.colours:
             raise UserError(f"Target {self.name!r}: colours is empty; give at least one RGB.")
         for colour, rgb in self.colours.items():

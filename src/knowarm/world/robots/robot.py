@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from knowarm.config import check_numbers, from_dict
+from knowarm.config import check_values, from_dict
 from knowarm.errors import UserError
 from knowarm.questions import object_of
 from knowarm.reading import read_toml
@@ -120,7 +120,7 @@ class Robot:
     """Natural frequency of the critically damped position servos [Hz]."""
 
     def __post_init__(self) -> None:
-        check_numbers(self)
+        check_values(self)
         if not self.title:
             object.__setattr__(self, "title", self.name)
         count = len(self.joints)

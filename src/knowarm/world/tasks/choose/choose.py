@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.arrays import Floats, Integers, Mask
-from knowarm.config import check_numbers, registered
+from knowarm.config import check_values, registered
 from knowarm.errors import UserError
 from knowarm.questions import ObjectColour, QuestionTable
 from knowarm.world.objects import CHOOSE_TARGETS
@@ -56,7 +56,7 @@ class Choose(Task):
     bound of what a query can contribute."""
 
     def __post_init__(self) -> None:
-        check_numbers(self)
+        check_values(self)
         if not 2 <= self.objects <= MAX_OBJECTS:
             raise UserError(
                 f"Choose.objects must be 2 to {MAX_OBJECTS}, got {self.objects}. With one object "
