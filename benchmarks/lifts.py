@@ -64,7 +64,7 @@ def row(robot: str, target: str, places: int) -> dict:
         "robot": robot,
         "target": target,
         "reached": int(reached.sum()),
-        "lifted": int(lifts.lifted.sum()),
+        "lifted": int((lifts.outcome == "lifted").sum()),
         "places": places,
         "rise_m": float(np.median(lifts.rise)),
         "outcomes": dict(Counter(lifts.outcome.tolist())),

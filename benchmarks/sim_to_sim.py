@@ -7,19 +7,24 @@ visual randomization. Needs OpenGL: MUJOCO_GL=egl or osmesa.
 """
 
 import argparse
+import copy
 import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
+from knowarm.arrays import Floats
 from knowarm.experiment.load import load_agent
 from knowarm.statistics import bootstrap
 from knowarm.world.agents.play import play
 from knowarm.world.envs.vector_env import ReachVectorEnv
 from knowarm.world.render.renderer import OpenGLRenderer
 from knowarm.world.scene.appearance import VisualRandomization
+from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.episodes import evaluation_episodes
 
 # Each axis varies by up to 1 cm and 1 degree, which are also the root mean squares over three axes.
@@ -34,6 +39,43 @@ KINDS: dict[str, tuple[bool, bool, dict[str, float]]] = {
 }
 """Whether OpenGL draws, whether a lamp casts shadows, and what varies, by row of the table."""
 LAMP_M = 2.5
+"""Distance of the lamp from the middle of the rectangle [m]."""
+
+
+class LampRenderer(OpenGLRenderer):
+    """MuJoCo's renderer with a lamp in the direction of the sun, which casts shadows.
+
+    MuJoCo speckles those of directional lights.
+    """
+
+    def __init__(self, scene: Scene, size: int) -> None:
+        model = copy.copy(scene.model)
+        model.light_type[0] = mujoco.mjtLightType.mjLIGHT_SPOT
+        model.light_cutoff[0], model.light_exponent[0] = 60, 0
+        model.light_castshadow[0] = True
+        quality = model.vis.quality
+        quality.shadowsize, quality.numslices, quality.numstacks = 512, 16, 16
+        super().__init__(replace(scene, model=model), size)
+        self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = True
+        self._middle = np.array([*scene.robot.rectangle_centre_m, scene.robot.support_height_m])
+
+    def draw(
+        self,
+        geom_position: Floats,
+        geom_matrix: Floats,
+        geom_rgba: NDArray[np.float32],
+        views: NDArray[np.float32] | None = None,
+        lamps: NDArray[np.float32] | None = None,
+    ) -> NDArray[np.uint8]:
+        """Draw n images; see ``Renderer.draw``."""
+        images = []
+        for i in range(len(geom_position)):
+            direction = self._data.light_xdir[0] if lamps is None else -lamps[i, 3]
+            self._data.light_xpos[0] = self._middle - LAMP_M * direction
+            given = (geom_position, geom_matrix, geom_rgba, views, lamps)
+            one = (None if each is None else each[i : i + 1] for each in given)
+            images.append(super().draw(*one)[0])  # type: ignore[arg-type]
+        return np.stack(images)
 
 
 def success(run: Path, kind: str, episodes: int, seed: int) -> float:
@@ -43,7 +85,8 @@ def success(run: Path, kind: str, episodes: int, seed: int) -> float:
     config = replace(trained.config.env, randomization=VisualRandomization(**varied))  # type: ignore[arg-type]
     env = ReachVectorEnv(config, min(episodes, 100), num_threads=1)
     if opengl:
-        env.renderer = OpenGLRenderer(env.scene, config.image_size, LAMP_M if lamp else None)
+        kind_of = LampRenderer if lamp else OpenGLRenderer
+        env.renderer = kind_of(env.scene, config.image_size)
     result = play(trained.agent, env, evaluation_episodes(config, episodes, seed))
     env.close()
     return float(result.success.mean())

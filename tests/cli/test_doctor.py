@@ -9,6 +9,7 @@ import pytest
 from knowarm.cli.doctor import Doctor
 from knowarm.cli.main import _parse
 from knowarm.errors import UserError
+from knowarm.experiment.config import EvaluationConfig
 from knowarm.world.robots.robot import read_robot
 from tests.world.helpers import EXAMPLES
 
@@ -17,6 +18,8 @@ from tests.world.helpers import EXAMPLES
     ("options", "words"),
     [
         ({"set": ("home=[0]",)}, "--set needs --robot"),
+        ({"targets": ("bowl.toml",)}, "--targets needs --robot"),
+        ({"robot": str(EXAMPLES / "scara.xml"), "set": ("joints=5",)}, "a list of names, got 5"),
         ({"task": "choose", "image": Path("a.png")}, "--image needs no --task"),
         ({"robot": "irb120", "write": Path("a.toml")}, "--write needs --robot with an MJCF file"),
         ({"robot": "arm.xml", "write": Path("a.txt")}, "--write must name a .toml file"),
@@ -47,12 +50,15 @@ def test_draft_is_written_and_drawn(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "TCP" in capsys.readouterr().out
 
 
-def test_the_commands_for_an_eased_orientation_parse(monkeypatch, capsys, tmp_path) -> None:
+@pytest.mark.parametrize("angle", [" --env.success-angle-deg 60", ""])
+def test_the_commands_for_an_eased_orientation_parse(
+    angle: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     draft = SimpleNamespace(
         how={},
         toml=lambda file: "",
-        task_options=lambda: "--env.success-angle-deg 60 --env.ignore-roll",
-        success_angle_deg=60.0,
+        task_options=lambda: f"{angle} --env.ignore-roll".strip(),
+        success_angle_deg=60.0 if angle else 15.0,
         ignore_roll=True,
     )
     monkeypatch.setattr("knowarm.cli.doctor.draft_robot", lambda *args: draft)
@@ -65,6 +71,9 @@ def test_the_commands_for_an_eased_orientation_parse(monkeypatch, capsys, tmp_pa
             found.setdefault(words[0], _parse(words[0], words[1:]))
     order = ["doctor", "view", "evaluate", "train", "evaluate"]
     assert [line.split()[1] for line in printed] == order
-    for name in ("doctor", "view"):
-        assert (found[name].angle_deg, found[name].ignore_roll) == (60.0, True)
-    assert (found["evaluate"].evaluation.angle_deg, found["evaluate"].env.ignore_roll) == (60, True)
+    for name, default in {"doctor": 15, "view": None}.items():
+        wanted = 60 if angle else default
+        assert (found[name].angle_deg, found[name].ignore_roll) == (wanted, True)
+    degrees = 60 if angle else EvaluationConfig().angle_deg
+    oracle = found["evaluate"]
+    assert (oracle.evaluation.angle_deg, oracle.env.ignore_roll) == (degrees, True)

@@ -22,7 +22,7 @@ from knowarm.world.agents import (
 )
 from knowarm.world.config import EnvConfig
 from knowarm.world.robots import ROBOTS
-from knowarm.world.scene.scene import load_scene
+from knowarm.world.scene.scene import _load_scene
 from knowarm.world.tasks.held_out import HeldOut
 
 ZOO = Path(__file__).parents[2] / "zoo" / "tiago-full-fast"
@@ -259,13 +259,13 @@ def test_objects_that_cannot_be_lifted_are_left_out(monkeypatch):
     entry = ROBOTS["irb120"]
     robot = dataclasses.replace(entry.robot, not_liftable={"mug": "for this test"})
     monkeypatch.setitem(ROBOTS, "irb120", dataclasses.replace(entry, robot=robot))
-    load_scene.cache_clear()
+    _load_scene.cache_clear()
     config = EvaluationConfig(
         episodes=6, num_envs=6, record_films=0, distance_m=9.0, angle_deg=180.0, lift=True
     )
     env = EnvConfig(targets=("mug", "bottle"), image_size=8, max_episode_steps=1)
     summary = evaluate(ZeroAgent(), env, config).summary
-    load_scene.cache_clear()
+    _load_scene.cache_clear()
     assert summary["per_target"]["mug"]["lift_episodes"] == 0
     assert "lifted" not in summary["per_target"]["mug"]
     assert summary["lift_episodes"] == summary["per_target"]["bottle"]["episodes"]

@@ -276,5 +276,5 @@ def test_the_policy_is_built_once(tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", ["irb120-full-fast", "irb120-choose-query-words-fast"])
 def test_building_needs_no_simulator(monkeypatch, name):
     monkeypatch.setattr(scene, "build_scene", None)
-    scene.load_scene.cache_clear()
+    scene._load_scene.cache_clear()
     assert build(experiment_config(name)).policy_shape.joints == 6

@@ -14,11 +14,15 @@ from knowarm.world.config import EnvConfig
         ({"success_angle_deg": 0.0}, r"success_angle_deg must be larger than 0"),
         ({"max_episode_steps": -1}, r"max_episode_steps must be at least 1"),
         ({"targets": ("mug", "mug")}, r"contains a name twice"),
-        ({"colours": "any"}, r"colours must be one of fixed, randomized, got 'any'"),
-        ({"dynamics": "fast"}, r"dynamics must be one of dynamic, kinematic"),
-        ({"renderer": "raster"}, r"renderer must be one of raycast, opengl"),
+        ({"colours": "any"}, r"colours 'any'. Available: fixed, randomized"),
+        ({"dynamics": "fast"}, r"dynamics 'fast'. Available: dynamic, kinematic"),
+        ({"renderer": "raster"}, r"renderer 'raster'.*raycast"),
     ],
 )
 def test_each_bad_field_is_named_with_what_is_allowed(options: dict, message: str) -> None:
     with pytest.raises(UserError, match=rf"EnvConfig\.?.*{message}"):
         EnvConfig(**options)
+
+
+def test_one_target_needs_no_tuple() -> None:
+    assert EnvConfig(targets="mug").targets == ("mug",)

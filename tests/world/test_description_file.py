@@ -1,5 +1,6 @@
 """Description files: own robots and targets are read, solved, and refused by field."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from knowarm.errors import UserError
 from knowarm.world.agents.play import play
 from knowarm.world.agents.scripted import OracleAgent
 from knowarm.world.robots.robot import read_robot, read_target
+from knowarm.world.scene.scene import load_scene
 from knowarm.world.tasks.episodes import evaluation_episodes
 from tests.world.helpers import EXAMPLES, MakeEnv, write_robot
 
@@ -32,6 +34,15 @@ def test_name_and_title_default_to_the_file_and_the_name(tmp_path: Path) -> None
     robot = read_robot(EXAMPLES / "scara.toml")
     assert (robot.name, robot.title) == ("scara", "scara")
     assert read_robot(write_robot(tmp_path, title='"Scara 2"')).title == "Scara 2"
+
+
+def test_an_edited_description_is_read_again(tmp_path: Path) -> None:
+    path = write_robot(tmp_path, camera_fovy_deg="40")
+    first = load_scene(str(path), ("bottle",))
+    assert load_scene(str(path), ("bottle",)) is first
+    write_robot(tmp_path, camera_fovy_deg="55")
+    os.utime(path, ns=(0, 0))  # another time than before, however fast the disk
+    assert load_scene(str(path), ("bottle",)).robot.camera_fovy_deg == 55
 
 
 def test_bad_files_are_named_with_the_field(tmp_path: Path) -> None:

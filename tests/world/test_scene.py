@@ -96,6 +96,10 @@ def test_unknown_names_get_the_nearest() -> None:
         find_robot("irb12")
     with pytest.raises(UserError, match="Did you mean 'mug'"):
         find_targets(("mugg",))
+    with pytest.raises(UserError, match="Did you mean 'cereal_box'"):
+        find_targets(("cereal-box",))
+    with pytest.raises(UserError, match="instance of a family 'bottle-x'"):
+        find_targets(("bottle-x",))
 
 
 def test_a_missing_file_and_broken_mjcf_are_named(tmp_path: Path) -> None:
@@ -108,6 +112,12 @@ def test_a_missing_file_and_broken_mjcf_are_named(tmp_path: Path) -> None:
     broken.write_text("<mujoco><worldbody>")
     with pytest.raises(UserError, match=r"mjcf .*broken.xml' does not compile"):
         build_scene(IRB120, [replace(MUG, mjcf=broken)])
+
+
+def test_what_only_compiling_the_whole_scene_reveals_is_no_traceback() -> None:
+    added = replace(IRB120, tcp_body="link_6", tcp_site="tcp")  # which the file has already
+    with pytest.raises(UserError, match=r"robot 'irb120' with mug does not compile: .*repeated"):
+        build_scene(added, [MUG])
 
 
 def test_missing_joints_and_sites_are_named_with_those_there_are() -> None:

@@ -9,7 +9,7 @@ from knowarm.world.agents.play import play
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ReachVectorEnv
 from knowarm.world.robots import ROBOTS
-from knowarm.world.scene.scene import Scene, load_scene, project
+from knowarm.world.scene.scene import Scene, _load_scene, load_scene, project
 from knowarm.world.tasks.episodes import evaluation_episodes
 from knowarm.world.tasks.reward import measure
 
@@ -62,7 +62,7 @@ def test_no_start_collides(robot):
             model.geom_contype[geom] = model.geom_conaffinity[geom] = 3
             body = model.geom_bodyid[geom]
             model.body_contype[body] = model.body_conaffinity[body] = 3
-    load_scene.cache_clear()  # the model was changed
+    _load_scene.cache_clear()  # the model was changed
     starts = start_poses(scene)
     generator = np.random.default_rng(0)
     others = []  # the same first joints, whose range is the paper's, with any other joints

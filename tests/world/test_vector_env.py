@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
+import knowarm
 from knowarm.errors import UserError
 from knowarm.world.envs.vector_env import ReachVectorEnv
 from knowarm.world.robots import ROBOTS
@@ -33,6 +34,13 @@ def test_steps_give_what_the_spaces_promise(robot: str, dynamics: str, make_env:
         assert rewards == pytest.approx(-2 * infos["distance"] ** 2 - infos["angle"] / 70)
         assert not (terminated | truncated).any()
         previous = observations
+
+
+def test_a_mode_of_autoreset_may_be_given_by_its_value(make_env: MakeEnv) -> None:
+    env = knowarm.make("irb120", num_envs=2, autoreset="NextStep", image_size=8, num_threads=1)
+    assert env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+    with pytest.raises(ValueError, match="'Never' is not a valid AutoresetMode"):
+        knowarm.make("irb120", num_envs=2, autoreset="Never", image_size=8)
 
 
 @pytest.mark.parametrize("robot", ROBOTS)

@@ -1,11 +1,10 @@
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
+from benchmarks.sim_to_sim import LampRenderer
 from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig
-from knowarm.world.render.renderer import OpenGLRenderer
-from knowarm.world.scene.appearance import VisualRandomization, rotations
+from knowarm.world.scene.appearance import VisualRandomization
 from knowarm.world.scene.scene import load_scene
 from knowarm.world.tasks.episodes import draw_episodes, evaluation_episodes
 from knowarm.world.tasks.held_out import HeldOut
@@ -20,12 +19,6 @@ EVERYTHING = VisualRandomization(
     surface_colour=0.15,
     distractors=3,
 )
-
-
-def test_rotations_are_rodrigues() -> None:
-    vectors = np.random.default_rng(0).normal(size=(50, 3))
-    vectors[0] = 0
-    assert rotations(vectors) == pytest.approx(Rotation.from_rotvec(vectors).as_matrix())
 
 
 @pytest.mark.parametrize(
@@ -107,7 +100,7 @@ def test_the_opengl_renderer_varies_alike(make_env: MakeEnv) -> None:
             pytest.skip(str(error))
         pairs.append(env.reset(seed=1)[0].astype(float))
     assert np.abs(pairs[0] - pairs[1]).mean() < 4
-    env.renderer = OpenGLRenderer(env.scene, 64, lamp_m=2.5)
+    env.renderer = LampRenderer(env.scene, 64)
     darker = pairs[1] - env.reset(seed=1)[0] > 60  # 1.7 %; without shadows nearly none
     assert 0.005 < darker.mean() < 0.1
 
@@ -117,6 +110,12 @@ def test_episodes_of_another_look_are_refused(make_env: MakeEnv) -> None:
     plain = make_env(2)
     with pytest.raises(UserError, match="draw them with its config"):
         env.reset(options={"episodes": evaluation_episodes(plain.config, 2, 0)})
+
+
+def test_episodes_in_colours_that_are_not_shown_are_refused(make_env: MakeEnv) -> None:
+    many = evaluation_episodes(make_env(8, colours="randomized").config, 8, 0)
+    with pytest.raises(UserError, match="show colours that this environment does not have"):
+        make_env(8).reset(options={"episodes": many})
 
 
 def test_episodes_of_another_robot_or_other_objects_change_nothing(make_env: MakeEnv) -> None:

@@ -82,7 +82,7 @@ class Doctor(TableCommand):
         elif self.robot is None:
             from knowarm.experiment.installation_check import check_installation  # imports torch
 
-            self._refuse("--robot", "set", "write", "image")
+            self._refuse("--robot", "set", "write", "image", "targets")
             checks, what = check_installation(self.runs), "installation"
         else:
             targets = self.targets or EnvConfig().targets
@@ -114,7 +114,7 @@ class Doctor(TableCommand):
                 f"  knowarm view {file} {bare}\n"
                 f"  knowarm evaluate oracle --env.robot {file} {task.replace('env.success-', '')}\n"
                 f"  knowarm train irb120-full-fast --name {run} --env.robot {file} {task}\n"
-                f"  knowarm evaluate runs/{run}/0 {bare.removesuffix(' --ignore-roll')}\n"
+                f"  knowarm evaluate runs/{run}/0 {bare.removesuffix('--ignore-roll').strip()}\n"
             )
         with TemporaryDirectory() as folder:
             file = self.write or Path(folder) / f"{Path(robot).stem}{SUFFIX}"

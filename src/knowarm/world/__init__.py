@@ -98,7 +98,7 @@ def make(
     """
     from knowarm.world.envs.single_env import ReachEnv, make_vector_env
 
-    ids = _ids()
+    ids, robot = _ids(), str(robot)
     short = robot if "/" in robot else f"{NAMESPACE}/{robot}"
     name, own = ids.get(short, (robot, task or "reach"))
     if task not in (None, own):

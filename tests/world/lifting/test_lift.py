@@ -1,5 +1,6 @@
 """Lift test: what holds, what does not, and why."""
 
+import re
 from dataclasses import replace
 
 import mujoco
@@ -54,6 +55,34 @@ def gantry(tmp_path) -> Robot:
         camera_look_at_m=(0.0, 0.1, 0.0),
         camera_fovy_deg=60.0,
     )
+
+
+CAPSULE = 'type="capsule" size=".006" fromto=".064 {y} 0 .14 {y} 0"'
+MESH = 'type="mesh" mesh="pad" pos=".102 {y} 0"'
+PAD = " ".join(
+    f"{x} {y} {z}" for z in (-0.01, 0.01) for y in (-0.006, 0.006) for x in (-0.04, 0.03)
+)
+
+
+@pytest.mark.parametrize("shape", [CAPSULE, MESH])
+def test_fingers_may_be_geoms_of_any_shape(shape, tmp_path):
+    irb120 = ROBOTS["irb120"].robot
+    text = irb120.mjcf.read_text().replace("</asset>", f'<mesh name="pad" vertex="{PAD}"/></asset>')
+    for side, y in (("left", 0.038), ("right", -0.038)):
+        new = f'<geom name="finger_{side}" {shape.format(y=y)} material="finger" mass=".05"/>'
+        text, count = re.subn(rf'<geom name="finger_{side}"[^/]*/>', new, text)
+        assert count == 1
+    path = tmp_path / "arm.xml"
+    path.write_text(text)
+    robot = replace(irb120, mjcf=path).for_area("lift")
+    poses = []
+    for solid in (False, True):
+        model = build_scene(robot, [TARGETS["mug"]], solid=solid).model
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        geoms = [data.geom(f"robot/finger_{side}") for side in ("left", "right")]
+        poses.append([np.r_[geom.xpos, geom.xmat] for geom in geoms])
+    np.testing.assert_allclose(*poses, atol=1e-12)
 
 
 def down_to(x: float, y: float, z: float) -> np.ndarray:

@@ -61,7 +61,7 @@ class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any
         self.metadata = {
             "render_modes": ["rgb_array"],
             "render_fps": 10,
-            "autoreset_mode": autoreset,
+            "autoreset_mode": AutoresetMode(autoreset),  # or its value
         }
         self.simulation = make_simulator(config, num_envs, num_threads)
         self.renderer: Renderer = make_renderer(self.scene, config, config.image_size, num_threads)

@@ -38,11 +38,6 @@ class Lifts:
     rise: Floats  # Rise of the object's centre of mass at the end [m], (n,)
     moved: Floats  # Way of the centre of mass before the fingers close [m], (n,)
 
-    @property
-    def lifted(self) -> Mask:
-        """Whether the object was lifted, (n,)."""
-        return self.outcome == "lifted"
-
 
 def lift(scene: Scene, paths: Sequence[Floats], objects: Integers, positions: Floats) -> Lifts:
     """Replay n joint paths among solid objects, and lift the first object where each ends.

@@ -156,14 +156,17 @@ def _finger_geoms(spec: mujoco.MjSpec, model: mujoco.MjModel, robot: Robot, name
 
 
 def _geom_to_body(spec: mujoco.MjSpec, model: mujoco.MjModel, number: int) -> mujoco.MjsBody:
-    """Move a primitive geom into a body of its own, at the frame of the body it was in."""
+    """Move a geom into a body of its own, at the frame of the body it was in."""
     old = spec.geom(model.geom(number).name)
-    kept = "name type size material rgba mass density group contype conaffinity"
+    kept = "name type meshname material rgba mass density group contype conaffinity"
     values = {field: copy(getattr(old, field)) for field in kept.split()}
+    pos, quat = model.geom_pos[number], model.geom_quat[number]
+    if old.type == mujoco.mjtGeom.mjGEOM_MESH:  # whose compiled pose is that of its inertia
+        pos, quat = copy(old.pos), copy(old.quat)
     parent = old.parent
     spec.delete(old)
     body = parent.add_body(gravcomp=1)
-    body.add_geom(pos=model.geom_pos[number], quat=model.geom_quat[number], **values)
+    body.add_geom(pos=pos, quat=quat, size=model.geom_size[number], **values)
     return body
 
 

@@ -124,6 +124,8 @@ def draft_robot(path: Path, targets: Sequence[str], overrides: Mapping[str, Any]
         values = {k: v for k, v in values.items() if not k.startswith("tcp_")}
     values |= overrides
     joints = values["joints"]
+    if not isinstance(joints, list):
+        raise UserError(f"joints must be a list of names, got {joints!r}.")
     values.setdefault("home", _rest(model, joints))
     x, y, z = _robot(path, NO_RECTANGLE | WIDE_VIEW | values).base_position_m
     given = {"base_position_m", "table"} & set(overrides)

@@ -68,26 +68,14 @@ def make_renderer(scene: Scene, config: EnvConfig, size: int, num_threads: int =
 
 
 class OpenGLRenderer:
-    """MuJoCo's renderer without reflections; slow, because it draws one by one.
+    """MuJoCo's renderer without shadows and reflections; slow, because it draws one by one."""
 
-    With ``lamp_m`` a lamp, at this distance [m] from the middle of the rectangle in the direction
-    of the sun, replaces it and casts shadows, which MuJoCo speckles for directional lights.
-    """
-
-    def __init__(self, scene: Scene, size: int, lamp_m: float | None = None) -> None:
+    def __init__(self, scene: Scene, size: int) -> None:
         self._model = copy.copy(scene.model)
         self._model.vis.global_.offwidth = max(self._model.vis.global_.offwidth, size)
         self._model.vis.global_.offheight = max(self._model.vis.global_.offheight, size)
         # Materials would hide the colours that are set per environment.
         self._model.geom_matid[:] = -1
-        self._lamp_m = lamp_m
-        if lamp_m is not None:
-            self._model.light_type[0] = mujoco.mjtLightType.mjLIGHT_SPOT
-            self._model.light_cutoff[0], self._model.light_exponent[0] = 60, 0
-            self._model.light_castshadow[0] = True
-            quality = self._model.vis.quality
-            quality.shadowsize, quality.numslices, quality.numstacks = 512, 16, 16
-            self._middle = [*scene.robot.rectangle_centre_m, scene.robot.support_height_m]
         self._camera = scene.camera
         self._data = mujoco.MjData(self._model)
         try:
@@ -98,7 +86,7 @@ class OpenGLRenderer:
                 "OSMesa (libosmesa6) and set MUJOCO_GL=osmesa, or use renderer 'raycast', which "
                 "needs none."
             ) from error
-        self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = lamp_m is not None
+        self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
         self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
         mujoco.mj_forward(self._model, self._data)
 
@@ -125,9 +113,6 @@ class OpenGLRenderer:
                 self._model.light_ambient[:] = 0
                 self._model.light_diffuse[0] = lamps[i, 2]
                 self._data.light_xdir[0] = -lamps[i, 3]
-            if self._lamp_m is not None:
-                away = self._lamp_m * self._data.light_xdir[0]
-                self._data.light_xpos[0] = self._middle - away
             self._renderer.update_scene(self._data, camera=self._camera)
             images.append(self._renderer.render())
         return np.stack(images)

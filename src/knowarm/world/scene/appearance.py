@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from knowarm.arrays import Floats, Integers
 from knowarm.errors import UserError
@@ -62,18 +63,6 @@ class VisualRandomization:
         """Number of uniform draws per episode; 0 when everything is off."""
         off = self == VisualRandomization()
         return 0 if off else FIXED_DRAWS + DRAWS_PER_DISTRACTOR * self.distractors
-
-
-def rotations(vectors: Floats) -> Floats:
-    """Convert rotation vectors (k, 3) [rad] to matrices (k, 3, 3) by Rodrigues' formula."""
-    angle = np.linalg.norm(vectors, axis=1)
-    axis = vectors / np.clip(angle, 1e-12, None)[:, None]
-    x, y, z = axis[:, 0], axis[:, 1], axis[:, 2]
-    zero = np.zeros_like(x)
-    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
-    one = np.eye(3)
-    sine, cosine = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-    return one + sine * cross + (1 - cosine) * (cross @ cross)
 
 
 def resting_colours(scene: Scene, num_envs: int) -> NDArray[np.float32]:
@@ -174,7 +163,7 @@ class AppearanceSource:
     def _views(self, signed: Floats) -> NDArray[np.float32]:
         shift = self._config.camera_shift_m * signed[:, _SHIFT:_TURN]
         turn = math.radians(self._config.camera_turn_deg) * signed[:, _TURN:_SURFACE]
-        turned = (self._scene.camera_matrix @ rotations(turn)).reshape(-1, 9)
+        turned = (self._scene.camera_matrix @ Rotation.from_rotvec(turn).as_matrix()).reshape(-1, 9)
         views = np.concat([self._scene.camera_position + shift, turned], axis=1)
         return views.astype(np.float32)
 
@@ -183,7 +172,7 @@ class AppearanceSource:
         sun = 1 + self._config.light * signed[:, _LIGHT + 1 : _LIGHT + 2]
         turn = math.radians(self._config.light_angle_deg) * signed[:, _LIGHT + 2 : _LIGHT + 4]
         turn = np.concat([turn, np.zeros_like(turn[:, :1])], axis=1)
-        towards = -(rotations(turn) @ self._sun_direction)
+        towards = -(Rotation.from_rotvec(turn).as_matrix() @ self._sun_direction)
         lamps = [self._ambient * head, self._headlight * head, self._sunlight * sun, towards]
         return np.stack(lamps, axis=1).astype(np.float32)
 

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from knowarm.errors import UserError, unknown_name
 from knowarm.questions import INSTANCE
+from knowarm.reading import one_line
 from knowarm.world.lifting.model import FINGERS, TASK_TIMESTEP_S, LiftingModel, lifting_model
 from knowarm.world.objects import TARGETS, Target
-from knowarm.world.objects.families import instance
+from knowarm.world.objects.families import KINDS, instance
 from knowarm.world.objects.parts import PARTS
 from knowarm.world.robots import ROBOTS
 from knowarm.world.robots.menagerie import KNOWN_ARMS
@@ -92,14 +93,13 @@ def find_targets(names: Sequence[str]) -> tuple[Target, ...]:
             targets.append(read_target(Path(name)))
         elif name in known:
             targets.append(known[name])
-        elif INSTANCE in name:
+        elif name.partition(INSTANCE)[0] in KINDS:
             targets.append(instance(name))
         else:
             raise unknown_name("target", name, known)
     return tuple(targets)
 
 
-@lru_cache(maxsize=16)
 def load_scene(
     robot: str,
     targets: tuple[str, ...],
@@ -109,9 +109,25 @@ def load_scene(
 ) -> Scene:
     """Build the scene of a named robot and named targets, cached per process.
 
-    Both may be TOML files. ``area`` is the robot's area in which the targets stand. With ``solid``,
-    they can be pushed and lifted, and the fingers move.
+    Both may be TOML files, which are read again when they or the MJCF files beside them change.
+    ``area`` is the robot's area in which the targets stand. With ``solid``, they can be pushed and
+    lifted, and the fingers move.
     """
+    own = [Path(name).resolve() for name in (robot, *targets) if name.endswith(SUFFIX)]
+    files = [each for file in own for each in (file, *file.parent.glob("*.xml")) if each.is_file()]
+    written = tuple((str(file), file.stat().st_mtime_ns) for file in files)
+    return _load_scene(robot, tuple(targets), distractors, area, solid, written)
+
+
+@lru_cache(maxsize=16)
+def _load_scene(
+    robot: str,
+    targets: tuple[str, ...],
+    distractors: int,
+    area: str,
+    solid: bool,
+    written: tuple[tuple[str, int], ...],
+) -> Scene:
     found = find_robot(robot).for_area(area)
     return build_scene(found, find_targets(targets), distractors, solid=solid)
 
@@ -128,9 +144,17 @@ def build_scene(
                 f"other than {ROBOT_PREFIX.removesuffix('/')!r}. Rename the file, or leave it out."
             )
     lifting = None
-    if solid:
-        lifting = lifting_model(robot, tuple(targets), distractors, TASK_TIMESTEP_S)
-    model = lifting.model if lifting else compose(robot, targets, distractors).compile()
+    try:
+        if solid:
+            lifting = lifting_model(robot, tuple(targets), distractors, TASK_TIMESTEP_S)
+        model = lifting.model if lifting else compose(robot, targets, distractors).compile()
+    except UserError:
+        raise
+    except (ValueError, mujoco.FatalError) as error:
+        raise UserError(
+            f"The scene of robot {robot.name!r} with {', '.join(names)} does not compile: "
+            f"{one_line(error)}. Correct the descriptions."
+        ) from error
     _turn_grasps(model, robot, targets)
     joint_ids = [model.joint(ROBOT_PREFIX + name).id for name in robot.joints]
     if lifting:

@@ -30,8 +30,6 @@ class HeldOut:
     """Whether this environment shows the held-out part or the rest."""
 
     def __post_init__(self) -> None:
-        if self.play not in ("rest", "held_out"):
-            raise UserError(f"HeldOut.play must be rest or held_out, got {self.play!r}.")
         if not self.colours and self.places is None:
             raise UserError(
                 "HeldOut needs colours or places to hold out: give one, or pass held_out=None."

@@ -229,6 +229,13 @@ class RunningEpisodes(EpisodeState):
                 f"The episodes show the objects {numbers.min()} to {numbers.max()}, and this "
                 f"environment has 0 to {most}; draw them with its config."
             )
+        shown = [name for name, _ in self.facets]
+        counts = np.array([shown.count(target.name) for target in self.scene.targets])
+        if ((episodes.colours < 0) | (episodes.colours >= counts[numbers])).any():
+            raise UserError(
+                "The episodes show colours that this environment does not have; draw them with its "
+                "config."
+            )
 
     def _start(self, ids: NDArray[np.intp], episodes: Episodes) -> None:
         """Put environments (k,) at the start of k episodes."""
