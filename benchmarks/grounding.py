@@ -28,7 +28,7 @@ from knowarm.experiment.graph_at_test import (
     varied_graphs,
 )
 from knowarm.experiment.names import experiment_config
-from knowarm.knowledge.formats import open_graph
+from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.damage import Damage, damaged
 from knowarm.perception.grounding import GroundingNetwork
 from knowarm.perception.grounding_training import train_grounding
@@ -56,7 +56,7 @@ def damaged_graphs(config: ExperimentConfig, arguments: argparse.Namespace) -> l
     """Return the damaged graph that alone describes and answers queries in training, if any."""
     if arguments.damage is None:
         return []
-    graph, names = open_graph(config.knowledge.graph), config.env.targets
+    graph, names = read_graph(config.knowledge.graph), config.env.targets
     graph = damaged(graph, arguments.damage, arguments.damage_share, config.seed, names)
     return [described_by(config, graph)]
 

@@ -81,7 +81,7 @@ class RobotNode(Node):
 
     def play(self, episode: Episodes, periods: int) -> bool:
         """Play one episode for at most some control periods; return whether it succeeded."""
-        self.ticks, self._queue = 0, []
+        self.ticks, self.commands, self._queue = 0, 0, []
         self.running.reset(None, {"episodes": episode})
         self.arm.command = None
         for _ in range(periods):

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from safetensors.numpy import save
 
-from knowarm.benchmark.policies import FixedList
 from knowarm.benchmark.suites import (
     FOLDER,
     Cell,
@@ -26,10 +25,10 @@ from knowarm.config import to_dict
 from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.evaluate import env_for_test
 from knowarm.experiment.names import experiment_config
-from knowarm.knowledge.formats import open_graph
+from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.damage import Damage, damaged
 from knowarm.world.agents import OracleAgent
-from knowarm.world.agents.open_loop import search_open_loop
+from knowarm.world.agents.open_loop import FixedList, search_open_loop
 from knowarm.world.agents.play import play
 from knowarm.world.config import questions_of
 from knowarm.world.envs.vector_env import ReachVectorEnv
@@ -118,7 +117,7 @@ def choose() -> Suite:
 
 def damaged_graph() -> Suite:
     """Split S1 of choose-v1, episode for episode, with graphs of which 30 % are damaged."""
-    cells, graph = [], open_graph("objects")
+    cells, graph = [], read_graph("objects")
     for robot in ("irb120", "tiago"):
         whole = read_suite("choose-v1").cells[f"{robot}-S1"]
         for kind in get_args(Damage):

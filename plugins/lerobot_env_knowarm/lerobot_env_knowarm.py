@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from knowarm import UserError
 from knowarm.benchmark.suites import Cell, read_suite
-from knowarm.world.config import questions_of
 from knowarm.world.envs.vector_env import ReachVectorEnv
 from knowarm.world.tasks.running import joint_increments
 
@@ -40,7 +39,6 @@ class BenchmarkEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._cell = read_suite(suite).cells[cell]
         config = self._cell.env
         self._arm = ReachVectorEnv(config, 1, 1, AutoresetMode.DISABLED, "rgb_array")
-        self._questions = questions_of(config)
         self.task, self.render_mode = f"{suite}/{cell}", "rgb_array"
         self._max_episode_steps = config.max_episode_steps
         scene = self._arm.scene
@@ -57,10 +55,8 @@ class BenchmarkEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     @property
     def task_description(self) -> str:
-        """The query of the current episode in words."""
-        if self._questions is None:
-            return "reach the object"
-        return self._questions.queries[self._arm.knowledge_input[0]].name
+        """The query of the current episode, or its object where there is none, as "red mug"."""
+        return self._arm.running.describe(0).split(": the ")[0]
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

@@ -20,7 +20,7 @@ from knowarm.benchmark.rows import read_row, run_suite, verify
 from knowarm.benchmark.suites import parse_suite, read_suite, suite_names
 from knowarm.cli.main import main
 from knowarm.errors import UserError
-from knowarm.knowledge.formats import open_graph
+from knowarm.knowledge.formats import read_graph
 from knowarm.reading import write_json
 from knowarm.world.config import questions_of
 from knowarm.world.envs.vector_env import ReachVectorEnv
@@ -188,7 +188,10 @@ def test_a_changed_number_is_named(stored, where, words):
 def test_rows_of_another_suite_or_format_are_refused(stored):
     row = json.loads(stored.read_text())
     stored.write_text(json.dumps(row | {"digest": "0"}))
-    with pytest.raises(UserError, match="digests differ"):
+    with pytest.raises(UserError, match=r"^(?!.*damaged).*digests differ"):
+        read_row(stored)
+    stored.write_text(json.dumps(row | {"cells": []}))
+    with pytest.raises(UserError, match="damaged"):
         read_row(stored)
     stored.write_text(json.dumps(row | {"format": 0}))
     with pytest.raises(UserError, match="no row"):
@@ -249,7 +252,7 @@ def damaged():
 
 
 def test_damaged_graphs_are_played_with_the_episodes_of_choose():
-    whole, graph = read_suite("choose-v1").cells, open_graph("objects")
+    whole, graph = read_suite("choose-v1").cells, read_graph("objects")
     for name, cell in read_suite("damaged-graph-v1").cells.items():
         intact = whole[f"{cell.env.robot}-S1"]
         assert (cell.env, cell.questions) == (intact.env, intact.questions)
@@ -302,7 +305,9 @@ def test_wrong_actions_are_refused(small, wrong):
         run_agent(PolicyAdapter(policy), ReachVectorEnv(cell.env, 12), cell.episodes)
 
 
-@pytest.mark.parametrize("spec", ["nothing", "no_module:Name", "json:Name", "json:JSONDecoder"])
+@pytest.mark.parametrize(
+    "spec", ["nothing", "no_module:Name", "json:Name", "json:JSONDecoder", "random:sample"]
+)
 def test_unknown_policies_are_refused(spec):
     with pytest.raises(UserError):
         entrant(spec)
@@ -324,6 +329,8 @@ def test_the_commands(tmp_path, monkeypatch, capsys):
     row, page = tmp_path / "rows/row.json", tmp_path / "page.html"
     row.parent.mkdir()
     assert main(["benchmark", "show"]) == 0
+    assert main(["benchmark", "run", "reach-v1", "--policy", "--out", str(row)]) == 2
+    assert "--policy needs a policy" in capsys.readouterr().err
     few = ["benchmark", "run", "reach-v1", "--policy", "oracle", "--out", str(row), "--trial"]
     assert (main([*few, "2"]), main([*few, "0"]), row.exists()) == (0, 2, False)
     assert (

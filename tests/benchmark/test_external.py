@@ -72,6 +72,11 @@ def test_damaged_and_unfit_onnx_files_are_refused(counting, tmp_path):
     onnx.save(model, tmp_path / "lacks.onnx")
     with pytest.raises(UserError, match=r"one per state.*here count"):
         entrant(str(tmp_path / "lacks.onnx"))
+    other = next(
+        cell for cell in read_suite("reach-v1").cells.values() if cell.env.robot == "tiago"
+    )
+    with pytest.raises(UserError, match=r"counting\.onnx does not take joint_targets float32"):
+        play(entrant(str(counting)).make(other), ReachVectorEnv(other.env, 1), other.episodes[:1])
     (tmp_path / "damaged.onnx").write_bytes(b"no model")
     with pytest.raises(UserError, match="Cannot read"):
         entrant(str(tmp_path / "damaged.onnx"))
@@ -101,6 +106,17 @@ def test_continuous_actions_are_played_as_the_nearest_levels():
     steps = actions_of(PolicyAdapter(policy), 1)
     np.testing.assert_array_equal(steps[0], [2, 0, 5, 3, 1, 4])
     assert (steps[1:] == 0).all()
+
+
+def test_a_model_of_other_observations_is_refused():
+    from gymnasium import spaces
+
+    model = Continuous()
+    model.observation_space = spaces.Dict(
+        {"image": spaces.Box(0, 255, (2,)), "knowledge": spaces.Box(0, 1, (2,))}
+    )
+    with pytest.raises(UserError, match="The Continuous observes knowledge; the benchmark gives"):
+        PredictingPolicy(model)
 
 
 def test_a_saved_model_of_sb3_plays(tmp_path):
@@ -160,5 +176,7 @@ def test_a_served_policy_acts_as_the_same_policy_here():
             play(made.make(wrong), ReachVectorEnv(wrong.env, 1), wrong.episodes[:1])
     finally:
         server.close()
+    with pytest.raises(UserError, match=r"The policy server at ws://.* has gone"):
+        actions_of(made.make(CELL), 2)
     with pytest.raises(UserError, match="No policy server answers"):
         entrant("ws://127.0.0.1:1")

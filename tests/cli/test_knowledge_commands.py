@@ -152,6 +152,7 @@ def test_draw(capsys, tmp_path):
         (("embed", "--out", "a.txt"), "vectors are written as"),
         (("fit", "--model", "analog"), "Did you mean 'analogy'"),
         (("fit", "--out", "a.pt"), "written as .safetensors"),
+        (("fit", "--out", "/proc/none/a.safetensors"), "Choose another path for --out"),
         (("evaluate", "none.safetensors"), "no model file"),
         (("draw", "--out", "/proc/none/a.svg"), "Cannot write"),
         (("show", "--objects", "\udcff"), r"Unknown entity '\udcff'"),

@@ -4,6 +4,9 @@ import pytest
 from PIL import Image
 
 from knowarm.cli.main import main
+from tests.source_tree import ROOT
+
+ZOO = str(ROOT / "zoo/irb120-full-fast")
 
 
 def test_a_scripted_agent_is_drawn_as_a_strip(
@@ -26,6 +29,11 @@ def test_a_scripted_agent_is_drawn_as_a_strip(
         (["irb120", "--episodes", "0"], "episodes must be at least 1, got 0"),
         (["irb120", "--seed", "-1", "--strip", "x.png"], "seed must be at least 0, got -1"),
         (["irb120", "--agent", "runs/none/0", "--strip", "x.png"], "runs/none/0"),
+        (["irb120", "--angle-deg", "0", "--strip", "x.png"], "angle_deg must be larger than 0"),
+        (
+            ["--agent", ZOO, "--colours", "randomized", "--strip", "x.png"],
+            "does not fit this environment",
+        ),
     ],
 )
 def test_mistakes_are_one_line_and_exit_code_2(

@@ -67,6 +67,14 @@ def test_meta_files_describe_the_data(dataset, frames):
     np.testing.assert_allclose(stats["max"], actions.max(0), atol=1e-5)
 
 
+def test_the_task_in_words_does_not_hold_the_answer(tmp_path):
+    to = str(tmp_path / "choose")
+    assert main(["record", "oracle", "--env.task", "choose", "--episodes", "2", "--to", to]) == 0
+    words = pq.read_table(tmp_path / "choose/meta/tasks.parquet").to_pylist()
+    assert words
+    assert not any(": the" in str(row) for row in words)
+
+
 def test_a_folder_with_files_is_left_alone(dataset, capsys):
     before = (dataset / "meta/info.json").read_bytes()
     assert main(["record", "oracle", "--episodes", "1", "--to", str(dataset)]) == 2

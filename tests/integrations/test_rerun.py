@@ -24,6 +24,9 @@ def test_an_episode_is_recorded(tmp_path, capsys):
     assert entities >= {"/camera/policy", "/camera/large", "/distance", "/angle", "/goal"}
     rows = sum(chunk.num_rows for chunk in chunks(path) if str(chunk.entity_path) == "/distance")
     assert rows > 20
+    goals = [chunk.to_record_batch() for chunk in chunks(path) if str(chunk.entity_path) == "/goal"]
+    steps = [step for batch in goals for step in batch.column("step").to_pylist()]
+    assert steps == [0, 0], "the goal stands where its episode begins"
 
 
 @pytest.mark.slow(15)

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import threading
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from trajectory_msgs.msg import JointTrajectory
 from benchmarks.deployment import by_ros
 from knowarm.errors import UserError
 from knowarm.experiment.load import load_agent
+from knowarm.integrations import ros
 from knowarm.integrations.contract import deployment, tcp_position
 from knowarm.integrations.driver import Driver, Safety, Topics
 from knowarm.integrations.ros import drive
@@ -164,6 +166,24 @@ def test_a_dry_run_sends_nothing(parts):
     cell = Cell(parts)
     assert cell.drive(dry_run=True).completed
     assert not cell.received
+
+
+@pytest.mark.parametrize(
+    ("line", "step", "stopped"), [("\n", 1, False), ("\n", 5, True), ("x", 1, True)]
+)
+def test_a_line_confirms_one_of_the_first_steps_and_ends_later_ones(
+    line, step, stopped, monkeypatch
+):
+    said = []
+    driver = SimpleNamespace(
+        steps=step,
+        safety=Safety(confirm_steps=5),
+        stop=said.append,
+        confirm=lambda: said.append(""),
+    )
+    monkeypatch.setattr("sys.stdin", [line])
+    ros._listen(driver)
+    assert ("stopped at the terminal" in said) == stopped
 
 
 def test_nobody_confirms_the_first_steps():

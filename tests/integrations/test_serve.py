@@ -2,7 +2,10 @@
 
 import contextlib
 import os
+import re
+import signal
 import subprocess
+import sys
 import threading
 import urllib.request
 from functools import partial
@@ -213,6 +216,19 @@ def test_a_client_may_vanish_in_a_step(parts, server):
     connection.send(pack(observation(parts)))
     connection.socket.close()
     assert_serves(parts, server)
+
+
+@pytest.mark.slow(10)
+def test_ctrl_c_ends_the_connections_too():
+    command = [sys.executable, "-m", "knowarm", "serve", str(ZOO / "irb120-full-fast")]
+    with subprocess.Popen([*command, "--port", "0"], stdout=subprocess.PIPE, text=True) as process:
+        address = re.search(r"ws://[\d.]+:\d+", process.stdout.readline())[0]
+        with connect(address, compression=None) as connection:
+            connection.recv()
+            process.send_signal(signal.SIGINT)
+            with pytest.raises(ConnectionClosed):
+                connection.recv(timeout=60)
+        assert process.wait(60) == 130
 
 
 def test_a_second_server_on_the_port_is_refused(parts, server):

@@ -40,7 +40,7 @@ class OnnxPolicy:
                 f"{path} must have an output for the actions and one per state (all inputs but "
                 f"image and joint_targets; here {', '.join(self._sizes) or 'none'})."
             )
-        self.inputs = tuple(self._seen & {"image"})
+        self._path, self.inputs = path, tuple(self._seen & {"image"})
         self.training = session.get_modelmeta().custom_metadata_map.get("training", "")
         self.digest = hashlib.sha256(path.read_bytes()).hexdigest()
 
@@ -51,7 +51,12 @@ class OnnxPolicy:
     def act(self, observations: Observations) -> NDArray[np.int64]:
         """Run the model."""
         given = {name: observations[name] for name in self._seen} | self._state
-        first, *states = self._session.run(None, given)
+        try:
+            first, *states = self._session.run(None, given)
+        except Exception as error:  # ONNX Runtime's errors have no common class
+            shapes = ", ".join(f"{k} {v.dtype} {v.shape}" for k, v in given.items())
+            reason = " ".join(str(error).split())
+            raise UserError(f"{self._path} does not take {shapes}: {reason}") from None
         self._state = dict(zip(self._state, states, strict=True))
         return first.argmax(-1) if first.ndim == 3 else first
 
@@ -65,6 +70,11 @@ class PredictingPolicy:
 
     def __init__(self, model: Any) -> None:
         self._model, self._names = model, getattr(model.observation_space, "spaces", ("image",))
+        if unknown := set(self._names) - {"image", "joint_targets"}:
+            raise UserError(
+                f"The {type(model).__name__} observes {', '.join(sorted(unknown))}; the benchmark "
+                "gives image and joint_targets. Play its run folder, or write a policy of your own."
+            )
         self.inputs = ("image",) if "image" in self._names else ()
         self.training = f"{type(model).__name__}, {model.num_timesteps:,} steps"
         self.seed = model.seed

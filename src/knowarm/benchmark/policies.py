@@ -25,6 +25,7 @@ from knowarm.learn.algorithms import privileged_uses
 from knowarm.own import load
 from knowarm.reading import reading
 from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
+from knowarm.world.agents.open_loop import FixedList
 from knowarm.world.config import facets_of, questions_of
 from knowarm.world.envs.vector_env import ReachVectorEnv
 from knowarm.world.tasks.running import ACTION_LEVELS, joint_increments
@@ -142,22 +143,6 @@ class _Asking:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._env, name)
-
-
-class FixedList:
-    """Plays a list of actions (T, J) in every episode."""
-
-    def __init__(self, actions: NDArray[np.int64]) -> None:
-        self._actions = actions
-
-    def start(self, env: ReachVectorEnv) -> None:
-        """Return to the beginning of the list."""
-        self._step, self._count = 0, env.num_envs
-
-    def act(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:
-        """Return the next actions (n, J)."""
-        self._step += 1
-        return np.tile(self._actions[self._step - 1], (self._count, 1))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -309,8 +294,9 @@ def _exported(spec: str, folder: Path) -> Entrant:
 
     def make(cell: Cell) -> AgentProtocol:
         table = questions_of(cell.env)
-        if table is not None and not {query.name for query in table.queries} <= set(rows):
-            raise UserError(f"{spec} has no vectors of the queries of {cell.name}.")
+        asked = {query.name for query in table.queries} if table is not None else set[str]()
+        if not asked <= set(rows) or (not asked and len(rows) > 1):
+            raise UserError(f"{spec} has no vectors of the queries of {cell.name}, or needs some.")
         if not names <= set(ReachVectorEnv(cell.env, 1).scene.robot.joints):
             raise UserError(f"{spec} moves the joints {', '.join(sorted(names))}.")
         return PolicyAdapter(policy, cell.graph)
@@ -325,7 +311,7 @@ def _user_policy(spec: str) -> Any:
     made = load(f"{module}:{name}", "policy", lambda each: each is not None, needed)
     try:
         policy = made.load(file[0]) if file else made() if callable(made) else made
-    except (AttributeError, OSError, ValueError) as error:
+    except (AttributeError, OSError, TypeError, ValueError) as error:
         raise UserError(f"Cannot make the policy {spec!r}: {error}.") from None
     return PredictingPolicy(policy) if hasattr(policy, "predict") else policy
 

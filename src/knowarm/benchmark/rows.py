@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 import knowarm
-from knowarm.benchmark.policies import Entrant, FixedList, ShuffledQueries
+from knowarm.benchmark.policies import Entrant, ShuffledQueries
 from knowarm.benchmark.suites import CONTROLS, Cell, Suite, read_suite
 from knowarm.config import differences
 from knowarm.errors import UserError, unknown_name
 from knowarm.reading import read_json
 from knowarm.statistics import bootstrap, wilson
 from knowarm.world.agents import AgentProtocol, BlindAgent, FrozenAgent
+from knowarm.world.agents.open_loop import FixedList
 from knowarm.world.agents.play import play
 from knowarm.world.config import questions_of
 from knowarm.world.envs.vector_env import ReachVectorEnv
@@ -193,12 +194,12 @@ def read_row(path: Path) -> dict[str, Any]:
     row = read_json(path)
     if not isinstance(row, dict) or row.get("format") != FORMAT:
         raise UserError(f"{path} is no row of this version's benchmark (format {FORMAT}).")
+    suite = read_suite(str(row.get("suite")))
+    if row.get("digest") != suite.digest:
+        raise UserError(f"{path} was measured on another {suite.name}: the digests differ.")
     try:
-        suite = read_suite(row["suite"])
-        if row["digest"] != suite.digest:
-            raise UserError(f"{path} was measured on another {suite.name}: the digests differ.")
         computed = row | _figures(suite, row)
-    except (KeyError, ValueError, TypeError, IndexError) as error:
+    except (AttributeError, KeyError, ValueError, TypeError, IndexError) as error:
         raise UserError(f"{path} is damaged: {error!r}. Measure the row again.") from None
     for where, (stored, follows) in differences(row, json.loads(json.dumps(computed))).items():
         raise UserError(f"{path}: {where} is {stored}, but its episodes give {follows}.")

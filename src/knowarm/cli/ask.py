@@ -12,7 +12,7 @@ from knowarm.errors import UserError, printable
 from knowarm.experiment.ask import Asked, Asker
 from knowarm.experiment.load import load_agent
 from knowarm.integrations.ask_page import make_server, serve_page, write_page
-from knowarm.knowledge.formats import open_graph
+from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.edits import edited
 from knowarm.perception.config import Unclear
 
@@ -56,7 +56,7 @@ class Ask(TableCommand):
         if self.browser and self.page is not None:
             raise UserError("--browser serves a page and writes none: leave out --page.")
         trained = load_agent(self.agent)
-        graph = open_graph(self.graph or trained.config.knowledge.graph)
+        graph = read_graph(self.graph or trained.config.knowledge.graph)
         asker = Asker(trained, self.seed)
 
         def ask(question: str, edits: tuple[str, ...], scene: int | None) -> Asked:

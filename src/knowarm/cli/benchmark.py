@@ -63,6 +63,8 @@ class RunSuite:
 
     def run(self) -> None:
         """Play, print and write."""
+        if not self.policy:
+            raise UserError("--policy needs a policy: a run folder, an ONNX file, module:Name.")
         name, suite = self.name or self.policy[0], read_suite(self.suite)
         if self.trial is None:
             check_output(self.out, "--out")  # before minutes of playing

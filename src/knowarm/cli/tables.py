@@ -1,6 +1,5 @@
 """Tables for the terminal, and the same values as JSON files."""
 
-import json
 import os
 import sys
 from collections.abc import Iterable, Mapping, Sequence
@@ -15,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from knowarm.errors import printable
-from knowarm.reading import writing
+from knowarm.reading import write_json, writing
 
 FilePath = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
 """Type of an optional file argument, such as ``--json``."""
@@ -132,5 +131,5 @@ def check_output(path: Path | None, option: str = "--json") -> None:
 def write_json_table(path: Path | None, values: Mapping[str, Any]) -> None:
     """Write the values of tables to a JSON file; None writes nothing."""
     if path is not None:
-        path.write_text(json.dumps(values, indent=2) + "\n", "utf-8")
+        write_json(path, values)
         print(f"Wrote {path}")

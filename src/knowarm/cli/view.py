@@ -9,7 +9,7 @@ import tyro
 
 from knowarm.cli.evaluate import is_scripted
 from knowarm.cli.tables import FilePath
-from knowarm.config import at_least
+from knowarm.config import above_zero, at_least
 from knowarm.errors import UserError
 from knowarm.experiment.names import task_for
 from knowarm.integrations.rerun import check_rrd, write_rrd
@@ -72,6 +72,7 @@ class View:
         """Play the episodes and show or record them."""
         at_least(self, 1, "episodes")
         at_least(self, 0, "seed")
+        above_zero(self, "angle_deg")
         if self.strip is not None:
             check_suffix(self.strip, "A film strip")
         if self.video is not None:
@@ -85,7 +86,7 @@ class View:
         config = replace(config, **{name: value for name, value in given.items() if value})
         env = ReachVectorEnv(config, 1)
         episodes = evaluation_episodes(env.config, self.episodes, self.seed)
-        agent = make_agent()
+        agent = make_agent(env)
         if self.video is None and self.strip is None and self.rrd is None:
             print(f"{self.agent} repeats its episodes ({len(episodes)}) until Ctrl-C.")
             title = f"KnowArm: {env.scene.robot.name}, {self.agent}"
@@ -117,17 +118,23 @@ class View:
 
         return known_in_episode(agent, env, image)
 
-    def _agent(self) -> tuple[Callable[[], AgentProtocol], EnvConfig]:
+    def _agent(self) -> tuple[Callable[[ReachVectorEnv], AgentProtocol], EnvConfig]:
         """Return a constructor of the agent, and its environment's config."""
         if is_scripted(self.agent):
             robot = self.robot or DEFAULT_ROBOT
             config = EnvConfig(robot=robot, task=task_for(task_type(self.task).kind_of()))
-            return lambda: SCRIPTED_AGENTS[self.agent].make(self.seed), config
-        from knowarm.experiment.load import load_agent  # imports torch, which takes seconds
+            return lambda env: SCRIPTED_AGENTS[self.agent].make(self.seed), config
+        from knowarm.experiment.evaluate import check_fits  # imports torch, which takes seconds
+        from knowarm.experiment.load import load_agent
 
         trained = load_agent(self.agent, seed=self.seed)
         config = trained.config.env
         if self.robot is not None and find_robot(self.robot) != find_robot(config.robot):
             robots = f"robot {config.robot!r}, not on {self.robot!r}"
             raise UserError(f"The run {self.agent} was trained on {robots}: leave out the robot.")
-        return lambda: trained.agent, config
+
+        def make(env: ReachVectorEnv) -> AgentProtocol:
+            check_fits(trained, env, knows_task=False)
+            return trained.agent
+
+        return make, config

@@ -181,7 +181,7 @@ def evaluate(
     try:
         if trained is not None:
             agent, table = agent_for_test(trained, judged, config)
-            _check_fits(trained, env, knows_task=table is not None or agent is not trained.agent)
+            check_fits(trained, env, knows_task=table is not None or agent is not trained.agent)
         fixed = _episodes(env, config)
         if config.lift and judged.task.solid:
             raise UserError("lift=True lifts where episodes of a task without solid objects end.")
@@ -296,7 +296,7 @@ def agent_for_test(
     return trained.answering(answers, config.unclear), None
 
 
-def _check_fits(trained: TrainedAgent, env: ReachVectorEnv, *, knows_task: bool) -> None:
+def check_fits(trained: TrainedAgent, env: ReachVectorEnv, *, knows_task: bool) -> None:
     """Check that an agent, with knowledge of the task or of its own, can play in an environment."""
     own, new = trained.policy.shape, (env.scene.num_joints, env.config.image_size)
     found: dict[str, Any] = {"joints, image size": ((own.joints, own.image_size), new)}

@@ -11,7 +11,7 @@ from knowarm.errors import UserError
 from knowarm.experiment.config import EvaluationConfig, ExperimentConfig
 from knowarm.experiment.graph_queries import GraphQueries
 from knowarm.knowledge import KnowledgeGraph, query_embedding, scene_embedding
-from knowarm.knowledge.formats import open_graph
+from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.builder import shuffle_tails
 from knowarm.knowledge.graph.damage import damaged
 from knowarm.knowledge.graph.terms import local_name
@@ -53,12 +53,12 @@ def graph_at_test(
             "out."
         )
     if how.damage is not None:
-        graph = open_graph(config.knowledge.graph) if graph is None else graph
+        graph = read_graph(config.knowledge.graph) if graph is None else graph
         graph = damaged(graph, how.damage, how.damage_share, how.damage_seed, _names(env))
     if how.repair is not None:
         from knowarm.knowledge.kge.completion import completed  # training is needed here only
 
-        graph = open_graph(config.knowledge.graph) if graph is None else graph
+        graph = read_graph(config.knowledge.graph) if graph is None else graph
         graph = completed(graph, _names(env), model=how.repair, seed=how.damage_seed)
     return graph
 
@@ -73,7 +73,7 @@ def with_graph(config: ExperimentConfig, path: str) -> ExperimentConfig:
         path: of the graph, or the name of a shipped one.
     """
     _questions(config.env)
-    known = described(open_graph(path), _names(config.env))
+    known = described(read_graph(path), _names(config.env))
     shown = [name for name, is_known in zip(config.env.targets, known, strict=True) if is_known]
     if len(shown) < config.env.task.visible:
         raise UserError(
@@ -119,7 +119,7 @@ def described_by(config: ExperimentConfig, graph: KnowledgeGraph) -> DescribedGr
 def varied_graphs(config: ExperimentConfig) -> list[DescribedGraph]:
     """Return what `GroundingConfig.graphs` asks for: the agent's graph, and others; or nothing."""
     count = config.grounding.graphs if config.grounding is not None else 0
-    graph = open_graph(config.knowledge.graph)
+    graph = read_graph(config.knowledge.graph)
     seeds = (derive_seed(config.seed, "placebos", number) for number in range(count))
     graphs = [graph, *(shuffle_tails(graph, seed) for seed in seeds)]
     return [described_by(config, each) for each in graphs] if count else []
@@ -146,7 +146,7 @@ def answer_table(
             facts, so that only a query's colour restricts the answers.
     """
     queries, source = _questions(env).queries, config.knowledge.source
-    graph = open_graph(config.knowledge.graph) if graph is None else graph
+    graph = read_graph(config.knowledge.graph) if graph is None else graph
     graph = source.change_graph(graph, source.draw_seed(config.knowledge.seed, config.seed))
     if control == "graph-shuffled":
         graph = shuffle_tails(graph, derive_seed(config.seed, "placebos"))

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 from knowarm.config import override
-from knowarm.knowledge.formats import SHIPPED, open_graph
+from knowarm.knowledge.formats import SHIPPED, read_graph
 from knowarm.knowledge.queries.queries import Pairs
 from knowarm.knowledge.queries.splits import HELD_OUT, QuerySplits, Split, query_splits
 from knowarm.questions import ObjectColour, QuestionTable
@@ -49,13 +49,13 @@ class GraphQueries(QuerySource):
     def splits(self, facets: tuple[ObjectColour, ...], objects: int) -> QuerySplits:
         """Make the tables of training and of all tests."""
         return query_splits(
-            open_graph(self.graph),
+            read_graph(self.graph),
             facets,
             seed=self.seed,
             pairs=self.pairs,
             objects=objects,
             hold_out=self.hold_out,
-            edited=None if self.edited is None else open_graph(self.edited),
+            edited=None if self.edited is None else read_graph(self.edited),
         )
 
 

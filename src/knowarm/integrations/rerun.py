@@ -44,6 +44,8 @@ def write_rrd(
         time = 0
         for number, frames in enumerate(episodes):
             recording.set_time("episode", sequence=number)
+            recording.set_time("step", sequence=0)
+            recording.set_time("time", duration=time / FRAMES_PER_S)
             recording.log("goal", rerun.TextLog(frames[0].goal or "reach"))
             for name, values in known[number].items() if known else ():
                 kind = rerun.BarChart if values.ndim == 1 else rerun.Tensor

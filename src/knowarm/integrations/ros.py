@@ -104,7 +104,7 @@ def drive(driver: Driver, topics: Topics) -> None:
 
 def _listen(driver: Driver) -> None:
     for line in sys.stdin:
-        if line.strip():
+        if line.strip() or driver.steps >= driver.safety.confirm_steps:
             driver.stop("stopped at the terminal")
         driver.confirm()
     if driver.steps < driver.safety.confirm_steps and not driver.safety.dry_run:

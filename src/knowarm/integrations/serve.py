@@ -120,11 +120,14 @@ class PolicyServer:
         self.port: int = self._server.socket.getsockname()[1]
 
     def run(self) -> None:
-        """Serve until `close`."""
-        self._server.serve_forever()
+        """Serve until `close` or an exception such as Ctrl-C, which ends the connections."""
+        try:
+            self._server.serve_forever()
+        finally:
+            self.close()
 
     def close(self) -> None:
-        """Stop listening."""
+        """Stop listening, and end the connections."""
         self._server.shutdown()
 
     def _request(self, connection: ServerConnection, request: Any) -> Any:
@@ -197,8 +200,11 @@ class Client:
     def step(self, image: np.ndarray) -> np.ndarray:
         """Return the joint targets (J,) that follow an image (H, W, 3) uint8 RGB."""
         seen = {IMAGE: image, STATE: self.targets, RESET: self._reset, **self._prompt}
-        self._link.send(pack(seen))
-        answer, self._reset = self._link.recv(), False
+        try:
+            self._link.send(pack(seen))
+            answer, self._reset = self._link.recv(), False
+        except (OSError, WebSocketException) as error:
+            raise UserError(f"The policy server at {self._url} has gone: {error}.") from None
         actions = [] if isinstance(answer, str) else unpack(answer).get("actions", [])
         if np.shape(actions)[1:] != self.targets.shape:
             raise UserError(f"The policy server at {self._url} refuses: {answer!r:.300}")

@@ -12,7 +12,7 @@ import numpy as np
 
 from knowarm.errors import UserError
 from knowarm.knowledge.config import KnowledgeConfig, Scope
-from knowarm.knowledge.formats import open_graph
+from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.slots import ConditionSlots, Described, FacetSlots, graph_parts, slots_of
 from knowarm.knowledge.vectors.source import (
@@ -166,7 +166,7 @@ class QueryEmbedding(Embedding):
         colour is found at one place in all queries; the rest is zero.
 
         Raises:
-            UserError: a query has a condition without a slot.
+            UserError: no slot describes a condition.
         """
         if not self.slots:
             return np.zeros((len(queries), 0), np.float32)
@@ -277,7 +277,7 @@ def _embed(
         return _Embedded(matrix, sentences, coverage)
     seed = source.draw_seed(config.seed, run_seed)
     if source.described:
-        graph = open_graph(config.graph) if graph is None else graph
+        graph = read_graph(config.graph) if graph is None else graph
         graph = slots.complete(graph, config)
         changed = source.change_graph(graph, seed)
         described = slots.describe(changed, config, seed)
@@ -325,9 +325,8 @@ def _vectors(
         vector = pool([lookup.find(p, coverage) for p in labels], config.pooling, centre)
         if own is not None and config.colour_share is not None:
             hue = pool([lookup.find(own, coverage)], config.pooling, hue_centre)
-            length = np.linalg.norm(vector)
-            vector = (1 - config.colour_share) * _unit(vector) + config.colour_share * _unit(hue)
-            vector = vector * length
+            share, length = config.colour_share, np.linalg.norm(vector)
+            vector = ((1 - share) * _unit(vector) + share * _unit(hue)) * length
         rows.append(vector if config.slot_norm is None else _unit(vector) * config.slot_norm)
     return np.array(rows, np.float32)
 
@@ -343,8 +342,7 @@ def _centre(lookup: VectorLookup, parts: Sequence[SentencePart]) -> np.ndarray:
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:
-    length = np.linalg.norm(vector)
-    if length == 0:
+    if not (length := np.linalg.norm(vector)):
         raise UserError(
             "A slot's vector is zero, so it cannot be scaled: no word of its sentence is known. "
             "Give aliases, or use on_missing='hash'."

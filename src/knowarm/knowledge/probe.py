@@ -9,7 +9,7 @@ import scipy
 
 from knowarm.knowledge.config import KnowledgeConfig
 from knowarm.knowledge.embedding import query_embedding, scene_embedding
-from knowarm.knowledge.formats import open_graph
+from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.terms import label_of, local_name
 from knowarm.knowledge.queries.queries import QueryGraph
@@ -75,7 +75,7 @@ def probe(
     names = tuple(slot.name for slot in task.slots)
     if config.source.placebo or config.detail == "none":
         return Probe(slots=names, cosine=cosine, recovered={})
-    graph = open_graph(config.graph)
+    graph = read_graph(config.graph)
     everything = scene_embedding(config, _population(graph, facets, config))
     vectors = everything.matrix.astype(np.float64)
     vectors /= np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)

@@ -8,7 +8,7 @@ import numpy as np
 
 from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge.config import FULL, KnowledgeConfig
-from knowarm.knowledge.formats import open_graph
+from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.builder import with_facts
 from knowarm.knowledge.graph.graph import KnowledgeGraph, gamma
 from knowarm.knowledge.graph.terms import label_of, local_name
@@ -275,7 +275,7 @@ def _subgraphs(
     config: KnowledgeConfig, facets: Sequence[ObjectColour], run_seed: int
 ) -> tuple[KnowledgeGraph, dict[str, KnowledgeGraph]]:
     """Return the graph that slots are described by, and the subgraph of each by its name."""
-    slots, source, graph = slots_of(config, facets), config.source, open_graph(config.graph)
+    slots, source, graph = slots_of(config, facets), config.source, read_graph(config.graph)
     if not slots:
         return graph, {}
     seed, scene = source.draw_seed(config.seed, run_seed), FacetSlots(slots)

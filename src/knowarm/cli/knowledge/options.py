@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self
 import tyro
 
 from knowarm.cli.arguments import parse_options, take_source
-from knowarm.cli.tables import TableCommand
+from knowarm.cli.tables import TableCommand, check_output
 from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge import FULL, KnowledgeConfig, KnowledgeGraph, read_graph
-from knowarm.knowledge.formats import open_graph
 from knowarm.knowledge.slots import graph_facets
 from knowarm.reading import writing as writing_file
 from knowarm.world.config import EnvConfig, facets_of
@@ -35,8 +34,6 @@ class GraphOptions:
 
     def read(self) -> KnowledgeGraph:
         """Read the graph."""
-        if self.graph is None or self.format is None:
-            return open_graph(self.graph)
         return read_graph(self.graph, self.format)
 
 
@@ -106,7 +103,7 @@ class SceneOptions(TableCommand):
             if name in TARGETS:
                 pairs = [(name, colour) for colour in TARGETS[name].colours]
             else:
-                graph, named = open_graph(config.graph), config.graph_name(name)
+                graph, named = read_graph(config.graph), config.graph_name(name)
                 found = graph_facets([named], graph, config.colour_relation)
                 pairs = [(name, colour) for _, colour in found]
             facets += pairs[:1] if self.colours == "fixed" else pairs
@@ -117,6 +114,7 @@ def check_suffix(path: Path | None, what: str, suffixes: Sequence[str]) -> None:
     """Refuse an output file of another type before the work whose result it will hold."""
     if path is not None and path.suffix not in suffixes:
         raise UserError(f"--out {path}: {what} are written as {', '.join(suffixes)}.")
+    check_output(path, "--out")
 
 
 @contextmanager

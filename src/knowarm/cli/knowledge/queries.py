@@ -13,7 +13,7 @@ from knowarm.config import at_least, check_values
 from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge import KnowledgeGraph, gamma, write_graph
 from knowarm.knowledge.draw import draw_svg
-from knowarm.knowledge.formats import WRITERS, open_graph
+from knowarm.knowledge.formats import WRITERS, read_graph
 from knowarm.knowledge.graph.builder import difference, union
 from knowarm.knowledge.graph.graph import Direction
 from knowarm.knowledge.graph.sparql import sparql
@@ -77,7 +77,7 @@ class Queries(GraphOptions, TableCommand):
             return self._print_agreement(self.agent, asked)
         names = ("seed", "pairs", "hold_out")
         options: dict[str, Any] = {name: getattr(self, name) for name in names}
-        edited = None if self.edited is None else open_graph(self.edited)
+        edited = None if self.edited is None else read_graph(self.edited)
         count = self.objects_per_episode
         splits = query_splits(graph, facets, objects=count, edited=edited, **options)
         if self.split is not None:
@@ -222,9 +222,9 @@ class Subgraph(SelectionOptions, TableCommand):
         check_suffix(self.out, "graphs", tuple(WRITERS))
         graph = self.read()
         if self.union is not None:
-            graph = union(graph, open_graph(self.union))
+            graph = union(graph, read_graph(self.union))
         if self.minus is not None:
-            graph = difference(graph, open_graph(self.minus))
+            graph = difference(graph, read_graph(self.minus))
         if self.sparql is not None:
             answer = sparql(graph, _text(self.sparql))
             if answer.graph is None:

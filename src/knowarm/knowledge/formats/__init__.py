@@ -56,18 +56,18 @@ facts that can be asked; "purposes" what parts of objects are grasped for; "fami
 of families, written by ``scripts/draw_families.py``."""
 
 
-def read_graph(path: str | Path, format: str | None = None) -> KnowledgeGraph:
+def read_graph(path: str | Path | None = None, format: str | None = None) -> KnowledgeGraph:
     """Read a graph from a file, or from a folder of OpenKE files.
 
     Args:
-        path: the file or folder, or the name of a shipped graph.
+        path: the file or folder, or the name of a shipped graph; None is "household".
         format: key of `FORMATS`; None takes the format of the suffix.
 
     Raises:
         UserError: there is no such file, the format is unknown, or the file is malformed.
     """
-    if str(path) in SHIPPED:
-        return shipped_graph(str(path))
+    if path is None or str(path) in SHIPPED:
+        return shipped_graph(str(path or "household"))
     path = Path(path)
     if not path.exists():
         raise UserError(
@@ -106,11 +106,6 @@ def shipped_graph(name: str) -> KnowledgeGraph:
 def household() -> KnowledgeGraph:
     """Return the shipped household graph."""
     return shipped_graph("household")
-
-
-def open_graph(graph: str | Path | None) -> KnowledgeGraph:
-    """Return a graph by the name of a shipped one or by its path; None is the household graph."""
-    return read_graph("household" if graph is None else graph)
 
 
 def _format_of(path: Path) -> str:

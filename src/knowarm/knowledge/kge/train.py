@@ -16,7 +16,7 @@ from torch.nn.functional import cross_entropy
 
 from knowarm.config import from_dict
 from knowarm.cores import torch_threads
-from knowarm.errors import UserError
+from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.kge.models import MODELS, KgeModel
@@ -106,6 +106,8 @@ def _ranks(model: KgeModel, triples: np.ndarray, known: np.ndarray, batch_size: 
 
 def new_model(config: KgeConfig, entities: int, relations: int) -> KgeModel:
     """Make an untrained model."""
+    if config.model not in MODELS:
+        raise unknown_name("graph-embedding model", config.model, MODELS)
     kind = MODELS[config.model]
     if config.dim < 4 or config.dim % kind.divisor:
         even = " and even (it holds pairs)" if kind.divisor == 2 else ""

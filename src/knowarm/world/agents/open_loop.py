@@ -49,7 +49,23 @@ REVISION = 1  # Part of the cache's key; to be increased with every change of th
 Actions = NDArray[np.int64]  # A list of actions: indices into ``ACTION_LEVELS``, (T, J)
 
 
-class OpenLoopAgent:
+class FixedList:
+    """Plays a list of actions (T, J) in every episode."""
+
+    def __init__(self, actions: Actions) -> None:
+        self._actions = actions
+
+    def start(self, env: ReachVectorEnv) -> None:
+        """Return to the beginning of the list."""
+        self._step, self._num_envs = 0, env.num_envs
+
+    def act(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:
+        """Return the next action for every environment, (n, J)."""
+        self._step += 1
+        return np.tile(self._actions[self._step - 1], (self._num_envs, 1))
+
+
+class OpenLoopAgent(FixedList):
     """Searches for the best fixed list of actions of a task, then plays it in every episode.
 
     The search scores ``budget`` candidates, on episodes that no evaluation of any seed has.
@@ -62,13 +78,7 @@ class OpenLoopAgent:
     def start(self, env: ReachVectorEnv) -> None:
         """Search, once per task and process, and return to the list's first action."""
         self._actions = search_open_loop(env.config, self._budget, self._seed)
-        self._num_envs = env.num_envs
-        self._step = 0
-
-    def act(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:
-        """Return the next action for every environment, (n, J)."""
-        self._step += 1
-        return np.tile(self._actions[self._step - 1], (self._num_envs, 1))
+        super().start(env)
 
 
 @lru_cache(maxsize=16)

@@ -8,11 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.errors import UserError
-from knowarm.world.render.cpu_kernels import Scratch, Stored, render_range, trace_field
+from knowarm.world.render.cpu_kernels import Scratch, Stored, render_range
 from knowarm.world.render.fill_loops import PROJECTION, Field
 from knowarm.world.render.numeric import FAR
 from knowarm.world.render.scenery import read_lamps, read_scenery, read_view
-from knowarm.world.render.tiles import ANTIALIASING, EXTENT, RECORD, TILE, TileGrid, make_grid
+from knowarm.world.render.tiles import (
+    ANTIALIASING,
+    BITS,
+    EXTENT,
+    RECORD,
+    TILE,
+    TileGrid,
+    make_grid,
+)
 
 MAX_SIDE = 4096
 
@@ -34,7 +42,6 @@ class Trace(NamedTuple):
     geom: NDArray[np.int32]  # Id of the geom, -1 for none, (n, H, W)
     # Distance from the eye along the pixel's ray [m], -1 for none, (n, H, W)
     distance: NDArray[np.float32]
-    normal: NDArray[np.float32]  # Outward unit normal, world, zero for none, (n, H, W, 3)
 
 
 class Raycaster:
@@ -161,21 +168,21 @@ class Raycaster:
                 "Raycaster.trace needs antialiasing=False, because the rays of one pixel can hit "
                 "different geoms; construct another Raycaster for it."
             )
-        positions, matrices = poses = self._poses(geom_position, geom_matrix)
-        seen = self._appearance(len(positions), geom_rgba, None, None)
-        shape = (len(positions), self.height, self.width)
-        result = Trace(
-            np.empty(shape, dtype=np.int32),
-            np.empty(shape, dtype=np.float32),
-            np.empty((*shape, 3), dtype=np.float32),
-        )
-        for e in range(len(positions)):
+        count, grid = len(geom_position), self.grid
+        poses = self._poses(geom_position, geom_matrix)
+        seen = self._appearance(count, geom_rgba, None, None)
+        columns, rows = np.arange(self.width), np.arange(self.height)[:, None]
+        place = ((columns >> BITS) * grid.rows + rows) * TILE + (columns & (TILE - 1))
+        x, y = grid.left + columns * grid.pixel, grid.top - rows * grid.step
+        length = np.sqrt(x * x + y * y + 1)
+        geom = np.empty((count, self.height, self.width), dtype=np.int32)
+        distance = np.empty(geom.shape, dtype=np.float32)
+        for e in range(count):
             self._draw_range(e, e + 1, poses, seen, 0, None)
-            trace_field(
-                self._scratch[0].field, positions[e], matrices[e], self.view, self.scenery,
-                self.grid, result.geom[e], result.distance[e], result.normal[e],
-            )  # fmt: skip
-        return result
+            depth, ids = self._scratch[0].field
+            geom[e] = ids[place]
+            distance[e] = np.where(geom[e] < 0, -1, depth[place] * length)
+        return Trace(geom, distance)
 
     def _draw_fixed(self, data: mujoco.MjData, background: tuple[float, float, float]) -> Stored:
         """Draw the background and the geoms that stand still."""

@@ -1,36 +1,27 @@
-"""CPU kernels of the ray caster: images and geom ids of environments, and normals of pixels.
+"""CPU kernels of the ray caster: images and geom ids of environments.
 
 An image starts as the stored image of the geoms that stand still. The other geoms are projected
 first, so that only the tiles that any of them covers are drawn again.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from knowarm.world.render.fill_loops import Field, corners, fill_mesh, fill_primitive
-from knowarm.world.render.intersections import MESH, face_planes, intersect, triangle
+from knowarm.world.render.fill_loops import Field, fill_mesh, fill_primitive
+from knowarm.world.render.intersections import MESH
 from knowarm.world.render.numeric import (
-    FAR,
-    ONE,
-    TINY,
-    ZERO,
     Vector,
     cached_njit,
-    dot,
     light_geom,
     nine,
     scalar,
-    times,
-    to_local,
-    to_parent,
     triple,
 )
-from knowarm.world.render.scenery import Meshes, Scenery
-from knowarm.world.render.tiles import BITS, TILE, TileGrid, project_geom, sample_point
+from knowarm.world.render.scenery import Scenery
+from knowarm.world.render.tiles import BITS, TILE, TileGrid, project_geom
 
 
 class Stored(NamedTuple):
@@ -225,57 +216,3 @@ def render_range(
             for i in range(size):
                 image[i] = old[i]
             _average(field[1], dirty, grid, out.shape[2], image)
-
-
-@njit(error_model="numpy")
-def _mesh_normal(meshes: Meshes, geom: int, origin: Vector, direction: Vector) -> Vector:
-    """Return the unit normal of the triangle that a ray hits first, in the geom's frame."""
-    best, result = FAR, (ZERO, ZERO, ZERO)
-    for f in range(meshes.span[geom, 2], meshes.span[geom, 3]):
-        a, b, c = corners(meshes, f, origin)
-        planes = face_planes(a, b, c)
-        t, _ = triangle(planes, direction)
-        if t < best:
-            best, result = t, planes[3]
-    return times(result, ONE / math.sqrt(max(dot(result, result), TINY * TINY)))
-
-
-@cached_njit
-def trace_field(
-    field: Field,
-    position: NDArray[np.float32],
-    matrix: NDArray[np.float32],
-    view: NDArray[np.float32],
-    scenery: Scenery,
-    grid: TileGrid,
-    geom: NDArray[np.int32],
-    distance: NDArray[np.float32],
-    normal: NDArray[np.float32],
-) -> None:
-    """Read what an environment's samples show, as drawn with ``ids``, with one sample per pixel.
-
-    Written are ``geom`` ids (H, W), distances (H, W) [m], both -1 for none, and world normals
-    (H, W, 3), 0 for none.
-    """
-    camera = nine(view, 3)
-    for j in range(geom.shape[0]):
-        for i in range(geom.shape[1]):
-            place = ((i >> BITS) * grid.rows + j) * TILE + (i & (TILE - 1))
-            g = field[1][place]
-            geom[j, i] = g
-            distance[j, i] = -1
-            normal[j, i] = 0
-            if g < 0:
-                continue
-            x, y = sample_point(np.int32(i), np.int32(j), grid)
-            ray = (x, y, -ONE)
-            distance[j, i] = field[0][place] * math.sqrt(dot(ray, ray))
-            p, m = triple(position[g], 0), nine(matrix[g], 0)
-            origin = to_local(m, (view[0] - p[0], view[1] - p[1], view[2] - p[2]))
-            direction = to_local(m, to_parent(camera, ray))
-            if scenery.kind[g] == MESH:
-                n = _mesh_normal(scenery.meshes, g, origin, direction)
-            else:
-                size = triple(scenery.size[g], 0)
-                n = intersect(scenery.kind[g], origin, direction, size)[1]
-            normal[j, i, 0], normal[j, i, 1], normal[j, i, 2] = to_parent(m, n)

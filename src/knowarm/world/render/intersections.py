@@ -46,22 +46,6 @@ Faces = tuple[Vector, Vector, Vector, Vector, np.float32]
 
 
 @scalar
-def intersect(kind: np.int32, origin: Vector, direction: Vector, size: Vector) -> Hit:
-    """Intersect a ray with a primitive of any type."""
-    if kind == BOX:
-        return box(origin, direction, size)
-    if kind == CYLINDER:
-        return cylinder(origin, direction, size)
-    if kind == CAPSULE:
-        return capsule(origin, direction, size)
-    if kind == SPHERE:
-        return sphere(origin, direction, size)
-    if kind == ELLIPSOID:
-        return ellipsoid(origin, direction, size)
-    return plane(origin, direction, size)
-
-
-@scalar
 def plane(origin: Vector, direction: Vector, size: Vector) -> Hit:
     """Intersect z = 0 from above; a half-size of 0 is infinite."""
     down = direction[2] < -TINY
