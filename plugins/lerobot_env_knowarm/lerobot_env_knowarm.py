@@ -56,7 +56,7 @@ class BenchmarkEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     @property
     def task_description(self) -> str:
         """The query of the current episode, or its object where there is none, as "red mug"."""
-        return self._arm.running.describe(0).split(": the ")[0]
+        return self._arm.running.instruct(0)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

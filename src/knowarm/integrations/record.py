@@ -97,7 +97,7 @@ class _Writer:
         texts: list[str] = []
         for moment in play_steps(agent, env, chunk):
             if before is None:
-                texts = [env.running.describe(i).split(": the ")[0] for i in range(count)]
+                texts = [env.running.instruct(i) for i in range(count)]
             else:
                 assert moment.actions is not None
                 for i in np.flatnonzero(moment.played):

@@ -104,7 +104,7 @@ def make_vector_env(
     Raises:
         UserError: a device is combined with an argument of the NumPy environment.
     """
-    config = env_config(**options)
+    config, autoreset = env_config(**options), AutoresetMode(autoreset)
     if device is None:
         return ReachVectorEnv(config, num_envs, num_threads, autoreset, render_mode)
     if (autoreset, render_mode) != (AutoresetMode.SAME_STEP, None):

@@ -134,6 +134,10 @@ class RunningEpisodes(EpisodeState):
         """Row of the knowledge table for each current episode, (n,) int64: facet, or query."""
         return self.task.knowledge_input(self)
 
+    def instruct(self, env_id: int) -> str:
+        """Return the goal of an environment's episode as a policy may know it; see `Task`."""
+        return self.task.instruct(self, self.setting, env_id)
+
     def describe(self, env_id: int) -> str:
         """Describe the goal of an environment's episode, as "red mug"."""
         return self.task.describe(self, self.setting, env_id)

@@ -170,6 +170,13 @@ class Task:
         """Return further numbers of an interim evaluation, computed from ``columns``."""
         return {}
 
+    def instruct(self, state: EpisodeState, setting: Setting, env_id: int) -> str:
+        """Return an episode's goal in words that a policy may know: without the answer to a query.
+
+        Recorded datasets have it as their task.
+        """
+        return self.describe(state, setting, env_id)
+
     def describe(self, state: EpisodeState, setting: Setting, env_id: int) -> str:
         """Describe the goal of one episode, as "red mug"."""
         target = state.scene.targets[int(state.objects[env_id, 0])]

@@ -146,10 +146,14 @@ class Choose(Task):
         """Return the share of episodes that ended nearest to the right object."""
         return {"choice": float(columns["choice_correct"].mean())}
 
+    def instruct(self, state: EpisodeState, setting: Setting, env_id: int) -> str:
+        """Return the question, as "usedFor drinking"."""
+        return self.knowledge_rows(setting.facets)[int(state.question[env_id])]
+
     def describe(self, state: EpisodeState, setting: Setting, env_id: int) -> str:
         """Describe the question and its answer, as "usedFor drinking: the red mug"."""
-        query = self.knowledge_rows(setting.facets)[int(state.question[env_id])]
-        return f"{query}: the {super().describe(state, setting, env_id)}"
+        answer = super().describe(state, setting, env_id)
+        return f"{self.instruct(state, setting, env_id)}: the {answer}"
 
 
 @dataclass(frozen=True, kw_only=True)
