@@ -160,6 +160,7 @@ def test_an_exported_policy_acts_as_the_same_policy_here(tmp_path, monkeypatch):
 
 def test_a_served_policy_acts_as_the_same_policy_here():
     pytest.importorskip("websockets")
+    pytest.importorskip("msgpack")
     from knowarm.integrations.contract import deployment
     from knowarm.integrations.serve import PolicyServer
 
