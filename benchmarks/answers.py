@@ -176,7 +176,8 @@ def main() -> None:
             for reasoning in (*arguments.reasoning, "graph-shuffled", "colours"):
                 how = override(EvaluationConfig(), {"split": split, "reasoning": reasoning})
                 found = measure(trained, task, how)
-                print(split, reasoning, *(f"{n} {percent(v)}" for n, v in found.items()))
+                run = (trained.config.name, trained.config.seed, f"episodes {seed}", split)
+                print(*run, reasoning, *(f"{n} {percent(v)}" for n, v in found.items()))
 
 
 if __name__ == "__main__":

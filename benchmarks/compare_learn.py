@@ -16,6 +16,7 @@ import numpy as np
 import torch
 import tyro
 from gymnasium import spaces
+from gymnasium.wrappers.vector import TransformReward
 from sb3_contrib import RecurrentPPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
@@ -94,6 +95,14 @@ def compare_learn(config: CompareLearnConfig) -> dict[str, Any]:
     }
 
 
+def sb3_environments(
+    vector: ReachVectorEnv, table: np.ndarray, ppo: PPOConfig, seed: int
+) -> SB3VecEnv:
+    """Return the environment that Stable-Baselines3 learns from, with rewards scaled as ours."""
+    observed = VectorKnowledgeObservation(vector, table)
+    return SB3VecEnv(TransformReward(observed, lambda r: ppo.reward_scale * r), seed=seed)
+
+
 def sb3_row(config: CompareLearnConfig, *, opengl: bool) -> Row:
     """Measure RecurrentPPO on KnowArm's vector environment, or on single ones with OpenGL."""
     chosen, ppo = experiment_config(config.experiment), config.ppo()
@@ -107,7 +116,7 @@ def sb3_row(config: CompareLearnConfig, *, opengl: bool) -> Row:
         )
     else:
         vector = ReachVectorEnv(chosen.env, ppo.num_envs, num_threads=config.cores)
-        env = SB3VecEnv(VectorKnowledgeObservation(vector, parts.table), seed=config.seed)
+        env = sb3_environments(vector, parts.table, ppo, config.seed)
     clock = RolloutClock(config.seconds)
     model = recurrent_ppo(parts.new_policy(0), ppo, env, seed=config.seed)
     model.learn(10**9, callback=clock)
@@ -129,7 +138,7 @@ def sb3_success_row(config: CompareLearnConfig) -> Row:
     chosen, ppo = experiment_config(config.experiment), config.ppo()
     parts = build(chosen)
     vector = ReachVectorEnv(chosen.env, ppo.num_envs, num_threads=config.cores)
-    env = SB3VecEnv(VectorKnowledgeObservation(vector, parts.table), seed=config.seed)
+    env = sb3_environments(vector, parts.table, ppo, config.seed)
     model = recurrent_ppo(parts.new_policy(0), ppo, env, seed=config.seed)
     callback = SuccessCallback(chosen.env, parts.table, config.success_steps)
     model.learn(10**9, callback=callback)

@@ -1,4 +1,4 @@
-"""Lifts from exact grasp poses: every object of the lift test, on a grid of random places.
+"""Lifts from exact grasp poses: every object of the lift test, at random places.
 
 The upper bound of `knowarm evaluate --lift`: the gripper comes straight along the approach
 direction, without the steps of the task, and stands in the grasp frame when its fingers close.

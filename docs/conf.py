@@ -22,8 +22,14 @@ myst_enable_extensions = ["colon_fence", "html_image"]
 myst_heading_anchors = 4
 suppress_warnings = ["myst.xref_missing"]  # scripts/check_site.py checks every link
 
-# Notebooks run when the site is built; their output is kept until the package changes.
-SOURCES = sorted(Path(__file__).parents[1].glob("src/**/*.py"))
+# Notebooks run when the site is built; their output is kept until what they read changes.
+READ = ("src/**/*.*", "docs/results/*.*", "docs/notebooks/*.py", "scripts/*.py", "zoo/**/*.*")
+SOURCES = sorted(
+    file
+    for each in READ
+    for file in Path(__file__).parents[1].glob(each)
+    if file.is_file() and file.suffix != ".pyc"
+)
 DIGEST = hashlib.sha256(b"".join(path.read_bytes() for path in SOURCES)).hexdigest()[:12]
 nb_execution_mode = "cache"
 nb_execution_cache_path = str(Path(__file__).parent / "_build" / f".notebooks-{DIGEST}")

@@ -190,7 +190,11 @@ def test_rows_of_another_suite_or_format_are_refused(stored):
     stored.write_text(json.dumps(row | {"digest": "0"}))
     with pytest.raises(UserError, match=r"^(?!.*damaged).*digests differ"):
         read_row(stored)
-    stored.write_text(json.dumps(row | {"cells": []}))
+    for wrong in ({"cells": []}, {"name": 7}, {"policy": {}}):
+        stored.write_text(json.dumps(row | wrong))
+        with pytest.raises(UserError, match="damaged"):
+            read_row(stored)
+    stored.write_text(json.dumps(row | {"policy": row["policy"] | {"inputs": [1]}}))
     with pytest.raises(UserError, match="damaged"):
         read_row(stored)
     stored.write_text(json.dumps(row | {"format": 0}))

@@ -74,6 +74,8 @@ def test_a_curve_of_one_point_has_an_axis(step):
     line = Series(name="a", colour="c-blue", x=np.array([step]), y=np.array([0.5]))
     root = ElementTree.fromstring(line_chart([line], "name", Axis(title="x"), Axis(title="y")))
     assert root.get("width")
+    ticks = [each.text for each in root.iter() if each.get("class") == "tick"]
+    assert len(ticks) == len(set(ticks))
 
 
 def test_a_scale_holds_what_it_was_fitted_to():
@@ -117,6 +119,16 @@ def test_long_names_of_rows_fit():
     root = ElementTree.fromstring(dot_chart([dot], "name", Axis(title="x"), left=20))
     (text,) = (each for each in root.iter() if each.text == name)
     assert float(text.get("x")) > 6.5 * len(name)
+    longer = Dot(name=60 * "n", colour="c-blue", value=Interval(0.5, 0.1, 0.9))
+    root = ElementTree.fromstring(dot_chart([longer], "name", POINTS_AXIS, zero=True, width=390))
+    (zero,) = (each for each in root.iter() if each.get("class") == "zero")
+    (dot,) = (each for each in root.iter() if each.get("class") == "dot")
+    right = float(root.get("viewBox").split()[2])
+    assert float(zero.get("x1")) < float(dot.get("cx")) < right
+
+
+def test_the_legend_hides_parts_of_bars():
+    assert 'data-name="memory"' in stacked_bars({"bm": {"heads": 3, "memory": 5}}, "name")
 
 
 @pytest.mark.parametrize("name", drawings())

@@ -282,11 +282,20 @@ def test_other_conditions_compare_evaluations_by_one_rule(tmp_path):
 def test_a_curve_counts_the_seeds_that_reach_each_step(tmp_path):
     truth = Truth(success={"bm": 0.5})
     runs = write_study(tmp_path / "runs", truth, seeds=2, size=Size(points=12, tables=False))
-    lines = (runs[0] / "evaluations.csv").read_text().splitlines(keepends=True)
-    (runs[0] / "evaluations.csv").write_text("".join(lines[:7]))
+    for name in ("evaluations.csv", "metrics.csv"):
+        lines = (runs[0] / name).read_text().splitlines(keepends=True)
+        (runs[0] / name).write_text("".join(lines[:7]))
     task = collect(runs).tasks[0]
     table = curve_figure(task, {"success": SUCCESS_AXIS}, "training", "").table
     assert (table.rows[0]["seeds"], table.rows[-1]["seeds"]) == (2, 1)
+    config, end = json.loads((runs[0] / "config.json").read_text()), task.runs[1].steps_done
+    for run in runs:  # which makes them one task again
+        config["seed"] = int(run.name)
+        config |= {"stop_when": {"success": 1e-9, "evaluations": 1}, "total_steps": end}
+        (run / "config.json").write_text(json.dumps(config))
+    (task,) = collect(runs).tasks
+    table = curve_figure(task, {"success": SUCCESS_AXIS}, "training", "").table
+    assert {row["seeds"] for row in table.rows} == {2}, "a run that its rule ended goes on"
 
 
 def test_anova_says_what_it_does_not_show(made):

@@ -198,6 +198,8 @@ def read_row(path: Path) -> dict[str, Any]:
     if row.get("digest") != suite.digest:
         raise UserError(f"{path} was measured on another {suite.name}: the digests differ.")
     try:
+        said = row["policy"]
+        "".join([row["name"], said["training"], *said["inputs"], *said["specs"]])  # all are text
         computed = row | _figures(suite, row)
     except (AttributeError, KeyError, ValueError, TypeError, IndexError) as error:
         raise UserError(f"{path} is damaged: {error!r}. Measure the row again.") from None

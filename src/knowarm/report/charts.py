@@ -145,7 +145,7 @@ def line_chart(
     box = box or Box()
     xs = np.concatenate([each.x for each in series])
     low, high = float(xs.min()), float(xs.max())
-    x = Scale(low, max(high, low + 1e-9 * (1 + abs(low))), *box.x)
+    x = Scale(low, high, *box.x) if high > low else Scale(min(low, 0.0), max(high, 5.0), *box.x)
     if y_axis.range is None:
         arrays = [a for s in series for a in (s.y, s.low, s.high, *(ys for _, ys in s.faint))]
         y = fit(np.concatenate([a for a in arrays if a is not None]).tolist(), *box.y)

@@ -48,7 +48,8 @@ def dot_chart(
 ) -> str:
     """Draw one row per estimate; ``zero`` adds a line, ``left`` is least space for names [px]."""
     space = max([left, *(text_width(dot.name) + 14 for dot in dots)])
-    box = Box(width=width, height=ROW * len(dots) + 52, left=space, right=24, top=8, bottom=44)
+    size = {"width": max(width, space + 184), "height": ROW * len(dots) + 52}
+    box = Box(**size, left=space, right=24, top=8, bottom=44)
     values = [0.0] if zero else []
     for dot in dots:
         ends = (dot.value.estimate, dot.value.low, dot.value.high) if dot.value else ()
@@ -100,7 +101,7 @@ def stacked_bars(counts: Mapping[str, Mapping[str, int]], title: str) -> str:
             words = hover(f"{name}: {part} {format.integer(count)}")
             place = {"x": x, "y": y + 19, "width": max(extent - 1, 0.5), "height": 15}
             shade = SHADES[groups.index(part) % len(SHADES)]
-            rows.append(element("rect", words, **place, class_=f"bar {shade}"))
+            rows.append(element("rect", words, **place, class_=f"bar {shade}", data_name=part))
             x += extent
     return drawing(WIDTH, max(BAR_ROW * len(counts), 1), title, *rows, class_="chart bars")
 

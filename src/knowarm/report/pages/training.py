@@ -36,8 +36,8 @@ LEVELS = (0.5, 0.7, 0.8)  # levels of success whose first crossing is estimated
 
 CAPTION = (
     "Line: moving average over a tenth of the curve, averaged over training seeds. "
-    "Band: 95 % bootstrap interval over seeds, where there are several. Thin lines: the "
-    "measured values of each seed. Dashed: controls. Click a name to hide its line."
+    "Band: 95 % bootstrap interval over several seeds. Thin lines: the values of each seed, the "
+    "last one extended where stop_when ended it. Dashed: controls. Click a name to hide its line."
 )
 
 
@@ -59,7 +59,7 @@ def curve_figure(task: TaskData, measures: Mapping[str, Axis], name: str, title:
     for key, axis in measures.items():
         series = []
         for group in task.groups:
-            curves = [run.interim for run in group.runs if key in run.interim]
+            curves = [_extended(run) for run in group.runs if key in run.interim]
             if curves:
                 line = group_series(group, curves, key, task.colours[group.name])
                 series.append(line)
@@ -71,6 +71,13 @@ def curve_figure(task: TaskData, measures: Mapping[str, Axis], name: str, title:
     note = "Moving averages of the interim evaluations."
     table = table_of(task, name, title, columns, list(rows.values()), _logs(task), note)
     return Figure(table=table, caption=CAPTION, panels=panels, legend=list(legend.items()))
+
+
+def _extended(run: RunData) -> Curve:
+    """Return the interim curve; where ``stop_when`` ended a run its last values go on."""
+    longer = {name: np.append(values, values[-1]) for name, values in run.interim.items()}
+    ends = {"step": np.append(run.interim["step"], run.config["total_steps"])}
+    return longer | ends if run.ended_early else run.interim
 
 
 def _logs(task: TaskData) -> list[Path]:

@@ -97,13 +97,14 @@ document.querySelectorAll("[data-play]").forEach((button) => {
       if (pixel < x0 || pixel > x1) return leave();
       const step = low + (pixel - x0) / (x1 - x0) * (high - low);
       const found = series.filter((s) => s.points.length && !s.group.classList.contains("off"))
-        .map((s) => [s.name, s.points.reduce((a, b) => Math.abs(b[0] - step) < Math.abs(a[0] - step) ? b : a)]);
+        .map((s) => [s.name, s.points.reduce((a, b) => Math.abs(b[0] - step) < Math.abs(a[0] - step) ? b : a)])
+        .filter(([, p]) => Math.abs(p[0] - step) <= (high - low) / 40);
       if (!found.length) return leave();
       cross.classList.remove("off");
       cross.setAttribute("x1", pixel); cross.setAttribute("x2", pixel);
       tip.replaceChildren();
       const head = document.createElement("b");
-      head.textContent = short(found[0][1][0]);
+      head.textContent = short(step);
       tip.append(head, ...found.flatMap(([name, p]) => [`${name} ${short(p[1])}`, document.createElement("br")]));
       tip.hidden = false;
       tip.style.left = Math.min(event.clientX + 14, innerWidth - tip.offsetWidth - 8) + "px";
