@@ -81,7 +81,7 @@ def percent(values: np.ndarray) -> str:
     if len(values) == 1:
         return f"{100 * values[0]:.1f}"
     each = bootstrap(values)
-    return f"{100 * each.estimate:.1f} [{100 * each.low:.0f}, {100 * each.high:.0f}]"
+    return f"{100 * each.estimate:.1f} [{100 * each.low:.1f}, {100 * each.high:.1f}]"
 
 
 def thousands(values: np.ndarray) -> str:

@@ -115,7 +115,7 @@ def _judge(subject: SplitGroup, claims: list[Claim], adjusted_p: float | None) -
         rest = [each for each in names if each not in missed]
         beaten = f" It was better than {listed(rest)}." if rest and missed else ""
         return "not above the best control", (
-            f"{not_shown}, not significantly more often than {listed(missed, 'or') or names[0]}; "
+            f"{not_shown}, not significantly more often than {listed(missed, 'or') or 'all, corrected'}; "
             f"the best control is {best}.{beaten}"
         )
     better = f"{chose} (at random: {chance}), more often than the best control {best}"
