@@ -62,6 +62,7 @@ def main() -> None:
     assert config is not None
     config = replace(config, frame_head="neighbourhood", images=arguments.images)
     made = train_frame_head(trained.network, env, config, seed=seed, report=print)
+    assert made is not None
     with torch_threads(1):
         test = derive_seed(seed, "perception", STREAM)
         labels = sample_images(env, made.spec, arguments.test_images, test)

@@ -28,6 +28,10 @@ def test_the_demo_trains_evaluates_and_resumes(tmp_path, monkeypatch):
         demo(tmp_path, steps=3072, should_stop=lambda: False)
     paths = demo(tmp_path, steps=1536, should_stop=lambda: False)
     assert paths is not None
+    evaluated = []
+    monkeypatch.setattr("knowarm.experiment.evaluate.evaluate", lambda *a, **o: evaluated.append(a))
+    stopped = demo(tmp_path / "stopped", steps=1536, should_stop=lambda: len(evaluated) > 0)
+    assert (stopped, len(evaluated)) == (None, 2)
     roles = [AGENTS[config.agent].role for config in demo_experiments(1536)]
     assert roles == ["baseline", "knowledge"]
     assert [len(list(path.glob("evaluation/*/summary.json"))) for path in paths] == [2, 2]

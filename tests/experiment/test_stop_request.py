@@ -32,11 +32,19 @@ def test_a_signal_asks_to_stop(name):
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
-def test_the_second_signal_interrupts(name):
+def test_the_second_ctrl_c_interrupts(name):
     with StopRequest():
         signal.raise_signal(getattr(signal, name))
         with pytest.raises(KeyboardInterrupt):
-            signal.raise_signal(getattr(signal, name))
+            signal.raise_signal(signal.SIGINT)
+
+
+def test_sigterm_may_come_twice():
+    """A job's end signals every process, and the driver of a study its workers once more."""
+    with StopRequest() as should_stop:
+        signal.raise_signal(signal.SIGTERM)
+        signal.raise_signal(signal.SIGTERM)
+        assert should_stop()
 
 
 @hangup

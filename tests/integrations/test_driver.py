@@ -202,6 +202,27 @@ def test_a_confirmed_step_waits_for_new_input_and_is_checked_again():
     assert robot.tick() is None, "the next proposal needs a confirmation of its own"
 
 
+def test_a_step_is_not_confirmed_during_a_hold():
+    robot = Robot(confirm_steps=1)
+    robot.tick()
+    robot.now += 1
+    robot.driver.tick(robot.now)
+    assert robot.driver.status.startswith("hold: ")
+    robot.driver.confirm()
+    assert robot.tick() is None
+    assert "Enter moves" in robot.driver.status
+    robot.driver.confirm()
+    assert robot.tick() is not None
+
+
+def test_a_stop_during_the_computation_sends_nothing():
+    robot = Robot()
+    step = robot.driver._runner.step
+    robot.driver._runner.step = lambda image: robot.driver.stop("stopped") or step(image)
+    assert robot.tick() is None
+    assert robot.driver.status == "stopped"
+
+
 def test_the_step_limit_ends_the_episode():
     robot = Robot(max_steps=2)
     assert [robot.tick() is not None for _ in range(4)] == [True, True, False, False]

@@ -66,12 +66,23 @@ def test_children_outlive_the_terminal_until_the_trainer_has_asked_for_their_sta
     server = psutil.Process(child.process.pid).parent()
     for pid in (child.process.pid, server.pid):
         os.kill(pid, signal.SIGHUP)
+        os.kill(pid, signal.SIGINT)
     child.send("state")
     assert child.connection.recv() == "state"
     other = ChildProcess.start(context, "helper", send_one)
     assert psutil.Process(other.process.pid).parent() == server
     for each in (child, other):
         each.stop()
+
+
+def raise_end_of_file(connection):
+    raise EOFError("Compressed file ended")
+
+
+def test_an_end_of_file_in_a_child_is_not_taken_for_the_end_of_the_parent():
+    child = ChildProcess.start(process_context(), "helper", raise_end_of_file)
+    assert "Compressed file ended" in child.connection.recv().traceback
+    child.stop()
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")

@@ -208,6 +208,9 @@ def test_training_lowers_the_loss_of_places_and_repeats_to_the_byte(config, empt
         file.unlink()
     assert train_grounding(*arguments, hasty, seed=1).to_bytes() == first != other
     assert train_grounding(*arguments, hasty, seed=3, should_stop=lambda: True) is None
+    asked, one = [], dataclasses.replace(hasty, rounds=1)
+    stop = {"seed": 3, "should_stop": lambda: asked.append(0) or len(asked) > 1}
+    assert train_grounding(*arguments, one, **stop) is None, "stopped within a round"
 
 
 def test_agents_share_names_and_frames_and_a_cached_network_is_the_trained_one(config, empty_cache):

@@ -1,3 +1,4 @@
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -54,6 +55,21 @@ def test_a_video_holds_every_frame(films: list, tmp_path: Path) -> None:
     assert frames[0].std() > 10
     with pytest.raises(UserError, match=r"must be an .mp4 file, got 'film.gif'"):
         write_video(tmp_path / "film.gif", films)
+
+
+def test_an_interrupted_video_leaves_the_former_file(films: list, tmp_path: Path) -> None:
+    pytest.importorskip("av")
+    path = tmp_path / "video.mp4"
+    path.write_bytes(b"former")
+
+    def episodes() -> Iterator[list]:
+        yield films[0]
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_video(path, episodes())  # type: ignore[arg-type]
+    assert path.read_bytes() == b"former"
+    assert [each.name for each in tmp_path.iterdir()] == ["video.mp4"]
 
 
 def test_an_unwritable_or_unknown_file_is_named(films: list, tmp_path: Path) -> None:

@@ -36,6 +36,8 @@ def demo(folder: Path, *, steps: int = STEPS, should_stop: Callable[[], bool]) -
         paths.append(run.folder.path)
         evaluate(run, config=EVALUATION)
         evaluate(load_agent(run.folder.path, which="untrained"), config=EVALUATION)
+        if should_stop():
+            return None
     return paths
 
 

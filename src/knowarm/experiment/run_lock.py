@@ -76,7 +76,7 @@ def _holder(path: Path) -> str:
 class StopRequest:
     """Context manager in which the first Ctrl-C or SIGTERM requests to save and stop.
 
-    A second one raises KeyboardInterrupt. A terminal that closes (SIGHUP) requests to stop, too.
+    A second Ctrl-C raises KeyboardInterrupt. A terminal that closes (SIGHUP) requests to stop, too.
     Pass it as ``should_stop``: calling it returns whether a signal arrived.
     """
 
@@ -104,6 +104,6 @@ class StopRequest:
             signal.signal(number, handler)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        if self._stop and number in (signal.SIGINT, signal.SIGTERM):
+        if self._stop and number == signal.SIGINT:
             raise KeyboardInterrupt
         self._stop = True

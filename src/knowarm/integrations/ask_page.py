@@ -2,6 +2,7 @@
 
 import webbrowser
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from PIL import Image
 from knowarm.errors import UserError
 from knowarm.experiment.ask import Asked
 from knowarm.pictures import data_uri, encode
-from knowarm.reading import replacing, writing
+from knowarm.reading import replacing
 from knowarm.world.viewing.watch import ADDRESS, listen, refusal
 
 AskFunction = Callable[[str, tuple[str, ...], int | None], Asked]
@@ -48,8 +49,6 @@ def write_page(path: Path, asked: Asked, edits: Sequence[str]) -> None:
     if path.suffix.lower() not in (".html", ".htm"):
         raise UserError(f"The page must be an .html file, got {path}.")
     text = page(asked, asked.answers.question, edits, live=False)
-    with writing(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
@@ -82,11 +81,12 @@ def make_server(
                 self.send_error(403 if reason else 404, reason)
                 return
             body = self._page(parse_qs(url.query, keep_blank_values=True)).encode()
-            self.send_response(200)
-            self.send_header("Content-Type", "text/html; charset=utf-8")
-            self.send_header("Content-Length", str(len(body)))
-            self.end_headers()
-            self.wfile.write(body)
+            with suppress(ConnectionError):  # the browser has left
+                self.send_response(200)
+                self.send_header("Content-Type", "text/html; charset=utf-8")
+                self.send_header("Content-Length", str(len(body)))
+                self.end_headers()
+                self.wfile.write(body)
 
         def _page(self, given: dict[str, list[str]]) -> str:
             text, lines, number = question, edits, scene

@@ -109,7 +109,7 @@ class Driver:
 
     def confirm(self) -> None:
         """Confirm the step that ``status`` shows; without effect where there is none."""
-        self._is_confirmed = self._proposal is not None
+        self._is_confirmed = self._proposal is not None and self._held_since == np.inf
 
     def stop(self, reason: str) -> None:
         """End the episode."""
@@ -134,7 +134,7 @@ class Driver:
             for share in SHARES:
                 targets = self._previous + share * (self._proposal - self._previous)
                 if not (problem := self._barred(targets, angles)):
-                    return self._released(targets, now_s)
+                    return None if self.end else self._released(targets, now_s)
             self._runner.targets, self._proposal = self._previous, None
         self.status = f"hold: {problem}"
         self._held_since = min(self._held_since, now_s)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.errors import UserError
-from knowarm.reading import writing
+from knowarm.reading import replacing
 from knowarm.world.viewing.record import FRAMES_PER_S, Frame
 
 
@@ -37,10 +37,9 @@ def write_rrd(
     image, as ``knowledge`` and ``recognition``.
     """
     rerun = check_rrd(path)
-    with writing(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as temporary:
         recording = rerun.RecordingStream("knowarm")
-        recording.save(str(path))
+        recording.save(str(temporary))
         time = 0
         for number, frames in enumerate(episodes):
             recording.set_time("episode", sequence=number)

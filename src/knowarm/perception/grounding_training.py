@@ -82,15 +82,15 @@ def train_grounding(
         seed: of the run; ``config.seed`` goes first.
         graphs: describe and answer the queries in place of the task's; a gradient step takes one.
         report: receives a line at the start and after every round.
-        should_stop: called before every round; the result is then None.
+        should_stop: called at every gradient step; if it returns true, the result is None.
     """
     if config.seed is not None:
         seed, config = config.seed, replace(config, seed=None)
     if config.frame_head == "neighbourhood":
         base = replace(config, frame_head="place")
         options: dict[str, Any] = {"seed": seed, "report": report}
-        train = partial(train_grounding, graphs=graphs, should_stop=should_stop)
-        found = train(env, knowledge, slots, base, **options)
+        options["should_stop"] = should_stop
+        found = train_grounding(env, knowledge, slots, base, graphs=graphs, **options)
         return None if found is None else train_frame_head(found, env, config, **options)
     network = GroundingNetwork(ModuleSpec.of(env, config), knowledge, slots, seed=seed)
     answers = query_answers(env, network.spec.facets)
@@ -169,7 +169,8 @@ def train_frame_head(
     *,
     seed: int,
     report: Callable[[str], None] = lambda text: None,
-) -> GroundingNetwork:
+    should_stop: Callable[[], bool] = lambda: False,
+) -> GroundingNetwork | None:
     """Return a network with a new frame head, trained on the features of a trained network.
 
     Names, keys and queries stay as they are. Arguments as `train_grounding`.
@@ -209,7 +210,9 @@ def train_frame_head(
 
         rate = HEAD_RATE * config.learning_rate
         objects = replace(config, images=len(flat), learning_rate=rate)
-        minimize(network, objects, steps, HEAD_EPOCHS, "frame head, epoch", report)
+        name = "frame head, epoch"
+        if not minimize(network, objects, steps, HEAD_EPOCHS, name, report, should_stop):
+            return None
     write_arrays(file, {name: value.numpy() for name, value in parts.items()})
     return network
 

@@ -196,7 +196,6 @@ class PerceptionModule(nn.Module):
 
     def write(self, path: Path) -> None:
         """Write the module to a file."""
-        path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as temporary:
             temporary.write_bytes(self.to_bytes())
 

@@ -103,10 +103,10 @@ def minimize(
         optimizer, config.learning_rate, total_steps=max(2, count)
     )
     for number in range(1, passes + 1):
-        if should_stop():
-            return False
         total = 0.0
         for images, loss, reported in steps(number):
+            if should_stop():
+                return False
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()

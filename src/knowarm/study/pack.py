@@ -15,7 +15,7 @@ from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.run import run_path
 from knowarm.experiment.run_folder import PERCEPTION_FILE
 from knowarm.experiment.run_lock import lock_folder
-from knowarm.reading import MAX_JSON, bounded, reading, replacing, writing
+from knowarm.reading import MAX_JSON, bounded, reading, replacing
 from knowarm.study.config import PACKED, STUDY_FILE
 from knowarm.study.driver import open_study
 from knowarm.study.status import FAILURE
@@ -77,8 +77,6 @@ def pack_study(out: Path, file: Path, *, leave_out: Collection[Part] = ()) -> in
         "bytes": {name: len(data) for name, data in contents.items()},
         "sha256": {name: hashlib.sha256(data).hexdigest() for name, data in contents.items()},
     }
-    with writing(file):
-        file.parent.mkdir(parents=True, exist_ok=True)
     with (
         replacing(file) as temporary,
         temporary.open("wb") as raw,

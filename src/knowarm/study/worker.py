@@ -66,7 +66,6 @@ def work(out: Path, key: RunKey) -> None:
 
 def record_failure(path: Path, reason: str, details: str = "") -> None:
     """Write why a run failed into its folder, from which it counts as failed."""
-    path.mkdir(parents=True, exist_ok=True)
     when = datetime.now(UTC).isoformat(timespec="seconds")
     write_json(path / FAILURE, {"reason": reason, "time": when, "traceback": details})
 

@@ -11,7 +11,7 @@ from knowarm.knowledge.formats.openke import read_openke_split
 from knowarm.knowledge.formats.rdf import read_rdf, write_rdf
 from knowarm.knowledge.formats.tables import read_conceptnet, read_table, write_table
 from knowarm.knowledge.graph.graph import KnowledgeGraph
-from knowarm.reading import replacing, writing
+from knowarm.reading import replacing
 
 FORMATS: dict[str, Callable[[Path], KnowledgeGraph]] = {
     "turtle": partial(read_rdf, syntax=RdfFormat.TURTLE),
@@ -91,8 +91,6 @@ def write_graph(graph: KnowledgeGraph, path: str | Path) -> None:
             f"{path}: graphs are written as {', '.join(WRITERS)}, not {path.suffix!r}. "
             f"Give the file one of these suffixes."
         )
-    with writing(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path, "Give another path.") as temporary:
         WRITERS[path.suffix](graph, temporary)
 

@@ -245,13 +245,13 @@ class A3CTrainer(Trainer):
     def _replace_missing_states(self) -> None:
         """Record workers that were killed without an answer: resuming starts new episodes there.
 
-        A worker that has not updated since the checkpoint continues from it.
+        A worker that has not updated, or not since the checkpoint, continues from there.
         """
         missing = [i for i in range(self.config.workers) if i not in self._states]
         if missing:
             log.warning("No state arrived from the workers %s; they were stopped.", missing)
         for index in missing:
-            if index not in self._collectors:
+            if index not in self._collectors and self._shared["steps"][index]:
                 self._restarts[index] += 1  # another stream of random numbers
             self._states[index] = WorkerState(
                 is_last=True,

@@ -5,11 +5,12 @@ Only the fork server does: importing it changes how the process handles a signal
 
 import signal
 
-from numba.core.registry import cpu_target
+# When a terminal closes or Ctrl-C is pressed, every process in it receives a signal. The training
+# process saves and stops its children; they must not end before it has asked for their states.
+for number in (signal.SIGHUP, signal.SIGINT):
+    signal.signal(number, signal.SIG_IGN)
 
-# When a terminal closes, the kernel sends SIGHUP to every process in it. The training process saves
-# and stops its children; they must not end before it has asked for their states.
-signal.signal(signal.SIGHUP, signal.SIG_IGN)
+from numba.core.registry import cpu_target  # noqa: E402 (takes seconds, in which signals may come)
 
 # Otherwise each child process does what a process does before its first compiled function.
 cpu_target.typing_context.refresh()

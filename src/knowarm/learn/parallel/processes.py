@@ -3,7 +3,6 @@
 import ctypes
 import logging
 import multiprocessing
-import os
 import pickle
 import signal
 import sys
@@ -71,8 +70,6 @@ def _run_child(
     keep_freed_memory()
     try:
         run(*arguments, connection)
-    except (EOFError, BrokenPipeError, ConnectionResetError):
-        os._exit(0)  # the parent process exited
     except Exception as error:
         user_error = error if isinstance(error, UserError) else None
         with suppress(BrokenPipeError, ConnectionResetError):

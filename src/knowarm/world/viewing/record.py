@@ -11,7 +11,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from knowarm.errors import UserError
 from knowarm.pictures import check_suffix
-from knowarm.reading import writing
+from knowarm.reading import replacing
 from knowarm.world.agents.play import play_steps
 from knowarm.world.agents.scripted import AgentProtocol
 from knowarm.world.envs.vector_env import RENDER_SIZE, ReachVectorEnv
@@ -84,9 +84,8 @@ def write_strip(path: Path, episodes: Sequence[Sequence[Frame]], columns: int = 
             image = Image.fromarray(frame.large).resize((side, side), Image.Resampling.LANCZOS)
             strip.paste(image, (left, top))
             draw.text((left, top + side + 5), _caption(frame), _INK, font)
-    with writing(path, "Name another file."):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        strip.save(path)
+    with replacing(path, "Name another file.") as temporary:
+        strip.save(temporary)
 
 
 def write_video(path: Path, episodes: Sequence[Sequence[Frame]]) -> None:
@@ -94,18 +93,19 @@ def write_video(path: Path, episodes: Sequence[Sequence[Frame]]) -> None:
     check_video(path)
     import av
 
-    with writing(path, "Name another file."):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with av.open(str(path), "w") as container:
-            stream = container.add_stream("libx264", rate=FRAMES_PER_S)
-            stream.width, stream.height = 2 * RENDER_SIZE + 3 * _MARGIN, RENDER_SIZE + 44
-            stream.pix_fmt = "yuv420p"
-            stream.options = {"crf": "20"}
-            for frames in episodes:
-                for frame in [*frames, *[frames[-1]] * _LAST_FRAMES]:
-                    image = av.VideoFrame.from_ndarray(_side_by_side(frame), format="rgb24")
-                    container.mux(stream.encode(image))
-            container.mux(stream.encode())
+    with (
+        replacing(path, "Name another file.") as temporary,
+        av.open(str(temporary), "w") as container,
+    ):
+        stream = container.add_stream("libx264", rate=FRAMES_PER_S)
+        stream.width, stream.height = 2 * RENDER_SIZE + 3 * _MARGIN, RENDER_SIZE + 44
+        stream.pix_fmt = "yuv420p"
+        stream.options = {"crf": "20"}
+        for frames in episodes:
+            for frame in [*frames, *[frames[-1]] * _LAST_FRAMES]:
+                image = av.VideoFrame.from_ndarray(_side_by_side(frame), format="rgb24")
+                container.mux(stream.encode(image))
+        container.mux(stream.encode())
 
 
 def _side_by_side(frame: Frame) -> NDArray[np.uint8]:
