@@ -259,8 +259,8 @@ BOTTOM = """## What this cannot say
   do, it changes everything: see [choose](choose.md) and [answers](answers.md).
 - `fast` learns from the simulator's state in the critic and an auxiliary loss. Settings with which
   A3C learns are on [its own page](a3c.md).
-- Processors: {processors}. Another kind rounds differently, so the same seed is another training
-  there.
+- Processors: {processors}, of two generations ([lab notes](../lab-notes.md)). Another kind rounds
+  differently, so the same seed is another training there.
 - Interim evaluations stand 50,000 steps apart, so no smaller difference is seen in one run.
 - On TIAGo success has reached its ceiling, so only the steps can differ; its runs have no controls.
 
