@@ -220,15 +220,23 @@ def test_a_client_may_vanish_in_a_step(parts, server):
 
 @pytest.mark.slow(10)
 def test_ctrl_c_ends_the_connections_too():
-    command = [sys.executable, "-m", "knowarm", "serve", str(ZOO / "irb120-full-fast")]
-    with subprocess.Popen([*command, "--port", "0"], stdout=subprocess.PIPE, text=True) as process:
-        address = re.search(r"ws://[\d.]+:\d+", process.stdout.readline())[0]
-        with connect(address, compression=None) as connection:
-            connection.recv()
-            process.send_signal(signal.SIGINT)
-            with pytest.raises(ConnectionClosed):
-                connection.recv(timeout=60)
-        assert process.wait(60) == 130
+    # A shell that starts the tests in the background ignores Ctrl-C for all that they start.
+    program = (
+        "import signal as s; s.signal(s.SIGINT, s.default_int_handler); import knowarm.cli.main"
+    )
+    program += " as m, sys; sys.exit(m.main(sys.argv[1:]))"
+    command = [sys.executable, "-c", program, "serve", str(ZOO / "irb120-full-fast"), "--port", "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            address = re.search(r"ws://[\d.]+:\d+", process.stdout.readline())[0]
+            with connect(address, compression=None) as connection:
+                connection.recv()
+                process.send_signal(signal.SIGINT)
+                with pytest.raises(ConnectionClosed):
+                    connection.recv(timeout=60)
+            assert process.wait(60) == 130
+        finally:
+            process.kill()
 
 
 def test_a_second_server_on_the_port_is_refused(parts, server):

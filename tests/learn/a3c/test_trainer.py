@@ -63,7 +63,7 @@ class Make:
             )
         adapted = NumpyToTorch(env)
         if self.thresholds:
-            adapted.threshold_factor = 1.0
+            adapted.env.threshold_factor = 1.0
         return adapted
 
 
