@@ -72,9 +72,9 @@ class LampRenderer(OpenGLRenderer):
         for i in range(len(geom_position)):
             direction = self._data.light_xdir[0] if lamps is None else -lamps[i, 3]
             self._data.light_xpos[0] = self._middle - LAMP_M * direction
-            given = (geom_position, geom_matrix, geom_rgba, views, lamps)
-            one = (None if each is None else each[i : i + 1] for each in given)
-            images.append(super().draw(*one)[0])  # type: ignore[arg-type]
+            looks = (None if each is None else each[i : i + 1] for each in (views, lamps))
+            poses = geom_position[i : i + 1], geom_matrix[i : i + 1]
+            images.append(super().draw(*poses, geom_rgba[i : i + 1], *looks)[0])
         return np.stack(images)
 
 

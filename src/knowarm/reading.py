@@ -59,10 +59,7 @@ def writing(path: Path, remedy: str = "") -> Iterator[None]:
 
 @contextmanager
 def replacing(path: Path, remedy: str = "") -> Iterator[Path]:
-    """Write a file under another name, which is renamed at the end: nobody sees a part of it.
-
-    Its folder is made if there is none.
-    """
+    """Write a file under another name, renamed at the end, in a folder that is made if missing."""
     temporary = path.with_name(f".{path.stem}.tmp{path.suffix}")
     if path.exists() and not path.is_file():
         temporary = path  # a device such as /dev/stdout, or an error of the system

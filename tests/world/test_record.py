@@ -67,7 +67,7 @@ def test_an_interrupted_video_leaves_the_former_file(films: list, tmp_path: Path
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        write_video(path, episodes())  # type: ignore[arg-type]
+        write_video(path, episodes())
     assert path.read_bytes() == b"former"
     assert [each.name for each in tmp_path.iterdir()] == ["video.mp4"]
 

@@ -296,7 +296,7 @@ def _exported(spec: str, folder: Path) -> Entrant:
         table = questions_of(cell.env)
         asked = {query.name for query in table.queries} if table is not None else set[str]()
         if not asked <= set(rows) or (not asked and len(rows) > 1):
-            raise UserError(f"{spec} has no vectors of the queries of {cell.name}, or needs some.")
+            raise UserError(f"{spec} knows other queries than those of {cell.name}.")
         if not names <= set(ReachVectorEnv(cell.env, 1).scene.robot.joints):
             raise UserError(f"{spec} moves the joints {', '.join(sorted(names))}.")
         return PolicyAdapter(policy, cell.graph)

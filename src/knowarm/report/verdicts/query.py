@@ -116,7 +116,8 @@ def _judge(subject: SplitGroup, claims: list[Claim], adjusted_p: float | None) -
         beaten = f" It was better than {listed(rest)}." if rest and missed else ""
         return "not above the best control", (
             f"{not_shown}, not significantly more often than "
-            f"{listed(missed, 'or') or 'all, corrected'}; the best control is {best}.{beaten}"
+            f"{listed(missed, 'or') or 'every control after the correction'}; "
+            f"the best control is {best}.{beaten}"
         )
     better = f"{chose} (at random: {chance}), more often than the best control {best}"
     better += f" and than {listed(names[1:])}" if names[1:] else ""

@@ -1,6 +1,6 @@
 """Recording of played episodes as film strips and videos."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -88,7 +88,7 @@ def write_strip(path: Path, episodes: Sequence[Sequence[Frame]], columns: int = 
         strip.save(temporary)
 
 
-def write_video(path: Path, episodes: Sequence[Sequence[Frame]]) -> None:
+def write_video(path: Path, episodes: Iterable[Sequence[Frame]]) -> None:
     """Write an H.264 video with the policy's observation beside the enlarged view."""
     check_video(path)
     import av
