@@ -8,6 +8,7 @@ import pytest
 
 from knowarm.errors import UserError
 from knowarm.experiment.run import train
+from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.run_lock import lock_folder
 from knowarm.study import driver, executor
 from knowarm.study.config import OverridesFor, write_study
@@ -230,6 +231,27 @@ def test_a_stopped_worker_is_killed_after_a_deadline(tmp_path, monkeypatch):
     assert [(each.run, each.killed) for each in ended] == [(run, True)]
     assert not worker.is_running()
     local.close()
+
+
+def test_workers_that_are_stopped_save_their_runs(tmp_path):
+    """Real workers: their checkpoints are written by the stop alone."""
+    long = STUDY | {"total_steps": 10_000_000, "checkpoint_every_steps": 10_000_000}
+    long |= {"interim": {"every_steps": 10_000_000, "episodes": 2}}
+    study = tiny(overrides=long, where=Where(at_once=2, memory_gib=0.1))
+    logs = [tmp_path / "irb120-bm-ppo" / str(seed) / "metrics.csv" for seed in study.seeds]
+    begin = time.monotonic()
+
+    def both_train():
+        trained = all(log.exists() and log.read_text().count("\n") > 1 for log in logs)
+        return trained or time.monotonic() - begin > 120
+
+    stopped = run_study(study, tmp_path, should_stop=both_train)
+    assert [each.state for each in stopped] == ["stalled", "stalled"]
+    assert all(each.step > 0 for each in stopped)
+    assert not any((log.parent / FAILURE).exists() for log in logs)
+    for log in logs:
+        assert RunFolder(log.parent).checkpoint_fact("step", 0) > 0, "no checkpoint was saved"
+        assert "worked for" in (log.parent / executor.LOG).read_text(), "a worker was killed"
 
 
 def test_the_reason_of_a_failure_is_in_the_run_folder(tmp_path, executors, monkeypatch):
