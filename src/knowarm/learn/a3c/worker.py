@@ -91,7 +91,6 @@ class A3CWorker:
             alpha=config.rmsprop_alpha,
             eps=config.rmsprop_eps,
         )
-        shared["updates"][self.args.index] += 1
         shared["steps"][self.args.index] += steps
         episodes = self._collector.statistics.take()
         self._curriculum.update(episodes.summary().get("success", 0.0))
@@ -133,7 +132,6 @@ class A3CWorker:
             is_last=request.is_last,
             collector=self._collector.get_state(),
             steps=int(shared["steps"][index]),
-            updates=int(shared["updates"][index]),
             values=copy("values"),
             mean_square=copy("mean_square"),
         )
