@@ -1,0 +1,126 @@
+"""Section of `docs/results/answer.md` on which changes make the paper's A3C learn."""
+
+import csv
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.a3c_changes import EVALUATIONS, GROUPS, published, settings, tuned
+from knowarm.statistics import holm, welch
+from scripts.answer_cells import SIGNIFICANT, percent, table
+
+ENOUGH = 0.8
+"""Share of the success of all changes that a set of changes must reach to be enough."""
+
+Variant = dict[str, np.ndarray]  # measures of a variant by name, one number per training seed
+
+TEXT = f"""**Protocol.** IRB120, `full`, fixed colours, two workers; the settings of the study `a3c`
+with changes towards `a3c-tuned`, which has all of them. Success and return: means of the last
+{EVALUATIONS} of 20 interim evaluations of 40 episodes (5 cm, 15 degrees). Entropy of the actions
+while training [nat]. Brackets: 95 % intervals over training seeds (bootstrap, too narrow for so
+few). A linear learning rate falls within the steps of the table, so all changes for 2 million steps
+are not the first 2 million of 10."""
+
+
+def changes_section(path: Path) -> list[str]:
+    """Return the blocks of the section from the rows of `benchmarks.a3c_changes`."""
+    found: dict[int, dict[str, dict[int, dict[str, float]]]] = {}
+    for row in csv.DictReader(path.read_text(encoding="utf-8").splitlines()):
+        variants = found.setdefault(int(row.pop("steps")), {})
+        name, seed = row.pop("change"), int(row.pop("seed"))
+        variants.setdefault(name, {})[seed] = {key: float(value) for key, value in row.items()}
+    blocks = ["## Which changes A3C needs", TEXT, settings_table()]
+    lines = []
+    for steps, variants in sorted(found.items()):
+        measured = {
+            name: {key: np.array([seeds[seed][key] for seed in sorted(seeds)]) for key in MEASURES}
+            for name, seeds in variants.items()
+        }
+        blocks += [f"### After {steps / 1e6:g} million steps", measures_table(measured)]
+        lines += [single_changes(measured, steps), smallest_set(measured, steps)]
+    return [*blocks, "\n".join(f"- {line}" for line in lines if line)]
+
+
+MEASURES = ("success", "return_mean", "entropy")
+
+
+def settings_table() -> str:
+    """Say what each change changes."""
+    before, after = settings(published()), settings(tuned())
+    rows = [
+        [
+            f"`{name}`",
+            ", ".join(f"`{field}`" for field in fields),
+            ", ".join(f"{before[field]}" for field in fields),
+            ", ".join(f"{after[field]}" for field in fields),
+        ]
+        for name, fields in GROUPS.items()
+    ]
+    return table(["change", "settings", "from", "to"], rows)
+
+
+def measures_table(measured: Mapping[str, Variant]) -> str:
+    """Return what each variant reached."""
+    rows = [
+        [
+            f"`{name}`",
+            str(len(each["success"])),
+            percent(each["success"]),
+            listed(each["return_mean"]),
+            listed(each["entropy"]),
+        ]
+        for name, each in measured.items()
+    ]
+    return table(["change", "seeds", "success [%]", "return, each seed", "entropy"], rows)
+
+
+def listed(values: Sequence[float] | np.ndarray) -> str:
+    """Format one number per training seed."""
+    return ", ".join(f"{value:.1f}" for value in values)
+
+
+def single_changes(measured: Mapping[str, Variant], steps: int) -> str:
+    """Say which single changes raise the return, by Welch's t tests with Holm's correction."""
+    alone = [name for name in measured if name in GROUPS]
+    if "none" not in measured or not alone:
+        return ""
+    base = measured["none"]["return_mean"]
+    most = max(alone, key=lambda name: float(measured[name]["success"].mean()))
+    text = f"After {steps / 1e6:g} million steps no single change has more than "
+    text += f"{100 * measured[most]['success'].mean():.1f} % of success (`{most}`). "
+    usable = [name for name in alone if min(len(base), len(measured[name]["success"])) >= 3]
+    if len(usable) < len(alone):
+        return f"{text}Not every change has three seeds, so their returns are not compared."
+    tests = [welch(measured[name]["return_mean"], base) for name in alone]
+    better = [
+        f"`{name}` ({test.difference.estimate:+.0f} [{test.difference.low:+.0f}, "
+        f"{test.difference.high:+.0f}])"
+        for name, test, p in zip(alone, tests, holm([t.p_value for t in tests]), strict=True)
+        if p < SIGNIFICANT and test.difference.estimate > 0
+    ]
+    names = ", ".join(better) or "none of them"
+    return f"{text}The return is significantly higher (Welch's t test, Holm) with: {names}."
+
+
+def smallest_set(measured: Mapping[str, Variant], steps: int) -> str:
+    """Say which set of changes with three seeds is the smallest that is enough."""
+    every = measured.get("all")
+    if every is None:
+        return ""
+    level = ENOUGH * float(every["success"].mean())
+    sizes = {name: name.count("+") + 1 for name in measured if "+" in name or name in GROUPS}
+    enough = [
+        name
+        for name in sizes
+        if len(measured[name]["success"]) >= 3 and measured[name]["success"].mean() >= level
+    ]
+    if not enough or len(every["success"]) < 3:
+        return ""
+    best = min(enough, key=lambda name: (sizes[name], -float(measured[name]["success"].mean())))
+    names = ", ".join(f"`{part}`" for part in best.split("+"))
+    return (
+        f"After {steps / 1e6:g} million steps the smallest set that we found with "
+        f"{100 * ENOUGH:.0f} % of the success of all {len(GROUPS)} changes has "
+        f"{sizes[best]}: {names}. Smaller sets that the table does not show were not tried."
+    )
