@@ -28,6 +28,7 @@ pytest.importorskip("msgpack")
 
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
+from websockets.sync.server import serve
 
 from knowarm.integrations.serve import (
     MOST_BYTES,
@@ -138,6 +139,35 @@ def test_a_client_of_a_full_server_is_told_so(server):
             others.enter_context(client(server)).recv()
         with pytest.raises(UserError, match="refuses: The server has 8 clients"):
             Client(f"ws://127.0.0.1:{server.port}")
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        "out of memory",
+        b"garbage",
+        pack([1.0, 2.0]),
+        pack({}),
+        pack({"actions": np.zeros((0, 6))}),
+        pack({"actions": np.zeros((1, 7))}),
+        pack({"actions": np.zeros(6)}),
+        pack({"actions": [[0.0, 1.0], [0.0]]}),
+        pack({"actions": "left"}),
+        pack({"actions": np.full((1, 6), np.nan)}),
+    ],
+)
+def test_a_client_refuses_an_answer_without_joint_targets(answer):
+    def reply(connection):
+        connection.send(pack({}))
+        connection.recv()
+        connection.send(answer)
+
+    with serve(reply, "127.0.0.1", 0) as other:
+        threading.Thread(target=other.serve_forever, daemon=True).start()
+        played = Client(f"ws://127.0.0.1:{other.socket.getsockname()[1]}")
+        played.start(dict.fromkeys("abcdef", 0.0))
+        with pytest.raises(UserError, match="refuses: "):
+            played.step(IMAGE)
 
 
 def test_healthz(server):

@@ -42,11 +42,11 @@ def pack(values: Any) -> bytes:
     return bytes(msgpack.packb(values, default=_pack_array))
 
 
-def unpack(data: bytes) -> Any:
+def unpack(data: bytes | str) -> Any:
     """Unpack a message.
 
     Raises:
-        ValueError: the message is damaged, or an array is not of plain numbers.
+        ValueError: the message is text or damaged, or an array is not of plain numbers.
     """
     try:
         return msgpack.unpackb(data, object_hook=_unpack_array)
@@ -205,10 +205,13 @@ class Client:
             answer, self._reset = self._link.recv(), False
         except (OSError, WebSocketException) as error:
             raise UserError(f"The policy server at {self._url} has gone: {error}.") from None
-        actions = [] if isinstance(answer, str) else unpack(answer).get("actions", [])
-        if np.shape(actions)[1:] != self.targets.shape:
+        try:
+            targets = np.asarray(unpack(answer)["actions"], np.float64)[0]
+        except (ValueError, TypeError, KeyError, IndexError):  # a line of text, or no such array
+            targets = np.array(np.nan)
+        if targets.shape != self.targets.shape or not np.isfinite(targets).all():
             raise UserError(f"The policy server at {self._url} refuses: {answer!r:.300}")
-        return np.asarray(actions)[0]
+        return targets
 
 
 def act(runner: Runner, observation: Any) -> np.ndarray:
