@@ -228,6 +228,7 @@ def verdict(cell: Cell) -> str:
         return (
             f"**{title}**: no effect of full knowledge on the steps is found ({length}); the "
             f"95 % interval excludes a saving of more than {max(0, low):.0f} %. {points}."
+            f"{uncorrected(cell, compared)}"
         )
     if compared.share.estimate > 0:
         return f"**{title}**: full knowledge learns more slowly ({length}). {points}."
@@ -241,6 +242,18 @@ def verdict(cell: Cell) -> str:
         else "but no control ran"
     )
     return f"**{title}**: full knowledge learns faster ({length}), {cause}. {points}."
+
+
+def uncorrected(cell: Cell, compared: Comparison) -> str:
+    """Say what follows where the interval of a comparison excludes 0, but its p value does not."""
+    if compared.steps.low <= 0 <= compared.steps.high:
+        return ""
+    against = [pair[0] for name in CONTROLS if (pair := cell.of(compared.first, name))]
+    beaten = [f"`{each.second}`" for each in against if each.steps.high < 0]
+    controls = f"; so do those against {', '.join(beaten)}" if beaten else ""
+    controls = controls or ("; no interval against a control does" if against else "")
+    low, high = (f"{end / 1e3:+,.0f}" for end in (compared.steps.low, compared.steps.high))
+    return f" Uncorrected, the interval [{low}, {high}] thousand steps excludes 0{controls}."
 
 
 def runs_table(cells: Sequence[Cell]) -> str:
