@@ -241,10 +241,10 @@ def test_a_message_of_a_gigabyte_is_refused_by_its_header(parts, server):
 
 
 def test_a_client_may_vanish_in_a_step(parts, server):
-    connection = client(server)
-    connection.recv()
-    connection.send(pack(observation(parts)))
-    connection.socket.close()
+    with client(server) as connection:
+        connection.recv()
+        connection.send(pack(observation(parts)))
+        connection.socket.close()
     assert_serves(parts, server)
 
 
