@@ -1,7 +1,7 @@
 """Section of `docs/results/answer.md` on which changes make the paper's A3C learn."""
 
 import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from scripts.answer_cells import SIGNIFICANT, percent, table
 ENOUGH = 0.8
 """Share of the success of all changes that a set of changes must reach to be enough."""
 
+MEASURES = ("success", "return_mean", "entropy")
 Variant = dict[str, np.ndarray]  # measures of a variant by name, one number per training seed
 
 TEXT = f"""**Protocol.** IRB120, `full`, fixed colours, two workers; the settings of the study `a3c`
@@ -40,9 +41,6 @@ def changes_section(path: Path) -> list[str]:
         blocks += [f"### After {steps / 1e6:g} million steps", measures_table(measured)]
         lines += [single_changes(measured, steps), smallest_set(measured, steps)]
     return [*blocks, "\n".join(f"- {line}" for line in lines if line)]
-
-
-MEASURES = ("success", "return_mean", "entropy")
 
 
 def settings_table() -> str:
@@ -75,7 +73,7 @@ def measures_table(measured: Mapping[str, Variant]) -> str:
     return table(["change", "seeds", "success [%]", "return, each seed", "entropy"], rows)
 
 
-def listed(values: Sequence[float] | np.ndarray) -> str:
+def listed(values: np.ndarray) -> str:
     """Format one number per training seed."""
     return ", ".join(f"{value:.1f}" for value in values)
 
@@ -87,7 +85,7 @@ def single_changes(measured: Mapping[str, Variant], steps: int) -> str:
         return ""
     base = measured["none"]["return_mean"]
     most = max(alone, key=lambda name: float(measured[name]["success"].mean()))
-    text = f"After {steps / 1e6:g} million steps no single change has more than "
+    text = f"After {steps / 1e6:g} million steps none of {len(alone)} single changes has more than "
     text += f"{100 * measured[most]['success'].mean():.1f} % of success (`{most}`). "
     usable = [name for name in alone if min(len(base), len(measured[name]["success"])) >= 3]
     if len(usable) < len(alone):

@@ -19,7 +19,7 @@ def test_a_change_that_raises_the_return_is_named():
     measured["rewards"] = variant([0.0, 0.0, 0.0], (-50.0, -51.0, -49.0))
     measured["entropy"] = variant([0.0, 0.0, 0.0], (-90.0, -91.0, -89.0))
     text = single_changes(measured, 2_000_000)
-    assert "no single change has more than 2.0 % of success (`pixels`)" in text
+    assert "none of 11 single changes has more than 2.0 % of success (`pixels`)" in text
     assert text.endswith("with: `rewards` (+20 [+18, +22]).")
 
 

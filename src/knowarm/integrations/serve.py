@@ -210,7 +210,10 @@ class Client:
         except (ValueError, TypeError, KeyError, IndexError):  # a line of text, or no such array
             targets = np.array(np.nan)
         if targets.shape != self.targets.shape or not np.isfinite(targets).all():
-            raise UserError(f"The policy server at {self._url} refuses: {answer!r:.300}")
+            raise UserError(
+                f"The policy server at {self._url} refuses, or gives no finite actions (n, "
+                f"{len(self.targets)}): {answer!r:.300}"
+            )
         return targets
 
 
