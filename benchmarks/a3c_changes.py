@@ -17,6 +17,7 @@ the rest is enough; otherwise the dropped change whose absence cost most comes b
 import argparse
 import csv
 import math
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -110,15 +111,36 @@ def _mean(rows: list[dict[str, str]], name: str) -> float:
     return sum(values) / len(values) if values else math.nan
 
 
+def name_of(groups: Collection[str]) -> str:
+    """Return the name of a set of changes, whatever their order."""
+    missing = [name for name in GROUPS if name not in groups]
+    if len(missing) < 2:
+        return f"without-{missing[0]}" if missing else "all"
+    return "+".join(name for name in GROUPS if name in groups) or "none"
+
+
+def groups_of(name: str) -> tuple[str, ...]:
+    """Return the changes that `name_of` names.
+
+    Raises `ValueError` for a name of no set of changes.
+    """
+    every = tuple(GROUPS)
+    left_out = {"all": every, "none": ()}
+    left_out |= {f"without-{one}": tuple(g for g in every if g != one) for one in every}
+    groups = left_out.get(name, tuple(name.split("+")))
+    if not set(groups) <= set(every):
+        raise ValueError(f"no set of changes is named {name!r}; changes: {', '.join(every)}")
+    return groups
+
+
 def variants(mode: str, groups: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
     """Return the groups to change by the name of the variant."""
-    if mode == "add":
-        return {"none": (), **{name: (name,) for name in GROUPS}}
-    if mode == "leave-out":
-        every = tuple(GROUPS)
-        others = {f"without-{name}": tuple(g for g in every if g != name) for name in every}
-        return {"all": every, **others}
-    return {"+".join(groups) or "none": groups}
+    names = {
+        "add": ["none", *GROUPS],
+        "leave-out": ["all", *(f"without-{name}" for name in GROUPS)],
+        "set": [name_of(groups)],
+    }
+    return {name: groups_of(name) for name in names[mode]}
 
 
 def main() -> None:

@@ -1,12 +1,12 @@
 """Section of `docs/results/answer.md` on which changes make the paper's A3C learn."""
 
 import csv
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.a3c_changes import EVALUATIONS, GROUPS, published, settings, tuned
+from benchmarks.a3c_changes import EVALUATIONS, GROUPS, groups_of, published, settings, tuned
 from knowarm.statistics import holm, welch
 from scripts.answer_cells import SIGNIFICANT, percent, table
 
@@ -39,7 +39,7 @@ def changes_section(path: Path) -> list[str]:
             for name, seeds in variants.items()
         }
         blocks += [f"### After {steps / 1e6:g} million steps", measures_table(measured)]
-        lines += [single_changes(measured, steps), smallest_set(measured, steps)]
+        lines += [each(measured, steps) for each in (single_changes, left_out, smallest_set)]
     return [*blocks, "\n".join(f"- {line}" for line in lines if line)]
 
 
@@ -101,24 +101,46 @@ def single_changes(measured: Mapping[str, Variant], steps: int) -> str:
     return f"{text}The return is significantly higher (Welch's t test, Holm) with: {names}."
 
 
+def left_out(measured: Mapping[str, Variant], steps: int) -> str:
+    """Say which changes the search with one training seed kept, and which it dropped."""
+    without = {
+        name: float(measured[f"without-{name}"]["success"][0])
+        for name in GROUPS
+        if f"without-{name}" in measured
+    }
+    if "all" not in measured or not without:
+        return ""
+    level = ENOUGH * float(measured["all"]["success"][0])
+    needed = [name for name, success in without.items() if success < level]
+    dropped = [name for name in without if name not in needed]
+    return (
+        f"One change left out of all {len(GROUPS)} for {steps / 1e6:g} million steps, one training "
+        f"seed: less than {100 * ENOUGH:.0f} % of the success of all without {quoted(needed)}, "
+        f"and at least as much without {quoted(dropped)}. One seed is no result; it chose the "
+        "sets that three seeds try."
+    )
+
+
 def smallest_set(measured: Mapping[str, Variant], steps: int) -> str:
     """Say which set of changes with three seeds is the smallest that is enough."""
-    every = measured.get("all")
-    if every is None:
+    tried = {name: each["success"] for name, each in measured.items() if len(each["success"]) >= 3}
+    if "all" not in tried or len(tried) == 1:
         return ""
-    level = ENOUGH * float(every["success"].mean())
-    sizes = {name: name.count("+") + 1 for name in measured if "+" in name or name in GROUPS}
-    enough = [
-        name
-        for name in sizes
-        if len(measured[name]["success"]) >= 3 and measured[name]["success"].mean() >= level
-    ]
-    if not enough or len(every["success"]) < 3:
-        return ""
-    best = min(enough, key=lambda name: (sizes[name], -float(measured[name]["success"].mean())))
-    names = ", ".join(f"`{part}`" for part in best.split("+"))
+    level = ENOUGH * float(tried["all"].mean())
+    enough = [name for name, success in tried.items() if success.mean() >= level]
+    best = min(enough, key=lambda name: (len(groups_of(name)), -float(tried[name].mean())))
+    groups = groups_of(best)
+    share = f"{100 * ENOUGH:.0f} % of the success of all {len(GROUPS)} changes"
+    if best == "all":
+        return (
+            f"No smaller set that three seeds tried for {steps / 1e6:g} million steps has {share}."
+        )
     return (
-        f"After {steps / 1e6:g} million steps the smallest set that we found with "
-        f"{100 * ENOUGH:.0f} % of the success of all {len(GROUPS)} changes has "
-        f"{sizes[best]}: {names}. Smaller sets that the table does not show were not tried."
+        f"After {steps / 1e6:g} million steps the smallest set that we found with {share} has "
+        f"{len(groups)}: {quoted(groups)}. Sets that the table does not show were not tried."
     )
+
+
+def quoted(names: Sequence[str]) -> str:
+    """List names of changes."""
+    return ", ".join(f"`{name}`" for name in names) or "none of them"

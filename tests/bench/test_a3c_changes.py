@@ -6,7 +6,17 @@ import numpy as np
 import pytest
 
 from benchmarks import a3c_changes
-from benchmarks.a3c_changes import GROUPS, changed, differences, outcome, published, settings, tuned
+from benchmarks.a3c_changes import (
+    GROUPS,
+    changed,
+    differences,
+    groups_of,
+    name_of,
+    outcome,
+    published,
+    settings,
+    tuned,
+)
 from benchmarks.a3c_changes import variants as variants_of
 from knowarm.experiment.csv_log import read_csv
 
@@ -30,7 +40,17 @@ def test_variants_change_one_group_leave_one_out_or_take_those_named():
     assert variants_of("add", ())["pixels"] == ("pixels",)
     assert "pixels" not in variants_of("leave-out", ())["without-pixels"]
     assert len(variants_of("leave-out", ())["without-pixels"]) == len(GROUPS) - 1
-    assert variants_of("set", ("rewards", "pixels")) == {"rewards+pixels": ("rewards", "pixels")}
+    assert variants_of("set", ("pixels", "rewards")) == {"rewards+pixels": ("rewards", "pixels")}
+
+
+def test_one_set_of_changes_has_one_name_in_every_mode():
+    every = tuple(GROUPS)
+    assert variants_of("set", every) == {"all": every}
+    assert list(variants_of("set", every[1:])) == ["without-batch"]
+    for groups in ((), *((name,) for name in GROUPS), every[3:], every[1:], every):
+        assert groups_of(name_of(groups)) == groups
+    with pytest.raises(ValueError, match="'rewards\\+colour'; changes: batch"):
+        groups_of("rewards+colour")
 
 
 def test_the_outcome_is_the_mean_of_the_last_evaluations(reach_run):

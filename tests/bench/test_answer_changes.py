@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.a3c_changes import GROUPS
-from scripts.answer_changes import changes_section, single_changes, smallest_set
+from scripts.answer_changes import changes_section, left_out, single_changes, smallest_set
 
 NAMES = ["none", *GROUPS]
 
@@ -44,6 +44,18 @@ def test_the_smallest_set_has_four_fifths_of_the_success_of_all():
     assert text.startswith("After 5 million steps the smallest set")
     assert "has 3: `rewards`, `batch`, `pixels`" in text
     assert smallest_set({**measured, "all": variant([0.5])}, 5_000_000) == ""
+    smaller = {name: measured[name] for name in ("all", "rewards")}
+    assert smallest_set(smaller, 5_000_000).startswith("No smaller set that three seeds tried")
+    assert smallest_set({"all": measured["all"]}, 5_000_000) == ""
+
+
+def test_changes_left_out_with_one_seed_are_kept_or_dropped():
+    measured = {f"without-{name}": variant([0.1], (-50.0,)) for name in GROUPS}
+    measured |= {"all": variant([0.5, 0.1, 0.1]), "without-pixels": variant([0.4], (-30.0,))}
+    text = left_out(measured, 5_000_000)
+    needed = ", ".join(f"`{name}`" for name in GROUPS if name != "pixels")
+    assert f"success of all without {needed}, and at least as much without `pixels`." in text
+    assert left_out({"all": variant([0.5])}, 5_000_000) == ""
 
 
 @pytest.mark.parametrize("seeds", [1, 3])
