@@ -79,26 +79,36 @@ def listed(values: np.ndarray) -> str:
 
 
 def single_changes(measured: Mapping[str, Variant], steps: int) -> str:
-    """Say which single changes raise the return, by Welch's t tests with Holm's correction."""
+    """Say which single changes move the return, by Welch's t tests with Holm's correction."""
     alone = [name for name in measured if name in GROUPS]
     if "none" not in measured or not alone:
         return ""
     base = measured["none"]["return_mean"]
-    most = max(alone, key=lambda name: float(measured[name]["success"].mean()))
-    text = f"After {steps / 1e6:g} million steps none of {len(alone)} single changes has more than "
-    text += f"{100 * measured[most]['success'].mean():.1f} % of success (`{most}`). "
+    best = max(alone, key=lambda name: float(measured[name]["success"].mean()))
+    most = 100 * measured[best]["success"].mean()
+    found = f"the most success has `{best}`, {most:.1f} %" if most else "none has a success"
+    text = f"After {steps / 1e6:g} million steps with one of {len(alone)} changes, {found}. "
     usable = [name for name in alone if min(len(base), len(measured[name]["success"])) >= 3]
     if len(usable) < len(alone):
         return f"{text}Not every change has three seeds, so their returns are not compared."
     tests = [welch(measured[name]["return_mean"], base) for name in alone]
-    better = [
-        f"`{name}` ({test.difference.estimate:+.0f} [{test.difference.low:+.0f}, "
-        f"{test.difference.high:+.0f}])"
+    decided = [
+        (test.difference, name)
         for name, test, p in zip(alone, tests, holm([t.p_value for t in tests]), strict=True)
-        if p < SIGNIFICANT and test.difference.estimate > 0
+        if p < SIGNIFICANT
     ]
-    names = ", ".join(better) or "none of them"
-    return f"{text}The return is significantly higher (Welch's t test, Holm) with: {names}."
+    higher, lower = (
+        ", ".join(
+            f"`{name}` ({each.estimate:+.0f} [{each.low:+.0f}, {each.high:+.0f}])"
+            for each, name in decided
+            if each.estimate * sign > 0
+        )
+        for sign in (1, -1)
+    )
+    return (
+        f"{text}The return is significantly (Welch's t test, Holm) higher with "
+        f"{higher or 'none of them'}, and lower with {lower or 'none of them'}."
+    )
 
 
 def left_out(measured: Mapping[str, Variant], steps: int) -> str:

@@ -37,6 +37,7 @@ from scripts.answer_cells import (
     title_of,
     verdict,
 )
+from scripts.answer_changes import changes_section
 from scripts.answer_fusions import fusions_section
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
@@ -269,7 +270,8 @@ The report of the twelve cells is `paper.html`. The policies `zoo/irb120-full-fa
 99.8], `zoo/tiago-full-fast` 99.9 % [99.4, 100.0].
 
 Repeat: `knowarm study run` with `answer`, `paper`, `a3c`, `a3c-tuned`, `fusions` and
-`choose`, then `python -m scripts.build_answer`."""
+`choose`, and `python -m benchmarks.a3c_changes add --csv docs/results/a3c-changes.csv`, then
+`python -m scripts.build_answer`."""
 
 
 def wrapped(text: str) -> str:
@@ -307,7 +309,8 @@ def main() -> None:
         progress = " ".join(done(folder[name]) for name in STUDIES)
         a3c = a3c_section(folder["a3c"], done(folder["a3c"]))
         tuned = tuned_section(folder["a3c-tuned"], done(folder["a3c-tuned"]))
-        text = page(list(cells), progress, [*a3c, *tuned, *fusions])
+        changes = changes_section(RESULTS / "a3c-changes.csv")
+        text = page(list(cells), progress, [*a3c, *tuned, *changes, *fusions])
         given.out.write_text(text, encoding="utf-8")
 
 

@@ -13,14 +13,18 @@ def variant(success, returns=(-70.0, -71.0, -69.0)):
     return {"success": np.array(success), "return_mean": np.array(returns)}
 
 
-def test_a_change_that_raises_the_return_is_named():
+def test_changes_that_move_the_return_are_named():
     measured = {name: variant([0.0, 0.01, 0.02]) for name in NAMES}
     measured["pixels"] = variant([0.02, 0.02, 0.02])
     measured["rewards"] = variant([0.0, 0.0, 0.0], (-50.0, -51.0, -49.0))
     measured["entropy"] = variant([0.0, 0.0, 0.0], (-90.0, -91.0, -89.0))
     text = single_changes(measured, 2_000_000)
-    assert "none of 11 single changes has more than 2.0 % of success (`pixels`)" in text
-    assert text.endswith("with: `rewards` (+20 [+18, +22]).")
+    assert "with one of 11 changes, the most success has `pixels`, 2.0 %. The return" in text
+    assert "higher with `rewards` (+20 [+18, +22]), and lower with `entropy` (-20 [-2" in text
+    measured = {name: variant([0.0, 0.0, 0.0]) for name in NAMES}
+    text = single_changes(measured, 2_000_000)
+    assert "none has a success. " in text
+    assert text.endswith("higher with none of them, and lower with none of them.")
 
 
 def test_changes_with_few_seeds_are_not_compared():
