@@ -270,8 +270,8 @@ The report of the twelve cells is `paper.html`. The policies `zoo/irb120-full-fa
 99.8], `zoo/tiago-full-fast` 99.9 % [99.4, 100.0].
 
 Repeat: `knowarm study run` with `answer`, `paper`, `a3c`, `a3c-tuned`, `fusions` and
-`choose`, and `python -m benchmarks.a3c_changes add --csv docs/results/a3c-changes.csv`, then
-`python -m scripts.build_answer`."""
+`choose`, and `python -m benchmarks.a3c_changes add --csv a3c-changes.csv` (it keeps the rows that
+its file has, so start without one), then `python -m scripts.build_answer`."""
 
 
 def wrapped(text: str) -> str:
