@@ -1,12 +1,13 @@
 """Which changes make the paper's A3C learn: interim success with some groups of changed settings.
 
-python -m benchmarks.a3c_changes add --steps 2000000 --csv runs/a3c-changes/add.csv
-python -m benchmarks.a3c_changes leave-out --steps 5000000 --csv runs/a3c-changes/leave-out.csv
+python -m benchmarks.a3c_changes add --steps 2000000
+python -m benchmarks.a3c_changes leave-out --steps 5000000 --seeds 0
 python -m benchmarks.a3c_changes set --groups thresholds rewards --steps 5000000
+python -m benchmarks.a3c_changes pack --out docs/results/a3c-changes
 
 "add" makes each change alone, to the settings of the study `a3c`; "leave-out" makes all but one,
 which all together are `a3c-tuned`; "set" makes those that are named. Runs that exist are resumed,
-rows that the CSV file has are kept.
+those that are done are kept. "pack" writes one pack per set of changes and number of steps.
 
 The smallest set, by a rule fixed before these runs: leave out, with seed 0, one change after the
 other. Changes without which the success is at least four fifths of that of all changes are dropped
@@ -15,9 +16,8 @@ the rest is enough; otherwise the dropped change whose absence cost most comes b
 """
 
 import argparse
-import csv
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,9 +27,13 @@ from knowarm.config import to_dict
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.csv_log import read_csv
 from knowarm.experiment.names import experiment_config
-from knowarm.experiment.run import train
+from knowarm.experiment.run import run_path, train
 from knowarm.experiment.run_folder import RunFolder
-from knowarm.study.config import read_study
+from knowarm.study.config import StudyConfig, read_study, write_study
+from knowarm.study.pack import SUFFIX, pack_study
+from knowarm.study.status import is_trained
+
+EXPERIMENT = "irb120-full-a3c"
 
 GROUPS = {
     "batch": ("envs_per_worker", "rollout_steps"),
@@ -57,12 +61,12 @@ def settings(config: ExperimentConfig) -> dict[str, Any]:
 
 def published() -> ExperimentConfig:
     """Return the settings of the study `a3c`: the paper's, with two batched workers."""
-    return read_study("a3c").run("irb120-full-a3c", 0)
+    return read_study("a3c").run(EXPERIMENT, 0)
 
 
 def tuned() -> ExperimentConfig:
     """Return the settings that learn."""
-    return experiment_config("irb120-full-a3c-tuned")
+    return experiment_config(f"{EXPERIMENT}-tuned")
 
 
 def differences() -> dict[str, Any]:
@@ -71,26 +75,34 @@ def differences() -> dict[str, Any]:
     return {name: value for name, value in settings(tuned()).items() if value != before[name]}
 
 
-def changed(groups: tuple[str, ...], steps: int, seed: int) -> ExperimentConfig:
-    """Return the settings of `published` with those of some groups as in `tuned`."""
-    config, values = published(), settings(tuned())
-    fields = {name: values[name] for group in groups for name in GROUPS[group]}
-    parts = {
-        part: replace(
-            getattr(config, part),
-            **{name: v for name, v in fields.items() if hasattr(getattr(config, part), name)},
-        )
-        for part in ("algorithm", "policy")
-    }
-    interim = replace(config.interim, every_steps=steps // 20)
-    return replace(config, **parts, interim=interim, total_steps=steps, seed=seed)
+def study_of(name: str, steps: int, seeds: Sequence[int]) -> StudyConfig:
+    """Return the study of one set of changes: settings of `published`, some as in `tuned`."""
+    study, values = read_study("a3c"), settings(tuned())
+    fields = {field: values[field] for group in groups_of(name) for field in GROUPS[group]}
+    policy = {field: v for field, v in fields.items() if hasattr(published().policy, field)}
+    algorithm = {field: v for field, v in fields.items() if field not in policy}
+    interim = {"every_steps": steps // 20}
+    parts = {"policy": policy, "algorithm": algorithm, "interim": interim}
+    return replace(
+        study,
+        name=f"a3c-{steps}-{name}",
+        about=f"the study a3c with changes ({name}) and {steps:,} steps",
+        experiments=(EXPERIMENT,),
+        seeds=tuple(seeds),
+        overrides={
+            "total_steps": steps,
+            **{part: {**study.overrides.get(part, {}), **each} for part, each in parts.items()},
+        },
+        evaluations=(),
+    )
 
 
-def measure(config: ExperimentConfig, runs: Path) -> dict[str, Any]:
-    """Train, or resume and finish a training; return its last interim evaluations."""
-    path = runs / config.name / str(config.seed)
-    run = train(config, runs, resume=path.exists())
-    return outcome(run.folder)
+def trained(config: ExperimentConfig, out: Path) -> RunFolder:
+    """Train, or resume and finish a training, unless it is done; return its folder."""
+    folder = RunFolder(run_path(out, config))
+    if not (folder.config_path.exists() and is_trained(folder, config)):
+        train(config, out, resume=folder.path.exists())
+    return folder
 
 
 def outcome(folder: RunFolder) -> dict[str, Any]:
@@ -116,7 +128,7 @@ def name_of(groups: Collection[str]) -> str:
     missing = [name for name in GROUPS if name not in groups]
     if len(missing) < 2:
         return f"without-{missing[0]}" if missing else "all"
-    return "+".join(name for name in GROUPS if name in groups) or "none"
+    return "_".join(name for name in GROUPS if name in groups) or "none"
 
 
 def groups_of(name: str) -> tuple[str, ...]:
@@ -127,50 +139,56 @@ def groups_of(name: str) -> tuple[str, ...]:
     every = tuple(GROUPS)
     left_out = {"all": every, "none": ()}
     left_out |= {f"without-{one}": tuple(g for g in every if g != one) for one in every}
-    groups = left_out.get(name, tuple(name.split("+")))
+    groups = left_out.get(name, tuple(name.split("_")))
     if not set(groups) <= set(every):
         raise ValueError(f"no set of changes is named {name!r}; changes: {', '.join(every)}")
     return groups
 
 
-def variants(mode: str, groups: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
-    """Return the groups to change by the name of the variant."""
+def names_of(mode: str, groups: Collection[str]) -> list[str]:
+    """Return the names of the sets of changes that a mode trains."""
     names = {
         "add": ["none", *GROUPS],
         "leave-out": ["all", *(f"without-{name}" for name in GROUPS)],
         "set": [name_of(groups)],
     }
-    return {name: groups_of(name) for name in names[mode]}
+    return names[mode]
+
+
+def pack(runs: Path, out: Path) -> None:
+    """Write one pack per set of changes and number of steps: ``<steps>-<name>.tar.gz``."""
+    for folder in sorted(runs.glob("*/*")):
+        steps, name = int(folder.parent.name), folder.name
+        seeds = sorted(int(path.name) for path in (folder / EXPERIMENT).iterdir())
+        study = study_of(name, steps, seeds)
+        for config in study.runs():
+            if not is_trained(RunFolder(run_path(folder, config)), config):
+                raise SystemExit(f"{run_path(folder, config)} is not done: finish or remove it.")
+        write_study(study, folder)
+        out.mkdir(parents=True, exist_ok=True)
+        pack_study(folder, out / f"{steps}-{name}{SUFFIX}", leave_out=["policies"])
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("mode", choices=("add", "leave-out", "set"))
+    parser.add_argument("mode", choices=("add", "leave-out", "set", "pack"))
     parser.add_argument("--groups", nargs="+", choices=GROUPS, default=[])
     parser.add_argument("--steps", type=int, default=2_000_000)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--runs", type=Path, default=Path("runs/a3c-changes"))
-    parser.add_argument("--csv", type=Path)
+    parser.add_argument("--out", type=Path, default=Path("docs/results/a3c-changes"))
     given = parser.parse_args()
+    if given.mode == "pack":
+        pack(given.runs, given.out)
+        return
     rows: list[dict[str, Any]] = []
-    if given.csv is not None and given.csv.exists():
-        rows = list(csv.DictReader(given.csv.read_text(encoding="utf-8").splitlines()))
-    done = {(row["change"], int(row["seed"]), int(row["steps"])) for row in rows}
     for seed in given.seeds:
-        for name, groups in variants(given.mode, tuple(given.groups)).items():
-            if (name, seed, given.steps) in done:
-                continue
-            config = changed(groups, given.steps, seed)
-            result = measure(config, given.runs / str(given.steps) / name)
-            rows.append({"change": name, "seed": seed, "steps": given.steps, **result})
-            if given.csv is not None:
-                given.csv.parent.mkdir(parents=True, exist_ok=True)
-                with given.csv.open("w", newline="", encoding="utf-8") as file:
-                    writer = csv.DictWriter(file, rows[0], lineterminator="\n")
-                    writer.writeheader()
-                    writer.writerows(rows)
+        for name in names_of(given.mode, given.groups):
+            (config,) = study_of(name, given.steps, [seed]).runs()
+            folder = trained(config, given.runs / str(given.steps) / name)
+            rows.append({"change": name, "seed": seed, **outcome(folder)})
     print_table("A3C with changes", list(rows[0]), [list(row.values()) for row in rows])
 
 

@@ -1,13 +1,27 @@
 """Section of `docs/results/answer.md` on which changes make the paper's A3C learn."""
 
-import csv
+import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.a3c_changes import EVALUATIONS, GROUPS, groups_of, published, settings, tuned
+from benchmarks.a3c_changes import (
+    EVALUATIONS,
+    GROUPS,
+    groups_of,
+    names_of,
+    outcome,
+    published,
+    settings,
+    tuned,
+)
+from knowarm.experiment.csv_log import read_csv, training_seconds
+from knowarm.experiment.run import run_path
+from knowarm.experiment.run_folder import RunFolder
 from knowarm.statistics import holm, welch
+from knowarm.study.driver import open_study
+from knowarm.study.pack import SUFFIX, unpack_study
 from scripts.answer_cells import SIGNIFICANT, percent, table
 
 ENOUGH = 0.8
@@ -17,30 +31,51 @@ MEASURES = ("success", "return_mean", "entropy")
 Variant = dict[str, np.ndarray]  # measures of a variant by name, one number per training seed
 
 TEXT = f"""**Protocol.** IRB120, `full`, fixed colours, two workers; the settings of the study `a3c`
-with changes towards `a3c-tuned`, which has all of them. Success and return: means of the last
-{EVALUATIONS} of 20 interim evaluations of 40 episodes (5 cm, 15 degrees). Entropy of the actions
-while training [nat]. Brackets: 95 % intervals over training seeds (bootstrap, too narrow for so
-few). A linear learning rate falls within the steps of the table, so all changes for 2 million steps
-are not the first 2 million of 10."""
+with changes towards `a3c-tuned`, which has all of them; {{runs}} runs, {{hours:.1f}} core hours.
+Success and return: means of the last {EVALUATIONS} of 20 interim evaluations of 40 episodes (5 cm,
+15 degrees). Entropy of the actions while training [nat]. Brackets: 95 % intervals over training
+seeds (bootstrap, too narrow for so few). A linear learning rate falls within the steps of the
+table, so all changes for 2 million steps are not the first 2 million of 10."""
 
 
-def changes_section(path: Path) -> list[str]:
-    """Return the blocks of the section from the rows of `benchmarks.a3c_changes`."""
-    found: dict[int, dict[str, dict[int, dict[str, float]]]] = {}
-    for row in csv.DictReader(path.read_text(encoding="utf-8").splitlines()):
-        variants = found.setdefault(int(row.pop("steps")), {})
-        name, seed = row.pop("change"), int(row.pop("seed"))
-        variants.setdefault(name, {})[seed] = {key: float(value) for key, value in row.items()}
-    blocks = ["## Which changes A3C needs", TEXT, settings_table()]
+def changes_section(packs: Path) -> list[str]:
+    """Return the blocks of the section from the packs of `benchmarks.a3c_changes`."""
+    found: dict[int, dict[str, Variant]] = {}
+    runs, hours = 0, 0.0
+    for file in sorted(packs.glob(f"*{SUFFIX}")):
+        number, name = file.name.removesuffix(SUFFIX).split("-", 1)
+        with tempfile.TemporaryDirectory() as temporary:
+            study = unpack_study(file, Path(temporary) / name)
+            configs = open_study(study).runs()
+            folders = [RunFolder(run_path(study, config)) for config in configs]
+            found.setdefault(int(number), {})[name] = variant(folders)
+            runs += len(folders)
+            hours += sum(core_hours(folder, workers=2) for folder in folders)
+    blocks = ["## Which changes A3C needs", TEXT.format(runs=runs, hours=hours), settings_table()]
     lines = []
-    for steps, variants in sorted(found.items()):
-        measured = {
-            name: {key: np.array([seeds[seed][key] for seed in sorted(seeds)]) for key in MEASURES}
-            for name, seeds in variants.items()
-        }
-        blocks += [f"### After {steps / 1e6:g} million steps", measures_table(measured)]
-        lines += [each(measured, steps) for each in (single_changes, left_out, smallest_set)]
+    for steps, measured in sorted(found.items()):
+        ordered = {name: measured[name] for name in sorted(measured, key=place)}
+        blocks += [f"### After {steps / 1e6:g} million steps", measures_table(ordered)]
+        lines += [each(ordered, steps) for each in (single_changes, left_out, smallest_set)]
     return [*blocks, "\n".join(f"- {line}" for line in lines if line)]
+
+
+def variant(folders: Sequence[RunFolder]) -> Variant:
+    """Return what the runs of one set of changes reached."""
+    outcomes = [outcome(folder) for folder in folders]
+    return {key: np.array([each[key] for each in outcomes]) for key in MEASURES}
+
+
+def core_hours(folder: RunFolder, *, workers: int) -> float:
+    """Return the time that training took, times the processes that learnt."""
+    times = (float(row["wall_time_s"]) for row in read_csv(folder.metrics_path))
+    return workers * training_seconds(times) / 3600
+
+
+def place(name: str) -> tuple[int, int]:
+    """Order sets of changes by size, those of one size as they were trained."""
+    names = [*names_of("add", ()), *names_of("leave-out", ())]
+    return len(groups_of(name)), names.index(name) if name in names else -1
 
 
 def settings_table() -> str:

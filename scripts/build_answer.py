@@ -270,8 +270,8 @@ The report of the twelve cells is `paper.html`. The policies `zoo/irb120-full-fa
 99.8], `zoo/tiago-full-fast` 99.9 % [99.4, 100.0].
 
 Repeat: `knowarm study run` with `answer`, `paper`, `a3c`, `a3c-tuned`, `fusions` and
-`choose`, and `python -m benchmarks.a3c_changes add --csv a3c-changes.csv` (it keeps the rows that
-its file has, so start without one), then `python -m scripts.build_answer`."""
+`choose`, and `python -m benchmarks.a3c_changes` with `add --steps 2000000`, `leave-out --steps
+5000000 --seeds 0` and `set`; pack them, then `python -m scripts.build_answer`."""
 
 
 def wrapped(text: str) -> str:
@@ -309,7 +309,7 @@ def main() -> None:
         progress = " ".join(done(folder[name]) for name in STUDIES)
         a3c = a3c_section(folder["a3c"], done(folder["a3c"]))
         tuned = tuned_section(folder["a3c-tuned"], done(folder["a3c-tuned"]))
-        changes = changes_section(RESULTS / "a3c-changes.csv")
+        changes = changes_section(RESULTS / "a3c-changes")
         text = page(list(cells), progress, [*a3c, *tuned, *changes, *fusions])
         given.out.write_text(text, encoding="utf-8")
 

@@ -1,24 +1,27 @@
 """The changes between the published A3C and the one that learns."""
 
-import csv
-
 import numpy as np
 import pytest
 
 from benchmarks import a3c_changes
 from benchmarks.a3c_changes import (
+    EXPERIMENT,
     GROUPS,
-    changed,
     differences,
     groups_of,
     name_of,
+    names_of,
     outcome,
     published,
     settings,
+    study_of,
     tuned,
 )
-from benchmarks.a3c_changes import variants as variants_of
 from knowarm.experiment.csv_log import read_csv
+from knowarm.study.driver import open_study
+from knowarm.study.pack import unpack_study
+from knowarm.study.status import study_status
+from tests.bench.changes import write_run, write_runs
 
 
 def test_groups_name_every_difference_once():
@@ -27,30 +30,34 @@ def test_groups_name_every_difference_once():
 
 
 def test_no_change_is_published_and_all_are_tuned():
-    steps = 1_000_000
-    assert settings(changed((), steps, 3)) == settings(published())
-    assert settings(changed(tuple(GROUPS), steps, 3)) == settings(tuned())
-    one = settings(changed(("discount",), steps, 3))
+    def config(name):
+        return study_of(name, 1_000_000, [3]).run(EXPERIMENT, 3)
+
+    assert settings(config("none")) == settings(published())
+    assert settings(config("all")) == settings(tuned())
+    one = settings(config("discount"))
     different = {name for name, value in settings(published()).items() if one[name] != value}
     assert different == {"gamma", "gae_lambda"}
-    assert (changed((), steps, 3).seed, changed((), steps, 3).total_steps) == (3, steps)
+    assert (config("none").seed, config("none").total_steps) == (3, 1_000_000)
+    assert config("pixels").interim.every_steps == 50_000
 
 
-def test_variants_change_one_group_leave_one_out_or_take_those_named():
-    assert variants_of("add", ())["pixels"] == ("pixels",)
-    assert "pixels" not in variants_of("leave-out", ())["without-pixels"]
-    assert len(variants_of("leave-out", ())["without-pixels"]) == len(GROUPS) - 1
-    assert variants_of("set", ("pixels", "rewards")) == {"rewards+pixels": ("rewards", "pixels")}
+def test_a_mode_trains_single_changes_all_but_one_or_those_named():
+    assert names_of("add", ()) == ["none", *GROUPS]
+    assert groups_of("pixels") == ("pixels",)
+    assert "without-pixels" in names_of("leave-out", ())
+    assert set(groups_of("without-pixels")) == {*GROUPS} - {"pixels"}
+    assert names_of("set", ("pixels", "rewards")) == ["rewards_pixels"]
 
 
 def test_one_set_of_changes_has_one_name_in_every_mode():
     every = tuple(GROUPS)
-    assert variants_of("set", every) == {"all": every}
-    assert list(variants_of("set", every[1:])) == ["without-batch"]
+    assert names_of("set", every) == ["all"]
+    assert names_of("set", every[1:]) == ["without-batch"]
     for groups in ((), *((name,) for name in GROUPS), every[3:], every[1:], every):
         assert groups_of(name_of(groups)) == groups
-    with pytest.raises(ValueError, match="'rewards\\+colour'; changes: batch"):
-        groups_of("rewards+colour")
+    with pytest.raises(ValueError, match="'rewards_colour'; changes: batch"):
+        groups_of("rewards_colour")
 
 
 def test_the_outcome_is_the_mean_of_the_last_evaluations(reach_run):
@@ -62,17 +69,44 @@ def test_the_outcome_is_the_mean_of_the_last_evaluations(reach_run):
     assert found["entropy"] == pytest.approx(np.mean([float(row["entropy"]) for row in last]))
 
 
-def test_rows_of_the_csv_file_are_kept_and_not_trained_again(tmp_path, monkeypatch, capsys):
-    path = tmp_path / "changes.csv"
-    path.write_text("change,seed,steps,success\nnone,0,100,0.5\n")
+def test_runs_that_are_done_are_kept_and_others_resume(tmp_path, monkeypatch, capsys):
+    out = tmp_path / "100" / "none"
+    study = study_of("none", 100, [0, 1, 2])
+    write_run(study.run(EXPERIMENT, 0), out)
+    write_run(study.run(EXPERIMENT, 1), out, step=40)
     trained = []
-    monkeypatch.setattr(
-        a3c_changes,
-        "measure",
-        lambda config, runs: trained.append(config.seed) or {"success": 0.25},
-    )
-    words = ["changes", "set", "--steps", "100", "--seeds", "0", "1", "--csv", str(path)]
-    monkeypatch.setattr("sys.argv", [*words, "--runs", str(tmp_path)])
+
+    def train(config, runs, *, resume):
+        trained.append((config.seed, resume))
+        write_run(config, runs, success=0.25)
+
+    monkeypatch.setattr(a3c_changes, "train", train)
+    words = ["changes", "set", "--steps", "100", "--runs", str(tmp_path)]
+    monkeypatch.setattr("sys.argv", words)
     a3c_changes.main()
-    assert trained == [1]
-    assert [row["success"] for row in csv.DictReader(path.open())] == ["0.5", "0.25"]
+    assert trained == [(1, True), (2, False)]
+    shown = capsys.readouterr().out
+    # success, accuracy and success while training
+    assert [shown.count(word) for word in ("none", "0.5", "0.25")] == [3, 3, 6]
+
+
+def test_a_set_of_changes_is_packed_with_its_study(tmp_path, monkeypatch):
+    runs, out = tmp_path / "runs", tmp_path / "packs"
+    write_runs(runs, 100, {"rewards_pixels": [0.1, 0.2]})
+    monkeypatch.setattr("sys.argv", ["_", "pack", "--runs", str(runs), "--out", str(out)])
+    a3c_changes.main()
+    (file,) = out.iterdir()
+    assert file.name == "100-rewards_pixels.tar.gz"
+    folder = unpack_study(file, tmp_path / "unpacked")
+    study = open_study(folder)
+    assert study == study_of("rewards_pixels", 100, [0, 1])
+    assert [each.state for each in study_status(study, folder)] == ["done", "done"]
+
+
+def test_a_run_that_is_not_done_is_not_packed(tmp_path):
+    runs = tmp_path / "runs"
+    write_runs(runs, 100, {"all": [0.1]})
+    write_run(study_of("all", 100, [1]).run(EXPERIMENT, 1), runs / "100" / "all", step=40)
+    with pytest.raises(SystemExit, match="irb120-full-a3c/1 is not done"):
+        a3c_changes.pack(runs, tmp_path / "packs")
+    assert not (tmp_path / "packs").exists()

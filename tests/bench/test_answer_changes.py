@@ -1,10 +1,11 @@
-"""The section on single changes of A3C: its sentences follow from the rows."""
+"""The section on single changes of A3C: its sentences follow from the packs."""
 
 import numpy as np
-import pytest
 
+from benchmarks import a3c_changes
 from benchmarks.a3c_changes import GROUPS
 from scripts.answer_changes import changes_section, left_out, single_changes, smallest_set
+from tests.bench.changes import write_runs
 
 NAMES = ["none", *GROUPS]
 
@@ -39,14 +40,14 @@ def test_the_smallest_set_has_four_fifths_of_the_success_of_all():
         "all": variant([0.5, 0.5, 0.5]),
         "without-pixels": variant([0.6, 0.6, 0.6]),
         "rewards": variant([0.3, 0.3, 0.3]),
-        "rewards+entropy": variant([0.9]),  # one seed
-        "rewards+batch": variant([0.39, 0.39, 0.39]),
-        "rewards+batch+pixels": variant([0.4, 0.41, 0.42]),
-        "rewards+batch+pixels+epsilon": variant([0.5, 0.6, 0.7]),
+        "rewards_entropy": variant([0.9]),  # one seed
+        "batch_rewards": variant([0.39, 0.39, 0.39]),
+        "batch_rewards_pixels": variant([0.4, 0.41, 0.42]),
+        "batch_epsilon_rewards_pixels": variant([0.5, 0.6, 0.7]),
     }
     text = smallest_set(measured, 5_000_000)
     assert text.startswith("After 5 million steps the smallest set")
-    assert "has 3: `rewards`, `batch`, `pixels`" in text
+    assert "has 3: `batch`, `rewards`, `pixels`" in text
     assert smallest_set({**measured, "all": variant([0.5])}, 5_000_000) == ""
     smaller = {name: measured[name] for name in ("all", "rewards")}
     assert smallest_set(smaller, 5_000_000).startswith("No smaller set that three seeds tried")
@@ -62,15 +63,17 @@ def test_changes_left_out_with_one_seed_are_kept_or_dropped():
     assert left_out({"all": variant([0.5])}, 5_000_000) == ""
 
 
-@pytest.mark.parametrize("seeds", [1, 3])
-def test_the_section_has_a_table_for_each_number_of_steps(tmp_path, seeds):
-    path = tmp_path / "changes.csv"
-    lines = ["change,seed,steps,success,accuracy,return_mean,training_success,entropy"]
-    for seed in range(seeds):
-        lines += [f"{name},{seed},2000000,.01,.2,-70.{seed},0,9.5" for name in NAMES]
-    lines.append("all,0,5000000,.475,.5,-30,.4,6")
-    path.write_text("\n".join(lines))
-    text = "\n\n".join(changes_section(path))
-    assert "### After 2 million steps" in text
-    assert "| `all` | 1 | 47.5 | -30.0 | 6.0 |" in text
-    assert f"| `none` | {seeds} | 1.0" in text
+def test_the_section_has_a_table_for_each_number_of_steps(tmp_path):
+    runs, packs = tmp_path / "runs", tmp_path / "packs"
+    write_runs(runs, 2_000_000, {name: [0.01, 0.01, 0.01] for name in NAMES})
+    larger = {"all": [0.475], "without-batch": [0.4], "rewards_pixels": [0.1]}
+    write_runs(runs, 5_000_000, larger | {"without-pixels": [0.45]})
+    a3c_changes.pack(runs, packs)
+    text = "\n\n".join(changes_section(packs))
+    assert "40 runs, 1.3 core hours" in text  # a minute of two cores each
+    before, _, after = text.partition("### After 5 million steps")
+    assert "### After 2 million steps" in before
+    assert "| `none` | 3 | 1.0 [1.0, 1.0] | -70.0, -71.0, -72.0 | 9.5, 9.5, 9.5 |" in before
+    assert "| `all` | 1 | 47.5 | -70.0 | 9.5 |" in after
+    table = [line.split("`")[1] for line in after.splitlines() if line.startswith("| `")]
+    assert table == ["rewards_pixels", "without-batch", "without-pixels", "all"]
