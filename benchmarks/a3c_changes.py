@@ -124,11 +124,11 @@ def _mean(rows: list[dict[str, str]], name: str) -> float:
 
 
 def name_of(groups: Collection[str]) -> str:
-    """Return the name of a set of changes, whatever their order."""
-    missing = [name for name in GROUPS if name not in groups]
-    if len(missing) < 2:
-        return f"without-{missing[0]}" if missing else "all"
-    return "_".join(name for name in GROUPS if name in groups) or "none"
+    """Return the name of a set of changes, whatever their order: what it has, or what it lacks."""
+    named, missing = ([g for g in GROUPS if (g in groups) == there] for there in (True, False))
+    if len(named) > len(missing):
+        return f"without-{'_'.join(missing)}" if missing else "all"
+    return "_".join(named) or "none"
 
 
 def groups_of(name: str) -> tuple[str, ...]:
@@ -136,13 +136,13 @@ def groups_of(name: str) -> tuple[str, ...]:
 
     Raises `ValueError` for a name of no set of changes.
     """
-    every = tuple(GROUPS)
-    left_out = {"all": every, "none": ()}
-    left_out |= {f"without-{one}": tuple(g for g in every if g != one) for one in every}
-    groups = left_out.get(name, tuple(name.split("_")))
-    if not set(groups) <= set(every):
-        raise ValueError(f"no set of changes is named {name!r}; changes: {', '.join(every)}")
-    return groups
+    if name in ("all", "none"):
+        return tuple(GROUPS) if name == "all" else ()
+    named = name.removeprefix("without-").split("_")
+    if not set(named) <= set(GROUPS):
+        raise ValueError(f"no set of changes is named {name!r}; changes: {', '.join(GROUPS)}")
+    lacks = name.startswith("without-")
+    return tuple(group for group in GROUPS if (group in named) != lacks)
 
 
 def names_of(mode: str, groups: Collection[str]) -> list[str]:

@@ -54,7 +54,8 @@ def test_one_set_of_changes_has_one_name_in_every_mode():
     every = tuple(GROUPS)
     assert names_of("set", every) == ["all"]
     assert names_of("set", every[1:]) == ["without-batch"]
-    for groups in ((), *((name,) for name in GROUPS), every[3:], every[1:], every):
+    assert names_of("set", every[3:]) == ["without-batch_bootstrap_learning-rate"]
+    for groups in ((), *((name,) for name in GROUPS), every[:4], every[4:], every[1:], every):
         assert groups_of(name_of(groups)) == groups
     with pytest.raises(ValueError, match="'rewards_colour'; changes: batch"):
         groups_of("rewards_colour")
