@@ -180,9 +180,11 @@ def smallest_set(measured: Mapping[str, Variant], steps: int) -> str:
         return (
             f"No smaller set that three seeds tried for {steps / 1e6:g} million steps has {share}."
         )
+    missing = [name for name in GROUPS if name not in groups]
+    which = quoted(groups) if len(groups) < len(missing) else f"all but {quoted(missing)}"
     return (
         f"After {steps / 1e6:g} million steps the smallest set that we found with {share} has "
-        f"{len(groups)}: {quoted(groups)}. Sets that the table does not show were not tried."
+        f"{len(groups)}: {which}. Sets that the table does not show were not tried."
     )
 
 

@@ -48,6 +48,8 @@ def test_the_smallest_set_has_four_fifths_of_the_success_of_all():
     text = smallest_set(measured, 5_000_000)
     assert text.startswith("After 5 million steps the smallest set")
     assert "has 3: `batch`, `rewards`, `pixels`" in text
+    large = {"without-batch": variant([0.5, 0.4, 0.4]), "all": measured["all"]}
+    assert "has 10: all but `batch`. Sets" in smallest_set(large, 5_000_000)
     assert smallest_set({**measured, "all": variant([0.5])}, 5_000_000) == ""
     smaller = {name: measured[name] for name in ("all", "rewards")}
     assert smallest_set(smaller, 5_000_000).startswith("No smaller set that three seeds tried")
