@@ -33,7 +33,7 @@ from knowarm.learn.sb3_vec_env import SB3VecEnv
 from knowarm.world.agents import OracleAgent
 from knowarm.world.agents.play import play_steps
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.episodes import draw_episodes
 from knowarm.world.tasks.running import ACTION_LEVELS, joint_increments
 
@@ -87,7 +87,7 @@ class Continuous(VectorWrapper):
     An action is a joint increment in units of the MPI.
     """
 
-    def __init__(self, env: ReachVectorEnv) -> None:
+    def __init__(self, env: ArmVectorEnv) -> None:
         super().__init__(env)
         self._arm = env
         n, joints = env.num_envs, env.scene.num_joints
@@ -147,7 +147,7 @@ class Progress(BaseCallback):
 
 def recurrent_ppo(cell: Cell, seed: int, out: Path) -> None:
     """Train sb3-contrib's recurrent PPO on images, with the settings of KnowArm's `PPOConfig`."""
-    arm = ReachVectorEnv(cell.env, 128, num_threads=1)
+    arm = ArmVectorEnv(cell.env, 128, num_threads=1)
     env = SB3VecEnv(TransformReward(arm, lambda rewards: PPO_REWARD_SCALE * rewards), seed=seed)
     model = RecurrentPPO(
         "CnnLstmPolicy",
@@ -174,7 +174,7 @@ def recurrent_ppo(cell: Cell, seed: int, out: Path) -> None:
 
 def sac(cell: Cell, seed: int, out: Path) -> None:
     """Train Stable-Baselines3's SAC on images and joint targets, with continuous actions."""
-    env = SB3VecEnv(Continuous(ReachVectorEnv(cell.env, 16, num_threads=1)), seed=seed)
+    env = SB3VecEnv(Continuous(ArmVectorEnv(cell.env, 16, num_threads=1)), seed=seed)
     model = SAC(
         "MultiInputPolicy",
         env,
@@ -219,7 +219,7 @@ class Disturbed:
         self._oracle, self._share = OracleAgent(), share
         self._rng = np.random.default_rng(seed)
 
-    def start(self, env: ReachVectorEnv) -> None:
+    def start(self, env: ArmVectorEnv) -> None:
         """Solve the episodes."""
         self._oracle.start(env)
 
@@ -232,7 +232,7 @@ class Disturbed:
 
 def demonstrations(config: EnvConfig, count: int, seed: int) -> tuple[torch.Tensor, ...]:
     """Play training episodes; return images, joint targets and the oracle's actions."""
-    env, agent = ReachVectorEnv(config, 100, num_threads=1), Disturbed(seed)
+    env, agent = ArmVectorEnv(config, 100, num_threads=1), Disturbed(seed)
     rows: list[tuple[NDArray[Any], ...]] = []
     for first in range(0, count, 100):
         numbers = np.arange(first, first + 100, dtype=np.uint64)

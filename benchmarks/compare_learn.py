@@ -48,8 +48,8 @@ from knowarm.world.envs.knowledge_observation import (
     KnowledgeObservation,
     VectorKnowledgeObservation,
 )
-from knowarm.world.envs.single_env import ReachEnv
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.single_env import ArmEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.episodes import evaluation_episodes
 
 
@@ -96,7 +96,7 @@ def compare_learn(config: CompareLearnConfig) -> dict[str, Any]:
 
 
 def sb3_environments(
-    vector: ReachVectorEnv, table: np.ndarray, ppo: PPOConfig, seed: int
+    vector: ArmVectorEnv, table: np.ndarray, ppo: PPOConfig, seed: int
 ) -> SB3VecEnv:
     """Return the environment that Stable-Baselines3 learns from, with rewards scaled as ours."""
     observed = VectorKnowledgeObservation(vector, table)
@@ -115,7 +115,7 @@ def sb3_row(config: CompareLearnConfig, *, opengl: bool) -> Row:
             replace(chosen.env, renderer="opengl"), parts.table, config.opengl_envs
         )
     else:
-        vector = ReachVectorEnv(chosen.env, ppo.num_envs, num_threads=config.cores)
+        vector = ArmVectorEnv(chosen.env, ppo.num_envs, num_threads=config.cores)
         env = sb3_environments(vector, parts.table, ppo, config.seed)
     clock = RolloutClock(config.seconds)
     model = recurrent_ppo(parts.new_policy(0), ppo, env, seed=config.seed)
@@ -137,7 +137,7 @@ def sb3_success_row(config: CompareLearnConfig) -> Row:
     """Train RecurrentPPO on KnowArm's vector environment until 80 % success."""
     chosen, ppo = experiment_config(config.experiment), config.ppo()
     parts = build(chosen)
-    vector = ReachVectorEnv(chosen.env, ppo.num_envs, num_threads=config.cores)
+    vector = ArmVectorEnv(chosen.env, ppo.num_envs, num_threads=config.cores)
     env = sb3_environments(vector, parts.table, ppo, config.seed)
     model = recurrent_ppo(parts.new_policy(0), ppo, env, seed=config.seed)
     callback = SuccessCallback(chosen.env, parts.table, config.success_steps)
@@ -151,7 +151,7 @@ class SB3Agent:
     def __init__(self, model: BaseAlgorithm, table: np.ndarray) -> None:
         self._model, self._table = model, table
 
-    def start(self, env: ReachVectorEnv) -> None:
+    def start(self, env: ArmVectorEnv) -> None:
         self._env = env
         self._state: tuple[np.ndarray, ...] | None = None
         self._episode_start = np.ones(env.num_envs, dtype=bool)
@@ -179,7 +179,7 @@ class SuccessCallback(BaseCallback):
 
     def __init__(self, config: EnvConfig, table: np.ndarray, most_steps: int) -> None:
         super().__init__()
-        self._env = ReachVectorEnv(config, INTERIM.episodes)
+        self._env = ArmVectorEnv(config, INTERIM.episodes)
         self._episodes = evaluation_episodes(config, INTERIM.episodes, INTERIM.seed)
         self._table, self._next = table, 0
         self.clock = SuccessClock(most_steps)
@@ -252,7 +252,7 @@ def single_environments(config: EnvConfig, table: np.ndarray, count: int) -> Vec
     """Make ``count`` single environments in one process each, as Stable-Baselines3 does."""
 
     def make() -> KnowledgeObservation:
-        return KnowledgeObservation(ReachEnv(**vars(config)), table)
+        return KnowledgeObservation(ArmEnv(**vars(config)), table)
 
     return SubprocVecEnv([make] * count, start_method="spawn")
 

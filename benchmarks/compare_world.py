@@ -26,7 +26,7 @@ from knowarm.errors import UserError
 from knowarm.experiment.speed import Speed, measure_steps
 from knowarm.world import env_id
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.scene.scene import Scene
 
 FAR_BELOW_M = -100.0
@@ -137,7 +137,7 @@ def _set_barrier(barrier: Any) -> None:
 
 
 def _mjwarp_worker(config: EnvConfig, num_envs: int, seconds: float) -> Speed:
-    env = ReachVectorEnv(config, num_envs, num_threads=1)
+    env = ArmVectorEnv(config, num_envs, num_threads=1)
     env.renderer = MjWarpRenderer(env.scene, config.image_size, num_envs)
     env.reset(seed=0)  # compiles Warp's kernels before the measurement
     _barrier.wait()

@@ -35,7 +35,7 @@ from knowarm.integrations.serve import PolicyServer, pack, unpack
 from knowarm.statistics.bootstrap import wilson
 from knowarm.world.agents.play import EpisodeResults, play
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.scene.compose import CONTROL_PERIOD_S
 from knowarm.world.tasks.episodes import Episodes, evaluation_episodes
 
@@ -46,7 +46,7 @@ class RunnerAgent:
     def __init__(self, runner: Any) -> None:
         self.runner = runner
 
-    def start(self, env: ReachVectorEnv) -> None:
+    def start(self, env: ArmVectorEnv) -> None:
         joints = dict(zip(self.runner.joint_names, env.joint_positions[0].tolist(), strict=True))
         rows = self.runner.contract["knowledge"]["rows"]
         self.runner.start(joints, rows[int(env.knowledge_input[0]) if len(rows) > 1 else 0])
@@ -197,18 +197,18 @@ def main() -> None:
         print(f"| {arguments.run.name} | {name} | {shares} | {more or ''}", flush=True)
 
     if not arguments.only_ros:
-        ours = play(trained.agent, ReachVectorEnv(config, 1), episodes)
+        ours = play(trained.agent, ArmVectorEnv(config, 1), episodes)
         add("in process", ours.success)
         with tempfile.TemporaryDirectory() as folder:
             export(trained, Path(folder))
             agent = RunnerAgent(Runner.load(folder))
-            theirs = play(agent, ReachVectorEnv(config, 1), episodes)
+            theirs = play(agent, ArmVectorEnv(config, 1), episodes)
         add("ONNX Runtime", theirs.success, same_joints=same(theirs, ours))
         server = PolicyServer(parts.runner, port=0)
         threading.Thread(target=server.run, daemon=True).start()
         with connect(f"ws://127.0.0.1:{server.port}", compression=None) as connection:
             client = RunnerAgent(Client(connection))
-            theirs = play(client, ReachVectorEnv(config, 1), episodes)
+            theirs = play(client, ArmVectorEnv(config, 1), episodes)
         server.close()
         add("served", theirs.success, same_joints=same(theirs, ours))
     for delay_s in arguments.delays:

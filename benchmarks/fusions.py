@@ -21,7 +21,7 @@ from knowarm.experiment.graph_queries import GraphQueries
 from knowarm.experiment.names import experiment_config
 from knowarm.policy import Policy, PolicyConfig
 from knowarm.policy.config import FUSIONS
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.choose.choose import Choose
 
 BATCH, LEARNING_RATE, TEST_IMAGES = 256, 1.5e-3, 2048
@@ -41,7 +41,7 @@ class Starts:
     """(N, m, 2) float32, x and y of the objects, standardized over all of them."""
 
 
-def draw_starts(env: ReachVectorEnv, count: int, seed: int) -> Starts:
+def draw_starts(env: ArmVectorEnv, count: int, seed: int) -> Starts:
     """Draw at least ``count`` starts."""
     images: list[np.ndarray] = []
     queries: list[np.ndarray] = []
@@ -114,7 +114,7 @@ def main() -> None:
     for seed in arguments.seeds:
         parts = build(replace(config, env=env_config, seed=seed, grounding=None))
         shape = replace(parts.policy_shape, joints=2, levels=1)  # x and y instead of actions
-        env = ReachVectorEnv(env_config, 512, 1)
+        env = ArmVectorEnv(env_config, 512, 1)
         starts = draw_starts(env, arguments.images + TEST_IMAGES, seed)
         for fusion in arguments.fusions:
             policy_config = PolicyConfig(

@@ -24,7 +24,7 @@ from knowarm.experiment.names import DEFAULT_EXPERIMENT, experiment_config
 from knowarm.experiment.speed import measure_images
 from knowarm.learn import A3CConfig, Hooks, Metrics, PPOConfig, PPOTrainer, TorchVectorEnv
 from knowarm.learn.a3c import A3CTrainer
-from knowarm.world.envs.torch_env import TorchReachVectorEnv
+from knowarm.world.envs.torch_env import TorchArmVectorEnv
 
 WARM_UP_UPDATES = 3
 """Updates that are not measured: the first ones compile and fill caches."""
@@ -163,7 +163,7 @@ def raycaster_row(config: LearnBenchConfig) -> Row:
 def ppo_row(config: LearnBenchConfig, name: str = PPO) -> Row:
     """Measure a registered configuration of PPO."""
     chosen, ppo = experiment_config(config.experiment), config.ppo(name)
-    env = TorchReachVectorEnv(chosen.env, ppo.num_envs, num_threads=config.cores)
+    env = TorchArmVectorEnv(chosen.env, ppo.num_envs, num_threads=config.cores)
     image_seconds = timed(env.renderer, "draw")
     row = train_ppo(
         ppo,

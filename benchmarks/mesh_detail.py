@@ -18,7 +18,7 @@ from benchmarks.images import ssim, stray_share
 from knowarm.cli.tables import check_output, print_table, write_json_table
 from knowarm.experiment.speed import measure_steps
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.render import Raycaster
 from knowarm.world.render.renderer import MESH_TRIANGLE_PX
 from knowarm.world.scene.scene import Scene, load_scene
@@ -81,7 +81,7 @@ def main() -> None:
     check_output(arguments.json)
     rows = [compare(robot, arguments.states, arguments.side) for robot in arguments.robots]
     envs = [
-        ReachVectorEnv(EnvConfig(robot=robot, image_size=arguments.side), arguments.num_envs, 1)
+        ArmVectorEnv(EnvConfig(robot=robot, image_size=arguments.side), arguments.num_envs, 1)
         for robot in arguments.robots
     ]
     speeds = np.array(

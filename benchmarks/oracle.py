@@ -14,7 +14,7 @@ from knowarm.world.agents.ik import InverseKinematics
 from knowarm.world.agents.play import play
 from knowarm.world.agents.scripted import OracleAgent, RandomAgent
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.objects import TARGETS
 from knowarm.world.robots import ROBOTS
 from knowarm.world.tasks.episodes import evaluation_episodes
@@ -27,7 +27,7 @@ Dynamics = Literal["dynamic", "kinematic"]
 def task_row(robot: str, target: str, dynamics: Dynamics, episodes: int) -> dict:
     """Measure reachability and the success of oracle and random agent."""
     config = EnvConfig(robot=robot, targets=(target,), dynamics=dynamics, image_size=8)
-    env = ReachVectorEnv(config, episodes)
+    env = ArmVectorEnv(config, episodes)
     fixed = evaluation_episodes(config, episodes, SEED)
     env.reset(options={"episodes": fixed})
     solution = InverseKinematics(env.scene).solve(
@@ -51,7 +51,7 @@ def task_row(robot: str, target: str, dynamics: Dynamics, episodes: int) -> dict
 
 def tracking_row(robot: str, dynamics: Dynamics, episodes: int) -> dict:
     """Measure the distance of joints from their targets after actions of a random agent [rad]."""
-    env = ReachVectorEnv(EnvConfig(robot=robot, dynamics=dynamics, image_size=8), episodes)
+    env = ArmVectorEnv(EnvConfig(robot=robot, dynamics=dynamics, image_size=8), episodes)
     env.reset(options={"episodes": evaluation_episodes(env.config, episodes, SEED)})
     agent = RandomAgent(SEED)
     agent.start(env)

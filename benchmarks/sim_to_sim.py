@@ -21,7 +21,7 @@ from knowarm.arrays import Floats
 from knowarm.experiment.load import load_agent
 from knowarm.statistics import bootstrap
 from knowarm.world.agents.play import play
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.render.renderer import OpenGLRenderer
 from knowarm.world.scene.appearance import VisualRandomization
 from knowarm.world.scene.scene import Scene
@@ -83,7 +83,7 @@ def success(run: Path, kind: str, episodes: int, seed: int) -> float:
     trained = load_agent(run)
     opengl, lamp, varied = KINDS[kind]
     config = replace(trained.config.env, randomization=VisualRandomization(**varied))  # type: ignore[arg-type]
-    env = ReachVectorEnv(config, min(episodes, 100), num_threads=1)
+    env = ArmVectorEnv(config, min(episodes, 100), num_threads=1)
     if opengl:
         kind_of = LampRenderer if lamp else OpenGLRenderer
         env.renderer = kind_of(env.scene, config.image_size)

@@ -16,7 +16,7 @@ from knowarm.experiment.build import build, interim_evaluation
 from knowarm.experiment.config import ExperimentConfig, InterimConfig
 from knowarm.experiment.names import ExperimentName, experiment_config
 from knowarm.learn import Hooks, PPOConfig, PPOTrainer
-from knowarm.world.envs.torch_env import TorchReachVectorEnv
+from knowarm.world.envs.torch_env import TorchArmVectorEnv
 
 SUCCESS = 0.8
 """Success of an interim evaluation that a learner has to reach."""
@@ -105,7 +105,7 @@ def time_to_success(
     refuse_module(experiment)
     chosen = with_algorithm(experiment, algorithm)
     config = replace(cast(PPOConfig, chosen.algorithm), processes=processes)
-    env = TorchReachVectorEnv(chosen.env, config.num_envs, num_threads=processes)
+    env = TorchArmVectorEnv(chosen.env, config.num_envs, num_threads=processes)
     clock = SuccessClock(most_steps)
     trainer = PPOTrainer(
         config,

@@ -16,7 +16,7 @@ from knowarm.cores import processor
 from knowarm.errors import UserError
 from knowarm.experiment.speed import Speed, measure_images, measure_steps
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.robots import ROBOTS
 from knowarm.world.tasks import task_type
 
@@ -122,7 +122,7 @@ def env_configs(config: WorldBenchConfig) -> list[EnvConfig]:
 
 def measure_env(config: EnvConfig, num_envs: int, threads: int, seconds: float) -> Speed:
     """Measure KnowArm's vector environment with random actions."""
-    return measure_steps(ReachVectorEnv(config, num_envs, threads), seconds)
+    return measure_steps(ArmVectorEnv(config, num_envs, threads), seconds)
 
 
 def _scaling(bench: WorldBenchConfig) -> list[dict[str, Any]]:

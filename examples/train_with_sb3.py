@@ -20,8 +20,8 @@ from knowarm.world.envs.knowledge_observation import (
     KnowledgeObservation,
     VectorKnowledgeObservation,
 )
-from knowarm.world.envs.single_env import ReachEnv
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.single_env import ArmEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 
 
 def main() -> None:
@@ -36,11 +36,9 @@ def main() -> None:
     table = build(chosen).table
     if arguments.single:
         options = vars(chosen.env)
-        env = DummyVecEnv(
-            [lambda: KnowledgeObservation(ReachEnv(**options), table)] * arguments.envs
-        )
+        env = DummyVecEnv([lambda: KnowledgeObservation(ArmEnv(**options), table)] * arguments.envs)
     else:
-        vector = ReachVectorEnv(chosen.env, arguments.envs)
+        vector = ArmVectorEnv(chosen.env, arguments.envs)
         env = SB3VecEnv(VectorKnowledgeObservation(vector, table), seed=0)
     model = RecurrentPPO(
         "MultiInputLstmPolicy",

@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from knowarm import evaluation_episodes, load_agent
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.viewing.record import Frame, record_episode
 
 SIDE, MARGIN, LINE = 300, 8, 36
@@ -44,7 +44,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
     trained = load_agent(arguments.run)
-    env = ReachVectorEnv(trained.config.env, 1)
+    env = ArmVectorEnv(trained.config.env, 1)
     episodes = evaluation_episodes(env.config, arguments.episodes, arguments.seed)
     images: list[Image.Image] = []
     durations: list[int] = []

@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image
 
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.robots import ROBOTS
 
 SIDE = 240
@@ -24,7 +24,7 @@ def main() -> None:
     """Draw a row of large and a row of small images per robot, and a column per colour."""
     rows = []
     for robot in ROBOTS:
-        env = ReachVectorEnv(EnvConfig(robot=robot, colours="randomized"), 60)
+        env = ArmVectorEnv(EnvConfig(robot=robot, colours="randomized"), 60)
         small, infos = env.reset(seed=3)
         large = env.render()
         chosen = [int(np.argmax(infos["facet"] == facet)) for facet in range(len(env.facets))]

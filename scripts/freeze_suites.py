@@ -31,7 +31,7 @@ from knowarm.world.agents import OracleAgent
 from knowarm.world.agents.open_loop import FixedList, search_open_loop
 from knowarm.world.agents.play import play
 from knowarm.world.config import questions_of
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.episodes import Episodes, evaluation_episodes
 
 EPISODES = 500
@@ -77,7 +77,7 @@ def cell(name: str, experiment: str, how: EvaluationConfig) -> Cell:
     config = env_for_test(experiment_config(experiment).env, how)
     episodes = evaluation_episodes(config, EPISODES, SEED)
     listed = search_open_loop(config)
-    env = ReachVectorEnv(config, 100)
+    env = ArmVectorEnv(config, 100)
     scores = {
         "oracle": float(play(OracleAgent(), env, episodes).success.mean()),
         "open-loop": float(play(FixedList(listed), env, episodes).success.mean()),

@@ -209,30 +209,30 @@ def test_experiment_config():
         knowarm.experiment_config("irb120-full-ppo", algorithm={"num_env": 64})
 
 
-@example("make", "ReachVectorEnv", "TorchReachVectorEnv")
+@example("make", "ArmVectorEnv", "TorchArmVectorEnv")
 def test_make():
     image, _ = knowarm.make("irb120", image_size=32).reset(seed=0)
     assert image.shape == (32, 32, 3)
     env = knowarm.make("knowarm/TiagoReach-v0", num_envs=2)
-    assert isinstance(env, knowarm.ReachVectorEnv)
+    assert isinstance(env, knowarm.ArmVectorEnv)
     images, infos = env.reset(seed=0)
     env.step(env.action_space.sample())
     assert images.shape == (2, 64, 64, 3)
     assert infos["distance"].shape == (2,)
     tensors = knowarm.make("irb120", num_envs=2, device="cpu")
-    assert isinstance(tensors, knowarm.TorchReachVectorEnv)
+    assert isinstance(tensors, knowarm.TorchArmVectorEnv)
     assert isinstance(tensors.reset(seed=0)[0], torch.Tensor)
 
 
-@example("ReachEnv", "Episodes", "evaluation_episodes", "play", "OracleAgent")
+@example("ArmEnv", "Episodes", "evaluation_episodes", "play", "OracleAgent")
 def test_play():
     config = knowarm.EnvConfig(image_size=8, dynamics="kinematic")
     episodes = knowarm.evaluation_episodes(config, 6, seed=0)
     assert isinstance(episodes, knowarm.Episodes)
-    result = knowarm.play(knowarm.OracleAgent(), knowarm.ReachVectorEnv(config, 3), episodes)
+    result = knowarm.play(knowarm.OracleAgent(), knowarm.ArmVectorEnv(config, 3), episodes)
     assert result.success.all()
     single = knowarm.make("irb120", image_size=8)
-    assert isinstance(single, knowarm.ReachEnv)
+    assert isinstance(single, knowarm.ArmEnv)
     assert single.reset(options={"episodes": episodes[:1]})[0].shape == (8, 8, 3)
 
 

@@ -15,7 +15,7 @@ from knowarm.knowledge import scene_embedding
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.statistics import one_way_anova
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.scene.scene import load_scene
 from knowarm.world.tasks.episodes import evaluation_episodes
 from knowarm.world.tasks.reward import is_success, paper_reward
@@ -140,14 +140,14 @@ def test_episode_and_observation(robot):
     assert config.success_distance_m == 0.05
     assert config.success_angle_deg == 15.0
     assert not config.ignore_roll
-    env = ReachVectorEnv(config, 1)
+    env = ArmVectorEnv(config, 1)
     assert env.single_observation_space.shape == (64, 64, 3)
     assert env.single_observation_space.dtype == np.uint8
     assert env.single_action_space.nvec.tolist() == [7] * {"irb120": 6, "tiago": 7}[robot]
 
 
 def test_the_time_limit_is_50_steps():
-    env = ReachVectorEnv(EnvConfig(image_size=16, dynamics="kinematic"), 1)
+    env = ArmVectorEnv(EnvConfig(image_size=16, dynamics="kinematic"), 1)
     env.reset(seed=0)
     still = np.zeros((1, 6), np.int64)
     ends = [bool(env.step(still)[3][0]) for _ in range(50)]
@@ -157,7 +157,7 @@ def test_the_time_limit_is_50_steps():
 def test_increments(robot):
     """Paper table 1: 0, +-MPI, +-MPI/10, +-MPI/100, each within the range."""
     config = EnvConfig(robot=robot, image_size=16, dynamics="kinematic", mpi_rad=0.1)
-    env = ReachVectorEnv(config, 7)
+    env = ArmVectorEnv(config, 7)
     env.reset(seed=3)
     before = env.joint_targets.copy()
     levels = np.repeat(np.arange(7)[:, None], before.shape[1], 1)
@@ -170,7 +170,7 @@ def test_increments(robot):
 @pytest.mark.parametrize("name", TASKS)
 def test_home_and_own_increment(name):
     home, mpi = TASKS[name]
-    env = ReachVectorEnv(EnvConfig(robot=name, image_size=16, dynamics="kinematic"), 1)
+    env = ArmVectorEnv(EnvConfig(robot=name, image_size=16, dynamics="kinematic"), 1)
     np.testing.assert_allclose(env.scene.home, home, atol=1e-12)
     env.reset(seed=3)
     before = env.joint_targets.copy()

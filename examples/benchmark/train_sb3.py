@@ -11,7 +11,7 @@ import argparse
 
 from stable_baselines3 import PPO
 
-from knowarm import ReachVectorEnv, SB3VecEnv
+from knowarm import ArmVectorEnv, SB3VecEnv
 from knowarm.benchmark.suites import read_suite
 
 if __name__ == "__main__":
@@ -20,7 +20,7 @@ if __name__ == "__main__":
     steps = parser.parse_args().steps
 
     cell = read_suite("reach-v1").cells["irb120-fixed"]
-    env = SB3VecEnv(ReachVectorEnv(cell.env, 64), seed=0)
+    env = SB3VecEnv(ArmVectorEnv(cell.env, 64), seed=0)
     model = PPO("CnnPolicy", env, n_steps=25, batch_size=400, n_epochs=2, seed=0, verbose=1)
     model.learn(steps)
     model.save("sb3-reach")

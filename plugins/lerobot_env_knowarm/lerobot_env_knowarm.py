@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from knowarm import UserError
 from knowarm.benchmark.suites import Cell, read_suite
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.running import joint_increments
 
 Observation = dict[str, NDArray[Any]]
@@ -38,7 +38,7 @@ class BenchmarkEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     def __init__(self, suite: str, cell: str) -> None:
         self._cell = read_suite(suite).cells[cell]
         config = self._cell.env
-        self._arm = ReachVectorEnv(config, 1, 1, AutoresetMode.DISABLED, "rgb_array")
+        self._arm = ArmVectorEnv(config, 1, 1, AutoresetMode.DISABLED, "rgb_array")
         self.task, self.render_mode = f"{suite}/{cell}", "rgb_array"
         self._max_episode_steps = config.max_episode_steps
         scene = self._arm.scene

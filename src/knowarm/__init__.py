@@ -44,9 +44,9 @@ Studies
 World
     make                make an environment: single or vector, NumPy or torch
     EnvConfig           robot, task, objects, colours, dynamics and thresholds
-    ReachEnv            single environment (Gymnasium)
-    ReachVectorEnv      vector environment on NumPy arrays (Gymnasium)
-    TorchReachVectorEnv vector environment on torch tensors
+    ArmEnv            single environment (Gymnasium)
+    ArmVectorEnv      vector environment on NumPy arrays (Gymnasium)
+    TorchArmVectorEnv vector environment on torch tensors
     VisualRandomization, HeldOut    what varies in the image; colours and places held out
     KnowledgeObservation, VectorKnowledgeObservation    wrappers: Dict(image, knowledge)
     evaluation_episodes draw a fixed list of episodes

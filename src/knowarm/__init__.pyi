@@ -51,9 +51,9 @@ from .world.envs.knowledge_observation import KnowledgeObservation as KnowledgeO
 from .world.envs.knowledge_observation import (
     VectorKnowledgeObservation as VectorKnowledgeObservation,
 )
-from .world.envs.single_env import ReachEnv as ReachEnv
-from .world.envs.torch_env import TorchReachVectorEnv as TorchReachVectorEnv
-from .world.envs.vector_env import ReachVectorEnv as ReachVectorEnv
+from .world.envs.single_env import ArmEnv as ArmEnv
+from .world.envs.torch_env import TorchArmVectorEnv as TorchArmVectorEnv
+from .world.envs.vector_env import ArmVectorEnv as ArmVectorEnv
 from .world.objects import TARGETS as TARGETS
 from .world.robots import ROBOTS as ROBOTS
 from .world.scene.appearance import VisualRandomization as VisualRandomization

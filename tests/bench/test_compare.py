@@ -9,7 +9,7 @@ from knowarm.experiment.names import experiment_config
 from knowarm.learn import PPOConfig
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.knowledge_observation import VectorKnowledgeObservation
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 
 
 def test_a_recurrent_policy_of_sb3_has_as_many_parameters() -> None:
@@ -19,7 +19,7 @@ def test_a_recurrent_policy_of_sb3_has_as_many_parameters() -> None:
 
     chosen = experiment_config("irb120-full-ppo")
     parts = build(chosen)
-    env = SB3VecEnv(VectorKnowledgeObservation(ReachVectorEnv(chosen.env, 4), parts.table))
+    env = SB3VecEnv(VectorKnowledgeObservation(ArmVectorEnv(chosen.env, 4), parts.table))
     config = PPOConfig(num_envs=4, minibatches=2)
     model = recurrent_ppo(parts.new_policy(0), config, env, seed=0)
     counts = parts.new_policy(0).parameter_counts()
@@ -74,7 +74,7 @@ def test_mujoco_warp_renders_the_same_scene() -> None:
     pytest.importorskip("mujoco_warp")
     from benchmarks.compare_world import MjWarpRenderer
 
-    env = ReachVectorEnv(EnvConfig(antialiasing=False), 3)
+    env = ArmVectorEnv(EnvConfig(antialiasing=False), 3)
     expected, _ = env.reset(seed=2)
     env.renderer = MjWarpRenderer(env.scene, 64, 3)
     found, _ = env.reset(seed=2)

@@ -23,7 +23,7 @@ from knowarm.errors import UserError
 from knowarm.knowledge.formats import read_graph
 from knowarm.reading import write_json
 from knowarm.world.config import questions_of
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from scripts.freeze_suites import freeze
 from tests.source_tree import ROOT
 
@@ -55,7 +55,7 @@ def test_other_questions_are_refused():
 @pytest.mark.parametrize("name", ["choose-v1", "reach-v1"])
 def test_the_fixed_lists_still_reach_what_they_reached(name):
     for cell in list(read_suite(name).cells.values())[::4]:
-        env = ReachVectorEnv(replace(cell.env, image_size=8), 100)  # a list reads no image
+        env = ArmVectorEnv(replace(cell.env, image_size=8), 100)  # a list reads no image
         played = run_agent(entrant("open-loop").make(cell), env, cell.episodes)
         assert abs(played.mean() - cell.reference["open-loop"]) <= 0.01
 
@@ -235,7 +235,7 @@ class Noting:
 
 def test_a_policy_receives_image_joints_and_query(small):
     cell, policy = small.cells["irb120-S1"], Noting()
-    env = ReachVectorEnv(cell.env, 12)
+    env = ArmVectorEnv(cell.env, 12)
     run_agent(PolicyAdapter(policy), env, cell.episodes)
     table = questions_of(cell.env)
     assert policy.batch.queries == tuple(table.queries[i].name for i in cell.episodes.question)
@@ -306,7 +306,7 @@ def test_wrong_actions_are_refused(small, wrong):
     cell, policy = small.cells["irb120-fixed"], Noting()
     policy.act = lambda observations: wrong
     with pytest.raises(UserError, match="integers 0 to 6 of shape"):
-        run_agent(PolicyAdapter(policy), ReachVectorEnv(cell.env, 12), cell.episodes)
+        run_agent(PolicyAdapter(policy), ArmVectorEnv(cell.env, 12), cell.episodes)
 
 
 @pytest.mark.parametrize(

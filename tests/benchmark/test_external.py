@@ -10,7 +10,7 @@ from knowarm.benchmark.suites import read_suite
 from knowarm.errors import UserError
 from knowarm.experiment.load import load_agent
 from knowarm.world.agents.play import play
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from tests.source_tree import ROOT
 
 CELL = read_suite("reach-v1").cells["irb120-fixed"]
@@ -18,7 +18,7 @@ CELL = read_suite("reach-v1").cells["irb120-fixed"]
 
 def actions_of(agent, count):
     """The actions (episodes, steps, J) of an agent in the first episodes of the cell."""
-    env = ReachVectorEnv(CELL.env, count)
+    env = ArmVectorEnv(CELL.env, count)
     result = play(agent, env, CELL.episodes[:count])
     return result.steps.actions
 
@@ -76,7 +76,7 @@ def test_damaged_and_unfit_onnx_files_are_refused(counting, tmp_path):
         cell for cell in read_suite("reach-v1").cells.values() if cell.env.robot == "tiago"
     )
     with pytest.raises(UserError, match=r"counting\.onnx does not take joint_targets float32"):
-        play(entrant(str(counting)).make(other), ReachVectorEnv(other.env, 1), other.episodes[:1])
+        play(entrant(str(counting)).make(other), ArmVectorEnv(other.env, 1), other.episodes[:1])
     (tmp_path / "damaged.onnx").write_bytes(b"no model")
     with pytest.raises(UserError, match="Cannot read"):
         entrant(str(tmp_path / "damaged.onnx"))
@@ -123,7 +123,7 @@ def test_a_saved_model_of_sb3_plays(tmp_path):
     sb3 = pytest.importorskip("stable_baselines3")
     from knowarm.learn.sb3_vec_env import SB3VecEnv
 
-    env = SB3VecEnv(ReachVectorEnv(CELL.env, 1))
+    env = SB3VecEnv(ArmVectorEnv(CELL.env, 1))
     sb3.PPO("CnnPolicy", env, n_steps=2, batch_size=2, seed=3).save(tmp_path / "model.zip")
     made = entrant(f"stable_baselines3:PPO:{tmp_path / 'model.zip'}")
     assert (made.inputs, made.training, made.seed) == (("image",), "PPO, 0 steps", 3)
@@ -174,7 +174,7 @@ def test_a_served_policy_acts_as_the_same_policy_here():
             np.testing.assert_array_equal(actions_of(made.make(CELL), count), local)
         wrong = read_suite("reach-v1").cells["tiago-fixed"]
         with pytest.raises(UserError, match=r"refuses, or .*: .*joint"):
-            play(made.make(wrong), ReachVectorEnv(wrong.env, 1), wrong.episodes[:1])
+            play(made.make(wrong), ArmVectorEnv(wrong.env, 1), wrong.episodes[:1])
     finally:
         server.close()
     with pytest.raises(UserError, match=r"The policy server at ws://.* has gone"):

@@ -8,7 +8,7 @@ import pytest
 from knowarm.world.agents import OracleAgent
 from knowarm.world.agents.play import play_steps
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.episodes import evaluation_episodes
 from knowarm.world.tasks.task import Task
 
@@ -25,7 +25,7 @@ def played(task: Task) -> tuple[np.ndarray, np.ndarray]:
         ignore_roll=True,
         image_size=1,
     )
-    env = ReachVectorEnv(config, 16, num_threads=1)
+    env = ArmVectorEnv(config, 16, num_threads=1)
     steps = list(play_steps(OracleAgent(), env, evaluation_episodes(config, 16, 0)))[1:]
     near = np.stack([(step.infos["distance"] < 0.1) & step.played for step in steps])
     solved = np.stack([step.infos["is_success"] & step.played for step in steps])

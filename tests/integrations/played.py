@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.running import ACTION_LEVELS, joint_increments
 
 
@@ -12,7 +12,7 @@ class RunnerAgent:
     def __init__(self, start, step, joint_names):
         self.begin, self.step, self.joint_names = start, step, joint_names
 
-    def start(self, env: ReachVectorEnv) -> None:
+    def start(self, env: ArmVectorEnv) -> None:
         self.env = env
         self.increments = joint_increments(env.scene.robot, env.config)
         joints = dict(zip(self.joint_names, env.joint_positions[0].tolist(), strict=True))

@@ -15,7 +15,7 @@ from knowarm.integrations import runner as runner_module
 from knowarm.integrations.contract import export
 from knowarm.integrations.runner import Runner
 from knowarm.world.agents.play import play
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.episodes import evaluation_episodes
 from tests.integrations.played import RunnerAgent
 
@@ -49,7 +49,7 @@ def test_a_thousand_steps_have_the_actions_of_pytorch(exported):
     trained, folder = exported
     runner = Runner.load(folder)
     episodes = evaluation_episodes(trained.config.env, 70, 3)
-    env = ReachVectorEnv(trained.config.env, 1)
+    env = ArmVectorEnv(trained.config.env, 1)
     agent = RunnerAgent(
         lambda joints, row: runner.start(joints, knowledge_of(runner, row)),
         runner.step,

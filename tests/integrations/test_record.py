@@ -13,7 +13,7 @@ from PIL import Image
 from knowarm.cli.main import main
 from knowarm.integrations.record import EPISODES
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.episodes import evaluation_episodes
 
 COUNT = 5
@@ -32,7 +32,7 @@ def frames(dataset):
 
 
 def test_the_actions_lead_through_the_recorded_images_again(dataset, frames):
-    env = ReachVectorEnv(EnvConfig(), 1)
+    env = ArmVectorEnv(EnvConfig(), 1)
     episodes = evaluation_episodes(EnvConfig(), COUNT, 0)
     for number in range(COUNT):
         rows = [frame for frame in frames if frame["episode_index"] == number]

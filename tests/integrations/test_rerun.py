@@ -7,7 +7,7 @@ import torch
 from knowarm.cli.main import main
 from knowarm.experiment.load import load_agent
 from knowarm.perception.agent import known_in_episode
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.episodes import evaluation_episodes
 from tests.source_tree import ROOT
 
@@ -41,7 +41,7 @@ def test_what_a_run_knows_is_recorded(tmp_path, agent):
 
 def test_the_map_of_recognition_is_largest_where_the_object_is_found():
     trained = load_agent(ROOT / "zoo/irb120-choose-answers-fast")
-    env = ReachVectorEnv(trained.config.env, 1)
+    env = ArmVectorEnv(trained.config.env, 1)
     episode = evaluation_episodes(trained.config.env, 1, 0)
     images, _ = env.reset(options={"episodes": episode})
     trained.agent.start(env)

@@ -26,7 +26,7 @@ from knowarm.integrations.contract import deployment, tcp_position
 from knowarm.integrations.driver import Driver, Safety, Topics
 from knowarm.integrations.ros import drive
 from knowarm.world.agents.play import play
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.episodes import evaluation_episodes
 from tests.source_tree import ROOT
 
@@ -55,7 +55,7 @@ def parts(trained):
 def test_the_simulated_robot_is_driven_as_in_process(trained, parts):
     episodes = evaluation_episodes(trained.config.env, 3, 0)
     solved, ends = by_ros(trained.config.env, parts, episodes, 0.0)
-    ours = play(trained.agent, ReachVectorEnv(trained.config.env, 1), episodes)
+    ours = play(trained.agent, ArmVectorEnv(trained.config.env, 1), episodes)
     np.testing.assert_array_equal(solved, ours.success)
     assert solved.any(), ends
 

@@ -19,7 +19,7 @@ from knowarm.errors import UserError
 from knowarm.experiment.load import load_agent
 from knowarm.integrations.contract import deployment
 from knowarm.world.agents.play import play
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.episodes import evaluation_episodes
 from tests.integrations.played import RunnerAgent
 
@@ -86,7 +86,7 @@ def ask(connection, values):
 
 
 def test_served_episodes_are_those_in_process(trained, server):
-    env = ReachVectorEnv(trained.config.env, 1)
+    env = ArmVectorEnv(trained.config.env, 1)
     episodes = evaluation_episodes(trained.config.env, 12, 5)
     with client(server) as connection:
         about = unpack(connection.recv())

@@ -17,7 +17,7 @@ from knowarm.learn.privileged import WAY_BOUND, WAY_SCALE
 from knowarm.learn.rollout import add_gradient
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.torch_env import TorchReachVectorEnv
+from knowarm.world.envs.torch_env import TorchArmVectorEnv
 from tests.learn.toys import toy_env, toy_policy
 
 CONFIG = dataclasses.replace(
@@ -31,7 +31,7 @@ CONFIG = dataclasses.replace(
 
 
 def trainer(config=CONFIG, folder=None, stop_after=None, seed=5):
-    env = TorchReachVectorEnv(EnvConfig(max_episode_steps=9, image_size=20), 8, num_threads=1)
+    env = TorchArmVectorEnv(EnvConfig(max_episode_steps=9, image_size=20), 8, num_threads=1)
     shape = PolicyShape(joints=6, image_size=20)
     policy = Policy(PolicyConfig(features=16, fusion="none"), shape, seed=seed)
     rows = []

@@ -21,7 +21,7 @@ from knowarm.learn.privileged import (
 from knowarm.learn.rollout import TrainingNetwork
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.torch_env import TorchReachVectorEnv
+from knowarm.world.envs.torch_env import TorchArmVectorEnv
 from tests.learn.toys import fill_with_noise, informed_toy_policy, toy_env, toy_policy
 
 CPU = torch.device("cpu")
@@ -39,7 +39,7 @@ OPTIONS = {
 
 def build(seed=1, **changes):
     """Create a trainer on the real environment, with episodes of 6 steps."""
-    env = TorchReachVectorEnv(EnvConfig(max_episode_steps=6, image_size=20), 8, num_threads=1)
+    env = TorchArmVectorEnv(EnvConfig(max_episode_steps=6, image_size=20), 8, num_threads=1)
     policy = Policy(
         PolicyConfig(features=16, fusion="none"), PolicyShape(joints=6, image_size=20), seed=seed
     )
@@ -138,7 +138,7 @@ def test_thresholds_shrink_to_the_tasks_while_training_succeeds():
 
 
 def test_larger_thresholds_count_more_successes():
-    env = TorchReachVectorEnv(EnvConfig(image_size=8), 16, num_threads=1)
+    env = TorchArmVectorEnv(EnvConfig(image_size=8), 16, num_threads=1)
     env.reset(seed=0)
     still = torch.zeros(16, 6, dtype=torch.int64)
     env.threshold_factor = 100.0

@@ -8,7 +8,7 @@ import pytest
 from knowarm.learn import CheckpointStore, Hooks, PPOConfig, PPOTrainer
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.torch_env import TorchReachVectorEnv
+from knowarm.world.envs.torch_env import TorchArmVectorEnv
 
 CONFIG = PPOConfig(num_envs=4, rollout_steps=6, minibatches=2, processes=1)
 FAST = replace(
@@ -23,7 +23,7 @@ FAST = replace(
 
 
 def trainer(folder, config, colours, stop_after=None):
-    env = TorchReachVectorEnv(EnvConfig(max_episode_steps=8, colours=colours), 4, num_threads=1)
+    env = TorchArmVectorEnv(EnvConfig(max_episode_steps=8, colours=colours), 4, num_threads=1)
     table = np.eye(len(env.facets), dtype=np.float32)
     policy = Policy(PolicyConfig(), PolicyShape(joints=6, knowledge_dim=len(table)), table)
     rows = []

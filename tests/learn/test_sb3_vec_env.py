@@ -12,20 +12,20 @@ from knowarm.world.envs.knowledge_observation import (
     KnowledgeObservation,
     VectorKnowledgeObservation,
 )
-from knowarm.world.envs.single_env import ReachEnv
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.single_env import ArmEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 
 TABLE = np.random.default_rng(0).standard_normal((3, 5)).astype(np.float32)
 SHORT = {"dynamics": "kinematic", "max_episode_steps": 6}
 
 
 def vectorized(n=4):
-    env = ReachVectorEnv(EnvConfig(**SHORT), n)
+    env = ArmVectorEnv(EnvConfig(**SHORT), n)
     return SB3VecEnv(VectorKnowledgeObservation(env, TABLE), seed=7)
 
 
 def test_ends_of_episodes_are_marked_as_stable_baselines_wants_them():
-    env, plain = vectorized(), ReachVectorEnv(EnvConfig(**SHORT), 4)
+    env, plain = vectorized(), ArmVectorEnv(EnvConfig(**SHORT), 4)
     observation = env.reset()
     expected, _ = plain.reset(seed=7)
     np.testing.assert_array_equal(observation["image"], expected)
@@ -51,7 +51,7 @@ def test_ends_of_episodes_are_marked_as_stable_baselines_wants_them():
 
 
 def test_a_later_seed_is_of_the_next_reset_alone():
-    env, plain = vectorized(), ReachVectorEnv(EnvConfig(**SHORT), 4)
+    env, plain = vectorized(), ArmVectorEnv(EnvConfig(**SHORT), 4)
     env.seed(3)  # as an algorithm of Stable-Baselines3 does with its own seed
     np.testing.assert_array_equal(env.reset()["image"], plain.reset(seed=3)[0])
     np.testing.assert_array_equal(env.reset()["image"], plain.reset()[0])
@@ -63,7 +63,7 @@ def test_multi_input_lstm_policy_trains_unchanged(kind):
     if kind == "vectorized":
         env = vectorized()
     else:
-        env = DummyVecEnv([lambda: KnowledgeObservation(ReachEnv(**SHORT), TABLE)] * 2)
+        env = DummyVecEnv([lambda: KnowledgeObservation(ArmEnv(**SHORT), TABLE)] * 2)
     model = RecurrentPPO(
         "MultiInputLstmPolicy", env, n_steps=8, batch_size=16, n_epochs=1, device="cpu"
     )

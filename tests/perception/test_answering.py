@@ -14,7 +14,7 @@ from knowarm.perception.images import query_answers, sample_images
 from knowarm.questions import object_of
 from knowarm.world.agents.play import play
 from knowarm.world.config import EnvConfig, questions_of
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.objects.parts import PARTS
 from knowarm.world.tasks.choose.purpose import Purpose
 from knowarm.world.tasks.episodes import evaluation_episodes
@@ -147,7 +147,7 @@ def test_a_copy_keeps_answers_and_weights(trained, labels):
 
 
 def test_an_agent_that_sees_no_answer_stays_or_guesses(trained):
-    env = ReachVectorEnv(trained.config.env, 4)
+    env = ArmVectorEnv(trained.config.env, 4)
     episodes = evaluation_episodes(env.config, 4, 0)
     nothing = np.zeros(answers_of(trained).shape, bool)
     moved = {}

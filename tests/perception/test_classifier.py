@@ -29,7 +29,7 @@ from knowarm.perception.module import digest
 from knowarm.perception.training import train_classifier, without_colours
 from knowarm.reading import UnreadableFileError
 from knowarm.world.config import EnvConfig, HeldOut
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.choose.choose import Choose
 from tests.tiny import TINY
 
@@ -80,7 +80,7 @@ def test_labels_are_the_visible_objects():
     env = env_of(CHOOSE)
     spec = train_classifier(env, replace(HASTY, images=1)).spec
     starts = sample_images(env, spec, 6, 3)
-    world = ReachVectorEnv(env, 6)
+    world = ArmVectorEnv(env, 6)
     images, infos = world.reset(seed=3)
     assert (starts.images.numpy() == images).all()
     assert (starts.queries.numpy() == infos["query"]).all()
@@ -156,7 +156,7 @@ def test_a_module_of_something_else_is_refused(files, tmp_path):
         (replace(env_of(REACH), image_size=64), "image size of 32, and this task has 64"),
         (replace(env_of(REACH), targets=("mug", "lamp")), "does not know .* lamp"),
     ):
-        facets = ReachVectorEnv(env, 1).facets
+        facets = ArmVectorEnv(env, 1).facets
         with pytest.raises(UserError, match=message):
             reach.predictor(env, facets)
 
@@ -230,7 +230,7 @@ def test_the_policy_gets_nothing_privileged(files, name, monkeypatch):
     """With labels that raise when they are read, agent and environment choose the same rows."""
     env, perception = env_of(name), FacetClassifier.read(files[name])
     policy = build(experiment_config(name, env=SMALL_CHOICE if name == CHOOSE else SMALL_ENV))
-    world = ReachVectorEnv(env, 6)
+    world = ArmVectorEnv(env, 6)
 
     def played() -> tuple[torch.Tensor, torch.Tensor]:
         images, _ = world.reset(seed=2)
@@ -261,7 +261,7 @@ def test_the_policy_gets_nothing_privileged(files, name, monkeypatch):
 
 def test_rows_follow_the_image_and_answer_the_query(files):
     env, perception = env_of(CHOOSE), FacetClassifier.read(files[CHOOSE])
-    world = ReachVectorEnv(env, 8)
+    world = ArmVectorEnv(env, 8)
     images, infos = world.reset(seed=1)
     select = perception.predictor(env, world.facets)
     queries = torch.from_numpy(infos["query"])

@@ -24,7 +24,7 @@ from knowarm.perception.images import ImageSampler, query_answers, sample_images
 from knowarm.reading import UnreadableFileError
 from knowarm.world.cache import cache_file
 from knowarm.world.config import questions_of
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from tests.tiny import CHOOSE, CHOOSE_ENV, CHOOSE_NAME
 
 
@@ -83,7 +83,7 @@ def test_the_labels_are_where_the_objects_are_seen():
 
 
 def test_labels_are_the_grasp_frames_of_the_simulator(config, network, labels):
-    world = ReachVectorEnv(config.env, 96)
+    world = ArmVectorEnv(config.env, 96)
     images, infos = world.reset(seed=3)
     assert (labels.images.numpy() == images).all()
     np.testing.assert_allclose(labels.grasp_position[:, 0], world.goal_position, atol=1e-6)

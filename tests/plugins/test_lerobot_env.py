@@ -29,7 +29,7 @@ from lerobot.scripts.lerobot_eval import rollout
 
 from knowarm.benchmark.suites import read_suite
 from knowarm.world.agents.ik import InverseKinematics
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 
 N = 4
 
@@ -50,7 +50,7 @@ class Oracle(nn.Module):
 
 
 def solved(cell):
-    env = ReachVectorEnv(cell.env, N)
+    env = ArmVectorEnv(cell.env, N)
     env.reset(options={"episodes": cell.episodes[:N]})
     solver = InverseKinematics(env.scene, seed=0)
     reach = solver.solve(env.goal_position, env.goal_matrix, env.joint_positions)

@@ -24,7 +24,7 @@ from knowarm.experiment.run_lock import lock_folder
 from knowarm.learn.checkpoint import read_checkpoint
 from knowarm.report import write_report
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from tests.learn.a3c.test_trainer import FAST
 from tests.tiny import short
 
@@ -198,7 +198,7 @@ def kill_evaluations(kills: int, seed: int) -> tuple[int, list[str]]:
 def random_steps(robot: str, steps: int, seed: int) -> tuple[int, list[str]]:
     """Step a robot with random actions; images, rewards and poses must stay within bounds."""
     config = EnvConfig(robot=robot, image_size=16, colours="randomized")
-    env, random, failures = ReachVectorEnv(config, 50), np.random.default_rng(seed), []
+    env, random, failures = ArmVectorEnv(config, 50), np.random.default_rng(seed), []
     env.reset(seed=seed)
     done = 0
     try:

@@ -6,7 +6,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from tests.world.helpers import MakeEnv
 
 
@@ -19,8 +19,8 @@ def make_env() -> MakeEnv:
         autoreset: AutoresetMode = AutoresetMode.SAME_STEP,
         num_threads: int = 1,
         **options: Any,
-    ) -> ReachVectorEnv:
+    ) -> ArmVectorEnv:
         config = EnvConfig(**{"image_size": 16} | options)
-        return ReachVectorEnv(config, num_envs, num_threads, autoreset)
+        return ArmVectorEnv(config, num_envs, num_threads, autoreset)
 
     return make

@@ -10,8 +10,8 @@ import pytest
 import torch
 
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.torch_env import TorchReachVectorEnv
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.torch_env import TorchArmVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 
 COUNT = 6
 EPISODE_STEPS = 12
@@ -47,10 +47,10 @@ def small_config(**options: Any) -> EnvConfig:
     return EnvConfig(**defaults | options)
 
 
-NUMPY = Face("numpy", lambda config, n: ReachVectorEnv(config, n, 1))
-TORCH = Face("torch", lambda config, n: TorchReachVectorEnv(config, n, num_threads=1), "cpu")
+NUMPY = Face("numpy", lambda config, n: ArmVectorEnv(config, n, 1))
+TORCH = Face("torch", lambda config, n: TorchArmVectorEnv(config, n, num_threads=1), "cpu")
 
-CUDA = Face("cuda", lambda config, n: TorchReachVectorEnv(config, n, device="cuda"), "cuda")
+CUDA = Face("cuda", lambda config, n: TorchArmVectorEnv(config, n, device="cuda"), "cuda")
 
 FACES = [pytest.param(face, id=face.name) for face in (NUMPY, TORCH)]
 if torch.cuda.is_available():

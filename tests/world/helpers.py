@@ -3,9 +3,9 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 
-MakeEnv = Callable[..., ReachVectorEnv]
+MakeEnv = Callable[..., ArmVectorEnv]
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "own_robot"
 

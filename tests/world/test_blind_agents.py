@@ -15,7 +15,7 @@ from knowarm.world.agents.open_loop import (
 from knowarm.world.agents.open_loop_score import OpenLoopScore
 from knowarm.world.agents.play import play
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.objects.families import FAMILIES
 from knowarm.world.robots import ROBOTS
 from knowarm.world.tasks.episodes import evaluation_episodes
@@ -31,7 +31,7 @@ class ListAgent:
         self.actions = actions
         self.seen: list[np.ndarray] = []
 
-    def start(self, env: ReachVectorEnv) -> None:
+    def start(self, env: ArmVectorEnv) -> None:
         self.num_envs = env.num_envs
         self.step = 0
 
@@ -57,7 +57,7 @@ def loose(robot: str, **fields) -> EnvConfig:
 def test_the_score_equals_the_kinematic_environment(robot, ignore_roll):
     targets = ("bottle",) if robot == SCARA else EnvConfig().targets
     config = loose(robot, ignore_roll=ignore_roll, targets=targets, mpi_rad=0.08)
-    env = ReachVectorEnv(config, 60)
+    env = ArmVectorEnv(config, 60)
     episodes = evaluation_episodes(config, 60, 0)
     score = OpenLoopScore(config, episodes)
     actions = np.random.default_rng(1).choice([0, 1, 1, 2, 3], size=(50, env.scene.num_joints))
@@ -97,11 +97,11 @@ def test_the_search_is_reproducible_and_beats_standing_still(cached):
         file.unlink()
     np.testing.assert_array_equal(actions, search_open_loop(config, 600, 3))
     assert actions.shape == (50, 7)
-    env = ReachVectorEnv(EnvConfig(robot="tiago", image_size=4), 100)
+    env = ArmVectorEnv(EnvConfig(robot="tiago", image_size=4), 100)
     env.config = config
     episodes = evaluation_episodes(config, 100, 0)
-    blind = play(OpenLoopAgent(3, 600), ReachVectorEnv(config, 100), episodes).success.mean()
-    still = play(ListAgent(np.zeros_like(actions)), ReachVectorEnv(config, 100), episodes)
+    blind = play(OpenLoopAgent(3, 600), ArmVectorEnv(config, 100), episodes).success.mean()
+    still = play(ListAgent(np.zeros_like(actions)), ArmVectorEnv(config, 100), episodes)
     assert blind > 0.3 > still.success.mean()
 
 
@@ -133,7 +133,7 @@ def test_many_targets_are_searched_in_groups():
 
 
 def test_a_blind_agent_sees_black_and_a_frozen_one_the_first_image():
-    env = ReachVectorEnv(loose("irb120", max_episode_steps=3), 2)
+    env = ArmVectorEnv(loose("irb120", max_episode_steps=3), 2)
     episodes = evaluation_episodes(env.config, 2, 0)
     blind, frozen, seeing = (ListAgent(np.ones((3, 6), dtype=np.int64)) for _ in range(3))
     for _ in range(2):  # a second start forgets the first images

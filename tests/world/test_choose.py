@@ -19,8 +19,8 @@ from knowarm.world.agents.play import EpisodeResults, play
 from knowarm.world.agents.scripted import OracleAgent
 from knowarm.world.config import EnvConfig, scene_of, setting_of
 from knowarm.world.envs.knowledge_observation import KnowledgeObservation
-from knowarm.world.envs.torch_env import TorchReachVectorEnv
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.torch_env import TorchArmVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.render.cpu import Raycaster
 from knowarm.world.robots import ROBOTS
 from knowarm.world.tasks.choose.choose import Choose
@@ -50,7 +50,7 @@ def arranged(config: EnvConfig) -> Arrangements:
 class PickingAgent(OracleAgent):
     """Moves to one of the visible objects, which it draws: it knows no query."""
 
-    def start(self, env: ReachVectorEnv) -> None:
+    def start(self, env: ArmVectorEnv) -> None:
         super().start(env)
         count = env.running.objects.shape[1]
         self._go_to(np.random.default_rng(self._seed).integers(count, size=env.num_envs))
@@ -69,7 +69,7 @@ class PickingAgent(OracleAgent):
 class TryingAgent(PickingAgent):
     """Moves to another object first, and to the wanted one after that."""
 
-    def start(self, env: ReachVectorEnv) -> None:
+    def start(self, env: ArmVectorEnv) -> None:
         super().start(env)
         self._go_to(np.ones(env.num_envs, dtype=np.int64))
         self._step = 0
@@ -82,7 +82,7 @@ class TryingAgent(PickingAgent):
 
 
 def played(agent: OracleAgent, config: EnvConfig, count: int) -> EpisodeResults:
-    env = ReachVectorEnv(config, count)
+    env = ArmVectorEnv(config, count)
     return play(agent, env, evaluation_episodes(config, count, seed=1))
 
 
@@ -111,7 +111,7 @@ def test_whoever_reaches_another_object_gets_no_second_try() -> None:
 
 def test_larger_thresholds_of_training_do_not_hold_for_other_objects() -> None:
     config = small()
-    env = ReachVectorEnv(config, 30)
+    env = ArmVectorEnv(config, 30)
     episodes = evaluation_episodes(config, 30, seed=1)
     results = []
     for factor in (1.0, 3.0):
@@ -145,7 +145,7 @@ def test_objects_do_not_overlap_and_stay_in_the_rectangle(robot: str) -> None:
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_most_of_every_object_is_visible_beside_the_others(robot: str) -> None:
     count = 40
-    env = ReachVectorEnv(small(robot), count)
+    env = ArmVectorEnv(small(robot), count)
     env.reset(seed=0)
     scene, running = env.scene, env.running
     raycaster = Raycaster(scene.model, scene.camera, 64, 64)
@@ -199,7 +199,7 @@ def test_a_split_that_asks_for_few_facets_draws_the_question_first() -> None:
 
 def test_tensors_show_the_same_images() -> None:
     config = small(image_size=32)
-    arrays, tensors = ReachVectorEnv(config, 3), TorchReachVectorEnv(config, 3)
+    arrays, tensors = ArmVectorEnv(config, 3), TorchArmVectorEnv(config, 3)
     images, infos = arrays.reset(seed=5)
     torch_images, torch_infos = tensors.reset(seed=5)
     assert (images == torch_images.numpy()).all()
@@ -209,7 +209,7 @@ def test_tensors_show_the_same_images() -> None:
 
 def test_episodes_end_at_other_objects_on_tensors_too() -> None:
     config = small()
-    arrays, tensors = ReachVectorEnv(config, 20), TorchReachVectorEnv(config, 20)
+    arrays, tensors = ArmVectorEnv(config, 20), TorchArmVectorEnv(config, 20)
     arrays.reset(seed=5)
     tensors.reset(seed=5)
     agent = TryingAgent()
@@ -227,7 +227,7 @@ def test_episodes_end_at_other_objects_on_tensors_too() -> None:
 
 def test_an_episode_is_the_same_to_the_byte_at_any_number_of_environments() -> None:
     config = small(image_size=32, dynamics="dynamic", max_episode_steps=5)
-    one, many = ReachVectorEnv(config, 1), ReachVectorEnv(config, 8, num_threads=2)
+    one, many = ArmVectorEnv(config, 1), ArmVectorEnv(config, 8, num_threads=2)
     one.reset(seed=12)
     many.reset(seed=5)
     generator = np.random.default_rng(0)
@@ -240,7 +240,7 @@ def test_an_episode_is_the_same_to_the_byte_at_any_number_of_environments() -> N
             assert a[0].tobytes() == b[-1].tobytes()
         for name in METRICS:
             assert alone[4][name][0].tobytes() == together[4][name][-1].tobytes(), name
-    again = ReachVectorEnv(config, 8)
+    again = ArmVectorEnv(config, 8)
     again.set_state(state)
     assert {name: values.tobytes() for name, values in again.get_state().items()} == {
         name: values.tobytes() for name, values in state.items()
@@ -262,7 +262,7 @@ def test_the_checkers_pass_without_a_warning(robot: str) -> None:
 
 
 def test_marked_objects_show_the_answer() -> None:
-    env = ReachVectorEnv(small(task=Choose(marked=True)), 4)
+    env = ArmVectorEnv(small(task=Choose(marked=True)), 4)
     env.reset(seed=0)
     wanted = env.scene.geom_target == env.running.target[:, None]
     assert (env.geom_rgba[wanted] == [1, 0, 1, 1]).all()
@@ -288,7 +288,7 @@ def test_numbers_of_objects_outside_two_to_six_are_refused() -> None:
 
 
 def test_episodes_of_another_number_of_objects_are_refused() -> None:
-    env = ReachVectorEnv(small(), 2)
+    env = ArmVectorEnv(small(), 2)
     other = small(task=Choose(objects=3))
     episodes = evaluation_episodes(other, 2, seed=0)
     with pytest.raises(UserError, match="hold 3 objects, and this environment has 4"):

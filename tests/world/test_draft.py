@@ -13,7 +13,7 @@ from knowarm.world.agents import OracleAgent
 from knowarm.world.agents.play import play
 from knowarm.world.backend import MujocoSimulator
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.own_robot.draft import _toml, draft_robot, read_overrides
 from knowarm.world.own_robot.draft_gripper import find_gripper
 from knowarm.world.own_robot.draft_reach import find_layout
@@ -140,7 +140,7 @@ def test_draft_of_a_six_joint_arm_passes_all_checks(tmp_path: Path) -> None:
     scene = load_scene(str(file), ("mug", "bottle"))
     half_range = np.median(scene.joint_upper - scene.joint_lower) / 2
     assert robot.start_fraction == min(0.15, round(0.4 / half_range, 3))
-    env = ReachVectorEnv(EnvConfig(robot=str(file), targets=("mug", "bottle")), 50)
+    env = ArmVectorEnv(EnvConfig(robot=str(file), targets=("mug", "bottle")), 50)
     results = play(OracleAgent(), env, evaluation_episodes(env.config, 50, seed=1))
     assert results.success.mean() >= 0.9
     assert 12 <= np.median(results.length) <= 30  # of 50

@@ -20,7 +20,7 @@ from knowarm.questions import kind_of
 from knowarm.world.agents.play import play
 from knowarm.world.agents.scripted import OracleAgent
 from knowarm.world.config import EnvConfig, questions_of, scene_of
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.objects.families import (
     ATTRIBUTES,
     COLUMNS,
@@ -229,7 +229,7 @@ def test_s2_holds_out_a_condition_of_all_instances_of_a_kind(tables):
 def test_the_oracle_reaches_new_objects(split):
     env = EnvConfig(task=task_for("families"), image_size=8, dynamics="kinematic")
     env = replace(env, task=env.task.for_split(split, None))
-    world = ReachVectorEnv(env, 32)
+    world = ArmVectorEnv(env, 32)
     result = play(OracleAgent(), world, evaluation_episodes(env, 32, 0))
     assert result.success.mean() > 0.9
     assert {kind_of(scene_of(env).targets[k].name) for k in result.infos["target"]} <= set(KINDS)

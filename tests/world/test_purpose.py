@@ -17,7 +17,7 @@ from knowarm.questions import number_parts, object_of
 from knowarm.world.agents.play import play
 from knowarm.world.agents.scripted import OracleAgent
 from knowarm.world.config import EnvConfig, questions_of, scene_of
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.objects import CHOOSE_TARGETS, TARGETS
 from knowarm.world.objects.parts import PARTS
 from knowarm.world.robots import ROBOTS
@@ -47,8 +47,8 @@ def scene() -> Scene:
 
 
 @pytest.fixture(scope="module")
-def drawn() -> tuple[ReachVectorEnv, Episodes]:
-    env = ReachVectorEnv(small(), 16)
+def drawn() -> tuple[ArmVectorEnv, Episodes]:
+    env = ArmVectorEnv(small(), 16)
     return env, evaluation_episodes(env.config, 16, 3)
 
 
@@ -142,7 +142,7 @@ def test_the_other_part_of_the_right_object_is_a_mistake(drawn):
     class OtherPart(PickingAgent):
         """Moves to the other part of the right object."""
 
-        def start(self, env: ReachVectorEnv) -> None:
+        def start(self, env: ArmVectorEnv) -> None:
             OracleAgent.start(self, env)
             places = env.running.positions
             beside = (places[:, 1:] == places[:, :1]).all(axis=2)
@@ -161,7 +161,7 @@ def test_the_other_part_of_the_right_object_is_a_mistake(drawn):
 
 def test_the_upper_bound_marks_the_part_alone():
     config = small(task=Purpose(marked=True), image_size=64)
-    env = ReachVectorEnv(config, 8)
+    env = ArmVectorEnv(config, 8)
     env.reset(seed=0)
     painted = (env.running.shown.rgba[..., :3] == np.float32(MARKED_RGB)).all(axis=2)
     shown = painted & (env.running.shown.rgba[..., 3] > 0)

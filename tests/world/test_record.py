@@ -9,7 +9,7 @@ from PIL import Image
 from knowarm.errors import UserError
 from knowarm.world.agents.scripted import OracleAgent
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.choose.choose import Choose
 from knowarm.world.tasks.episodes import evaluation_episodes
 from knowarm.world.viewing.record import record_episode, write_strip, write_video
@@ -82,7 +82,7 @@ def test_an_unwritable_or_unknown_file_is_named(films: list, tmp_path: Path) -> 
 
 
 def test_a_strip_shows_the_query_above_its_row(tmp_path: Path) -> None:
-    env = ReachVectorEnv(EnvConfig(task=Choose(), image_size=16, dynamics="kinematic"), 1)
+    env = ArmVectorEnv(EnvConfig(task=Choose(), image_size=16, dynamics="kinematic"), 1)
     episodes = evaluation_episodes(env.config, 1, seed=1)
     frames = record_episode(OracleAgent(), env, episodes)
     rows = env.config.task.knowledge_rows(env.facets)

@@ -6,7 +6,7 @@ import pytest
 
 from knowarm.world.agents.teacher import GoalTable
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.own_robot.robot_check import check_agents, check_robot
 from tests.world.helpers import EXAMPLES, write_robot
 
@@ -78,7 +78,7 @@ def test_few_joints_reach_by_the_nearest_pose_that_an_easier_orientation_allows(
     config = EnvConfig(
         robot=str(file), targets=("bottle",), success_angle_deg=90.0, ignore_roll=True
     )
-    GoalTable(ReachVectorEnv(config, 1).running)  # The teacher of imitation takes such poses too.
+    GoalTable(ArmVectorEnv(config, 1).running)  # The teacher of imitation takes such poses too.
     assert "teacher reaches" not in caplog.text
 
 

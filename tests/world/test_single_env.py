@@ -14,8 +14,8 @@ from knowarm.world.envs.knowledge_observation import (
     KnowledgeObservation,
     VectorKnowledgeObservation,
 )
-from knowarm.world.envs.single_env import ReachEnv
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.single_env import ArmEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.robots import ROBOTS
 
 
@@ -41,7 +41,7 @@ def test_make_vec_gives_our_own_vector() -> None:
     env = gymnasium.make_vec(
         "knowarm/TiagoReach-v0", num_envs=3, image_size=16, colours="randomized"
     )
-    assert isinstance(env.unwrapped, ReachVectorEnv)
+    assert isinstance(env.unwrapped, ArmVectorEnv)
     assert env.unwrapped.config.robot == "tiago"
     observations, _ = env.reset(seed=0)
     assert observations.shape == (3, 16, 16, 3)
@@ -55,7 +55,7 @@ def test_render_gives_a_large_image() -> None:
     assert image.shape == (480, 480, 3)
     assert image.dtype == np.uint8
     with pytest.raises(UserError, match="render_mode must be 'rgb_array' or None, got 'human'"):
-        ReachEnv(render_mode="human")
+        ArmEnv(render_mode="human")
 
 
 def test_an_unseeded_environment_is_not_the_same_every_time() -> None:
@@ -79,7 +79,7 @@ def test_knowledge_of_the_running_episode_stands_beside_the_image() -> None:
         UserError, match=r"one row for each of the 3 values of the info 'facet' \(mug/red, "
     ):
         KnowledgeObservation(gymnasium.make("knowarm/IRB120Reach-v0"), table)
-    with pytest.raises(UserError, match="wraps a ReachVectorEnv, got a TorchReachVectorEnv"):
+    with pytest.raises(UserError, match="wraps a ArmVectorEnv, got a TorchArmVectorEnv"):
         VectorKnowledgeObservation(make("irb120", 2, "cpu", image_size=8), table)
 
 

@@ -7,7 +7,7 @@ import pytest
 from knowarm.world.agents import OracleAgent
 from knowarm.world.agents.play import play
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.robots import ROBOTS
 from knowarm.world.scene.scene import Scene, _load_scene, load_scene, project
 from knowarm.world.tasks.episodes import evaluation_episodes
@@ -42,7 +42,7 @@ def collisions(model: mujoco.MjModel, scene: Scene, poses: np.ndarray) -> list[s
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_the_start_is_far_from_every_grasp_and_the_oracle_needs_half_the_episode(robot):
     config = EnvConfig(robot=robot)
-    env = ReachVectorEnv(config, 100)
+    env = ArmVectorEnv(config, 100)
     episodes = evaluation_episodes(config, 300, seed=5)
     for first in range(0, 300, 100):
         _, infos = env.reset(options={"episodes": episodes[first : first + 100]})

@@ -6,7 +6,7 @@ import pytest
 from knowarm.world.agents.teacher import PRACTICE_NOISE, GoalTable, Teacher
 from knowarm.world.backend import MujocoSimulator
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.torch_env import TorchReachVectorEnv
+from knowarm.world.envs.torch_env import TorchArmVectorEnv
 from knowarm.world.robots import ROBOTS
 from knowarm.world.tasks.reward import measure
 
@@ -14,7 +14,7 @@ COUNT = 256
 
 
 def make_env(robot="irb120", count=COUNT, **config):
-    env = TorchReachVectorEnv(EnvConfig(robot=robot, **config), count, num_threads=1)
+    env = TorchArmVectorEnv(EnvConfig(robot=robot, **config), count, num_threads=1)
     env.reset(seed=3)
     return env
 

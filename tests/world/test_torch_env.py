@@ -12,8 +12,8 @@ import knowarm  # noqa: F401 (registers the ids)
 from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs import torch_env
-from knowarm.world.envs.torch_env import TorchReachVectorEnv
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.torch_env import TorchArmVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from tests.world.faces import TORCH
 
 
@@ -50,11 +50,11 @@ def test_make_vec_takes_a_device() -> None:
     options: dict[str, Any] = {"image_size": 16, "dynamics": "kinematic"}
     env_id = "knowarm/IRB120Reach-v0"
     env = gymnasium.make_vec(env_id, num_envs=2, device="cpu", **options)
-    assert isinstance(env.unwrapped, TorchReachVectorEnv)
+    assert isinstance(env.unwrapped, TorchArmVectorEnv)
     observation, infos = env.reset(seed=0)
     assert isinstance(observation, torch.Tensor)
     arrays = gymnasium.make_vec(env_id, num_envs=2, **options)
-    assert isinstance(arrays.unwrapped, ReachVectorEnv)
+    assert isinstance(arrays.unwrapped, ArmVectorEnv)
     assert (infos["distance"].numpy() == arrays.reset(seed=0)[1]["distance"]).all()
     for given in ({"autoreset": AutoresetMode.DISABLED}, {"render_mode": "rgb_array"}):
         with pytest.raises(UserError, match="leave out device"):
@@ -64,14 +64,14 @@ def test_make_vec_takes_a_device() -> None:
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
 def test_a_device_is_checked() -> None:
     with pytest.raises(UserError, match="device must be 'cuda' or 'cpu', got 'tpu'"):
-        TorchReachVectorEnv(EnvConfig(image_size=16), 2, device="tpu")
+        TorchArmVectorEnv(EnvConfig(image_size=16), 2, device="tpu")
     with pytest.raises(UserError, match=r"device 'cuda'.*or use the CPU"):
-        TorchReachVectorEnv(EnvConfig(image_size=16), 2, device="cuda")
+        TorchArmVectorEnv(EnvConfig(image_size=16), 2, device="cuda")
 
 
 def test_results_are_on_the_device(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch_env, "torch_device", torch.device)
-    env = TorchReachVectorEnv(EnvConfig(image_size=16), 2, device="meta", num_threads=1)
+    env = TorchArmVectorEnv(EnvConfig(image_size=16), 2, device="meta", num_threads=1)
     env.report_privileged_state = True
     monkeypatch.setattr(env, "_checked", lambda actions: np.zeros((2, 6), dtype=np.int64))
     images, infos = env.reset(seed=0)

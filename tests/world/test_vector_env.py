@@ -5,7 +5,7 @@ from gymnasium.vector import AutoresetMode
 
 import knowarm
 from knowarm.errors import UserError
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.robots import ROBOTS
 from knowarm.world.tasks.running import ACTION_LEVELS
 from tests.world.helpers import MakeEnv
@@ -13,7 +13,7 @@ from tests.world.helpers import MakeEnv
 ALL_MODES = (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED)
 
 
-def random_actions(env: ReachVectorEnv, generator: np.random.Generator) -> np.ndarray:
+def random_actions(env: ArmVectorEnv, generator: np.random.Generator) -> np.ndarray:
     return generator.integers(len(ACTION_LEVELS), size=env.action_space.shape)
 
 

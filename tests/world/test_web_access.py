@@ -15,7 +15,7 @@ import pytest
 from knowarm.errors import UserError
 from knowarm.world.agents import RandomAgent
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.scene.compose import CONTROL_PERIOD_S
 from knowarm.world.tasks.episodes import evaluation_episodes
 from knowarm.world.viewing import watch as watching
@@ -98,7 +98,7 @@ def test_an_episode_begins_once_a_browser_is_there(monkeypatch):
         return nullcontext(Mock())
 
     monkeypatch.setattr(launch_web, "launch", launch)
-    env = ReachVectorEnv(EnvConfig(dynamics="kinematic"), 1)
+    env = ArmVectorEnv(EnvConfig(dynamics="kinematic"), 1)
     episodes = evaluation_episodes(env.config, 1, seed=0)
     watching.watch(RandomAgent(), env, episodes, open_browser=False, title="random")
     assert shown == 5 * [watching.WAIT_S] + 3 * [CONTROL_PERIOD_S]

@@ -27,7 +27,7 @@ from knowarm.reading import reading
 from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
 from knowarm.world.agents.open_loop import FixedList
 from knowarm.world.config import facets_of, questions_of
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.running import ACTION_LEVELS, joint_increments
 
 INPUTS = ("image", "words", "graph", "simulator")
@@ -74,7 +74,7 @@ class PolicyAdapter:
     def __init__(self, policy: BenchmarkPolicy, graph: KnowledgeGraph | None = None) -> None:
         self._policy, self._graph = policy, graph
 
-    def start(self, env: ReachVectorEnv) -> None:
+    def start(self, env: ArmVectorEnv) -> None:
         """Hand the policy the start of the episodes."""
         self._env, scene = env, env.scene
         table = questions_of(env.config)
@@ -297,7 +297,7 @@ def _exported(spec: str, folder: Path) -> Entrant:
         asked = {query.name for query in table.queries} if table is not None else set[str]()
         if not asked <= set(rows) or (not asked and len(rows) > 1):
             raise UserError(f"{spec} knows other queries than those of {cell.name}.")
-        if not names <= set(ReachVectorEnv(cell.env, 1).scene.robot.joints):
+        if not names <= set(ArmVectorEnv(cell.env, 1).scene.robot.joints):
             raise UserError(f"{spec} moves the joints {', '.join(sorted(names))}.")
         return PolicyAdapter(policy, cell.graph)
 

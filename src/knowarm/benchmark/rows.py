@@ -20,7 +20,7 @@ from knowarm.world.agents import AgentProtocol, BlindAgent, FrozenAgent
 from knowarm.world.agents.open_loop import FixedList
 from knowarm.world.agents.play import play
 from knowarm.world.config import questions_of
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.episodes import Episodes
 
 FORMAT = 1
@@ -99,7 +99,7 @@ def _check_seeds(entrants: Sequence[Entrant]) -> None:
 def _play_cell(suite: Suite, cell: Cell, entrant: Entrant) -> dict[str, Any]:
     """Play one cell with one seed of a policy and with its controls; return outcomes as hex."""
     cell.check()
-    env = ReachVectorEnv(cell.env, min(entrant.num_envs, len(cell.episodes)))
+    env = ArmVectorEnv(cell.env, min(entrant.num_envs, len(cell.episodes)))
     try:
         outcome = {"policy": _bits(entrant.make(cell), env, cell.episodes)}
         few = cell.episodes[: suite.control_episodes]
@@ -122,7 +122,7 @@ def _controls(cell: Cell, entrant: Entrant) -> dict[str, AgentProtocol]:
     return agents | {name: make(cell) for name, make in entrant.controls.items()}
 
 
-def _bits(agent: AgentProtocol, env: ReachVectorEnv, episodes: Episodes) -> dict[str, str]:
+def _bits(agent: AgentProtocol, env: ArmVectorEnv, episodes: Episodes) -> dict[str, str]:
     """Play episodes; return success, and where the task has queries right choices, as hex."""
     result = play(agent, env, episodes)
     found = {"success": result.success}

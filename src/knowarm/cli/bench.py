@@ -16,7 +16,7 @@ from knowarm.experiment.speed import (
     measure_training,
     training_flops,
 )
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +38,7 @@ class Bench(TableCommand):
         config, cores = experiment_config(self.experiment), available_cores()
         steps = config.total_steps
         _announce("simulation with images")
-        simulation = measure_steps(ReachVectorEnv(config.env, self.num_envs), self.seconds)
+        simulation = measure_steps(ArmVectorEnv(config.env, self.num_envs), self.seconds)
         _announce("images alone")
         images = measure_images(config.env, num_envs=self.num_envs, seconds=self.seconds)
         _announce("training, whose first update compiles code")

@@ -20,7 +20,7 @@ from knowarm.integrations.hub import pull_from_hub, push_to_hub
 from knowarm.integrations.record import record
 from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.episodes import evaluation_episodes
 
 
@@ -125,7 +125,7 @@ class Record:
         else:
             trained = load_agent(self.agent)
             config, agent = trained.config.env, trained.agent
-        env = ReachVectorEnv(config, min(self.episodes, 100))
+        env = ArmVectorEnv(config, min(self.episodes, 100))
         drawn = evaluation_episodes(config, self.episodes, self.seed)
         solved = record(agent, env, drawn, self.to)
         print(f"Wrote {self.episodes} episodes to {self.to}; {solved} of them succeeded.")

@@ -16,7 +16,7 @@ from knowarm.integrations.rerun import check_rrd, write_rrd
 from knowarm.pictures import check_suffix
 from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.robots import DEFAULT_ROBOT
 from knowarm.world.scene.scene import find_robot
 from knowarm.world.tasks import task_type
@@ -84,7 +84,7 @@ class View:
             name: getattr(self, name) for name in ("targets", "colours", "dynamics", "ignore_roll")
         } | {"success_angle_deg": self.angle_deg}
         config = replace(config, **{name: value for name, value in given.items() if value})
-        env = ReachVectorEnv(config, 1)
+        env = ArmVectorEnv(config, 1)
         episodes = evaluation_episodes(env.config, self.episodes, self.seed)
         agent = make_agent(env)
         if self.video is None and self.strip is None and self.rrd is None:
@@ -110,7 +110,7 @@ class View:
                 write(path, films)
                 print(f"Wrote {path}")
 
-    def _known(self, agent: AgentProtocol, env: ReachVectorEnv, image: Any) -> dict[str, Any]:
+    def _known(self, agent: AgentProtocol, env: ArmVectorEnv, image: Any) -> dict[str, Any]:
         """Return what the agent knows in the episode that it has played."""
         if is_scripted(self.agent):
             return {}
@@ -118,7 +118,7 @@ class View:
 
         return known_in_episode(agent, env, image)
 
-    def _agent(self) -> tuple[Callable[[ReachVectorEnv], AgentProtocol], EnvConfig]:
+    def _agent(self) -> tuple[Callable[[ArmVectorEnv], AgentProtocol], EnvConfig]:
         """Return a constructor of the agent, and its environment's config."""
         if is_scripted(self.agent):
             robot = self.robot or DEFAULT_ROBOT
@@ -133,7 +133,7 @@ class View:
             robots = f"robot {config.robot!r}, not on {self.robot!r}"
             raise UserError(f"The run {self.agent} was trained on {robots}: leave out the robot.")
 
-        def make(env: ReachVectorEnv) -> AgentProtocol:
+        def make(env: ArmVectorEnv) -> AgentProtocol:
             check_fits(trained, env, knows_task=False)
             return trained.agent
 

@@ -15,7 +15,7 @@ from knowarm.perception.config import Unclear
 from knowarm.perception.grounding import centres
 from knowarm.perception.images import first_facets
 from knowarm.questions import ObjectColour
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.episodes import evaluation_episodes
 from knowarm.world.viewing.record import Frame, record_episode
 
@@ -98,7 +98,7 @@ class Asker:
             )
         self.trained, self.facets = trained, trained.network.spec.facets
         self._network = trained.network
-        self._env = ReachVectorEnv(trained.config.env, 1)
+        self._env = ArmVectorEnv(trained.config.env, 1)
         self._scenes = evaluation_episodes(self._env.config, SCENES, seed)
         first = first_facets(self._env.scene, trained.network.spec)
         self._shown = first[self._scenes.objects] + self._scenes.colours

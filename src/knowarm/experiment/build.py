@@ -20,8 +20,8 @@ from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.seeding import torch_generator
 from knowarm.world.agents.play import EpisodeResults, play
 from knowarm.world.config import EnvConfig, facets_of, questions_of
-from knowarm.world.envs.torch_env import TorchReachVectorEnv
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.torch_env import TorchArmVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.scene.scene import find_robot
 from knowarm.world.tasks.episodes import evaluation_episodes
 from knowarm.world.tasks.running import ACTION_LEVELS
@@ -40,7 +40,7 @@ class EnvFactory:
         """Make ``num_envs`` environments on a device, with ``num_threads`` threads (0: all)."""
         options: dict[str, Any] = {"device": device, "num_threads": num_threads}
         if self.perception is None:
-            return TorchReachVectorEnv(self.config, num_envs, **options)
+            return TorchArmVectorEnv(self.config, num_envs, **options)
         return PerceivingVectorEnv(self.config, num_envs, self.perception, **options)
 
 
@@ -51,7 +51,7 @@ def interim_evaluation(
 
     Sampled actions depend on ``seed``, that of the run; the episodes do not.
     """
-    env = ReachVectorEnv(config, interim.episodes)
+    env = ArmVectorEnv(config, interim.episodes)
     episodes = evaluation_episodes(config, interim.episodes, interim.seed)
     task, setting = config.task, env.running.setting
 

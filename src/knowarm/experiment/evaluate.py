@@ -38,7 +38,7 @@ from knowarm.statistics import share_difference, wilson
 from knowarm.world.agents import BLIND_AGENTS, AgentProtocol
 from knowarm.world.agents.play import play
 from knowarm.world.config import EnvConfig, facets_of
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.lifting.model import lifting_model
 from knowarm.world.tasks.episodes import Episodes, evaluation_episodes
 
@@ -176,7 +176,7 @@ def evaluate(
     if env_config is None:
         raise UserError("This agent has no task of its own: pass env_config=EnvConfig(...).")
     judged = env_for_test(env_config, config)
-    env = ReachVectorEnv(judged, min(config.num_envs, config.episodes))
+    env = ArmVectorEnv(judged, min(config.num_envs, config.episodes))
     table: torch.Tensor | None = None
     try:
         if trained is not None:
@@ -226,7 +226,7 @@ def count_blind_episodes(config: EvaluationConfig) -> int:
 def blind_numbers(
     agent: AgentProtocol,
     success: np.ndarray,
-    env: ReachVectorEnv,
+    env: ArmVectorEnv,
     episodes: Episodes,
     count: int,
     seed: int,
@@ -296,7 +296,7 @@ def agent_for_test(
     return trained.answering(answers, config.unclear), None
 
 
-def check_fits(trained: TrainedAgent, env: ReachVectorEnv, *, knows_task: bool) -> None:
+def check_fits(trained: TrainedAgent, env: ArmVectorEnv, *, knows_task: bool) -> None:
     """Check that an agent, with knowledge of the task or of its own, can play in an environment."""
     own, new = trained.policy.shape, (env.scene.num_joints, env.config.image_size)
     found: dict[str, Any] = {"joints, image size": ((own.joints, own.image_size), new)}
@@ -334,7 +334,7 @@ def env_for_test(env_config: EnvConfig, config: EvaluationConfig) -> EnvConfig:
     )
 
 
-def _episodes(env: ReachVectorEnv, config: EvaluationConfig) -> Episodes:
+def _episodes(env: ArmVectorEnv, config: EvaluationConfig) -> Episodes:
     """Draw the fixed episodes: equal shares of each evaluation seed, in order."""
     share = config.episodes // config.seeds
     lists = [evaluation_episodes(env.config, share, config.seed + i) for i in range(config.seeds)]

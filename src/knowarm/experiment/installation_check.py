@@ -15,7 +15,7 @@ from knowarm.experiment.names import DEFAULT_EXPERIMENT, experiment_config
 from knowarm.experiment.run_folder import provenance
 from knowarm.world.agents import OracleAgent
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.own_robot.robot_check import Check
 
 MIN_MEMORY_GIB, MIN_DISK_GIB = 2.0, 1.0
@@ -61,7 +61,7 @@ def _knowledge() -> str:
 
 
 def _world() -> str:
-    env = ReachVectorEnv(EnvConfig(), 4)
+    env = ArmVectorEnv(EnvConfig(), 4)
     images, infos = env.reset(seed=0)
     agent = OracleAgent(0)
     agent.start(env)

@@ -18,7 +18,7 @@ from knowarm.experiment.config import ExperimentConfig
 from knowarm.learn import A3CConfig, Hooks, Metrics, PPOConfig
 from knowarm.learn.optimizer import PolicyOptimizer
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.running import ACTION_LEVELS
 
 WARM_UP_ROWS = 2
@@ -63,7 +63,7 @@ def measure_steps(env: gymnasium.vector.VectorEnv, seconds: float) -> Speed:
 
 def measure_images(config: EnvConfig, *, num_envs: int, seconds: float) -> float:
     """Return images per second of CPU time of the ray caster, ``num_envs`` per call."""
-    env = ReachVectorEnv(config, num_envs, num_threads=1)
+    env = ArmVectorEnv(config, num_envs, num_threads=1)
     env.reset(seed=0)
     poses = env.simulation.geom_position, env.simulation.geom_matrix, env.geom_rgba
     env.renderer.draw(*poses)

@@ -14,7 +14,7 @@ from knowarm.experiment.graph_at_test import answers_before_edit
 from knowarm.reading import reading, replacing, writing
 from knowarm.statistics import bootstrap, wilson
 from knowarm.world.agents.play import EpisodeResults
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.lifting.lift import OUTCOMES, lift
 from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.episodes import Episodes
@@ -143,7 +143,7 @@ Columns = Mapping[str, np.ndarray]
 
 
 def episode_columns(
-    result: EpisodeResults, env: ReachVectorEnv, config: EvaluationConfig
+    result: EpisodeResults, env: ArmVectorEnv, config: EvaluationConfig
 ) -> dict[str, np.ndarray]:
     """Return the columns of ``episodes.parquet``, (n,) each."""
     count = len(result.length)

@@ -18,7 +18,7 @@ from knowarm.pictures import encode
 from knowarm.reading import write_json, writing
 from knowarm.world.agents.play import play_steps
 from knowarm.world.agents.scripted import AgentProtocol
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.scene.compose import CONTROL_PERIOD_S
 from knowarm.world.tasks.episodes import Episodes
 
@@ -43,7 +43,7 @@ _SCALARS = {
 }
 
 
-def record(agent: AgentProtocol, env: ReachVectorEnv, episodes: Episodes, folder: Path) -> int:
+def record(agent: AgentProtocol, env: ArmVectorEnv, episodes: Episodes, folder: Path) -> int:
     """Play episodes and write them as a dataset; return how many succeeded.
 
     Args:
@@ -65,7 +65,7 @@ def record(agent: AgentProtocol, env: ReachVectorEnv, episodes: Episodes, folder
 class _Writer:
     """Writes a dataset file by file; only one file's frames are in memory."""
 
-    def __init__(self, env: ReachVectorEnv, folder: Path) -> None:
+    def __init__(self, env: ArmVectorEnv, folder: Path) -> None:
         self.env, self.folder = env, folder
         self.joints = [*env.scene.joint_names]
         self.tasks: dict[str, int] = {}

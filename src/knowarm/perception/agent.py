@@ -14,10 +14,10 @@ from knowarm.errors import UserError
 from knowarm.perception.module import PerceptionModule, in_batches
 from knowarm.policy import PolicyAgent
 from knowarm.world.config import EnvConfig, questions_of
-from knowarm.world.envs.torch_env import TorchReachVectorEnv
+from knowarm.world.envs.torch_env import TorchArmVectorEnv
 
 
-class PerceivingVectorEnv(TorchReachVectorEnv):
+class PerceivingVectorEnv(TorchArmVectorEnv):
     """Training environments whose knowledge input is what a copy of a module recognizes.
 
     It is computed from the first image of every episode and kept until the next begins. Once a
@@ -42,7 +42,7 @@ class PerceivingVectorEnv(TorchReachVectorEnv):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Tensor, dict[str, Any]]:
-        """As `TorchReachVectorEnv.reset`; then computes the goals of the new episodes."""
+        """As `TorchArmVectorEnv.reset`; then computes the goals of the new episodes."""
         images, infos = super().reset(seed=seed, options=options)
         mask = (options or {}).get("reset_mask")
         fresh = self._everywhere if mask is None else torch.as_tensor(mask, device=self.device)
@@ -50,17 +50,17 @@ class PerceivingVectorEnv(TorchReachVectorEnv):
         return images, infos
 
     def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
-        """As `TorchReachVectorEnv.step`; then computes the goals of the new episodes."""
+        """As `TorchArmVectorEnv.step`; then computes the goals of the new episodes."""
         result = super().step(actions)
         self._update_goals(result[0], result[2] | result[3])
         return result
 
     def get_state(self) -> dict[str, np.ndarray]:
-        """As `TorchReachVectorEnv.get_state`, with the goals."""
+        """As `TorchArmVectorEnv.get_state`, with the goals."""
         return super().get_state() | {"perceived": self._goal.cpu().numpy().copy()}
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
-        """As `TorchReachVectorEnv.set_state`."""
+        """As `TorchArmVectorEnv.set_state`."""
         state = dict(state)
         goal = state.pop("perceived", None)
         if goal is None or goal.shape != self._goal.shape:

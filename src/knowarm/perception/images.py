@@ -10,7 +10,7 @@ from torch import Tensor
 from knowarm.perception.config import ModuleSpec
 from knowarm.questions import ObjectColour
 from knowarm.world.config import EnvConfig, questions_of
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.objects.families import look_of
 from knowarm.world.scene.scene import Scene, project, target_places
 
@@ -58,7 +58,7 @@ class ImageSampler:
     """Samples the first images of episodes; their seed and number at once decide which."""
 
     def __init__(self, env: EnvConfig, spec: ModuleSpec, seed: int, at_once: int = ENVS) -> None:
-        self._world = ReachVectorEnv(env, at_once)
+        self._world = ArmVectorEnv(env, at_once)
         self._first_facets = first_facets(self._world.scene, spec)
         self._seed: int | None = seed
 

@@ -15,9 +15,9 @@ from knowarm.world.robots.menagerie import KNOWN_ARMS
 from knowarm.world.tasks import task_names
 
 if TYPE_CHECKING:
-    from knowarm.world.envs.single_env import ReachEnv
-    from knowarm.world.envs.torch_env import TorchReachVectorEnv
-    from knowarm.world.envs.vector_env import ReachVectorEnv
+    from knowarm.world.envs.single_env import ArmEnv
+    from knowarm.world.envs.torch_env import TorchArmVectorEnv
+    from knowarm.world.envs.vector_env import ArmVectorEnv
     from knowarm.world.tasks.task import Task
 
 NAMESPACE = "knowarm"
@@ -35,7 +35,7 @@ def register_environments() -> None:
         if name not in gymnasium.registry:
             gymnasium.register(
                 name,
-                entry_point="knowarm.world.envs.single_env:ReachEnv",
+                entry_point="knowarm.world.envs.single_env:ArmEnv",
                 vector_entry_point="knowarm.world.envs.single_env:make_vector_env",
                 kwargs={"robot": robot, "task": task},
             )
@@ -53,13 +53,13 @@ def make(
     device: None = None,
     task: "str | Task | None" = ...,
     **options: Any,
-) -> "ReachEnv": ...
+) -> "ArmEnv": ...
 
 
 @overload
 def make(
     robot: str, num_envs: int, device: None = None, task: "str | Task | None" = ..., **options: Any
-) -> "ReachVectorEnv": ...
+) -> "ArmVectorEnv": ...
 
 
 @overload
@@ -69,7 +69,7 @@ def make(
     device: Literal["cpu", "cuda"],
     task: "str | Task | None" = ...,
     **options: Any,
-) -> "TorchReachVectorEnv": ...
+) -> "TorchArmVectorEnv": ...
 
 
 def make(
@@ -91,12 +91,12 @@ def make(
         options: fields of ``EnvConfig``, and arguments of the environment's constructor.
 
     Returns:
-        ``ReachEnv``, ``ReachVectorEnv`` or ``TorchReachVectorEnv``.
+        ``ArmEnv``, ``ArmVectorEnv`` or ``TorchArmVectorEnv``.
 
     Raises:
         UserError: an unknown robot or task, a device without ``num_envs``, or a wrong option.
     """
-    from knowarm.world.envs.single_env import ReachEnv, make_vector_env
+    from knowarm.world.envs.single_env import ArmEnv, make_vector_env
 
     ids, robot = _ids(), str(robot)
     short = robot if "/" in robot else f"{NAMESPACE}/{robot}"
@@ -116,5 +116,5 @@ def make(
                 f"device {device!r} needs a vector environment; pass num_envs as well, or leave "
                 "out device."
             )
-        return ReachEnv(**options)
+        return ArmEnv(**options)
     return make_vector_env(num_envs, device=device, **options)

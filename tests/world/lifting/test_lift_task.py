@@ -16,8 +16,8 @@ from knowarm.world.agents.lift_teacher import LiftTeacher
 from knowarm.world.agents.play import play
 from knowarm.world.agents.teacher import COARSE_LEVELS
 from knowarm.world.config import EnvConfig, scene_of
-from knowarm.world.envs.torch_env import TorchReachVectorEnv
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.torch_env import TorchArmVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.lifting.model import TASK_TIMESTEP_S
 from knowarm.world.robots import ROBOTS
 from knowarm.world.scene.scene import build_scene, find_targets
@@ -30,7 +30,7 @@ COUNT = 16
 
 def make_env(robot="irb120", count=COUNT, **options):
     config = EnvConfig(robot=robot, task=Lift(), image_size=16, **options)
-    return ReachVectorEnv(config, count, num_threads=1)
+    return ArmVectorEnv(config, count, num_threads=1)
 
 
 def start(env, seed=0):
@@ -202,7 +202,7 @@ def test_episodes_do_not_depend_on_their_neighbours():
 
 def test_the_teacher_teaches_coarse_levels_from_practice_starts():
     config = EnvConfig(task=Lift(), image_size=16)
-    env = TorchReachVectorEnv(config, 32, num_threads=1)
+    env = TorchArmVectorEnv(config, 32, num_threads=1)
     env.practice_share = 1.0
     env.reset(seed=1)
     assert isinstance(env.teacher, LiftTeacher)

@@ -14,7 +14,7 @@ from knowarm.errors import UserError
 from knowarm.world.agents.play import play
 from knowarm.world.agents.scripted import OracleAgent
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks import TASKS, VARIABLE, register_task, task_names, task_type
 from knowarm.world.tasks.episodes import evaluation_episodes
 from knowarm.world.tasks.reach import Reach
@@ -45,7 +45,7 @@ def hover(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
 
 def test_the_oracle_holds_the_gripper_above_the_object(hover: Any) -> None:
     config = EnvConfig(task=hover(), image_size=8, dynamics="kinematic")
-    result = play(OracleAgent(), ReachVectorEnv(config, 30), evaluation_episodes(config, 30, 0))
+    result = play(OracleAgent(), ArmVectorEnv(config, 30), evaluation_episodes(config, 30, 0))
     assert result.success.mean() >= 0.95
     assert (result.infos["held"][result.success] == 10).all()
     held = result.steps.distance < 0.05
@@ -54,7 +54,7 @@ def test_the_oracle_holds_the_gripper_above_the_object(hover: Any) -> None:
 
 def test_the_goal_is_above_the_grasp(hover: Any) -> None:
     plain, above = EnvConfig(image_size=8), EnvConfig(task=hover(), image_size=8)
-    envs = [ReachVectorEnv(config, 4) for config in (plain, above)]
+    envs = [ArmVectorEnv(config, 4) for config in (plain, above)]
     for env in envs:
         env.reset(seed=1)
     assert envs[1].goal_position - envs[0].goal_position == pytest.approx(
@@ -64,7 +64,7 @@ def test_the_goal_is_above_the_grasp(hover: Any) -> None:
 
 def test_what_a_task_remembers_is_part_of_the_state(hover: Any) -> None:
     config = EnvConfig(task=hover(), image_size=8, dynamics="kinematic")
-    env, agent = ReachVectorEnv(config, 3), OracleAgent()
+    env, agent = ArmVectorEnv(config, 3), OracleAgent()
     images, _ = env.reset(seed=1)
     agent.start(env)
     for _ in range(50):
@@ -72,7 +72,7 @@ def test_what_a_task_remembers_is_part_of_the_state(hover: Any) -> None:
         if infos["held"].max() > 3:
             break
     state, held = env.get_state(), infos["held"]
-    other = ReachVectorEnv(config, 3)
+    other = ArmVectorEnv(config, 3)
     other.set_state(state)
     assert (other.running.memory["held"] == held).all()
     still = np.zeros((3, 6), dtype=np.int64)

@@ -4,11 +4,11 @@ import numpy as np
 import torch
 
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.torch_env import TorchReachVectorEnv
+from knowarm.world.envs.torch_env import TorchArmVectorEnv
 
 
 def moved_env(**config):
-    env = TorchReachVectorEnv(EnvConfig(image_size=8, **config), 4, num_threads=1)
+    env = TorchArmVectorEnv(EnvConfig(image_size=8, **config), 4, num_threads=1)
     env.reset(seed=3)
     for seed in range(3):
         actions = torch.randint(0, 7, (4, 6), generator=torch.Generator().manual_seed(seed))
@@ -56,7 +56,7 @@ def test_columns_are_what_their_names_say():
 
 def test_the_number_of_columns_follows_from_the_joints():
     for robot, columns in (("irb120", 54), ("tiago", 56)):
-        env = TorchReachVectorEnv(EnvConfig(robot=robot, image_size=8), 1, num_threads=1)
+        env = TorchArmVectorEnv(EnvConfig(robot=robot, image_size=8), 1, num_threads=1)
         assert len(env.privileged_columns) == env.privileged_state.shape[1] == columns
 
 

@@ -18,7 +18,7 @@ from knowarm.world.agents.play import play
 from knowarm.world.agents.scripted import OracleAgent
 from knowarm.world.cache import cache_file, read_arrays, write_arrays
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.scene.scene import build_scene
 from knowarm.world.tasks.episodes import Episodes, draw_episodes
 from knowarm.world.tasks.running import ACTION_LEVELS
@@ -55,7 +55,7 @@ class FixedList:
     def __init__(self, actions: Actions) -> None:
         self._actions = actions
 
-    def start(self, env: ReachVectorEnv) -> None:
+    def start(self, env: ArmVectorEnv) -> None:
         """Return to the beginning of the list."""
         self._step, self._num_envs = 0, env.num_envs
 
@@ -75,7 +75,7 @@ class OpenLoopAgent(FixedList):
         self._seed = seed
         self._budget = budget
 
-    def start(self, env: ReachVectorEnv) -> None:
+    def start(self, env: ArmVectorEnv) -> None:
         """Search, once per task and process, and return to the list's first action."""
         self._actions = search_open_loop(env.config, self._budget, self._seed)
         super().start(env)
@@ -118,7 +118,7 @@ def _episodes(config: EnvConfig, count: int, seed: int) -> Episodes:
 
 def _best_replayed(config: EnvConfig, episodes: Episodes) -> Actions:
     """Return the list of the oracle's actions in one episode that solves most of all of them."""
-    env = ReachVectorEnv(config, len(episodes))
+    env = ArmVectorEnv(config, len(episodes))
     steps = play(OracleAgent(), env, episodes[:REPLAYED_LISTS]).steps
     best, most = np.zeros((config.max_episode_steps, env.scene.num_joints), dtype=np.int64), -1
     for i in range(REPLAYED_LISTS):

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.world.agents.scripted import AgentProtocol
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.episodes import Episodes
 
 
@@ -67,9 +67,7 @@ class EpisodeResults:
         return self.infos["is_success"]
 
 
-def play_steps(
-    agent: AgentProtocol, env: ReachVectorEnv, episodes: Episodes
-) -> Iterator[PlayedStep]:
+def play_steps(agent: AgentProtocol, env: ArmVectorEnv, episodes: Episodes) -> Iterator[PlayedStep]:
     """Play 1 to n episodes to their end, one per environment, and yield after every step.
 
     The autoreset mode of the environment does not matter. Environments without an episode of
@@ -102,7 +100,7 @@ def play_steps(
 
 
 def play(
-    agent: AgentProtocol, env: ReachVectorEnv, episodes: Episodes, *, record_images: int = 0
+    agent: AgentProtocol, env: ArmVectorEnv, episodes: Episodes, *, record_images: int = 0
 ) -> EpisodeResults:
     """Play a list of episodes to their end, ``env.num_envs`` at a time.
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from knowarm.world.agents.ik import InverseKinematics
 from knowarm.world.agents.lift_teacher import make_teacher
 from knowarm.world.agents.teacher import Teacher
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.running import ACTION_LEVELS, joint_increments
 
 APPROACH_M = 0.10  # Way of the gripper straight to the goal frame
@@ -19,7 +19,7 @@ NEAR = 20  # Joints within MPI / NEAR of a pose have passed it
 class AgentProtocol(Protocol):
     """Chooses the actions of a vector environment, scripted or by a policy."""
 
-    def start(self, env: ReachVectorEnv) -> None:
+    def start(self, env: ArmVectorEnv) -> None:
         """Prepare for new episodes: all environments of ``env`` were just reset."""
 
     def act(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:
@@ -32,7 +32,7 @@ class ZeroAgent:
     def __init__(self, seed: int = 0) -> None:
         self._shape = (0, 0)
 
-    def start(self, env: ReachVectorEnv) -> None:
+    def start(self, env: ArmVectorEnv) -> None:
         """Read the shape of the actions."""
         self._shape = (env.num_envs, env.scene.num_joints)
 
@@ -48,7 +48,7 @@ class RandomAgent:
         self._generator = np.random.default_rng(seed)
         self._shape = (0, 0)
 
-    def start(self, env: ReachVectorEnv) -> None:
+    def start(self, env: ArmVectorEnv) -> None:
         """Read the shape of the actions."""
         self._shape = (env.num_envs, env.scene.num_joints)
 
@@ -72,10 +72,10 @@ class OracleAgent:
 
     def __init__(self, seed: int = 0) -> None:
         self._seed = seed
-        self._env: ReachVectorEnv | None = None
+        self._env: ArmVectorEnv | None = None
         self._teacher: Teacher | None = None
 
-    def start(self, env: ReachVectorEnv) -> None:
+    def start(self, env: ArmVectorEnv) -> None:
         """Solve the inverse kinematics of every episode."""
         if env.config.task.solid:
             if self._teacher is None or self._env is not env:
@@ -107,7 +107,7 @@ class ApproachAgent(OracleAgent):
     first moves to a pose behind the goal frame and then straight along the frame's z axis.
     """
 
-    def start(self, env: ReachVectorEnv) -> None:
+    def start(self, env: ArmVectorEnv) -> None:
         """Solve the inverse kinematics of the way of every episode."""
         super().start(env)
         if self._teacher is not None:
@@ -138,7 +138,7 @@ class BlindAgent:
     def __init__(self, agent: AgentProtocol) -> None:
         self._agent = agent
 
-    def start(self, env: ReachVectorEnv) -> None:
+    def start(self, env: ArmVectorEnv) -> None:
         """Start the agent."""
         self._agent.start(env)
 
@@ -153,7 +153,7 @@ class FrozenAgent:
     def __init__(self, agent: AgentProtocol) -> None:
         self._agent = agent
 
-    def start(self, env: ReachVectorEnv) -> None:
+    def start(self, env: ArmVectorEnv) -> None:
         """Start the agent and forget the images."""
         self._agent.start(env)
         self._first: NDArray[np.uint8] | None = None

@@ -11,17 +11,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig, facets_of
-from knowarm.world.envs.single_env import ReachEnv
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.single_env import ArmEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 
 Observation = dict[str, NDArray[Any]]
 
 
 class KnowledgeObservation(gymnasium.Wrapper):
-    """Adds the knowledge vector of the current episode to the image of a ``ReachEnv``.
+    """Adds the knowledge vector of the current episode to the image of a ``ArmEnv``.
 
     Args:
-        env: a reaching environment.
+        env: an environment.
         table: (R, K) float32, one row per `Task.knowledge_rows`: facets, or queries.
 
     Raises:
@@ -30,8 +30,8 @@ class KnowledgeObservation(gymnasium.Wrapper):
 
     def __init__(self, env: gymnasium.Env, table: ArrayLike) -> None:
         super().__init__(env)
-        if not isinstance(env.unwrapped, ReachEnv):
-            raise _wrong("KnowledgeObservation", "ReachEnv", env)
+        if not isinstance(env.unwrapped, ArmEnv):
+            raise _wrong("KnowledgeObservation", "ArmEnv", env)
         self._table = _checked_table(table, env.unwrapped.config)
         self._row = env.unwrapped.config.task.knowledge_info
         self.observation_space = _with_knowledge(env.observation_space, self._table)
@@ -39,12 +39,12 @@ class KnowledgeObservation(gymnasium.Wrapper):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Start an episode; see ``ReachEnv.reset``."""
+        """Start an episode; see ``ArmEnv.reset``."""
         image, info = self.env.reset(seed=seed, options=options)
         return self._observe(image, info), info
 
     def step(self, action: Any) -> tuple[Observation, Any, bool, bool, dict[str, Any]]:
-        """Play one step; see ``ReachEnv.step``."""
+        """Play one step; see ``ArmEnv.step``."""
         image, reward, terminated, truncated, info = self.env.step(action)
         return self._observe(image, info), reward, terminated, truncated, info
 
@@ -53,11 +53,11 @@ class KnowledgeObservation(gymnasium.Wrapper):
 
 
 class VectorKnowledgeObservation(VectorWrapper):
-    """Same as ``KnowledgeObservation`` for a ``ReachVectorEnv``, ``final_obs`` included."""
+    """Same as ``KnowledgeObservation`` for a ``ArmVectorEnv``, ``final_obs`` included."""
 
     def __init__(self, env: VectorEnv, table: ArrayLike) -> None:
-        if not isinstance(env, VectorEnv) or not isinstance(env.unwrapped, ReachVectorEnv):
-            raise _wrong("VectorKnowledgeObservation", "ReachVectorEnv", env)
+        if not isinstance(env, VectorEnv) or not isinstance(env.unwrapped, ArmVectorEnv):
+            raise _wrong("VectorKnowledgeObservation", "ArmVectorEnv", env)
         super().__init__(env)
         self._table = _checked_table(table, env.unwrapped.config)
         self._row = env.unwrapped.config.task.knowledge_info
@@ -70,14 +70,14 @@ class VectorKnowledgeObservation(VectorWrapper):
         seed: int | list[int | None] | None = None,  # wider than Gymnasium's annotation
         options: dict[str, Any] | None = None,
     ) -> tuple[Observation, dict[str, Any]]:
-        """Start episodes; see ``ReachVectorEnv.reset``."""
+        """Start episodes; see ``ArmVectorEnv.reset``."""
         images, infos = self.env.reset(seed=cast(int, seed), options=options)
         return self._observe(images, infos), infos
 
     def step(
         self, actions: Any
     ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
-        """Play one step; see ``ReachVectorEnv.step``."""
+        """Play one step; see ``ArmVectorEnv.step``."""
         images, rewards, terminated, truncated, infos = self.env.step(actions)
         if self.env.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP and "final_obs" in infos:
             final = infos["final_obs"].copy()

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from knowarm.errors import UserError, unknown_name
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks import task_type
 from knowarm.world.tasks.task import Task
 
 
-class ReachEnv(gymnasium.Env[NDArray[np.uint8], NDArray[np.int64]]):
-    """An environment as ``gymnasium.make`` returns it: ``ReachVectorEnv`` with n = 1.
+class ArmEnv(gymnasium.Env[NDArray[np.uint8], NDArray[np.int64]]):
+    """An environment as ``gymnasium.make`` returns it: ``ArmVectorEnv`` with n = 1.
 
     Args:
         render_mode: "rgb_array" to draw enlarged images with ``render``, or None.
@@ -29,7 +29,7 @@ class ReachEnv(gymnasium.Env[NDArray[np.uint8], NDArray[np.int64]]):
         if render_mode not in (None, "rgb_array"):
             raise UserError(f"render_mode must be 'rgb_array' or None, got {render_mode!r}.")
         self.render_mode = render_mode
-        self._vector = ReachVectorEnv(
+        self._vector = ArmVectorEnv(
             env_config(**options), 1, num_threads=1, autoreset=AutoresetMode.DISABLED
         )
         self.config = self._vector.config
@@ -97,8 +97,8 @@ def make_vector_env(
         num_threads: threads of physics and rendering; 0 for one per core.
         autoreset: Gymnasium's mode.
         render_mode: "rgb_array", or None.
-        device: None for ``ReachVectorEnv``, with NumPy arrays; "cpu" or "cuda" for
-            ``TorchReachVectorEnv``, with tensors on that device.
+        device: None for ``ArmVectorEnv``, with NumPy arrays; "cpu" or "cuda" for
+            ``TorchArmVectorEnv``, with tensors on that device.
         options: fields of ``EnvConfig``.
 
     Raises:
@@ -106,7 +106,7 @@ def make_vector_env(
     """
     config, autoreset = env_config(**options), AutoresetMode(autoreset)
     if device is None:
-        return ReachVectorEnv(config, num_envs, num_threads, autoreset, render_mode)
+        return ArmVectorEnv(config, num_envs, num_threads, autoreset, render_mode)
     if (autoreset, render_mode) != (AutoresetMode.SAME_STEP, None):
         raise UserError(
             f"With device {device!r} environments are reset in the same step and have no render "
@@ -114,9 +114,9 @@ def make_vector_env(
             "out, or leave out device."
         )
     # Importing torch takes seconds, and the NumPy environment does not need it.
-    from knowarm.world.envs.torch_env import TorchReachVectorEnv
+    from knowarm.world.envs.torch_env import TorchArmVectorEnv
 
-    return TorchReachVectorEnv(config, num_envs, device=device, num_threads=num_threads)
+    return TorchArmVectorEnv(config, num_envs, device=device, num_threads=num_threads)
 
 
 def _first(infos: dict[str, Any]) -> dict[str, Any]:

@@ -22,15 +22,15 @@ from knowarm.world.tasks.privileged import privileged_columns, privileged_state
 from knowarm.world.tasks.running import ACTION_LEVELS, RunningEpisodes, make_simulator
 
 
-class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
-    """n environments as in ``ReachVectorEnv``, whose arguments and results are torch tensors.
+class TorchArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
+    """n environments as in ``ArmVectorEnv``, whose arguments and results are torch tensors.
 
     With the same seed it plays the same episodes. Environments that end are reset in the same
     step. Simulation and images are computed on the CPU, and the results are moved to ``device``;
     on the CPU tensors share the memory of NumPy arrays.
 
     Observations are uint8 images (n, H, W, 3), new at every call. Infos are tensors (n,), named
-    as those of ``ReachVectorEnv``, which are not to be written into. ``step`` always adds
+    as those of ``ArmVectorEnv``, which are not to be written into. ``step`` always adds
 
     - "final_obs": (n, H, W, 3) uint8, the last image of each episode that was truncated. Other
       rows are undefined, and the next step overwrites the tensor.
@@ -52,7 +52,7 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         running: the state of the episodes.
         simulation: the physics.
         renderer: draws the observations.
-        facets: as those of ``ReachVectorEnv``.
+        facets: as those of ``ArmVectorEnv``.
         privileged_columns: names of the D columns of the privileged state, with their meaning in
             `knowarm.world.tasks.privileged.privileged_columns`.
         report_final_observations: whether these images are drawn; True until a trainer that does
@@ -156,7 +156,7 @@ class TorchReachVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         """Start a new episode in every environment, or in those of a mask.
 
         Args:
-            seed: as in ``ReachVectorEnv.reset``.
+            seed: as in ``ArmVectorEnv.reset``.
             options: "episodes", the ``Episodes`` (of NumPy arrays) to play instead of drawn ones,
                 one for each environment that is reset; "reset_mask", (n,) bool, the environments
                 to reset, a tensor or an array.

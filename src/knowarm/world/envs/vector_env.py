@@ -22,7 +22,7 @@ Step = tuple[
 """Images (n, H, W, 3), reward (n,), terminated (n,), truncated (n,) and infos."""
 
 
-class ReachVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any]]):
+class ArmVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any]]):
     """n environments in which an arm plays the episodes of a task (paper, section 3).
 
     Observations are uint8 images (n, H, W, 3), actions int64 (n, J) that index

@@ -16,7 +16,7 @@ from knowarm.world.agents import OpenLoopAgent, OracleAgent
 from knowarm.world.agents.ik import IKSolution, InverseKinematics
 from knowarm.world.agents.play import play
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.render.renderer import make_renderer
 from knowarm.world.scene.appearance import TargetColours, resting_colours
 from knowarm.world.scene.scene import Scene, project, target_places
@@ -67,7 +67,7 @@ def check_robot(
     options: dict[str, Any] = {"success_angle_deg": angle_deg, "ignore_roll": ignore_roll}
     config = EnvConfig(robot=str(path), targets=tuple(targets), **options)
     try:
-        env = ReachVectorEnv(config, SAMPLES)
+        env = ArmVectorEnv(config, SAMPLES)
     except UserError as error:
         return [check_result("scene", False, str(error), "Correct the named field.")]
     scene = env.scene
@@ -81,7 +81,7 @@ def check_robot(
         _check_servos(env),
     ]
     for name in targets:
-        one = ReachVectorEnv(replace(config, targets=(name,), colours="randomized"), SAMPLES)
+        one = ArmVectorEnv(replace(config, targets=(name,), colours="randomized"), SAMPLES)
         checks += [_check_reach(one), *_check_visible(one)]
     if all(check.ok for check in checks):
         checks += check_agents(replace(config, image_size=1))
@@ -93,7 +93,7 @@ def check_result(name: str, ok: bool, found: str, remedy: str = "") -> Check:
     return Check(name=name, ok=ok, found=found, remedy="" if ok else remedy)
 
 
-def _check_gripper(env: ReachVectorEnv) -> Check:
+def _check_gripper(env: ArmVectorEnv) -> Check:
     """Check that at home the approach axis points down or ahead, not up."""
     position = env.simulation.tcp_position.mean(axis=0)
     approach = env.simulation.tcp_matrix[:, 2::3].mean(axis=0)
@@ -108,7 +108,7 @@ def _check_gripper(env: ReachVectorEnv) -> Check:
     )
 
 
-def _check_servos(env: ReachVectorEnv) -> Check:
+def _check_servos(env: ArmVectorEnv) -> Check:
     """Check the distance of the joints from their targets under random actions."""
     generator = np.random.default_rng(0)
     lags = []
@@ -125,7 +125,7 @@ def _check_servos(env: ReachVectorEnv) -> Check:
     )
 
 
-def _check_reach(env: ReachVectorEnv) -> Check:
+def _check_reach(env: ArmVectorEnv) -> Check:
     """Solve the inverse kinematics at positions over the whole rectangle."""
     episodes = evaluation_episodes(env.config, SAMPLES, 1)
     env.reset(options={"episodes": episodes})
@@ -139,7 +139,7 @@ def _check_reach(env: ReachVectorEnv) -> Check:
 
 def check_agents(config: EnvConfig) -> Iterator[Check]:
     """Play the oracle, whose way must be short enough to learn, and a fixed list of actions."""
-    env = ReachVectorEnv(config, SAMPLES)
+    env = ArmVectorEnv(config, SAMPLES)
     episodes = evaluation_episodes(config, SAMPLES, 2)
     oracle = play(OracleAgent(), env, episodes)
     share, steps = oracle.success.mean(), float(np.percentile(oracle.length, 75))
@@ -197,7 +197,7 @@ def check_reach(
     )
 
 
-def _check_visible(env: ReachVectorEnv) -> list[Check]:
+def _check_visible(env: ArmVectorEnv) -> list[Check]:
     """Count the pixels in which the images with and without the target differ."""
     scene, simulation = env.scene, env.simulation
     renderer = make_renderer(scene, env.config, env.config.image_size)

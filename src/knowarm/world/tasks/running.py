@@ -145,7 +145,7 @@ class RunningEpisodes(EpisodeState):
     def reset(
         self, seed: int | list[int | None] | None, options: dict[str, Any] | None
     ) -> NDArray[np.intp]:
-        """Start new episodes; see ``ReachVectorEnv.reset``. Return the environments reset, (k,)."""
+        """Start new episodes; see ``ArmVectorEnv.reset``. Return the environments reset, (k,)."""
         options = options or {}
         ids = masked_ids(options.get("reset_mask"), self.num_envs)
         episodes = options.get("episodes")

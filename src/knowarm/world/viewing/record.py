@@ -14,7 +14,7 @@ from knowarm.pictures import check_suffix
 from knowarm.reading import replacing
 from knowarm.world.agents.play import play_steps
 from knowarm.world.agents.scripted import AgentProtocol
-from knowarm.world.envs.vector_env import RENDER_SIZE, ReachVectorEnv
+from knowarm.world.envs.vector_env import RENDER_SIZE, ArmVectorEnv
 from knowarm.world.tasks.episodes import Episodes
 
 FRAMES_PER_S = 10  # Frames per second of the video: one per step, the speed of the real robot
@@ -37,7 +37,7 @@ class Frame:
     goal: str = ""  # What the episode's goal is, as "red mug", for captions
 
 
-def record_episode(agent: AgentProtocol, env: ReachVectorEnv, episode: Episodes) -> list[Frame]:
+def record_episode(agent: AgentProtocol, env: ArmVectorEnv, episode: Episodes) -> list[Frame]:
     """Play one episode in one environment and keep every frame, from the start pose to the end."""
     return [
         Frame(

@@ -18,7 +18,7 @@ from knowarm.errors import UserError
 from knowarm.private_apis import local_web_viewer
 from knowarm.world.agents.play import PlayedStep, play_steps
 from knowarm.world.agents.scripted import AgentProtocol
-from knowarm.world.envs.vector_env import ReachVectorEnv
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.scene.appearance import TargetColours
 from knowarm.world.scene.compose import CONTROL_PERIOD_S
 from knowarm.world.tasks.episodes import Episodes
@@ -32,7 +32,7 @@ FAR_BELOW_M = -100.0  # Height at which hidden targets are placed [m]
 
 def watch(
     agent: AgentProtocol,
-    env: ReachVectorEnv,
+    env: ArmVectorEnv,
     episodes: Episodes,
     *,
     port: int = 0,
@@ -105,7 +105,7 @@ def watch(
                 return
 
 
-def _describe(env: ReachVectorEnv, moment: PlayedStep) -> str:
+def _describe(env: ArmVectorEnv, moment: PlayedStep) -> str:
     """Describe what is shown: the goal, the step, distance and angle, and whether it is reached."""
     end = "" if moment.running[0] else ": reached" if moment.infos["is_success"][0] else ": failed"
     step = f"{env.running.describe(0)}, step {moment.step} of {env.config.max_episode_steps}"
@@ -171,7 +171,7 @@ def _show(viewer: object, seconds: float) -> bool:
         time.sleep(min(left, 0.02))
 
 
-def _coloured_model(env: ReachVectorEnv, colours: NDArray[np.int64]) -> mujoco.MjModel:
+def _coloured_model(env: ArmVectorEnv, colours: NDArray[np.int64]) -> mujoco.MjModel:
     """Copy the model with every target visible, each in its colour."""
     scene, model = env.scene, copy.copy(env.scene.model)
     every = np.arange(len(colours))
@@ -184,7 +184,7 @@ def _coloured_model(env: ReachVectorEnv, colours: NDArray[np.int64]) -> mujoco.M
     return model
 
 
-def _copy_pose(env: ReachVectorEnv, data: mujoco.MjData) -> None:
+def _copy_pose(env: ArmVectorEnv, data: mujoco.MjData) -> None:
     """Copy the pose of environment 0 into the viewer's data."""
     batch, scene = env.simulation.batch, env.scene
     data.qpos[:] = batch.bind("qpos")[0]
