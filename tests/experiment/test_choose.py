@@ -58,11 +58,11 @@ def test_the_knowledge_table_has_a_row_per_query() -> None:
     assert len(np.unique(told.table, axis=0)) == 49
 
 
-def test_an_algorithm_may_have_other_settings_in_a_task(
+def test_a_task_may_change_the_settings_of_an_algorithm(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    by_task = {"choose": {"total_steps": 7, "algorithm": {"gamma": 0.5}}}
-    monkeypatch.setitem(ALGORITHMS, "fast", replace(ALGORITHMS["fast"], by_task=by_task))
+    training = {"fast": {"total_steps": 7, "algorithm": {"gamma": 0.5}}}
+    monkeypatch.setattr(Choose, "training", training)
     reach, choose = (experiment_config(f"irb120-{name}-fast") for name in ("bm", "choose-bm"))
     assert (choose.total_steps, choose.algorithm) == (7, replace(reach.algorithm, gamma=0.5))
     assert reach.total_steps == ALGORITHMS["fast"].total_steps

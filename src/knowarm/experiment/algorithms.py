@@ -41,8 +41,6 @@ class Algorithm:
     """Fields of the policy's config that have other values under this algorithm."""
     grounded: Mapping[str, Any] = field(default_factory=dict)
     """The same for agents whose policy receives the grasp frame of a grounding network."""
-    by_task: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    """Fields of the experiments of single tasks that have other values, by task."""
 
 
 def _make_ppo(
@@ -82,11 +80,6 @@ ALGORITHMS: dict[str, Algorithm] = {
         make_trainer=_make_ppo,
         total_steps=1_500_000,
         policy={"pixel_shift": 0.5, "pixel_scale": 4.0},
-        # Without it, grasps of which few objects are examples are learned late.
-        by_task={
-            task: {"total_steps": 2_000_000, "algorithm": {"progress_coef": 1.0}}
-            for task in ("choose", "purpose", "families")
-        },
     ),
     "distil": Algorithm(
         about="imitation of a teacher by inverse kinematics, in the states the policy visits",
@@ -112,13 +105,6 @@ ALGORITHMS: dict[str, Algorithm] = {
         policy={"pixel_shift": 0.5, "pixel_scale": 4.0},
         # The auxiliary loss predicts the way to the goal, so its features have to know the goal.
         grounded={"fusion": "before_fc"},
-        by_task={
-            **{task: {"total_steps": 300_000} for task in ("choose", "purpose", "families")},
-            "lift": {
-                "total_steps": 800_000,
-                "algorithm": {"imitation_way": 2.0, "imitation_stay": 0.2, "glimpse_until": 0.1},
-            },
-        },
     ),
     "ppo": Algorithm(
         about="recurrent proximal policy optimization",

@@ -60,7 +60,8 @@ def interim_evaluation(
         agent = policy_agent(policy, perception, interim.greedy, generator)
         result = play(agent, env, episodes)
         numbers = _numbers(result, config.success_distance_m)
-        return numbers | task.interim_numbers(task.columns(setting, result.infos))
+        columns = task.columns(setting, result.infos)
+        return numbers | {name: float(columns[of].mean()) for name, of in task.shares.items()}
 
     return evaluate
 

@@ -186,4 +186,4 @@ def _config(name: ExperimentName) -> ExperimentConfig:
         reasoning=agent.reasoning,
         algorithm=algorithm.config,
     )
-    return override(config, algorithm.by_task.get(name.task, {}))
+    return override(config, task.training.get(name.algorithm, {}))

@@ -32,6 +32,16 @@ class Lift(Task):
     targets: ClassVar[tuple[str, ...]] = ("mug", "bottle")
     max_steps: ClassVar[int] = 100
     solid: ClassVar[bool] = True
+    training: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "distil": {
+            "total_steps": 800_000,
+            "algorithm": {"imitation_way": 2.0, "imitation_stay": 0.2, "glimpse_until": 0.1},
+        }
+    }
+    column_meanings: ClassVar[dict[str, str]] = {
+        "rise_m": "rise of the object's centre of mass at the end [m]",
+        "gripped": "whether both fingers touched it at the end",
+    }
 
     kind: Literal["lift"] = "lift"
     """Tag of this task in JSON."""

@@ -12,3 +12,8 @@ class Reach(Task):
 
     kind: Literal["reach"] = "reach"
     """Tag of this task in JSON."""
+
+    @property
+    def title(self) -> str:
+        """No words: this is the paper's task."""
+        return ""

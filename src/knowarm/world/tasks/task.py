@@ -43,6 +43,14 @@ class Task:
     """Whether objects can be pushed and lifted, and the fingers are one more joint."""
     knowledge_info: ClassVar[str] = "facet"
     """Info that holds the row of the knowledge table for an episode."""
+    training: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
+    """Fields of the task's experiments that differ from an algorithm's defaults, by algorithm."""
+    column_meanings: ClassVar[dict[str, str]] = {}
+    """What each of the ``columns`` holds."""
+    shares: ClassVar[dict[str, str]] = {}
+    """Numbers of an evaluation that are shares of the episodes, by name: their bool column."""
+    groups: ClassVar[dict[str, str]] = {}
+    """Groups of episodes of which an evaluation computes its numbers, by name: their column."""
     kind: str = ""
     """Tag of the task in JSON, a literal of each task."""
 
@@ -60,6 +68,11 @@ class Task:
                 f"Literal['{cls.__name__.lower()}'] = '{cls.__name__.lower()}'."
             )
         return str(tags[0])
+
+    @property
+    def title(self) -> str:
+        """Words for the task in the titles of a report; none for the paper's."""
+        return self.kind_of()
 
     @property
     def visible(self) -> int:
@@ -166,8 +179,11 @@ class Task:
         """
         return {}
 
-    def interim_numbers(self, columns: Mapping[str, NDArray[Any]]) -> dict[str, float]:
-        """Return further numbers of an interim evaluation, computed from ``columns``."""
+    def numbers(self, columns: Mapping[str, NDArray[Any]]) -> dict[str, float]:
+        """Return further numbers of an evaluation besides ``shares``, from columns (N,) each.
+
+        They are ``columns`` and those that every evaluation has, such as "success".
+        """
         return {}
 
     def instruct(self, state: EpisodeState, setting: Setting, env_id: int) -> str:

@@ -42,6 +42,18 @@ class Choose(Task):
     scopes: ClassVar[frozenset[str]] = frozenset({"query", "perceived"})
     holds_out: ClassVar[bool] = False
     knowledge_info: ClassVar[str] = "query"
+    # Without progress_coef, grasps of which few objects are examples are learned late.
+    training: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "fast": {"total_steps": 2_000_000, "algorithm": {"progress_coef": 1.0}},
+        "distil": {"total_steps": 300_000},
+    }
+    column_meanings: ClassVar[dict[str, str]] = {
+        "query": "query of the episode",
+        "chosen": "object whose grasp point was nearest to the gripper at the end",
+        "choice_correct": "whether that object answers the query",
+    }
+    shares: ClassVar[dict[str, str]] = {"choice": "choice_correct"}
+    groups: ClassVar[dict[str, str]] = {"per_query": "query"}
 
     kind: Literal["choose"] = "choose"
     """Tag of this task in JSON."""
@@ -62,6 +74,11 @@ class Choose(Task):
                 f"Choose.objects must be 2 to {MAX_OBJECTS}, got {self.objects}. With one object "
                 "take the task Reach()."
             )
+
+    @property
+    def title(self) -> str:
+        """The kind and the number of objects."""
+        return f"{self.kind} among {self.objects}"
 
     @property
     def visible(self) -> int:
@@ -142,9 +159,10 @@ class Choose(Task):
             "choice_correct": infos["is_right_object"],
         }
 
-    def interim_numbers(self, columns: Mapping[str, NDArray[Any]]) -> dict[str, float]:
-        """Return the share of episodes that ended nearest to the right object."""
-        return {"choice": float(columns["choice_correct"].mean())}
+    def numbers(self, columns: Mapping[str, NDArray[Any]]) -> dict[str, float]:
+        """Return the success of the episodes that ended nearest to the right object."""
+        reached = columns["success"][columns["choice_correct"]]
+        return {"success_if_chosen": float(reached.mean()) if len(reached) else 0.0}
 
     def instruct(self, state: EpisodeState, setting: Setting, env_id: int) -> str:
         """Return the question, as "usedFor drinking"."""

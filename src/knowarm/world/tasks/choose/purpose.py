@@ -27,6 +27,10 @@ class Purpose(Choose):
 
     area: ClassVar[str] = "purpose"
     targets: ClassVar[tuple[str, ...]] = tuple(PARTS)
+    column_meanings: ClassVar[dict[str, str]] = Choose.column_meanings | {
+        "object_correct": "whether the part reached belongs to the object that answers"
+    }
+    shares: ClassVar[dict[str, str]] = Choose.shares | {"right_object": "object_correct"}
 
     kind: Literal["purpose"] = "purpose"  # type: ignore[assignment]
     """Tag of this task in JSON."""
