@@ -21,9 +21,9 @@ from knowarm.statistics import wilson
 from knowarm.world.agents.ik import InverseKinematics
 from knowarm.world.lifting.lift import LiftTrial, lift, plan_lifts
 from knowarm.world.lifting.model import lifting_model
-from knowarm.world.objects import CHOOSE_TARGETS, TARGETS
-from knowarm.world.objects.parts import PARTS
+from knowarm.world.objects import PARTS, TARGETS
 from knowarm.world.scene.scene import Scene, load_scene, target_places
+from knowarm.world.tasks.choose.choose import CHOOSE_TARGETS
 
 SEED = 7
 APPROACH_M, POSES = 0.12, 6  # Way to the grasp frame, and poses on it

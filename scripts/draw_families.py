@@ -11,8 +11,8 @@ import mujoco
 from PIL import Image, ImageDraw
 
 from knowarm.questions import kind_of
-from knowarm.world.objects import COLOURS
 from knowarm.world.objects.families import FAMILIES, FAMILY_COLOURS, KINDS, facts, instance
+from knowarm.world.objects.target import COLOURS
 from knowarm.world.scene.compose import read_mjcf
 
 ROOT = Path(__file__).parent.parent

@@ -10,8 +10,9 @@ from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.names import experiment_config
 from knowarm.learn.algorithms import A3CConfig, PPOConfig
 from knowarm.world.config import EnvConfig
+from knowarm.world.description import read_description
 from knowarm.world.robots import DEFAULT_ROBOT, ROBOTS
-from knowarm.world.robots.robot import read_robot
+from knowarm.world.robots.robot import Robot
 
 NOT_FINITE = [float("nan"), float("inf"), float("-inf")]
 
@@ -50,17 +51,17 @@ def test_robots_refuse_numbers_that_are_not_finite(field, value):
         "camera_fovy_deg": value,
     }
     with pytest.raises(UserError, match=field):
-        dataclasses.replace(ROBOTS[DEFAULT_ROBOT].robot, **{field: changed[field]})
+        dataclasses.replace(ROBOTS[DEFAULT_ROBOT], **{field: changed[field]})
 
 
 def test_a_robot_file_with_an_over_long_path_or_a_number_that_is_none(tmp_path):
     path = tmp_path / "own.toml"
     path.write_text(f'mjcf = "{"a" * 5000}"\n')
     with pytest.raises(UserError):
-        read_robot(path)
+        read_description(path, Robot)
     path.write_text('mjcf = "a.xml"\nbase_position_m = [nan, 0.0, 0.0]\n')
     with pytest.raises(UserError):
-        read_robot(path)
+        read_description(path, Robot)
 
 
 @pytest.mark.parametrize("option", ["--env.mpi-rad", "--algorithm.gamma", "--algorithm.clip-range"])

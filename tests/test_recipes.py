@@ -5,6 +5,10 @@ listed, trained and evaluated.
 """
 
 import json
+import os
+import shutil
+import subprocess
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar, Literal
@@ -14,6 +18,7 @@ import pytest
 import torch
 
 import knowarm
+from knowarm.benchmark.suites import read_suite, suite_names
 from knowarm.cli.main import main
 from knowarm.knowledge.vectors import SOURCES, VectorSource
 from knowarm.knowledge.vectors.source import Found
@@ -24,8 +29,10 @@ from knowarm.report.collect import collect
 from knowarm.report.verdicts.claims import claims
 from knowarm.report.verdicts.knowledge import finding
 from knowarm.world import env_id, register_environments
-from knowarm.world.robots import RobotEntry
-from knowarm.world.scene.scene import find_robot, find_targets
+from knowarm.world.objects.target import COLOURS
+from knowarm.world.robots import find_robot
+from knowarm.world.scene.scene import load_scene
+from knowarm.world.tasks import task_names, task_type
 from tests.report.synthetic_study import Size, Truth, write_study
 from tests.tiny import TINY
 
@@ -57,8 +64,8 @@ def train_and_evaluate(name, folder, **overrides):
 
 
 def test_a_robot(monkeypatch, listed, tmp_path):
-    robot = find_robot(str(OWN / "scara.toml"))
-    monkeypatch.setitem(knowarm.ROBOTS, "toy", RobotEntry(gym_name="Toy", robot=robot))
+    robot = replace(find_robot(str(OWN / "scara.toml")), gym_name="Toy")
+    monkeypatch.setitem(knowarm.ROBOTS, "toy", robot)
     register_environments()
     assert "toy" in listed()["robots"]
     assert knowarm.make(env_id("toy"), num_envs=2).reset(seed=0)[0].shape == (2, 64, 64, 3)
@@ -66,13 +73,37 @@ def test_a_robot(monkeypatch, listed, tmp_path):
     assert knowarm.load_agent(run.folder.path).policy.shape.joints == 4
 
 
-def test_an_object(monkeypatch, listed, tmp_path):
-    monkeypatch.setitem(knowarm.TARGETS, "bowl", find_targets([str(OWN / "bowl.toml")])[0])
-    assert "bowl" in listed()["targets"]
-    _, result = train_and_evaluate(
-        "irb120-full-ppo", tmp_path, env={"targets": ("bowl", "mug"), "colours": "fixed"}
+def with_an_object():
+    """Show the object "trophy"; check the frozen suites and print the targets of tasks."""
+    assert load_scene("irb120", ("trophy", "mug")).colour_names[0] == tuple(COLOURS)
+    for cell in (cell for name in suite_names() for cell in read_suite(name).cells.values()):
+        cell.check()
+    print(json.dumps([list(knowarm.TARGETS), {n: task_type(n).targets for n in task_names()}]))
+
+
+def test_an_object(tmp_path):
+    """Two files beside those that ship add an object and change no task and no frozen suite."""
+    copy = tmp_path / "knowarm"
+    hidden = shutil.ignore_patterns("__pycache__")
+    source = Path(knowarm.__file__).parent
+    shutil.copytree(source, copy, ignore=hidden, copy_function=os.symlink)
+    (copy / "world" / "objects" / "trophy.xml").symlink_to(OWN / "bowl.xml")
+    (copy / "world" / "objects" / "trophy.toml").write_text(
+        'mjcf = "trophy.xml"\ncoloured_geoms = ["outside", "foot"]\n'
     )
-    assert {"bowl", "mug"} >= set(result.episodes["target"])
+    paths = os.pathsep.join(map(str, (tmp_path, Path(__file__).parents[1])))
+    code = "from tests.test_recipes import with_an_object; with_an_object()"
+    printed = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, "PYTHONPATH": paths},
+        cwd=tmp_path,
+        check=True,
+        stdout=subprocess.PIPE,
+        text=True,
+    ).stdout
+    targets, tasks = json.loads(printed.splitlines()[-1])
+    assert set(targets) == {*knowarm.TARGETS, "trophy"}
+    assert tasks == {name: list(task_type(name).targets) for name in task_names()}
 
 
 class LSTMGate(Fusion):

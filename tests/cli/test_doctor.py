@@ -10,7 +10,8 @@ from knowarm.cli.doctor import Doctor
 from knowarm.cli.main import _parse
 from knowarm.errors import UserError
 from knowarm.experiment.config import EvaluationConfig
-from knowarm.world.robots.robot import read_robot
+from knowarm.world.description import read_description
+from knowarm.world.robots.robot import Robot
 from tests.world.helpers import EXAMPLES
 
 
@@ -45,7 +46,7 @@ def test_draft_is_written_and_drawn(tmp_path: Path, capsys: pytest.CaptureFixtur
         doctor.run()
     except UserError as error:
         assert "checks failed" in str(error)  # noqa: PT017
-    assert read_robot(file).camera_fovy_deg == 45
+    assert read_description(file, Robot).camera_fovy_deg == 45
     assert image.stat().st_size > 1000
     assert "TCP" in capsys.readouterr().out
 

@@ -256,9 +256,8 @@ def test_the_lift_test_counts_what_physics_holds():
 
 
 def test_objects_that_cannot_be_lifted_are_left_out(monkeypatch):
-    entry = ROBOTS["irb120"]
-    robot = dataclasses.replace(entry.robot, not_liftable={"mug": "for this test"})
-    monkeypatch.setitem(ROBOTS, "irb120", dataclasses.replace(entry, robot=robot))
+    robot = dataclasses.replace(ROBOTS["irb120"], not_liftable={"mug": "for this test"})
+    monkeypatch.setitem(ROBOTS, "irb120", robot)
     _load_scene.cache_clear()
     config = EvaluationConfig(
         episodes=6, num_envs=6, record_films=0, distance_m=9.0, angle_deg=180.0, lift=True

@@ -13,6 +13,7 @@ import zlib
 from collections.abc import Callable
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -41,9 +42,11 @@ from knowarm.perception.config import PerceptionConfig
 from knowarm.perception.training import train_classifier
 from knowarm.report import write_report
 from knowarm.report.collect import collect
+from knowarm.world.description import read_description
 from knowarm.world.objects import TARGETS
+from knowarm.world.objects.target import Target
 from knowarm.world.robots import ROBOTS
-from knowarm.world.robots.robot import read_robot, read_target
+from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.mjcf import read_mjcf
 from tests.robustness.mutator import mutate
 from tests.robustness.packs import pack_readers
@@ -227,7 +230,7 @@ red = [0.9, 0.1, 0.1]
 
 def _world(folder: Path) -> list[Format]:
     folder.mkdir()
-    robot, target = next(iter(ROBOTS.values())).robot, next(iter(TARGETS.values()))
+    robot, target = next(iter(ROBOTS.values())), next(iter(TARGETS.values()))
     own_robot, own_target = folder / "robot.toml", folder / "target.toml"
     mjcf = folder / "robot.xml"
     mjcf.write_bytes(robot.mjcf.read_bytes())
@@ -238,8 +241,8 @@ def _world(folder: Path) -> list[Format]:
         TARGET.format(mjcf=target.mjcf.as_posix(), geoms=list(target.coloured_geoms))
     )
     return [
-        Format("robot TOML", own_robot, read_robot),
-        Format("target TOML", own_target, read_target),
+        Format("robot TOML", own_robot, partial(read_description, kind=Robot)),
+        Format("target TOML", own_target, partial(read_description, kind=Target)),
         Format("MJCF", mjcf, lambda path: read_mjcf(path, "Robot 'own'")),
     ]
 

@@ -13,8 +13,6 @@ END_S = 15.0
 """Time within which a command must end."""
 RDF = '<rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#" xmlns:x="http://x/">'
 CROSSED = "SELECT (COUNT(*) AS ?n) { ?a ?b ?c . ?d ?e ?f . ?g ?h ?i . ?j ?k ?l FILTER(?c != ?l) }"
-MJCF = """<mujoco><worldbody><replicate count="300000" offset="1 0 0"><geom size="1"/></replicate>
-</worldbody></mujoco>"""
 OUT = "out.nt"
 
 
@@ -25,13 +23,11 @@ def long_commands(folder: Path, triples: int) -> dict[str, list[str]]:
     with (folder / "a.nt").open("w") as file:
         for i in range(triples):
             file.write(f"<http://a/{i % 999_983}> <http://b/{i % 97}> <http://c/{i}> .\n")
-    (folder / "a.xml").write_text(MJCF)
     subgraph = ["knowledge", "subgraph", "--out", OUT]
     return {
         "RDF/XML": [*subgraph, "--graph", "a.rdf"],
         "N-Triples": [*subgraph, "--graph", "a.nt"],
         "SPARQL": ["knowledge", "subgraph", "--sparql", CROSSED],
-        "MJCF": ["doctor", "--robot", "a.xml"],
     }
 
 

@@ -18,7 +18,7 @@ def test_names_are_printed_as_text():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["RDF/XML", "N-Triples", "SPARQL", "MJCF"])
+@pytest.mark.parametrize("name", ["RDF/XML", "N-Triples", "SPARQL"])
 def test_ctrl_c_ends_long_work_in_one_line(tmp_path, name):
     commands = long_commands(tmp_path, triples=1_000_000)
     assert interrupt(commands[name], tmp_path, after_s=2) is None

@@ -27,10 +27,9 @@ from knowarm.knowledge.graph.sparql import sparql
 from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.kge.train import FORMAT, load_model, new_model, save_model
 from knowarm.learn.checkpoint import Checkpoint, CheckpointStore, read_checkpoint
-from knowarm.world.robots.robot import read_robot
-from knowarm.world.scene import mjcf
+from knowarm.world.description import read_description
+from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.mjcf import read_mjcf
-from tests.robustness.interrupts import MJCF
 
 ZOO = Path(__file__).parent.parent.parent / "zoo"
 FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -178,18 +177,11 @@ def test_an_over_long_path_of_a_robots_file(tmp_path):
         read_mjcf(tmp_path / ("a" * 5000), "Robot 'own'")
 
 
-def test_a_robots_file_that_takes_too_long(tmp_path, monkeypatch):
-    monkeypatch.setattr(mjcf, "COMPILE_S", 0.1)
-    (tmp_path / "a.xml").write_text(MJCF.replace("300000", "6000"))
-    with pytest.raises(UserError, match="takes more than 0 s to compile"):
-        read_mjcf(tmp_path / "a.xml", "Robot 'own'")
-
-
 def test_toml_that_is_nested_very_deep(tmp_path):
     path = tmp_path / "own.toml"
     path.write_text("a = " + "[" * 50_000)
     with pytest.raises(UserError, match="is not TOML"):
-        read_robot(path)
+        read_description(path, Robot)
 
 
 @pytest.mark.parametrize("query", ["\ud800", "SELECT (<http://x/f>(1) AS ?y) {}"])

@@ -9,7 +9,9 @@ import pytest
 from knowarm.errors import UserError
 from knowarm.world.agents.play import play
 from knowarm.world.agents.scripted import OracleAgent
-from knowarm.world.robots.robot import read_robot, read_target
+from knowarm.world.description import read_description
+from knowarm.world.objects.target import Target
+from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.scene import load_scene
 from knowarm.world.tasks.episodes import evaluation_episodes
 from tests.world.helpers import EXAMPLES, MakeEnv, write_robot
@@ -31,9 +33,9 @@ def test_example_robot_and_target_can_be_solved(
 
 
 def test_name_and_title_default_to_the_file_and_the_name(tmp_path: Path) -> None:
-    robot = read_robot(EXAMPLES / "scara.toml")
+    robot = read_description(EXAMPLES / "scara.toml", Robot)
     assert (robot.name, robot.title) == ("scara", "scara")
-    assert read_robot(write_robot(tmp_path, title='"Scara 2"')).title == "Scara 2"
+    assert read_description(write_robot(tmp_path, title='"Scara 2"'), Robot).title == "Scara 2"
 
 
 def test_an_edited_description_is_read_again(tmp_path: Path) -> None:
@@ -47,20 +49,20 @@ def test_an_edited_description_is_read_again(tmp_path: Path) -> None:
 
 def test_bad_files_are_named_with_the_field(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"Cannot read .*none.toml"):
-        read_robot(tmp_path / "none.toml")
+        read_description(tmp_path / "none.toml", Robot)
     path = tmp_path / "bad.toml"
     path.write_text("mjcf = [")
     with pytest.raises(UserError, match=r"bad.toml' is not TOML"):
-        read_robot(path)
+        read_description(path, Robot)
     path.write_text("name = 'x'")
     with pytest.raises(UserError, match="field mjcf must be the path"):
-        read_target(path)
+        read_description(path, Target)
     with pytest.raises(UserError, match=r"Did you mean 'joints'"):
-        read_robot(write_robot(tmp_path, home='[0.0, 0.0, 0.0, 0.0]\njoint = ["a"]'))
+        read_description(write_robot(tmp_path, home='[0.0, 0.0, 0.0, 0.0]\njoint = ["a"]'), Robot)
     with pytest.raises(UserError, match="package 'no_such_package' is not installed"):
-        read_robot(write_robot(tmp_path, mjcf='"no_such_package:a.xml"'))
+        read_description(write_robot(tmp_path, mjcf='"no_such_package:a.xml"'), Robot)
     with pytest.raises(UserError, match="camera_fovy_deg"):
-        read_robot(write_robot(tmp_path, camera_fovy_deg=""))
+        read_description(write_robot(tmp_path, camera_fovy_deg=""), Robot)
 
 
 def test_an_arm_with_meshes_from_a_package_can_be_solved(make_env: MakeEnv) -> None:

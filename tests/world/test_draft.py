@@ -13,19 +13,21 @@ from knowarm.world.agents import OracleAgent
 from knowarm.world.agents.play import play
 from knowarm.world.backend import MujocoSimulator
 from knowarm.world.config import EnvConfig
+from knowarm.world.description import read_description
 from knowarm.world.envs.vector_env import ArmVectorEnv
+from knowarm.world.objects import find_targets
 from knowarm.world.own_robot.draft import _toml, draft_robot, read_overrides
 from knowarm.world.own_robot.draft_gripper import find_gripper
 from knowarm.world.own_robot.draft_reach import find_layout
 from knowarm.world.own_robot.robot_check import SIDE, check_robot, write_scene_image
 from knowarm.world.robots import ROBOTS
-from knowarm.world.robots.robot import read_robot
+from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.compose import STOP_RAD
-from knowarm.world.scene.scene import build_scene, find_targets, load_scene
+from knowarm.world.scene.scene import build_scene, load_scene
 from knowarm.world.tasks.episodes import evaluation_episodes
 from tests.world.helpers import EXAMPLES
 
-SHIPPED = ROBOTS["irb120"].robot
+SHIPPED = ROBOTS["irb120"]
 HAND = """
 <mujoco><worldbody><body name="base"><geom size=".05"/>
   <body name="link1" pos="0 0 .2"><joint name="a" axis="0 0 1" range="-3 3"/><geom size=".05"/>
@@ -132,7 +134,7 @@ def test_draft_of_a_six_joint_arm_passes_all_checks(tmp_path: Path) -> None:
     assert draft.task_options() == ""
     file = tmp_path / "arm.toml"
     file.write_text(draft.toml(file))
-    robot = read_robot(file)
+    robot = read_description(file, Robot)
     assert robot.camera_fovy_deg == 45.0
     assert robot.joints == SHIPPED.joints
     failed = [check for check in check_robot(file, ["mug", "bottle"]) if not check.ok]

@@ -21,6 +21,7 @@ from knowarm.world.agents.play import play
 from knowarm.world.agents.scripted import OracleAgent
 from knowarm.world.config import EnvConfig, questions_of, scene_of
 from knowarm.world.envs.vector_env import ArmVectorEnv
+from knowarm.world.objects import find_targets
 from knowarm.world.objects.families import (
     ATTRIBUTES,
     COLUMNS,
@@ -33,7 +34,6 @@ from knowarm.world.objects.families import (
     look_of,
 )
 from knowarm.world.scene.mjcf import read_mjcf
-from knowarm.world.scene.scene import find_targets
 from knowarm.world.tasks.episodes import evaluation_episodes
 
 SPLITS = ("train", "S2", "S3a", "S3b", "S4", "S5")

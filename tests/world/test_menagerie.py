@@ -8,10 +8,9 @@ import pytest
 import knowarm
 from knowarm.cli.list import List
 from knowarm.errors import UserError
-from knowarm.world.robots import ROBOTS
-from knowarm.world.robots.menagerie import KNOWN_ARMS, known_arms
-from knowarm.world.robots.robot import read_robot
-from knowarm.world.scene.scene import find_robot
+from knowarm.world.description import read_description
+from knowarm.world.robots import KNOWN_ARMS, ROBOTS, find_robot
+from knowarm.world.robots.robot import Robot
 
 
 @pytest.fixture
@@ -45,7 +44,7 @@ def test_robot_descriptions_cache_is_searched(
     cache.mkdir()
     checkout.rename(cache / "mujoco_menagerie")
     monkeypatch.setenv("ROBOT_DESCRIPTIONS_CACHE", str(cache))
-    assert all(arm.mjcf is not None for arm in known_arms())
+    assert all(find_robot(name).mjcf.is_file() for name in KNOWN_ARMS)
 
 
 def test_missing_files_say_how_to_get_them(
@@ -66,4 +65,4 @@ def test_own_file_names_a_menagerie_file(checkout: Path, tmp_path: Path) -> None
     source = next(iter(KNOWN_ARMS.values()))
     own = tmp_path / "own.toml"
     own.write_text(source.read_text())
-    assert read_robot(own).mjcf == read_robot(source).mjcf
+    assert read_description(own, Robot).mjcf == read_description(source, Robot).mjcf

@@ -1,15 +1,12 @@
 """Purpose task: grasp frames of parts, questions about one part, and what counts as a mistake."""
 
-import tomllib
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 
-import knowarm.world.objects.parts as parts_module
 from knowarm.errors import UserError
 from knowarm.experiment.names import experiment_config
 from knowarm.knowledge.formats import shipped_graph
@@ -18,16 +15,15 @@ from knowarm.world.agents.play import play
 from knowarm.world.agents.scripted import OracleAgent
 from knowarm.world.config import EnvConfig, questions_of, scene_of
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.objects import CHOOSE_TARGETS, TARGETS
-from knowarm.world.objects.parts import PARTS
+from knowarm.world.objects import PARTS, TARGETS
 from knowarm.world.robots import ROBOTS
 from knowarm.world.scene.appearance import MARKED_RGB
 from knowarm.world.scene.scene import Scene, build_scene
+from knowarm.world.tasks.choose.choose import CHOOSE_TARGETS
 from knowarm.world.tasks.choose.purpose import Purpose
 from knowarm.world.tasks.episodes import Episodes, evaluation_episodes
 from tests.world.test_choose import PickingAgent
 
-LISTED = tomllib.loads(Path(parts_module.__file__).with_suffix(".toml").read_text("utf-8"))
 FEW = tuple(name for name in PARTS if object_of(name) in ("bottle", "brush", "globe"))
 PAPER = 0.10, 17.0
 """The widest thresholds of an evaluation [m], [deg]."""
@@ -75,11 +71,10 @@ def widths(scene: Scene, k: int) -> float:
 
 
 def test_every_part_needs_the_width_that_is_stated():
-    robot = ROBOTS["irb120"].robot.for_area("purpose")
-    table = tomllib.loads(Path(parts_module.__file__).with_suffix(".toml").read_text("utf-8"))
+    robot = ROBOTS["irb120"].for_area("purpose")
     for name, target in PARTS.items():
         whole, _, part = name.partition(".")
-        stated = table[whole][part]["width_m"]
+        stated = TARGETS[whole].parts[part].width_m
         assert stated == pytest.approx(widths(build_scene(robot, [target]), 0), abs=1e-3)
 
 
@@ -108,12 +103,10 @@ def test_parts_draw_their_object_once(scene):
 
 def test_parts_left_out_have_a_reason_and_the_graph_knows_every_part():
     graph = shipped_graph("purposes")
-    assert set(LISTED) <= set(CHOOSE_TARGETS)
-    for whole, parts in LISTED.items():
-        for part, values in parts.items():
-            name = f"{whole}.{part}"
-            assert (name in PARTS) == (not values.get("left_out"))
-            assert name in Purpose.targets or name not in PARTS
+    assert set(PARTS) == set(Purpose.targets)
+    for target in TARGETS.values():
+        assert all(target.left_out.values())
+        assert not set(target.left_out) & set(target.parts)
     facts = {head for head, relation, _ in graph if relation == "graspedFor"}
     assert set(PARTS) <= facts
     assert {object_of(name) for name in facts} >= set(CHOOSE_TARGETS)

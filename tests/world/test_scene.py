@@ -7,13 +7,13 @@ import pytest
 
 from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig
-from knowarm.world.objects import TARGETS
-from knowarm.world.robots import ROBOTS
+from knowarm.world.objects import TARGETS, find_targets
+from knowarm.world.robots import ROBOTS, find_robot
 from knowarm.world.scene.appearance import resting_colours
 from knowarm.world.scene.compose import attach_robot
-from knowarm.world.scene.scene import build_scene, find_robot, find_targets, load_scene, project
+from knowarm.world.scene.scene import build_scene, load_scene, project
 
-IRB120, MUG = ROBOTS["irb120"].robot, TARGETS["mug"]
+IRB120, MUG = ROBOTS["irb120"], TARGETS["mug"]
 ALL = EnvConfig().targets
 
 

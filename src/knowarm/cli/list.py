@@ -12,9 +12,9 @@ from knowarm.experiment.names import DEFAULT_EXPERIMENT, experiment_names
 from knowarm.learn.algorithms import privileged_uses
 from knowarm.world import env_id
 from knowarm.world.agents import SCRIPTED_AGENTS
+from knowarm.world.description import HOW_TO_GET
 from knowarm.world.objects import TARGETS
-from knowarm.world.robots import ROBOTS
-from knowarm.world.robots.menagerie import HOW_TO_GET, known_arms
+from knowarm.world.robots import KNOWN_ARMS, ROBOTS, find_robot
 from knowarm.world.tasks import task_names
 
 Kind = Literal["robots", "agents", "algorithms", "targets", "experiments"]
@@ -29,6 +29,7 @@ class List(TableCommand):
 
     def result(self) -> dict[str, Any]:
         """Print one table per kind."""
+        arms = [find_robot(name) for name in KNOWN_ARMS]
         shown = [self.kind] if self.kind else get_args(Kind)
         if "robots" in shown:
             rows: list[list[Any]] = [
@@ -36,10 +37,11 @@ class List(TableCommand):
                 for name, entry in ROBOTS.items()
             ]
             print_table("Robots", ["robot", "name", "Gymnasium ids"], rows)
-            rows = [[arm.name, arm.title, str(arm.mjcf or "missing")] for arm in known_arms()]
+            files = [str(arm.mjcf) if arm.mjcf.is_file() else "missing" for arm in arms]
+            rows = [[arm.name, arm.title, file] for arm, file in zip(arms, files, strict=True)]
             title = "Known arms, whose files are in the MuJoCo Menagerie"
             print_table(title, ["robot", "name", "file"], rows)
-            if any(arm.mjcf is None for arm in known_arms()):
+            if "missing" in files:
                 print(f"To get the missing files: {HOW_TO_GET}.\n")
         if "agents" in shown:
             grounded = "; grounded by the simulator's labels in training"
@@ -74,7 +76,7 @@ class List(TableCommand):
             )
         return {
             "robots": {name: entry.title for name, entry in ROBOTS.items()},
-            "known_arms": {arm.name: arm.title for arm in known_arms()},
+            "known_arms": {arm.name: arm.title for arm in arms},
             "targets": {name: list(target.colours) for name, target in TARGETS.items()},
             "agents": {name: agent.about for name, agent in AGENTS.items()},
             "roles": {name: agent.role for name, agent in AGENTS.items()},

@@ -17,8 +17,7 @@ from knowarm.pictures import check_suffix
 from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.robots import DEFAULT_ROBOT
-from knowarm.world.scene.scene import find_robot
+from knowarm.world.robots import DEFAULT_ROBOT, find_robot
 from knowarm.world.tasks import task_type
 from knowarm.world.tasks.episodes import evaluation_episodes
 from knowarm.world.viewing.record import (

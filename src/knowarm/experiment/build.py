@@ -22,7 +22,7 @@ from knowarm.world.agents.play import EpisodeResults, play
 from knowarm.world.config import EnvConfig, facets_of, questions_of
 from knowarm.world.envs.torch_env import TorchArmVectorEnv
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.scene.scene import find_robot
+from knowarm.world.robots import find_robot
 from knowarm.world.tasks.episodes import evaluation_episodes
 from knowarm.world.tasks.running import ACTION_LEVELS
 

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 import gymnasium
 
 from knowarm.errors import UserError, unknown_name
-from knowarm.world.robots import ROBOTS
-from knowarm.world.robots.menagerie import KNOWN_ARMS
+from knowarm.world.robots import KNOWN_ARMS, ROBOTS
 from knowarm.world.tasks import task_names
 
 if TYPE_CHECKING:

@@ -6,9 +6,10 @@ from typing import Any, Literal
 from knowarm.config import above_zero, at_least, check_values, registered
 from knowarm.errors import UserError
 from knowarm.questions import QuestionTable
+from knowarm.world.objects import find_targets
 from knowarm.world.robots import DEFAULT_ROBOT
 from knowarm.world.scene.appearance import VisualRandomization
-from knowarm.world.scene.scene import Scene, find_targets, load_scene
+from knowarm.world.scene.scene import Scene, load_scene
 from knowarm.world.tasks import task_names, task_type
 from knowarm.world.tasks.held_out import HeldOut
 from knowarm.world.tasks.sampling import Colours, Setting, list_facets

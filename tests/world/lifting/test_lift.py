@@ -11,8 +11,7 @@ from knowarm.errors import UserError
 from knowarm.world.lifting import model as lifting_model_module
 from knowarm.world.lifting.lift import LIFT_M, WAYPOINTS, lift, plan_lifts
 from knowarm.world.lifting.model import OBJECT_BIT, lifting_model
-from knowarm.world.objects import TARGETS
-from knowarm.world.objects.parts import PARTS
+from knowarm.world.objects import PARTS, TARGETS
 from knowarm.world.robots import ROBOTS
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.compose import compose
@@ -66,7 +65,7 @@ PAD = " ".join(
 
 @pytest.mark.parametrize("shape", [CAPSULE, MESH])
 def test_fingers_may_be_geoms_of_any_shape(shape, tmp_path):
-    irb120 = ROBOTS["irb120"].robot
+    irb120 = ROBOTS["irb120"]
     text = irb120.mjcf.read_text().replace("</asset>", f'<mesh name="pad" vertex="{PAD}"/></asset>')
     for side, y in (("left", 0.038), ("right", -0.038)):
         new = f'<geom name="finger_{side}" {shape.format(y=y)} material="finger" mass=".05"/>'
@@ -155,7 +154,7 @@ def test_the_way_upwards_is_straight(gantry):
 
 @pytest.mark.parametrize(("name", "opening_m"), [("irb120", 0.064), ("tiago", 0.078)])
 def test_all_objects_stand_still_with_their_masses(name, opening_m):
-    robot = replace(ROBOTS[name].robot, table=None)
+    robot = replace(ROBOTS[name], table=None)
     lifting = lifting_model(robot, tuple(TARGETS.values()))
     model = lifting.model
     assert lifting.closed_m > opening_m / 2
@@ -176,7 +175,7 @@ def test_all_objects_stand_still_with_their_masses(name, opening_m):
 
 
 def test_the_reaching_scene_knows_no_fingers():
-    robot, targets = ROBOTS["irb120"].robot, [TARGETS["mug"]]
+    robot, targets = ROBOTS["irb120"], [TARGETS["mug"]]
     drawn = compose(robot, targets).to_xml()
     assert drawn == compose(replace(robot, fingers=()), targets).to_xml()
     lifting_model(robot, tuple(targets))
@@ -219,7 +218,7 @@ def test_an_object_has_its_mass_whatever_its_file_says(tmp_path, gantry, own):
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_objects_left_out_exist_and_have_a_reason(name):
-    left_out = ROBOTS[name].robot.not_liftable
+    left_out = ROBOTS[name].not_liftable
     assert set(left_out) <= set(TARGETS)
     assert all(left_out.values())
     assert {"mug", "bottle", "cereal_box"}.isdisjoint(left_out)

@@ -19,8 +19,9 @@ from knowarm.world.config import EnvConfig, scene_of
 from knowarm.world.envs.torch_env import TorchArmVectorEnv
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.lifting.model import TASK_TIMESTEP_S
+from knowarm.world.objects import find_targets
 from knowarm.world.robots import ROBOTS
-from knowarm.world.scene.scene import build_scene, find_targets
+from knowarm.world.scene.scene import build_scene
 from knowarm.world.tasks.episodes import evaluation_episodes
 from knowarm.world.tasks.lift import FALLEN_M, LOST_M, Lift
 from knowarm.world.viewing.watch import _copy_pose
@@ -234,7 +235,7 @@ def test_the_policy_has_an_action_for_the_fingers_and_episodes_take_longer():
     config = experiment_config("irb120-lift-full-distil")
     assert config.env.max_episode_steps == Lift.max_steps == 100
     assert EnvConfig().max_episode_steps == 50
-    assert build(config).policy_shape.joints == len(ROBOTS["irb120"].robot.joints) + 1
+    assert build(config).policy_shape.joints == len(ROBOTS["irb120"].joints) + 1
 
 
 def test_a_solid_scene_is_simulated_in_larger_steps():
@@ -245,7 +246,7 @@ def test_what_a_lift_cannot_be_is_refused():
     with pytest.raises(UserError, match="one of contacts"):
         EnvConfig(task=Lift(), dynamics="kinematic")
     with pytest.raises(UserError, match="names no fingers"):
-        build_scene(replace(ROBOTS["irb120"].robot, fingers=()), find_targets(("mug",)), solid=True)
+        build_scene(replace(ROBOTS["irb120"], fingers=()), find_targets(("mug",)), solid=True)
     with pytest.raises(UserError, match="without solid objects"):
         evaluate(ZeroAgent(), EnvConfig(task=Lift()), episodes=1, lift=True)
 

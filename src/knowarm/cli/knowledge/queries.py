@@ -25,7 +25,8 @@ from knowarm.knowledge.queries.splits import SPLITS, QuerySplits, query_splits
 from knowarm.knowledge.slots import graph_facets
 from knowarm.questions import COLOUR_RELATION, QuestionTable
 from knowarm.reading import read_text
-from knowarm.world.objects import COLOURS, TARGETS
+from knowarm.world.objects import TARGETS
+from knowarm.world.objects.target import COLOURS
 
 SHOWN = 60  # most triples that are printed
 MOST_HELD = 12  # most held-out pairs or new triples that are printed

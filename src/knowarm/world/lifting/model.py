@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.errors import UserError
-from knowarm.world.objects import Target
+from knowarm.world.objects.target import Target
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.compose import (
     CONTROL_PERIOD_S,

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from knowarm.errors import unknown_name
 from knowarm.questions import INSTANCE, kind_of
-from knowarm.world.objects import COLOURS, Target
+from knowarm.world.objects.target import COLOURS, Target
 
 _FILE = Path(__file__).with_suffix(".toml")
 _TABLE: dict[str, Any] = tomllib.loads(_FILE.read_text(encoding="utf-8"))
@@ -45,8 +45,7 @@ FAMILY_COLOURS = ("red", "yellow", "green", "cyan", "blue", "purple")
 
 _DARK, _LIGHT = ".15 .15 .16 1", ".93 .93 .9 1"
 _INCLINED = "0 -.92387953 0 .38268343"
-_FROM_ABOVE = "0 .25881905 .96592583 0"
-"""Fingers turned by 150 degrees about the vertical, where the IRB120 reaches all places."""
+_FROM_ABOVE = "0 1 0 0"
 
 
 @cache
@@ -59,6 +58,7 @@ def instance(name: str) -> Target:
         xml=shape.xml(),
         colours={colour: COLOURS[colour] for colour in FAMILY_COLOURS},
         coloured_geoms=tuple(shape.coloured),
+        round_grasp="handle" not in shape.parts,
         attributes=(shape.kind["shape"], *shape.parts),
     )
 

@@ -18,11 +18,12 @@ from knowarm.errors import UserError, unknown_name
 from knowarm.reading import one_line
 from knowarm.world.backend import MujocoSimulator
 from knowarm.world.config import EnvConfig
+from knowarm.world.objects import find_targets
 from knowarm.world.own_robot.draft_gripper import find_gripper
 from knowarm.world.own_robot.draft_reach import Layout, find_layout, spread_rad
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.mjcf import read_mjcf
-from knowarm.world.scene.scene import Scene, build_scene, find_targets
+from knowarm.world.scene.scene import Scene, build_scene
 from knowarm.world.tasks.reward import measure
 
 HEIGHTS_M = (0.0, 0.2, 0.4, 0.6)  # Heights of the base above the floor that are tried [m]

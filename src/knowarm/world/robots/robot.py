@@ -1,17 +1,12 @@
 """Robot description: model file, joints, gripper, and the scene around the robot."""
 
-import importlib.util
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeVar
 
-from knowarm.config import check_values, from_dict
+from knowarm.config import check_values
 from knowarm.errors import UserError
 from knowarm.questions import object_of
-from knowarm.reading import read_toml
-from knowarm.world.objects import Target
-from knowarm.world.robots.menagerie import SCHEME, menagerie_file
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,8 +36,8 @@ class Area:
     """Centre, x and y [m]."""
     half_size_m: tuple[float, float]
     """Half extent along x and y [m]."""
-    target_yaws_deg: Mapping[str, float] = field(default_factory=dict)
-    """Yaw of single targets in this area, if different from the robot's [deg]."""
+    target_yaw_deg: float | None = None
+    """Yaw of all targets in this area [deg]; None takes the robot's yaws."""
 
     def __post_init__(self) -> None:
         if min(self.half_size_m) < 0:
@@ -62,6 +57,8 @@ class Robot:
     """Name by which users select the robot."""
     title: str = ""
     """Name in reports, with the maker's; ``name`` if empty."""
+    gym_name: str = ""
+    """Its part of the Gymnasium ids of a shipped robot, as in ``knowarm/IRB120Reach-v0``."""
     mjcf: Path
     """MJCF file of the robot. Its actuators, keyframes and cameras are ignored."""
     joints: tuple[str, ...]
@@ -107,9 +104,10 @@ class Robot:
     """Direction of the targets' x axis (their grasp side) about the vertical [deg]."""
     target_yaws_deg: Mapping[str, float] = field(default_factory=dict)
     """Yaw of single targets by name, if different from ``target_yaw_deg`` [deg]."""
-    turned_grasps: tuple[str, ...] = ()
-    """Targets whose grasp frame is turned half about the approach direction. A gripper with two
-    fingers grasps equally either way; the wrist's range may allow only one."""
+    grasp_turns_deg: Mapping[str, float] = field(default_factory=dict)
+    """Turn of the grasp frame of single targets about their approach direction [deg], and of those
+    with a ``round_grasp`` under the name "round". A gripper with two fingers grasps equally after
+    half a turn, and round things after any; the wrist's range may not allow all."""
     camera_position_m: tuple[float, float, float]
     """Position of the fixed camera [m]."""
     camera_look_at_m: tuple[float, float, float]
@@ -152,12 +150,12 @@ class Robot:
         area = self.areas.get(name)
         if area is None:
             return self
-        return replace(
-            self,
-            rectangle_centre_m=area.centre_m,
-            rectangle_half_size_m=area.half_size_m,
-            target_yaws_deg={**self.target_yaws_deg, **area.target_yaws_deg},
+        moved = replace(
+            self, rectangle_centre_m=area.centre_m, rectangle_half_size_m=area.half_size_m
         )
+        if area.target_yaw_deg is None:
+            return moved
+        return replace(moved, target_yaw_deg=area.target_yaw_deg, target_yaws_deg={})
 
     @property
     def support_height_m(self) -> float:
@@ -167,53 +165,3 @@ class Robot:
     def yaw_deg(self, target: str) -> float:
         """Return the yaw of the target of a name [deg]; parts have that of their object."""
         return self.target_yaws_deg.get(object_of(target), self.target_yaw_deg)
-
-
-T = TypeVar("T", Robot, Target)
-
-SUFFIX = ".toml"  # A name with this suffix is the path of a description file
-
-
-def read_robot(path: Path) -> Robot:
-    """Read a robot: the fields of ``Robot``, with ``mjcf`` relative to the file.
-
-    ``mjcf = "package:path/in/it.xml"`` names a file of an installed Python package, and
-    ``"menagerie:folder/file.xml"`` one of a MuJoCo Menagerie checkout.
-    """
-    return _read(path, Robot)
-
-
-def read_target(path: Path) -> Target:
-    """Read a target: the fields of ``Target``; otherwise as ``read_robot``."""
-    return _read(path, Target)
-
-
-def _read(path: Path, kind: type[T]) -> T:
-    values = read_toml(path)
-    if not isinstance(values.get("mjcf"), str):
-        raise UserError(
-            f"{str(path)!r}: field mjcf must be the path of an MJCF file, got "
-            f"{values.get('mjcf')!r}."
-        )
-    known: dict[str, Any] = {"name": path.stem} | values
-    known["mjcf"] = _resolve(values["mjcf"], path)
-    return from_dict(kind, known, where=str(path))
-
-
-def _resolve(mjcf: str, path: Path) -> Path:
-    """Resolve ``mjcf``: in a package if it names one, else relative to the TOML file."""
-    package, colon, inside = mjcf.partition(":")
-    if package == SCHEME:
-        return menagerie_file(inside, f"Robot {path.stem!r}")
-    if not colon or not package.isidentifier():
-        return path.parent / mjcf
-    try:
-        found = importlib.util.find_spec(package)
-    except (ImportError, ValueError):
-        found = None
-    if found is None or not found.submodule_search_locations:
-        raise UserError(
-            f"{str(path)!r}: mjcf is {mjcf!r}, and the Python package {package!r} is not "
-            "installed. Install it, or give the path of a file."
-        )
-    return Path(found.submodule_search_locations[0]) / inside

@@ -9,7 +9,7 @@ import numpy as np
 
 from knowarm.errors import UserError
 from knowarm.questions import object_of
-from knowarm.world.objects import Target
+from knowarm.world.objects.target import Target
 from knowarm.world.robots.robot import Robot, Table
 from knowarm.world.scene.mjcf import check_names, hide_sites, hold, read_mjcf, strip
 

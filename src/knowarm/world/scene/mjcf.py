@@ -1,9 +1,7 @@
 """MJCF files of robots and objects: read, checked, and reduced to what a scene simulates."""
 
 from collections.abc import Iterable
-from concurrent.futures import Future
 from pathlib import Path
-from threading import Thread
 from typing import Any
 
 import mujoco
@@ -11,8 +9,7 @@ import numpy as np
 
 from knowarm.errors import UserError
 from knowarm.reading import one_line, reading
-
-COMPILE_S = 120.0  # Most time that an MJCF file may take to compile
+from knowarm.world.description import HOW_TO_GET, menagerie_folder
 
 
 def read_mjcf(path: Path, owner: str, xml: str | None = None) -> mujoco.MjSpec:
@@ -21,26 +18,17 @@ def read_mjcf(path: Path, owner: str, xml: str | None = None) -> mujoco.MjSpec:
         return mujoco.MjSpec.from_string(xml)
     with reading(path, "Give the path of an MJCF file."):
         is_file = path.is_file()
+    if not is_file and path.is_relative_to(menagerie_folder()):
+        raise UserError(
+            f"{owner} needs {str(path)!r} of the MuJoCo Menagerie, and there is no such file. To "
+            f"get it: {HOW_TO_GET}."
+        )
     if not is_file:
         raise UserError(f"{owner}: mjcf is {str(path)!r}, and there is no such file.")
-    compiled: Future[mujoco.MjSpec] = Future()
-
-    def compile_file() -> None:
-        try:
-            spec = mujoco.MjSpec.from_file(str(path))
-            spec.compile()
-            compiled.set_result(spec)
-        except Exception as error:
-            compiled.set_exception(error)
-
-    # MuJoCo does not notice Ctrl-C; waiting for another thread does.
-    Thread(target=compile_file, daemon=True).start()
     try:
-        return compiled.result(COMPILE_S)
-    except TimeoutError:
-        raise UserError(
-            f"{owner}: mjcf {str(path)!r} takes more than {COMPILE_S:.0f} s to compile."
-        ) from None
+        spec = mujoco.MjSpec.from_file(str(path))
+        spec.compile()
+        return spec
     except (ValueError, mujoco.FatalError) as error:
         raise UserError(
             f"{owner}: mjcf {str(path)!r} does not compile: {one_line(error)}. Correct the file; "

@@ -9,16 +9,14 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from knowarm.errors import UserError, unknown_name
-from knowarm.questions import INSTANCE
+from knowarm.errors import UserError
 from knowarm.reading import one_line
+from knowarm.world.description import SUFFIX
 from knowarm.world.lifting.model import FINGERS, TASK_TIMESTEP_S, LiftingModel, lifting_model
-from knowarm.world.objects import TARGETS, Target
-from knowarm.world.objects.families import KINDS, instance
-from knowarm.world.objects.parts import PARTS
-from knowarm.world.robots import ROBOTS
-from knowarm.world.robots.menagerie import KNOWN_ARMS
-from knowarm.world.robots.robot import SUFFIX, Robot, read_robot, read_target
+from knowarm.world.objects import find_targets
+from knowarm.world.objects.target import Target
+from knowarm.world.robots import find_robot
+from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.compose import CAMERA, DISTRACTOR, ROBOT_PREFIX, compose
 
 ENDLESS_RANGE_RAD = (-2 * np.pi, 2 * np.pi)  # Range of hinges that have none of their own [rad]
@@ -72,32 +70,6 @@ class Scene:
     def colour_names(self) -> tuple[tuple[str, ...], ...]:
         """Names of each target's colours."""
         return tuple(tuple(target.colours) for target in self.targets)
-
-
-def find_robot(name: str) -> Robot:
-    """Return the shipped robot or known arm of a name, or that of a TOML file."""
-    if name.endswith(SUFFIX):
-        return read_robot(Path(name))
-    if name in KNOWN_ARMS:
-        return read_robot(KNOWN_ARMS[name])
-    if name not in ROBOTS:
-        raise unknown_name("robot", name, [*ROBOTS, *KNOWN_ARMS])
-    return ROBOTS[name].robot
-
-
-def find_targets(names: Sequence[str]) -> tuple[Target, ...]:
-    """Return the targets of names or TOML files, in their order."""
-    targets, known = [], TARGETS | PARTS
-    for name in names:
-        if name.endswith(SUFFIX):
-            targets.append(read_target(Path(name)))
-        elif name in known:
-            targets.append(known[name])
-        elif name.partition(INSTANCE)[0] in KINDS:
-            targets.append(instance(name))
-        else:
-            raise unknown_name("target", name, known)
-    return tuple(targets)
 
 
 def load_scene(
@@ -236,12 +208,15 @@ def project(scene: Scene, points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _turn_grasps(model: mujoco.MjModel, robot: Robot, targets: Sequence[Target]) -> None:
-    """Turn the grasp frames of the robot's ``turned_grasps`` half about their z axis."""
+    """Turn grasp frames about their z axis by the robot's ``grasp_turns_deg``."""
     for target in targets:
-        if target.name in robot.turned_grasps:
+        name = "round" if target.round_grasp else target.name
+        if half := np.radians(robot.grasp_turns_deg.get(name, 0.0)) / 2:
             site = model.site(f"{target.name}/{target.grasp_site}").id
+            turn = np.round([np.cos(half), 0.0, 0.0, np.sin(half)], 8)  # exact for half a turn
             turned = np.zeros(4)
-            mujoco.mju_mulQuat(turned, model.site_quat[site], np.array([0.0, 0.0, 0.0, 1.0]))
+            mujoco.mju_mulQuat(turned, model.site_quat[site], turn)
+            mujoco.mju_normalize4(turned)
             model.site_quat[site] = turned
             model.site_sameframe[site] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from knowarm.arrays import Floats, Integers
 from knowarm.errors import UserError
 from knowarm.questions import ObjectColour, number_parts
-from knowarm.world.objects import Target
+from knowarm.world.objects.target import Target
 from knowarm.world.tasks.held_out import TRIES, HeldOut, allowed_colours, check_names, choose_places
 
 if TYPE_CHECKING:  # Configs are read where nothing else needs MuJoCo.

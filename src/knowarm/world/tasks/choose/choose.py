@@ -15,7 +15,6 @@ from knowarm.arrays import Floats, Integers, Mask
 from knowarm.config import check_values, registered
 from knowarm.errors import UserError
 from knowarm.questions import ObjectColour, QuestionTable
-from knowarm.world.objects import CHOOSE_TARGETS
 from knowarm.world.objects.families import FAMILIES
 from knowarm.world.tasks.choose.source import (
     QUERY_SOURCES,
@@ -28,6 +27,13 @@ from knowarm.world.tasks.reward import is_success, measure
 from knowarm.world.tasks.sampling import Colours, ObjectSampler, Setting
 from knowarm.world.tasks.state import EpisodeState
 from knowarm.world.tasks.task import Task
+
+CHOOSE_TARGETS = (
+    *("mug", "bottle", "teapot", "kettle", "pitcher", "wine_glass", "bowl", "vase", "pot", "pan"),
+    *("jar", "can", "candle", "lamp", "flashlight", "mallet", "brush", "basket", "bucket"),
+    *("watering_can", "clock", "book", "toolbox", "dumbbell", "bell", "globe"),
+)
+"""Objects of the choose task."""
 
 MAX_OBJECTS = 6
 

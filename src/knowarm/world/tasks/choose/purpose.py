@@ -13,12 +13,19 @@ from numpy.typing import NDArray
 
 from knowarm.arrays import Integers
 from knowarm.questions import object_of
-from knowarm.world.objects.parts import PARTS
 from knowarm.world.tasks.choose.choose import Choose, measure_object
 from knowarm.world.tasks.sampling import Setting
 from knowarm.world.tasks.state import EpisodeState
 
 PARTS_PER_OBJECT = 2
+
+PURPOSE_TARGETS = (
+    *("bottle.stopper", "bottle.neck", "teapot.handle", "teapot.lid", "wine_glass.bowl"),
+    *("wine_glass.stem", "vase.flower", "vase.neck", "candle.flame", "candle.wax"),
+    *("brush.handle", "brush.block", "clock.rim", "clock.bell", "bell.knob", "bell.handle"),
+    *("globe.pin", "globe.stem", "basket.handle", "basket.post"),
+)
+"""Parts of the purpose task, two of each object."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +33,7 @@ class Purpose(Choose):
     """Objects with two parts each, of which exactly one part answers the episode's question."""
 
     area: ClassVar[str] = "purpose"
-    targets: ClassVar[tuple[str, ...]] = tuple(PARTS)
+    targets: ClassVar[tuple[str, ...]] = PURPOSE_TARGETS
     column_meanings: ClassVar[dict[str, str]] = Choose.column_meanings | {
         "object_correct": "whether the part reached belongs to the object that answers"
     }

@@ -1,0 +1,62 @@
+"""Description files: TOML files of the fields of a robot or a target, beside their MJCF file."""
+
+import importlib.util
+import os
+from pathlib import Path
+from typing import TypeVar
+
+from knowarm.config import from_dict
+from knowarm.errors import UserError
+from knowarm.reading import read_toml
+
+SUFFIX = ".toml"  # A name with this suffix is the path of a description
+MENAGERIE = "menagerie:"  # ``mjcf = "menagerie:folder/file.xml"`` names a file of the Menagerie
+HOW_TO_GET = (
+    "git clone --depth 1 https://github.com/google-deepmind/mujoco_menagerie, then set "
+    "KNOWARM_MENAGERIE to its folder"
+)
+
+T = TypeVar("T")
+
+
+def read_description(path: Path, kind: type[T]) -> T:
+    """Read a dataclass with the fields ``name``, by default the file's, and ``mjcf``.
+
+    ``mjcf`` is relative to the file. ``"package:path/in/it.xml"`` names a file of an installed
+    Python package, and ``"menagerie:folder/file.xml"`` one of a MuJoCo Menagerie checkout.
+    """
+    values = {"name": path.stem, **read_toml(path)}
+    mjcf = values.get("mjcf")
+    if not isinstance(mjcf, str):
+        raise UserError(
+            f"{str(path)!r}: field mjcf must be the path of an MJCF file, got {mjcf!r}."
+        )
+    return from_dict(kind, {**values, "mjcf": _resolve(mjcf, path)}, where=str(path))
+
+
+def menagerie_folder() -> Path:
+    """Return the folder in which the Menagerie is searched: ``KNOWARM_MENAGERIE``, or a cache."""
+    if folder := os.environ.get("KNOWARM_MENAGERIE"):
+        return Path(folder)
+    cache = os.environ.get("ROBOT_DESCRIPTIONS_CACHE")
+    root = Path(cache) if cache else Path.home() / ".cache" / "robot_descriptions"
+    return root / "mujoco_menagerie"
+
+
+def _resolve(mjcf: str, path: Path) -> Path:
+    """Resolve ``mjcf``: in a package if it names one, else relative to the TOML file."""
+    if mjcf.startswith(MENAGERIE):
+        return menagerie_folder() / mjcf.removeprefix(MENAGERIE)
+    package, colon, inside = mjcf.partition(":")
+    if not colon or not package.isidentifier():
+        return path.parent / mjcf
+    try:
+        spec = importlib.util.find_spec(package)
+    except (ImportError, ValueError):
+        spec = None
+    if spec is None or not spec.submodule_search_locations:
+        raise UserError(
+            f"{str(path)!r}: mjcf is {mjcf!r}, and the Python package {package!r} is not "
+            "installed. Install it, or give the path of a file."
+        )
+    return Path(spec.submodule_search_locations[0]) / inside

@@ -1,0 +1,85 @@
+"""Target: the description of an object that can be approached."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from knowarm.config import check_values
+from knowarm.errors import UserError
+
+COLOURS: dict[str, tuple[float, float, float]] = {
+    "red": (1.0, 0.0, 0.0),
+    "orange": (1.0, 0.5, 0.0),
+    "yellow": (1.0, 1.0, 0.0),
+    "green": (0.0, 0.6, 0.1),
+    "cyan": (0.0, 0.85, 0.85),
+    "blue": (0.0, 0.0, 1.0),
+    "purple": (0.45, 0.0, 0.85),
+    "pink": (1.0, 0.45, 0.75),
+    "brown": (0.55, 0.27, 0.07),
+}
+"""Colours of the objects that can have any; RGB in 0..1."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """A part of an object with a grasp frame of its own: the target ``object.part``."""
+
+    site: str
+    """Site of the grasp frame."""
+    width_m: float
+    """Width that the fingers must be apart between the tool centre point and their tips [m]."""
+    geoms: tuple[str, ...]
+    """Geoms that are the part."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Target:
+    """An object to approach, shown without physics: only objects to lift are solid.
+
+    The MJCF holds one body; its origin is the centre of the bottom, z points up, and +x is the side
+    at which it is grasped. A site gives the grasp frame: z is the approach, y the finger opening.
+    """
+
+    name: str
+    """Name in the knowledge graph and on the command line."""
+    mjcf: Path
+    """MJCF file with one top-level body."""
+    colours: Mapping[str, tuple[float, float, float]] = field(default_factory=lambda: COLOURS)
+    """Possible colours by name, RGB in 0..1; the first is used if colours are fixed."""
+    coloured_geoms: tuple[str, ...]
+    """Names of the geoms that have this colour; the others keep the file's."""
+    grasp_site: str = "grasp"
+    """Site of the grasp frame; it is never visible."""
+    round_grasp: bool = False
+    """Whether it is round about the approach, so that the robot's ``grasp_turns_deg`` may turn the
+    fingers."""
+    parts: Mapping[str, Part] = field(default_factory=dict)
+    """Parts at which it can be grasped."""
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    """Parts that no gripper here lifts, or only one of the two shipped robots, with the reason.
+    The fingers of the IRB120 are 64 mm apart and 22 mm wide, those of TIAGo 78 and 44 mm."""
+    part_geoms: tuple[str, ...] = ()
+    """Geoms of the part that is grasped, drawn with it where other parts of the same object are
+    targets too; the first part draws what belongs to none."""
+    mass_kg: float | None = None
+    """Mass where it is lifted [kg], evenly over its shapes; None takes the file's."""
+    base_radius_m: float = 0.0
+    """Radius of a flat bottom for lifting, for an object drawn round below [m]; 0 for none."""
+    xml: str | None = None
+    """MJCF of an instance of a family, in place of the file's."""
+    attributes: tuple[str, ...] = ()
+    """Shape and parts of such an instance, by which it can be recognized."""
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        if not self.colours:
+            raise UserError(f"Target {self.name!r}: colours is empty; give at least one RGB.")
+        for colour, rgb in self.colours.items():
+            if not all(0 <= value <= 1 for value in rgb):
+                raise UserError(
+                    f"Target {self.name!r}: colour {colour!r} must be three numbers in 0..1, "
+                    f"got {rgb}."
+                )
+        if not self.coloured_geoms:
+            raise UserError(f"Target {self.name!r}: coloured_geoms is empty; name a geom.")
