@@ -14,6 +14,7 @@ from pathlib import Path
 from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.load import load_agent
+from knowarm.statistics import Interval
 from knowarm.world.agents import BLIND_AGENTS, SCRIPTED_AGENTS
 from knowarm.world.config import EnvConfig
 from knowarm.world.robots import ROBOTS
@@ -45,7 +46,7 @@ def rows_of_robot(robot: str, episodes: int) -> list[dict]:
         for thresholds in THRESHOLDS:
             agent = SCRIPTED_AGENTS[name].make(EvaluationConfig().seed)
             found = evaluate(agent, env, evaluation(episodes, thresholds)).summary
-            row |= cells(found, thresholds)
+            row |= cells(found.interval("success"), thresholds)
         rows.append(row)
         print(line(row), flush=True)
     return rows
@@ -60,17 +61,18 @@ def rows_of_run(path: Path, episodes: int) -> list[dict]:
     for thresholds in THRESHOLDS:
         found = evaluate(trained, config=evaluation(episodes, thresholds), write=False).summary
         for row, name in zip(rows, names, strict=True):
-            row |= cells(found if name == "trained" else found["blind_agents"][name], thresholds)
+            row |= cells(
+                found.interval("success", *(() if name == "trained" else ("blind", name))),
+                thresholds,
+            )
     for row in rows:
         print(line(row), flush=True)
     return rows
 
 
-def cells(numbers: dict, thresholds: tuple[float, float]) -> dict:
+def cells(success: Interval, thresholds: tuple[float, float]) -> dict:
     """Return the success with its interval, named by the thresholds."""
-    name = f"success_{thresholds[0] * 100:g}cm_{thresholds[1]:g}deg"
-    ends = ("", "_low", "_high")
-    return {f"{name}{end}": numbers[f"success{end}"] for end in ends}
+    return success.named(f"success_{thresholds[0] * 100:g}cm_{thresholds[1]:g}deg")
 
 
 def line(row: dict) -> str:

@@ -13,6 +13,7 @@ from typing import Any
 
 from benchmarks.time_to_success import SUCCESS
 from knowarm.cli.tables import print_table
+from knowarm.experiment.summary import Summary
 
 COLUMNS = ("run", "steps to 80 %", "seconds", "steps", "all seconds", "last %", "success %")
 
@@ -26,7 +27,7 @@ def row_of(run: Path) -> dict[str, Any]:
     reached = [int(row["step"]) for row in evaluations if float(row["success"]) >= SUCCESS]
     first, last = min(reached, default=None), int(evaluations[-1]["step"])
     summary = run / "evaluation" / "post-training-greedy" / "summary.json"
-    success = json.loads(summary.read_text())["success"] if summary.exists() else None
+    success = Summary.read(summary.parent)["success"] if summary.exists() else None
     values = (
         f"{run.parent.name}/{run.name}",
         first,

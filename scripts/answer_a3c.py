@@ -46,8 +46,8 @@ def tuned_section(study: Path, progress: str) -> list[str]:
     """Return the blocks on A3C with settings that learn from an unpacked study."""
     cells = [Cell(task, agents, comparisons(agents)) for task, agents in tasks_of([study])]
     every = [agent for cell in cells for agent in cell.agents.values()]
-    (total,) = {run.config["total_steps"] for cell in cells for run in cell.task.runs}
-    (between,) = {run.config["interim"]["every_steps"] for cell in cells for run in cell.task.runs}
+    (total,) = {run.config.total_steps for cell in cells for run in cell.task.runs}
+    (between,) = {run.config.interim.every_steps for cell in cells for run in cell.task.runs}
     seeds = sorted({seed for each in every for seed in each.seeds})
     text = TUNED.format(
         total=total // 10**6,
@@ -77,17 +77,17 @@ def until(group: Group, key: str, step: float) -> str:
 def a3c_section(study: Path, progress: str) -> list[str]:
     """Return the blocks of the section from an unpacked study."""
     (task,) = collect([study]).tasks
-    total = max(run.config["total_steps"] for run in task.runs)
+    total = max(run.config.total_steps for run in task.runs)
     steps = np.arange(EVERY, total + 1, EVERY)
     rows = []
     for group in task.groups:
         for key in MEASURES:
             name = key.removesuffix("_mean")
-            rows.append([f"`{group.name}`", name, *(until(group, key, step) for step in steps)])
+            rows.append([f"`{group.name}`", name, *(until(group, key, float(s)) for s in steps)])
         rows.append(["the paper's " + f"`{group.name}`", "accuracy", *paper(task, group, steps)])
     columns = ["agent", "measure", *(f"{step / 1e6:.0f} M" for step in steps)]
     hours = sum(training_seconds(run.metrics["wall_time_s"]) for run in task.runs if run.metrics)
-    algorithm = task.runs[0].config["algorithm"]
+    algorithm = task.runs[0].settings["algorithm"]
     batch = algorithm["envs_per_worker"] * algorithm["rollout_steps"]
     text = TEXT.format(
         batch=batch,
@@ -112,9 +112,9 @@ def paper(task: TaskData, group: Group, steps: np.ndarray) -> list[str]:
 def blind_agents(groups: Sequence[Group]) -> str:
     """Say what agents that see nothing reach, the most of all runs of some groups."""
     runs = (run.evaluations.get(group.label) for group in groups for run in group.runs)
-    found = [each.summary["blind_agents"] for each in runs if each]
+    found = [each.summary for each in runs if each]
     listed, black, first = (
-        f"{100 * max(each[name]['success'] for each in found):.1f} %"
+        f"{100 * max(each.interval('success', 'blind', name).estimate for each in found):.1f} %"
         for name in ("open-loop", "blind", "frozen")
     )
     return (
@@ -128,7 +128,7 @@ def conclusion(task: TaskData) -> str:
     lines = []
     for group in task.groups:
         for run in group.runs:
-            if run.steps_done < 0.98 * run.config["total_steps"]:
+            if run.steps_done < 0.98 * run.config.total_steps:
                 continue
             final = run.evaluations.get(group.label)
             trained = run.metrics["success"][-ROWS:]

@@ -50,7 +50,7 @@ class Agent:
 def agent(group: Group) -> Agent:
     """Read the outcomes of a group of runs."""
     runs = [run for run in group.runs if group.label in run.evaluations]
-    until = float(group.runs[0].config["total_steps"])
+    until = float(group.runs[0].config.total_steps)
     found = [first_crossing(run.interim["step"], run.interim["success"], LEVEL) for run in runs]
     scores = [run.evaluations[group.label].summary["success"] for run in runs]
     return Agent(
@@ -61,7 +61,7 @@ def agent(group: Group) -> Agent:
         np.array(scores, np.float64),
         np.array([area_under_curve(r.interim["step"], r.interim["success"], until) for r in runs]),
         sum(training_seconds(run.metrics["wall_time_s"]) for run in runs if run.metrics) / 3600,
-        tuple(run.provenance["machine"]["processor"] for run in runs),
+        tuple(str(run.provenance.machine["processor"]) for run in runs),
     )
 
 

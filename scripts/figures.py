@@ -2,7 +2,6 @@
 
 import base64
 import io
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
@@ -11,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from knowarm.experiment.summary import Summary
 from knowarm.report.charts import Box, Scale, percent_axis
 from knowarm.svg import drawing, element, escape, label, text_width
 from knowarm.world.viewing.record import Frame
@@ -153,4 +153,4 @@ def seed_scores(folder: Path, experiment: str, key: str, split: str = "") -> np.
     """
     pattern = f"*/evaluation/*{'-' + split if split else ''}/summary.json"
     paths = sorted((folder / experiment).glob(pattern))
-    return np.array([json.loads(path.read_text(encoding="utf-8"))[key] for path in paths])
+    return np.array([Summary.read(path.parent)[key] for path in paths])

@@ -18,7 +18,7 @@ from sphinx.pycode import ModuleAnalyzer
 
 import knowarm
 from knowarm.errors import UserError
-from knowarm.experiment.summary import read_film
+from knowarm.experiment.evaluation_files import read_film
 from knowarm.reading import read_json
 from tests.study.tiny import InlineExecutor
 from tests.tiny import TINY
@@ -153,7 +153,7 @@ def test_evaluate(run):
     assert read_film(folder / "films" / "0.webp").shape[1:] == (64, 64, 3)
     again = knowarm.evaluate(run.folder.path, config=config, episodes=2, write=False)
     assert again.summary["episodes"] == 2
-    assert read_json(folder / "summary.json")["episodes"] == 4
+    assert read_json(folder / "summary.json")["numbers"]["episodes"] == 4
     with pytest.raises(knowarm.UserError, match="'episodes'"):
         knowarm.evaluate(run.folder.path, episode=2)
 
@@ -165,7 +165,7 @@ def test_load_agent():
     assert isinstance(trained.agent, knowarm.PolicyAgent)
     config = knowarm.EvaluationConfig(episodes=4, num_envs=4, record_films=0, blind_episodes=0)
     result = knowarm.evaluate(trained, config=config, write=False)
-    assert result.summary["agent"] == "irb120-full-fast/0"
+    assert result.summary.agent == "irb120-full-fast/0"
     assert result.summary["success"] > 0
 
 

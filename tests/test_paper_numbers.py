@@ -11,6 +11,7 @@ import torch
 
 from knowarm.experiment.config import EvaluationConfig, InterimConfig
 from knowarm.experiment.names import experiment_config
+from knowarm.experiment.summary import WIDE_ANGLE_DEG
 from knowarm.knowledge import scene_embedding
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.statistics import one_way_anova
@@ -215,7 +216,7 @@ def test_evaluations():
     assert evaluation.episodes == 1_000  # paper 4.2.4
     assert evaluation.distance_m == 0.10
     assert evaluation.angle_deg == 17.0  # section 4; section 3 says 20
-    assert evaluation.wide_angle_deg == 20.0
+    assert WIDE_ANGLE_DEG == 20.0
     interim = InterimConfig()
     assert interim.every_steps == 50_000  # paper 4.2.3
     assert interim.episodes == 40

@@ -30,6 +30,8 @@ def test_figures_are_those_of_the_packs(pack, experiment, split, measure):
         for member in file:
             found = re.search(rf"{experiment}/(\d)/evaluation/[a-z-]+-{split}/summary", member.name)
             if found:
-                shares[found[1]] = 100 * json.load(file.extractfile(member))[measure]
+                shares[found[1]] = (
+                    100 * json.load(file.extractfile(member))["numbers"][measure]["estimate"]
+                )
     assert row == ", ".join(f"{shares[seed]:.1f}" for seed in sorted(shares))
     assert len(shares) == 5

@@ -72,11 +72,11 @@ def test_training_and_evaluation_report_the_choice(choose_run: Run, tmp_path: Pa
     header = (choose_run.folder.path / "evaluations.csv").read_text().splitlines()[0]
     assert "choice" in header.split(",")
     result = evaluate(choose_run.folder.path, episodes=8, blind_episodes=0, split="S2", write=False)
-    folder = result.write(tmp_path / result.summary["label"])
+    folder = result.write(tmp_path / result.summary.label)
     assert folder.name == "post-training-greedy-s2"
     assert result.summary["choice_chance"] == 0.25
     assert {"query", "chosen", "choice_correct"} <= result.episodes.keys()
-    assert result.summary["per_query"]
+    assert result.summary.groups["query"]
 
 
 def test_the_policy_receives_knowledge_of_the_edited_graph_of_s5(tmp_path: Path) -> None:
@@ -113,7 +113,7 @@ def test_an_evaluation_on_the_edited_graph_counts_the_old_answers(choose_run: Ru
     wrong = result.episodes["chose_old_answer"]
     assert not (wrong & result.episodes["choice_correct"]).any()
     assert result.summary["chose_old_answer"] == wrong.mean()
-    assert result.summary["label"] == "post-training-greedy-s5"
+    assert result.summary.label == "post-training-greedy-s5"
     with pytest.raises(UserError, match="set split to 'S5'"):
         evaluate(trained, episodes=8, split="S2", edited="mine.csv")
 

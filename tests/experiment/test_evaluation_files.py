@@ -3,7 +3,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from knowarm.errors import UserError
-from knowarm.experiment.summary import (
+from knowarm.experiment.evaluation_files import (
     EPISODE_COLUMNS,
     read_film,
     read_table,

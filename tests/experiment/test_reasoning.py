@@ -125,7 +125,7 @@ def test_another_graph_asks_and_answers(trained, tmp_path):
         "hasColor",
     }
     assert result.summary["choice"] > 0.85
-    assert result.summary["label"] == "post-training-greedy-other-graph"
+    assert result.summary.label == "post-training-greedy-other-graph"
     missing = evaluate(trained, damage="missing", damage_share=1.0, **how)
     assert missing.summary["choice"] < result.summary["choice"] - 0.1
     with pytest.raises(UserError, match="everything that it can be asked is a question of S1"):

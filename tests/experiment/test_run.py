@@ -49,9 +49,9 @@ def test_a_run_folder_tells_all(reach_run):
     assert [int(row["step"]) for row in read_csv(run.folder.evaluations_path)] == [0, 80, 160]
     assert len(curve(run.folder)) == 8
     provenance = run.folder.provenance()
-    assert provenance["parameter_counts"]["memory"] == 620_496  # paper: LSTM grown to 278
-    assert provenance["knowledge"]["constant"]
-    assert provenance["facets"][0] == ["mug", "red"]
+    assert provenance.parameter_counts["memory"] == 620_496  # paper: LSTM grown to 278
+    assert provenance.knowledge.constant
+    assert provenance.facets[0] == ("mug", "red")
     assert run.folder.knowledge().shape == (3, 150)
     assert any(run.folder.tensorboard.iterdir())
     with pytest.raises(UserError, match="resume=True"):

@@ -30,10 +30,10 @@ def test_the_commit_of_another_project_is_not_taken_for_the_packages(tmp_path, m
     installed.touch()
     git("commit", "--allow-empty", "-m", "theirs")
     monkeypatch.setattr(run_folder, "__file__", str(installed))
-    assert run_folder.provenance()["commit"] is None
+    assert run_folder.provenance().commit is None
     git("add", str(installed))
     git("commit", "-m", "ours")
-    assert len(run_folder.provenance()["commit"]) == 40
+    assert len(run_folder.provenance().commit) == 40
 
 
 def test_what_is_no_run_folder_is_refused(tmp_path):

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from knowarm.config import to_dict
 from knowarm.errors import UserError
 from knowarm.knowledge import (
     FULL,
@@ -43,7 +44,7 @@ def test_every_agent_gives_a_finite_table_of_its_size(agent, facets):
     assert embedding.constant == (embedding.dim > 0 and len(np.unique(table, axis=0)) == 1)
     told = embedding.dim > 0 and embedding.scope == "target" and not embedding.constant
     assert embedding.privileged == told
-    json.dumps(embedding.describe())
+    json.dumps(to_dict(embedding.describe()))
 
 
 def test_scene_rows_are_the_vector_and_target_rows_are_slots(facets):

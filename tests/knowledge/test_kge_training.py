@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from knowarm.config import to_dict
 from knowarm.errors import UserError
 from knowarm.knowledge import KnowledgeConfig, graph_of, household, scene_embedding
 from knowarm.knowledge.kge import KgeConfig
@@ -191,7 +192,7 @@ def test_analogy_goes_through_the_same_door(facets):
     assert embedding.dim == 300
     again = scene_embedding(KNOWLEDGE["analogy"], facets)
     assert (embedding.vector == again.vector).all()
-    json.dumps(embedding.describe())
+    json.dumps(to_dict(embedding.describe()))
 
 
 def test_metrics_agree_with_pykeen():

@@ -197,7 +197,7 @@ def test_a_run_keeps_its_module(files, tmp_path, name):
     copied[name].unlink()
     folder = run.folder
     assert (folder.path / PERCEPTION_FILE).read_bytes() == files[name].read_bytes()
-    assert folder.provenance()["perception"]["digest"] == digest(files[name].read_bytes())
+    assert folder.provenance().perception["digest"] == digest(files[name].read_bytes())
     trained = load_agent(folder.path)
     assert isinstance(trained.agent, PerceivingAgent)
     split = "S5" if name == CHOOSE else None

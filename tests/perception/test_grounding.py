@@ -423,7 +423,7 @@ def test_a_run_keeps_its_network_and_resumes_to_the_byte(tmp_path, choose_run, c
         assert one.read_bytes() == two.read_bytes()
     agent = load_agent(resumed.folder.path).agent
     assert isinstance(agent.module, GroundingNetwork)
-    assert resumed.folder.provenance()["perception"]["config"]["images"] == 64
+    assert resumed.folder.provenance().perception["config"]["images"] == 64
 
 
 def test_agents_with_knowledge_of_a_query_are_grounded_alike():

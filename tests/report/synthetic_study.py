@@ -1,6 +1,5 @@
 """Synthetic studies: run folders as trainings with a known truth could have left them."""
 
-import json
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -12,22 +11,25 @@ import torch
 from knowarm.config import to_dict
 from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.algorithms import ALGORITHMS
-from knowarm.experiment.run_folder import RunFolder
-from knowarm.experiment.summary import (
+from knowarm.experiment.config import EvaluationConfig
+from knowarm.experiment.evaluation_files import (
     EPISODE_COLUMNS,
-    TASK_COLUMNS,
+    episode_types,
     step_columns,
-    summarize,
     write_film,
     write_table,
 )
+from knowarm.experiment.run_folder import RunFolder
+from knowarm.experiment.summary import Summary, summarize
 from knowarm.knowledge import KnowledgeConfig, SceneEmbedding, query_embedding, scene_embedding
 from knowarm.knowledge.queries.queries import parse_query
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
-from knowarm.reading import write_json
+from knowarm.reading import read_json, write_json
 from knowarm.report.model import StudyData
+from knowarm.statistics import Interval
 from knowarm.world.agents import BLIND_AGENTS
 from knowarm.world.robots import ROBOTS
+from knowarm.world.tasks.choose.choose import Choose
 
 FACETS = {
     "fixed": [("mug", "red"), ("bottle", "yellow"), ("cereal_box", "brown")],
@@ -92,7 +94,7 @@ def choice_env(*, marked: bool = False) -> dict[str, Any]:
     """The choose task, as ``config.json`` has it."""
     queries = {"kind": "graph", "graph": "objects", "split": "train"}
     task = {"kind": "choose", "objects": 4, "queries": queries, "marked": marked}
-    return env_of() | {"task": task}
+    return env_of() | {"task": task, "targets": ["mug", "bottle", "cereal_box", "bowl"]}
 
 
 def write_study(
@@ -143,7 +145,8 @@ def redraw(study: StudyData, truth: Truth, *, seed: int, size: Size) -> StudyDat
             interim = run.interim | {"success": _interim_success(level, generator, size)}
             share = generator.binomial(size.episodes, level) / size.episodes
             (evaluation,) = run.evaluations.values()
-            evaluation = replace(evaluation, summary=evaluation.summary | {"success": share})
+            numbers = {**evaluation.summary.numbers, "success": share}
+            evaluation = replace(evaluation, summary=replace(evaluation.summary, numbers=numbers))
             runs.append(replace(run, interim=interim, evaluations={LABEL: evaluation}))
         groups[agent] = replace(groups[agent], runs=tuple(runs))
     return replace(study, tasks=(replace(task, groups=tuple(groups.values())),))
@@ -240,7 +243,7 @@ def _provenance(
         "machine": {"processor": "a processor", "cores": 2},
         "parameter_counts": counts,
         "facets": facets,
-        "knowledge": embedding.describe(),
+        "knowledge": to_dict(embedding.describe()),
     }
 
 
@@ -273,6 +276,22 @@ def _write_curves(
     folder.metrics_path.write_text("\n".join(metrics) + "\n")
 
 
+def write_summary(folder: Path, agent: str, env: dict[str, Any], size: Size, **found: Any) -> None:
+    """Write a summary with the numbers, groups and joints that were found."""
+    config = EvaluationConfig(episodes=size.episodes, **size.evaluation)
+    parts = {"groups": {}} | found
+    summary = Summary(agent=agent, label=folder.name, config=config, env=env, **parts)
+    write_json(folder / "summary.json", to_dict(summary))
+
+
+def edit_summary(folder: Path, *, config: dict[str, Any] | None = None, **numbers: Any) -> None:
+    """Change numbers, and fields of the config, of a stored summary."""
+    values = read_json(folder / "summary.json")
+    values["config"] |= config or {}
+    values["numbers"] |= numbers
+    write_json(folder / "summary.json", values)
+
+
 def write_evaluation(
     folder: Path,
     agent: str,
@@ -283,33 +302,24 @@ def write_evaluation(
 ) -> None:
     """Write one evaluation folder in which about a share ``success`` of episodes succeeded."""
     folder.mkdir(parents=True)
-    config = {
-        "episodes": size.episodes,
-        "seed": 1_000_003,
-        "seeds": 1,
-        "distance_m": 0.1,
-        "angle_deg": 17.0,
-        "wide_angle_deg": 20.0,
-        "actions": "greedy",
-    } | size.evaluation
-    known = {"format": 1, "agent": agent, "label": folder.name, "config": config, "env": env}
     if not size.tables:
         share = generator.binomial(size.episodes, success) / size.episodes
         flat = {"success": share, "accuracy": share, "return_mean": 140 * share - 40}
-        (folder / "summary.json").write_text(json.dumps(known | {"episodes": size.episodes} | flat))
+        write_summary(folder, agent, env, size, numbers=flat | {"episodes": float(size.episodes)})
         return
-    columns = _episodes(success, env, generator, size, int(config["seeds"]))
+    columns = _episodes(success, env, generator, size, size.evaluation.get("seeds", 1))
     write_table(folder / "episodes.parquet", columns, EPISODE_COLUMNS)
+    joints = tuple(f"hinge_{i}" for i in range(JOINTS[env["robot"]])) if size.steps else ()
     if size.steps:
-        shift = 0.2 * (agent == "full")
-        known["joints"] = [f"hinge_{i}" for i in range(JOINTS[env["robot"]])]
-        _write_steps(folder, columns, len(known["joints"]), generator, shift)
+        _write_steps(folder, columns, len(joints), generator, 0.2 * (agent == "full"))
     for number in range(size.films):
         write_film(folder / "films" / f"{number}.webp", _images(int(columns["length"][number])))
-    numbers = summarize(columns)
+    found = summarize(columns)
     if size.blind:
-        numbers |= _blind(numbers["success"])
-    (folder / "summary.json").write_text(json.dumps(known | numbers, indent=2))
+        success = found["numbers"]["success"].estimate
+        found["groups"]["blind"] = blind = _blind(success)
+        found["numbers"]["vision_gain"] = blind["open-loop"]["difference"]
+    write_summary(folder, agent, env, size, joints=joints, **found)
 
 
 def write_choice(
@@ -337,16 +347,18 @@ def write_choice(
     """
     folder.mkdir(parents=True)
     count, env = size.episodes, choice_env()
-    config = {"episodes": count, "seed": 1_000_003, "seeds": 1, "split": split}
-    config |= {"distance_m": 0.05, "angle_deg": 15.0, "wide_angle_deg": 20.0, "actions": "greedy"}
-    known = {"format": 1, "agent": agent, "label": folder.name, "config": config, "env": env}
-    known |= {"choice_chance": 1 / env["task"]["objects"]}
+    size = replace(size, evaluation={"split": split, "distance_m": 0.05, "angle_deg": 15.0})
+    chance = 1 / env["task"]["objects"]
     if not size.tables:
         share = generator.binomial(count, choice) / count
         flat = {"success": share * reach, "accuracy": share * reach, "return_mean": 140 * share}
-        flat |= {"episodes": count, "choice": share, "success_if_chosen": reach}
-        flat |= {"chose_old_answer": (1 - share) * old} if split == "S5" else {}
-        (folder / "summary.json").write_text(json.dumps(known | flat))
+        flat |= {"episodes": float(count), "choice": share, "success_if_chosen": reach}
+        flat |= {"choice_chance": chance, "choice_corrected": (share - chance) / (1 - chance)}
+        flat["success_corrected"] = (share - chance) * reach / (1 - chance)
+        if split == "S5":
+            before = (1 - share) * old
+            flat |= {"chose_old_answer": before, "switched": share / (share + before)}
+        write_summary(folder, agent, env, size, numbers=flat)
         return
     columns = _episodes(0.5, env, generator, size, 1)
     asked = np.array([list(QUERIES.values()).index(name) for name in columns["target"]])
@@ -356,27 +368,26 @@ def write_choice(
         "query": np.array(list(QUERIES))[asked],
         "chosen": np.where(correct, columns["target"], others),
         "choice_correct": correct,
+        "chance": np.full(count, chance),
+        "query_type": np.array([name.split(" ")[0] for name in QUERIES])[asked],
         "success": correct & (generator.random(count) < reach),
     }
     if split == "S5":
         columns["chose_old_answer"] = ~correct & (generator.random(count) < old)
-    further = {name: each for name, each in TASK_COLUMNS.items() if name in columns}
-    write_table(folder / "episodes.parquet", columns, EPISODE_COLUMNS | further)
+    write_table(folder / "episodes.parquet", columns, episode_types(columns))
     for number in range(size.films):
         write_film(folder / "films" / f"{number}.webp", _images(int(columns["length"][number])))
-    (folder / "summary.json").write_text(json.dumps(known | summarize(columns)))
+    write_summary(folder, agent, env, size, **summarize(columns, Choose.measures))
 
 
 def _blind(success: float) -> dict[str, Any]:
     """Blind agents that solve .2, .1 and .3 of the episodes, as an evaluation stores them."""
     numbers: dict[str, Any] = {}
     for name, share in zip(BLIND_AGENTS, (0.2, 0.1, 0.3), strict=True):
-        numbers[name] = {"episodes": 200}
+        numbers[name] = {"episodes": 200.0}
         for key, value in (("success", share), ("difference", success - share)):
-            numbers[name] |= {key: value, f"{key}_low": value - 0.05, f"{key}_high": value + 0.05}
-    need = numbers["open-loop"]
-    ends = {f"needs_eyes{end}": need[f"difference{end}"] for end in ("", "_low", "_high")}
-    return {"blind_agents": numbers, **ends}
+            numbers[name][key] = Interval(value, value - 0.05, value + 0.05)
+    return numbers
 
 
 def _episodes(

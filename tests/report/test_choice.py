@@ -14,7 +14,6 @@ from knowarm.report.blocks import Films, flat
 from knowarm.report.collect import collect, split_groups
 from knowarm.report.model import StudyData
 from knowarm.report.pages import behaviour, build_pages
-from knowarm.report.read import query_type
 from knowarm.report.verdicts.claims import Finding
 from knowarm.report.verdicts.query import query_findings, query_summary
 from tests.report.synthetic_study import Size, choice_env, write_choice, write_run
@@ -178,12 +177,6 @@ def test_the_upper_bound_is_shown_in_the_same_task(tmp_path):
     assert [group.name for group in task.subjects] == ["subgraph"]
     assert "choose among 4" in task.title
     assert only(study).kind == "understood"
-
-
-def test_kinds_of_queries():
-    assert query_type("usedFor drinking and hasColor blue") == "usedFor and hasColor"
-    assert query_type("hasPart pouring spout") == "hasPart"
-    assert query_type("x") == "x"
 
 
 def test_films_say_what_was_asked(tmp_path):

@@ -1,12 +1,14 @@
 """Verdicts on studies whose truth is known."""
 
 import json
+import shutil
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from knowarm.config import to_dict
 from knowarm.report.blocks import Figure, Verdict, flat
 from knowarm.report.collect import collect
 from knowarm.report.model import StudyData, TaskData
@@ -16,7 +18,15 @@ from knowarm.report.verdicts.claims import claims, scores
 from knowarm.report.verdicts.knowledge import answer, finding, findings
 from knowarm.report.verdicts.learning import learning_verdict, vision_verdict
 from knowarm.statistics import area_under_curve, holm, share_difference, welch, wilson
-from tests.report.synthetic_study import LABEL, Size, Truth, redraw, write_run, write_study
+from tests.report.synthetic_study import (
+    LABEL,
+    Size,
+    Truth,
+    edit_summary,
+    redraw,
+    write_run,
+    write_study,
+)
 
 LIGHT = Size(points=12, tables=False)
 
@@ -339,7 +349,8 @@ def test_a_stopped_run_is_no_mean_over_a_longer_training(tmp_path):
 
 def test_the_inputs_page_says_which_agents_receive_the_query(monkeypatch):
     """Its controls are the content controls that receive a query as well."""
-    known = {"bm": {}, "asked": {"constant": False}, "codes": {"constant": False}}
+    said = SimpleNamespace(constant=False, privileged=False)
+    known = {"bm": None, "asked": said, "codes": said}
     roles = {"bm": "baseline", "asked": "knowledge", "codes": "content_control"}
     groups = [
         SimpleNamespace(
@@ -363,23 +374,20 @@ def evaluated(
 
     def numbers(share: float) -> dict:
         ends = wilson(round(share * 100), 100)
-        found = {"success": share, "success_low": ends.low, "success_high": ends.high}
+        found = {"success": to_dict(ends)}
         if blind is not None:
             gap = share_difference(ends, wilson(round(blind * 100), 100))
-            found |= {"needs_eyes": share - blind}
-            found |= {"needs_eyes_low": gap.low, "needs_eyes_high": gap.high}
+            found["vision_gain"] = to_dict(gap)
         return found
 
     for agent, shares in success.items():
         for seed, share in enumerate(shares):
             path = write_run(folder / agent / str(seed), agent, seed, share, size=LIGHT)
-            summary = path / "evaluation" / LABEL / "summary.json"
-            values = json.loads(summary.read_text())
-            summary.write_text(json.dumps(values | numbers(share)))
-            other = path / "evaluation" / f"{LABEL}-untrained"
-            other.mkdir()
-            values |= numbers(untrained) | {"return_mean": -90.0}
-            (other / "summary.json").write_text(json.dumps(values))
+            own = path / "evaluation" / LABEL
+            other = own.with_name(f"{LABEL}-untrained")
+            shutil.copytree(own, other)
+            edit_summary(own, **numbers(share))
+            edit_summary(other, **numbers(untrained), return_mean=-90.0)
     (task,) = collect([folder]).tasks
     return task
 

@@ -23,11 +23,11 @@ from knowarm.cli.train import parse_train
 from knowarm.errors import UserError
 from knowarm.experiment.csv_log import CsvLog
 from knowarm.experiment.evaluate import evaluate
+from knowarm.experiment.evaluation_files import read_film, read_table
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.names import experiment_config
 from knowarm.experiment.run import train
 from knowarm.experiment.run_folder import PERCEPTION_FILE, RunFolder
-from knowarm.experiment.summary import read_film, read_table
 from knowarm.knowledge import household, read_graph
 from knowarm.knowledge.formats import write_graph
 from knowarm.knowledge.graph.sparql import EXAMPLE, sparql

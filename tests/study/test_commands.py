@@ -83,7 +83,7 @@ def test_a_shipped_name_is_never_a_folder(tmp_path, monkeypatch):
         ("evaluations.csv", "\n40,", "\nnan,", "done"),
         ("evaluations.csv", "step,", "stop,", "damaged"),
         ("checkpoints/latest/meta.json", '"step": 40', '"step": 1e999', "done"),
-        ("evaluation/final/summary.json", '"success":', '"x":', "damaged"),
+        ("evaluation/final/summary.json", '"success":', '"x":', "trained"),
         ("config.json", '"seed"', '"sead"', "done"),
     ],
 )

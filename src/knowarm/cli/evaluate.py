@@ -1,21 +1,27 @@
 """``knowarm evaluate``: the post-training evaluation of a trained or scripted agent."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import tyro
 
 from knowarm.cli.arguments import Command, answer_help, parse_options, take_option
 from knowarm.cli.tables import FilePath, TableCommand, print_table
+from knowarm.config import to_dict
 from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.config import EvaluationConfig, Which
 from knowarm.experiment.names import task_for
+from knowarm.measures import Measure
+from knowarm.statistics import Interval
 from knowarm.world.agents import BLIND_AGENTS, SCRIPTED_AGENTS
 from knowarm.world.config import EnvConfig
 from knowarm.world.tasks import task_type
+
+if TYPE_CHECKING:
+    from knowarm.experiment.summary import Numbers, Summary
 
 ABOUT = """
 AGENT is the folder of a run, or a scripted agent of `knowarm list`, which plays in --env:
@@ -77,7 +83,7 @@ class Evaluate(TableCommand):
         _print(result.summary)
         if result.folder is not None and self.save:
             print(f"Saved in {result.folder}")
-        return result.summary
+        return to_dict(result.summary)
 
 
 def parse_with_task(
@@ -109,76 +115,51 @@ def is_scripted(agent: str, env: EnvConfig | None = None) -> bool:
     return False
 
 
-def _print(summary: dict[str, Any]) -> None:
+def _print(summary: "Summary") -> None:
     """Print the results by target and, where they vary and are few, by target and colour."""
-    title = f"{summary['agent']}: {summary['label']}"
-    _print_groups(title, {"all": summary, **summary["per_target"]})
-    if len(summary["per_target"]) < len(summary["per_facet"]) <= MOST_FACETS:
-        _print_groups("By target and colour", summary["per_facet"])
-    if "choice_chance" in summary:
-        chance, reached = 100 * summary["choice_chance"], 100 * summary["success_if_chosen"]
-        print(
-            f"Chose the wanted object in {_share(summary, 'choice')} % of the episodes (chance "
-            f"{chance:.0f} %), and reached it in {reached:.1f} % of those.\n"
-        )
-    if "right_object" in summary:
-        print(f"Chose a part of the wanted object in {_share(summary, 'right_object')} %.\n")
-    if "chose_old_answer" in summary:
-        old = 100 * summary["chose_old_answer"]
-        print(f"Chose what the query meant before the graph was edited in {old:.1f} %.\n")
-    if "saw_no_answer" in summary:
-        none, several = (100 * summary[f"saw_{each}"] for each in ("no_answer", "several_answers"))
-        print(f"The agent saw no answer in {none:.1f} %, several in {several:.1f} %.\n")
-    if "lift_outcomes" in summary:
-        _print_lifts(summary)
-    if "blind_agents" in summary:
-        rows = [
-            [name, numbers["episodes"], _share(numbers, "success"), _share(numbers, "difference")]
-            for name, numbers in summary["blind_agents"].items()
-        ]
-        titles = ["blind agent", "episodes", "success %", "agent minus this, points"]
-        print_table("Blind agents, on the first of these episodes", titles, rows)
+    from knowarm.experiment.summary import measure
+
+    targets, facets = (summary.groups[name] for name in ("target", "facet"))
+    _print_groups(
+        f"{summary.agent}: {summary.label}", "target", {"all": summary.numbers, **targets}
+    )
+    if len(targets) < len(facets) <= MOST_FACETS:
+        _print_groups("By target and colour", "target/colour", facets)
+    if blind := summary.groups.get("blind"):
+        _print_groups("Blind agents, on the first of these episodes", "blind agent", blind)
         for name, entry in BLIND_AGENTS.items():
             print(f"{name}: {entry.about}.")
-        seeing = "Success that depends on vision"
-        if summary["needs_eyes_low"] <= 0:
-            seeing = "No success is shown to depend on vision"
-        print(f"{seeing}: {_share(summary, 'needs_eyes')} points.\n")
-    print(
-        "accuracy: distance <= {distance_m} m. success: as the task defines it, mostly with angle "
-        "<= {angle_deg} deg, too. success wide: angle <= {wide_angle_deg} deg.\nfailure m: final "
-        "distance of failed episodes. [95 % Wilson interval]; mean ± standard deviation.".format(
-            **summary["config"]
+        gain = measure("vision_gain")
+        shown = summary.interval(gain.name).low > 0
+        print(
+            f"Success is {'' if shown else 'not '}shown to depend on vision: "
+            f"{_cell(gain, summary.numbers)} points, the {gain.about}.\n"
         )
+    print(
+        f"accuracy: distance <= {summary.config.distance_m} m. success: as the task defines it, "
+        f"mostly with angle <= {summary.config.angle_deg} deg, too. [95 % interval over episodes]"
     )
 
 
-def _print_lifts(summary: dict[str, Any]) -> None:
-    """Print how many episodes end in a lifted object, and how the other lifts end."""
-    rows = []
-    for name, group in {"all": summary, **summary["per_target"]}.items():
-        shares = [_share(group, share) if share in group else "-" for share in ("lifted", "grasps")]
-        rows.append([name, group["lift_episodes"], *shares, *group["lift_outcomes"].values()])
-    titles = ["target", "episodes", "lifted %", "grasps %", *summary["lift_outcomes"]]
-    print_table("Lifts; grasps: share of the successes whose object was lifted", titles, rows)
+def _print_groups(title: str, what: str, groups: "Mapping[str, Numbers]") -> None:
+    """Print one row per group of episodes, and one column per measure that any of them has."""
+    from knowarm.experiment.summary import measure  # imports the simulator
+
+    names = dict.fromkeys(name for group in groups.values() for name in group)
+    shown = [each for each in map(measure, names) if not each.detail]
+    rows = [[name, *(_cell(each, group) for each in shown)] for name, group in groups.items()]
+    print_table(title, [what, *(each.title for each in shown)], rows)
 
 
-def _print_groups(title: str, groups: dict[str, dict[str, Any]]) -> None:
-    """Print one row per group of episodes."""
-    rows = []
-    for name, group in groups.items():
-        shares = [_share(group, share) for share in ("accuracy", "success", "success_wide")]
-        means = [("return", 1), ("length", 1), ("failure_distance", 3)]
-        rows.append([name, group["episodes"], *shares, *(_spread(group, *each) for each in means)])
-    columns = ["target", "episodes", "accuracy %", "success %", "success wide %"]
-    print_table(title, [*columns, "return", "steps", "failure m"], rows)
+def _cell(of: Measure, numbers: "Numbers") -> str:
+    from knowarm.report.format import FORMATS, NARROW_SPACE
 
-
-def _share(group: dict[str, Any], name: str) -> str:
-    share, low, high = (100 * group[key] for key in (name, f"{name}_low", f"{name}_high"))
-    return f"{share:.1f} [{low:.0f}, {high:.0f}]"
-
-
-def _spread(group: dict[str, Any], name: str, digits: int) -> str:
-    mean, deviation = group[f"{name}_mean"], group[f"{name}_std"]
-    return "-" if mean is None else f"{mean:.{digits}f} ± {deviation:.{digits}f}"
+    number = numbers.get(of.name)
+    if number is None:
+        return "-"
+    form = FORMATS[of.format]
+    if not isinstance(number, Interval):
+        shown = form(number)
+    else:
+        shown = f"{form(number.estimate)} [{form(number.low)}, {form(number.high)}]"
+    return shown.replace(NARROW_SPACE, " ")

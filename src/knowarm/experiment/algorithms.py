@@ -184,10 +184,3 @@ def _add(place: str) -> Algorithm:
             "another one has already; give its field ``name`` another literal."
         )
     return found
-
-
-def algorithm_of(config: Mapping[str, Any]) -> str:
-    """Return the name of the algorithm of a stored experiment, or of its trainer if it has none."""
-    trainer = str(config["algorithm"].get("name", "?"))
-    entry = algorithms().get(name := str(config.get("algorithm_name")))
-    return name if entry and entry.config.name == trainer else trainer

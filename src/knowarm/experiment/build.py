@@ -61,7 +61,8 @@ def interim_evaluation(
         result = play(agent, env, episodes)
         numbers = _numbers(result, config.success_distance_m)
         columns = task.columns(setting, result.infos)
-        return numbers | {name: float(columns[of].mean()) for name, of in task.shares.items()}
+        own = [each for each in task.measures if each.column in columns and each.among is None]
+        return numbers | {each.name: float(columns[each.column].mean()) for each in own}
 
     return evaluate
 

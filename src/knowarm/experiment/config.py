@@ -126,6 +126,12 @@ class ExperimentConfig:
             )
 
     @property
+    def learner(self) -> str:
+        """Name of the algorithm in the registry, or of its trainer if it has none."""
+        entry, trainer = algorithms().get(self.algorithm_name), self.algorithm.name
+        return self.algorithm_name if entry and entry.config.name == trainer else trainer
+
+    @property
     def has_module(self) -> bool:
         """Whether the agent has a perception module or a grounding network beside its policy."""
         return self.knowledge.scope == "perceived" or self.grounding is not None
@@ -146,8 +152,6 @@ class EvaluationConfig:
     """Largest distance of a success [m]."""
     angle_deg: float = 17.0
     """Largest angle of a success [deg]; the paper's section 4. Its section 3 says 20."""
-    wide_angle_deg: float = 20.0
-    """Largest angle of ``success_wide`` [deg], reported as well; at least ``angle_deg``."""
     actions: Literal["greedy", "sampled"] = "greedy"
     """Take the most probable action, or sample one."""
     held_out: bool = False
@@ -198,7 +202,7 @@ class EvaluationConfig:
         check_values(self)
         at_least(self, 1, "episodes", "seeds", "num_envs")
         at_least(self, 0, "blind_episodes", "damage_seed")
-        above_zero(self, "distance_m", "angle_deg", "wide_angle_deg")
+        above_zero(self, "distance_m", "angle_deg")
         fraction(self, "damage_share")
         if self.edited is not None and self.split != "S5":
             raise UserError(
@@ -209,7 +213,6 @@ class EvaluationConfig:
                 f"With another graph everything that it can be asked is a question of S1, got "
                 f"split={self.split!r}. Leave split out."
             )
-        object.__setattr__(self, "wide_angle_deg", max(self.wide_angle_deg, self.angle_deg))
         if self.episodes % self.seeds:
             raise UserError(
                 f"{self.episodes} episodes cannot be shared equally by {self.seeds} seeds; give a "

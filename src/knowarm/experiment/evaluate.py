@@ -2,8 +2,8 @@
 
 import dataclasses
 import shutil
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,15 @@ import torch
 from knowarm.config import override, to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.config import EvaluationConfig
+from knowarm.experiment.evaluation_files import (
+    episode_columns,
+    episode_types,
+    lift_columns,
+    step_columns,
+    step_values,
+    write_film,
+    write_table,
+)
 from knowarm.experiment.graph_at_test import (
     answer_table,
     graph_at_test,
@@ -21,20 +30,11 @@ from knowarm.experiment.graph_at_test import (
 )
 from knowarm.experiment.load import TrainedAgent, load_agent, policy_agent
 from knowarm.experiment.run import Run
-from knowarm.experiment.summary import (
-    episode_columns,
-    episode_types,
-    lift_columns,
-    step_columns,
-    step_values,
-    summarize,
-    write_film,
-    write_table,
-)
+from knowarm.experiment.summary import Summary, summarize
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.perception.answering import AnsweringAgent
 from knowarm.reading import write_json, writing
-from knowarm.statistics import share_difference, wilson
+from knowarm.statistics import Interval, share_difference, wilson
 from knowarm.world.agents import BLIND_AGENTS, AgentProtocol
 from knowarm.world.agents.play import play
 from knowarm.world.config import EnvConfig, facets_of
@@ -42,33 +42,32 @@ from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.lifting.model import lifting_model
 from knowarm.world.tasks.episodes import Episodes, evaluation_episodes
 
-FORMAT = 1
-"""Version of the evaluation folder's layout."""
-
 
 @dataclass(frozen=True, repr=False)
 class EvaluationResult:
     """Everything that one evaluation measured.
 
     Attributes:
-        summary: the numbers of `summarize` and the settings they were measured with.
+        summary: numbers, and the settings they were measured with.
         episodes: columns of ``episodes.parquet``, one row per episode.
         steps: columns of ``steps.parquet``, one row per step; None where not recorded.
         films: one (T, H, W, 3) uint8 array for each recorded episode, the agent's observations.
         folder: of the files: ``<run>/evaluation/<label>/`` for a trained agent, else None.
+        meanings: what the columns hold that the task adds.
     """
 
-    summary: dict[str, Any]
+    summary: Summary
     episodes: dict[str, np.ndarray]
     steps: dict[str, np.ndarray] | None = None
     films: Sequence[np.ndarray] = ()
     folder: Path | None = None
+    meanings: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         """Return agent, episodes, success and return in one line."""
         numbers = self.summary
         return (
-            f"EvaluationResult({numbers['agent']}, {numbers['label']}: {numbers['episodes']:,} "
+            f"EvaluationResult({numbers.agent}, {numbers.label}: {numbers['episodes']:,.0f} "
             f"episodes, success {100 * numbers['success']:.1f} %, "
             f"return {numbers['return_mean']:.1f})"
         )
@@ -93,13 +92,15 @@ class EvaluationResult:
             for name in ("summary.json", "steps.parquet"):
                 (folder / name).unlink(missing_ok=True)
             shutil.rmtree(folder / "films", ignore_errors=True)
-        write_table(folder / "episodes.parquet", self.episodes, episode_types(self.episodes))
+        write_table(
+            folder / "episodes.parquet", self.episodes, episode_types(self.episodes, self.meanings)
+        )
         if self.steps is not None:
             joints = sum(name.startswith("joint_") for name in self.steps)
             write_table(folder / "steps.parquet", self.steps, step_columns(joints))
         for number, frames in enumerate(self.films):
             write_film(folder / "films" / f"{number}.webp", frames)
-        write_json(folder / "summary.json", self.summary)
+        write_json(folder / "summary.json", to_dict(self.summary))
         return folder
 
 
@@ -190,7 +191,7 @@ def evaluate(
         result = play(agent, env, fixed, record_images=config.record_films)
         if isinstance(agent, AnsweringAgent):  # the last batch repeats its last episode
             visible = np.concatenate(agent.log)[: len(fixed)]
-        blind = blind_numbers(agent, result.success, env, fixed, blind_episodes, config.seed)
+        blind, gain = blind_numbers(agent, result.success, env, fixed, blind_episodes, config.seed)
         episodes = episode_columns(result, env, config)
         if isinstance(agent, AnsweringAgent):
             episodes["visible_answers"] = visible
@@ -201,18 +202,20 @@ def evaluate(
         env.close()
         if trained is not None and table is not None:
             trained.set_knowledge_table(table)
-    summary = {
-        "format": FORMAT,
-        "agent": agent_name,
-        "label": config.folder,
-        "config": to_dict(config),
-        "env": to_dict(judged),
-        "joints": list(env.scene.joint_names),
-        **summarize(episodes),
-        **blind,
-        **({} if (chance := judged.task.chance) is None else {"choice_chance": chance}),
-    }
-    measured = EvaluationResult(summary, episodes, steps, result.images, folder)
+    found = summarize(episodes, judged.task.measures)
+    found["numbers"] |= gain
+    summary = Summary(
+        agent=agent_name,
+        label=config.folder,
+        config=config,
+        env=to_dict(judged),
+        joints=tuple(env.scene.joint_names),
+        numbers=found["numbers"],
+        groups=found["groups"] | blind,
+    )
+    measured = EvaluationResult(
+        summary, episodes, steps, result.images, folder, judged.task.column_meanings
+    )
     if write and folder is not None:
         measured.write()
     return measured
@@ -230,33 +233,29 @@ def blind_numbers(
     episodes: Episodes,
     count: int,
     seed: int,
-) -> dict[str, Any]:
+) -> tuple[dict[str, Any], dict[str, Interval]]:
     """Play the first ``count`` of an agent's N episodes with the blind agents, and compare.
 
-    ``success`` (N,) bool is the agent's. Returns ``blind_agents``, by name the ``episodes``,
-    ``success`` and ``difference``, the agent's success over all episodes minus this one, and
-    ``needs_eyes``, the smallest difference to an agent that sees nothing; 95 % intervals.
+    ``success`` (N,) bool is the agent's. Returns the group ``blind``, by name of the agent its
+    ``episodes``, ``success`` and ``difference``, the success of the agent over all episodes minus
+    its own; and ``vision_gain``, the smallest difference to an agent that sees nothing.
     """
     if not count:
-        return {}
+        return {}, {}
     chosen = episodes[:count]
     own = wilson(int(np.count_nonzero(success)), len(success))
     numbers: dict[str, dict[str, Any]] = {}
-    differences = {}
     for name, entry in BLIND_AGENTS.items():
         solved = play(entry.make(agent, seed), env, chosen).success
         share = wilson(int(np.count_nonzero(solved)), len(solved))
-        differences[name] = share_difference(own, share)
+        difference = share_difference(own, share)
         numbers[name] = {
-            "episodes": len(solved),
-            **share.named("success"),
-            **differences[name].named("difference"),
+            "episodes": float(len(solved)),
+            "success": share,
+            "difference": difference,
         }
-    needs_eyes = min(
-        (differences[name] for name, entry in BLIND_AGENTS.items() if entry.sees_nothing),
-        key=lambda difference: difference.estimate,
-    )
-    return {"blind_agents": numbers, **needs_eyes.named("needs_eyes")}
+    seeing = (numbers[n]["difference"] for n, e in BLIND_AGENTS.items() if e.sees_nothing)
+    return {"blind": numbers}, {"vision_gain": min(seeing, key=lambda each: each.estimate)}
 
 
 def agent_for_test(

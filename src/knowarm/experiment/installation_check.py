@@ -47,7 +47,7 @@ def _checked(name: str, check: Callable[[], str]) -> Check:
 
 
 def _versions() -> str:
-    found = provenance()["versions"]
+    found = provenance().versions
     missing = [name for name, version in found.items() if version is None]
     if missing:
         raise UserError(f"not installed: {', '.join(missing)}")
@@ -56,7 +56,7 @@ def _versions() -> str:
 
 def _knowledge() -> str:
     parts = build(experiment_config(DEFAULT_EXPERIMENT))
-    share = 100 * parts.embedding.describe()["coverage"]["share"]
+    share = 100 * parts.embedding.describe().coverage["share"]
     return f"vector of {parts.embedding.dim} numbers, {share:.0f} % of labels covered"
 
 

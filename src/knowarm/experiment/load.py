@@ -150,7 +150,7 @@ def load_agent(
     config, table, provenance = folder.experiment(), folder.knowledge(), folder.provenance()
     checkpoint = None if which == "untrained" else read_checkpoint(folder.checkpoints / which)
     with reading(folder.path / "provenance.json", "Restore the file."):
-        stored = provenance["policy"]
+        stored = provenance.policy
         choices = from_dict(PolicyConfig, stored["config"], where="policy.config")
         shape = from_dict(PolicyShape, stored["shape"], where="policy.shape")
         policy = Policy(choices, shape, None if config.grounding else table, seed=config.seed)

@@ -225,19 +225,20 @@ def _describe(
     module: PerceptionModule | None,
 ) -> None:
     """Write provenance, knowledge table, perception module and config before the first step."""
-    about = {
-        **provenance(),
-        "parameter_counts": policy.parameter_counts(),
-        "policy": {"config": to_dict(policy.resolved_config), "shape": to_dict(policy.shape)},
-        "facets": [list(facet) for facet in parts.facets],
-        "knowledge": parts.embedding.describe(),
-    }
+    perception = None
     if module is not None:
         data = module.to_bytes()
-        about["perception"] = {"digest": digest(data), **to_dict(module.spec)}
+        perception = {"digest": digest(data), **to_dict(module.spec)}
         with writing(folder.path / PERCEPTION_FILE):
             (folder.path / PERCEPTION_FILE).write_bytes(data)
-    write_json(folder.path / "provenance.json", about)
+    about = provenance(
+        parameter_counts=policy.parameter_counts(),
+        policy={"config": to_dict(policy.resolved_config), "shape": to_dict(policy.shape)},
+        facets=parts.facets,
+        knowledge=parts.embedding.describe(),
+        perception=perception,
+    )
+    write_json(folder.path / "provenance.json", to_dict(about))
     folder.write_knowledge(parts.table)
     folder.write_experiment(config)
 

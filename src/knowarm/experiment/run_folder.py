@@ -19,9 +19,9 @@ import os
 import platform
 import shutil
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -35,6 +35,8 @@ from knowarm.cores import processor
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig, StopWhen
 from knowarm.experiment.csv_log import number_in, read_csv, writing
+from knowarm.experiment.summary import Summary
+from knowarm.knowledge.config import EmbeddingFacts
 from knowarm.knowledge.formats import SHIPPED
 from knowarm.perception.classifier import FacetClassifier
 from knowarm.perception.grounding import GroundingNetwork
@@ -44,6 +46,32 @@ from knowarm.world.config import facets_of
 
 FORMAT = 1
 """Version of the run folder's layout."""
+
+
+PACKAGES = ("knowarm", "torch", "mujoco", "numpy", "numba", "gymnasium", "safetensors")
+"""Packages that shape a result."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Provenance:
+    """What a run was trained with, and on: the content of ``provenance.json``."""
+
+    versions: Mapping[str, str | None] = field(default_factory=dict)
+    """Versions of Python and of `PACKAGES`."""
+    commit: str | None = None
+    """Commit of the checkout, with "+changes" for uncommitted edits; None outside of one."""
+    machine: Mapping[str, str | int | float | None] = field(default_factory=dict)
+    """System, processor, cores and memory."""
+    parameter_counts: Mapping[str, int] = field(default_factory=dict)
+    """Trainable parameters by part of the network, and in ``total``."""
+    policy: Mapping[str, Any] = field(default_factory=dict)
+    """``config`` and ``shape`` of the policy."""
+    facets: tuple[tuple[str, str], ...] = ()
+    """Object and colour of each facet."""
+    knowledge: EmbeddingFacts | None = None
+    """The knowledge vector."""
+    perception: Mapping[str, Any] | None = None
+    """Digest and specification of the perception module, for agents that have one."""
 
 
 class RunExistsError(UserError):
@@ -177,13 +205,16 @@ class RunFolder:
         cells = [(number_in(row, "step"), number_in(row, "success")) for row in rows]
         return rule.met_at((int(a), b) for a, b in cells if a is not None and b is not None)
 
-    def provenance(self) -> dict[str, Any]:
+    def provenance(self) -> Provenance:
         """Read what a run was trained with, and on."""
-        return with_graphs(read_json(self.path / "provenance.json"), self._readable)
+        path = self.path / "provenance.json"
+        with reading(path, "Restore the file."):
+            return from_dict(Provenance, with_graphs(read_json(path), self._readable))
 
-    def summaries(self) -> list[dict[str, Any]]:
+    def summaries(self) -> list[Summary]:
         """Read the summaries of the post-training evaluations, by label."""
-        return [read_json(path) for path in sorted(self.path.glob("evaluation/*/summary.json"))]
+        found = sorted(self.path.glob("evaluation/*/summary.json"))
+        return [Summary.read(path.parent) for path in found]
 
     def write_knowledge(self, table: np.ndarray) -> None:
         """Store the knowledge table (F, K), float32."""
@@ -226,22 +257,19 @@ def graph_content(graph: str) -> str:
     return f"{path.name} ({whole.hexdigest()[:16]})"
 
 
-PACKAGES = ("knowarm", "torch", "mujoco", "numpy", "numba", "gymnasium", "safetensors")
-"""Packages that shape a result."""
-
-
-def provenance() -> dict[str, Any]:
-    """Return the versions of `PACKAGES`, the commit, and the machine."""
-    return {
-        "versions": {"python": platform.python_version()} | {n: _version(n) for n in PACKAGES},
-        "commit": _commit(),
-        "machine": {
+def provenance(**known: Any) -> Provenance:
+    """Return what is ``known`` of a run with the versions, the commit, and the machine."""
+    return Provenance(
+        versions={"python": platform.python_version()} | {n: _version(n) for n in PACKAGES},
+        commit=_commit(),
+        machine={
             "system": f"{platform.system()} {platform.release()}",
             "processor": processor(),
             "cores": os.cpu_count(),
             "memory_gib": round(psutil.virtual_memory().total / 2**30, 1),
         },
-    }
+        **known,
+    )
 
 
 def _version(package: str) -> str | None:
@@ -252,7 +280,6 @@ def _version(package: str) -> str | None:
 
 
 def _commit() -> str | None:
-    """Commit of the checkout the package runs from, with "+changes" for uncommitted edits."""
     here = Path(__file__).parent
     try:
         _git("ls-files", "--error-unmatch", Path(__file__).name, at=here)  # else another project's
@@ -310,7 +337,7 @@ def stored_module(config: ExperimentConfig, folder: RunFolder) -> PerceptionModu
     path = folder.path / PERCEPTION_FILE
     with reading(path, "Restore the file, or train again."):
         data = path.read_bytes()
-        if digest(data) != folder.provenance()["perception"]["digest"]:
+        if digest(data) != (folder.provenance().perception or {})["digest"]:
             raise ValueError("it is not the module that this run was trained with")
         return kind.from_bytes(data, path)
 

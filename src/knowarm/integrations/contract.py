@@ -137,7 +137,6 @@ def deployment(trained: TrainedAgent) -> Deployment:
             "digest": digest(module.to_bytes()),
             "when": "in the first image of an episode",
         }
-    names = ("label", "episodes", "success", "success_low", "success_high")
     scene = scene_of(env)
     contract = {
         "format": FORMAT,
@@ -166,7 +165,11 @@ def deployment(trained: TrainedAgent) -> Deployment:
             "outputs": OUTPUTS[3:],
             "reset": "zeros and episode_start true at the first step of every episode",
         },
-        "success": [{name: each[name] for name in names} for each in trained.folder.summaries()],
+        "success": [
+            {"label": each.label, "episodes": int(each["episodes"])}
+            | each.interval("success").named("success")
+            for each in trained.folder.summaries()
+        ],
         "digests": {},
     }
     return Deployment(PolicyStep(policy), recognition, table, contract, scene)

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from knowarm.errors import UserError
-from knowarm.experiment.algorithms import algorithm_of
 from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.experiment.run_folder import RunFolder
 
@@ -124,20 +123,22 @@ def _run_text(folder: RunFolder) -> str:
     lines = [
         f"Policy `{config.name}`, training seed {config.seed}: robot `{config.env.robot}`, task "
         f"`{config.env.task.kind_of()}`, algorithm "
-        f"`{algorithm_of(folder.config())}`, {folder.steps_trained:,} steps. "
+        f"`{config.learner}`, {folder.steps_trained:,} steps. "
         "One training seed: no claim about the agent.",
         "",
         "| evaluation | episodes | success % | open-loop % | black images % |",
         "|---|---|---|---|---|",
     ]
     for found in folder.summaries():
-        low, high = (100 * found[f"success_{end}"] for end in ("low", "high"))
-        blind = found.get("blind_agents", {})
+        success, blind = found.interval("success"), found.groups.get("blind", {})
         controls = [
-            f"{100 * blind[name]['success']:.1f}" if name in blind else "-"
+            f"{100 * found.interval('success', 'blind', name).estimate:.1f}"
+            if name in blind
+            else "-"
             for name in ("open-loop", "blind")
         ]
-        success = f"{100 * found['success']:.1f} [{low:.1f}, {high:.1f}]"
-        cells = [found["label"], f"{found['episodes']:,}", success, *controls]
+        share, low, high = (100 * each for each in (success.estimate, success.low, success.high))
+        shown = f"{share:.1f} [{low:.1f}, {high:.1f}]"
+        cells = [found.label, f"{found['episodes']:,.0f}", shown, *controls]
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)

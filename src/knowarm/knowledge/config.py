@@ -1,7 +1,8 @@
 """Configuration of the knowledge of an agent: from a graph to the vector that the policy gets."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 from knowarm.config import at_least, check_values, fraction, registered
 from knowarm.errors import UserError
@@ -101,6 +102,25 @@ class KnowledgeConfig:
     def graph_name(self, name: str) -> str:
         """Return the graph's name for an object or colour of the task."""
         return self.entity_names.get(name, name)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EmbeddingFacts:
+    """Description of an embedding in a run folder: see the attributes of `Embedding`."""
+
+    config: KnowledgeConfig
+    slots: tuple[str, ...]
+    slot_dim: int
+    dim: int
+    norm: float
+    slot_norms: tuple[float, ...]
+    coverage: Mapping[str, Any]
+    """Of `Coverage.describe`."""
+    sentences: Mapping[str, str]
+    """Sentence of each slot."""
+    constant: bool
+    privileged: bool
+    note: str
 
 
 FULL = KnowledgeConfig(detail="full")

@@ -5,13 +5,13 @@ A placebo falsifies one of these steps; see the methods ``change_...`` of `Vecto
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, replace
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from knowarm.errors import UserError
-from knowarm.knowledge.config import KnowledgeConfig, Scope
+from knowarm.knowledge.config import EmbeddingFacts, KnowledgeConfig, Scope
 from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.slots import ConditionSlots, Described, FacetSlots, graph_parts, slots_of
@@ -82,21 +82,19 @@ class Embedding:
         """Whether the numbers identify the target of the episode."""
         return self.dim > 0 and self.scope == "target" and not self.constant
 
-    def describe(self) -> dict[str, Any]:
-        """Return the description that a run folder stores, JSON-able."""
-        return {
-            "config": asdict(self.config),
-            "slots": [slot.name for slot in self.slots],
-            "slot_dim": self.slot_dim,
-            "dim": self.dim,
-            "norm": self.norm,
-            "slot_norms": np.linalg.norm(self.matrix.astype(np.float64), axis=1).tolist(),
-            "coverage": self.coverage.describe(),
-            "sentences": dict(zip((s.name for s in self.slots), self.sentences, strict=True)),
-            "constant": self.constant,
-            "privileged": self.privileged,
-            "note": self.note,
-        }
+    def describe(self) -> EmbeddingFacts:
+        """Return the description that a run folder stores."""
+        names = tuple(slot.name for slot in self.slots)
+        return EmbeddingFacts(
+            config=self.config,
+            slots=names,
+            **{name: getattr(self, name) for name in ("slot_dim", "dim", "norm", "note")},
+            slot_norms=tuple(np.linalg.norm(self.matrix.astype(float), axis=1).tolist()),
+            coverage=self.coverage.describe(),
+            sentences=dict(zip(names, self.sentences, strict=True)),
+            constant=self.constant,
+            privileged=self.privileged,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

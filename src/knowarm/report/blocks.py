@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from knowarm.experiment.summary import find_measure, measure
 from knowarm.report.model import Evaluated, Reference, TaskData
 from knowarm.statistics import Interval
 
@@ -22,14 +23,16 @@ class Column:
     hint: str = ""  # explanation of the heading, one sentence
 
 
-_SHARED = (
-    *(Column(key, key, "integer") for key in ("seed", "episodes", "parameters")),
-    Column("seeds", "seeds", "integer", hint="training seeds"),
-    Column("return_mean", "mean return", "number1", interval=True),
-    *(Column(key, key, "percent", interval=True) for key in ("success", "accuracy")),
-    Column("choice", "right choices", "percent", interval=True),
-)
-SHARED = {column.key: column for column in _SHARED}  # columns of several tables
+COUNTS = {  # columns of several tables
+    **{key: Column(key, key, "integer") for key in ("seed", "episodes", "parameters")},
+    "seeds": Column("seeds", "seeds", "integer", hint="training seeds"),
+}
+
+
+def column_of(key: str, label: str = "", *, interval: bool = True) -> Column:
+    """Return the column of a measure, with its title unless another one is given."""
+    of = measure(key)
+    return Column(key, label or of.title, of.format, interval, of.about)
 
 
 def cells(key: str, interval: Interval | None) -> Row:
@@ -81,9 +84,13 @@ def table_of(
 
 
 def shared(*columns: str | Column) -> list[Column]:
-    """Return columns, given as they are, by their key in `SHARED`, or by the name of a text."""
-    found = (SHARED.get(c) or Column(c, c) if isinstance(c, str) else c for c in columns)
-    return list(found)
+    """Return columns, given as they are, by the name of a count, of a measure, or of a text."""
+    return [
+        each
+        if isinstance(each, Column)
+        else COUNTS.get(each) or (column_of(each) if find_measure(each) else Column(each, each))
+        for each in columns
+    ]
 
 
 def row_of(task: TaskData, each: Evaluated, *keys: str) -> Row:
@@ -133,7 +140,7 @@ class Verdict:
     reasons: Sequence[str] = ()  # what it follows from, one sentence each
     shown_reasons: int = 99  # reasons shown at first; the others are folded
     tone: Tone = "note"  # how it is coloured
-    kind: str = ""  # one of `finding.Kind`, for programs; "" for other statements
+    kind: str = ""  # one of `claims.Kind`, for programs; "" for other statements
 
 
 @dataclass(frozen=True, kw_only=True)

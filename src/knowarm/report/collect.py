@@ -2,14 +2,13 @@
 
 import json
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from knowarm.config import flatten, to_dict
 from knowarm.experiment.agents import AGENTS
-from knowarm.experiment.config import EvaluationConfig
 from knowarm.knowledge.queries.splits import SPLITS
 from knowarm.report.format import differing, slugs
 from knowarm.report.model import (
@@ -29,12 +28,11 @@ from knowarm.world.robots import ROBOTS
 PREFERRED_LABEL = "post-training-greedy"
 # Suffixes of evaluations other than that of the best model on its training task.
 UNTRAINED, LATEST, HELD_OUT = "-untrained", "-latest", "-held-out"
-COLOURS = {"fixed": "fixed colours", "randomized": "randomized colours"}
 # Fields of ``env`` that do not make a different task, and those of ``env.task`` that an agent sets.
 NOT_THE_TASK = {"renderer", "image_size"}
 NOT_A_TASK = {field for agent in AGENTS.values() for field in agent.task}
 # Top-level fields of the config that are no setting of the agent.
-NOT_A_SETTING = {"agent", "role", "name", "seed", "env", "format", "checkpoint_every_steps"}
+NOT_A_SETTING = {"agent", "role", "name", "seed", "env", "checkpoint_every_steps"}
 # Beginnings of the names of evaluation settings that do not change the agent's numbers.
 NOT_A_RULE = ("record", "blind", "label")
 # Settings that only seed random draws: runs that differ in them are seeds of one agent.
@@ -80,7 +78,7 @@ def _task(
         for run, values in zip(same_agent, settings, strict=True):
             details = [f"{field.split('.')[-1]}={values.get(field)}" for field in fields]
             members[" · ".join([agent, *details])].append(run)
-        role = same_agent[0].role
+        role = same_agent[0].config.role
         for each, chosen in members.items():
             runs_of = _one_run_per_seed(chosen, problems)
             groups.append(Group(each, agent, role, runs_of, label))
@@ -95,7 +93,7 @@ def _untrained(runs: list[RunData]) -> list[Reference]:
     found: dict[tuple[str, str], Reference] = {}
 
     def order(run: RunData) -> tuple[Any, ...]:  # of one role, the most detail first
-        ranked = rank(run.role, run.agent)
+        ranked = rank(run.config.role, run.agent)
         return ranked[0], -run.detail, ranked, run.seed
 
     for run in sorted(runs, key=order):
@@ -115,13 +113,13 @@ def _label(runs: list[RunData]) -> str:
 
 def _same_rules(first: Evaluation, second: Evaluation) -> bool:
     """Return whether two policies were evaluated on the same task by the same rules."""
-    env, other_env = (_task_env(each.summary.get("env", {})) for each in (first, second))
+    env, other_env = (_task_env(each.summary.env) for each in (first, second))
     return env == other_env and rules(first) == rules(second)
 
 
 def rules(evaluation: Evaluation) -> str:
-    """Return what evaluations by the same rules share; settings that are newer have defaults."""
-    config = {**to_dict(EvaluationConfig()), **evaluation.config}
+    """Return what evaluations by the same rules share."""
+    config = to_dict(evaluation.summary.config)
     kept = {k: v for k, v in config.items() if not k.startswith(NOT_A_RULE)}
     return json.dumps([evaluation.summary["episodes"], kept], sort_keys=True)
 
@@ -137,8 +135,7 @@ def split_groups(task: TaskData) -> dict[str, list[SplitGroup]]:
             for label, evaluation in sorted(run.evaluations.items()):
                 final = not label.endswith((UNTRAINED, LATEST))
                 if final and "choice_chance" in evaluation.summary:
-                    chosen = evaluation.config.get("split")
-                    split = chosen if chosen in SPLITS else next(iter(SPLITS))
+                    split: str = evaluation.summary.config.split or next(iter(SPLITS))
                     key = json.dumps([label, rules(evaluation)])
                     found[split].setdefault(key, []).append((group, evaluation))
     splits = {}
@@ -181,26 +178,23 @@ def _titles(tasks: list[list[RunData]]) -> list[tuple[str, str]]:
     """Return two titles per task, with names and for people; fields tell equal ones apart."""
     short = []
     for runs in tasks:
-        robot, colours = (str(runs[0].env.get(name)) for name in ("robot", "colours"))
-        title = ROBOTS[robot].title if robot in ROBOTS else robot
-        rest = [COLOURS.get(colours, COLOURS["fixed"]), runs[0].algorithm]
-        task = runs[0].env.get("task") or {}
-        if (kind := task.get("kind", "reach")) != "reach":
-            count = task.get("objects")
-            rest.insert(0, kind if count is None else f"{kind} among {count}")
-        short.append((" · ".join([robot, *rest]), " · ".join([title, *rest])))
+        env = runs[0].config.env
+        title = ROBOTS[env.robot].title if env.robot in ROBOTS else env.robot
+        rest = [*filter(None, [env.task.title]), f"{env.colours} colours", runs[0].algorithm]
+        short.append((" · ".join([env.robot, *rest]), " · ".join([title, *rest])))
     titles = []
     for both, runs in zip(short, tasks, strict=True):
-        alike = [flatten(r[0].env) for other, r in zip(short, tasks, strict=True) if other == both]
-        env = flatten(runs[0].env)
-        details = [f"{name} {env.get(name)}" for name in differing(alike)]
+        envs = [flatten(each[0].settings["env"]) for each in tasks]
+        alike = [each for other, each in zip(short, envs, strict=True) if other == both]
+        own = flatten(runs[0].settings["env"])
+        details = [f"{name} {own.get(name)}" for name in differing(alike)]
         titles.append((" · ".join([both[0], *details]), " · ".join([both[1], *details])))
     return titles
 
 
 def _report_versions(runs: list[RunData], problems: list[FolderProblem]) -> None:
     """Report the runs that were made with another version of the package than most."""
-    versions = {run.path: run.provenance.get("versions", {}).get("knowarm") for run in runs}
+    versions = {run.path: run.provenance.versions.get("knowarm") for run in runs}
     usual = _most_common(filter(None, versions.values()))
     for path, version in versions.items():
         if version and version != usual:
@@ -215,10 +209,10 @@ def _most_common(values: Any) -> Any:
 
 def _task_key(run: RunData) -> str:
     """Return a key that is equal for runs on the same task with the same algorithm."""
-    return json.dumps([_task_env(run.env), run.algorithm], sort_keys=True)
+    return json.dumps([_task_env(run.settings["env"]), run.algorithm], sort_keys=True)
 
 
-def _task_env(env: dict[str, Any]) -> dict[str, Any]:
+def _task_env(env: Mapping[str, Any]) -> dict[str, Any]:
     """Return what makes the task of an environment."""
     env = {name: value for name, value in env.items() if name not in NOT_THE_TASK}
     if isinstance(task := env.get("task"), dict):
@@ -228,7 +222,7 @@ def _task_env(env: dict[str, Any]) -> dict[str, Any]:
 
 def _agent_settings(run: RunData) -> dict[str, Any]:
     """Return everything but task and seed, flattened to dotted names."""
-    kept = {name: value for name, value in run.config.items() if name not in NOT_A_SETTING}
-    env = run.env | (run.env.get("task") or {})
+    kept = {name: value for name, value in run.settings.items() if name not in NOT_A_SETTING}
+    env = run.settings["env"] | run.settings["env"]["task"]
     kept["env"] = {name: env[name] for name in NOT_THE_TASK | NOT_A_TASK if name in env}
     return {name: value for name, value in flatten(kept).items() if name not in DRAWS}

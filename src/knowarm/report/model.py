@@ -1,7 +1,7 @@
 """Data of a report: the tasks, agents, runs and evaluations that it is computed from."""
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -10,15 +10,15 @@ from typing import Any, NamedTuple, get_args
 import numpy as np
 
 from knowarm.errors import UserError
-from knowarm.experiment.agents import AGENTS
-from knowarm.experiment.summary import AGAIN, EPISODE_COLUMNS, TASK_COLUMNS, read_table
+from knowarm.experiment.agents import AGENTS, Role
+from knowarm.experiment.config import ExperimentConfig
+from knowarm.experiment.evaluation_files import EPISODE_COLUMNS, read_table
+from knowarm.experiment.run_folder import Provenance
+from knowarm.experiment.summary import AGAIN, Summary
 from knowarm.knowledge.config import Detail
 from knowarm.knowledge.vectors.placebos import Zeros
 from knowarm.report.format import palette
 from knowarm.statistics import Interval, bootstrap
-
-# Types of the columns of ``episodes.parquet``; those of ``steps.parquet`` are numbers.
-_KINDS = {name: kind for name, (kind, _) in (EPISODE_COLUMNS | TASK_COLUMNS).items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,12 +26,7 @@ class Evaluation:
     """One post-training evaluation."""
 
     folder: Path
-    summary: dict[str, Any]  # content of its ``summary.json``
-
-    @property
-    def config(self) -> Mapping[str, Any]:
-        """Settings of the evaluation: episodes, thresholds, actions."""
-        return self.summary.get("config", {})
+    summary: Summary  # its settings and numbers
 
     def episodes(self, *further: str) -> dict[str, np.ndarray]:
         """Read the columns of ``episodes.parquet``: `EPISODE_COLUMNS` and those given."""
@@ -55,18 +50,6 @@ class Evaluation:
         count = self.summary["episodes"]
         return {int(path.stem): path for path in numbered if int(path.stem) < count}
 
-    def numbers(self, part: str = "", name: str = "") -> Mapping[str, Any]:
-        """Return the summary, or that of one target (``per_target``) or facet (``per_facet``)."""
-        return self.summary.get(part, {}).get(name, {}) if part else self.summary
-
-    def interval(self, key: str, part: str = "", name: str = "") -> Interval | None:
-        """Return a number of the summary with its interval over episodes, where stored."""
-        values = self.numbers(part, name)
-        if values.get(key) is None:
-            return None
-        ends = (values.get(f"{key}_{end}", values[key]) for end in ("low", "high"))
-        return Interval(float(values[key]), *map(float, ends))
-
 
 class Evaluated:
     """Something with one or more evaluations of the same episodes."""
@@ -78,16 +61,20 @@ class Evaluated:
         """Return one number of the summary per evaluation, (n,) float64."""
         return np.array([each.summary[key] for each in self.evaluations], dtype=np.float64)
 
-    def level(self, key: str, part: str = "", name: str = "") -> Interval | None:
+    def level(self, key: str, group: str = "", value: str = "") -> Interval | None:
         """Estimate the mean of one number of the summary over the evaluations.
 
         The interval is a bootstrap over training seeds, that of a single evaluation the stored one
-        over its episodes. ``part`` and ``name`` as in `Evaluation.numbers`; None without a number.
+        over its episodes. ``group`` and ``value`` as in `Summary.of`; None without a number.
         """
-        found = [each for each in self.evaluations if each.numbers(part, name).get(key) is not None]
+        found = [
+            each.summary.interval(key, group, value)
+            for each in self.evaluations
+            if key in each.summary.of(group, value)
+        ]
         if len(found) < 2:
-            return found[0].interval(key, part, name) if found else None
-        return bootstrap(np.array([float(each.numbers(part, name)[key]) for each in found]))
+            return found[0] if found else None
+        return bootstrap(np.array([each.estimate for each in found]))
 
 
 @dataclass(frozen=True)
@@ -105,9 +92,8 @@ def _complete(path: Path, needed: Collection[str]) -> dict[str, np.ndarray]:
     if missing:
         raise UserError(f"{path} lacks values of {', '.join(missing)}. {AGAIN}")
     for name, values in columns.items():
-        is_text, is_number = _KINDS.get(name) == "string", values.dtype.kind in "biuf"
-        is_whole = is_number and bool(np.isfinite(values).all())
-        if not (all(isinstance(value, str) for value in values) if is_text else is_whole):
+        is_number = values.dtype.kind in "biuf" and bool(np.isfinite(values).all())
+        if not is_number and not all(isinstance(value, str) for value in values):
             raise UserError(f"{path} has damaged values of {name}. {AGAIN}")
     return columns
 
@@ -133,49 +119,33 @@ class RunData:
     """One readable run folder."""
 
     path: Path
-    config: dict[str, Any]  # resolved configuration, in the current run format
-    provenance: dict[str, Any]  # versions, machine, parameter counts, knowledge; empty if missing
+    config: ExperimentConfig
+    settings: dict[str, Any]  # the same as JSON values, graphs by their content
+    provenance: Provenance  # versions, machine, parameter counts, knowledge; empty if missing
     interim: Curve  # columns of ``evaluations.csv``; empty if missing
     metrics: Curve  # columns of ``metrics.csv``; empty if missing
     evaluations: dict[str, Evaluation]  # post-training evaluations by label
-    algorithm: str = ""  # name of the learning algorithm in the registry
     ended_early: bool = False  # whether its ``stop_when`` ended the training
 
     @property
     def agent(self) -> str:
         """Name of the agent."""
-        return str(self.config["agent"])
-
-    @property
-    def role(self) -> str | None:
-        """Role of the agent, one of `ROLES`."""
-        return self.config.get("role")
+        return self.config.agent
 
     @property
     def seed(self) -> int:
         """Training seed."""
-        return int(self.config["seed"])
+        return self.config.seed
 
     @property
-    def env(self) -> dict[str, Any]:
-        """Configuration of the environment."""
-        return self.config["env"]
-
-    @property
-    def knowledge(self) -> Mapping[str, Any]:
-        """Configuration of the knowledge vector."""
-        return self.config.get("knowledge") or {}
+    def algorithm(self) -> str:
+        """Name of the learning algorithm in the registry."""
+        return self.config.learner
 
     @property
     def detail(self) -> int:
         """How much of the objects the knowledge vector describes: place in `Detail`."""
-        chosen = self.knowledge.get("detail")
-        return DETAILS.index(chosen) if chosen in DETAILS else 0
-
-    @property
-    def parameters(self) -> Mapping[str, int]:
-        """Trainable parameters by part of the network and in ``total``; empty if unknown."""
-        return self.provenance.get("parameter_counts") or {}
+        return DETAILS.index(self.config.knowledge.detail)
 
     @property
     def steps_done(self) -> float:
@@ -205,7 +175,7 @@ class Group(Evaluated):
 
     name: str  # the agent, with the settings that tell it from others of the same name
     agent: str
-    role: str | None  # role of the agent, one of `ROLES`; None if unknown
+    role: Role
     runs: tuple[RunData, ...]  # runs by seed, at least one
     label: str  # label of the evaluation that the task compares; "" if there is none
 
@@ -217,14 +187,13 @@ class Group(Evaluated):
     @property
     def scope(self) -> str:
         """Scope of the knowledge vector, a `knowarm.knowledge.config.Scope`."""
-        return str(self.runs[0].knowledge.get("scope", "scene"))
+        return self.runs[0].config.knowledge.scope
 
     @property
     def has_content(self) -> bool:
         """Whether the agent has a knowledge vector that is not all zeros."""
-        knowledge = self.runs[0].knowledge
-        source = knowledge.get("source") or {}
-        return knowledge.get("detail") != "none" and source.get("kind") != Zeros.kind
+        knowledge = self.runs[0].config.knowledge
+        return knowledge.detail != "none" and not isinstance(knowledge.source, Zeros)
 
     @property
     def best_run(self) -> RunData | None:
@@ -254,7 +223,7 @@ class SplitGroup(Evaluated):
     @property
     def chance(self) -> float:
         """Share of right choices of an agent that chooses at random."""
-        return float(self.evaluations[0].summary["choice_chance"])
+        return self.evaluations[0].summary["choice_chance"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,13 +244,13 @@ class TaskData:
     @property
     def key(self) -> tuple[str, str]:
         """Robot and colour setting."""
-        env = self.groups[0].runs[0].env
-        return str(env.get("robot")), str(env.get("colours", "fixed"))
+        env = self.groups[0].runs[0].config.env
+        return env.robot, env.colours
 
     @property
     def is_published(self) -> bool:
         """Whether the task is the paper's."""
-        return str((self.groups[0].runs[0].env.get("task") or {}).get("kind", "reach")) == "reach"
+        return not self.groups[0].runs[0].config.env.task.title
 
     @cached_property
     def baseline(self) -> Group | None:
@@ -312,7 +281,7 @@ class TaskData:
         """
         runs = [[r for r in g.runs if r.has_success_curve] for g in self.groups]
         ends = [
-            [r.config["total_steps"] if r.ended_early else r.interim["step"][-1] for r in each]
+            [r.config.total_steps if r.ended_early else r.interim["step"][-1] for r in each]
             for each in runs
         ]
         return float(min((max(each) for each in ends if each), default=0.0))
@@ -331,7 +300,6 @@ class StudyData:
         return [run for task in self.tasks for run in task.runs]
 
 
-def rank(role: str | None, agent: str) -> tuple[int, int, str]:
+def rank(role: Role, agent: str) -> tuple[int, int, str]:
     """Return the sort key of an agent: by role, then in the registry's order."""
-    names, roles = [*AGENTS, agent], [*ROLES, role]
-    return roles.index(role), names.index(agent), agent
+    return ROLES.index(role), [*AGENTS, agent].index(agent), agent

@@ -9,14 +9,14 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
-from knowarm.config import from_dict
 from knowarm.errors import UserError
 from knowarm.experiment.config import EvaluationConfig, ExperimentConfig
 from knowarm.experiment.csv_log import number_in, read_csv, training_seconds
 from knowarm.experiment.run import run_path
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.run_lock import is_locked
-from knowarm.reading import read_json, reading
+from knowarm.experiment.summary import Summary
+from knowarm.reading import read_json
 from knowarm.study.config import StudyConfig
 from knowarm.study.executor import RunKey
 
@@ -80,9 +80,7 @@ def run_status(
         known |= _progress(folder)
         known["state"], known["detail"] = _state(folder, config, evaluations)
         if known["state"] == "done" and evaluations:
-            file = folder.evaluation(evaluations[0].folder) / "summary.json"
-            with reading(file, "Remove it, and the study evaluates the run again."):
-                known["success"] = float(read_json(file)["success"])
+            known["success"] = Summary.read(folder.evaluation(evaluations[0].folder))["success"]
     except UserError as error:
         known |= {"state": "damaged", "detail": str(error)}
     steps = config.total_steps
@@ -128,15 +126,11 @@ def runs_beside(study: StudyConfig, out: Path) -> list[str]:
 def missing_evaluations(
     folder: RunFolder, evaluations: Sequence[EvaluationConfig]
 ) -> list[EvaluationConfig]:
-    """Return the evaluations that a run lacks, or has with other settings.
-
-    Settings that did not exist when an evaluation was stored have their defaults.
-    """
+    """Return the evaluations that a run lacks, or has with other settings."""
 
     def made_with(evaluation: EvaluationConfig) -> EvaluationConfig | None:
         with suppress(UserError):
-            stored = read_json(folder.evaluation(evaluation.folder) / "summary.json").get("config")
-            return from_dict(EvaluationConfig, stored) if isinstance(stored, dict) else None
+            return Summary.read(folder.evaluation(evaluation.folder)).config
         return None
 
     return [each for each in evaluations if made_with(each) != each]

@@ -9,6 +9,7 @@ from safetensors.numpy import save_file
 
 from knowarm.cli.knowledge.options import SceneOptions, check_suffix, writing
 from knowarm.cli.tables import print_table
+from knowarm.config import to_dict
 from knowarm.knowledge import SceneEmbedding, scene_embedding, scene_sentences, scene_subgraph
 from knowarm.knowledge.graph.terms import local_name
 from knowarm.knowledge.probe import NEARLY_SAME, probe
@@ -31,12 +32,12 @@ class KnowledgeShow(SceneOptions):
         sentences = scene_sentences(config, facets, run_seed=seed)
         print_table("Sentences", ["slot", "sentence"], sentences.items())
         described = embedding.describe()
-        norms = zip(described["slots"], described["slot_norms"], strict=True)
+        norms = zip(described.slots, described.slot_norms, strict=True)
         title = f"Embedding: shape ({embedding.dim},), norm {embedding.norm:.3f}, "
         title += f"source {config.source.short_name}, scope {config.scope}"
         rows = [[name, embedding.slot_dim, norm] for name, norm in norms]
         print_table(title, ["slot", "numbers", "norm"], rows)
-        coverage = described["coverage"]
+        coverage = described.coverage
         if coverage["labels"]:
             print(f"Labels found: {100 * coverage['share']:.0f} % of {coverage['labels']}.")
         if coverage["not_whole"]:
@@ -47,7 +48,7 @@ class KnowledgeShow(SceneOptions):
             print("Every episode gets the same numbers, which act as a bias of the policy.")
         if embedding.privileged:
             print("The numbers identify the episode's object and colour: privileged information.")
-        shown = {"triples": triples, "entities": subgraph.entities, **described}
+        shown = {"triples": triples, "entities": subgraph.entities, **to_dict(described)}
         numbers = {"shape": [embedding.dim], "vector": embedding.vector.tolist()}
         return {**shown, "sentences": sentences, **numbers}
 
@@ -73,7 +74,7 @@ class Embed(SceneOptions):
         if self.out is not None:
             with writing(self.out):
                 _write(embedding, self.out)
-        return {**embedding.describe(), "vectors": embedding.matrix.tolist()}
+        return {**to_dict(embedding.describe()), "vectors": embedding.matrix.tolist()}
 
 
 def _write(embedding: SceneEmbedding, path: Path) -> None:

@@ -5,7 +5,7 @@ from contextlib import suppress
 import numpy as np
 
 from knowarm.errors import UserError
-from knowarm.experiment.summary import read_film
+from knowarm.experiment.evaluation_files import read_film
 from knowarm.knowledge.graph.terms import label_of
 from knowarm.pictures import data_uri, encode
 from knowarm.report import format
@@ -37,7 +37,7 @@ def _joints(task: TaskData, first: Group, second: Group) -> Figure:
     evaluations = [group.best for group in (first, second) if group.best]
     one, other = (evaluation.joint_angles() for evaluation in evaluations)
     published = published_comparison(task, first, second).get("std_changes", {})
-    names = dict(enumerate(evaluations[0].summary.get("joints", []), start=1))
+    names = dict(enumerate(evaluations[0].summary.joints, start=1))
     rows: list[Row] = []
     panels = []
     for joint in [joint for joint in one if joint in other]:

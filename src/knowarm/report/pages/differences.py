@@ -192,7 +192,7 @@ def _success_rates(group: Group) -> tuple[Evaluation, np.ndarray] | None:
     """Return the success rate per evaluation seed of the best run, where there are enough seeds."""
     best = group.best_run
     for evaluation in best.evaluations.values() if best else ():
-        if int(evaluation.config.get("seeds", 1)) < FEWEST_RATES:
+        if evaluation.summary.config.seeds < FEWEST_RATES:
             continue
         try:
             episodes = evaluation.episodes()

@@ -4,10 +4,9 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
-from knowarm.config import from_dict
 from knowarm.errors import UserError
 from knowarm.experiment.run_folder import RunFolder
-from knowarm.knowledge import KnowledgeConfig
+from knowarm.knowledge.config import EmbeddingFacts
 from knowarm.learn.algorithms import privileged_uses
 from knowarm.report.blocks import (
     Block,
@@ -60,7 +59,8 @@ def input_blocks(task: TaskData) -> list[Block]:
     listed_sentences = list[Mapping[str, Any]]()
     # Controls last: their vectors are derived from those of the other agents.
     for group in sorted(task.groups, key=lambda g: (g.role in CONTROLS, g not in task.subjects)):
-        sentences = _known(group.runs[0]).get("sentences") or {}
+        known = _known(group.runs[0])
+        sentences = known.sentences if known else {}
         if any(sentences.values()) and sentences not in listed_sentences:
             listed_sentences.append(sentences)
             blocks.append(
@@ -75,12 +75,12 @@ def input_blocks(task: TaskData) -> list[Block]:
     return [*blocks, *_parameters(task)]
 
 
-def _known(run: RunData) -> Mapping[str, Any]:
-    """Return the description of a run's knowledge vector; empty if the network received none."""
+def _known(run: RunData) -> EmbeddingFacts | None:
+    """Return the description of a run's knowledge vector; None if the network received none."""
     with suppress(UserError):  # a table that cannot be read
         if not RunFolder(run.path).knowledge().size:
-            return {}
-    return run.provenance.get("knowledge") or {}
+            return None
+    return run.provenance.knowledge
 
 
 def _kind_of_input(task: TaskData) -> Verdict:
@@ -92,7 +92,7 @@ def _kind_of_input(task: TaskData) -> Verdict:
             agents = [g.name for g in task.groups if g.scope == scope and known[g.name]]
         else:
             flag = "constant" if scope == "scene" else "privileged"
-            agents = [name for name, each in known.items() if each.get(flag)]
+            agents = [name for name, each in known.items() if each and getattr(each, flag)]
         if agents:
             ran = [g.name for g in task.groups if g.role == role and g.scope == scope]
             controls = f"Compare with {listed(ran)}." if ran else "No control for this ran."
@@ -106,21 +106,22 @@ def _kind_of_input(task: TaskData) -> Verdict:
 
 def _privileged_uses(group: Group) -> list[str]:
     """List what the training used the simulator's state for, besides the reward."""
-    config = group.runs[0].config
-    return privileged_uses(config["algorithm"]) + ["grounding"] * bool(config.get("grounding"))
+    run = group.runs[0]
+    return privileged_uses(run.settings["algorithm"]) + ["grounding"] * bool(run.config.grounding)
 
 
 def _overview(task: TaskData) -> DataTable:
     """List the source, size and norm of each agent's vector."""
     rows: list[Row] = []
     for group in task.groups:
-        known = _known(group.runs[0])
-        slots = known.get("slots") or []
-        row: Row = {"agent": group.name, "source": _source(known) if slots else None}
-        row |= {"slots": len(slots), "numbers": known.get("dim", 0), "norm": known.get("norm")}
-        row |= {flag: bool(known.get(flag)) for flag in ("constant", "privileged")}
-        row |= {"training": ", ".join(_privileged_uses(group)), "note": known.get("note", "")}
-        row["coverage"] = known.get("coverage", {}).get("share") if slots else None
+        row: Row = {"agent": group.name, "training": ", ".join(_privileged_uses(group))}
+        row |= {"slots": 0, "numbers": 0, "constant": False, "privileged": False}
+        if known := _known(group.runs[0]):
+            row |= {"slots": len(known.slots), "numbers": known.dim, "norm": known.norm}
+            row |= {"constant": known.constant, "privileged": known.privileged, "note": known.note}
+            if known.slots:
+                row |= {"source": known.config.source.short_name}
+                row |= {"coverage": known.coverage["share"]}
         rows.append(row)
     columns: list[str | Column] = [
         *("agent", "source", Column("slots", "slots", "integer")),
@@ -133,12 +134,6 @@ def _overview(task: TaskData) -> DataTable:
     return table_of(task, "knowledge", "Knowledge vectors", columns, rows, sources)
 
 
-def _source(known: Mapping[str, Any]) -> str | None:
-    with suppress(UserError, KeyError):  # of another version
-        return from_dict(KnowledgeConfig, known["config"], where="knowledge").source.short_name
-    return None
-
-
 def _parameters(task: TaskData) -> list[Block]:
     """Draw the trainable parameters by part; nothing if no run stored its counts."""
     counts: dict[str, dict[str, int]] = {}
@@ -146,7 +141,9 @@ def _parameters(task: TaskData) -> list[Block]:
     sources = []
     for group in task.groups:
         run = group.runs[0]
-        if parts := {part: n for part, n in run.parameters.items() if part != "total" and n}:
+        if parts := {
+            part: n for part, n in run.provenance.parameter_counts.items() if part != "total" and n
+        }:
             counts[group.name] = parts
             sources.append(run.path / "provenance.json")
             rows += [{"agent": group.name, "part": p, "parameters": n} for p, n in parts.items()]

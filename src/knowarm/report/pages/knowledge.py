@@ -52,7 +52,7 @@ def _controls(task: TaskData, subject: Group, final: list[Claim], stem: str) -> 
         parameters = size_of(other, "parameters")
         row: Row = {
             "control": other.name,
-            "role": (other.role or "unknown").replace("_", " "),
+            "role": other.role.replace("_", " "),
             "about": AGENTS[other.agent].about if other.agent in AGENTS else None,
             "parameters": parameters,
             "equal": size and parameters and abs(parameters / size - 1) <= TOLERANCE,

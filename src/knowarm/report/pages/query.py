@@ -17,6 +17,7 @@ from knowarm.report.blocks import (
     Row,
     Verdict,
     cells,
+    column_of,
     row_of,
     shared,
     table_of,
@@ -49,18 +50,12 @@ BEYOND_CHANCE = percent_axis("corrected for chance", whole=False)
 
 CHOICE_COLUMNS = (
     Column("chance", "chance", "percent"),
-    *shared("choice"),
-    Column("choice_corrected", "corrected for chance", "percent", interval=True),
+    *shared("choice", "choice_corrected"),
 )
-REACH_COLUMNS = (
-    *shared("success"),
-    Column("success_if_chosen", "success if chosen rightly", "percent", interval=True),
-    Column("success_corrected", "corrected for chance", "percent", interval=True),
-)
+REACH_COLUMNS = (*shared("success", "success_if_chosen", "success_corrected"),)
 SWITCH_COLUMNS = (
-    Column("choice", "new answer", "percent", interval=True),
-    Column("chose_old_answer", "old answer", "percent", interval=True),
-    Column("switched", "switched", "percent", interval=True, hint="new of new and old"),
+    column_of("choice", "new answer"),
+    *shared("chose_old_answer", "switched"),
 )
 SWITCH_NOTE = (
     "Shares of episodes that ended at the object that the query means in the edited graph "
@@ -137,13 +132,13 @@ def _by_type(task: TaskData, splits: Splits) -> Figure:
         for kind in _types([each]):
             row = {"split": each.split, "type": kind} | row_of(task, each)
             for key in ("choice", "success"):
-                row |= cells(key, each.level(key, "per_type", kind))
+                row |= cells(key, each.level(key, "query_type", kind))
             rows.append(row)
     first, asked = next(iter(splits.items()))
     by_name = {each.name: each for each in asked}
 
     def choice(group: Group, name: str) -> Interval | None:
-        return by_name[group.name].level("choice", "per_type", name)
+        return by_name[group.name].level("choice", "query_type", name)
 
     groups = [each.group for each in asked]
     panels = part_panels(task, _types(asked), groups, choice, CHOICE_AXIS)[1]
@@ -159,7 +154,7 @@ def _by_type(task: TaskData, splits: Splits) -> Figure:
 
 
 def _types(asked: Sequence[SplitGroup]) -> list[str]:
-    return sorted({kind for each in _folders(asked) for kind in each.summary["per_type"]})
+    return sorted({kind for each in _folders(asked) for kind in each.summary.groups["query_type"]})
 
 
 def _confusion(task: TaskData, splits: Splits) -> list[Block]:

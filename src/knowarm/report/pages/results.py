@@ -1,6 +1,5 @@
 """Page "Results": the evaluation after training, in total and by target."""
 
-from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 
 from knowarm.report import format
@@ -12,6 +11,7 @@ from knowarm.report.blocks import (
     Panel,
     Row,
     cells,
+    column_of,
     row_of,
     shared,
     table_of,
@@ -26,20 +26,15 @@ from knowarm.world.lifting.lift import OUTCOMES
 
 MOST_PANELS = 30  # drawings of a figure, above which only its table is shown
 INTERVALS = ("return_mean", "success", "accuracy", "success_wide", "length_mean")
-PLAIN = (  # columns without an interval
-    Column("return_std", "std", "number1"),
-    Column("length_std", "std", "number1"),
-    Column("failure_distance_mean", "failure dist. [m]", "number3"),
-    Column("failure_distance_std", "std [m]", "number3"),
-    Column("failure_distance_max", "max [m]", "number3"),
-)
+FAILURES = tuple(f"failure_distance_{each}" for each in ("mean", "std", "max"))
+PLAIN = [column_of(name, interval=False) for name in ("return_std", "length_std", *FAILURES)]
 
 
 def result_blocks(task: TaskData) -> list[Block]:
     """Show all agents and the untrained policies on the same fixed episodes."""
     if not task.label:
         return []
-    parts = (("per_target", "target"), ("per_facet", "target and colour"))
+    parts = (("target", "target"), ("facet", "target and colour"))
     figures = [_parts(task, part, what) for part, what in parts]
     return [block for block in (_table(task), _vision(task), _lifts(task), *figures) if block]
 
@@ -55,12 +50,9 @@ def _table(task: TaskData) -> DataTable:
         rows.append(row)
     shown = [evaluation for each in lines for evaluation in each.evaluations]
     first = shown[0] if shown else None
-    wide = first.config.get("wide_angle_deg") if first else None
-    angle = f" {wide:g}°" if wide else ", wide angle"
-    columns: list[str | Column] = [
-        *("agent", "seeds", "return_mean", PLAIN[0], "success", "accuracy"),
-        Column("success_wide", f"success{angle}", "percent", interval=True),
-        *(Column("length_mean", "steps", "number1", interval=True), *PLAIN[1:]),
+    columns = [
+        *shared("agent", "seeds", "return_mean", PLAIN[0], "success", "accuracy", "success_wide"),
+        *shared("length_mean", *PLAIN[1:]),
     ]
     note = (
         "95 % intervals: over training seeds where there are several (bootstrap of the mean); "
@@ -75,34 +67,37 @@ def _table(task: TaskData) -> DataTable:
 def _vision(task: TaskData) -> DataTable | None:
     """Show the blind agents beside every agent, and how much of its success depends on vision."""
     rows: list[Row] = []
-    shown = [group for group in task.groups if group.level("needs_eyes")]
+    shown = [group for group in task.groups if group.level("vision_gain")]
     minus = [name for name, entry in BLIND_AGENTS.items() if not entry.sees_nothing]
     for group in shown:
-        row = row_of(task, group, "success", "needs_eyes")
+        row = row_of(task, group, "success", "vision_gain")
         for name in BLIND_AGENTS:
-            row |= cells(name, group.level("success", "blind_agents", name))
+            row |= cells(name, group.level("success", "blind", name))
         for name in minus:
-            row |= cells(f"minus {name}", group.level("difference", "blind_agents", name))
+            row |= cells(f"minus {name}", group.level("difference", "blind", name))
         rows.append(row)
     if not rows:
         return None
     evaluations = [evaluation for group in shown for evaluation in group.evaluations]
-    blind = [n for e in evaluations for n in e.summary.get("blind_agents", {}).values()]
-    played = max((numbers.get("episodes", 0) for numbers in blind), default=0)
+    played = [
+        each.summary.interval("episodes", "blind", name).estimate
+        for each in evaluations
+        for name in each.summary.groups.get("blind", {})
+    ]
     abouts = "; ".join(f"{name}: {entry.about}" for name, entry in BLIND_AGENTS.items())
     columns = shared("agent", "seeds", "success")
     for name, entry in BLIND_AGENTS.items():
         columns.append(Column(name, name, "percent", interval=True, hint=entry.about))
-    differences = {"needs_eyes": "depends on vision"}
+    differences = {"vision_gain": "depends on vision"}
     differences |= {f"minus {name}": f"success minus {name}" for name in minus}
     for key, words in differences.items():
         columns.append(Column(key, f"{words} [points]", "points", interval=True))
+    count = format.integer(max(played, default=0))
     note = (
-        f"Success of blind agents on the first {format.integer(played)} of the same episodes; "
-        f"{abouts}. Depends on vision: the agent's success minus that of the better agent that "
-        "sees nothing. 95 % intervals: over training seeds where there are several, otherwise "
-        "over episodes (Newcombe). A better fixed list may exist than the one that the search "
-        "found."
+        f"Success of blind agents on the first {count} of the same episodes; {abouts}. Depends on "
+        "vision: the agent's success minus that of the better agent that sees nothing. 95 % "
+        "intervals: over training seeds where there are several, otherwise over episodes "
+        "(Newcombe). A better fixed list may exist than the one that the search found."
     )
     title = "How much of the success depends on vision"
     sources = [evaluation.folder / "summary.json" for evaluation in evaluations]
@@ -111,7 +106,8 @@ def _vision(task: TaskData) -> DataTable | None:
 
 def _lifts(task: TaskData) -> DataTable | None:
     """Show how many successes are grasps, by agent and thresholds of its lift tests."""
-    causes = {name: about for name, about in OUTCOMES.items() if name != "lifted"}
+    causes = [f"lift_{name}" for name in OUTCOMES if name != "lifted"]
+    shares = ["success", "lifted", "grasps", *causes]
     rows: list[Row] = []
     sources = []
     for group in task.groups:
@@ -120,23 +116,17 @@ def _lifts(task: TaskData) -> DataTable | None:
             if "lifted" in each.summary and not label.endswith((UNTRAINED, LATEST)):
                 found.setdefault((label, rules(each)), []).append(each)
         for (label, _), tests in found.items():
-            ended: Counter[str] = Counter()
-            for each in tests:
-                ended.update(each.summary.get("lift_outcomes", {}))
-            row = row_of(task, SplitGroup(group, "", tests), "success", "lifted", "grasps")
+            row = row_of(task, SplitGroup(group, "", tests), *shares)
             row["rules"] = conditions(tests[0]) + " (held out)" * label.endswith(HELD_OUT)
-            rows.append(row | {name: ended[name] for name in causes})
+            rows.append(row)
             sources += [each.folder / "summary.json" for each in tests]
     if not rows:
         return None
-    columns = shared("agent", "seeds", Column("rules", "episodes"), "success")
-    for name, words in (("lifted", "lifted of all"), ("grasps", "lifted of the successes")):
-        columns.append(Column(name, words, "percent", interval=True))
-    columns += [Column(name, name, "integer", hint=about) for name, about in causes.items()]
+    columns = shared("agent", "seeds", Column("rules", "episodes"), *shares)
     note = (
         "The joint path of every successful episode is replayed among solid objects, the fingers "
         "close, the arm lifts 10 cm and holds 2 s. Pushed, missed, arm, slipped: how the others "
-        "ended, over all seeds. Objects that the gripper cannot lift are left out of these columns."
+        "ended, of all. Objects that the gripper cannot lift are left out of these columns."
     )
     title = "How many successes are grasps"
     return table_of(task, "lifts", title, columns, rows, sources, note)
@@ -144,20 +134,19 @@ def _lifts(task: TaskData) -> DataTable | None:
 
 def conditions(evaluation: Evaluation | None) -> str:
     """Describe the episodes, thresholds and actions of an evaluation."""
-    config = evaluation.config if evaluation else {}
-    if evaluation is None or not {"distance_m", "angle_deg"} <= config.keys():
+    if evaluation is None:
         return "Evaluation"
+    config = evaluation.summary.config
     return (
         f"{format.integer(evaluation.summary['episodes'])} episodes, success within "
-        f"{config['distance_m'] * 100:g} cm and {config['angle_deg']:g}°, "
-        f"{config.get('actions', 'greedy')} actions"
+        f"{config.distance_m * 100:g} cm and {config.angle_deg:g}°, {config.actions} actions"
     )
 
 
 def _parts(task: TaskData, part: str, what: str) -> Block | None:
     evaluations = [evaluation for group in task.groups for evaluation in group.evaluations]
-    names = sorted({name for each in evaluations for name in each.summary.get(part, {})})
-    if part == "per_facet" and len({name.split("/")[0] for name in names}) == len(names):
+    names = sorted({name for each in evaluations for name in each.summary.groups.get(part, {})})
+    if part == "facet" and len({name.split("/")[0] for name in names}) == len(names):
         return None  # one colour per target: the same as per target
     rows, panels = part_panels(
         task, names, task.groups, lambda g, name: g.level("success", part, name), SUCCESS_AXIS
@@ -165,7 +154,7 @@ def _parts(task: TaskData, part: str, what: str) -> Block | None:
     if not panels:
         return None
     columns: list[str | Column] = [Column("part", what), "agent", "success"]
-    sources, name = [evaluation.folder for evaluation in evaluations], part.replace("_", "-")
+    sources, name = [evaluation.folder for evaluation in evaluations], f"per-{part}"
     table = table_of(task, name, f"Success by {what}", columns, rows, sources)
     if len(panels) > MOST_PANELS:
         return table

@@ -55,16 +55,17 @@ def run_blocks(study: StudyData) -> list[Block]:
     return [problems, runs]
 
 
-def _origin(run: RunData) -> dict[str, str | None]:
+def _origin(run: RunData) -> Row:
     """Return the commit, the versions and the machine of a run."""
     known = run.provenance
-    versions = {name: known.get("versions", {}).get(name) for name in VERSIONS}
-    machine = known.get("machine", {}).get("processor")
-    return {"commit": known.get("commit", "")[:10], "machine": machine} | versions
+    versions = {name: known.versions.get(name) for name in VERSIONS}
+    return {
+        "commit": (known.commit or "")[:10],
+        "machine": known.machine.get("processor"),
+    } | versions
 
 
 KEYS = ("success", "choice", "accuracy", "return_mean")  # numbers of the table, where known
-VISION = Column("needs_eyes", "depends on vision [points]", "points", interval=True)
 
 
 def summary_blocks(
@@ -98,7 +99,7 @@ def _results(study: StudyData) -> Figure:
     measures = {"success": SUCCESS_AXIS} | ({"return_mean": RETURN_AXIS} if alone else {})
     for task in study.tasks:
         lines = (*task.groups, *task.references)
-        keys = (*KEYS, VISION.key)
+        keys = (*KEYS, "vision_gain")
         rows += [{"task": task.title} | row_of(task, each, *keys) for each in lines]
         for key, axis in measures.items():
             dots = [group_dot(each, key, task.colours) for each in lines]
@@ -110,7 +111,7 @@ def _results(study: StudyData) -> Figure:
         table=DataTable(
             name="summary",
             title="Success, accuracy and return after training",
-            columns=shared(*["task"] * (not alone), "agent", "seeds", *known, VISION),
+            columns=shared(*["task"] * (not alone), "agent", "seeds", *known, "vision_gain"),
             rows=rows,
             sources=[run.path for run in study.runs],
             note="Success: distance and angle within the thresholds at once. Accuracy: final "

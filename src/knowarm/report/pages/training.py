@@ -52,7 +52,7 @@ def training_blocks(task: TaskData) -> list[Block]:
 
 
 def curve_figure(task: TaskData, measures: Mapping[str, Axis], name: str, title: str) -> Figure:
-    """Draw columns of ``evaluations.csv``, keys of `tables.SHARED` by axis, over the steps."""
+    """Draw columns of ``evaluations.csv``, names of measures by axis, over the steps."""
     rows: dict[tuple[str, float], Row] = {}
     panels: list[Panel] = []
     legend: dict[str, str] = {}
@@ -76,7 +76,7 @@ def curve_figure(task: TaskData, measures: Mapping[str, Axis], name: str, title:
 def _extended(run: RunData) -> Curve:
     """Return the interim curve; where ``stop_when`` ended a run its last values go on."""
     longer = {name: np.append(values, values[-1]) for name, values in run.interim.items()}
-    ends = {"step": np.append(run.interim["step"], run.config["total_steps"])}
+    ends = {"step": np.append(run.interim["step"], run.config.total_steps)}
     return longer | ends if run.ended_early else run.interim
 
 
@@ -204,7 +204,7 @@ def _speed(task: TaskData) -> DataTable:
             row |= {"steps": run.steps_done, "best_step": run.best_step}
             row["hours"] = training_seconds(seconds) / 3600 if seconds.size else None
             row["steps_per_s"] = float(np.median(speed)) if speed.size else None
-            rows.append(row | {"parameters": run.parameters.get("total")})
+            rows.append(row | {"parameters": run.provenance.parameter_counts.get("total")})
     columns: list[str | Column] = [
         *("agent", "seed", Column("steps", "steps trained", "steps")),
         *(Column("best_step", "best model at", "steps"), Column("hours", "time [h]", "number")),

@@ -1,12 +1,13 @@
 """Claims, the differences between agents that a report decides on; findings they add up to."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from knowarm.experiment.agents import Role, controls_of
+from knowarm.experiment.run_folder import Provenance
 from knowarm.report import format
 from knowarm.report.blocks import Tone, Verdict
 from knowarm.report.format import counted, listed
@@ -18,11 +19,11 @@ ALPHA = 0.05  # fraction of studies without any effect in which the report may c
 TOLERANCE = 0.01  # largest relative difference in size between a control and its subject
 
 # Sizes in which controls must equal their subject: where ``provenance.json`` has them.
-SIZES = {
-    "knowledge width": ("knowledge", "dim"),
-    "parameters": ("parameter_counts", "total"),
-    "parameters of the image encoder": ("parameter_counts", "image"),
-    "norm": ("knowledge", "norm"),
+SIZES: dict[str, Callable[[Provenance], float | None]] = {
+    "knowledge width": lambda known: known.knowledge.dim if known.knowledge else None,
+    "parameters": lambda known: known.parameter_counts.get("total"),
+    "parameters of the image encoder": lambda known: known.parameter_counts.get("image"),
+    "norm": lambda known: known.knowledge.norm if known.knowledge else None,
 }
 
 # What is tested, beside right choices on a split. Everything else in a report is descriptive.
@@ -183,9 +184,7 @@ def mismatch(group: Group, subject: Group) -> str | None:
 
 def size_of(group: Group, name: str) -> float | None:
     """Return a stored size of an agent's network or input; None if it is not stored."""
-    part, key = SIZES[name]
-    value = (group.runs[0].provenance.get(part) or {}).get(key)
-    return value if isinstance(value, int | float) else None
+    return SIZES[name](group.runs[0].provenance)
 
 
 def scores(task: TaskData, group: Group, outcome: str) -> np.ndarray:

@@ -23,7 +23,7 @@ def learned(task: TaskData, group: Group) -> bool | None:
         difference = share_difference(own, floor)
         if difference.low <= 0 or difference.estimate < CLEAR:
             return False
-    vision = group.level("needs_eyes")
+    vision = group.level("vision_gain")
     return vision is None or vision.low > 0
 
 
@@ -35,7 +35,7 @@ def learning_verdict(task: TaskData) -> Verdict | None:
         return None
     better = [group.name for group, found in known.items() if found]
     others = [group.name for group, found in known.items() if not found]
-    blind = any(group.level("needs_eyes") for group in known)
+    blind = any(group.level("vision_gain") for group in known)
     more = "succeeded clearly more often than an untrained policy"
     more += " and policies without vision" if blind else ""
     if better:
@@ -54,7 +54,7 @@ def vision_verdict(task: TaskData) -> Verdict | None:
     known = [
         (group.name, vision, success)
         for group in task.groups
-        if (vision := group.level("needs_eyes")) and (success := group.level("success"))
+        if (vision := group.level("vision_gain")) and (success := group.level("success"))
     ]
     if not known:
         return None
@@ -82,7 +82,7 @@ def _success(each: Evaluated) -> Interval | None:
     level = each.level("success")
     if level is None or level.low < level.high:
         return level
-    return each.evaluations[0].interval("success")
+    return each.evaluations[0].summary.interval("success")
 
 
 def _shown(each: Evaluated) -> str:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from knowarm.arrays import Floats, Integers, Mask
 from knowarm.errors import UserError
+from knowarm.measures import Measure
 from knowarm.questions import ObjectColour, QuestionTable
 from knowarm.world.tasks.reward import is_success, paper_reward
 from knowarm.world.tasks.sampling import Colours, ObjectSampler, OneObject, Setting
@@ -47,10 +48,8 @@ class Task:
     """Fields of the task's experiments that differ from an algorithm's defaults, by algorithm."""
     column_meanings: ClassVar[dict[str, str]] = {}
     """What each of the ``columns`` holds."""
-    shares: ClassVar[dict[str, str]] = {}
-    """Numbers of an evaluation that are shares of the episodes, by name: their bool column."""
-    groups: ClassVar[dict[str, str]] = {}
-    """Groups of episodes of which an evaluation computes its numbers, by name: their column."""
+    measures: ClassVar[tuple[Measure, ...]] = ()
+    """Further numbers of an evaluation, computed from ``columns`` and those of every evaluation."""
     kind: str = ""
     """Tag of the task in JSON, a literal of each task."""
 
@@ -176,13 +175,6 @@ class Task:
         Args:
             setting: what the episodes were drawn from.
             infos: the infos at the end of N episodes.
-        """
-        return {}
-
-    def numbers(self, columns: Mapping[str, NDArray[Any]]) -> dict[str, float]:
-        """Return further numbers of an evaluation besides ``shares``, from columns (N,) each.
-
-        They are ``columns`` and those that every evaluation has, such as "success".
         """
         return {}
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from knowarm.arrays import Floats, Integers, Mask
 from knowarm.config import check_values, registered
 from knowarm.errors import UserError
+from knowarm.measures import Measure
 from knowarm.questions import ObjectColour, QuestionTable
 from knowarm.world.objects.families import FAMILIES
 from knowarm.world.tasks.choose.source import (
@@ -58,8 +59,12 @@ class Choose(Task):
         "chosen": "object whose grasp point was nearest to the gripper at the end",
         "choice_correct": "whether that object answers the query",
     }
-    shares: ClassVar[dict[str, str]] = {"choice": "choice_correct"}
-    groups: ClassVar[dict[str, str]] = {"per_query": "query"}
+    measures: ClassVar[tuple[Measure, ...]] = (
+        Measure("choice", "right choices", "choice_correct"),
+        Measure(
+            "success_if_chosen", "success if chosen rightly", "success", among="choice_correct"
+        ),
+    )
 
     kind: Literal["choose"] = "choose"
     """Tag of this task in JSON."""
@@ -164,11 +169,6 @@ class Choose(Task):
             "chosen": names[infos["reached_object"]],
             "choice_correct": infos["is_right_object"],
         }
-
-    def numbers(self, columns: Mapping[str, NDArray[Any]]) -> dict[str, float]:
-        """Return the success of the episodes that ended nearest to the right object."""
-        reached = columns["success"][columns["choice_correct"]]
-        return {"success_if_chosen": float(reached.mean()) if len(reached) else 0.0}
 
     def instruct(self, state: EpisodeState, setting: Setting, env_id: int) -> str:
         """Return the question, as "usedFor drinking"."""

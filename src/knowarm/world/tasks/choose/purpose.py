@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.arrays import Integers
+from knowarm.measures import Measure
 from knowarm.questions import object_of
 from knowarm.world.tasks.choose.choose import Choose, measure_object
 from knowarm.world.tasks.sampling import Setting
@@ -37,7 +38,10 @@ class Purpose(Choose):
     column_meanings: ClassVar[dict[str, str]] = Choose.column_meanings | {
         "object_correct": "whether the part reached belongs to the object that answers"
     }
-    shares: ClassVar[dict[str, str]] = Choose.shares | {"right_object": "object_correct"}
+    measures: ClassVar[tuple[Measure, ...]] = (
+        *Choose.measures,
+        Measure("right_object", "part of the right object", "object_correct"),
+    )
 
     kind: Literal["purpose"] = "purpose"  # type: ignore[assignment]
     """Tag of this task in JSON."""

@@ -1,0 +1,221 @@
+"""Tables and films of an evaluation: columns of episodes and steps, and how they are stored."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from PIL import Image, ImageSequence
+
+from knowarm.experiment.config import EvaluationConfig
+from knowarm.experiment.graph_at_test import answers_before_edit
+from knowarm.experiment.summary import AGAIN, EXCLUDED, NOT_REACHED, WIDE_ANGLE_DEG
+from knowarm.questions import AND
+from knowarm.reading import reading, replacing, writing
+from knowarm.world.agents.play import EpisodeResults
+from knowarm.world.config import questions_of
+from knowarm.world.envs.vector_env import ArmVectorEnv
+from knowarm.world.lifting.lift import lift
+from knowarm.world.scene.scene import Scene
+from knowarm.world.tasks.episodes import Episodes
+
+EPISODE_COLUMNS = {
+    "episode": ("int32", "index of the episode in the fixed list, from 0"),
+    "evaluation_seed": ("int64", "seed from which the episode was drawn"),
+    "target": ("string", "target object"),
+    "facet": ("string", "object and colour, as object/colour"),
+    "return": ("float64", "sum of the rewards, not discounted"),
+    "length": ("int32", "steps until success or the time limit"),
+    "distance_m": ("float64", "distance of gripper and grasp point at the end [m]"),
+    "angle_deg": ("float64", "geodesic angle between gripper and grasp frame at the end [deg]"),
+    "success": ("bool", "distance and angle within the thresholds at the same step"),
+    "accurate": ("bool", "distance within the threshold at the end: the paper's accuracy"),
+    "success_wide": ("bool", "distance and the wider angle threshold met at some step"),
+}
+"""Columns of ``episodes.parquet``: type and meaning; one row per episode."""
+
+FURTHER_COLUMNS = {
+    "query_type": ("string", "relations that the query names"),
+    "chance": ("float64", "share of right objects of an agent that picks one at random"),
+    "chose_old_answer": ("bool", "whether it answered the query before the graph was edited"),
+    "visible_answers": ("int64", "objects in the first image that answer, as the agent sees it"),
+    "lift": ("string", "how the lift of the object ended: see lifting.OUTCOMES"),
+    "lift_rise_m": ("float64", "rise of the object's centre of mass in the lift [m]"),
+}
+"""Further columns of some evaluations; a task adds its own."""
+
+STEP_COLUMNS = {
+    "episode": ("int32", "index of the episode in the fixed list, from 0"),
+    "step": ("int32", "step of the episode, from 1; the row holds the values after the step"),
+    "distance_m": ("float32", "distance of gripper and grasp point [m]"),
+    "angle_deg": ("float32", "geodesic angle between gripper and grasp frame [deg]"),
+    "reward": ("float32", "reward of the step"),
+}
+"""Columns of ``steps.parquet``, followed by ``joint_<i>_rad`` and ``action_<i>`` per joint."""
+
+FRAME_MS, LAST_MS = 120, 1_200
+"""Display time of each image, and of the last before the animation repeats [ms]."""
+MAX_FRAMES = 10_000
+"""Most images of a film that is read; an episode has at most a few hundred steps."""
+
+
+def episode_types(
+    episodes: Mapping[str, np.ndarray], meanings: Mapping[str, str] = MappingProxyType({})
+) -> dict[str, tuple[str, str]]:
+    """Return type and meaning of the columns of ``episodes.parquet``.
+
+    Args:
+        episodes: the columns.
+        meanings: of those that the task adds.
+    """
+    known, kinds = EPISODE_COLUMNS | FURTHER_COLUMNS, {"b": "bool", "i": "int64", "f": "float64"}
+    return {
+        name: known.get(name)
+        or (kinds.get(values.dtype.kind, "string"), meanings.get(name, "of the task"))
+        for name, values in episodes.items()
+    }
+
+
+def step_columns(joints: int) -> dict[str, tuple[str, str]]:
+    """Return the columns of ``steps.parquet`` for a robot with ``joints`` joints."""
+    columns = dict(STEP_COLUMNS)
+    for i in range(1, joints + 1):
+        increment = f"chosen increment of joint {i}: 0..6, see ACTION_LEVELS"
+        columns[f"joint_{i}_rad"] = ("float32", f"angle of joint {i} [rad]")
+        columns[f"action_{i}"] = ("int8", increment)
+    return columns
+
+
+def write_table(
+    path: Path, columns: Mapping[str, np.ndarray], described: Mapping[str, tuple[str, str]]
+) -> None:
+    """Write columns, (n,) each, to a Parquet file, with the meaning of each as metadata."""
+    types = {"string": pa.dictionary(pa.int32(), pa.string())}
+    fields = [
+        pa.field(name, types.get(kind) or pa.type_for_alias(kind), metadata={"meaning": meaning})
+        for name, (kind, meaning) in described.items()
+    ]
+    arrays = [pa.array(columns[f.name]).cast(f.type) for f in fields]
+    table = pa.Table.from_arrays(arrays, schema=pa.schema(fields))
+    with replacing(path) as temporary:
+        pq.write_table(table, temporary, compression="zstd")
+
+
+def read_table(path: Path) -> dict[str, np.ndarray]:
+    """Read the columns of a Parquet file as (n,) arrays."""
+    with reading(path, AGAIN):
+        table = pq.read_table(pa.BufferReader(path.read_bytes()))
+        return {name: np.asarray(table[name].to_numpy()) for name in table.column_names}
+
+
+def write_film(path: Path, frames: np.ndarray) -> None:
+    """Write images (T, H, W, 3) as a lossless animated WebP, which `read_film` reads."""
+    images = [Image.fromarray(frame) for frame in frames]
+    durations = [FRAME_MS] * (len(images) - 1) + [LAST_MS]
+    options: dict[str, Any] = {"duration": durations, "loop": 0, "lossless": True, "method": 4}
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        images[0].save(path, save_all=True, append_images=images[1:], **options)
+
+
+def read_film(path: Path) -> np.ndarray:
+    """Read the images of a film written by `write_film`: (T, H, W, 3) uint8."""
+    frames: list[np.ndarray] = []
+    with reading(path, AGAIN):
+        with Image.open(path) as film:
+            for number, frame in enumerate(ImageSequence.Iterator(film)):
+                image = np.asarray(frame.convert("RGB"))
+                # The encoder stores equal neighbours once, with the sum of their times.
+                shown = int(frame.info.get("duration", 0))  # a single image has none
+                is_last = number == getattr(film, "n_frames", 1) - 1
+                extra = shown - (LAST_MS if is_last else FRAME_MS)
+                frames += [image] * (1 + max(0, extra) // FRAME_MS)
+                if len(frames) > MAX_FRAMES:
+                    raise ValueError(f"it shows more than {MAX_FRAMES:,} images")
+        return np.stack(frames)
+
+
+def episode_columns(
+    result: EpisodeResults, env: ArmVectorEnv, config: EvaluationConfig
+) -> dict[str, np.ndarray]:
+    """Return the columns of ``episodes.parquet``, (n,) each."""
+    count = len(result.length)
+    names = np.array(["/".join(facet) for facet in env.facets])
+    seeds = config.seed + np.arange(config.seeds)
+    targets = np.array([target.name for target in env.scene.targets])
+    columns = {
+        "episode": np.arange(count),
+        "evaluation_seed": np.repeat(seeds, count // config.seeds),
+        "target": targets[result.infos["target"]],
+        "facet": names[result.infos["facet"]],
+        "return": result.episode_return,
+        "length": result.length,
+        "distance_m": result.distance,
+        "angle_deg": result.angle,
+        "success": result.success,
+        "accurate": result.distance <= config.distance_m,
+        "success_wide": _ever_within(result, config),
+    }
+    columns |= env.config.task.columns(env.running.setting, result.infos)
+    if (chance := env.config.task.chance) is not None:
+        columns["chance"] = np.full(count, chance)
+    if (table := questions_of(env.config)) is not None:
+        kinds = {
+            query.name: AND.join(c.relation for c in query.conditions) for query in table.queries
+        }
+        columns["query_type"] = np.array([kinds[name] for name in columns["query"]])
+    if config.split == "S5":
+        before = answers_before_edit(env.config)
+        asked = zip(columns["query"], columns["chosen"], strict=True)
+        columns["chose_old_answer"] = np.array([name in before.get(q, ()) for q, name in asked])
+    return columns
+
+
+def _ever_within(result: EpisodeResults, config: EvaluationConfig) -> np.ndarray:
+    """Return (N,) bool: success with the wider angle.
+
+    Until an episode meets the wider threshold, both thresholds give the same steps.
+    """
+    assert result.steps is not None
+    steps = result.steps
+    near = (steps.distance <= config.distance_m) & (
+        steps.angle <= max(WIDE_ANGLE_DEG, config.angle_deg)
+    )
+    within = result.success.copy()
+    within[steps.episode[near]] = True
+    return within
+
+
+def lift_columns(result: EpisodeResults, scene: Scene, episodes: Episodes) -> dict[str, np.ndarray]:
+    """Lift the object of every successful episode; return ``lift`` and ``lift_rise_m``, (n,).
+
+    Every episode ends at its first state within the thresholds, so each is lifted at most once.
+    """
+    count = len(episodes)
+    names = np.array([target.name for target in scene.targets])[episodes.target]
+    excluded = np.isin(names, list(scene.robot.not_liftable))
+    chosen = np.flatnonzero(result.success & ~excluded)
+    outcome = np.where(excluded, EXCLUDED, NOT_REACHED).astype("U16")
+    rise = np.zeros(count)
+    if len(chosen):
+        steps = result.steps
+        first = np.searchsorted(steps.episode, np.arange(count + 1))
+        paths = [steps.joint_positions[first[i] : first[i + 1]] for i in chosen]
+        lifts = lift(scene, paths, episodes.objects[chosen], episodes.positions[chosen])
+        outcome[chosen], rise[chosen] = lifts.outcome, lifts.rise
+    return {"lift": outcome, "lift_rise_m": rise}
+
+
+def step_values(result: EpisodeResults) -> dict[str, np.ndarray]:
+    """Return the columns of ``steps.parquet``, (steps,) each."""
+    assert result.steps is not None
+    steps = result.steps
+    values = (steps.episode, steps.step, steps.distance, steps.angle, steps.reward)
+    columns = dict(zip(STEP_COLUMNS, values, strict=True))
+    for i in range(steps.joint_positions.shape[1]):
+        columns[f"joint_{i + 1}_rad"] = steps.joint_positions[:, i]
+        columns[f"action_{i + 1}"] = steps.actions[:, i]
+    return columns
