@@ -18,20 +18,20 @@ import sys
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 import torch
 
 from knowarm.config import override
-from knowarm.experiment.config import EvaluationConfig
-from knowarm.experiment.graph_at_test import (
+from knowarm.experiment.conditions import DamageTest, Subject
+from knowarm.experiment.load import TrainedAgent, load_agent
+from knowarm.experiment.other_graphs import (
     answer_table,
-    graph_at_test,
     knowledge_at_test,
+    splits_of,
     with_graph,
 )
-from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.knowledge.graph.damage import Damage
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.kge.models import MODELS
@@ -63,24 +63,28 @@ def right_object(trained: TrainedAgent, labels: LabelledImages, frames: torch.Te
     return (distance.argmin(1) == 0).numpy()
 
 
+def edited(env: EnvConfig, split: str) -> KnowledgeGraph | None:
+    """Return the edited graph of split S5."""
+    return splits_of(env).edited if split == "S5" else None
+
+
 @torch.no_grad()
 def measure(
-    trained: TrainedAgent, task: Task, how: EvaluationConfig, graph: KnowledgeGraph | None = None
+    trained: TrainedAgent, task: Task, reasoning: Any, graph: KnowledgeGraph | None
 ) -> dict[str, np.ndarray]:
     """Return which images lead to the right object, by a reasoning and with perfect names.
 
-    ``graph`` is what `graph_at_test` returns, if it is known.
+    ``graph`` is what the agent knows instead of its own.
     """
     (env, labels), network = task, network_of(trained)
-    graph = graph or graph_at_test(trained.config, env, how)
     parts = list(zip(labels.images.split(BATCH), labels.queries.split(BATCH), strict=True))
-    if how.reasoning == "vector":
+    if reasoning == "vector":
         kept = network.knowledge
         network.knowledge = torch.from_numpy(knowledge_at_test(trained.config, env, graph))
         frames = torch.cat([network(*part) for part in parts])
         network.knowledge = kept
         return {"right": right_object(trained, labels, frames)}
-    control = None if how.reasoning == "graph" else how.reasoning
+    control = None if reasoning == "graph" else reasoning
     facets = network.spec.facets
     answers = answer_table(trained.config, env, facets, graph=graph, control=control)
     seen = [AnswerGrounding(network, answers).see(*part) for part in parts]
@@ -132,13 +136,13 @@ def write_curves(runs: list[TrainedAgent], arguments: argparse.Namespace) -> Non
         ):
             if share == 0 and seed > 0 and repair is None:  # nothing is drawn
                 continue
-            damage = {"damage": kind, "damage_share": share, "damage_seed": seed, "repair": repair}
-            how = override(EvaluationConfig(), {"split": split, "reasoning": reasoning, **damage})
+            damage = {"damage": kind, "share": share, "seed": seed, "repair": repair}
             env = tasks[split][0]
             key = (config.knowledge.graph, env.targets, split == "S5", *damage.values())
             if key not in graphs:
-                graphs[key] = graph_at_test(config, env, how)
-            found = measure(trained, tasks[split], how, graphs[key])
+                known = Subject(env=env, config=config, graph=edited(env, split))
+                graphs[key] = override(DamageTest(), damage).prepare(known).graph
+            found = measure(trained, tasks[split], reasoning, graphs[key])
             shares = [
                 f"{found[name].mean():.4f}" if name in found else ""
                 for name in ("right", "perfect", "sees_none")
@@ -174,8 +178,7 @@ def main() -> None:
     for trained, seed in product(runs, arguments.seeds):
         for split, task in tasks_of(trained, arguments.splits, arguments.images, seed).items():
             for reasoning in (*arguments.reasoning, "graph-shuffled", "colours"):
-                how = override(EvaluationConfig(), {"split": split, "reasoning": reasoning})
-                found = measure(trained, task, how)
+                found = measure(trained, task, reasoning, edited(task[0], split))
                 run = (trained.config.name, trained.config.seed, f"episodes {seed}", split)
                 print(*run, reasoning, *(f"{n} {percent(v)}" for n, v in found.items()))
 

@@ -11,9 +11,10 @@ import argparse
 import json
 from pathlib import Path
 
-from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.evaluate import evaluate
+from knowarm.experiment.evaluation import EvaluationConfig
 from knowarm.experiment.load import load_agent
+from knowarm.experiment.probes import BlindProbe
 from knowarm.statistics import Interval
 from knowarm.world.agents import BLIND_AGENTS, SCRIPTED_AGENTS
 from knowarm.world.config import EnvConfig
@@ -29,11 +30,9 @@ def evaluation(episodes: int, thresholds: tuple[float, float]) -> EvaluationConf
     distance_m, angle_deg = thresholds
     return EvaluationConfig(
         episodes=episodes,
-        blind_episodes=episodes,
+        probes=(BlindProbe(episodes=episodes),),
         distance_m=distance_m,
         angle_deg=angle_deg,
-        record_steps=False,
-        record_films=0,
     )
 
 

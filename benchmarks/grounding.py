@@ -18,16 +18,15 @@ from typing import get_args
 
 import torch
 
-from knowarm.config import override
 from knowarm.experiment.build import build, slots_of
-from knowarm.experiment.config import EvaluationConfig, ExperimentConfig
-from knowarm.experiment.graph_at_test import (
+from knowarm.experiment.config import ExperimentConfig
+from knowarm.experiment.names import experiment_config
+from knowarm.experiment.other_graphs import (
     described_by,
-    graph_at_test,
     knowledge_at_test,
+    splits_of,
     varied_graphs,
 )
-from knowarm.experiment.names import experiment_config
 from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.damage import Damage, damaged
 from knowarm.perception.grounding import GroundingNetwork
@@ -114,7 +113,7 @@ def main() -> None:
                 labels = sample_images(
                     env, network.spec, arguments.test_images, derive_seed(0, "perception", number)
                 )
-                graph = graph_at_test(config, env, override(EvaluationConfig(), {"split": split}))
+                graph = splits_of(env).edited if split == "S5" else None
                 network.knowledge = torch.from_numpy(knowledge_at_test(config, env, graph))
                 shares.append(f"{split} {measure(network, labels)}")
             print(f"{agent}, seed {seed}: {', '.join(shares)}, {seconds:.0f} s", flush=True)

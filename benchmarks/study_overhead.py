@@ -14,8 +14,9 @@ import tyro
 
 from knowarm.cli.tables import print_table
 from knowarm.errors import UserError
-from knowarm.experiment.config import EvaluationConfig
+from knowarm.experiment.evaluation import EvaluationConfig
 from knowarm.experiment.names import DEFAULT_EXPERIMENT
+from knowarm.experiment.probes import BlindProbe, StepsProbe
 from knowarm.study.config import StudyConfig
 from knowarm.study.driver import run_study
 from knowarm.study.estimate import measure
@@ -56,7 +57,7 @@ def bench_study(config: StudyBenchConfig | None = None) -> dict[str, Any]:
                 experiments=(DEFAULT_EXPERIMENT,),
                 seeds=tuple(range(slots * config.rounds)),
                 overrides={"total_steps": steps, "algorithm": {"processes": where.cores}},
-                evaluations=(EvaluationConfig(episodes=100, record_films=0),),
+                evaluations=(EvaluationConfig(episodes=100, probes=(StepsProbe(), BlindProbe())),),
                 where=where,
             )
 

@@ -22,8 +22,8 @@ from knowarm.benchmark.suites import (
     read_suite,
 )
 from knowarm.config import to_dict
-from knowarm.experiment.config import EvaluationConfig
-from knowarm.experiment.evaluate import env_for_test
+from knowarm.experiment.conditions import SplitTest, Subject
+from knowarm.experiment.evaluation import EvaluationConfig
 from knowarm.experiment.names import experiment_config
 from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.damage import Damage, damaged
@@ -74,7 +74,7 @@ def freeze(
 
 def cell(name: str, experiment: str, how: EvaluationConfig) -> Cell:
     """Draw the episodes of a cell, search its fixed list, and let the oracle play."""
-    config = env_for_test(experiment_config(experiment).env, how)
+    config = how.prepare(Subject(env=experiment_config(experiment).env)).env
     episodes = evaluation_episodes(config, EPISODES, SEED)
     listed = search_open_loop(config)
     env = ArmVectorEnv(config, 100)
@@ -105,7 +105,7 @@ def choose() -> Suite:
     cells = []
     for robot in ("irb120", "tiago"):
         for split in SPLITS:
-            how = EvaluationConfig(distance_m=0.05, angle_deg=15.0, split=split)
+            how = EvaluationConfig(distance_m=0.05, angle_deg=15.0, test=(SplitTest(split=split),))
             cells.append(cell(f"{robot}-{split}", f"{robot}-choose-bm-fast", how))
     about = (
         "Reach the object, of four, that a query describes, within 5 cm and 15 degrees. S1: new "

@@ -142,7 +142,7 @@ def test_train(run):
 
 @example("evaluate", "EvaluationResult", "EvaluationConfig")
 def test_evaluate(run):
-    config = knowarm.EvaluationConfig(episodes=4, num_envs=4, record_films=1, blind_episodes=0)
+    config = knowarm.EvaluationConfig(episodes=4, probes=[{"kind": "films", "episodes": 1}])
     result = knowarm.evaluate(run, config=config)
     assert isinstance(result, knowarm.EvaluationResult)
     assert len(result.episodes["return"]) == 4
@@ -163,7 +163,7 @@ def test_load_agent():
     trained = knowarm.load_agent(ZOO)
     assert isinstance(trained, knowarm.TrainedAgent)
     assert isinstance(trained.agent, knowarm.PolicyAgent)
-    config = knowarm.EvaluationConfig(episodes=4, num_envs=4, record_films=0, blind_episodes=0)
+    config = knowarm.EvaluationConfig(episodes=4, probes=())
     result = knowarm.evaluate(trained, config=config, write=False)
     assert result.summary.agent == "irb120-full-fast/0"
     assert result.summary["success"] > 0

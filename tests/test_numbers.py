@@ -6,7 +6,7 @@ import pytest
 
 from knowarm.cli.main import main
 from knowarm.errors import UserError
-from knowarm.experiment.config import EvaluationConfig
+from knowarm.experiment.evaluation import EvaluationConfig
 from knowarm.experiment.names import experiment_config
 from knowarm.learn.algorithms import A3CConfig, PPOConfig
 from knowarm.world.config import EnvConfig

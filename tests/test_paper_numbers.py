@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 import torch
 
-from knowarm.experiment.config import EvaluationConfig, InterimConfig
+from knowarm.experiment.config import InterimConfig
+from knowarm.experiment.evaluation import EvaluationConfig
+from knowarm.experiment.measures import WIDE_ANGLE_DEG
 from knowarm.experiment.names import experiment_config
-from knowarm.experiment.summary import WIDE_ANGLE_DEG
 from knowarm.knowledge import scene_embedding
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.statistics import one_way_anova

@@ -56,9 +56,7 @@ def train_and_evaluate(name, folder, **overrides):
     run = knowarm.train(name, folder, **{**TINY, **overrides})
     assert run.result.step == 40
     assert run.folder.experiment() == knowarm.experiment_config(name, **{**TINY, **overrides})
-    result = knowarm.evaluate(
-        run.folder.path, episodes=4, num_envs=4, record_films=0, blind_episodes=0
-    )
+    result = knowarm.evaluate(run.folder.path, episodes=4, probes=())
     assert result.write().is_dir()
     return run, result
 

@@ -5,10 +5,10 @@ from .experiment.agents import Agent as Agent
 from .experiment.algorithms import ALGORITHMS as ALGORITHMS
 from .experiment.algorithms import Algorithm as Algorithm
 from .experiment.algorithms import register_algorithm as register_algorithm
-from .experiment.config import EvaluationConfig as EvaluationConfig
 from .experiment.config import ExperimentConfig as ExperimentConfig
 from .experiment.evaluate import EvaluationResult as EvaluationResult
 from .experiment.evaluate import evaluate as evaluate
+from .experiment.evaluation import EvaluationConfig as EvaluationConfig
 from .experiment.graph_queries import GraphQueries as GraphQueries
 from .experiment.load import TrainedAgent as TrainedAgent
 from .experiment.load import load_agent as load_agent

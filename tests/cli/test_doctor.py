@@ -9,7 +9,7 @@ import pytest
 from knowarm.cli.doctor import Doctor
 from knowarm.cli.main import _parse
 from knowarm.errors import UserError
-from knowarm.experiment.config import EvaluationConfig
+from knowarm.experiment.evaluation import EvaluationConfig
 from knowarm.world.description import read_description
 from knowarm.world.robots.robot import Robot
 from tests.world.helpers import EXAMPLES

@@ -58,7 +58,7 @@ def test_it_is_trained_evaluated_and_reported(
         " --tasks hover:Hover",
     )
 
-    start_afresh(monkeypatch)  # a report reads files only
+    start_afresh(monkeypatch)
     page = tmp_path / "report.html"
-    assert main(["report", str(run), "--out", str(page)]) == 0
+    assert main(["report", str(run), "--out", str(page), "--tasks", "hover:Hover"]) == 0
     assert "irb120-hover-full-ppo" in page.read_text()

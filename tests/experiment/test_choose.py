@@ -12,12 +12,13 @@ from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.build import build
-from knowarm.experiment.config import EvaluationConfig, ExperimentConfig
+from knowarm.experiment.conditions import SplitTest, Subject
+from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.evaluate import evaluate
-from knowarm.experiment.graph_at_test import graph_at_test, knowledge_at_test
 from knowarm.experiment.graph_queries import GraphQueries
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.names import experiment_config, experiment_names
+from knowarm.experiment.other_graphs import knowledge_at_test
 from knowarm.experiment.run import Run
 from knowarm.world.agents import OracleAgent
 from knowarm.world.config import EnvConfig, questions_of
@@ -71,7 +72,9 @@ def test_a_task_may_change_the_settings_of_an_algorithm(
 def test_training_and_evaluation_report_the_choice(choose_run: Run, tmp_path: Path) -> None:
     header = (choose_run.folder.path / "evaluations.csv").read_text().splitlines()[0]
     assert "choice" in header.split(",")
-    result = evaluate(choose_run.folder.path, episodes=8, blind_episodes=0, split="S2", write=False)
+    result = evaluate(
+        choose_run.folder.path, episodes=8, probes=(), test=(SplitTest(split="S2"),), write=False
+    )
     folder = result.write(tmp_path / result.summary.label)
     assert folder.name == "post-training-greedy-s2"
     assert result.summary["choice_chance"] == 0.25
@@ -81,22 +84,19 @@ def test_training_and_evaluation_report_the_choice(choose_run: Run, tmp_path: Pa
 
 def test_the_policy_receives_knowledge_of_the_edited_graph_of_s5(tmp_path: Path) -> None:
     """Vectors of the subgraph follow the edit, and one-hot codes stay; both for the test only."""
-    how = EvaluationConfig(split="S5")
+    how = SplitTest(split="S5")
     for agent, follows in (("subgraph", True), ("query-onehot", False)):
         config = experiment_config(f"irb120-choose-{agent}-fast", env=CHOOSE_ENV)
-        judged = replace(
-            config.env,
-            task=replace(config.env.task, queries=GraphQueries(pairs="none", split="S5")),
-        )
+        tested = how.prepare(Subject(env=config.env, config=config))
         table = build(config).table
-        again = knowledge_at_test(config, judged, graph_at_test(config, judged, how))
+        again = knowledge_at_test(config, tested.env, tested.graph)
         assert again.shape == table.shape
         moved = np.abs(again - table).max(axis=1) > 0.01
         assert moved.any() == follows
         assert not moved.all()
     elsewhere = replace(config, knowledge=replace(config.knowledge, graph="household"))
     with pytest.raises(UserError, match="trained with knowledge from household"):
-        graph_at_test(elsewhere, judged, how)
+        how.prepare(Subject(env=elsewhere.env, config=elsewhere))
 
 
 def test_an_evaluation_on_the_edited_graph_counts_the_old_answers(choose_run: Run) -> None:
@@ -106,7 +106,7 @@ def test_an_evaluation_on_the_edited_graph_counts_the_old_answers(choose_run: Ru
     seen = []
     found = network.forward
     network.forward = lambda *images: seen.append(network.knowledge.clone()) or found(*images)
-    result = evaluate(trained, episodes=8, blind_episodes=0, split="S5", write=False)
+    result = evaluate(trained, episodes=8, probes=(), test=(SplitTest(split="S5"),), write=False)
     assert (network.knowledge == before).all()
     assert all((table != before).any() for table in seen)
     assert seen
@@ -115,7 +115,7 @@ def test_an_evaluation_on_the_edited_graph_counts_the_old_answers(choose_run: Ru
     assert result.summary["chose_old_answer"] == wrong.mean()
     assert result.summary.label == "post-training-greedy-s5"
     with pytest.raises(UserError, match="set split to 'S5'"):
-        evaluate(trained, episodes=8, split="S2", edited="mine.csv")
+        SplitTest(split="S2", edited="mine.csv")
 
 
 def test_the_oracle_chooses_and_reaches_in_every_split() -> None:
@@ -129,7 +129,7 @@ def test_the_oracle_chooses_and_reaches_in_every_split() -> None:
 
 def test_a_split_needs_queries_of_a_graph() -> None:
     with pytest.raises(UserError, match="this task has NameQueries"):
-        evaluate(OracleAgent(), EnvConfig(task=Choose()), episodes=4, split="S2")
+        evaluate(OracleAgent(), EnvConfig(task=Choose()), episodes=4, test=(SplitTest(split="S2"),))
 
 
 def test_questions_follow_a_graph_that_was_edited(tmp_path: Path) -> None:

@@ -18,9 +18,7 @@ def stand_still(config, budget, seed):
 
 @pytest.mark.slow
 def test_the_demo_trains_evaluates_and_resumes(tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        module, "EVALUATION", dataclasses.replace(module.EVALUATION, episodes=4, blind_episodes=4)
-    )
+    monkeypatch.setattr(module, "EVALUATION", dataclasses.replace(module.EVALUATION, episodes=4))
     monkeypatch.setattr(open_loop, "search_open_loop", stand_still)
     stops = iter([False, True])
     assert demo(tmp_path, steps=1536, should_stop=lambda: next(stops, True)) is None

@@ -5,13 +5,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from knowarm.config import from_dict, to_dict
 from knowarm.errors import UserError
-from knowarm.experiment import evaluation_files
-from knowarm.experiment.config import EvaluationConfig
+from knowarm.experiment.conditions import (
+    DamageTest,
+    GraphTest,
+    HeldOutTest,
+    ReasoningTest,
+    SplitTest,
+)
 from knowarm.experiment.evaluate import evaluate
+from knowarm.experiment.evaluation import EvaluationConfig
 from knowarm.experiment.evaluation_files import read_film, read_table
 from knowarm.experiment.load import load_agent
-from knowarm.experiment.summary import summarize
+from knowarm.experiment.measures import summarize
+from knowarm.experiment.probes import BlindProbe, FilmsProbe, LiftProbe, StepsProbe
 from knowarm.statistics import wilson
 from knowarm.world.agents import (
     BLIND_AGENTS,
@@ -29,10 +37,10 @@ from knowarm.world.tasks.held_out import HeldOut
 
 ZOO = Path(__file__).parents[2] / "zoo" / "tiago-full-fast"
 ENV = EnvConfig(image_size=32, max_episode_steps=12, dynamics="kinematic")
-SMALL = EvaluationConfig(episodes=24, num_envs=10, record_films=2, distance_m=0.4, angle_deg=80.0)
-SMALL_WIDE = EvaluationConfig(
-    episodes=24, num_envs=10, record_films=0, distance_m=0.4, angle_deg=40
+SMALL = EvaluationConfig(
+    episodes=24, probes=(StepsProbe(), FilmsProbe(episodes=2)), distance_m=0.4, angle_deg=80.0
 )
+SMALL_WIDE = replace(SMALL, probes=(), angle_deg=40)
 
 
 @pytest.fixture(scope="module")
@@ -45,8 +53,6 @@ def result():
     [
         ("episodes", 0),
         ("seeds", 0),
-        ("num_envs", 0),
-        ("blind_episodes", -1),
         ("distance_m", 0.0),
         ("angle_deg", -1.0),
         ("seeds", 7),
@@ -102,15 +108,16 @@ def test_what_was_written_is_what_was_found(result, tmp_path):
     assert len(frames) == result.episodes["length"][0] + 1
 
 
-def test_agents_play_the_same_episodes_at_any_batch_size():
+def test_agents_play_the_same_episodes_at_any_batch_size(monkeypatch):
     one = evaluate(ZeroAgent(), ENV, SMALL)
-    other = evaluate(ZeroAgent(), ENV, replace(SMALL, num_envs=24))
+    monkeypatch.setattr("knowarm.experiment.evaluate.BATCH", 10)
+    other = evaluate(ZeroAgent(), ENV, SMALL)
     for name in ("facet", "distance_m", "angle_deg", "return"):
         np.testing.assert_array_equal(one.episodes[name], other.episodes[name])
 
 
 def test_the_wider_angle_is_judged_as_if_it_had_been_played(monkeypatch):
-    monkeypatch.setattr(evaluation_files, "WIDE_ANGLE_DEG", 180.0)
+    monkeypatch.setattr("knowarm.experiment.evaluate.WIDE_ANGLE_DEG", 180.0)
     narrow = evaluate(ZeroAgent(), ENV, SMALL_WIDE)
     played = evaluate(ZeroAgent(), ENV, replace(SMALL_WIDE, angle_deg=180.0))
     assert narrow.summary["success"] < narrow.summary["success_wide"]
@@ -118,12 +125,10 @@ def test_the_wider_angle_is_judged_as_if_it_had_been_played(monkeypatch):
 
 
 def test_evaluation_seeds_share_the_episodes():
-    config = EvaluationConfig(episodes=12, seeds=3, seed=5, num_envs=12, record_films=0)
+    config = EvaluationConfig(episodes=12, seeds=3, seed=5, probes=())
     whole = evaluate(ZeroAgent(), ENV, config)
     np.testing.assert_array_equal(whole.episodes["evaluation_seed"], np.repeat([5, 6, 7], 4))
-    second = evaluate(
-        ZeroAgent(), ENV, EvaluationConfig(episodes=4, seed=6, num_envs=4, record_films=0)
-    )
+    second = evaluate(ZeroAgent(), ENV, EvaluationConfig(episodes=4, seed=6, probes=()))
     np.testing.assert_array_equal(whole.episodes["distance_m"][4:8], second.episodes["distance_m"])
 
 
@@ -136,9 +141,9 @@ def test_an_unwritable_place_is_named(result, tmp_path):
 def test_held_out_colours_are_played_when_asked_for():
     held_out = HeldOut(colours=("blue", "purple"))
     env = replace(ENV, colours="randomized", held_out=held_out)
-    config = EvaluationConfig(episodes=30, num_envs=30, record_films=0)
+    config = EvaluationConfig(episodes=30, probes=())
     seen = evaluate(ZeroAgent(), env, config).episodes["facet"]
-    asked = replace(config, held_out=True)
+    asked = replace(config, test=(HeldOutTest(),))
     unseen = evaluate(ZeroAgent(), env, asked)
     assert not {"mug/blue", "bottle/purple"} & set(seen)
     assert {"mug/blue", "bottle/purple"} < set(unseen.episodes["facet"])
@@ -164,7 +169,7 @@ def played(success=(True, True, False, False), distance=(0.05, 0.08, 0.09, 0.5))
 
 
 def numbers(episodes):
-    found = summarize(episodes)["numbers"]
+    found, _ = summarize(episodes)
     return {name: getattr(number, "estimate", number) for name, number in found.items()}
 
 
@@ -181,17 +186,17 @@ def test_the_paper_s_numbers_by_hand():
 
 
 def test_shares_carry_wilson_s_interval():
-    found = summarize(played())["numbers"]
+    found, _ = summarize(played())
     assert found["accuracy"] == wilson(3, 4)
     assert found["return_mean"].low < found["return_mean"].estimate < found["return_mean"].high
 
 
 def test_parts_add_up_to_the_whole():
-    found = summarize(played())
-    targets, facets = (found["groups"][name] for name in ("target", "facet"))
+    found, groups = summarize(played())
+    targets, facets = (groups[name] for name in ("target", "facet"))
     assert set(targets) == {"mug", "bottle"}
     assert set(facets) == {"mug/red", "mug/blue", "bottle/yellow"}
-    assert sum(part["episodes"] for part in facets.values()) == found["numbers"]["episodes"]
+    assert sum(part["episodes"] for part in facets.values()) == found["episodes"]
     assert targets["mug"]["success"].estimate == 1
 
 
@@ -205,7 +210,7 @@ def test_blind_agents_stand_beside_a_trained_one(monkeypatch):
     quick = BlindEntry(make=lambda agent, seed: OpenLoopAgent(seed, budget=200), about="")
     monkeypatch.setitem(BLIND_AGENTS, "open-loop", quick)
     trained = load_agent(ZOO)
-    config = EvaluationConfig(episodes=40, blind_episodes=20, num_envs=20, record_films=0)
+    config = EvaluationConfig(episodes=40, probes=(BlindProbe(episodes=20),))
     summary = evaluate(trained, config=config, write=False).summary
     blind = summary.groups["blind"]
     assert list(blind) == list(BLIND_AGENTS)
@@ -223,14 +228,14 @@ def test_blind_agents_stand_beside_a_trained_one(monkeypatch):
         seed=config.seed,
     )
     assert alone.summary["success"] == blind["blind"]["success"].estimate
-    without = evaluate(trained, config=replace(config, blind_episodes=0), write=False).summary
+    without = evaluate(trained, config=replace(config, probes=()), write=False).summary
     seen = {name: each for name, each in summary.numbers.items() if name != "vision_gain"}
     assert without.numbers == seen
     assert without.groups == {n: g for n, g in summary.groups.items() if n != "blind"}
 
 
 def test_untrained_and_scripted_agents_are_evaluated_alone():
-    config = EvaluationConfig(episodes=4, num_envs=4, record_films=0)
+    config = EvaluationConfig(episodes=4)
     untrained = evaluate(load_agent(ZOO, which="untrained"), config=config, write=False)
     scripted = evaluate(ZeroAgent(), ENV, config)
     assert "blind" not in untrained.summary.groups
@@ -238,9 +243,7 @@ def test_untrained_and_scripted_agents_are_evaluated_alone():
 
 
 def test_the_lift_test_counts_what_physics_holds():
-    config = EvaluationConfig(
-        episodes=6, num_envs=6, record_films=0, distance_m=0.002, angle_deg=1.0, lift=True
-    )
+    config = EvaluationConfig(episodes=6, distance_m=0.002, angle_deg=1.0, probes=(LiftProbe(),))
     env = EnvConfig(targets=("mug", "bottle"), image_size=8, max_episode_steps=120)
     result = evaluate(ApproachAgent(), env, config)
     outcomes = result.episodes["lift"]
@@ -258,9 +261,7 @@ def test_objects_that_cannot_be_lifted_are_left_out(monkeypatch):
     robot = dataclasses.replace(ROBOTS["irb120"], not_liftable={"mug": "for this test"})
     monkeypatch.setitem(ROBOTS, "irb120", robot)
     _load_scene.cache_clear()
-    config = EvaluationConfig(
-        episodes=6, num_envs=6, record_films=0, distance_m=9.0, angle_deg=180.0, lift=True
-    )
+    config = EvaluationConfig(episodes=6, distance_m=9.0, angle_deg=180.0, probes=(LiftProbe(),))
     env = EnvConfig(targets=("mug", "bottle"), image_size=8, max_episode_steps=1)
     summary = evaluate(ZeroAgent(), env, config).summary
     _load_scene.cache_clear()
@@ -269,7 +270,7 @@ def test_objects_that_cannot_be_lifted_are_left_out(monkeypatch):
     assert summary["lift_missed"] == 1
 
 
-BRIEF = EvaluationConfig(episodes=4, num_envs=4, record_films=0, blind_episodes=0)
+BRIEF = EvaluationConfig(episodes=4, probes=())
 
 
 def test_a_loaded_agent_acts_as_it_was_loaded_and_twice_the_same():
@@ -285,24 +286,24 @@ def test_a_loaded_agent_acts_as_it_was_loaded_and_twice_the_same():
 
 
 @pytest.mark.parametrize(
-    "setting",
+    ("condition", "name"),
     [
-        {"actions": "sampled"},
-        {"graph": "objects"},
-        {"reasoning": "graph"},
-        {"unclear": "stop"},
-        {"damage": "missing"},
-        {"repair": "transe"},
+        (GraphTest(graph="objects"), "graph"),
+        (ReasoningTest(by="graph"), "reasoning"),
+        (ReasoningTest(unclear="stop"), "reasoning"),
+        (DamageTest(damage="missing"), "damage"),
     ],
 )
-def test_settings_of_trained_agents_are_refused_for_others(setting):
-    with pytest.raises(UserError, match=f"Only trained agents.*{next(iter(setting))}"):
-        evaluate(ZeroAgent(), ENV, BRIEF, **setting)
+def test_conditions_of_trained_agents_are_refused_for_others(condition, name):
+    with pytest.raises(UserError, match=f"Only trained agents.*{name}"):
+        evaluate(ZeroAgent(), ENV, BRIEF, test=(condition,))
+    with pytest.raises(UserError, match=r"Only trained agents.*actions"):
+        evaluate(ZeroAgent(), ENV, BRIEF, actions="sampled")
 
 
 def test_unclear_is_refused_for_an_agent_with_a_vector():
     with pytest.raises(UserError, match="unclear='stop'"):
-        evaluate(ZOO, config=BRIEF, unclear="stop", write=False)
+        evaluate(ZOO, config=BRIEF, test=(ReasoningTest(unclear="stop"),), write=False)
 
 
 def test_another_task_does_not_replace_the_evaluation_of_the_own():
@@ -328,17 +329,26 @@ def test_an_environment_that_an_agent_does_not_fit_is_refused(changes, words):
 
 
 def test_evaluations_that_differ_have_folders_of_their_own():
-    damaged = EvaluationConfig(damage="missing")
-    folders = [damaged.folder, replace(damaged, damage_seed=3).folder]
-    folders += [EvaluationConfig(split="S5", edited=name).folder for name in (None, "a/new.ttl")]
-    assert folders == [
-        "post-training-greedy-missing-30",
-        "post-training-greedy-missing-30-3",
-        "post-training-greedy-s5",
-        "post-training-greedy-s5-new",
-    ]
-    with pytest.raises(UserError, match="damage_seed must be at least 0"):
-        EvaluationConfig(damage_seed=-1)
+    missing = DamageTest(damage="missing")
+    tests = {
+        "missing-30": [missing],
+        "missing-30-3": [replace(missing, seed=3)],
+        "missing-30-complex": [replace(missing, repair="complex")],
+        "s5": [SplitTest(split="S5")],
+        "s5-new": [SplitTest(split="S5", edited="a/new.ttl")],
+        "held-out": [HeldOutTest()],
+        "s1-graph-missing-30": [SplitTest(split="S1"), ReasoningTest(by="graph"), missing],
+        "other-graph-stop": [
+            GraphTest(graph="a/other.tsv"),
+            ReasoningTest(by="graph", unclear="stop"),
+        ],
+    }
+    for label, test in tests.items():
+        config = EvaluationConfig(test=tuple(test))
+        assert config.folder == f"post-training-greedy-{label}"
+        assert from_dict(EvaluationConfig, to_dict(config)) == config
+    with pytest.raises(UserError, match=r"damage\.seed must be at least 0"):
+        DamageTest(seed=-1)
 
 
 def test_files_of_an_earlier_evaluation_do_not_stay(result, tmp_path):

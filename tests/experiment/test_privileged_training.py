@@ -6,8 +6,8 @@ import shutil
 import numpy as np
 import pytest
 
-from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.evaluate import evaluate
+from knowarm.experiment.evaluation import EvaluationConfig
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.names import experiment_config
 from knowarm.experiment.run import train
@@ -17,7 +17,7 @@ from knowarm.world.envs import torch_env
 from knowarm.world.tasks import privileged
 from tests.tiny import TINY
 
-EVALUATION = EvaluationConfig(episodes=6, num_envs=6, record_films=0, blind_episodes=0)
+EVALUATION = EvaluationConfig(episodes=6, probes=())
 
 
 @pytest.fixture(scope="module")

@@ -10,11 +10,17 @@ import torch
 from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS, controls_of
 from knowarm.experiment.build import build, slots_of
-from knowarm.experiment.config import EvaluationConfig
+from knowarm.experiment.conditions import (
+    DamageTest,
+    GraphTest,
+    ReasoningTest,
+    SplitTest,
+    Subject,
+)
 from knowarm.experiment.evaluate import evaluate
-from knowarm.experiment.graph_at_test import answer_table, graph_at_test, varied_graphs, with_graph
 from knowarm.experiment.load import load_agent, reasoning_module
 from knowarm.experiment.names import experiment_config, experiment_names
+from knowarm.experiment.other_graphs import answer_table, varied_graphs, with_graph
 from knowarm.experiment.run import train
 from knowarm.knowledge.graph.builder import graph_of
 from knowarm.perception.answering import AnsweringAgent
@@ -31,8 +37,7 @@ ASKED = [
     for name, agent in AGENTS.items()
     if agent.knowledge.scope == "query" and f"irb120-choose-{name}-fast" in experiment_names()
 ]
-BRIEF = {"episodes": 60, "num_envs": 60, "blind_episodes": 0, "write": False}
-ARM = {"record_films": 0, "record_steps": False}
+BRIEF = {"episodes": 60, "probes": (), "write": False}
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +59,7 @@ def test_an_agent_trains_with_the_answers_of_its_graph_and_plays_from_its_folder
     assert (trained.agent.module.knowledge.numpy() == satisfies).all()
     result = evaluate(trained, **{**BRIEF, "episodes": 8})
     assert set(result.episodes["visible_answers"]) <= {0, 1, 2, 3, 4}
-    by_vector = evaluate(trained, reasoning="vector", **{**BRIEF, "episodes": 8})
+    by_vector = evaluate(trained, test=(ReasoningTest(by="vector"),), **{**BRIEF, "episodes": 8})
     assert "visible_answers" not in by_vector.episodes
     shuffled = experiment_config("irb120-choose-answers-shuffled-fast", env=CHOOSE_ENV)
     assert (answer_table(shuffled, shuffled.env, facets_of(shuffled.env)) != satisfies).any()
@@ -84,7 +89,8 @@ def test_varied_graphs_describe_and_answer_the_queries_of_training():
 @pytest.mark.slow(40)
 def test_the_graph_answers_new_pairs_and_an_edited_graph_and_its_controls_do_not(trained):
     def right(split, reasoning):
-        return evaluate(trained, split=split, reasoning=reasoning, **BRIEF, **ARM).summary["choice"]
+        test = (SplitTest(split=split), ReasoningTest(by=reasoning))
+        return evaluate(trained, test=test, **BRIEF).summary["choice"]
 
     assert right("S5", "graph") > 0.9
     graph, shuffled, colours = (
@@ -98,11 +104,12 @@ def test_the_graph_answers_new_pairs_and_an_edited_graph_and_its_controls_do_not
 @pytest.mark.slow(40)
 def test_damage_lowers_right_choices_of_vectors_and_answers(trained):
     def right(reasoning, **damage):
-        found = evaluate(trained, split="S1", reasoning=reasoning, **damage, **BRIEF, **ARM)
-        return found.summary["choice"]
+        test = [SplitTest(split="S1"), ReasoningTest(by=reasoning)]
+        test += [DamageTest(**damage)] if damage else []
+        return evaluate(trained, test=tuple(test), **BRIEF).summary["choice"]
 
     before = trained.network.knowledge.clone()
-    adversarial = {"damage": "adversarial", "damage_share": 0.6}
+    adversarial = {"damage": "adversarial", "share": 0.6}
     assert right("graph") > 0.9
     assert right("graph", **adversarial) < 0.7
     assert right("vector") - right("vector", **adversarial) > 0.02
@@ -116,8 +123,8 @@ def test_another_graph_asks_and_answers(trained, tmp_path):
     rows += [f"{name}\tweighs\t{value}" for name, value in zip(names, "xyxyx", strict=True)]
     graph = tmp_path / "other.tsv"
     graph.write_text("\n".join([*rows, "sofa\tgoesWith\ta"]))
-    how = {"graph": str(graph), "reasoning": "graph", **BRIEF, **ARM}
-    result = evaluate(trained, **how)
+    test = (GraphTest(graph=str(graph)), ReasoningTest(by="graph"))
+    result = evaluate(trained, test=test, **BRIEF)
     assert set(result.episodes["chosen"]) <= set(names)
     assert {query.split(" ")[0] for query in result.episodes["query"]} == {
         "goesWith",
@@ -126,43 +133,36 @@ def test_another_graph_asks_and_answers(trained, tmp_path):
     }
     assert result.summary["choice"] > 0.85
     assert result.summary.label == "post-training-greedy-other-graph"
-    missing = evaluate(trained, damage="missing", damage_share=1.0, **how)
+    missing = evaluate(trained, test=(*test, DamageTest(damage="missing", share=1.0)), **BRIEF)
     assert missing.summary["choice"] < result.summary["choice"] - 0.1
     with pytest.raises(UserError, match="everything that it can be asked is a question of S1"):
-        evaluate(trained, split="S4", graph=str(graph), **BRIEF)
+        evaluate(trained, test=(SplitTest(split="S4"), *test), **BRIEF)
     graph.write_text("\n".join(rows[:3]))
     with pytest.raises(UserError, match="describes 3 objects of the task"):
-        evaluate(trained, **how)
+        evaluate(trained, test=test, **BRIEF)
     with pytest.raises(UserError, match="has no queries that a graph could answer"):
-        evaluate(ZOO / "irb120-full-fast", graph=str(graph), **BRIEF)
+        evaluate(ZOO / "irb120-full-fast", test=test, **BRIEF)
 
 
 def test_a_repaired_graph_answers_otherwise(trained):
     env = trained.config.env
-    how = EvaluationConfig(damage="missing", damage_share=0.6, repair="complex")
-    graphs = [
-        graph_at_test(trained.config, env, each)
-        for each in (how, dataclasses.replace(how, repair=None))
-    ]
+    how = DamageTest(damage="missing", share=0.6, repair="complex")
+    subject = Subject(env=env, config=trained.config)
+    graphs = [each.prepare(subject).graph for each in (how, dataclasses.replace(how, repair=None))]
     assert set(graphs[0]) > set(graphs[1])
-    assert how.folder.endswith("-missing-60-complex")
-    with pytest.raises(UserError, match="damage and repair change a graph"):
-        graph_at_test(experiment_config("irb120-choose-bm-fast"), env, how)
-
-
-def test_labels_name_reasoning_and_damage():
-    how = EvaluationConfig(split="S1", reasoning="graph", damage="missing", damage_share=0.3)
-    assert how.folder == "post-training-greedy-s1-graph-missing-30"
+    none = experiment_config("irb120-choose-bm-fast")
+    with pytest.raises(UserError, match="changes a graph, and agent 'bm' has none"):
+        how.prepare(dataclasses.replace(subject, config=none))
 
 
 def test_reasoning_needs_a_network_and_damage_a_graph(choose_run):
     reach = ZOO / "irb120-full-fast"
     with pytest.raises(UserError, match="has no grounding network"):
-        evaluate(reach, reasoning="graph", **BRIEF)
-    with pytest.raises(UserError, match="Unknown value of reasoning"):
-        evaluate(choose_run, reasoning="guessing", **BRIEF)
-    with pytest.raises(UserError, match="damage_share must be between 0 and 1"):
-        evaluate(choose_run, damage="missing", damage_share=1.5, **BRIEF)
+        evaluate(reach, test=(ReasoningTest(by="graph"),), **BRIEF)
+    with pytest.raises(UserError, match=r"Unknown value of test\[0\]\.by"):
+        evaluate(choose_run, test=[{"kind": "reasoning", "by": "guessing"}], **BRIEF)
+    with pytest.raises(UserError, match=r"damage\.share must be between 0 and 1"):
+        DamageTest(damage="missing", share=1.5)
 
 
 @pytest.mark.parametrize("name", ASKED)
@@ -215,6 +215,6 @@ def test_targets_of_files_go_by_their_names():
     targets = [*(name for name in CHOOSE_TARGETS if name != "bowl"), bowl]
     config = experiment_config("irb120-choose-answers-fast", env={"targets": targets})
     assert bowl in with_graph(config, "objects").env.targets
-    how = EvaluationConfig(damage="missing", damage_share=1.0)
-    graph = graph_at_test(config, config.env, how)
+    how = DamageTest(damage="missing", share=1.0)
+    graph = how.prepare(Subject(env=config.env, config=config)).graph
     assert not len(graph.out_rows(graph.entity_id("bowl")))

@@ -7,16 +7,14 @@ from pathlib import Path
 import pytest
 
 from knowarm.errors import UserError
-from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.evaluate import evaluate
+from knowarm.experiment.evaluation import EvaluationConfig
 from knowarm.experiment.load import load_agent
 from knowarm.reading import read_json, write_json
 
 ZOO = Path(__file__).parents[2] / "zoo"
 AGENTS = sorted(path.name for path in ZOO.iterdir() if path.is_dir())
-JUDGED = EvaluationConfig(
-    episodes=100, num_envs=50, record_steps=False, record_films=0, blind_episodes=0
-)
+JUDGED = EvaluationConfig(episodes=100, probes=())
 
 
 @pytest.mark.parametrize("name", AGENTS)

@@ -62,4 +62,4 @@ def test_a_stopped_and_resumed_run_equals_an_uninterrupted_one_and_plays_on_the_
         for run in (whole, resumed)
     ]
     assert policies[0] == policies[1]
-    assert evaluate(resumed, episodes=4, blind_episodes=0).summary["episodes"] == 4
+    assert evaluate(resumed, episodes=4, probes=()).summary["episodes"] == 4

@@ -200,12 +200,11 @@ def test_a_run_keeps_its_module(files, tmp_path, name):
     assert folder.provenance().perception["digest"] == digest(files[name].read_bytes())
     trained = load_agent(folder.path)
     assert isinstance(trained.agent, PerceivingAgent)
-    split = "S5" if name == CHOOSE else None
-    result = evaluate(trained, episodes=6, blind_episodes=0, split=split)
+    test = [{"kind": "split", "split": "S5"}] if name == CHOOSE else []
+    how = {"episodes": 6, "probes": (), "test": test}
+    result = evaluate(trained, **how)
     assert 0 <= result.summary["success"] <= 1
-    assert (
-        evaluate(folder.path, episodes=6, blind_episodes=0, split=split).summary == result.summary
-    )
+    assert evaluate(folder.path, **how).summary == result.summary
 
 
 def test_a_run_resumes_with_its_own_module(files, tmp_path):

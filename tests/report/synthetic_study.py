@@ -11,7 +11,8 @@ import torch
 from knowarm.config import to_dict
 from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.algorithms import ALGORITHMS
-from knowarm.experiment.config import EvaluationConfig
+from knowarm.experiment.conditions import SplitTest
+from knowarm.experiment.evaluation import EvaluationConfig
 from knowarm.experiment.evaluation_files import (
     EPISODE_COLUMNS,
     episode_types,
@@ -19,8 +20,9 @@ from knowarm.experiment.evaluation_files import (
     write_film,
     write_table,
 )
+from knowarm.experiment.measures import summarize
 from knowarm.experiment.run_folder import RunFolder
-from knowarm.experiment.summary import Summary, summarize
+from knowarm.experiment.summary import Summary
 from knowarm.knowledge import KnowledgeConfig, SceneEmbedding, query_embedding, scene_embedding
 from knowarm.knowledge.queries.queries import parse_query
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
@@ -314,12 +316,11 @@ def write_evaluation(
         _write_steps(folder, columns, len(joints), generator, 0.2 * (agent == "full"))
     for number in range(size.films):
         write_film(folder / "films" / f"{number}.webp", _images(int(columns["length"][number])))
-    found = summarize(columns)
+    numbers, groups = summarize(columns)
     if size.blind:
-        success = found["numbers"]["success"].estimate
-        found["groups"]["blind"] = blind = _blind(success)
-        found["numbers"]["vision_gain"] = blind["open-loop"]["difference"]
-    write_summary(folder, agent, env, size, joints=joints, **found)
+        groups["blind"] = blind = _blind(numbers["success"].estimate)
+        numbers["vision_gain"] = blind["open-loop"]["difference"]
+    write_summary(folder, agent, env, size, joints=joints, numbers=numbers, groups=groups)
 
 
 def write_choice(
@@ -347,7 +348,9 @@ def write_choice(
     """
     folder.mkdir(parents=True)
     count, env = size.episodes, choice_env()
-    size = replace(size, evaluation={"split": split, "distance_m": 0.05, "angle_deg": 15.0})
+    size = replace(
+        size, evaluation={"test": (SplitTest(split=split),), "distance_m": 0.05, "angle_deg": 15.0}
+    )
     chance = 1 / env["task"]["objects"]
     if not size.tables:
         share = generator.binomial(count, choice) / count
@@ -377,7 +380,8 @@ def write_choice(
     write_table(folder / "episodes.parquet", columns, episode_types(columns))
     for number in range(size.films):
         write_film(folder / "films" / f"{number}.webp", _images(int(columns["length"][number])))
-    write_summary(folder, agent, env, size, **summarize(columns, Choose.measures))
+    numbers, groups = summarize(columns, Choose.measures)
+    write_summary(folder, agent, env, size, numbers=numbers, groups=groups)
 
 
 def _blind(success: float) -> dict[str, Any]:

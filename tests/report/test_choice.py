@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from knowarm.experiment.agents import AGENTS
+from knowarm.experiment.conditions import SplitTest
 from knowarm.experiment.evaluate import evaluate
+from knowarm.experiment.probes import FilmsProbe
 from knowarm.report import write_report
 from knowarm.report.blocks import Films, flat
 from knowarm.report.collect import collect, split_groups
@@ -215,8 +217,8 @@ def test_a_study_that_asks_nothing_has_no_such_page(tmp_path):
 def test_a_real_run_is_reported(choose_run, copy_of, tmp_path):
     run = copy_of(choose_run).path
     for split in ("S1", "S5"):
-        config = {"episodes": 8, "blind_episodes": 0, "record_films": 2}
-        evaluate(run, split=split, **config)
+        test = (SplitTest(split=split),)
+        evaluate(run, episodes=8, test=test, probes=(FilmsProbe(episodes=2),))
     page = write_report([run], tmp_path / "report.html")
     written = page.read_text()
     assert "Was the query understood?" in written

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from knowarm.errors import UserError
+from knowarm.experiment.conditions import SplitTest
 from knowarm.experiment.evaluation_files import EPISODE_COLUMNS, read_table, write_table
 from knowarm.experiment.names import experiment_config
 from knowarm.experiment.run_folder import RunFolder
@@ -265,7 +266,7 @@ def test_an_untrained_policy_of_another_task_is_no_reference(tmp_path, other):
     paths = study(tmp_path)
     folder = paths[0] / "evaluation" / f"{LABEL}-untrained"
     env = env_of() | ({"ignore_roll": True} if other == "env" else {})
-    size = replace(LIGHT, evaluation={"split": "S4"} if other == "split" else {})
+    size = replace(LIGHT, evaluation={"test": (SplitTest(split="S4"),)} if other == "split" else {})
     write_evaluation(folder, "bm", 0.0, env, np.random.default_rng(0), size)
     assert not collect(paths).tasks[0].references
 

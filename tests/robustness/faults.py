@@ -79,7 +79,7 @@ def inject_file_errors(tries: int, seed: int) -> tuple[int, list[str]]:
             write_report([run.path], folder / "report" / "report.html")
 
         def evaluated(number: int) -> None:
-            evaluate(run.path, episodes=2, blind_episodes=0, label="faults")
+            evaluate(run.path, episodes=2, probes=(), label="faults")
 
         def training(number: int) -> None:
             train(

@@ -250,7 +250,7 @@ def _world(folder: Path) -> list[Format]:
 def _run(folder: Path) -> list[Format]:
     config = short(total_steps=40, checkpoint_every_steps=20)
     run = train(config, folder, policy={"features": 8}).folder
-    values = {"episodes": 2, "record_films": 1, "blind_episodes": 0}
+    values = {"episodes": 2, "probes": [{"kind": "steps"}, {"kind": "films", "episodes": 1}]}
     evaluated = evaluate(run.path, **values, label="two").folder
 
     def reported(path: Path) -> None:

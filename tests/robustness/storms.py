@@ -167,7 +167,7 @@ import sys
 from knowarm.experiment.evaluate import evaluate
 
 while True:
-    evaluate(sys.argv[1], episodes=2, record_films=1, blind_episodes=0, label="storm")
+    evaluate(sys.argv[1], episodes=2, probes=[{"kind": "films", "episodes": 1}], label="storm")
     print("written", flush=True)
 """
 

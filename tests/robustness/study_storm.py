@@ -41,7 +41,7 @@ fields.algorithm = {num_envs = 32, processes = 2}
 
 [[evaluations]]
 episodes = 3
-blind_episodes = 0
+probes = []
 
 [where]
 kind = "local"

@@ -104,7 +104,7 @@ def test_overrides_of_some_experiments_come_last(tmp_path):
         (("total_steps", "total_step"), ["line 6", "'total_step'", "'total_steps'"]),
         (("num_envs = 4", "num_envs = 3"), ["line 9", "minibatches"]),
         (('["irb120-bm-ppo"]', '["irb120-bm-ppo", "irb120-bm-ppo"]'), ["line 3", "twice"]),
-        (("episodes = 2\nrecord", "episodes = 0\nrecord"), ["episodes must be at least 1"]),
+        (("episodes = 2\nprobes", "episodes = 0\nprobes"), ["episodes must be at least 1"]),
         (('name = "tiny"', 'name = "../x"'), ["line 2", "name must consist"]),
         (("[overrides]", '[where]\nkind = "slurm"\n[overrides]'), ["line 6", "'slurm'", "local"]),
         (

@@ -3,7 +3,8 @@ import pytest
 import knowarm.study.estimate
 from knowarm.cli.main import main
 from knowarm.errors import UserError
-from knowarm.experiment.config import EvaluationConfig
+from knowarm.experiment.evaluation import EvaluationConfig
+from knowarm.experiment.probes import BlindProbe
 from knowarm.study.estimate import estimate
 from knowarm.study.executor import Where
 from tests.study.tiny import TOML, tiny
@@ -33,8 +34,8 @@ def test_training_is_measured_and_nothing_is_written(tmp_path, monkeypatch):
 
 def test_steps_of_training_and_evaluations_are_added_up(tmp_path, measured):
     evaluations = (
-        EvaluationConfig(episodes=10, blind_episodes=0),
-        EvaluationConfig(label="b", episodes=10, blind_episodes=20),
+        EvaluationConfig(episodes=10, probes=()),
+        EvaluationConfig(label="b", episodes=10, probes=(BlindProbe(episodes=20),)),
     )
     study = tiny(evaluations=evaluations, where=Where(at_once=2, cores=1))
     found = estimate(study, tmp_path / "out")

@@ -33,7 +33,7 @@ def test_the_report_of_a_pack_equals_that_of_the_study(finished, tmp_path, pack)
     assert pages[0].read_bytes() == pages[1].read_bytes()
     assert [each.state for each in study_status(open_study(out), out)] == ["done", "done"]
     run = out / "irb120-bm-ppo" / "0"
-    assert evaluate(run, episodes=2, blind_episodes=0).summary["episodes"] == 2
+    assert evaluate(run, episodes=2, probes=()).summary["episodes"] == 2
     assert not (run / "checkpoints" / "latest" / "optimizer.safetensors").exists()
     assert not (run / "tensorboard").exists()
 

@@ -3,7 +3,8 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from knowarm.experiment.config import EvaluationConfig
+from knowarm.experiment.evaluation import EvaluationConfig
+from knowarm.experiment.probes import FilmsProbe, StepsProbe
 from knowarm.study.config import StudyConfig
 from knowarm.study.executor import Ended, Where
 from knowarm.study.worker import work
@@ -20,8 +21,7 @@ interim = {every_steps = 20, episodes = 2}
 algorithm = {num_envs = 4, rollout_steps = 5, minibatches = 2, processes = 1}
 [[evaluations]]
 episodes = 2
-record_films = 1
-blind_episodes = 0
+probes = [{ kind = "steps" }, { kind = "films", episodes = 1 }]
 """
 
 
@@ -62,6 +62,8 @@ def tiny(**changes) -> StudyConfig:
         "experiments": ("irb120-bm-ppo",),
         "seeds": (0, 1),
         "overrides": STUDY,
-        "evaluations": (EvaluationConfig(episodes=2, record_films=1, blind_episodes=0),),
+        "evaluations": (
+            EvaluationConfig(episodes=2, probes=(StepsProbe(), FilmsProbe(episodes=1))),
+        ),
     }
     return StudyConfig(**{**values, **changes})

@@ -16,9 +16,10 @@ from knowarm.benchmark.external import OnnxPolicy, PredictingPolicy
 from knowarm.benchmark.suites import Cell
 from knowarm.config import to_dict
 from knowarm.errors import UserError
-from knowarm.experiment.config import EvaluationConfig
-from knowarm.experiment.evaluate import agent_for_test
+from knowarm.experiment.conditions import Subject
+from knowarm.experiment.evaluate import known_in_test
 from knowarm.experiment.load import load_agent
+from knowarm.experiment.other_graphs import check_graph, splits_of
 from knowarm.integrations.runner import Runner
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.learn.algorithms import privileged_uses
@@ -216,12 +217,14 @@ def _run(spec: str) -> Entrant:
         if facets_of(own) != facets_of(other):
             raise UserError(f"{spec} was trained with other objects or colours.")
         # A fresh copy: knowledge of one cell must not stay for the next.
-        agent, _ = agent_for_test(
-            load_agent(spec),
-            other,
-            EvaluationConfig(split=cell.split, reasoning=reasoning),
-            graph=cell.graph,
-        )
+        graph = cell.graph or (splits_of(other).edited if cell.split == "S5" else None)
+        if graph is not None:
+            check_graph(config, other)
+        fresh = load_agent(spec)
+        subject = Subject(env=other, config=fresh.config, graph=graph, reasoning=reasoning)
+        agent, table = known_in_test(fresh, subject)
+        if table is not None:
+            fresh.set_knowledge_table(table)
         return agent
 
     asks = questions_of(config.env) is not None and trained.network is not None

@@ -4,24 +4,47 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import tyro
 
 from knowarm.cli.arguments import Command, answer_help, parse_options, take_option
 from knowarm.cli.tables import FilePath, TableCommand, print_table
-from knowarm.config import to_dict
+from knowarm.config import override, to_dict
 from knowarm.errors import UserError, unknown_name
-from knowarm.experiment.config import EvaluationConfig, Which
+from knowarm.experiment.conditions import (
+    AnyCondition,
+    BaseTest,
+    DamageTest,
+    GraphTest,
+    HeldOutTest,
+    Reasoning,
+    ReasoningTest,
+    SplitTest,
+)
+from knowarm.experiment.config import Which
+from knowarm.experiment.evaluation import EvaluationConfig
 from knowarm.experiment.names import task_for
+from knowarm.experiment.probes import (
+    AnyProbe,
+    BaseProbe,
+    BlindProbe,
+    FilmsProbe,
+    LiftProbe,
+    StepsProbe,
+)
+from knowarm.knowledge.graph.damage import Damage
+from knowarm.knowledge.queries.splits import Split
 from knowarm.measures import Measure
+from knowarm.perception.config import Unclear
 from knowarm.statistics import Interval
 from knowarm.world.agents import BLIND_AGENTS, SCRIPTED_AGENTS
 from knowarm.world.config import EnvConfig
 from knowarm.world.tasks import task_type
 
 if TYPE_CHECKING:
-    from knowarm.experiment.summary import Numbers, Summary
+    from knowarm.experiment.measures import Numbers
+    from knowarm.experiment.summary import Summary
 
 ABOUT = """
 AGENT is the folder of a run, or a scripted agent of `knowarm list`, which plays in --env:
@@ -34,15 +57,92 @@ MOST_FACETS = 30  # pairs of target and colour up to which each gets a row
 
 
 @dataclass(frozen=True, kw_only=True)
+class EpisodeOptions(EvaluationConfig):
+    """Episodes and success criteria; conditions and probes have options of their own."""
+
+    test: Annotated[tuple[AnyCondition, ...], tyro.conf.Fixed, tyro.conf.Suppress] = ()
+    probes: Annotated[tuple[AnyProbe, ...], tyro.conf.Fixed, tyro.conf.Suppress] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConditionOptions:
+    """Conditions of the test that differ from training; see `knowarm.experiment.conditions`."""
+
+    held_out: bool = False
+    """Play the colours and places that the environment excluded from training."""
+    split: Split | None = None
+    """Questions of a task with queries: those of this split's test."""
+    edited: str | None = None
+    """Edited graph of split S5, instead of one that swaps values."""
+    graph: str | None = None
+    """Another graph, which asks and answers."""
+    reasoning: Reasoning | None = None
+    """What an agent with a grounding network answers queries by, instead of its own."""
+    unclear: Unclear = "guess"
+    """What an agent that answers by a graph does if it sees no answer, or several."""
+    damage: Damage | None = None
+    """Damage the graph that the agent knows."""
+    damage_share: float = 0.3
+    """Share of the triples about the task's objects that are damaged."""
+    damage_seed: int = 0
+    """Seed of which triples are damaged, and of the repair."""
+    repair: Literal["analogy", "transe", "distmult", "complex"] | None = None
+    """Complete the graph that the agent knows by link prediction, after the damage."""
+
+    def test(self) -> list[BaseTest]:
+        """Return the conditions in the order in which they apply."""
+        found: list[BaseTest] = [HeldOutTest()] if self.held_out else []
+        if self.split is None and self.edited is not None:
+            raise UserError("--edited is the graph of split S5: give --split S5.")
+        if self.split is not None:
+            found.append(SplitTest(split=self.split, edited=self.edited))
+        if self.graph is not None:
+            found.append(GraphTest(graph=self.graph))
+        if self.reasoning is not None or self.unclear != "guess":
+            found.append(ReasoningTest(by=self.reasoning, unclear=self.unclear))
+        if self.damage is not None or self.repair is not None:
+            how: dict[str, Any] = {"share": self.damage_share, "seed": self.damage_seed}
+            found.append(DamageTest(damage=self.damage, repair=self.repair, **how))
+        return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProbeOptions:
+    """What is recorded and measured; see `knowarm.experiment.probes`."""
+
+    lift: bool = False
+    """Lift the object where an episode succeeds, in a simulation with solid objects."""
+    blind_episodes: int = 200
+    """Episodes that the blind agents play beside a trained one; 0 plays none."""
+    record_steps: bool = True
+    """Keep joint angles, action, distance and angle of every step."""
+    record_films: int = 6
+    """Number of episodes, from the first, whose images are kept."""
+
+    def probes(self) -> list[BaseProbe]:
+        """Return the probes."""
+        found: list[BaseProbe] = [StepsProbe()] if self.record_steps else []
+        found += [FilmsProbe(episodes=self.record_films)] if self.record_films else []
+        found += [BlindProbe(episodes=self.blind_episodes)] if self.blind_episodes else []
+        return [*found, *([LiftProbe()] if self.lift else [])]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Evaluate(TableCommand):
     """Evaluate an agent on the episodes of the paper's post-training evaluation."""
 
     agent: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="AGENT")]
     """A run folder (runs/irb120-full-fast/0), or a scripted agent (see `knowarm list`)."""
-    evaluation: Annotated[EvaluationConfig, tyro.conf.OmitArgPrefixes] = field(
-        default_factory=EvaluationConfig
+    evaluation: Annotated[EpisodeOptions, tyro.conf.OmitArgPrefixes] = field(
+        default_factory=EpisodeOptions
     )
     """Episodes and success criteria."""
+    conditions: Annotated[ConditionOptions, tyro.conf.OmitArgPrefixes] = field(
+        default_factory=ConditionOptions
+    )
+    """Conditions of the test."""
+    probes: Annotated[ProbeOptions, tyro.conf.OmitArgPrefixes] = ProbeOptions()
+    """What is recorded and measured."""
     which: Which = "best"
     """Checkpoint of the run: best interim evaluation, latest, or untrained."""
     perception: FilePath = None
@@ -64,6 +164,8 @@ class Evaluate(TableCommand):
         from knowarm.experiment.evaluate import evaluate  # imports torch, which takes seconds
         from knowarm.experiment.load import load_agent
 
+        chosen = {"test": self.conditions.test(), "probes": self.probes.probes()}
+        how = override(EvaluationConfig(), to_dict(self.evaluation) | chosen)
         if is_scripted(self.agent, self.env):
             if self.perception is not None:
                 raise UserError("A scripted agent perceives nothing: leave out --perception.")
@@ -72,10 +174,9 @@ class Evaluate(TableCommand):
                     given = name.replace("_", "-")
                     wanted = given.removeprefix("success-")
                     raise UserError(f"--env.{given} is of training: give --{wanted} here.")
-            agent = SCRIPTED_AGENTS[self.agent].make(self.evaluation.seed)
-            result = evaluate(agent, self.env, self.evaluation, agent_name=self.agent)
+            agent = SCRIPTED_AGENTS[self.agent].make(how.seed)
+            result = evaluate(agent, self.env, how, agent_name=self.agent)
         else:
-            how = self.evaluation
             options: dict[str, Any] = {"which": self.which, "perception": self.perception}
             greedy = how.actions == "greedy"
             trained = load_agent(self.agent, greedy=greedy, seed=how.seed, **options)
@@ -117,7 +218,7 @@ def is_scripted(agent: str, env: EnvConfig | None = None) -> bool:
 
 def _print(summary: "Summary") -> None:
     """Print the results by target and, where they vary and are few, by target and colour."""
-    from knowarm.experiment.summary import measure
+    from knowarm.experiment.measures import measure
 
     targets, facets = (summary.groups[name] for name in ("target", "facet"))
     _print_groups(
@@ -143,7 +244,8 @@ def _print(summary: "Summary") -> None:
 
 def _print_groups(title: str, what: str, groups: "Mapping[str, Numbers]") -> None:
     """Print one row per group of episodes, and one column per measure that any of them has."""
-    from knowarm.experiment.summary import measure  # imports the simulator
+    from knowarm.experiment.measures import measure
+    # imports the simulator
 
     names = dict.fromkeys(name for group in groups.values() for name in group)
     shown = [each for each in map(measure, names) if not each.detail]

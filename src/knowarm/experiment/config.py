@@ -2,19 +2,16 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Literal
 
-from knowarm.config import above_zero, at_least, check_values, fraction, registered
+from knowarm.config import at_least, check_values, registered
 from knowarm.errors import UserError
 from knowarm.experiment.agents import Role
 from knowarm.experiment.algorithms import algorithms
 from knowarm.experiment.graph_queries import GraphQueries as GraphQueries  # registers itself
 from knowarm.knowledge.config import KnowledgeConfig
-from knowarm.knowledge.graph.damage import Damage
-from knowarm.knowledge.queries.splits import Split
 from knowarm.learn.algorithms import AlgorithmConfig, PPOConfig
-from knowarm.perception.config import GroundingConfig, Unclear
+from knowarm.perception.config import GroundingConfig
 from knowarm.policy.config import PolicyConfig
 from knowarm.world.config import EnvConfig
 
@@ -135,103 +132,3 @@ class ExperimentConfig:
     def has_module(self) -> bool:
         """Whether the agent has a perception module or a grounding network beside its policy."""
         return self.knowledge.scope == "perceived" or self.grounding is not None
-
-
-@dataclass(frozen=True, kw_only=True)
-class EvaluationConfig:
-    """Settings of a post-training evaluation (paper section 4.2.4)."""
-
-    episodes: int = 1000
-    """Total number of episodes."""
-    seed: int = 1_000_003
-    """Seed of the fixed episodes; far from training seeds, so that none was trained on."""
-    seeds: int = 1
-    """Number of seeds that the episodes are drawn from in equal shares: ``seed``, ``seed`` + 1,
-    and so on; the paper's analysis of variance takes 30 seeds of 100 episodes."""
-    distance_m: float = 0.10
-    """Largest distance of a success [m]."""
-    angle_deg: float = 17.0
-    """Largest angle of a success [deg]; the paper's section 4. Its section 3 says 20."""
-    actions: Literal["greedy", "sampled"] = "greedy"
-    """Take the most probable action, or sample one."""
-    held_out: bool = False
-    """Play the colours and places that the environment excluded from training."""
-    split: Split | None = None
-    """Questions of the choose task: those of this split's test; None takes those of training."""
-    edited: str | None = None
-    """Path of the edited graph of split S5; None takes the one that swaps values."""
-    graph: str | None = None
-    """Path of another graph, or the name of a shipped one: all that it can be asked about the
-    objects that it describes is asked, and it answers. None takes the run's own graph."""
-    reasoning: Literal["vector", "graph", "graph-shuffled", "colours"] | None = None
-    """What an agent with a grounding network answers queries by: the query's "vector"; the
-    "graph", while the network only names what stands where; as controls of it "graph-shuffled",
-    with permuted tails, or "colours", without facts. None takes the agent's own."""
-    unclear: Unclear = "guess"
-    """What an agent that answers by a graph does if it sees no answer, or several: move to the most
-    likely place ("guess"), or stay ("stop")."""
-    damage: Damage | None = None
-    """Damage the graph that the agent knows: "missing", "wrong" or "adversarial" triples (see
-    `knowarm.knowledge.graph.damage`). Episodes are judged by the undamaged one."""
-    damage_share: float = 0.3
-    """Share of the triples about the task's objects that are damaged."""
-    damage_seed: int = 0
-    """Seed of which triples are damaged, and of the repair."""
-    repair: Literal["analogy", "transe", "distmult", "complex"] | None = None
-    """Complete the graph that the agent knows by link prediction with this graph embedding (see
-    `knowarm.knowledge.kge.completion`), after the damage."""
-    label: str | None = None
-    """Name of the folder of the evaluation's files; None takes ``post-training-<actions>``, plus
-    ``-held-out`` for held-out episodes, or the split in lower case, graph, reasoning, ``-stop``,
-    edited graph, damage, repair, their seed if it is not 0, and lift."""
-    blind_episodes: int = 200
-    """Number of episodes, from the first, that the blind agents play beside a trained one; 0 plays
-    none."""
-    lift: bool = False
-    """Lift the object where an episode succeeds: its joint path is replayed among solid objects,
-    the fingers close, the arm lifts 10 cm and holds 2 s."""
-    record_steps: bool = True
-    """Keep joint angles, action, distance and angle of every step."""
-    record_films: int = 6
-    """Number of episodes, from the first, whose images are kept."""
-    num_envs: int = 128
-    """Episodes played in parallel. It affects the result: another batch size rounds sums
-    differently."""
-
-    def __post_init__(self) -> None:
-        check_values(self)
-        at_least(self, 1, "episodes", "seeds", "num_envs")
-        at_least(self, 0, "blind_episodes", "damage_seed")
-        above_zero(self, "distance_m", "angle_deg")
-        fraction(self, "damage_share")
-        if self.edited is not None and self.split != "S5":
-            raise UserError(
-                f"edited is the graph of split S5, got split={self.split!r}; set split to 'S5'."
-            )
-        if self.graph is not None and self.split not in (None, "S1"):
-            raise UserError(
-                f"With another graph everything that it can be asked is a question of S1, got "
-                f"split={self.split!r}. Leave split out."
-            )
-        if self.episodes % self.seeds:
-            raise UserError(
-                f"{self.episodes} episodes cannot be shared equally by {self.seeds} seeds; give a "
-                f"multiple of {self.seeds}."
-            )
-
-    @property
-    def folder(self) -> str:
-        """Name of the folder of the evaluation's files."""
-        return self.label or (
-            f"post-training-{self.actions}"
-            + ("-held-out" if self.held_out else "")
-            + (f"-{self.split.lower()}" if self.split else "")
-            + (f"-{Path(self.graph).stem}" if self.graph else "")
-            + (f"-{self.reasoning}" if self.reasoning else "")
-            + ("-stop" if self.unclear == "stop" else "")
-            + (f"-{Path(self.edited).stem}" if self.edited else "")
-            + (f"-{self.damage}-{100 * self.damage_share:g}" if self.damage else "")
-            + (f"-{self.repair}" if self.repair else "")
-            + (f"-{self.damage_seed}" if self.damage_seed and (self.damage or self.repair) else "")
-            + ("-lift" if self.lift else "")
-        )

@@ -7,7 +7,8 @@ from pathlib import Path
 from knowarm.errors import UserError
 from knowarm.experiment.agents import first_of_role
 from knowarm.experiment.algorithms import DEMO_ALGORITHM
-from knowarm.experiment.config import EvaluationConfig, ExperimentConfig, InterimConfig
+from knowarm.experiment.config import ExperimentConfig, InterimConfig
+from knowarm.experiment.evaluation import EvaluationConfig
 from knowarm.experiment.names import experiment_config
 from knowarm.world.robots import DEMO_ROBOT
 

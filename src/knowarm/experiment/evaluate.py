@@ -2,8 +2,9 @@
 
 import dataclasses
 import shutil
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,34 +13,28 @@ import torch
 
 from knowarm.config import override, to_dict
 from knowarm.errors import UserError
-from knowarm.experiment.config import EvaluationConfig
+from knowarm.experiment.conditions import Subject
+from knowarm.experiment.evaluation import EvaluationConfig
 from knowarm.experiment.evaluation_files import (
-    episode_columns,
     episode_types,
-    lift_columns,
+    ever_within,
     step_columns,
-    step_values,
     write_film,
     write_table,
 )
-from knowarm.experiment.graph_at_test import (
-    answer_table,
-    graph_at_test,
-    knowledge_at_test,
-    with_graph,
-)
 from knowarm.experiment.load import TrainedAgent, load_agent, policy_agent
+from knowarm.experiment.measures import WIDE_ANGLE_DEG, summarize
+from knowarm.experiment.other_graphs import answer_table, knowledge_at_test
+from knowarm.experiment.probes import Findings, Played
 from knowarm.experiment.run import Run
-from knowarm.experiment.summary import Summary, summarize
-from knowarm.knowledge import KnowledgeGraph
+from knowarm.experiment.summary import Summary
 from knowarm.perception.answering import AnsweringAgent
+from knowarm.questions import AND
 from knowarm.reading import write_json, writing
-from knowarm.statistics import Interval, share_difference, wilson
-from knowarm.world.agents import BLIND_AGENTS, AgentProtocol
-from knowarm.world.agents.play import play
-from knowarm.world.config import EnvConfig, facets_of
+from knowarm.world.agents import AgentProtocol
+from knowarm.world.agents.play import EpisodeResults, play
+from knowarm.world.config import EnvConfig, facets_of, questions_of
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.lifting.model import lifting_model
 from knowarm.world.tasks.episodes import Episodes, evaluation_episodes
 
 
@@ -104,8 +99,8 @@ class EvaluationResult:
         return folder
 
 
-FOR_TRAINED = ("actions", "graph", "reasoning", "unclear", "damage", "repair")
-"""Settings that change what a trained agent knows or does."""
+BATCH = 128
+"""Most episodes played in parallel; another batch size rounds sums differently."""
 
 
 def evaluate(
@@ -119,15 +114,14 @@ def evaluate(
 ) -> EvaluationResult:
     """Play the fixed episodes and measure returns, accuracy and success.
 
-    Agents evaluated with equal configs play the same episodes. Beside a trained agent, the blind
-    agents play the first ``config.blind_episodes`` of them: see `blind_numbers`.
+    Agents evaluated with equal configs play the same episodes.
 
     Args:
         agent: what `train` or `load_agent` returned, a run folder, or any object with
             ``start(env)`` and ``act(images)``.
         env_config: the task; its success thresholds are replaced by those of ``config``. None
             takes the task that a trained agent was trained on.
-        config: episodes and thresholds; None takes the defaults.
+        config: episodes, test conditions and probes; None takes the defaults.
         agent_name: name in the summary; a trained agent has the name of its run.
         write: store the result in the run's folder, ``<run>/evaluation/<label>/``; without effect
             for an agent without a run.
@@ -137,162 +131,137 @@ def evaluate(
         The result, with the columns of every episode.
 
     Raises:
-        UserError: a run folder that cannot be loaded or written to, an agent without a task,
-            held-out episodes of an environment that holds none out, or a lift by a robot without
-            fingers.
+        UserError: a run folder that cannot be loaded or written to, an agent without a task, or a
+            condition or probe that does not fit agent or task.
     """
     config = override(config or EvaluationConfig(), overrides)
-    if isinstance(agent, Run):
-        agent = agent.folder.path
-    if isinstance(agent, str | Path):
-        agent = load_agent(agent, greedy=config.actions == "greedy", seed=config.seed)
-    folder, blind_episodes, trained = None, 0, None
-    if isinstance(agent, TrainedAgent):
-        if agent.agent.greedy != (config.actions == "greedy"):
-            raise UserError(
-                f"The agent was loaded with greedy={agent.agent.greedy}, and actions is "
-                f"{config.actions!r}. Pass its run folder, or load it with the other greedy."
-            )
-        if agent.agent.generator is not None:  # another evaluation may have drawn from it
-            agent.agent.generator.manual_seed(config.seed)
-        blind_episodes = config.blind_episodes if agent.which != "untrained" else 0
-        if config.graph is not None:
-            agent = dataclasses.replace(agent, config=with_graph(agent.config, config.graph))
-        if write and env_config not in (None, agent.config.env) and config.label is None:
-            raise UserError(
-                "This task is not the agent's own, and its evaluation would replace that in the "
-                "run folder. Give it a label=..., or set write=False."
-            )
-        if agent.which != "best":
-            config = dataclasses.replace(config, label=f"{config.folder}-{agent.which}")
-        env_config = env_config or agent.config.env
-        agent_name = f"{agent.config.name}/{agent.config.seed}"
-        folder = agent.folder.evaluation(config.folder)
-        trained, agent = agent, agent.agent
-    elif changed := [n for n in FOR_TRAINED if getattr(config, n) != getattr(EvaluationConfig, n)]:
-        raise UserError(
-            f"Only trained agents can be evaluated with {', '.join(changed)}. Leave it out, or "
-            "pass a run folder."
-        )
-    if env_config is None:
-        raise UserError("This agent has no task of its own: pass env_config=EnvConfig(...).")
-    judged = env_for_test(env_config, config)
-    env = ArmVectorEnv(judged, min(config.num_envs, config.episodes))
-    table: torch.Tensor | None = None
-    try:
-        if trained is not None:
-            agent, table = agent_for_test(trained, judged, config)
-            check_fits(trained, env, knows_task=table is not None or agent is not trained.agent)
+    agent, trained, config = _loaded(agent, config)
+    subject = config.prepare(_subject(trained, env_config, own_folder=write and not config.label))
+    if trained is not None and trained.which != "best":
+        config = replace(config, label=f"{config.folder}-{trained.which}")
+    task = subject.env.task
+    with (
+        closing(ArmVectorEnv(subject.env, min(BATCH, config.episodes))) as env,
+        agent_for_test(agent, trained, subject, env) as agent,
+    ):
+        for probe in config.probes:
+            probe.check(env)
         fixed = _episodes(env, config)
-        if config.lift and judged.task.solid:
-            raise UserError("lift=True lifts where episodes of a task without solid objects end.")
-        if config.lift:  # a robot without fingers is found before anything is played
-            lifting_model(env.scene.robot, env.scene.targets[:1])
-        result = play(agent, env, fixed, record_images=config.record_films)
-        if isinstance(agent, AnsweringAgent):  # the last batch repeats its last episode
-            visible = np.concatenate(agent.log)[: len(fixed)]
-        blind, gain = blind_numbers(agent, result.success, env, fixed, blind_episodes, config.seed)
-        episodes = episode_columns(result, env, config)
-        if isinstance(agent, AnsweringAgent):
-            episodes["visible_answers"] = visible
-        if config.lift:
-            episodes |= lift_columns(result, env.scene, fixed)
-        steps = step_values(result) if config.record_steps else None
-    finally:
-        env.close()
-        if trained is not None and table is not None:
-            trained.set_knowledge_table(table)
-    found = summarize(episodes, judged.task.measures)
-    found["numbers"] |= gain
+        result = play(agent, env, fixed, record_images=config.films)
+        columns = episode_columns(agent, result, env, config)
+        found, is_trained = Findings(columns), trained is not None and trained.which != "untrained"
+        played, found = (
+            Played(agent, env, fixed, result, config.seed, is_trained),
+            Findings(columns),
+        )
+        for probe in config.probes:
+            probe.measure(played, found)
+    numbers, groups = summarize(found.columns, task.measures)
     summary = Summary(
-        agent=agent_name,
+        agent=f"{trained.config.name}/{trained.config.seed}" if trained else agent_name,
         label=config.folder,
         config=config,
-        env=to_dict(judged),
+        env=to_dict(subject.env),
         joints=tuple(env.scene.joint_names),
-        numbers=found["numbers"],
-        groups=found["groups"] | blind,
+        numbers=numbers | found.numbers,
+        groups=groups | found.groups,
     )
+    folder = trained.folder.evaluation(config.folder) if trained else None
     measured = EvaluationResult(
-        summary, episodes, steps, result.images, folder, judged.task.column_meanings
+        summary, found.columns, found.steps, result.images, folder, task.column_meanings
     )
     if write and folder is not None:
         measured.write()
     return measured
 
 
-def count_blind_episodes(config: EvaluationConfig) -> int:
-    """Count the episodes that all blind agents play in an evaluation."""
-    return len(BLIND_AGENTS) * min(config.blind_episodes, config.episodes)
-
-
-def blind_numbers(
-    agent: AgentProtocol,
-    success: np.ndarray,
-    env: ArmVectorEnv,
-    episodes: Episodes,
-    count: int,
-    seed: int,
-) -> tuple[dict[str, Any], dict[str, Interval]]:
-    """Play the first ``count`` of an agent's N episodes with the blind agents, and compare.
-
-    ``success`` (N,) bool is the agent's. Returns the group ``blind``, by name of the agent its
-    ``episodes``, ``success`` and ``difference``, the success of the agent over all episodes minus
-    its own; and ``vision_gain``, the smallest difference to an agent that sees nothing.
-    """
-    if not count:
-        return {}, {}
-    chosen = episodes[:count]
-    own = wilson(int(np.count_nonzero(success)), len(success))
-    numbers: dict[str, dict[str, Any]] = {}
-    for name, entry in BLIND_AGENTS.items():
-        solved = play(entry.make(agent, seed), env, chosen).success
-        share = wilson(int(np.count_nonzero(solved)), len(solved))
-        difference = share_difference(own, share)
-        numbers[name] = {
-            "episodes": float(len(solved)),
-            "success": share,
-            "difference": difference,
-        }
-    seeing = (numbers[n]["difference"] for n, e in BLIND_AGENTS.items() if e.sees_nothing)
-    return {"blind": numbers}, {"vision_gain": min(seeing, key=lambda each: each.estimate)}
-
-
-def agent_for_test(
-    trained: TrainedAgent,
-    env: EnvConfig,
-    config: EvaluationConfig,
-    graph: KnowledgeGraph | None = None,
-) -> tuple[AgentProtocol, torch.Tensor | None]:
-    """Return the agent with what it knows in this evaluation, and a table to restore after it.
-
-    ``env`` is of `env_for_test`; ``graph`` replaces the graph of the questions.
-    """
-    graph, network = graph_at_test(trained.config, env, config, graph), trained.network
-    reasoning = config.reasoning or trained.config.reasoning
-    if config.reasoning and network is None:
+def _loaded(
+    agent: AgentProtocol | TrainedAgent | Run | Path | str, config: EvaluationConfig
+) -> tuple[AgentProtocol, TrainedAgent | None, EvaluationConfig]:
+    """Return what plays, and the trained agent, if it is one, ready to draw its actions."""
+    if isinstance(agent, Run):
+        agent = agent.folder.path
+    greedy = config.actions == "greedy"
+    if isinstance(agent, str | Path):
+        agent = load_agent(agent, greedy=greedy, seed=config.seed)
+    if not isinstance(agent, TrainedAgent):
+        if not greedy:
+            raise UserError(
+                "Only trained agents can be evaluated with actions. Leave it out, or pass a run "
+                "folder."
+            )
+        return agent, None, config
+    if agent.agent.greedy != greedy:
         raise UserError(
-            f"The agent {trained.config.agent!r} has no grounding network, so reasoning cannot be "
+            f"The agent was loaded with greedy={agent.agent.greedy}, and actions is "
+            f"{config.actions!r}. Pass its run folder, or load it with the other greedy."
+        )
+    if agent.agent.generator is not None:  # another evaluation may have drawn from it
+        agent.agent.generator.manual_seed(config.seed)
+    return agent.agent, agent, config
+
+
+def _subject(trained: TrainedAgent | None, env: EnvConfig | None, *, own_folder: bool) -> Subject:
+    """Return what is evaluated before the conditions of the test apply."""
+    if trained is None:
+        if env is None:
+            raise UserError("This agent has no task of its own: pass env_config=EnvConfig(...).")
+        return Subject(env=env)
+    if own_folder and env not in (None, trained.config.env):
+        raise UserError(
+            "This task is not the agent's own, and its evaluation would replace that in the run "
+            "folder. Give it a label=..., or set write=False."
+        )
+    return Subject(env=env or trained.config.env, config=trained.config)
+
+
+@contextmanager
+def agent_for_test(
+    agent: AgentProtocol, trained: TrainedAgent | None, subject: Subject, env: ArmVectorEnv
+) -> Iterator[AgentProtocol]:
+    """Yield an agent with what it knows in a test, and restore what it knew."""
+    if trained is None:
+        yield agent
+        return
+    changed, table = known_in_test(trained, subject)
+    knows_task = table is not None or changed is not trained.agent
+    old = None if table is None else trained.set_knowledge_table(table)
+    try:
+        check_fits(trained, env, knows_task=knows_task)
+        yield changed
+    finally:
+        if old is not None:
+            trained.set_knowledge_table(old)
+
+
+def known_in_test(
+    trained: TrainedAgent, subject: Subject
+) -> tuple[AgentProtocol, torch.Tensor | None]:
+    """Return the agent that plays a test, and the table that replaces its knowledge, if any."""
+    config, network, graph = subject.trained, trained.network, subject.graph
+    reasoning = subject.reasoning or config.reasoning
+    if subject.reasoning and network is None:
+        raise UserError(
+            f"The agent {config.agent!r} has no grounding network, so reasoning cannot be "
             "chosen. Leave reasoning out, or take a run such as zoo/irb120-choose-subgraph-fast."
         )
     if reasoning == "vector":
-        if config.unclear != "guess":
+        if subject.unclear != "guess":
             raise UserError(
-                f"unclear={config.unclear!r} is for agents that answer by a graph, and "
-                f"{trained.config.agent!r} knows a vector. Leave it out, or set reasoning='graph'."
+                f"unclear={subject.unclear!r} is for agents that answer by a graph, and "
+                f"{config.agent!r} knows a vector. Leave it out, or reason by the graph."
             )
-        if graph is None and config.reasoning is None and config.graph is None:
+        if graph is None and subject.reasoning is None and config is trained.config:
             return trained.agent, None
         agent = trained.agent
-        if config.reasoning:  # the network compares the query's vector with places
+        if subject.reasoning:  # the network compares the query's vector with places
             agent = policy_agent(trained.policy, network, agent.greedy, agent.generator)
-        changed = torch.from_numpy(knowledge_at_test(trained.config, env, graph))
-        return agent, trained.set_knowledge_table(changed)
+        return agent, torch.from_numpy(knowledge_at_test(config, subject.env, graph))
     assert network is not None  # of every agent that answers by a graph
     control = None if reasoning == "graph" else reasoning
     facets = network.spec.facets
-    answers = answer_table(trained.config, env, facets, graph=graph, control=control)
-    return trained.answering(answers, config.unclear), None
+    answers = answer_table(config, subject.env, facets, graph=graph, control=control)
+    return trained.answering(answers, subject.unclear), None
 
 
 def check_fits(trained: TrainedAgent, env: ArmVectorEnv, *, knows_task: bool) -> None:
@@ -311,26 +280,40 @@ def check_fits(trained: TrainedAgent, env: ArmVectorEnv, *, knows_task: bool) ->
             )
 
 
-def env_for_test(env_config: EnvConfig, config: EvaluationConfig) -> EnvConfig:
-    """Return the task of an evaluation: with its thresholds, split and held-out episodes."""
-    held_out = env_config.held_out
-    if config.held_out:
-        if held_out is None:
-            raise UserError(
-                "held_out=True plays episodes that were excluded from training, and this "
-                "environment holds none out. Train with env.held_out, or leave held_out out."
-            )
-        held_out = dataclasses.replace(held_out, play="held_out")
-    task = env_config.task
-    if config.split is not None:
-        task = task.for_split(config.split, config.edited)
-    return dataclasses.replace(
-        env_config,
-        success_distance_m=config.distance_m,
-        success_angle_deg=config.angle_deg,
-        held_out=held_out,
-        task=task,
-    )
+def episode_columns(
+    agent: AgentProtocol, result: EpisodeResults, env: ArmVectorEnv, config: EvaluationConfig
+) -> dict[str, np.ndarray]:
+    """Return the columns of ``episodes.parquet``, (n,) each."""
+    count, wide = len(result.length), max(WIDE_ANGLE_DEG, config.angle_deg)
+    names = np.array(["/".join(facet) for facet in env.facets])
+    seeds = config.seed + np.arange(config.seeds)
+    targets = np.array([target.name for target in env.scene.targets])
+    columns = {
+        "episode": np.arange(count),
+        "evaluation_seed": np.repeat(seeds, count // config.seeds),
+        "target": targets[result.infos["target"]],
+        "facet": names[result.infos["facet"]],
+        "return": result.episode_return,
+        "length": result.length,
+        "distance_m": result.distance,
+        "angle_deg": result.angle,
+        "success": result.success,
+        "accurate": result.distance <= config.distance_m,
+        "success_wide": ever_within(result, config.distance_m, wide),
+    }
+    columns |= env.config.task.columns(env.running.setting, result.infos)
+    if (chance := env.config.task.chance) is not None:
+        columns["chance"] = np.full(count, chance)
+    if (table := questions_of(env.config)) is not None:
+        kinds = {
+            query.name: AND.join(c.relation for c in query.conditions) for query in table.queries
+        }
+        columns["query_type"] = np.array([kinds[name] for name in columns["query"]])
+    for condition in config.test:
+        columns |= condition.columns(env.config, columns)
+    if isinstance(agent, AnsweringAgent):  # the last batch repeats its last episode
+        columns["visible_answers"] = np.concatenate(agent.log)[:count]
+    return columns
 
 
 def _episodes(env: ArmVectorEnv, config: EvaluationConfig) -> Episodes:

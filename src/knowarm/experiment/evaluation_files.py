@@ -10,14 +10,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from PIL import Image, ImageSequence
 
-from knowarm.experiment.config import EvaluationConfig
-from knowarm.experiment.graph_at_test import answers_before_edit
-from knowarm.experiment.summary import AGAIN, EXCLUDED, NOT_REACHED, WIDE_ANGLE_DEG
-from knowarm.questions import AND
+from knowarm.experiment.measures import AGAIN, EXCLUDED, NOT_REACHED
 from knowarm.reading import reading, replacing, writing
 from knowarm.world.agents.play import EpisodeResults
-from knowarm.world.config import questions_of
-from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.lifting.lift import lift
 from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.episodes import Episodes
@@ -138,52 +133,14 @@ def read_film(path: Path) -> np.ndarray:
         return np.stack(frames)
 
 
-def episode_columns(
-    result: EpisodeResults, env: ArmVectorEnv, config: EvaluationConfig
-) -> dict[str, np.ndarray]:
-    """Return the columns of ``episodes.parquet``, (n,) each."""
-    count = len(result.length)
-    names = np.array(["/".join(facet) for facet in env.facets])
-    seeds = config.seed + np.arange(config.seeds)
-    targets = np.array([target.name for target in env.scene.targets])
-    columns = {
-        "episode": np.arange(count),
-        "evaluation_seed": np.repeat(seeds, count // config.seeds),
-        "target": targets[result.infos["target"]],
-        "facet": names[result.infos["facet"]],
-        "return": result.episode_return,
-        "length": result.length,
-        "distance_m": result.distance,
-        "angle_deg": result.angle,
-        "success": result.success,
-        "accurate": result.distance <= config.distance_m,
-        "success_wide": _ever_within(result, config),
-    }
-    columns |= env.config.task.columns(env.running.setting, result.infos)
-    if (chance := env.config.task.chance) is not None:
-        columns["chance"] = np.full(count, chance)
-    if (table := questions_of(env.config)) is not None:
-        kinds = {
-            query.name: AND.join(c.relation for c in query.conditions) for query in table.queries
-        }
-        columns["query_type"] = np.array([kinds[name] for name in columns["query"]])
-    if config.split == "S5":
-        before = answers_before_edit(env.config)
-        asked = zip(columns["query"], columns["chosen"], strict=True)
-        columns["chose_old_answer"] = np.array([name in before.get(q, ()) for q, name in asked])
-    return columns
-
-
-def _ever_within(result: EpisodeResults, config: EvaluationConfig) -> np.ndarray:
+def ever_within(result: EpisodeResults, distance_m: float, angle_deg: float) -> np.ndarray:
     """Return (N,) bool: success with the wider angle.
 
     Until an episode meets the wider threshold, both thresholds give the same steps.
     """
     assert result.steps is not None
     steps = result.steps
-    near = (steps.distance <= config.distance_m) & (
-        steps.angle <= max(WIDE_ANGLE_DEG, config.angle_deg)
-    )
+    near = (steps.distance <= distance_m) & (steps.angle <= angle_deg)
     within = result.success.copy()
     within[steps.episode[near]] = True
     return within

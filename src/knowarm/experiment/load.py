@@ -11,7 +11,7 @@ import torch
 from knowarm.config import from_dict
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig, Which
-from knowarm.experiment.graph_at_test import answer_table
+from knowarm.experiment.other_graphs import answer_table
 from knowarm.experiment.run_folder import RunFolder, given_module, stored_module
 from knowarm.learn import read_checkpoint
 from knowarm.perception.agent import PerceivingAgent

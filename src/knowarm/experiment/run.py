@@ -12,10 +12,10 @@ from knowarm.errors import UserError
 from knowarm.experiment.build import Parts, build, make_trainer, slots_of
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.csv_log import writing
-from knowarm.experiment.graph_at_test import varied_graphs
 from knowarm.experiment.load import reasoning_module
 from knowarm.experiment.logs import RunLogs, TrainingProgress
 from knowarm.experiment.names import experiment_config
+from knowarm.experiment.other_graphs import varied_graphs
 from knowarm.experiment.run_folder import (
     PERCEPTION_FILE,
     RunFolder,

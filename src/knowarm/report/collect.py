@@ -33,8 +33,8 @@ NOT_THE_TASK = {"renderer", "image_size"}
 NOT_A_TASK = {field for agent in AGENTS.values() for field in agent.task}
 # Top-level fields of the config that are no setting of the agent.
 NOT_A_SETTING = {"agent", "role", "name", "seed", "env", "checkpoint_every_steps"}
-# Beginnings of the names of evaluation settings that do not change the agent's numbers.
-NOT_A_RULE = ("record", "blind", "label")
+# Evaluation settings that do not change the agent's numbers.
+NOT_A_RULE = ("probes", "label")
 # Settings that only seed random draws: runs that differ in them are seeds of one agent.
 DRAWS = {"knowledge.seed"}
 
@@ -120,7 +120,7 @@ def _same_rules(first: Evaluation, second: Evaluation) -> bool:
 def rules(evaluation: Evaluation) -> str:
     """Return what evaluations by the same rules share."""
     config = to_dict(evaluation.summary.config)
-    kept = {k: v for k, v in config.items() if not k.startswith(NOT_A_RULE)}
+    kept = {k: v for k, v in config.items() if k not in NOT_A_RULE}
     return json.dumps([evaluation.summary["episodes"], kept], sort_keys=True)
 
 

@@ -13,8 +13,9 @@ from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS, Role
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.evaluation_files import EPISODE_COLUMNS, read_table
+from knowarm.experiment.measures import AGAIN
 from knowarm.experiment.run_folder import Provenance
-from knowarm.experiment.summary import AGAIN, Summary
+from knowarm.experiment.summary import Summary
 from knowarm.knowledge.config import Detail
 from knowarm.knowledge.vectors.placebos import Zeros
 from knowarm.report.format import palette

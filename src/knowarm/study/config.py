@@ -12,7 +12,8 @@ from typing import Any
 from knowarm.config import from_dict, override, to_dict
 from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.agents import AGENTS, controls_of
-from knowarm.experiment.config import EvaluationConfig, ExperimentConfig
+from knowarm.experiment.config import ExperimentConfig
+from knowarm.experiment.evaluation import EvaluationConfig
 from knowarm.experiment.names import (
     DEFAULT_TASK,
     ExperimentName,

@@ -15,7 +15,6 @@ from knowarm.config import from_dict, to_dict
 from knowarm.cores import limited_to
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig
-from knowarm.experiment.evaluate import count_blind_episodes
 from knowarm.experiment.speed import measure_training
 from knowarm.study.config import StudyConfig
 from knowarm.study.driver import RUN_GIB
@@ -50,7 +49,10 @@ def estimate(study: StudyConfig, out: Path) -> Estimate:
             configs = [study.run(*statuses[0].run)] * busy
             rates = list(pool.map(lambda config: measure(config, cores), configs))
         rate = sum(rates) / len(rates)
-    episodes = sum(each.episodes + count_blind_episodes(each) for each in study.evaluations)
+    episodes = sum(
+        each.episodes + sum(p.count_further(each.episodes) for p in each.probes)
+        for each in study.evaluations
+    )
     steps = sum(each.steps_left for each in statuses)
     played = sum(episodes * study.run(*each.run).env.max_episode_steps for each in statuses)
     core_hours = cores * (steps + played) / rate / 3600

@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from knowarm.errors import UserError
-from knowarm.experiment.config import EvaluationConfig, ExperimentConfig
+from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.csv_log import number_in, read_csv, training_seconds
+from knowarm.experiment.evaluation import EvaluationConfig
 from knowarm.experiment.run import run_path
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.run_lock import is_locked

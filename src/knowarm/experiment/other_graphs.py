@@ -1,4 +1,4 @@
-"""Graphs at test time: edited (split S5), damaged or shuffled, and what an agent knows by them."""
+"""Other graphs than that of training, and what an agent knows and answers by them."""
 
 from collections.abc import Collection
 from typing import Any, Literal
@@ -8,12 +8,11 @@ import torch
 
 from knowarm.config import override
 from knowarm.errors import UserError
-from knowarm.experiment.config import EvaluationConfig, ExperimentConfig
+from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.graph_queries import GraphQueries
 from knowarm.knowledge import KnowledgeGraph, query_embedding, scene_embedding
 from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.builder import shuffle_tails
-from knowarm.knowledge.graph.damage import damaged
 from knowarm.knowledge.graph.terms import local_name
 from knowarm.knowledge.queries.queries import QueryGraph
 from knowarm.knowledge.queries.splits import QuerySplits
@@ -25,42 +24,14 @@ from knowarm.world.config import EnvConfig, facets_of, questions_of
 from knowarm.world.tasks.choose.choose import Choose
 
 
-def graph_at_test(
-    config: ExperimentConfig,
-    env: EnvConfig,
-    how: EvaluationConfig,
-    given: KnowledgeGraph | None = None,
-) -> KnowledgeGraph | None:
-    """Return the graph that an agent knows in an evaluation; None for the one of its training.
-
-    The episodes are judged by the undamaged graph; on S5 by the edited one. ``given`` replaces the
-    graph of the questions.
-    """
-    graph = given
-    if given is not None or how.split == "S5":
-        queries, splits = _splits(env)
-        if config.knowledge.graph != queries.graph and config.knowledge.detail != "none":
-            raise UserError(
-                f"This test changes the graph of the questions ({queries.graph}); the policy was "
-                f"trained with knowledge from {config.knowledge.graph}. Train with knowledge.graph "
-                "set to the former."
-            )
-        graph = splits.edited if given is None else given
-    changes = how.damage is not None or how.repair is not None
-    if changes and config.knowledge.detail == "none":
+def check_graph(config: ExperimentConfig, env: EnvConfig) -> None:
+    """Refuse another graph of the questions for an agent whose knowledge is of a third one."""
+    asked, known = _source(env).graph, config.knowledge.graph
+    if asked != known and config.knowledge.detail != "none":
         raise UserError(
-            f"damage and repair change a graph, and agent {config.agent!r} has none. Leave them "
-            "out."
+            f"This test changes the graph of the questions ({asked}); the policy was trained with "
+            f"knowledge from {known}. Train with knowledge.graph set to the former."
         )
-    if how.damage is not None:
-        graph = read_graph(config.knowledge.graph) if graph is None else graph
-        graph = damaged(graph, how.damage, how.damage_share, how.damage_seed, _names(env))
-    if how.repair is not None:
-        from knowarm.knowledge.kge.completion import completed  # training is needed here only
-
-        graph = read_graph(config.knowledge.graph) if graph is None else graph
-        graph = completed(graph, _names(env), model=how.repair, seed=how.damage_seed)
-    return graph
 
 
 def with_graph(config: ExperimentConfig, path: str) -> ExperimentConfig:
@@ -73,7 +44,7 @@ def with_graph(config: ExperimentConfig, path: str) -> ExperimentConfig:
         path: of the graph, or the name of a shipped one.
     """
     _questions(config.env)
-    known = described(read_graph(path), _names(config.env))
+    known = described(read_graph(path), target_names(config.env))
     shown = [name for name, is_known in zip(config.env.targets, known, strict=True) if is_known]
     if len(shown) < config.env.task.visible:
         raise UserError(
@@ -161,14 +132,14 @@ def answer_table(
 
 def answers_before_edit(env: EnvConfig) -> dict[str, set[str]]:
     """Return the objects that answered each query of S5 before the edit, in any colour, by name."""
-    before = _splits(env)[1].train
+    before = splits_of(env).train
     return {
         query.name: {before.facets[facet][0] for facet in np.flatnonzero(row)}
         for query, row in zip(before.queries, before.satisfies, strict=True)
     }
 
 
-def _names(env: EnvConfig) -> list[str]:
+def target_names(env: EnvConfig) -> list[str]:
     """Return the names of the targets, some of which may be given as files."""
     return list(dict.fromkeys(name for name, _ in facets_of(env)))
 
@@ -183,8 +154,13 @@ def _questions(env: EnvConfig) -> QuestionTable:
     return table
 
 
-def _splits(env: EnvConfig) -> tuple[GraphQueries, QuerySplits]:
+def splits_of(env: EnvConfig) -> QuerySplits:
+    """Return the splits of the questions of a task."""
+    return _source(env).splits(facets_of(env), env.task.visible)
+
+
+def _source(env: EnvConfig) -> GraphQueries:
     task = env.task
     assert isinstance(task, Choose)
     assert isinstance(task.queries, GraphQueries)
-    return task.queries, task.queries.splits(facets_of(env), task.visible)
+    return task.queries

@@ -1,0 +1,219 @@
+"""Test conditions of an evaluation: what the agent is asked, sees and knows in it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from knowarm.config import at_least, fraction
+from knowarm.errors import UserError
+from knowarm.experiment.config import ExperimentConfig
+from knowarm.knowledge import KnowledgeGraph
+from knowarm.knowledge.formats import read_graph
+from knowarm.knowledge.graph.damage import Damage, damaged
+from knowarm.knowledge.queries.splits import Split
+from knowarm.perception.config import Unclear
+from knowarm.world.config import EnvConfig
+
+Reasoning = Literal["vector", "graph", "graph-shuffled", "colours"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Subject:
+    """What is evaluated: an environment, and what a trained agent knows in it."""
+
+    env: EnvConfig
+    config: ExperimentConfig | None = None
+    """What the agent was trained with; None for one that was not trained."""
+    graph: KnowledgeGraph | None = None
+    """The graph that the agent knows; None for that of its training."""
+    reasoning: Reasoning | None = None
+    """What it answers queries by; None for what it was trained with."""
+    unclear: Unclear = "guess"
+    """What it does if it sees no answer, or several."""
+
+    @property
+    def trained(self) -> ExperimentConfig:
+        """The config of the trained agent that the condition needs."""
+        assert self.config is not None
+        return self.config
+
+    def known_graph(self, change: str) -> KnowledgeGraph:
+        """Return the graph that the agent knows, for a change of it."""
+        if self.trained.knowledge.detail == "none":
+            raise UserError(
+                f"{change} changes a graph, and agent {self.trained.agent!r} has none. Leave it "
+                "out."
+            )
+        return read_graph(self.trained.knowledge.graph) if self.graph is None else self.graph
+
+
+@dataclass(frozen=True, kw_only=True)
+class BaseTest:
+    """A condition that differs from training; several apply in their order."""
+
+    changes_agent: ClassVar[bool] = True
+    """Whether it changes what a trained agent knows or does, so that others have no use for it."""
+    kind: str = ""
+
+    @property
+    def label(self) -> str:
+        """Its part of the name of the evaluation's folder."""
+        return self.kind
+
+    def prepare(self, subject: Subject) -> Subject:
+        """Return what is evaluated under this condition."""
+        raise NotImplementedError
+
+    def columns(self, env: EnvConfig, episodes: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Return further columns of the episodes that were played."""
+        return {}
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeldOutTest(BaseTest):
+    """Play the colours and places that the environment excluded from training."""
+
+    changes_agent: ClassVar[bool] = False
+    kind: Literal["held-out"] = "held-out"
+
+    def prepare(self, subject: Subject) -> Subject:
+        """Let the environment play what it held out."""
+        if subject.env.held_out is None:
+            raise UserError(
+                "A held-out test plays episodes that were excluded from training, and this "
+                "environment holds none out. Train with env.held_out, or leave the test out."
+            )
+        held_out = replace(subject.env.held_out, play="held_out")
+        return replace(subject, env=replace(subject.env, held_out=held_out))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplitTest(BaseTest):
+    """Ask the questions of a split of a task whose questions a graph answers."""
+
+    changes_agent: ClassVar[bool] = False
+    kind: Literal["split"] = "split"
+    split: Split
+    """The split. On S5 an agent knows the edited graph, which also judges it."""
+    edited: str | None = None
+    """Path of the edited graph of split S5; None takes the one that swaps values."""
+
+    def __post_init__(self) -> None:
+        if self.edited is not None and self.split != "S5":
+            raise UserError(
+                f"edited is the graph of split S5, got split={self.split!r}; set split to 'S5'."
+            )
+
+    @property
+    def label(self) -> str:
+        """The split, and the name of an edited graph."""
+        return self.split.lower() + (f"-{Path(self.edited).stem}" if self.edited else "")
+
+    def prepare(self, subject: Subject) -> Subject:
+        """Let the task ask the split's questions, and the agent know the edited graph."""
+        env = replace(subject.env, task=subject.env.task.for_split(self.split, self.edited))
+        graph = subject.graph
+        if self.split == "S5" and subject.config is not None:
+            from knowarm.experiment.other_graphs import check_graph, splits_of
+
+            check_graph(subject.config, env)
+            graph = splits_of(env).edited
+        return replace(subject, env=env, graph=graph)
+
+    def columns(self, env: EnvConfig, episodes: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """On S5, return whether the chosen object answered before the edit."""
+        if self.split != "S5":
+            return {}
+        from knowarm.experiment.other_graphs import answers_before_edit
+
+        before = answers_before_edit(env)
+        asked = zip(episodes["query"], episodes["chosen"], strict=True)
+        return {"chose_old_answer": np.array([name in before.get(q, ()) for q, name in asked])}
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraphTest(BaseTest):
+    """Ask and answer by another graph: all that it can be asked about objects it describes."""
+
+    kind: Literal["graph"] = "graph"
+    graph: str
+    """Path of the graph, or the name of a shipped one."""
+
+    @property
+    def label(self) -> str:
+        """The name of the graph."""
+        return Path(self.graph).stem
+
+    def prepare(self, subject: Subject) -> Subject:
+        """Let task and agent take the other graph."""
+        from knowarm.experiment.other_graphs import with_graph
+
+        config = with_graph(subject.trained, self.graph)
+        return replace(subject, env=config.env, config=config)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DamageTest(BaseTest):
+    """Damage the graph that the agent knows, and repair it; the undamaged one judges."""
+
+    kind: Literal["damage"] = "damage"
+    damage: Damage | None = None
+    """Kind of triples: "missing", "wrong" or "adversarial"; None only repairs."""
+    share: float = 0.3
+    """Share of the triples about the task's objects that are damaged."""
+    seed: int = 0
+    """Seed of which triples are damaged, and of the repair."""
+    repair: Literal["analogy", "transe", "distmult", "complex"] | None = None
+    """Complete the graph by link prediction with this graph embedding, after the damage."""
+
+    def __post_init__(self) -> None:
+        at_least(self, 0, "seed", where="damage.")
+        fraction(self, "share", where="damage.")
+
+    @property
+    def label(self) -> str:
+        """Kind and share of the damage, the repair, and a seed that is not 0."""
+        parts = [f"{self.damage}-{100 * self.share:g}"] if self.damage else []
+        return "-".join([*parts, *filter(None, [self.repair, str(self.seed or "")])])
+
+    def prepare(self, subject: Subject) -> Subject:
+        """Let the agent know the damaged and repaired graph."""
+        from knowarm.experiment.other_graphs import target_names
+
+        graph, names = subject.known_graph("A damage test"), target_names(subject.env)
+        if self.damage is not None:
+            graph = damaged(graph, self.damage, self.share, self.seed, names)
+        if self.repair is not None:
+            from knowarm.knowledge.kge.completion import completed  # imports torch
+
+            graph = completed(graph, names, model=self.repair, seed=self.seed)
+        return replace(subject, graph=graph)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReasoningTest(BaseTest):
+    """Let an agent with a grounding network answer queries in another way."""
+
+    kind: Literal["reasoning"] = "reasoning"
+    by: Reasoning | None = None
+    """The query's "vector"; the "graph", while the network only names what stands where; as
+    controls of it "graph-shuffled", with permuted tails, or "colours", without facts. None takes
+    the agent's own."""
+    unclear: Unclear = "guess"
+    """What an agent that answers by a graph does if it sees no answer, or several: move to the most
+    likely place ("guess"), or stay ("stop")."""
+
+    @property
+    def label(self) -> str:
+        """What is answered by, and whether the arm stops."""
+        return "-".join(filter(None, [self.by, "stop" if self.unclear == "stop" else ""]))
+
+    def prepare(self, subject: Subject) -> Subject:
+        """Let the agent answer so."""
+        return replace(subject, reasoning=self.by, unclear=self.unclear)
+
+
+AnyCondition = HeldOutTest | SplitTest | GraphTest | DamageTest | ReasoningTest

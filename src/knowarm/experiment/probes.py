@@ -1,0 +1,154 @@
+"""Probes of an evaluation: what is recorded or measured of the episodes besides their outcome."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+import numpy as np
+
+from knowarm.config import at_least
+from knowarm.errors import UserError
+
+if TYPE_CHECKING:  # Configs are read where nothing else needs the simulator.
+    from knowarm.experiment.measures import Number, Numbers
+    from knowarm.world.agents import AgentProtocol
+    from knowarm.world.agents.play import EpisodeResults
+    from knowarm.world.envs.vector_env import ArmVectorEnv
+    from knowarm.world.tasks.episodes import Episodes
+
+
+@dataclass(frozen=True)
+class Played:
+    """An agent, the episodes that it played, and their outcome."""
+
+    agent: "AgentProtocol"
+    env: "ArmVectorEnv"
+    episodes: "Episodes"
+    result: "EpisodeResults"
+    seed: int
+    is_trained: bool
+    """Whether it is a trained agent, and not that of its initial weights."""
+
+
+@dataclass
+class Findings:
+    """What probes found: columns of episodes and steps, numbers, and groups of numbers."""
+
+    columns: dict[str, np.ndarray]
+    steps: dict[str, np.ndarray] | None = None
+    numbers: "dict[str, Number]" = field(default_factory=dict)
+    groups: "dict[str, Mapping[str, Numbers]]" = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BaseProbe:
+    """Something recorded or measured of the episodes."""
+
+    label: ClassVar[str] = ""
+    """Its part of the name of the evaluation's folder."""
+    kind: str = ""
+
+    def check(self, env: "ArmVectorEnv") -> None:
+        """Refuse, before anything is played, an environment that it cannot measure in."""
+
+    def measure(self, played: Played, found: Findings) -> None:
+        """Add what it measures to what was found."""
+
+    def count_further(self, episodes: int) -> int:
+        """Count the episodes that it plays itself."""
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepsProbe(BaseProbe):
+    """Keep joint angles, action, distance and angle of every step."""
+
+    kind: Literal["steps"] = "steps"
+
+    def measure(self, played: Played, found: Findings) -> None:
+        """Add the columns of ``steps.parquet``."""
+        from knowarm.experiment.evaluation_files import step_values
+
+        found.steps = step_values(played.result)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilmsProbe(BaseProbe):
+    """Keep the images of some episodes."""
+
+    kind: Literal["films"] = "films"
+    episodes: int = 6
+    """Number of episodes, from the first."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlindProbe(BaseProbe):
+    """Let agents that cannot see play the episodes of a trained one, and compare."""
+
+    kind: Literal["blind"] = "blind"
+    episodes: int = 200
+    """Number of episodes, from the first."""
+
+    def __post_init__(self) -> None:
+        at_least(self, 1, "episodes", where="blind.")
+
+    def count_further(self, episodes: int) -> int:
+        """Count the episodes of all blind agents."""
+        from knowarm.world.agents import BLIND_AGENTS
+
+        return len(BLIND_AGENTS) * min(self.episodes, episodes)
+
+    def measure(self, played: Played, found: Findings) -> None:
+        """Add the group ``blind`` and the number ``vision_gain``.
+
+        By name of a blind agent its ``episodes``, ``success`` and ``difference``, the success of
+        the agent over all episodes minus its own; ``vision_gain`` is the smallest difference to an
+        agent that sees nothing.
+        """
+        from knowarm.statistics import share_difference, wilson
+        from knowarm.world.agents import BLIND_AGENTS
+        from knowarm.world.agents.play import play
+
+        if not played.is_trained:
+            return
+        success = played.result.success
+        own = wilson(int(np.count_nonzero(success)), len(success))
+        numbers: dict[str, dict[str, Any]] = {}
+        for name, entry in BLIND_AGENTS.items():
+            blind, chosen = entry.make(played.agent, played.seed), played.episodes[: self.episodes]
+            solved = play(blind, played.env, chosen).success
+            share = wilson(int(np.count_nonzero(solved)), len(solved))
+            numbers[name] = {"episodes": float(len(solved)), "success": share}
+            numbers[name]["difference"] = share_difference(own, share)
+        found.groups["blind"] = numbers
+        seeing = (numbers[n]["difference"] for n, e in BLIND_AGENTS.items() if e.sees_nothing)
+        found.numbers["vision_gain"] = min(seeing, key=lambda each: each.estimate)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LiftProbe(BaseProbe):
+    """Lift the object where an episode succeeds.
+
+    Its joint path is replayed among solid objects, the fingers close, the arm lifts 10 cm and holds
+    2 s.
+    """
+
+    label: ClassVar[str] = "lift"
+    kind: Literal["lift"] = "lift"
+
+    def check(self, env: "ArmVectorEnv") -> None:
+        """Refuse tasks with solid objects, and robots without fingers."""
+        from knowarm.world.lifting.model import lifting_model
+
+        if env.config.task.solid:
+            raise UserError("A lift test lifts where episodes of a task without solid objects end.")
+        lifting_model(env.scene.robot, env.scene.targets[:1])
+
+    def measure(self, played: Played, found: Findings) -> None:
+        """Add how the lift of every successful episode ended."""
+        from knowarm.experiment.evaluation_files import lift_columns
+
+        found.columns |= lift_columns(played.result, played.env.scene, played.episodes)
+
+
+AnyProbe = StepsProbe | FilmsProbe | BlindProbe | LiftProbe
