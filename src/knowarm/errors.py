@@ -1,16 +1,36 @@
 """User errors: mistakes in arguments, configs and files that a user can fix."""
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from difflib import get_close_matches
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Argument:
+    """An argument with a value, in an error: ``resume=True``; on the command line ``--resume``."""
+
+    name: str
+    """Its name, after that of the part of an experiment's config that has it: knowledge.detail."""
+    value: Any
+
+    def __str__(self) -> str:
+        return f"{self.name.rpartition('.')[2]}={self.value!r}"
 
 
 class UserError(ValueError):
     """A mistake that the user can fix.
 
-    The message is one line: what was wrong, the given value, the allowed values, the remedy. It
-    names arguments (``resume=True``), not command line flags. The command line prints it without a
-    traceback and exits with code 2.
+    The message is one line, in one or several parts: what was wrong, the given value, the allowed
+    values, the remedy. It names arguments, not options: where one is to be set, an `Argument` is
+    a part. The command line prints it without a traceback and exits with code 2.
     """
+
+    def __init__(self, *parts: str | Argument) -> None:
+        super().__init__(*parts)
+
+    def __str__(self) -> str:
+        return "".join(map(str, self.args))
 
 
 def printable(text: str) -> str:

@@ -110,7 +110,7 @@ def local_web_viewer(
         raise UserError(
             f"This version of mujoco-studio lacks {missing[0]}, so the viewer cannot be kept from "
             "listening on the network. Install the version that KnowArm was tested with, or record "
-            "with --video or --strip."
+            "a video or a strip."
         )
     before = [(module, name, getattr(module, name)) for module, name, _ in replaced]
     try:

@@ -15,6 +15,7 @@ from knowarm.cli import main as cli
 from knowarm.cli.main import COMMANDS, main, with_flags
 from knowarm.cli.train import parse_train
 from knowarm.config import to_dict
+from knowarm.errors import Argument, UserError
 from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.world.objects import TARGETS
@@ -78,14 +79,14 @@ for words in {MISTYPED}:
     assert "Did you mean 'film'" in done.stderr.replace("\n", " ")
 
 
-@pytest.mark.parametrize("columns", ["80", "200"])
+@pytest.mark.parametrize("columns", ["80", "120"])
 def test_help_of_train_shows_ten_options_a_group_or_all(capsys, monkeypatch, columns):
     monkeypatch.setenv("COLUMNS", columns)
 
     def shown(*words):
         with pytest.raises(SystemExit):
             main(["train", "irb120-full-fast", *words])
-        return re.findall(r"^(?:│| ) ?--([\w.-]+)", capsys.readouterr().out, re.MULTILINE)
+        return re.findall(r"^[│ ] --(\w[\w.-]*)", capsys.readouterr().out, re.MULTILINE)
 
     first, group, everything = shown("--help"), shown("--help", "env"), shown("--help-all")
     assert len(first) == 10
@@ -106,7 +107,7 @@ def test_help_of_evaluate_has_examples_and_no_subcommands(capsys):
 
     first = shown("--help")
     assert "knowarm evaluate oracle --env.robot tiago --env.task choose" in first
-    assert len(re.findall("^ --", first, re.MULTILINE)) == 10
+    assert len(re.findall(r"^[│ ] --\w", first, re.MULTILINE)) == 10
     assert "env.randomization.light" in shown("oracle", "--help", "env.randomization")
     everything = shown("--help-all")
     assert "--repair" in everything
@@ -246,16 +247,15 @@ def test_evaluate_prints_and_writes_the_table(capsys, tmp_path):
 
 
 def test_errors_of_the_library_name_flags() -> None:
-    message = "Pass resume=True to continue, or record_steps=False to save less (x=1, s='a')."
-    expected = "Pass --resume to continue, or --no-record-steps to save less (x=1, s='a')."
-    assert with_flags(message) == expected
-    message = "Use detail='partial', aliases={'sauce pan': 'pan'} or s='a'."
-    assert with_flags(message, "study") == message
-    assert with_flags(message, "knowledge") == (
-        "Use --detail partial, --aliases 'sauce pan' pan or s='a'."
-    )
-    assert with_flags(message, "train") == (
-        "Use --knowledge.detail partial, --knowledge.aliases 'sauce pan' pan or s='a'."
+    pan = Argument("knowledge.aliases", {"sauce pan": "pan"})
+    error = UserError("Pass ", Argument("resume", True), " or ", Argument("save", False))
+    assert str(error) == "Pass resume=True or save=False"
+    assert with_flags(error, "study") == "Pass --resume or --no-save"
+    error = UserError("Use ", Argument("knowledge.detail", "full"), " or ", pan)
+    assert with_flags(error, "study") == "Use detail='full' or aliases={'sauce pan': 'pan'}"
+    assert with_flags(error, "knowledge") == "Use --detail full or --aliases 'sauce pan' pan"
+    assert with_flags(error, "train") == (
+        "Use --knowledge.detail full or --knowledge.aliases 'sauce pan' pan"
     )
 
 
@@ -267,9 +267,8 @@ def test_help_joins_the_lines_of_docstrings(capsys, monkeypatch):
             main(["knowledge", command, "--help"])
         assert ended.value.code == 0
         texts.append(capsys.readouterr().out)
-    box = [line for line in texts[0].splitlines() if line.startswith(("│", "╭", "╰"))]
-    assert {len(line) for line in box} == {90}
-    assert not re.search(r"the tail of *│", texts[0])  # the source breaks the line here
+    assert max(map(len, texts[0].splitlines())) == 90
+    assert not re.search(r"the tail of *│?$", texts[0])  # the source breaks the line here
     words = re.sub(r"[│\s]+", " ", texts[0])
     assert "is the head of a triple and the tail of none, and no colour. --colours" in words
     assert not re.search("``|default: \\)", "".join(texts))

@@ -162,7 +162,7 @@ def test_a_module_of_something_else_is_refused(files, tmp_path):
 
 
 def test_a_module_is_needed_and_only_where_it_is_used(files, tmp_path):
-    with pytest.raises(UserError, match="needs a perception module: pass perception=FILE"):
+    with pytest.raises(UserError, match="needs a perception module: pass perception='FILE'"):
         train(REACH, tmp_path, env=SMALL_ENV, **TINY)
     with pytest.raises(UserError, match="leave perception out"):
         train("irb120-bm-dr-fast", tmp_path, perception=files[REACH], env=SMALL_ENV, **TINY)

@@ -1,17 +1,27 @@
 """Parsing of the command line: groups of commands, options, and names that come first."""
 
-import os
 import re
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import redirect_stdout, suppress
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import redirect_stderr, suppress
+from dataclasses import field, fields, is_dataclass, make_dataclass
 from functools import partial
-from io import BytesIO, TextIOWrapper
-from shutil import get_terminal_size
-from textwrap import fill, indent, wrap
-from typing import TYPE_CHECKING, Any, TypeVar
+from io import StringIO
+from itertools import chain
+from textwrap import fill
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    TypeVar,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import tyro
+from docstring_parser import parse_from_object
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from knowarm.errors import UserError, unknown_name
@@ -23,7 +33,6 @@ if TYPE_CHECKING:
 
 Command = TypeVar("Command")
 HELP = ("-h", "--help")
-WIDEST = 120  # columns of a help text; from 130 on tyro sets two side by side
 OWN: dict[str, tuple[str, Callable[[str], Any]]] = {
     "--tasks": (tasks.VARIABLE, tasks.register_task),
     "--algorithms": (algorithms.VARIABLE, algorithms.register_algorithm),
@@ -53,6 +62,10 @@ def _to_integer(word: str) -> int:
     return int(word)
 
 
+# Alternatives such as tasks are options, not commands: the default says which one is meant.
+READING: dict[str, Any] = {"registry": REGISTRY, "config": (tyro.conf.AvoidSubcommands,)}
+
+
 def parse_options(
     command: type[Command], prog: str, arguments: Sequence[str], **options: Any
 ) -> Command:
@@ -64,47 +77,24 @@ def parse_options(
             raise UserError(f"{name} is given twice; give it once, a list as {name} FIRST SECOND.")
         if re.match(r"--[a-z]", name):
             given.add(name)
-    # Alternatives such as tasks are options, not commands: the default says which one is meant.
-    options |= {"registry": REGISTRY, "config": (tyro.conf.AvoidSubcommands,)}
-    if not any(word in HELP for word in arguments):
-        return tyro.cli(command, prog=prog, args=arguments, **options)
-    print(_rewrap(_printed(lambda: tyro.cli(command, prog=prog, args=["--help"], **options))))
-    sys.exit(0)
-
-
-def _printed(show: Callable[[], Any]) -> str:
-    """Return what a function prints before it ends the program, in a single column."""
-    before = os.environ.get("COLUMNS")
-    os.environ["COLUMNS"] = str(min(get_terminal_size().columns, WIDEST))
+    if any(word in HELP for word in arguments):
+        needed = [
+            each.name for each in fields(cast(Any, command)) if each.default is each.default_factory
+        ]
+        default = options.pop("default", None) or command(**dict.fromkeys(needed, tyro.MISSING))
+        command = _for_help(default)
+    frame = StringIO()
     try:
-        with redirect_stdout(TextIOWrapper(BytesIO(), "utf-8")) as text, suppress(SystemExit):
-            show()
-    finally:
-        os.environ.pop("COLUMNS") if before is None else os.environ.update(COLUMNS=before)
-    text.seek(0)
-    return text.read()
-
-
-def _rewrap(text: str) -> str:
-    """Wrap the texts in the boxes of a help text again, without the line breaks of the source."""
-    lines: list[str] = []
-    start, words, width = "", "", 0  # before the current text, the text, and its line's width
-    for line in [*text.splitlines(), ""]:
-        # An option or argument and its text, one of them, or a further line of the text.
-        found = re.match(r"│ (-\S+(?: \S+)*|\S+(?=  )|)( *)([^-─\s].*?)? *│$", line)
-        if found and found[3] and not found[1] and words and len(found[2]) == len(start):
-            words += f" {found[3]}"
-            continue
-        if words:
-            words = words.replace("``", "").replace(" (default: )", "")
-            pieces = wrap(words, width - 4 - len(start), break_on_hyphens=False)
-            heads = [start, *[" " * len(start)] * len(pieces)]
-            lines += [f"│ {a + b:<{width - 3}}│" for a, b in zip(heads, pieces, strict=False)]
-        start, words = (found[1] + found[2], found[3] or "") if found else ("", "")
-        width = len(line)
-        if not words:
-            lines.append(line)
-    return "\n".join(lines).strip()
+        with redirect_stderr(frame):
+            return tyro.cli(command, prog=prog, args=arguments, **READING, **options)
+    except SystemExit as ended:
+        error = ended.__context__
+        while error is not None and not isinstance(error, UserError):
+            error = error.__context__
+        if error is not None:  # of a class of grouped options: without tyro's frame
+            raise error from None
+        sys.stderr.write(frame.getvalue())
+        raise
 
 
 def parse_command(command: Any, prog: str, about: str, arguments: Sequence[str]) -> Any:
@@ -136,40 +126,67 @@ def group_help(prog: str, about: str, commands: Mapping[str, str]) -> str:
 
 
 def answer_help(
-    show: Callable[[], Any], prog: str, words: Sequence[str], first: str, about: str = ""
+    default: Any, prog: str, words: Sequence[str], first: Collection[str], about: str = ""
 ) -> list[str]:
-    """Print the options ``first`` of a full help text, or the group after `--help`, and exit.
+    """Print the help of the fields ``first`` of a command, or of the group after `--help`; exit.
 
-    Without `--help` return the words, with `--help-all` as the `--help` of the full text. ``show``
-    prints the full text; ``first`` is a pattern of the names of options.
+    Without `--help` return the words, with `--help-all` as the `--help` of all options. ``default``
+    is the command with its defaults.
     """
-    if not any(word in HELP for word in words):
+    at = next((i for i, word in enumerate(words) if word in HELP), None)
+    if at is None:
         return ["--help" if word == "--help-all" else word for word in words]
-    groups: dict[str, list[str]] = {}
-    lines: list[str] = []  # of the box of positional arguments, which comes first
-    for line in _printed(show).splitlines():
-        if found := re.match(r"╭─ ([\w.-]+ )?options ─", line):
-            groups[(found[1] or "").strip()] = lines = []
-        elif line.startswith("│ "):
-            lines.append(line.strip("│").rstrip())
-    at = next(i for i, word in enumerate(words) if word in HELP)
+    groups = {path.removeprefix("config."): path for path in _groups(default) if path != "config"}
     group = "".join(word for word in words[at + 1 : at + 2] if not word.startswith("-"))
     if group and group not in groups:
-        raise unknown_name("group of options", group, filter(None, groups))
-    print(f"usage: {prog} [OPTIONS]\n{about}")
-    entries = [
-        (name, entry)
-        for name, lines in groups.items()
-        for entry in re.split(r"\n(?= -)", "\n".join(lines))
-        if entry.startswith(" --")
-    ]
-    for name, entry in entries:
-        if f"{name}.".startswith(f"{group}.") if group else re.match(f" --({first})[ ,]", entry):
-            head, *body = entry.splitlines()
-            print(head, indent(fill(" ".join(map(str.strip, body)), 72), " " * 6), sep="\n")
-    print(f"\n`{prog} --help-all` shows all {len(entries)} options, `--help GROUP` a group:")
-    print("\n".join(f"  {name}" for name in groups if name))
+        raise unknown_name("group of options", group, groups)
+
+    def is_shown(path: str) -> bool:
+        return path.startswith(f"{groups[group]}.") if group else path in first
+
+    with suppress(SystemExit):
+        command = _for_help(default, is_shown)
+        tyro.cli(command, prog=prog, args=["--help"], description=about or None, **READING)
+    print(f"`{prog} --help-all` shows all options, `--help GROUP` a group:")
+    print(fill(", ".join(groups), 100, initial_indent="  ", subsequent_indent="  "))
     sys.exit(0)
+
+
+def _groups(config: Any, prefix: str = "") -> Iterator[str]:
+    """Yield the paths of the configs within a config."""
+    for name, value in ((each.name, getattr(config, each.name)) for each in fields(config)):
+        if is_dataclass(value):
+            yield prefix + name
+            yield from _groups(value, f"{prefix}{name}.")
+
+
+def _identity(value: Any) -> Any:
+    return value
+
+
+def _for_help(
+    config: Any, is_shown: Callable[[str], bool] = lambda path: True, prefix: str = ""
+) -> type:
+    """Return a class like a config's, with its values as defaults, whose help shows some fields."""
+    types = get_type_hints(type(config), include_extras=True)
+    docs = [parse_from_object(base).params for base in reversed(type(config).__mro__[:-1])]
+    texts = {each.arg_name: " ".join((each.description or "").split()) for each in chain(*docs)}
+    chosen: list[tuple[str, Any, Any]] = []
+    for name, value in ((each.name, getattr(config, each.name)) for each in fields(config)):
+        kind: Any = types[name]
+        default: Callable[[], Any] = partial(_identity, value)
+        if is_dataclass(value):
+            default = _for_help(value, is_shown, f"{prefix}{name}.")
+            extras = get_args(kind)[1:] if get_origin(kind) is Annotated else ()
+            kind = Annotated[default, *extras] if extras else default
+        elif not is_shown(prefix + name):
+            kind = Annotated[kind, tyro.conf.Suppress]
+        hint = "" if value in ((), {}, "") else None  # instead of "(default: )"
+        told = tyro.conf.arg(help=texts.get(name, "").replace("``", "`"), help_behavior_hint=hint)
+        chosen.append((name, Annotated[kind, told], field(default_factory=default)))
+    options: dict[str, Any] = {"bases": (type(config),), "frozen": True, "kw_only": True}
+    options["namespace"] = {"__doc__": type(config).__doc__}
+    return make_dataclass(type(config).__name__, chosen, **options)
 
 
 def take_experiment(arguments: Sequence[str], usage: str) -> tuple[str, list[str]]:

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
@@ -46,12 +45,14 @@ if TYPE_CHECKING:
     from knowarm.experiment.measures import Numbers
     from knowarm.experiment.summary import Summary
 
-ABOUT = """
-AGENT is the folder of a run, or a scripted agent of `knowarm list`, which plays in --env:
+ABOUT = """AGENT is a run folder, or a scripted agent of `knowarm list`, which plays in --env:
   knowarm evaluate runs/irb120-full-fast/0
-  knowarm evaluate oracle --env.robot tiago --env.task choose
-"""
-FIRST = "json|which|episodes|seed|distance-m|angle-deg|split|graph|lift|env.robot"
+  knowarm evaluate oracle --env.robot tiago --env.task choose"""
+FIRST = (
+    *("json", "which", "evaluation.episodes", "evaluation.seed", "evaluation.distance_m"),
+    *("evaluation.angle_deg", "conditions.split", "conditions.graph", "probes.lift"),
+    "env.robot",
+)
 """The options that `--help` shows."""
 MOST_FACETS = 30  # pairs of target and colour up to which each gets a row
 
@@ -155,9 +156,8 @@ class Evaluate(TableCommand):
     @classmethod
     def parse(cls, prog: str, arguments: Sequence[str]) -> Self:
         """Make a command from its options; `--env.task` takes the name of a task."""
-        parse = partial(parse_with_task, cls, prog, agent=tyro.MISSING)
-        words = answer_help(lambda: parse(["--help"]), f"{prog} AGENT", arguments, FIRST, ABOUT)
-        return parse(words)
+        words = answer_help(cls(agent=""), f"{prog} AGENT", arguments, FIRST, ABOUT)
+        return parse_with_task(cls, prog, words, agent=tyro.MISSING)
 
     def result(self) -> dict[str, Any]:
         """Evaluate, print and save."""

@@ -6,17 +6,15 @@ Only the module of the given command is imported, so that help and typing errors
 import errno
 import io
 import os
-import re
 import shlex
 import sys
 from collections.abc import Sequence
-from contextlib import redirect_stderr
 from importlib import import_module
 from typing import Any
 
 import knowarm
 from knowarm.cli.arguments import OWN, group_help, parse_command, take_option
-from knowarm.errors import UserError, printable, unknown_name
+from knowarm.errors import Argument, UserError, printable, unknown_name
 from knowarm.private_apis import end_process
 
 COMMANDS = {
@@ -70,7 +68,7 @@ def _run(arguments: list[str]) -> int:
             code = _parse(arguments[0], arguments[1:]).run()
             return code if isinstance(code, int) else 0
     except UserError as error:
-        return _fail(with_flags(str(error), *arguments[:1]))
+        return _fail(with_flags(error, *arguments[:1]))
     except KeyboardInterrupt:
         print("knowarm: interrupted", file=sys.stderr)
         return 130
@@ -91,34 +89,25 @@ def _fail(message: str) -> int:
     return 2
 
 
-def with_flags(message: str, command: str = "") -> str:
-    """Replace arguments in an error message by flags: ``resume=True`` becomes ``--resume``.
+def with_flags(error: UserError, command: str = "") -> str:
+    """Return the message of an error with options for the arguments that are its parts.
 
-    In `knowarm train` and `knowarm knowledge` also ``detail='full'`` and ``aliases={'a': 'b'}``.
+    Only `knowarm train` and `knowarm knowledge` have options for parts of an experiment's config.
     """
+    parts = (_flag(p, command) if isinstance(p, Argument) else str(p) for p in error.args)
+    return "".join(parts)
 
-    def flag(found: re.Match[str]) -> str:
-        name, value = found[1], found[2]
-        if value[0] in "{'":
-            from knowarm.knowledge.config import KnowledgeConfig
-            from knowarm.policy.config import PolicyConfig
-            from knowarm.world.config import EnvConfig
 
-            groups: dict[str, Any] = {
-                "knowledge": KnowledgeConfig,
-                "env": EnvConfig,
-                "policy": PolicyConfig,
-            }
-            places = [group for group, of in groups.items() if name in of.__dataclass_fields__]
-            if command not in ("train", "knowledge") or not places:
-                return found[0]
-            name = f"{places[0]}.{name}" if command == "train" else name
-            value = shlex.join(re.findall("'(.+?)'", value))
-        name = name.replace("_", "-")
-        return {"True": f"--{name}", "False": f"--no-{name}"}.get(value, f"--{name} {value}")
-
-    value = r"True\b|False\b|FILE\b|'[^']+'|\{'[^']+': '[^']+'\}"
-    return re.sub(rf"\b([a-z_]+)=({value})", flag, message)
+def _flag(argument: Argument, command: str) -> str:
+    group, _, name = argument.name.rpartition(".")
+    if group and command not in ("train", "knowledge"):
+        return str(argument)
+    name = (argument.name if command == "train" else name).replace("_", "-")
+    if isinstance(argument.value, bool):
+        return f"--{name}" if argument.value else f"--no-{name}"
+    value = argument.value
+    words = [*value, *value.values()] if isinstance(value, dict) else [str(value)]
+    return shlex.join([f"--{name}", *words])
 
 
 def _parse(name: str, arguments: list[str]) -> Any:
@@ -126,23 +115,10 @@ def _parse(name: str, arguments: list[str]) -> Any:
     if name not in COMMANDS:
         raise unknown_name("command", name, COMMANDS)
     for flag, (_, register) in OWN.items():
-        arguments, place = take_option(arguments, flag, "package.module:Name")
-        if place is not None:
-            register(place)
+        arguments, import_path = take_option(arguments, flag, "package.module:Name")
+        if import_path is not None:
+            register(import_path)
     where, about = COMMANDS[name]
     module, _, attribute = where.partition(":")
     command = getattr(import_module(f"knowarm.cli.{module}"), attribute)
-    told = io.StringIO()
-    try:
-        with redirect_stderr(told):
-            return parse_command(
-                command, f"knowarm {name}", f"{about[0].upper()}{about[1:]}.", arguments
-            )
-    except SystemExit:  # tyro frames what classes of grouped options refuse
-        words = " ".join(line.strip("│╭╮╰╯─ ") for line in told.getvalue().splitlines())
-        if refused := re.search(r"Error parsing [\w.]+: (.+?) +For full helptext", words):
-            told.truncate(0)
-            raise UserError(refused[1]) from None
-        raise
-    finally:
-        sys.stderr.write(told.getvalue())
+    return parse_command(command, f"knowarm {name}", f"{about[0].upper()}{about[1:]}.", arguments)

@@ -44,8 +44,9 @@ EXPERIMENT is one of the names ROBOT-AGENT[-dr]-ALGORITHM that `knowarm list` ex
   knowarm train {DEFAULT_EXPERIMENT} --help-all         all options
   knowarm train {DEFAULT_EXPERIMENT} --config run.toml  options from a file"""
 FIRST = (
-    "runs|resume|name|seed|total-steps|env.robot|env.targets|env.colours|knowledge.graph|"
-    "algorithm.learning-rate"
+    *("runs", "resume", "config.name", "config.seed", "config.total_steps", "config.env.robot"),
+    *("config.env.targets", "config.env.colours", "config.knowledge.graph"),
+    "config.algorithm.learning_rate",
 )
 """The options that `--help` shows."""
 
@@ -100,7 +101,7 @@ def parse_train(arguments: list[str]) -> Train:
         name = str(replace(ExperimentName.parse(name), task=kind))
     config = override(experiment_config(name), values)
     prog = f"knowarm train {name}"
-    rest = answer_help(lambda: _parse_options(name, ["--help"], config), prog, rest, FIRST)
+    rest = answer_help(Train(config=config), prog, rest, FIRST)
     command = _parse_options(name, rest, config)
     if command.config.name != name:
         again += f" --name {shlex.quote(command.config.name)}"

@@ -32,7 +32,7 @@ from safetensors.numpy import save
 
 from knowarm.config import from_dict, to_dict
 from knowarm.cores import processor
-from knowarm.errors import UserError
+from knowarm.errors import Argument, UserError
 from knowarm.experiment.config import ExperimentConfig, StopWhen
 from knowarm.experiment.csv_log import number_in, read_csv, writing
 from knowarm.experiment.summary import Summary
@@ -98,7 +98,9 @@ class RunFolder:
         folder = cls(path)
         if folder.config_path.exists():
             raise RunExistsError(
-                f"{path} already holds a run. Pass resume=True to continue it, or another seed."
+                f"{path} already holds a run. Pass ",
+                Argument("resume", True),
+                " to continue it, or another seed.",
             )
         path.mkdir(parents=True, exist_ok=True)
         return folder
@@ -315,8 +317,9 @@ def module_for_training(
         module.spec.check_fits(config.env, facets_of(config.env))
     elif config.knowledge.scope == "perceived":
         raise UserError(
-            "Knowledge of scope 'perceived' needs a perception module: pass perception=FILE. "
-            "Make one with `knowarm perception train EXPERIMENT --out FILE`."
+            "Knowledge of scope 'perceived' needs a perception module: pass ",
+            Argument("perception", "FILE"),
+            ". Make one with `knowarm perception train EXPERIMENT --out FILE`.",
         )
     return module
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from knowarm.errors import UserError
+from knowarm.errors import Argument, UserError
 from knowarm.knowledge.config import EmbeddingFacts, KnowledgeConfig, Scope
 from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.graph import KnowledgeGraph
@@ -343,6 +343,8 @@ def _unit(vector: np.ndarray) -> np.ndarray:
     if not (length := np.linalg.norm(vector)):
         raise UserError(
             "A slot's vector is zero, so it cannot be scaled: no word of its sentence is known. "
-            "Give aliases, or use on_missing='hash'."
+            "Give aliases, or use ",
+            Argument("knowledge.on_missing", "hash"),
+            ".",
         )
     return vector / length

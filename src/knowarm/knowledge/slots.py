@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from knowarm.errors import UserError, unknown_name
+from knowarm.errors import Argument, UserError, unknown_name
 from knowarm.knowledge.config import FULL, KnowledgeConfig
 from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.builder import with_facts
@@ -205,13 +205,19 @@ def _colour_row(around: KnowledgeGraph, rows: np.ndarray, facet: Facet, wanted: 
         raise UserError(
             f"{facet.object!r} has no colour in the graph, or none that hops, direction and "
             "relations reach, so detail 'full' cannot describe it. Add its colours to the graph, "
-            "let them be reached, or set detail='partial'."
+            "let them be reached, or set ",
+            Argument("knowledge.detail", "partial"),
+            ".",
         )
     known = sorted(local_name(around.names[around.tails[row]]) for row in rows)
     raise UserError(
         f"The graph does not say that {facet.object!r} can be {wanted!r}. "
         f"Its colours there: {', '.join(known)}. "
-        f"Add that fact to the graph, use colours='fixed' if it has those, or detail='partial'."
+        "Add that fact to the graph, use ",
+        Argument("env.colours", "fixed"),
+        " if it has those, or ",
+        Argument("knowledge.detail", "partial"),
+        ".",
     )
 
 
@@ -233,7 +239,9 @@ def sentence_parts(graph: KnowledgeGraph, config: KnowledgeConfig = FULL) -> lis
         asked = ", ".join(graph.entities[:8]) or "no entity"
         raise UserError(
             f"The subgraph of {asked} is empty: it holds no fact to describe. "
-            f"Add facts about it, allow more relations, or take direction='both'."
+            "Add facts about it, allow more relations, or take ",
+            Argument("knowledge.direction", "both"),
+            ".",
         )
     parts: list[SentencePart] = []
     last = ""

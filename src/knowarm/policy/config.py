@@ -7,7 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal
 
 from knowarm.config import above_zero, at_least
-from knowarm.errors import UserError, unknown_name
+from knowarm.errors import Argument, UserError, unknown_name
 
 if TYPE_CHECKING:
     from knowarm.policy.fusion import Fusion
@@ -110,7 +110,9 @@ def layer_widths(config: PolicyConfig, shape: PolicyShape) -> tuple[int, int]:
     if config.fusion != "none" and shape.knowledge_dim == 0:
         raise UserError(
             f"fusion {config.fusion!r} needs a knowledge vector and knowledge_dim is 0; pass a "
-            "knowledge table with at least one column, or fusion='none'."
+            "knowledge table with at least one column, or ",
+            Argument("policy.fusion", "none"),
+            ".",
         )
     knowledge = shape.knowledge_dim
     if config.knowledge_encoder == "facts":

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from knowarm.config import above_zero, at_least, check_values, registered
-from knowarm.errors import UserError
+from knowarm.errors import Argument, UserError
 from knowarm.questions import QuestionTable
 from knowarm.world.objects import find_targets
 from knowarm.world.robots import DEFAULT_ROBOT
@@ -95,8 +95,10 @@ class EnvConfig:
             )
         if task.solid and self.dynamics == "kinematic":
             raise UserError(
-                f"The task {task.kind_of()!r} is one of contacts, which dynamics='kinematic' does "
-                "not simulate. Take 'dynamic'."
+                f"The task {task.kind_of()!r} is one of contacts, which kinematic dynamics do not "
+                "simulate. Take ",
+                Argument("env.dynamics", "dynamic"),
+                ".",
             )
         for name, used in (
             ("held_out", self.held_out is not None),

@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 from safetensors.numpy import load_file
 
-from knowarm.errors import UserError, unknown_name
+from knowarm.errors import Argument, UserError, unknown_name
 from knowarm.knowledge.formats.tables import byte_lines, decode
 from knowarm.knowledge.vectors.source import (
     Coverage,
@@ -234,8 +234,13 @@ class WordLookup:
         if self.on_missing == "error":
             raise UserError(
                 f"No word of the label {part.label!r} (of {part.name!r}) is in {self.name}. "
-                f"Give it another word, aliases={{{part.label!r}: 'word'}}, or use "
-                f"on_missing='skip' or on_missing='hash'."
+                "Give it another word, ",
+                Argument("knowledge.aliases", {part.label: "word"}),
+                ", or use ",
+                Argument("knowledge.on_missing", "skip"),
+                " or ",
+                Argument("knowledge.on_missing", "hash"),
+                ".",
             )
         return Found(np.empty((0, self.dim), np.float32), np.empty(0))
 

@@ -58,7 +58,7 @@ def allowed_colours(held_out: HeldOut | None, colours: Sequence[str], target: st
         raise UserError(
             f"HeldOut.colours {held_out.colours} leave target {target!r} no colour for "
             f"play={held_out.play!r}; its colours are {', '.join(colours)}. Hold out fewer, or use "
-            "colours='randomized'."
+            "randomized colours."
         )
     return allowed
 

@@ -53,7 +53,7 @@ def watch(
     except ImportError as error:
         raise UserError(
             f"The web viewer needs mujoco-studio ({error}): pip install mujoco-studio. Or record "
-            "with --video or --strip, which need no viewer."
+            "a video or a strip, which need no viewer."
         ) from None
     # Not every page that connects; the viewer sets the level of this logger itself.
     logging.getLogger("WebServer").addFilter(lambda record: record.levelno > logging.INFO)
