@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal, get_args
 import tyro
 
 from knowarm.cli.tables import TableCommand, print_table
+from knowarm.config import to_dict
 from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.algorithms import algorithms
 from knowarm.experiment.names import DEFAULT_EXPERIMENT, experiment_names
@@ -55,7 +56,12 @@ class List(TableCommand):
             print_table(title, ["agent", "description"], rows)
         if "algorithms" in shown:
             rows = [
-                [name, each.total_steps, ", ".join(privileged_uses(vars(each.config))), each.about]
+                [
+                    name,
+                    each.total_steps,
+                    ", ".join(privileged_uses(to_dict(each.config))),
+                    each.about,
+                ]
                 for name, each in algorithms().items()
             ]
             columns = ["algorithm", "steps", "simulator's state in training", "description"]

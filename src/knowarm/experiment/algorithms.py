@@ -6,10 +6,18 @@ environment variable ``KNOWARM_ALGORITHMS``, or after `register_algorithm`.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from knowarm.errors import UserError
-from knowarm.learn.algorithms import A3CConfig, AlgorithmConfig, PPOConfig
+from knowarm.learn.algorithms import (
+    A3CConfig,
+    AlgorithmConfig,
+    DistilConfig,
+    MinibatchConfig,
+    PPOConfig,
+    PrivilegedConfig,
+)
 from knowarm.own import installed, load, named_by, share
 
 if TYPE_CHECKING:
@@ -43,17 +51,21 @@ class Algorithm:
     """The same for agents whose policy receives the grasp frame of a grounding network."""
 
 
-def _make_ppo(
-    config: PPOConfig,
+def _make_minibatch(
+    trainer: str,
+    config: MinibatchConfig,
     policy: "Policy",
     make_env: "Callable[..., TorchVectorEnv]",
     make_evaluate: "MakeEvaluate",
     **options: Any,
 ) -> "Trainer":
-    from knowarm.learn import PPOTrainer  # imports torch, which naming an experiment does not need
+    from knowarm import learn  # imports torch, which naming an experiment does not need
 
     env = make_env(config.num_envs, device=config.device)
-    return PPOTrainer(config, policy, env, evaluate=make_evaluate(), **options)
+    made: Trainer = getattr(learn, trainer)(
+        config, policy, env, evaluate=make_evaluate(), **options
+    )
+    return made
 
 
 def _make_a3c(
@@ -72,35 +84,18 @@ ALGORITHMS: dict[str, Algorithm] = {
             learning_rate=3e-3,
             epochs=1,
             minibatches=8,
-            critic="state",
-            auxiliary_coef=1.0,
-            threshold_factor=3.0,
-            threshold_decrease=0.05,
+            privileged=PrivilegedConfig(
+                critic=True, auxiliary_coef=1.0, threshold_factor=3.0, threshold_decrease=0.05
+            ),
         ),
-        make_trainer=_make_ppo,
+        make_trainer=partial(_make_minibatch, "PPOTrainer"),
         total_steps=1_500_000,
         policy={"pixel_shift": 0.5, "pixel_scale": 4.0},
     ),
     "distil": Algorithm(
         about="imitation of a teacher by inverse kinematics, in the states the policy visits",
-        config=PPOConfig(
-            optimizer="muon-float32",
-            learning_rate=3e-3,
-            learning_rate_final=0.02,
-            num_envs=512,
-            rollout_steps=1,
-            epochs=1,
-            minibatches=16,
-            auxiliary_coef=4.0,
-            imitation_coef=1.0,
-            imitation_stay=0.38,
-            imitation_way=5.0,
-            reinforcement_coef=0.0,
-            practice_until=1.0,
-            glimpse_until=0.2,
-            average_updates=15,
-        ),
-        make_trainer=_make_ppo,
+        config=DistilConfig(),
+        make_trainer=partial(_make_minibatch, "DistilTrainer"),
         total_steps=200_000,
         policy={"pixel_shift": 0.5, "pixel_scale": 4.0},
         # The auxiliary loss predicts the way to the goal, so its features have to know the goal.
@@ -109,7 +104,7 @@ ALGORITHMS: dict[str, Algorithm] = {
     "ppo": Algorithm(
         about="recurrent proximal policy optimization",
         config=PPOConfig(),
-        make_trainer=_make_ppo,
+        make_trainer=partial(_make_minibatch, "PPOTrainer"),
         total_steps=10_000_000,
         policy={"pixel_shift": 0.5, "pixel_scale": 4.0},
     ),

@@ -15,7 +15,8 @@ from knowarm.cores import torch_threads
 from knowarm.experiment.agents import AGENTS, first_of_role
 from knowarm.experiment.build import build, make_trainer
 from knowarm.experiment.config import ExperimentConfig
-from knowarm.learn import A3CConfig, Hooks, Metrics, PPOConfig
+from knowarm.learn import A3CConfig, DistilConfig, Hooks, Metrics
+from knowarm.learn.algorithms import MinibatchConfig
 from knowarm.learn.optimizer import PolicyOptimizer
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ArmVectorEnv
@@ -91,7 +92,7 @@ def measure_training(config: ExperimentConfig, seconds: float) -> float:
     config = _measurable(config)
     if isinstance(config.algorithm, A3CConfig):  # by default minutes pass between two rows
         config = replace(config, algorithm=replace(config.algorithm, log_every_steps=1000))
-    elif isinstance(config.algorithm, PPOConfig):  # glimpses would never end
+    elif isinstance(config.algorithm, DistilConfig):  # glimpses would never end
         config = replace(config, algorithm=replace(config.algorithm, glimpse_until=0.0))
     rows: list[Metrics] = []
 
@@ -124,7 +125,7 @@ def training_flops(config: ExperimentConfig) -> float:
     with FlopCounterMode(display=False) as backward:
         (logits.sum() + values.sum()).backward()
     passes, muon = 1, 0.0
-    if isinstance(algorithm, PPOConfig):
+    if isinstance(algorithm, MinibatchConfig):
         optimizer = PolicyOptimizer(dict(policy.named_parameters()), algorithm)
         with FlopCounterMode(display=False) as update:
             optimizer.step()

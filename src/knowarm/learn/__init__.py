@@ -1,8 +1,8 @@
-"""Learning algorithms: recurrent PPO and A3C on torch vector environments.
+"""Learning algorithms: recurrent PPO, imitation and A3C on torch vector environments.
 
-A trainer (`ppo`, `a3c`, both on `trainer`) steps a vector environment (`environment`) with a
-`collector` that fills a `rollout`; `losses` define what is learned from it. PPO's
-`learner` computes in one process or in several. `evaluation` runs interim evaluations, `guards`
+A trainer (`ppo`, `distil`, `a3c`, all on `trainer`) steps a vector environment (`environment`) with
+a `collector` that fills a `rollout`; `losses` define what is learned from it. The `learner` of PPO
+and imitation computes in one process or in several. `evaluation` runs interim evaluations, `guards`
 stop at non-finite values, `checkpoint` saves and resumes.
 """
 

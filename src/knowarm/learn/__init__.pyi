@@ -2,12 +2,15 @@
 from .a3c import A3CTrainer as A3CTrainer
 from .algorithms import A3CConfig as A3CConfig
 from .algorithms import AlgorithmConfig as AlgorithmConfig
+from .algorithms import DistilConfig as DistilConfig
 from .algorithms import PPOConfig as PPOConfig
+from .algorithms import PrivilegedConfig as PrivilegedConfig
 from .checkpoint import Checkpoint as Checkpoint
 from .checkpoint import CheckpointStore as CheckpointStore
 from .checkpoint import policy_arrays as policy_arrays
 from .checkpoint import read_checkpoint as read_checkpoint
 from .collector import Collector as Collector
+from .distil import DistilTrainer as DistilTrainer
 from .environment import NumpyToTorch as NumpyToTorch
 from .environment import TorchVectorEnv as TorchVectorEnv
 from .evaluation import MakeEvaluate as MakeEvaluate

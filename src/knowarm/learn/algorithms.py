@@ -2,30 +2,31 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from knowarm.config import above_zero, at_least, check_values, fraction
 from knowarm.errors import UserError
 
-PRIVILEGED_OPTIONS: Mapping[str, tuple[Any, str]] = {
-    "critic": ("image", "critic"),
-    "auxiliary_coef": (0, "auxiliary loss"),
-    "progress_coef": (0, "progress reward"),
-    "imitation_coef": (0, "teacher"),
-    "practice_until": (0, "practice starts"),
-    "glimpse_until": (0, "glimpses"),
+PRIVILEGED_OPTIONS = {
+    "critic": "critic",
+    "auxiliary_coef": "auxiliary loss",
+    "progress_coef": "progress reward",
+    "way_limit": "teacher",
+    "practice_until": "practice starts",
+    "glimpse_until": "glimpses",
 }
-"""Options that need the simulator's state in training: value that does not, and what it is for."""
+"""Options that need the simulator's state in training unless they are 0, and what it is for."""
 
 
 def privileged_uses(algorithm: Mapping[str, Any]) -> list[str]:
-    """List what an algorithm, given its fields by name, uses the simulator's state for."""
-    return [
-        use
-        for name, (without, use) in PRIVILEGED_OPTIONS.items()
-        if algorithm.get(name, without) != without
-    ]
+    """List what an algorithm, as a mapping of its fields, uses the simulator's state for."""
+    fields = {**algorithm, **algorithm.get("privileged", {})}
+    return [use for name, use in PRIVILEGED_OPTIONS.items() if fields.get(name)]
+
+
+SHORTEST_WAY = 0.5
+"""Way at least assumed in the weights of imitation [largest steps]; within it a joint stays."""
 
 
 class AlgorithmConfig:
@@ -36,7 +37,7 @@ class AlgorithmConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class ScheduleConfig(AlgorithmConfig):
-    """What changes during a training: learning rate and success thresholds."""
+    """The learning rate over a training."""
 
     learning_rate: float
     """Learning rate at the start of training."""
@@ -44,26 +45,14 @@ class ScheduleConfig(AlgorithmConfig):
     """How the learning rate decreases over the whole training."""
     learning_rate_final: float = 0.1
     """Learning rate at the end of training, as a fraction of the initial one."""
-    threshold_factor: float = 1.0
-    """Factor of both success thresholds at the start of training; 1: the task's own."""
-    threshold_decrease: float = 0.02
-    """Decrease of the factor per update, down to 1."""
-    threshold_success: float = 0.5
-    """Success of an update's episodes above which the factor decreases."""
 
     def __post_init__(self) -> None:
         check_values(self)
         above_zero(self, "learning_rate")
-        fraction(self, "threshold_success", "learning_rate_final")
-        at_least(self, 0, "threshold_decrease")
-        at_least(self, 1, "threshold_factor")
+        fraction(self, "learning_rate_final")
 
     def learning_rate_at(self, progress: float) -> float:
-        """Return the learning rate after a fraction ``progress`` of the training, cut to 0..1.
-
-        It decreases from ``learning_rate`` to ``learning_rate_final`` times that along a line or
-        half a cosine, or stays constant.
-        """
+        """Return the learning rate after a fraction ``progress`` of the training, cut to 0..1."""
         start, final = self.learning_rate, self.learning_rate_final
         progress = min(max(progress, 0.0), 1.0)
         if self.learning_rate_schedule == "constant":
@@ -74,15 +63,42 @@ class ScheduleConfig(AlgorithmConfig):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PPOConfig(ScheduleConfig):
-    """Recurrent PPO; the defaults learned fastest in our tests (docs/lab-notes.md).
+class ThresholdConfig:
+    """Success thresholds that start large and shrink to the task's own while training succeeds."""
 
-    Raises:
-        UserError: a value out of range, or minibatches that do not divide the environments.
-    """
+    threshold_factor: float = 1.0
+    """Factor of both success thresholds at the start of training; 1: the task's own."""
+    threshold_decrease: float = 0.02
+    """Decrease of the factor per update in which most episodes succeed, down to 1."""
 
-    name: Literal["ppo"] = "ppo"
-    """Identifies the algorithm in a config file."""
+    def __post_init__(self) -> None:
+        at_least(self, 1, "threshold_factor")
+        at_least(self, 0, "threshold_decrease")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PrivilegedConfig(ThresholdConfig):
+    """What PPO's training takes from the simulator; the policy itself plays from images alone."""
+
+    critic: bool = False
+    """Value observations by a network on the simulator's state (asymmetric actor-critic, Pinto et
+    al. 2017) instead of the policy's own head, which is then trained, but not used."""
+    auxiliary_coef: float = 0.0
+    """Coefficient of the auxiliary loss: predict joint angles, gripper and grasp frame from the
+    features of the image; 0: none."""
+    progress_coef: float = 0.0
+    """Factor of a reward for every step's decrease of distance (100 per metre) and angle (20 per
+    90 degrees), added to the task's reward; 0: none."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        at_least(self, 0, "auxiliary_coef", "progress_coef")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MinibatchConfig(ScheduleConfig):
+    """What algorithms share that learn from minibatches of whole environments."""
+
     num_envs: int = 128
     """Number of environments."""
     rollout_steps: int = 25
@@ -98,63 +114,8 @@ class PPOConfig(ScheduleConfig):
     three in float32."""
     learning_rate: float = 1e-3
 
-    adam_eps: float = 1e-5
-    """Epsilon of Adam."""
-    gamma: float = 0.95
-    """Discount factor. The paper's A3C uses .99; with .95 three times as many episodes succeeded
-    after 600,000 steps, since a reach takes 5 to 16 steps (docs/lab-notes.md)."""
-    gae_lambda: float = 0.95
-    """Lambda of the generalized advantage estimate (GAE)."""
-    clip_range: float = 0.2
-    """Clipping range of the probability ratio: 1 - clip_range to 1 + clip_range."""
-    vf_coef: float = 0.5
-    """Coefficient of the value loss."""
-    ent_coef: float = 0.003
-    """Coefficient of the entropy bonus [1/nat]."""
-    reward_scale: float = 0.05
-    """Factor of every reward in learning; reported returns are not scaled."""
-    normalize_advantages: bool = True
-    """Normalize the advantages of a rollout to mean 0 and standard deviation 1."""
     max_grad_norm: float = 0.5
     """Gradients are clipped to this norm."""
-    critic: Literal["image", "state"] = "image"
-    """What values an observation: the policy's own head, or a network on the simulator's state
-    (asymmetric actor-critic, Pinto et al. 2017). The head is then trained, but not used."""
-    auxiliary_coef: float = 0.0
-    """Coefficient of the auxiliary loss: predict joint angles, gripper and grasp frame from the
-    features of the image; 0: none."""
-    progress_coef: float = 0.0
-    """Factor of a reward for every step's decrease of distance (100 per metre) and angle (20 per
-    90 degrees), added to the task's reward; 0: none."""
-    imitation_coef: float = 0.0
-    """Coefficient of the imitation loss: the cross-entropy of the policy to the actions of a
-    teacher that solves the inverse kinematics, in the states that the policy visits (DAgger, Ross
-    et al. 2011); 0: none."""
-    imitation_stay: float = 0.0
-    """Share of each label of the imitation loss that is given to action 0, which moves nothing,
-    instead of the teacher's: a joint then stays where the image does not show its direction, as
-    the most probable action moves only if its direction is much more probable than the other."""
-    imitation_way: float | None = None
-    """Weigh the imitation loss of each joint by its way to the solution, up to this one [largest
-    steps], so that a turn far beyond the goal counts more than one step too many; None: all
-    alike."""
-    reinforcement_coef: float = 1.0
-    """Coefficient of PPO's own loss (policy, value, entropy); 0 leaves imitation and auxiliary loss
-    alone, and the policy then acts by its most probable actions."""
-    practice_until: float = 0.0
-    """Fraction of the training during which the share of episodes that start on the teacher's way
-    to the goal, with noise, falls from all to none; 0: all episodes start as the task draws
-    them."""
-    glimpse_until: float = 0.0
-    """Fraction of the training in which the policy does not act: every environment starts a new
-    episode for each image, and learns what the teacher would do. Such images differ more than
-    those of an episode and cost half as much; 0: the policy acts from the start."""
-    average_updates: int | None = None
-    """Number of updates over which the parameters are averaged (exponentially) for interim
-    evaluations and the best policy, which then act with the averages; None: not averaged."""
-    target_kl: float | None = None
-    """End the passes over a rollout when the approximate KL divergence exceeds it [nat]; None:
-    no limit."""
     device: Literal["cpu", "cuda"] = "cpu"
     """Device of policy, rollouts and gradients; simulation and rendering use the CPU."""
     matmul_precision: Literal["auto", "float32", "bfloat16"] = "auto"
@@ -168,26 +129,8 @@ class PPOConfig(ScheduleConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        counts = ("num_envs", "rollout_steps", "epochs", "minibatches", "processes")
-        at_least(self, 1, *counts, "average_updates")
-        above_zero(self, "adam_eps", "clip_range", "reward_scale", "max_grad_norm", "target_kl")
-        at_least(self, 1, "imitation_way")
-        fraction(self, "gamma", "gae_lambda", "practice_until", "glimpse_until", "imitation_stay")
-        learns = ("auxiliary_coef", "imitation_coef", "reinforcement_coef")
-        at_least(self, 0, *learns, "progress_coef", "vf_coef", "ent_coef")
-        if not any(getattr(self, name) for name in learns):
-            raise UserError(f"{', '.join(learns)} are all 0: nothing is learned. Set one above 0.")
-        if self.glimpse_until and (self.reinforcement_coef or self.target_kl):
-            raise UserError(
-                f"glimpse_until is {self.glimpse_until}, reinforcement_coef "
-                f"{self.reinforcement_coef} and target_kl {self.target_kl}: glimpses have no "
-                "actions to reinforce. Set glimpse_until to 0, or leave the others 0 and None."
-            )
-        if self.normalize_advantages and self.num_envs * self.rollout_steps == 1:
-            raise UserError(
-                "One step of one environment has no deviation to normalize advantages by: raise "
-                "num_envs or rollout_steps, or set normalize_advantages to False."
-            )
+        at_least(self, 1, "num_envs", "rollout_steps", "epochs", "minibatches", "processes")
+        above_zero(self, "max_grad_norm")
         if self.device == "cuda" and self.processes is not None:
             raise UserError(
                 f"processes ({self.processes}) applies to device 'cpu' only; leave it None "
@@ -199,13 +142,97 @@ class PPOConfig(ScheduleConfig):
                 "minibatch is a group of whole environments."
             )
 
+
+@dataclass(frozen=True, kw_only=True)
+class PPOConfig(MinibatchConfig):
+    """Recurrent PPO; the defaults learned fastest in our tests (docs/lab-notes.md).
+
+    Raises:
+        UserError: a value out of range, or minibatches that do not divide the environments.
+    """
+
+    name: Literal["ppo"] = "ppo"
+    """Identifies the algorithm in a config file."""
+    gamma: float = 0.95
+    """Discount factor. The paper's A3C uses .99; with .95 three times as many episodes succeeded
+    after 600,000 steps, since a reach takes 5 to 16 steps (docs/lab-notes.md)."""
+    gae_lambda: float = 0.95
+    """Lambda of the generalized advantage estimate (GAE)."""
+    clip_range: float = 0.2
+    """Clipping range of the probability ratio: 1 - clip_range to 1 + clip_range."""
+    vf_coef: float = 0.5
+    """Coefficient of the value loss."""
+    ent_coef: float = 0.003
+    """Coefficient of the entropy bonus [1/nat]."""
+    reward_scale: float = 0.05
+    """Factor of every reward in learning; reported returns are not scaled."""
+    privileged: PrivilegedConfig = field(default_factory=PrivilegedConfig)
+    """What training takes from the simulator besides images and rewards; nothing by default."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        above_zero(self, "clip_range", "reward_scale")
+        fraction(self, "gamma", "gae_lambda")
+        at_least(self, 0, "vf_coef", "ent_coef")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DistilConfig(MinibatchConfig):
+    """Imitation of a teacher in the states that the policy visits (DAgger, Ross et al. 2011).
+
+    The teacher solves the inverse kinematics on the simulator's state; the policy sees images, and
+    acts by its most probable actions.
+
+    Raises:
+        UserError: a value out of range, or minibatches that do not divide the environments.
+    """
+
+    name: Literal["distil"] = "distil"
+    """Identifies the algorithm in a config file."""
+    num_envs: int = 512
+    rollout_steps: int = 1
+    epochs: int = 1
+    minibatches: int = 16
+    optimizer: Literal["adam", "muon", "muon-float32"] = "muon-float32"
+    learning_rate: float = 3e-3
+    learning_rate_final: float = 0.02
+
+    auxiliary_coef: float = 4.0
+    """Coefficient of the auxiliary loss: predict joint angles, gripper, grasp frame and the way to
+    the teacher's solution from the features of the image; 0: none."""
+    stay_share: float = 0.38
+    """Share of each label that is given to action 0, which moves nothing, instead of the
+    teacher's: a joint then stays where the image does not show its direction, as the most probable
+    action moves only if its direction is much more probable than the other."""
+    way_limit: float = 5.0
+    """Weigh the loss of each joint by its way to the solution, from half a largest step up to this
+    one [largest steps], so that a turn far beyond the goal counts more than one step too many."""
+    practice_until: float = 1.0
+    """Fraction of the training during which the share of episodes that start on the teacher's way
+    to the goal, with noise, falls from all to none; 0: all episodes start as the task draws
+    them."""
+    glimpse_until: float = 0.2
+    """Fraction of the training in which the policy does not act: every environment starts a new
+    episode for each image, and learns what the teacher would do. Such images differ more than
+    those of an episode and cost half as much; 0: the policy acts from the start."""
+    average_updates: int = 15
+    """Number of updates over which the parameters are averaged (exponentially) for interim
+    evaluations and the best policy, which act with the averages."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        at_least(self, 1, "average_updates")
+        at_least(self, 0, "auxiliary_coef")
+        at_least(self, SHORTEST_WAY, "way_limit")
+        fraction(self, "stay_share", "practice_until", "glimpse_until")
+
     def practice_share_at(self, progress: float) -> float:
         """Return the share of practice starts after a fraction ``progress`` of the training."""
         return max(0.0, 1 - progress / self.practice_until) if self.practice_until else 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class A3CConfig(ScheduleConfig):
+class A3CConfig(ThresholdConfig, ScheduleConfig):
     """Asynchronous advantage actor-critic (A3C); defaults as in the paper (section 4.2).
 
     What the paper does not give (rollouts, time limit, max_grad_norm, rmsprop_eps) follows the
@@ -235,8 +262,6 @@ class A3CConfig(ScheduleConfig):
 
     learning_rate_schedule: Literal["constant", "linear", "cosine"] = "constant"
 
-    rmsprop_alpha: float = 0.99
-    """Decay of RMSprop's running mean of squared gradients."""
     rmsprop_eps: float = 1e-8
     """Epsilon of RMSprop, added to the root of the mean squared gradient."""
     gamma: float = 0.99
@@ -259,11 +284,12 @@ class A3CConfig(ScheduleConfig):
     """Environment steps, summed over all workers, between two rows of metrics."""
 
     def __post_init__(self) -> None:
-        super().__post_init__()
+        ScheduleConfig.__post_init__(self)
+        ThresholdConfig.__post_init__(self)
         at_least(self, 1, "workers", "envs_per_worker", "rollout_steps", "log_every_steps")
         at_least(self, 0, "vf_coef", "ent_coef")
         above_zero(self, "rmsprop_eps", "reward_scale", "max_grad_norm")
-        fraction(self, "gamma", "gae_lambda", "rmsprop_alpha")
+        fraction(self, "gamma", "gae_lambda")
         if self.rollout_ends_with_episode and self.envs_per_worker > 1:
             raise UserError(
                 f"envs_per_worker is {self.envs_per_worker}, and rollout_ends_with_episode needs "

@@ -4,7 +4,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import cast
 
 import numpy as np
 import torch
@@ -13,12 +12,10 @@ from torch import Tensor
 from knowarm.learn.checkpoint import select
 from knowarm.learn.environment import (
     Infos,
-    PrivilegedVectorEnv,
-    TeachingVectorEnv,
     ThresholdCurriculum,
     TorchVectorEnv,
 )
-from knowarm.learn.privileged import PrivilegedRollout
+from knowarm.learn.privileged import PrivilegedRecorder
 from knowarm.learn.rollout import Rollout, infer_step
 from knowarm.policy import Policy, State
 from knowarm.policy.policy import log_probability, sample
@@ -135,25 +132,20 @@ class Collector:
         infer: Infer | None = None,
         *,
         until_episode_end: bool = False,
-        privileged: PrivilegedRollout | None = None,
+        recorder: PrivilegedRecorder | None = None,
     ) -> int:
         """Fill a rollout with the next T steps of all environments, or until an episode ends.
 
-        With ``privileged``, the states of a `PrivilegedVectorEnv` are recorded. Returns the number
-        of steps t; only the rollout's first t rows are valid (`Rollout.first`).
+        Returns the number of steps t; only the rollout's first t rows are valid (`Rollout.first`).
         """
-        steps = len(rollout.reward)
         infer = infer or partial(infer_step, self.policy)
         logits: list[Tensor] = []
         rollout.start_h.copy_(self._state[0])
         rollout.start_c.copy_(self._state[1])
         rollout.final_value.zero_()
-        env = cast(PrivilegedVectorEnv, self.env)
-        if privileged is not None:
-            privileged.state[0] = env.privileged_state
-        for t in range(steps):
-            if privileged is not None:
-                _record_lesson(privileged, env, t)
+        for t in range(len(rollout.reward)):
+            if recorder is not None:
+                recorder.before_step(t)
             rollout.facet[t] = self.env.knowledge_input
             rollout.episode_start[t] = self._start
             logit, self._state = infer(rollout, t, self._image, self._state)
@@ -168,10 +160,8 @@ class Collector:
             if self._final_values:
                 self._add_final_values(rollout, t, truncated & ~terminated, infos)
             self._start = terminated | truncated
-            if privileged is not None:
-                privileged.next_state[t] = infos["final_privileged_state"]
-                if t + 1 < steps:
-                    privileged.state[t + 1] = env.privileged_state
+            if recorder is not None:
+                recorder.after_step(t, infos)
             success = infos.get("final_info", {}).get("is_success", terminated)
             self.statistics.add(reward, self._start, success)
             if until_episode_end and bool(self._start.any()):
@@ -184,22 +174,12 @@ class Collector:
             rollout.last_value.copy_(value)
         return count
 
-    @torch.no_grad()
-    def glimpse(self, rollout: Rollout, privileged: PrivilegedRollout) -> None:
-        """Fill a rollout with first images of new episodes and what the teacher would do there.
-
-        The policy does not act: what depends on actions keeps its values.
-        """
-        env = cast(PrivilegedVectorEnv, self.env)
+    def restart(self) -> Tensor:
+        """Start new episodes in all environments; return their images."""
+        self._image, _ = self.env.reset()
         self._start = torch.ones_like(self._start)
-        rollout.episode_start.fill_(True)
-        for t in range(len(rollout.reward)):
-            self._image, _ = env.reset()
-            rollout.patches[t] = self.policy.patches(self._image)
-            rollout.facet[t] = env.knowledge_input
-            privileged.state[t] = privileged.next_state[t] = env.privileged_state
-            _record_lesson(privileged, env, t)
-        self.statistics = EpisodeStatistics(env.num_envs, env.device)
+        self.statistics = EpisodeStatistics(self.env.num_envs, self.env.device)
+        return self._image
 
     def _add_final_values(self, rollout: Rollout, t: int, cut: Tensor, infos: Infos) -> None:
         """Value the final observations of step t where ``cut`` (B,): truncated, not terminated."""
@@ -239,10 +219,3 @@ class Collector:
         if self.curriculum is not None and self.curriculum.is_used:
             self.curriculum.factor = float(state["threshold_factor"])
         self.env.set_state(select(state, "env/"))
-
-
-def _record_lesson(privileged: PrivilegedRollout, env: PrivilegedVectorEnv, t: int) -> None:
-    """Record what the teacher would do before step t, if there is one."""
-    if privileged.teacher_actions is not None and privileged.teacher_way is not None:
-        lesson = cast(TeachingVectorEnv, env).teach()
-        privileged.teacher_actions[t], privileged.teacher_way[t] = lesson

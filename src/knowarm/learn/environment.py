@@ -7,7 +7,10 @@ import torch
 from torch import Tensor
 
 from knowarm.errors import UserError
-from knowarm.learn.algorithms import ScheduleConfig
+from knowarm.learn.algorithms import ThresholdConfig
+
+MIN_SUCCESS = 0.5
+"""Success of an update's episodes above which success thresholds shrink."""
 
 Infos = dict[str, Any]
 StepResult = tuple[Tensor, Tensor, Tensor, Tensor, Infos]
@@ -176,7 +179,7 @@ class NumpyToTorch:
 class ThresholdCurriculum:
     """Sets the factor of an environment's success thresholds, if the config's is above 1."""
 
-    def __init__(self, config: ScheduleConfig, env: Any) -> None:
+    def __init__(self, config: ThresholdConfig, env: Any) -> None:
         self._config = config
         self._env = env = env.env if isinstance(env, NumpyToTorch) else env
         self.is_used = config.threshold_factor > 1
@@ -200,5 +203,5 @@ class ThresholdCurriculum:
 
     def update(self, success: float) -> None:
         """Decrease the factor if enough of an update's episodes succeeded (0..1)."""
-        if self.is_used and success > self._config.threshold_success:
+        if self.is_used and success > MIN_SUCCESS:
             self.factor = max(1.0, self.factor - self._config.threshold_decrease)

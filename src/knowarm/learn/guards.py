@@ -10,7 +10,7 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from knowarm.errors import UserError
-from knowarm.learn.losses import LossTerms
+from knowarm.learn.losses import Terms
 from knowarm.learn.rollout import Rollout
 
 log = logging.getLogger("knowarm.learn")
@@ -49,19 +49,16 @@ class FiniteGuard:
         self.check(terms, step, rollout.tensors())
 
     def check_update(
-        self, policy: nn.Module, loss: LossTerms, norm: Tensor, step: int, rollout: Rollout
+        self, policy: nn.Module, loss: Terms, norm: Tensor, step: int, rollout: Rollout
     ) -> None:
         """Raise an error naming the loss term or parameter if a gradient step is not finite.
 
-        Single terms are examined only if ``loss.total`` or the gradient's ``norm`` is not finite.
+        Single terms are examined only if the total loss or the gradient's ``norm`` is not finite.
         """
-        if bool(torch.isfinite(norm + loss.total.detach())):
+        if bool(torch.isfinite(norm + loss["total"].detach())):
             return
-        terms = {
-            "the policy loss": loss.policy,
-            "the value loss": loss.value,
-            "the entropy": loss.entropy,
-        }
+        terms = {f"the {name.replace('_', ' ')}": term for name, term in loss.items()}
+        del terms["the total"]
         for name, parameter in policy.named_parameters():
             if parameter.grad is not None:
                 terms[f"the gradient of {name}"] = parameter.grad

@@ -1,4 +1,4 @@
-"""Learner of PPO: inference and minibatch gradients, in one process or shared by several.
+"""Learner: inference and minibatch gradients, in one process or shared by several.
 
 PyTorch's threads share every single operation, of which a recurrent policy has many small ones:
 threads synchronize after each and take time from physics and rendering by spinning. Processes that
@@ -6,7 +6,7 @@ each compute the entire network for a part of the environments avoid this (docs/
 """
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from multiprocessing.connection import Connection
@@ -14,11 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from knowarm.cores import available_cores, torch_threads
-from knowarm.learn.algorithms import PPOConfig
-from knowarm.learn.losses import PPOLossTerms
+from knowarm.learn.algorithms import MinibatchConfig
+from knowarm.learn.losses import Terms
 from knowarm.learn.parallel.processes import (
     ChildProcess,
     Restarted,
@@ -27,21 +27,89 @@ from knowarm.learn.parallel.processes import (
     stop_all,
 )
 from knowarm.learn.parallel.shared_tensors import FlatParameters, SharedTensors, TensorSpecs, zeros
-from knowarm.learn.rollout import (
-    Rollout,
-    Targets,
-    TrainingNetwork,
-    add_gradient,
-    buffer_specs,
-    buffers,
-    infer_step,
-)
+from knowarm.learn.rollout import Rollout, infer_step, rollout_specs
 from knowarm.policy import MakePolicy, MatmulPrecision, Policy, State
+from knowarm.policy.encoder import orthogonal
+from knowarm.seeding import torch_generator
 
 log = logging.getLogger("knowarm.learn")
 
 MIN_ENVS_PER_PROCESS = 8
 """Smallest number of a minibatch's environments that is worth another process."""
+
+MAX_TERMS = 8
+"""Most terms of a loss."""
+
+
+class TrainingNetwork(nn.Module):
+    """The policy, and in training only a head that predicts K auxiliary targets (0: no head)."""
+
+    def __init__(self, policy: Policy, auxiliary_targets: int = 0, seed: int = 0) -> None:
+        super().__init__()
+        self.policy = policy
+        self.auxiliary_targets = auxiliary_targets
+        self.head: nn.Linear | None = None
+        if auxiliary_targets:
+            self.head = nn.Linear(policy.fc.out_features, auxiliary_targets)
+            orthogonal(self.head, 1.0, torch_generator(seed, "weights", 2))
+            self.head.to(policy.fc.weight.device)
+
+    def parameters_by_name(self) -> dict[str, nn.Parameter]:
+        """Return the parameters by name, those of the head after ``auxiliary``."""
+        head = self.head.named_parameters() if self.head else ()
+        named = {f"auxiliary.{name}": parameter for name, parameter in head}
+        return {**dict(self.policy.named_parameters()), **named}
+
+    def forward(self, batch: Rollout) -> tuple[Tensor, Tensor, Tensor]:
+        """Return logits (T, b, J, A), values (T, b) and image features (T * b, F) of a rollout."""
+        logits, values, _, features = self.policy.unroll_with_features(
+            batch.patches, batch.facet, batch.start_state, batch.episode_start
+        )
+        return logits, values, features
+
+    def add_auxiliary(
+        self, terms: Terms, features: Tensor, targets: "Targets", coefficient: float
+    ) -> Terms:
+        """Add the mean squared error of the head, if there is one, to the terms of a loss."""
+        if self.head is None:
+            return terms
+        error = self.head(features.float()) - targets["auxiliary"].flatten(0, 1)
+        auxiliary = error.square().mean()
+        total = terms["total"] + coefficient * auxiliary
+        return {**terms, "total": total, "auxiliary_loss": auxiliary}
+
+
+Targets = Mapping[str, Tensor]
+"""What a loss compares a rollout with, by name, each (T, B, ...)."""
+Loss = Callable[[TrainingNetwork, Rollout, Targets], Terms]
+"""Computes the terms of an algorithm's loss over a minibatch; picklable."""
+
+
+def add_gradient(
+    network: TrainingNetwork,
+    loss: Loss,
+    rollout: Rollout,
+    targets: Targets,
+    env_ids: Tensor,
+    weight: float = 1.0,
+) -> Terms:
+    """Add the gradient of the loss over the environments ``env_ids`` (b,) to those of the network.
+
+    The loss has a factor ``weight``: b over the number of environments in the whole minibatch, so
+    that the returned terms of a minibatch's parts add up to its own.
+    """
+    part = {name: target.index_select(1, env_ids) for name, target in targets.items()}
+    terms = loss(network, rollout.of(env_ids), part)
+    (terms["total"] * weight).backward()
+    return {name: term.detach() * weight for name, term in terms.items()}
+
+
+def _buffers(tensors: Mapping[str, Tensor]) -> tuple[Rollout, dict[str, Tensor]]:
+    """Return rollout and targets that consist of tensors by name."""
+    rollout = Rollout(**{name: tensors[name] for name in Rollout.__annotations__})
+    prefix = "target/"
+    targets = {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
+    return rollout, targets
 
 
 class Learner:
@@ -59,15 +127,26 @@ class Learner:
     targets: Targets
     gradient: Tensor
 
-    def __init__(self, network: TrainingNetwork, config: PPOConfig, device: torch.device) -> None:
+    def __init__(
+        self,
+        network: TrainingNetwork,
+        config: MinibatchConfig,
+        loss: Loss,
+        targets: TensorSpecs,
+        device: torch.device,
+    ) -> None:
         self.network = network
         self.policy = network.policy
-        self._config = config
-        self._allocate(device)
+        self._loss = loss
+        named = {f"target/{name}": spec for name, spec in targets.items()}
+        if network.auxiliary_targets:
+            shape = (config.rollout_steps, config.num_envs, network.auxiliary_targets)
+            named["target/auxiliary"] = (shape, torch.float32)
+        specs = rollout_specs(config.rollout_steps, config.num_envs, network.policy)
+        self._allocate({**specs, **named}, config.num_envs, device)
 
-    def _allocate(self, device: torch.device) -> None:
-        tensors = zeros(buffer_specs(self.network, self._config), device)
-        self.rollout, self.targets = buffers(tensors)
+    def _allocate(self, specs: TensorSpecs, num_envs: int, device: torch.device) -> None:
+        self.rollout, self.targets = _buffers(zeros(specs, device))
         self.gradient = FlatParameters(self.network).gradient
 
     def running(self) -> AbstractContextManager[None]:
@@ -78,10 +157,10 @@ class Learner:
         """Run the policy for step t, as `infer_step`; the next call may overwrite the state."""
         return infer_step(self.policy, rollout, t, image, state)
 
-    def compute_gradient(self, env_ids: Tensor) -> PPOLossTerms:
+    def compute_gradient(self, env_ids: Tensor) -> Terms:
         """Compute loss terms and gradient over the environments ``env_ids`` (b,) int64."""
         self.gradient.zero_()
-        return add_gradient(self.network, self._config, self.rollout, self.targets, env_ids)
+        return add_gradient(self.network, self._loss, self.rollout, self.targets, env_ids)
 
 
 class InferCommand(NamedTuple):
@@ -98,23 +177,6 @@ class GradientCommand(NamedTuple):
     weight: float
 
 
-def shared_specs(network: TrainingNetwork, config: PPOConfig, processes: int) -> TensorSpecs:
-    """Return shapes and dtypes of the tensors that trainer and workers share."""
-    policy, count = network.policy, config.num_envs
-    shape = policy.shape
-    parameters = sum(p.numel() for p in network.parameters())
-    return {
-        **buffer_specs(network, config),
-        "parameters": ((parameters,), torch.float32),
-        "gradients": ((processes, parameters), torch.float32),
-        "terms": ((processes, len(PPOLossTerms.names())), torch.float32),
-        "image": ((count, shape.image_size, shape.image_size, 3), torch.uint8),
-        "h": ((count, policy.hidden_size), torch.float32),
-        "c": ((count, policy.hidden_size), torch.float32),
-        "logits": ((count, shape.joints, shape.levels), torch.float32),
-    }
-
-
 def infer_shared(
     policy: Policy, rollout: Rollout, shared: SharedTensors, t: int, image: Tensor, envs: slice
 ) -> None:
@@ -129,7 +191,7 @@ def infer_shared(
 def run_learner_worker(
     make_policy: MakePolicy,
     auxiliary_targets: int,
-    config: PPOConfig,
+    loss: Loss,
     precision: MatmulPrecision,
     shared: SharedTensors,
     index: int,
@@ -144,7 +206,7 @@ def run_learner_worker(
     network = TrainingNetwork(policy, auxiliary_targets)
     gradient = shared["gradients"][index]
     FlatParameters(network, shared["parameters"], gradient)
-    rollout, targets = buffers(shared.tensors)
+    rollout, targets = _buffers(shared.tensors)
     while True:
         command = connection.recv()
         if isinstance(command, InferCommand):
@@ -152,8 +214,8 @@ def run_learner_worker(
         else:
             gradient.zero_()
             env_ids = torch.from_numpy(command.env_ids)
-            terms = add_gradient(network, config, rollout, targets, env_ids, command.weight)
-            shared["terms"][index] = terms.vector()
+            terms = add_gradient(network, loss, rollout, targets, env_ids, command.weight)
+            shared["terms"][index, : len(terms)] = torch.stack([*terms.values()])
         connection.send(True)
 
 
@@ -168,7 +230,9 @@ class DataParallelLearner(Learner):
     def __init__(
         self,
         network: TrainingNetwork,
-        config: PPOConfig,
+        config: MinibatchConfig,
+        loss: Loss,
+        targets: TensorSpecs,
         precision: MatmulPrecision,
         processes: int,
     ) -> None:
@@ -176,12 +240,22 @@ class DataParallelLearner(Learner):
         self._context = process_context()
         self._precision = precision
         self._workers: list[SupervisedProcess] = []
-        super().__init__(network, config, torch.device("cpu"))
+        super().__init__(network, config, loss, targets, torch.device("cpu"))
 
-    def _allocate(self, device: torch.device) -> None:
-        specs = shared_specs(self.network, self._config, self.processes)
-        self._shared = SharedTensors(self._context, specs)
-        self.rollout, self.targets = buffers(self._shared.tensors)
+    def _allocate(self, specs: TensorSpecs, num_envs: int, device: torch.device) -> None:
+        policy, shape = self.policy, self.policy.shape
+        parameters = sum(p.numel() for p in self.network.parameters())
+        shared: TensorSpecs = {
+            "parameters": ((parameters,), torch.float32),
+            "gradients": ((self.processes, parameters), torch.float32),
+            "terms": ((self.processes, MAX_TERMS), torch.float32),
+            "image": ((num_envs, shape.image_size, shape.image_size, 3), torch.uint8),
+            "h": ((num_envs, policy.hidden_size), torch.float32),
+            "c": ((num_envs, policy.hidden_size), torch.float32),
+            "logits": ((num_envs, shape.joints, shape.levels), torch.float32),
+        }
+        self._shared = SharedTensors(self._context, {**specs, **shared})
+        self.rollout, self.targets = _buffers(self._shared.tensors)
         self.gradient = self._shared["gradients"][0]
         self._shared["parameters"].copy_(FlatParameters(self.network).values)
         FlatParameters(self.network, self._shared["parameters"], self.gradient)
@@ -213,26 +287,25 @@ class DataParallelLearner(Learner):
         self._wait(commands)
         return shared["logits"].clone(), (shared["h"], shared["c"])
 
-    def compute_gradient(self, env_ids: Tensor) -> PPOLossTerms:
+    def compute_gradient(self, env_ids: Tensor) -> Terms:
         """As `Learner.compute_gradient`."""
         count = len(env_ids)
         own, *others = env_ids.chunk(self.processes)
         commands = [GradientCommand(part.numpy(), len(part) / count) for part in others]
         self._send(commands)
         self.gradient.zero_()
-        weight = len(own) / count
-        terms = add_gradient(
-            self.network, self._config, self.rollout, self.targets, own, weight
-        ).vector()
+        arguments = self.network, self._loss, self.rollout, self.targets
+        terms = add_gradient(*arguments, own, len(own) / count)
         self._wait(commands)
         for index in range(1, 1 + len(commands)):
             self.gradient += self._shared["gradients"][index]
-            terms += self._shared["terms"][index]
-        return PPOLossTerms.from_vector(terms)
+            for term, part in zip(terms.values(), self._shared["terms"][index], strict=False):
+                term.add_(part)
+        return terms
 
     def _start(self, index: int, restarts: int) -> ChildProcess:
         network = self.network
-        arguments = network.policy.maker(), network.auxiliary_targets, self._config, self._precision
+        arguments = network.policy.maker(), network.auxiliary_targets, self._loss, self._precision
         name = f"learner worker {index}"
         return ChildProcess.start(
             self._context, name, run_learner_worker, *arguments, self._shared, index
@@ -250,13 +323,20 @@ class DataParallelLearner(Learner):
 
 
 def make_learner(
-    network: TrainingNetwork, config: PPOConfig, precision: MatmulPrecision, device: torch.device
+    network: TrainingNetwork,
+    config: MinibatchConfig,
+    loss: Loss,
+    targets: TensorSpecs,
+    precision: MatmulPrecision,
+    device: torch.device,
 ) -> Learner:
     """Move the network to the device and create its learner, with `count_processes` on the CPU."""
     network.to(device)
     torch.backends.cudnn.allow_tf32 = False  # float32 means float32 in convolutions, too
-    processes = count_processes(config) if device.type == "cpu" else 1
-    if device.type == "cpu" and config.processes is not None and processes < config.processes:
+    if device.type != "cpu":
+        return Learner(network, config, loss, targets, device)
+    processes = count_processes(config)
+    if config.processes is not None and processes < config.processes:
         log.warning(
             "processes=%d is reduced to %d: minibatches have %d environments, and each process "
             "needs %d of them.",
@@ -266,11 +346,11 @@ def make_learner(
             MIN_ENVS_PER_PROCESS,
         )
     if processes > 1:
-        return DataParallelLearner(network, config, precision, processes)
-    return Learner(network, config, device)
+        return DataParallelLearner(network, config, loss, targets, precision, processes)
+    return Learner(network, config, loss, targets, device)
 
 
-def count_processes(config: PPOConfig) -> int:
+def count_processes(config: MinibatchConfig) -> int:
     """Return the number of processes: as configured, limited by the size of a minibatch."""
     most = config.num_envs // config.minibatches // MIN_ENVS_PER_PROCESS
     return max(1, min(config.processes or available_cores(), most))

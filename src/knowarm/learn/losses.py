@@ -1,4 +1,4 @@
-"""Returns, advantages and losses of A3C and PPO: pure functions.
+"""Returns, advantages and losses of A3C, PPO and imitation: pure functions.
 
 Logits are (..., J, A), actions (..., J), all else (...). Every term is a mean over the leading
 axes; entropies and log-probabilities are sums over joints [nat].
@@ -8,51 +8,14 @@ episode ends with its last reward; that of a *truncated* one continues with the 
 observation. In both cases the next row belongs to another episode.
 """
 
-from dataclasses import dataclass, fields
-
 import torch
 from torch import Tensor
 
+from knowarm.learn.algorithms import PPOConfig
 from knowarm.policy.policy import entropy, log_probabilities, log_probability
 
-
-@dataclass(frozen=True, kw_only=True)
-class LossTerms:
-    """Scalar terms of a loss; ``total`` is minimized."""
-
-    total: Tensor
-    policy: Tensor
-    value: Tensor
-    entropy: Tensor
-
-
-@dataclass(frozen=True, kw_only=True)
-class PPOLossTerms(LossTerms):
-    """Terms of PPO's loss and measures of the policy's change since the rollout."""
-
-    approx_kl: Tensor  # Estimate of KL(old, new) [nat]: mean of ratio - 1 - log ratio
-    auxiliary: Tensor  # Mean squared error of the auxiliary head; 0 without one
-    clip_fraction: Tensor  # Fraction of steps whose ratio was clipped
-    # Weighted mean cross-entropy per joint to the teacher's actions [nat]; 0 without a teacher
-    imitation: Tensor
-
-    @classmethod
-    def names(cls) -> list[str]:
-        """Return the names of the terms in the order of `vector`."""
-        return [field.name for field in fields(cls)]
-
-    def vector(self) -> Tensor:
-        """Return all terms as one tensor, detached."""
-        return torch.stack([getattr(self, name).detach() for name in self.names()])
-
-    @classmethod
-    def from_vector(cls, vector: Tensor) -> "PPOLossTerms":
-        """Build the terms from a `vector`."""
-        return cls(**dict(zip(cls.names(), vector, strict=True)))
-
-    def scaled(self, factor: float) -> "PPOLossTerms":
-        """Return every term times a factor, detached."""
-        return self.from_vector(self.vector() * factor)
+Terms = dict[str, Tensor]
+"""Scalar terms of a loss by the name of their metric; ``total`` is minimized."""
 
 
 def a3c_loss(
@@ -64,7 +27,7 @@ def a3c_loss(
     *,
     vf_coef: float,
     ent_coef: float,
-) -> LossTerms:
+) -> Terms:
     """Compute A3C's loss (paper section 4.2.1), divided by the number of steps.
 
     ``policy = -mean(log pi(a) A)``, ``value = mean((R - V)^2) / 2`` and
@@ -75,7 +38,7 @@ def a3c_loss(
     value = 0.5 * (returns - values).square().mean()
     spread = entropy(logits).mean()
     total = policy + vf_coef * value - ent_coef * spread
-    return LossTerms(total=total, policy=policy, value=value, entropy=spread)
+    return {"total": total, "policy_loss": policy, "value_loss": value, "entropy": spread}
 
 
 def ppo_loss(
@@ -85,60 +48,44 @@ def ppo_loss(
     old_log_probability: Tensor,
     advantages: Tensor,
     returns: Tensor,
-    *,
-    clip_range: float,
-    vf_coef: float,
-    ent_coef: float,
-    auxiliary: Tensor | None = None,
-    auxiliary_coef: float = 0.0,
-    teacher_actions: Tensor | None = None,
-    teacher_weight: Tensor | None = None,
-    imitation_coef: float = 0.0,
-    imitation_stay: float = 0.0,
-    reinforcement_coef: float = 1.0,
-) -> PPOLossTerms:
+    config: PPOConfig,
+) -> Terms:
     """Compute PPO's clipped surrogate loss (Schulman et al. 2017, equations 7 and 9).
 
     ``policy = -mean(min(r A, clip(r, 1 - clip_range, 1 + clip_range) A))`` with ``r`` the ratio of
-    new to old probability; ``value`` and ``total`` as in `a3c_loss`, times ``reinforcement_coef``,
-    plus ``auxiliary_coef`` times the ``auxiliary`` loss and ``imitation_coef`` times the
-    cross-entropy to ``teacher_actions``, in which every joint has its ``teacher_weight`` (..., J),
-    and action 0 the share ``imitation_stay`` of each label.
+    new to old probability; ``value`` and ``total`` as in `a3c_loss`. Also measured: the estimate
+    mean(r - 1 - log r) of KL(old, new) [nat], and the fraction of steps whose ratio was clipped.
     """
     log_p = log_probabilities(logits)
-    # Imitation alone needs the other terms as metrics only.
-    with torch.set_grad_enabled(reinforcement_coef > 0 or not imitation_coef):
-        log_ratio = log_p.gather(-1, actions[..., None]).squeeze(-1).sum(-1) - old_log_probability
-        ratio = log_ratio.exp()
-        clipped = ratio.clamp(1 - clip_range, 1 + clip_range)
-        policy = -torch.min(ratio * advantages, clipped * advantages).mean()
-        value = 0.5 * (returns - values).square().mean()
-        spread = -(log_p.exp() * log_p).sum((-2, -1)).mean()
-        total = reinforcement_coef * (policy + vf_coef * value - ent_coef * spread)
+    log_ratio = log_p.gather(-1, actions[..., None]).squeeze(-1).sum(-1) - old_log_probability
+    ratio = log_ratio.exp()
+    clipped = ratio.clamp(1 - config.clip_range, 1 + config.clip_range)
+    policy = -torch.min(ratio * advantages, clipped * advantages).mean()
+    value = 0.5 * (returns - values).square().mean()
+    spread = -(log_p.exp() * log_p).sum((-2, -1)).mean()
     with torch.no_grad():
         approx_kl = (ratio - 1 - log_ratio).mean()
-        clip_fraction = ((ratio - 1).abs() > clip_range).to(ratio.dtype).mean()
-    if auxiliary is None:
-        auxiliary = torch.zeros_like(total)
-    else:
-        total = total + auxiliary_coef * auxiliary
-    if teacher_actions is None:
-        imitation = torch.zeros_like(total)
-    else:
-        taught = log_p.gather(-1, teacher_actions[..., None]).squeeze(-1)
-        surprise = -taught.lerp(log_p[..., 0], imitation_stay)
-        imitation = (surprise if teacher_weight is None else surprise * teacher_weight).mean()
-        total = total + imitation_coef * imitation
-    return PPOLossTerms(
-        total=total,
-        auxiliary=auxiliary,
-        policy=policy,
-        value=value,
-        entropy=spread,
-        approx_kl=approx_kl,
-        clip_fraction=clip_fraction,
-        imitation=imitation,
-    )
+        clip_fraction = ((ratio - 1).abs() > config.clip_range).to(ratio.dtype).mean()
+    return {
+        "total": policy + config.vf_coef * value - config.ent_coef * spread,
+        "policy_loss": policy,
+        "value_loss": value,
+        "entropy": spread,
+        "approx_kl": approx_kl,
+        "clip_fraction": clip_fraction,
+    }
+
+
+def distil_loss(
+    logits: Tensor, teacher_actions: Tensor, weights: Tensor, stay_share: float
+) -> Tensor:
+    """Compute the weighted mean cross-entropy per joint to the teacher's actions [nat].
+
+    Every joint has a weight (..., J), and action 0 the share ``stay_share`` of each label.
+    """
+    log_p = log_probabilities(logits)
+    taught = log_p.gather(-1, teacher_actions[..., None]).squeeze(-1)
+    return (-taught.lerp(log_p[..., 0], stay_share) * weights).mean()
 
 
 def next_values(

@@ -1,4 +1,4 @@
-"""Optimizer of PPO: Adam, or Muon for the hidden layers' matrices; precision of its products."""
+"""Optimizers: Adam, or Muon for the hidden layers' matrices; precision of its products."""
 
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from knowarm.learn.algorithms import PPOConfig
+from knowarm.learn.algorithms import MinibatchConfig
 from knowarm.learn.checkpoint import select
 from knowarm.policy import MatmulPrecision
 from knowarm.private_apis import cpu_has_bfloat16, without_compiler
@@ -19,6 +19,7 @@ Muon = without_compiler(torch.optim.Muon)
 NEWTON_SCHULZ = (3.4445, -4.775, 2.0315)
 """Coefficients of the quintic iteration of Muon (Jordan 2024)."""
 MOMENTUM = 0.95
+ADAM_EPS = 1e-5
 
 
 class Float32Muon(torch.optim.Optimizer):
@@ -73,7 +74,7 @@ MUON_PARAMETERS: dict[str, tuple[str, ...]] = {
     "muon": ("fc.weight", "memory.weight_ih", "memory.weight_hh"),
     "muon-float32": ("fc.weight", "encoder.conv1.weight", "encoder.conv2.weight"),
 }
-"""Matrices and kernels that Muon updates, by ``PPOConfig.optimizer``; Adam updates the others."""
+"""Matrices and kernels that Muon updates, by ``optimizer``; Adam updates the others."""
 
 
 class PolicyOptimizer:
@@ -84,13 +85,13 @@ class PolicyOptimizer:
     """
 
     def __init__(
-        self, parameters: Mapping[str, nn.Parameter], config: PPOConfig, processes: int = 1
+        self, parameters: Mapping[str, nn.Parameter], config: MinibatchConfig, processes: int = 1
     ) -> None:
         self._parameters = parameters
         matrices = [parameters[name] for name in MUON_PARAMETERS[config.optimizer]]
         others = [p for p in parameters.values() if not any(p is matrix for matrix in matrices)]
         self._optimizers: list[torch.optim.Optimizer] = [
-            Adam(others, lr=config.learning_rate, eps=config.adam_eps, fused=True)
+            Adam(others, lr=config.learning_rate, eps=ADAM_EPS, fused=True)
         ]
         self._optimizers += [_muon(matrix, config) for matrix in matrices]
         self._pool = ThreadPoolExecutor(1) if matrices and processes > 1 else None
@@ -132,7 +133,7 @@ class PolicyOptimizer:
                     optimizer.state[parameter] = values
 
 
-def _muon(matrix: nn.Parameter, config: PPOConfig) -> torch.optim.Optimizer:
+def _muon(matrix: nn.Parameter, config: MinibatchConfig) -> torch.optim.Optimizer:
     """Return the optimizer of one matrix; its updates have the size of Adam's."""
     if config.optimizer == "muon-float32":
         return Float32Muon([matrix], lr=config.learning_rate, iterations=3)

@@ -1,19 +1,18 @@
-"""Learning from privileged state: asymmetric critic, auxiliary targets, progress reward.
+"""Learning from privileged state: recorder, auxiliary targets, asymmetric critic.
 
 The simulator's state trains the critic and shapes the features of the image; the policy itself
 never receives it, so it plays from images alone.
 """
 
-from typing import NamedTuple, cast
+from typing import cast
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from knowarm.errors import UserError
-from knowarm.learn.algorithms import PPOConfig
 from knowarm.learn.checkpoint import select
-from knowarm.learn.environment import PrivilegedVectorEnv, TeachingVectorEnv, TorchVectorEnv
+from knowarm.learn.environment import Infos, PrivilegedVectorEnv, TorchVectorEnv
 from knowarm.learn.optimizer import Adam
 from knowarm.policy.encoder import orthogonal
 from knowarm.seeding import torch_generator
@@ -31,28 +30,6 @@ CRITIC_WIDTH = 128
 CRITIC_LEARNING_RATE = 1e-3
 CRITIC_EPOCHS = 2
 CRITIC_MINIBATCHES = 4
-
-WAY_SCALE = 10.0
-"""Way to the teacher's solution that is one unit of the auxiliary loss [largest steps]."""
-WAY_BOUND = 2.0
-
-SHORTEST_WAY = 0.5
-"""Way at least assumed in the weights of the imitation loss [largest steps]; within it a joint
-stays where it is."""
-
-PROGRESS_PER_METRE = 100.0
-PROGRESS_PER_DEGREE = 20.0 / 90.0
-
-
-class PrivilegedRollout(NamedTuple):
-    """Privileged states of a rollout, written in place by the collector."""
-
-    state: Tensor  # (T, B, D) float32: before each step
-    next_state: Tensor  # (T, B, D) float32: after each step, within the same episode
-    # (T, B, J) int64: what the teacher would do instead of each step; None without a teacher
-    teacher_actions: Tensor | None = None
-    # (T, B, J) float32: way to the teacher's solution before each step, in largest steps
-    teacher_way: Tensor | None = None
 
 
 class RunningNormalizer:
@@ -143,120 +120,63 @@ class StateCritic:
             self._optimizer.state[parameter] = values
 
 
-class PrivilegedLearning:
-    """What PPO computes from the privileged states of its rollouts.
+class PrivilegedRecorder:
+    """Records the privileged states of a rollout; the collector calls it around each step.
 
     Attributes:
-        rollout: written by the collector.
-        critic: values the states; None with the critic on images.
+        columns: names of the D columns.
+        state: (T, B, D) float32, before each step.
+        next_state: (T, B, D) float32, after each step, within the same episode.
+        standardized: the same two by the states so far, after `standardize`.
     """
 
-    def __init__(self, config: PPOConfig, env: PrivilegedVectorEnv, seed: int) -> None:
-        columns: tuple[str, ...] | None = getattr(env, "privileged_columns", None)
-        if columns is None:
+    def __init__(self, env: TorchVectorEnv, steps: int) -> None:
+        if not hasattr(env, "privileged_columns"):
             raise UserError(
-                f"{type(env).__name__} reports no privileged state, which critic='state', "
-                "auxiliary_coef and progress_coef need: implement "
-                "knowarm.learn.PrivilegedVectorEnv, or leave them at their defaults."
+                f"{type(env).__name__} reports no privileged state, which the algorithm's critic, "
+                "auxiliary_coef, progress_coef and teacher need: implement "
+                "knowarm.learn.PrivilegedVectorEnv, or train without them."
             )
-        env.report_privileged_state = True
-        teacher = {}
-        if config.imitation_coef:
-            lessons = teaching_env(env).teach()
-            names, table = ("teacher_actions", "teacher_way"), (config.rollout_steps, 1, 1)
-            teacher = {k: v.repeat(table) for k, v in zip(names, lessons, strict=True)}
-        shape = (config.rollout_steps, config.num_envs, len(columns))
-        self.rollout = PrivilegedRollout(
-            *(torch.zeros(shape, device=env.device) for _ in ("state", "next_state")), **teacher
-        )
-        uses_critic = config.critic == "state"
-        self.critic = StateCritic(len(columns), env.device, seed) if uses_critic else None
-        self._progress_coef = config.progress_coef
-        self._weighted_way = config.imitation_way
-        self._auxiliary = torch.tensor(auxiliary_columns(columns), device=env.device)
-        if config.progress_coef:
-            if not {"distance/0", "angle/0"} <= set(columns):
-                raise UserError(
-                    "progress_coef needs the privileged columns distance/0 and angle/0; "
-                    f"{type(env).__name__} has {', '.join(columns)}. Add them, or set it to 0."
-                )
-            self._distance, self._angle = columns.index("distance/0"), columns.index("angle/0")
-        self._normalizer = RunningNormalizer(len(columns), env.device)
-        self._standardized = self.rollout
+        self.env = cast(PrivilegedVectorEnv, env)
+        self.env.report_privileged_state = True
+        self.columns = self.env.privileged_columns
+        shape = (steps, env.num_envs, len(self.columns))
+        self.state, self.next_state = (torch.zeros(shape, device=env.device) for _ in range(2))
+        self._auxiliary = torch.tensor(auxiliary_columns(self.columns), device=env.device)
+        self._normalizer = RunningNormalizer(len(self.columns), env.device)
+        self.standardized = self.state, self.next_state
 
-    def update(self) -> None:
-        """Standardize the states of a new rollout; call it first."""
-        rollout = self.rollout
-        self._normalizer.update(rollout.state.flatten(0, 1))
-        self._standardized = rollout._replace(
-            state=self._normalizer(rollout.state), next_state=self._normalizer(rollout.next_state)
-        )
+    @property
+    def auxiliary_targets(self) -> int:
+        """Number of targets of the auxiliary head."""
+        return len(self._auxiliary)
 
-    def progress_reward(self) -> Tensor:
-        """Return what the steps gained in distance and angle as a reward, (T, B)."""
-        gained = self.rollout.state - self.rollout.next_state
-        return self._progress_coef * (
-            PROGRESS_PER_METRE * gained[..., self._distance]
-            + PROGRESS_PER_DEGREE * gained[..., self._angle]
-        )
+    def before_step(self, t: int) -> None:
+        """Record the state before step t."""
+        self.state[t] = self.env.privileged_state
 
-    def auxiliary_targets(self) -> Tensor:
-        """Return the standardized targets of the auxiliary head, (T, B, K).
+    def after_step(self, t: int, infos: Infos) -> None:
+        """Record the state after step t."""
+        self.next_state[t] = infos["final_privileged_state"]
 
-        With a teacher, they include the way to its solution.
-        """
-        targets = self._standardized.state.index_select(-1, self._auxiliary)
-        way = self.rollout.teacher_way
-        if way is None:
-            return targets
-        return torch.cat((targets, (way / WAY_SCALE).clamp(-WAY_BOUND, WAY_BOUND)), -1)
+    def standardize(self) -> None:
+        """Standardize the states of a new rollout."""
+        self._normalizer.update(self.state.flatten(0, 1))
+        self.standardized = self._normalizer(self.state), self._normalizer(self.next_state)
 
-    def teacher_weight(self) -> Tensor:
-        """Return the weights of the imitation loss, (T, B, J), with a mean of 1.
-
-        They are proportional to a joint's way, at least `SHORTEST_WAY` and at most
-        ``imitation_way`` steps: a joint that moves the wrong way is worse far from the solution.
-        """
-        way = self.rollout.teacher_way
-        assert way is not None
-        if self._weighted_way is None:
-            return torch.ones_like(way)
-        way = way.abs().clamp(SHORTEST_WAY, self._weighted_way)
-        return way / way.mean()
-
-    def values(self) -> tuple[Tensor, Tensor]:
-        """Return the critic's values before and after each step, (T, B) each."""
-        assert self.critic is not None
-        return self.critic(self._standardized.state), self.critic(self._standardized.next_state)
-
-    def fit(self, returns: Tensor) -> None:
-        """Train the critic, if there is one, on the returns (T, B)."""
-        if self.critic is not None:
-            self.critic.fit(self._standardized.state.flatten(0, 1), returns.flatten())
+    def targets(self) -> Tensor:
+        """Return the standardized targets of the auxiliary head, (T, B, K)."""
+        return self.standardized[0].index_select(-1, self._auxiliary)
 
     def get_state(self) -> dict[str, np.ndarray]:
         """Return all that `set_state` needs."""
-        state = {f"normalizer/{k}": v for k, v in self._normalizer.get_state().items()}
-        critic = self.critic.get_state() if self.critic else {}
-        return state | {f"critic/{k}": v for k, v in critic.items()}
+        return self._normalizer.get_state()
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
         """Continue from the result of `get_state`."""
-        for name, part in (("normalizer", self._normalizer), ("critic", self.critic)):
-            if part is not None:
-                part.set_state(select(state, f"{name}/"))
+        self._normalizer.set_state(state)
 
 
 def auxiliary_columns(columns: tuple[str, ...]) -> list[int]:
     """Return the indices of the columns that the auxiliary head predicts."""
     return [i for i, name in enumerate(columns) if name.split("/")[0] in AUXILIARY_QUANTITIES]
-
-
-def teaching_env(env: TorchVectorEnv) -> TeachingVectorEnv:
-    """Return an environment as one with a teacher; an error if it has none."""
-    if not hasattr(env, "teach"):
-        raise UserError(
-            f"{type(env).__name__} has no teacher, which imitation_coef and practice_until need: "
-            "implement knowarm.learn.TeachingVectorEnv, or leave them at 0."
-        )
-    return cast(TeachingVectorEnv, env)

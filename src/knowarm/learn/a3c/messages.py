@@ -16,6 +16,9 @@ from knowarm.learn.evaluation import Metrics
 from knowarm.learn.parallel.shared_tensors import TensorSpecs
 from knowarm.policy import MakePolicy
 
+RMSPROP_ALPHA = 0.99
+"""Decay of RMSprop's running mean of squared gradients (paper section 4.2)."""
+
 MakeEnv = Callable[[int, int], TorchVectorEnv]
 """Creates an environment on the CPU from num_envs and num_threads; picklable."""
 
@@ -68,6 +71,9 @@ class UpdateReport(NamedTuple):
     evaluation: EvaluationRequest | None  # If an interim evaluation is due after this update
 
 
+LOSS_METRICS = ("policy_loss", "value_loss", "entropy")
+
+
 def mean_metrics(sums: Mapping[str, float]) -> Metrics:
     """Return means over updates and finished episodes from the sums of `UpdateReport`."""
     row: Metrics = {"episodes": sums["episodes"]}
@@ -75,7 +81,7 @@ def mean_metrics(sums: Mapping[str, float]) -> Metrics:
         row["return_mean"] = sums["episode_return"] / sums["episodes"]
         row["length_mean"] = sums["episode_length"] / sums["episodes"]
         row["success"] = sums["successes"] / sums["episodes"]
-    for name in ("policy_loss", "value_loss", "entropy", "grad_norm", "threshold_factor"):
+    for name in (*LOSS_METRICS, "grad_norm", "threshold_factor"):
         row[name] = sums[name] / sums["updates"]
     return row | {"updates": sums["updates"]}
 
@@ -104,15 +110,14 @@ def rmsprop_update(
     gradient: Tensor,
     *,
     learning_rate: float,
-    alpha: float,
     eps: float,
 ) -> None:
     """Apply one step of RMSprop in place (Tieleman and Hinton 2012); tensors are (P,).
 
-    ``m <- alpha m + (1 - alpha) g^2``, ``x <- x - learning_rate g / (sqrt(m) + eps)``.
+    ``m <- .99 m + .01 g^2``, ``x <- x - learning_rate g / (sqrt(m) + eps)``.
 
     Parameters and statistics may be shared and are written without a lock, as in public
     implementations of A3C: concurrent updates may overwrite parts of each other's step.
     """
-    mean_square.mul_(alpha).addcmul_(gradient, gradient, value=1 - alpha)
+    mean_square.mul_(RMSPROP_ALPHA).addcmul_(gradient, gradient, value=1 - RMSPROP_ALPHA)
     values.addcdiv_(gradient, mean_square.sqrt().add_(eps), value=-learning_rate)

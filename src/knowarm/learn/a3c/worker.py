@@ -6,6 +6,7 @@ import numpy as np
 import torch
 
 from knowarm.learn.a3c.messages import (
+    LOSS_METRICS,
     A3CWorkerArgs,
     EvaluationRequest,
     StateRequest,
@@ -17,7 +18,7 @@ from knowarm.learn.algorithms import A3CConfig
 from knowarm.learn.collector import Collector
 from knowarm.learn.environment import ThresholdCurriculum
 from knowarm.learn.guards import FiniteGuard
-from knowarm.learn.losses import LossTerms, a3c_loss, advantages, n_step_returns
+from knowarm.learn.losses import Terms, a3c_loss, advantages, n_step_returns
 from knowarm.learn.optimizer import resolve_precision
 from knowarm.learn.parallel.shared_tensors import FlatParameters, SharedTensors
 from knowarm.learn.rollout import Rollout
@@ -80,7 +81,7 @@ class A3CWorker:
         self._guard.check_rollout(rollout, self._policy.knowledge_table, before + steps)
         loss = rollout_loss(self._policy, config, rollout)
         self._parameters.gradient.zero_()
-        loss.total.backward()
+        loss["total"].backward()
         norm = self._parameters.clip_gradient(config.max_grad_norm)
         self._guard.check_update(self._policy, loss, norm, before + steps, rollout)
         rmsprop_update(
@@ -88,7 +89,6 @@ class A3CWorker:
             shared["mean_square"],
             self._parameters.gradient,
             learning_rate=config.learning_rate_at(before / self.args.total_steps),
-            alpha=config.rmsprop_alpha,
             eps=config.rmsprop_eps,
         )
         shared["steps"][self.args.index] += steps
@@ -101,9 +101,7 @@ class A3CWorker:
             "episode_return": float(episodes.episode_return.sum()),
             "episode_length": int(episodes.length.sum()),
             "successes": int(episodes.success.sum()),
-            "policy_loss": float(loss.policy.detach()),
-            "value_loss": float(loss.value.detach()),
-            "entropy": float(loss.entropy.detach()),
+            **{name: float(loss[name].detach()) for name in LOSS_METRICS},
             "grad_norm": float(norm),
             "threshold_factor": self._curriculum.factor,
         }
@@ -142,7 +140,7 @@ def run_a3c_worker(args: A3CWorkerArgs, shared: SharedTensors, connection: Conne
     A3CWorker(args, shared, connection).run()
 
 
-def rollout_loss(policy: Policy, config: A3CConfig, rollout: Rollout) -> LossTerms:
+def rollout_loss(policy: Policy, config: A3CConfig, rollout: Rollout) -> Terms:
     """Compute A3C's loss, with gradient, at the parameters that collected the rollout."""
     reward = rollout.reward * config.reward_scale
     following = rollout.following(bootstrap_at_time_limit=config.bootstrap_at_time_limit)

@@ -35,7 +35,7 @@ class Lift(Task):
     training: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "distil": {
             "total_steps": 800_000,
-            "algorithm": {"imitation_way": 2.0, "imitation_stay": 0.2, "glimpse_until": 0.1},
+            "algorithm": {"way_limit": 2.0, "stay_share": 0.2, "glimpse_until": 0.1},
         }
     }
     column_meanings: ClassVar[dict[str, str]] = {

@@ -51,7 +51,7 @@ class Choose(Task):
     knowledge_info: ClassVar[str] = "query"
     # Without progress_coef, grasps of which few objects are examples are learned late.
     training: ClassVar[Mapping[str, Mapping[str, Any]]] = {
-        "fast": {"total_steps": 2_000_000, "algorithm": {"progress_coef": 1.0}},
+        "fast": {"total_steps": 2_000_000, "algorithm": {"privileged": {"progress_coef": 1.0}}},
         "distil": {"total_steps": 300_000},
     }
     column_meanings: ClassVar[dict[str, str]] = {

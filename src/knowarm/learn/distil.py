@@ -1,0 +1,144 @@
+"""Imitation: the policy acts, and a teacher labels every state that it visits (DAgger)."""
+
+from functools import partial
+from typing import Any, cast
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from knowarm.errors import UserError
+from knowarm.learn.algorithms import SHORTEST_WAY, DistilConfig
+from knowarm.learn.checkpoint import Arrays
+from knowarm.learn.environment import TeachingVectorEnv, TorchVectorEnv
+from knowarm.learn.evaluation import Metrics
+from knowarm.learn.learner import Targets, TrainingNetwork
+from knowarm.learn.losses import Terms, distil_loss
+from knowarm.learn.minibatch import MinibatchTrainer
+from knowarm.learn.parallel.shared_tensors import flatten_parameters
+from knowarm.learn.privileged import PrivilegedRecorder
+from knowarm.learn.rollout import Rollout
+from knowarm.policy import Policy
+
+WAY_SCALE = 10.0
+"""Way to the teacher's solution that is one unit of the auxiliary loss [largest steps]."""
+WAY_BOUND = 2.0
+
+
+class LessonRecorder(PrivilegedRecorder):
+    """Records the teacher's answers, too.
+
+    Attributes:
+        actions: (T, B, J) int64, what the teacher would do instead of each step.
+        way: (T, B, J) float32, way to its solution before each step [largest steps].
+    """
+
+    def __init__(self, env: TorchVectorEnv, steps: int) -> None:
+        super().__init__(env, steps)
+        if not hasattr(env, "teach"):
+            raise UserError(
+                f"{type(env).__name__} has no teacher, which imitation needs: implement "
+                "knowarm.learn.TeachingVectorEnv, or choose another algorithm."
+            )
+        self.teaching = cast(TeachingVectorEnv, env)
+        self.actions, self.way = (each.repeat(steps, 1, 1) for each in self.teaching.teach())
+
+    def before_step(self, t: int) -> None:
+        """Record the state before step t, and what the teacher would do."""
+        super().before_step(t)
+        self.actions[t], self.way[t] = self.teaching.teach()
+
+    def targets(self) -> Tensor:
+        """Return the targets of the auxiliary head, (T, B, K), with the way to the solution."""
+        way = (self.way / WAY_SCALE).clamp(-WAY_BOUND, WAY_BOUND)
+        return torch.cat((super().targets(), way), -1)
+
+
+def minibatch_loss(
+    config: DistilConfig, network: TrainingNetwork, batch: Rollout, targets: Targets
+) -> Terms:
+    """Compute the loss of imitation, and the auxiliary one, over a minibatch."""
+    logits, _, features = network(batch)
+    loss = distil_loss(logits, targets["actions"], targets["weights"], config.stay_share)
+    terms = {"total": loss, "imitation_loss": loss}
+    return network.add_auxiliary(terms, features, targets, config.auxiliary_coef)
+
+
+class DistilTrainer(MinibatchTrainer):
+    """Imitation of a teacher by the cross-entropy to its actions; see `MinibatchTrainer`."""
+
+    config: DistilConfig
+
+    def __init__(
+        self,
+        config: DistilConfig,
+        policy: Policy,
+        env: TorchVectorEnv,
+        *,
+        seed: int,
+        **options: Any,
+    ) -> None:
+        self._lessons = lessons = LessonRecorder(env, config.rollout_steps)
+        lessons.teaching.practice_share = config.practice_share_at(0.0)
+        joints = lessons.way.shape[-1]
+        super().__init__(
+            config,
+            policy,
+            env,
+            seed=seed,
+            loss=partial(minibatch_loss, config),
+            targets={
+                "actions": (tuple(lessons.actions.shape), torch.int64),
+                "weights": (tuple(lessons.way.shape), torch.float32),
+            },
+            recorder=lessons,
+            auxiliary_targets=lessons.auxiliary_targets + joints if config.auxiliary_coef else 0,
+            greedy=True,
+            **options,
+        )
+        self._average = flatten_parameters(policy)
+
+    def parameters(self) -> np.ndarray:
+        """Copy the averaged parameters, which interim evaluations play."""
+        return self._average.copy()
+
+    @torch.no_grad()
+    def collect(self, progress: float) -> None:
+        """Let the policy act; at first, fill the rollout with first images of new episodes."""
+        self._lessons.teaching.practice_share = self.config.practice_share_at(progress)
+        if progress >= self.config.glimpse_until:
+            super().collect(progress)
+            return
+        rollout, env = self._learner.rollout, self._collector.env
+        rollout.episode_start.fill_(True)
+        for t in range(len(rollout.reward)):
+            rollout.patches[t] = self.policy.patches(self._collector.restart())
+            rollout.facet[t] = env.knowledge_input
+            self._lessons.before_step(t)
+
+    def set_targets(self) -> None:
+        """Fill the targets: the teacher's actions, weighted by way, and those of the head.
+
+        Weights have a mean of 1: a joint that moves the wrong way is worse far from the solution.
+        """
+        lessons, targets = self._lessons, self._learner.targets
+        targets["actions"].copy_(lessons.actions)
+        way = lessons.way.abs().clamp(SHORTEST_WAY, self.config.way_limit)
+        targets["weights"].copy_(way / way.mean())
+        if "auxiliary" in targets:
+            targets["auxiliary"].copy_(lessons.targets())
+
+    def update(self, total_steps: int) -> Metrics:
+        """See `MinibatchTrainer.update`; also averages the parameters."""
+        metrics = super().update(total_steps)
+        change = flatten_parameters(self.policy) - self._average
+        self._average += change / np.float32(self.config.average_updates)
+        return metrics
+
+    def extra_state(self) -> Arrays:
+        """See `MinibatchTrainer.extra_state`."""
+        return {"average": self._average.copy()}
+
+    def restore_extra(self, state: Arrays) -> None:
+        """See `MinibatchTrainer.restore_extra`."""
+        self._average = state["average"].copy()
