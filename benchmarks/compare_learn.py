@@ -105,7 +105,7 @@ def sb3_environments(
 
 def sb3_row(config: CompareLearnConfig, *, opengl: bool) -> Row:
     """Measure RecurrentPPO on KnowArm's vector environment, or on single ones with OpenGL."""
-    chosen, ppo = experiment_config(config.experiment), config.ppo()
+    chosen, ppo = experiment_config(config.experiment), cast(PPOConfig, config.ppo())
     parts = build(chosen)
     env: VecEnv
     if opengl:
@@ -135,7 +135,7 @@ def sb3_row(config: CompareLearnConfig, *, opengl: bool) -> Row:
 
 def sb3_success_row(config: CompareLearnConfig) -> Row:
     """Train RecurrentPPO on KnowArm's vector environment until 80 % success."""
-    chosen, ppo = experiment_config(config.experiment), config.ppo()
+    chosen, ppo = experiment_config(config.experiment), cast(PPOConfig, config.ppo())
     parts = build(chosen)
     vector = ArmVectorEnv(chosen.env, ppo.num_envs, num_threads=config.cores)
     env = sb3_environments(vector, parts.table, ppo, config.seed)

@@ -14,7 +14,7 @@ from typing import Any, cast
 import torch
 import tyro
 
-from benchmarks.time_to_success import refuse_module, time_to_success
+from benchmarks.time_to_success import refuse_module, time_to_success, trainer_of
 from knowarm.cli.tables import check_output, print_table, write_json_table
 from knowarm.cores import processor
 from knowarm.errors import UserError
@@ -22,15 +22,16 @@ from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.build import EnvFactory, Parts, build
 from knowarm.experiment.names import DEFAULT_EXPERIMENT, experiment_config
 from knowarm.experiment.speed import measure_images
-from knowarm.learn import A3CConfig, Hooks, Metrics, PPOConfig, PPOTrainer, TorchVectorEnv
+from knowarm.learn import A3CConfig, Hooks, Metrics, PPOConfig, TorchVectorEnv
 from knowarm.learn.a3c import A3CTrainer
+from knowarm.learn.algorithms import MinibatchConfig
 from knowarm.world.envs.torch_env import TorchArmVectorEnv
 
 WARM_UP_UPDATES = 3
 """Updates that are not measured: the first ones compile and fill caches."""
 
-PPOS = [name for name, entry in ALGORITHMS.items() if isinstance(entry.config, PPOConfig)]
-"""Algorithms that are a configuration of PPO."""
+PPOS = [name for name, entry in ALGORITHMS.items() if isinstance(entry.config, MinibatchConfig)]
+"""Algorithms that learn from minibatches: configurations of PPO, and imitation."""
 
 PPO, A3C = PPOConfig().name, A3CConfig().name
 """Names of the rows; the paper's A3C has many workers with one environment each."""
@@ -81,9 +82,9 @@ class LearnBenchConfig:
         if self.success_steps < 0:
             raise UserError(f"success_steps must be 0 or more, got {self.success_steps}.")
 
-    def ppo(self, name: str = PPO) -> PPOConfig:
-        """Return the settings of a registered PPO."""
-        return replace(cast(PPOConfig, ALGORITHMS[name].config), processes=self.cores)
+    def ppo(self, name: str = PPO) -> MinibatchConfig:
+        """Return the settings of a registered algorithm."""
+        return replace(cast(MinibatchConfig, ALGORITHMS[name].config), processes=self.cores)
 
 
 def bench_learn(config: LearnBenchConfig | None = None) -> dict[str, Any]:
@@ -161,7 +162,7 @@ def raycaster_row(config: LearnBenchConfig) -> Row:
 
 
 def ppo_row(config: LearnBenchConfig, name: str = PPO) -> Row:
-    """Measure a registered configuration of PPO."""
+    """Measure a registered algorithm that learns from minibatches."""
     chosen, ppo = experiment_config(config.experiment), config.ppo(name)
     env = TorchArmVectorEnv(chosen.env, ppo.num_envs, num_threads=config.cores)
     image_seconds = timed(env.renderer, "draw")
@@ -200,7 +201,7 @@ def timed(owner: Any, method: str) -> Callable[[], float]:
 
 
 def train_ppo(
-    config: PPOConfig,
+    config: MinibatchConfig,
     parts: Parts,
     env: TorchVectorEnv,
     *,
@@ -208,10 +209,10 @@ def train_ppo(
     seed: int,
     image_seconds: Callable[[], float] = lambda: 0.0,
 ) -> Row:
-    """Train with PPO for a while and measure everything after the first updates.
+    """Train for a while and measure everything after the first updates.
 
     Args:
-        config: settings of PPO.
+        config: settings of the algorithm.
         parts: policy and knowledge of the experiment.
         env: vector environment with ``config.num_envs`` environments.
         seconds: minimum measuring time [s].
@@ -238,8 +239,7 @@ def train_ppo(
         should_stop=lambda: len(rows) > WARM_UP_UPDATES and elapsed() > seconds,
     )
     policy = parts.new_policy(seed)
-    trainer = PPOTrainer(config, policy, env, seed=seed, hooks=hooks)
-    trainer.train(UNLIMITED)
+    trainer_of(config, policy, env, seed=seed, hooks=hooks).train(UNLIMITED)
 
     def share(name: str) -> float:
         return sum(row[name] for row in rows[first + 1 :]) / elapsed()

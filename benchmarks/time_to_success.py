@@ -5,6 +5,7 @@ python -m benchmarks.time_to_success irb120-full-ppo --algorithms fast ppo --mos
 
 import argparse
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, cast
 
@@ -15,7 +16,9 @@ from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.build import build, interim_evaluation
 from knowarm.experiment.config import ExperimentConfig, InterimConfig
 from knowarm.experiment.names import ExperimentName, experiment_config
-from knowarm.learn import Hooks, PPOConfig, PPOTrainer
+from knowarm.learn import Hooks, TorchVectorEnv, Trainer
+from knowarm.learn.algorithms import MinibatchConfig
+from knowarm.policy import Policy
 from knowarm.world.envs.torch_env import TorchArmVectorEnv
 
 SUCCESS = 0.8
@@ -87,10 +90,23 @@ def with_algorithm(experiment: ExperimentConfig, algorithm: str) -> ExperimentCo
     )
 
 
+def trainer_of(
+    config: MinibatchConfig,
+    policy: Policy,
+    env: TorchVectorEnv,
+    evaluate: Callable[[Policy], dict[str, float]] | None = None,
+    **options: Any,
+) -> Trainer:
+    """Return the trainer of a config for an environment that exists."""
+    make_trainer = ALGORITHMS[config.name].make_trainer
+    given = {"make_env": lambda *_, **__: env, "make_evaluate": lambda: evaluate}
+    return make_trainer(config, policy, **given, **options)
+
+
 def time_to_success(
     experiment: ExperimentConfig, algorithm: str, *, most_steps: int, processes: int, seed: int
 ) -> dict[str, Any]:
-    """Train with a registered PPO until `SUCCESS`; schedules extend over its usual training.
+    """Train with a registered algorithm until `SUCCESS`; schedules extend over its usual training.
 
     Args:
         experiment: robot, agent and task.
@@ -104,10 +120,10 @@ def time_to_success(
     """
     refuse_module(experiment)
     chosen = with_algorithm(experiment, algorithm)
-    config = replace(cast(PPOConfig, chosen.algorithm), processes=processes)
+    config = replace(cast(MinibatchConfig, chosen.algorithm), processes=processes)
     env = TorchArmVectorEnv(chosen.env, config.num_envs, num_threads=processes)
     clock = SuccessClock(most_steps)
-    trainer = PPOTrainer(
+    trainer = trainer_of(
         config,
         build(chosen).new_policy(seed),
         env,

@@ -343,12 +343,13 @@ def test_policy():
     assert value.shape == (2,)
 
 
-@example("PPOConfig", "A3CConfig", "ALGORITHMS", "Algorithm", "register_algorithm")
+@example("PPOConfig", "DistilConfig", "A3CConfig", "ALGORITHMS", "Algorithm", "register_algorithm")
 def test_algorithms():
     assert isinstance(knowarm.ALGORITHMS["ppo"], knowarm.Algorithm)
     assert knowarm.ALGORITHMS["ppo"].config == knowarm.PPOConfig()
     with pytest.raises(knowarm.UserError, match="no algorithm: knowarm has another 'PPOConfig'"):
         knowarm.register_algorithm("knowarm:PPOConfig")
+    assert knowarm.ALGORITHMS["distil"].config == knowarm.DistilConfig()
     assert knowarm.A3CConfig(workers=2).workers == 2
     with pytest.raises(knowarm.UserError, match="gamma must be between 0 and 1"):
         knowarm.PPOConfig(gamma=1.5)

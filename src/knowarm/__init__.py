@@ -78,7 +78,7 @@ Policy and learning
     PolicyConfig        choices of the network: fusion, sizes, preprocessing
     PolicyShape         its input and output sizes
     PolicyAgent         plays episodes with a policy
-    PPOConfig, A3CConfig    hyperparameters of the algorithms
+    PPOConfig, DistilConfig, A3CConfig    hyperparameters of the algorithms
     NumpyToTorch        adapter of any NumPy vector environment for the trainers
     SB3VecEnv           adapter of a vector environment for Stable-Baselines3 (extra "sb3")
 Registries: to extend KnowArm, add an entry (see CONTRIBUTING.md)

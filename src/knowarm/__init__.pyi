@@ -26,6 +26,7 @@ from .knowledge.formats import read_graph as read_graph
 from .knowledge.graph.graph import KnowledgeGraph as KnowledgeGraph
 from .knowledge.queries.queries import parse_query as parse_query
 from .learn.algorithms import A3CConfig as A3CConfig
+from .learn.algorithms import DistilConfig as DistilConfig
 from .learn.algorithms import PPOConfig as PPOConfig
 from .learn.environment import NumpyToTorch as NumpyToTorch
 from .learn.sb3_vec_env import SB3VecEnv as SB3VecEnv

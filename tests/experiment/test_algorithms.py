@@ -1,6 +1,8 @@
 """Registered algorithms: the numbers that the paper states, and what stored runs meant."""
 
+from knowarm.config import to_dict
 from knowarm.experiment.names import experiment_config
+from knowarm.learn.a3c.messages import RMSPROP_ALPHA
 from knowarm.learn.algorithms import privileged_uses
 
 
@@ -8,7 +10,7 @@ def test_a3c_has_the_papers_numbers():
     config = experiment_config("irb120-full-a3c")
     a3c = config.algorithm
     assert (a3c.workers, a3c.envs_per_worker) == (17, 1)
-    assert (a3c.learning_rate, a3c.rmsprop_alpha) == (1e-4, 0.99)
+    assert (a3c.learning_rate, RMSPROP_ALPHA) == (1e-4, 0.99)
     assert (a3c.gamma, a3c.gae_lambda) == (0.99, 1.0)
     assert (a3c.ent_coef, a3c.vf_coef) == (0.01, 1.0)
     assert (a3c.reward_scale, a3c.matmul_precision) == (1.0, "float32")
@@ -34,9 +36,9 @@ def test_fast_has_the_measured_settings():
     assert config.total_steps == 1_500_000
     assert (fast.num_envs, fast.rollout_steps, fast.epochs, fast.minibatches) == (128, 25, 1, 8)
     assert (fast.optimizer, fast.learning_rate, fast.gamma) == ("muon", 3e-3, 0.95)
-    assert (fast.critic, fast.auxiliary_coef, fast.progress_coef) == ("state", 1.0, 0.0)
-    assert (fast.threshold_factor, fast.threshold_decrease) == (3.0, 0.05)
-    assert fast.threshold_success == 0.5
+    aids = fast.privileged
+    assert (aids.critic, aids.auxiliary_coef, aids.progress_coef) == (True, 1.0, 0.0)
+    assert (aids.threshold_factor, aids.threshold_decrease) == (3.0, 0.05)
 
 
 def test_imitation_gives_the_goal_to_the_layer_of_the_auxiliary_loss():
@@ -52,8 +54,8 @@ def test_imitation_gives_the_goal_to_the_layer_of_the_auxiliary_loss():
 
 def test_plain_ppo_uses_no_privileged_state():
     config = experiment_config("irb120-full-ppo").algorithm
-    assert privileged_uses(vars(config)) == []
-    assert (config.optimizer, config.threshold_factor) == ("adam", 1.0)
+    assert privileged_uses(to_dict(config)) == []
+    assert (config.optimizer, config.privileged.threshold_factor) == ("adam", 1.0)
 
 
 def test_the_tuned_a3c_has_the_measured_settings():
@@ -64,8 +66,8 @@ def test_the_tuned_a3c_has_the_measured_settings():
     assert (a3c.gamma, a3c.gae_lambda, a3c.reward_scale) == (0.95, 0.95, 0.05)
     assert (a3c.ent_coef, a3c.vf_coef, a3c.max_grad_norm) == (0.001, 0.5, 0.5)
     assert (a3c.learning_rate_schedule, a3c.learning_rate_final) == ("linear", 0.1)
-    assert (a3c.threshold_factor, a3c.threshold_decrease, a3c.threshold_success) == (3, 0.01, 0.5)
-    assert (a3c.learning_rate, a3c.rmsprop_eps, a3c.rmsprop_alpha) == (1e-3, 1e-5, 0.99)
+    assert (a3c.threshold_factor, a3c.threshold_decrease) == (3, 0.01)
+    assert (a3c.learning_rate, a3c.rmsprop_eps) == (1e-3, 1e-5)
     assert a3c.bootstrap_at_time_limit
     assert not a3c.rollout_ends_with_episode
     assert (config.policy.pixel_shift, config.policy.pixel_scale) == (0.5, 4)

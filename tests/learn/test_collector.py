@@ -6,8 +6,7 @@ import torch
 
 from knowarm.errors import UserError
 from knowarm.learn.collector import Collector
-from knowarm.learn.parallel.shared_tensors import zeros
-from knowarm.learn.rollout import Rollout, infer_step, rollout_specs
+from knowarm.learn.rollout import Rollout, infer_step
 from tests.learn.toys import informed_toy_policy, toy_env, toy_policy
 
 COUNT, STEPS = 8, 12
@@ -20,7 +19,7 @@ def collect(rollouts, *, recall, length, **options):
         toy_env(COUNT, recall=recall, length=length, staggered=True),
     )
     collector = Collector(env, policy, seed=3, **options)
-    rollout = Rollout(**zeros(rollout_specs(STEPS, COUNT, policy)))
+    rollout = Rollout.zeros(STEPS, COUNT, policy)
     collected = []
     for _ in range(rollouts):
         collector.collect(rollout)
@@ -52,7 +51,7 @@ def test_a_greedy_collector_takes_the_most_probable_actions():
 
     policy = toy_policy(features=16)
     env = toy_env(COUNT, recall=False, length=5)
-    rollout = Rollout(**zeros(rollout_specs(STEPS, COUNT, policy)))
+    rollout = Rollout.zeros(STEPS, COUNT, policy)
     Collector(env, policy, seed=3, greedy=True).collect(rollout, infer)
     assert torch.equal(rollout.action, torch.stack(logits).argmax(-1))
     Collector(env, policy, seed=3).collect(rollout, infer)
@@ -62,7 +61,7 @@ def test_a_greedy_collector_takes_the_most_probable_actions():
 def test_a_rollout_holds_what_the_policy_computed():
     policy, env = toy_policy(features=16), toy_env(COUNT, recall=False, length=5)
     collector = Collector(env, policy, seed=3)
-    rollout = Rollout(**zeros(rollout_specs(STEPS, COUNT, policy)))
+    rollout = Rollout.zeros(STEPS, COUNT, policy)
     collector.collect(rollout)
     collector.collect(rollout)
     logits, values, _ = policy.unroll(
@@ -79,7 +78,7 @@ def test_a_restored_collector_continues_identically():
     first.statistics.take()
     second, _ = collect(0, recall=False, length=5)
     second.set_state({name: np.array(value) for name, value in first.get_state().items()})
-    rollouts = [Rollout(**zeros(rollout_specs(STEPS, COUNT, first.policy))) for _ in range(2)]
+    rollouts = [Rollout.zeros(STEPS, COUNT, first.policy) for _ in range(2)]
     for collector, rollout in zip((first, second), rollouts, strict=True):
         collector.collect(rollout)
     for name, tensor in rollouts[0].tensors().items():
@@ -128,7 +127,7 @@ def test_a_rollout_pairs_each_image_with_its_facet_state_and_final_value(recall)
     env = toy_env(COUNT, recall=recall, length=5, staggered=True, facets=4)
     recorder = Recorder(env)
     collector = Collector(recorder, policy, seed=3)
-    rollout = Rollout(**zeros(rollout_specs(STEPS, COUNT, policy)))
+    rollout = Rollout.zeros(STEPS, COUNT, policy)
     state, start = policy.initial_state(COUNT), torch.ones(COUNT, dtype=torch.bool)
     expected_value = None
     for _ in range(3):

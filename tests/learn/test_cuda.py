@@ -1,6 +1,5 @@
 """Training on a GPU; skipped where CUDA finds none."""
 
-import numpy as np
 import pytest
 import torch
 
@@ -9,9 +8,7 @@ from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.names import experiment_config
 from knowarm.experiment.run import train
 from knowarm.learn import PPOConfig
-from knowarm.learn.learner import make_learner
-from knowarm.learn.rollout import TrainingNetwork
-from tests.learn.toys import fill_with_noise, informed_toy_policy
+from tests.learn.toys import noisy_learner
 from tests.tiny import CHOOSE, CHOOSE_NAME, SHORT
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU with CUDA")
@@ -21,12 +18,10 @@ ON_GPU = {"device": "cuda", "processes": None}
 
 def gradient(device: str) -> tuple[torch.Tensor, torch.Tensor]:
     config = PPOConfig(num_envs=16, rollout_steps=6, minibatches=2)
-    network = TrainingNetwork(informed_toy_policy(np.ones((2, 4), np.float32)), 0)
-    learner = make_learner(network, config, "float32", torch.device(device))
-    fill_with_noise(learner, facets=2)
+    learner = noisy_learner(config, device=device)
     with learner.running():
         terms = learner.compute_gradient(torch.arange(8, device=device))
-    return terms.vector().cpu(), learner.gradient.cpu()
+    return torch.stack([*terms.values()]).cpu(), learner.gradient.cpu()
 
 
 def test_a_gpu_computes_the_losses_and_gradients_of_the_cpu():

@@ -11,8 +11,10 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from knowarm.errors import UserError
 from knowarm.learn import NumpyToTorch, PPOTrainer
-from knowarm.learn.algorithms import PPOConfig
+from knowarm.learn.algorithms import PPOConfig, PrivilegedConfig
 from tests.learn.toys import JOINTS, LEVELS, SIDE, toy_env, toy_policy
+
+LARGER = PrivilegedConfig(threshold_factor=3.0)
 
 
 class SingleEnv(gymnasium.Env[np.ndarray, np.ndarray]):
@@ -61,7 +63,7 @@ def test_ppo_trains_on_it_without_checkpoints():
 
 
 def test_a_threshold_factor_of_the_environment_is_found_behind_the_adapter():
-    config = PPOConfig(num_envs=8, minibatches=2, processes=1, threshold_factor=3.0)
+    config = PPOConfig(num_envs=8, minibatches=2, processes=1, privileged=LARGER)
     env = vector()
     with pytest.raises(UserError, match="SyncVectorEnv has no threshold_factor"):
         PPOTrainer(config, toy_policy(features=16), NumpyToTorch(env), seed=0)

@@ -3,7 +3,8 @@ import math
 import pytest
 import torch
 
-from knowarm.learn.losses import a3c_loss, ppo_loss
+from knowarm.learn.algorithms import PPOConfig
+from knowarm.learn.losses import a3c_loss, distil_loss, ppo_loss
 
 # One joint, two levels, probabilities 3/4 and 1/4.
 LOGITS = torch.tensor([[[math.log(3.0), 0.0]], [[math.log(3.0), 0.0]]])
@@ -23,10 +24,10 @@ def test_a3c_terms_by_hand():
     )
     policy = -(math.log(0.75) * 2 + math.log(0.25) * -4) / 2
     value = 0.5 * (2.0**2 + 1.0**2) / 2
-    assert terms.policy.item() == pytest.approx(policy, rel=1e-6)
-    assert terms.value.item() == pytest.approx(value)
-    assert terms.entropy.item() == pytest.approx(ENTROPY, rel=1e-6)
-    assert terms.total.item() == pytest.approx(policy + 0.5 * value - 0.01 * ENTROPY, rel=1e-6)
+    assert terms["policy_loss"].item() == pytest.approx(policy, rel=1e-6)
+    assert terms["value_loss"].item() == pytest.approx(value)
+    assert terms["entropy"].item() == pytest.approx(ENTROPY, rel=1e-6)
+    assert terms["total"].item() == pytest.approx(policy + 0.5 * value - 0.01 * ENTROPY, rel=1e-6)
 
 
 @pytest.mark.parametrize("loss", ["a3c", "ppo"])
@@ -37,11 +38,8 @@ def test_descending_the_loss_of_a_worthless_step_raises_the_entropy(loss):
         terms = a3c_loss(logits, zeros, ACTIONS, zeros, zeros, vf_coef=0.5, ent_coef=0.01)
     else:
         old = torch.log(torch.tensor([0.75, 0.25]))
-        terms = ppo_loss(
-            logits, zeros, ACTIONS, old, zeros, zeros,
-            clip_range=0.2, vf_coef=0.5, ent_coef=0.01,
-        )  # fmt: skip
-    terms.total.backward()
+        terms = ppo_loss(logits, zeros, ACTIONS, old, zeros, zeros, PPOConfig(ent_coef=0.01))
+    terms["total"].backward()
     # Gradient descent lowers the likelier level's logit and lifts the other's.
     assert (logits.grad[:, 0, 0] > 0).all()
     assert (logits.grad[:, 0, 1] < 0).all()
@@ -58,8 +56,8 @@ def test_the_probability_of_an_action_is_the_product_over_joints():
         vf_coef=0.0,
         ent_coef=0.0,
     )
-    assert terms.total.item() == pytest.approx(-math.log(0.75 * 0.5), rel=1e-6)
-    assert terms.entropy.item() == pytest.approx(ENTROPY + math.log(2), rel=1e-6)
+    assert terms["total"].item() == pytest.approx(-math.log(0.75 * 0.5), rel=1e-6)
+    assert terms["entropy"].item() == pytest.approx(ENTROPY + math.log(2), rel=1e-6)
 
 
 def ppo(old_probability, advantage):
@@ -71,48 +69,54 @@ def ppo(old_probability, advantage):
         torch.log(torch.tensor([old_probability])),
         torch.tensor([advantage]),
         torch.tensor([3.0]),
-        clip_range=0.2,
-        vf_coef=0.5,
-        ent_coef=0.0,
+        PPOConfig(clip_range=0.2, vf_coef=0.5, ent_coef=0.0),
     )
-    terms.policy.backward(retain_graph=True)
+    terms["policy_loss"].backward(retain_graph=True)
     return terms, logits.grad
 
 
 def test_ppo_inside_the_clip_range_is_ratio_times_advantage():
     terms, gradient = ppo(0.72, 2.0)
-    assert terms.policy.item() == pytest.approx(-0.75 / 0.72 * 2, rel=1e-6)
-    assert terms.value.item() == pytest.approx(2.0)
-    assert terms.clip_fraction.item() == 0
+    assert terms["policy_loss"].item() == pytest.approx(-0.75 / 0.72 * 2, rel=1e-6)
+    assert terms["value_loss"].item() == pytest.approx(2.0)
+    assert terms["clip_fraction"].item() == 0
     assert gradient.abs().sum() > 0
 
 
 def test_ppo_gains_nothing_beyond_the_clip_range():
     terms, gradient = ppo(0.5, 2.0)  # ratio 1.5
-    assert terms.policy.item() == pytest.approx(-1.2 * 2, rel=1e-6)
-    assert terms.clip_fraction.item() == 1
+    assert terms["policy_loss"].item() == pytest.approx(-1.2 * 2, rel=1e-6)
+    assert terms["clip_fraction"].item() == 1
     assert gradient.abs().sum() == 0
 
 
 def test_ppo_gains_nothing_below_the_clip_range():
     terms, gradient = ppo(0.99, -2.0)  # ratio .758: already less probable
-    assert terms.policy.item() == pytest.approx(0.8 * 2, rel=1e-6)
-    assert terms.clip_fraction.item() == 1
+    assert terms["policy_loss"].item() == pytest.approx(0.8 * 2, rel=1e-6)
+    assert terms["clip_fraction"].item() == 1
     assert gradient.abs().sum() == 0
 
 
 def test_ppo_still_corrects_a_good_step_below_the_clip_range():
     terms, gradient = ppo(0.99, 2.0)
-    assert terms.policy.item() == pytest.approx(-0.75 / 0.99 * 2, rel=1e-6)
+    assert terms["policy_loss"].item() == pytest.approx(-0.75 / 0.99 * 2, rel=1e-6)
     assert gradient.abs().sum() > 0
 
 
 def test_ppo_still_corrects_a_bad_step_beyond_the_clip_range():
     terms, gradient = ppo(0.5, -2.0)
-    assert terms.policy.item() == pytest.approx(1.5 * 2, rel=1e-6)
+    assert terms["policy_loss"].item() == pytest.approx(1.5 * 2, rel=1e-6)
     assert gradient.abs().sum() > 0
 
 
 def test_kl_estimate_by_hand():
     terms, _ = ppo(0.5, 1.0)
-    assert terms.approx_kl.item() == pytest.approx(1.5 - 1 - math.log(1.5), rel=1e-5)
+    assert terms["approx_kl"].item() == pytest.approx(1.5 - 1 - math.log(1.5), rel=1e-5)
+
+
+def test_the_loss_of_imitation_is_the_weighted_mean_cross_entropy_per_joint():
+    logits = torch.tensor([[[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]]])
+    loss = distil_loss(logits, torch.tensor([[1, 1]]), torch.tensor([[1.5, 0.5]]), stay_share=0.25)
+    # Of the second joint's label a quarter is action 0, whose logit is 2.
+    expected = (1.5 * math.log(3) + 0.5 * (math.log(math.exp(2) + 2) - 0.25 * 2)) / 2
+    assert loss.item() == pytest.approx(expected, rel=1e-6)

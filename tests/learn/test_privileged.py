@@ -7,43 +7,41 @@ import pytest
 import torch
 
 from knowarm.errors import UserError
-from knowarm.learn import PPOConfig, PPOTrainer
-from knowarm.learn import optimizer as optimizer_module
-from knowarm.learn.learner import make_learner
-from knowarm.learn.optimizer import MUON_PARAMETERS, Float32Muon, PolicyOptimizer
+from knowarm.learn import DistilConfig, PPOConfig, PPOTrainer, PrivilegedConfig
 from knowarm.learn.privileged import (
     AUXILIARY_QUANTITIES,
-    PrivilegedLearning,
     RunningNormalizer,
     StateCritic,
     auxiliary_columns,
 )
-from knowarm.learn.rollout import TrainingNetwork
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.torch_env import TorchArmVectorEnv
-from tests.learn.toys import fill_with_noise, informed_toy_policy, toy_env, toy_policy
+from tests.learn.toys import toy_env, toy_policy
 
 CPU = torch.device("cpu")
 CONFIG = PPOConfig(
     num_envs=8, rollout_steps=10, minibatches=2, processes=1, matmul_precision="float32"
 )
 OPTIONS = {
-    "critic": {"critic": "state"},
+    "critic": {"critic": True},
     "auxiliary": {"auxiliary_coef": 0.5},
     "progress": {"progress_coef": 1.0},
     "thresholds": {"threshold_factor": 50.0},
-    "muon": {"optimizer": "muon"},
 }
 
 
-def build(seed=1, **changes):
+def config_with(gamma=0.95, **privileged):
+    return dataclasses.replace(CONFIG, gamma=gamma, privileged=PrivilegedConfig(**privileged))
+
+
+def build(seed=1, gamma=0.95, **privileged):
     """Create a trainer on the real environment, with episodes of 6 steps."""
     env = TorchArmVectorEnv(EnvConfig(max_episode_steps=6, image_size=20), 8, num_threads=1)
     policy = Policy(
         PolicyConfig(features=16, fusion="none"), PolicyShape(joints=6, image_size=20), seed=seed
     )
-    return PPOTrainer(dataclasses.replace(CONFIG, **changes), policy, env, seed=seed)
+    return PPOTrainer(config_with(gamma=gamma, **privileged), policy, env, seed=seed)
 
 
 def test_the_normalizer_knows_mean_and_deviation_of_all_values_so_far():
@@ -72,17 +70,17 @@ def test_the_critic_learns_a_function_of_the_state():
 
 
 def test_the_auxiliary_head_predicts_arm_and_target():
-    columns = build(critic="state")._collector.env.privileged_columns
+    columns = build(critic=True)._collector.env.privileged_columns
     chosen = [columns[i].split("/")[0] for i in auxiliary_columns(columns)]
     assert list(dict.fromkeys(chosen)) == list(AUXILIARY_QUANTITIES)
     assert len(chosen) == 24
 
 
 def test_values_are_those_of_the_state_before_and_after_each_step():
-    trainer = build(critic="state")
+    trainer = build(critic=True)
     trainer.train(80)
-    privileged, rollout = trainer._privileged, trainer._learner.rollout
-    state, following = privileged.rollout.state, privileged.rollout.next_state
+    recorder, rollout = trainer._recorder, trainer._learner.rollout
+    state, following = recorder.state, recorder.next_state
     inner = ~rollout.done[:-1]
     assert torch.equal(following[:-1][inner], state[1:][inner])
     ended = rollout.truncated[:-1]
@@ -94,15 +92,22 @@ def test_values_are_those_of_the_state_before_and_after_each_step():
 
 def test_the_critics_values_enter_the_targets_as_those_of_a_plain_loop():
     """The factor lets episodes terminate; the time limit ends the others."""
-    trainer = build(critic="state", progress_coef=0.5, threshold_factor=8.0, gamma=0.9)
-    privileged, rollout, used = trainer._privileged, trainer._learner.rollout, []
-    values_of = privileged.values
-    privileged.values = lambda: used.append(values_of()) or used[-1]
+    trainer = build(critic=True, progress_coef=0.5, threshold_factor=8.0, gamma=0.9)
+    critic, rollout, used = trainer._critic, trainer._learner.rollout, []
+
+    class Watched:
+        fit = critic.fit
+
+        def __call__(self, state):
+            used.append(critic(state))
+            return used[-1]
+
+    trainer._critic = Watched()
     trainer.train(160)
     assert rollout.terminated.any()
     assert rollout.truncated.any()
-    reward = 0.05 * (rollout.reward + privileged.progress_reward()).double().numpy()
-    values, following = (each.double().numpy() for each in used[-1])
+    reward = trainer.rewards().double().numpy()
+    values, following = (each.double().numpy() for each in used[-2:])
     expected = np.zeros(rollout.reward.shape)
     for b in range(rollout.reward.shape[1]):
         carried = 0.0
@@ -111,24 +116,25 @@ def test_the_critics_values_enter_the_targets_as_those_of_a_plain_loop():
             delta = reward[t, b] + 0.9 * (0.0 if ended else following[t, b]) - values[t, b]
             carried = delta + 0.9 * 0.95 * (0.0 if bool(rollout.done[t, b]) else carried)
             expected[t, b] = carried
-    returns = trainer._learner.targets.returns.numpy()
+    returns = trainer._learner.targets["returns"].numpy()
     np.testing.assert_allclose(returns, expected + values, rtol=1e-4, atol=1e-5)
 
 
 def test_progress_is_the_decrease_of_distance_and_angle():
     trainer = build(progress_coef=2.0)
     trainer.train(80)
-    privileged, columns = trainer._privileged, trainer._collector.env.privileged_columns
+    recorder, columns = trainer._recorder, trainer._collector.env.privileged_columns
     distance, angle = (columns.index(f"{name}/0") for name in ("distance", "angle"))
-    before, after = privileged.rollout.state, privileged.rollout.next_state
-    gained = before - after
+    gained = recorder.state - recorder.next_state
     expected = 2 * (100 * gained[..., distance] + 20 / 90 * gained[..., angle])
-    torch.testing.assert_close(privileged.progress_reward(), expected)
+    torch.testing.assert_close(
+        trainer.rewards(), 0.05 * (trainer._learner.rollout.reward + expected)
+    )
     assert expected.abs().max() > 0.1
 
 
 def test_thresholds_shrink_to_the_tasks_while_training_succeeds():
-    trainer = build(threshold_factor=1.05, threshold_success=0.5)
+    trainer = build(threshold_factor=1.05)
     curriculum, env = trainer._curriculum, trainer._collector.env
     factors = []
     for success in (0.4, 0.6, 0.7, 0.9, 1.0):
@@ -159,110 +165,32 @@ def test_every_option_changes_the_update(option):
     assert any(not torch.equal(first[name], second[name]) for name in first)
 
 
-def test_two_processes_compute_the_gradient_of_one():
-    table = np.random.default_rng(0).standard_normal((3, 4)).astype(np.float32)
-    results = []
-    for processes in (1, 2):
-        config = dataclasses.replace(CONFIG, num_envs=32, processes=processes, auxiliary_coef=0.5)
-        network = TrainingNetwork(informed_toy_policy(table), 5, seed=3)
-        learner = make_learner(network, config, "float32", CPU)
-        fill_with_noise(learner, facets=3)
-        learner.targets.auxiliary.copy_(
-            torch.randn(10, 32, 5, generator=torch.Generator().manual_seed(4))
-        )
-        with learner.running():
-            terms = learner.compute_gradient(torch.arange(16))
-        results.append((terms.vector(), learner.gradient.clone()))
-        assert terms.auxiliary > 0
-    for one, two in zip(*results, strict=True):
-        torch.testing.assert_close(one, two, rtol=1e-4, atol=1e-6)
-
-
-@pytest.mark.parametrize("choice", ["muon", "muon-float32"])
-def test_muon_updates_its_matrices_and_adam_the_rest(choice):
-    network = TrainingNetwork(toy_policy(), 0)
-    parameters = network.parameters_by_name()
-    optimizer = PolicyOptimizer(parameters, dataclasses.replace(CONFIG, optimizer=choice))
-    for parameter in parameters.values():
-        parameter.grad = torch.ones_like(parameter)
-    optimizer.step()
-    kinds = {}
-    for name in optimizer.get_state():
-        parameter, _, quantity = name.rpartition("/")
-        kinds.setdefault(parameter, set()).add(quantity)
-    assert {name for name, kind in kinds.items() if kind == {"momentum_buffer"}} == {
-        *MUON_PARAMETERS[choice]
-    }
-    assert set(kinds) == set(parameters)
-
-
-def test_muon_multiplies_in_float32_where_the_processor_has_no_bfloat16(monkeypatch):
-    """The same update up to the rounding of bfloat16, by the products that are fast there."""
-    weights = {}
-    for has_bfloat16 in (True, False):
-        monkeypatch.setattr(optimizer_module, "cpu_has_bfloat16", lambda has=has_bfloat16: has)
-        parameters = TrainingNetwork(toy_policy(), 0).parameters_by_name()
-        optimizer = PolicyOptimizer(parameters, dataclasses.replace(CONFIG, optimizer="muon"))
-        for _ in range(2):
-            for parameter in parameters.values():
-                parameter.grad = parameter.detach().sin()
-            optimizer.step()
-        is_float32 = any(isinstance(each, Float32Muon) for each in optimizer._optimizers)
-        assert is_float32 is not has_bfloat16
-        weights[has_bfloat16] = parameters["fc.weight"].detach().clone()
-    start = TrainingNetwork(toy_policy(), 0).parameters_by_name()["fc.weight"].detach()
-    steps = [weights[each] - start for each in (True, False)]
-    assert float(steps[0].norm()) == pytest.approx(float(steps[1].norm()), rel=0.02)
-    assert float((steps[0] - steps[1]).norm() / steps[0].norm()) < 0.05
-
-
-def test_a_second_thread_updates_to_the_same_bytes():
-    results = []
-    for processes in (1, 2):
-        parameters = TrainingNetwork(toy_policy(), 0).parameters_by_name()
-        config = dataclasses.replace(CONFIG, optimizer="muon")
-        optimizer = PolicyOptimizer(parameters, config, processes)
-        for _ in range(2):
-            for parameter in parameters.values():
-                parameter.grad = parameter.detach().sin()
-            optimizer.step()
-        state = {name: value.tobytes() for name, value in optimizer.get_state().items()}
-        weights = {name: p.detach().numpy().tobytes() for name, p in parameters.items()}
-        results.append((state, weights))
-    assert results[0] == results[1]
-
-
-def test_an_environment_without_privileged_state_is_refused():
+@pytest.mark.parametrize("option", OPTIONS)
+def test_an_environment_without_privileged_state_is_refused(option):
     env = toy_env(8, recall=False, length=5)
-    for name, option in OPTIONS.items():
-        if name != "muon":
-            message = "has no threshold_factor|reports no privileged state"
-            with pytest.raises(UserError, match=message):
-                PPOTrainer(dataclasses.replace(CONFIG, **option), toy_policy(), env, seed=0)
+    with pytest.raises(UserError, match=r"has no threshold_factor|reports no privileged state"):
+        PPOTrainer(config_with(**OPTIONS[option]), toy_policy(), env, seed=0)
 
 
-def test_other_columns_are_enough_without_the_progress_reward():
+def test_the_progress_reward_needs_its_columns():
     env = toy_env(8, recall=False, length=5)
     env.privileged_columns = ("a/0", "b/0")
-    config = dataclasses.replace(CONFIG, critic="state")
-    assert PrivilegedLearning(config, env, seed=0).critic is not None
     with pytest.raises(UserError, match="progress_coef needs the privileged columns distance/0"):
-        PrivilegedLearning(dataclasses.replace(config, progress_coef=1.0), env, seed=0)
+        PPOTrainer(config_with(progress_coef=1.0), toy_policy(), env, seed=0)
 
 
 @pytest.mark.parametrize(
-    ("field", "value"),
+    ("config", "field", "value"),
     [
-        ("vf_coef", -1.0),
-        ("ent_coef", -1.0),
-        ("target_kl", 0.0),
-        ("reinforcement_coef", 0.0),
-        ("auxiliary_coef", -1.0),
-        ("progress_coef", -0.1),
-        ("threshold_factor", 0.9),
-        ("threshold_success", 1.5),
+        (PPOConfig, "vf_coef", -1.0),
+        (PPOConfig, "ent_coef", -1.0),
+        (PrivilegedConfig, "auxiliary_coef", -1.0),
+        (PrivilegedConfig, "progress_coef", -0.1),
+        (PrivilegedConfig, "threshold_factor", 0.9),
+        (DistilConfig, "way_limit", 0.4),
+        (DistilConfig, "average_updates", 0),
     ],
 )
-def test_values_out_of_range_are_refused(field, value):
+def test_values_out_of_range_are_refused(config, field, value):
     with pytest.raises(UserError, match=field):
-        dataclasses.replace(CONFIG, **{field: value})
+        config(**{field: value})

@@ -3,6 +3,7 @@ import multiprocessing
 import os
 import signal
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import psutil
@@ -11,18 +12,15 @@ import torch
 
 from knowarm.learn.algorithms import PPOConfig
 from knowarm.learn.checkpoint import CheckpointStore
-from knowarm.learn.learner import make_learner
 from knowarm.learn.parallel.processes import ChildProcess, process_context
-from knowarm.learn.rollout import TrainingNetwork
 from tests.learn.a3c.test_stop import UPDATE, build
-from tests.learn.test_data_parallel import noisy_learner
-from tests.learn.toys import toy_policy
+from tests.learn.toys import noisy_learner
 
 
 def test_fewer_processes_than_asked_for_are_said(caplog):
     config = PPOConfig(num_envs=8, rollout_steps=4, minibatches=1, processes=2, device="cpu")
     with caplog.at_level(logging.WARNING, "knowarm.learn"):
-        make_learner(TrainingNetwork(toy_policy(), 0), config, "float32", torch.device("cpu"))
+        noisy_learner(config)
     assert "processes=2 is reduced to 1: minibatches have 8 environments" in caplog.text
 
 
@@ -99,11 +97,12 @@ def test_helpers_and_workers_start_by_spawn(monkeypatch, tmp_path):
     """As on Windows, which has no fork server."""
     monkeypatch.setattr(multiprocessing, "get_all_start_methods", lambda: ["spawn"])
     assert process_context().get_start_method() == "spawn"
-    learner, alone = noisy_learner(2), noisy_learner(1)
+    config = PPOConfig(num_envs=32, rollout_steps=6, minibatches=2, processes=2)
+    learner, alone = noisy_learner(config), noisy_learner(replace(config, processes=1))
     env_ids = torch.arange(16)
     with learner.running(), alone.running():
-        together = learner.compute_gradient(env_ids).vector()
-        torch.testing.assert_close(together, alone.compute_gradient(env_ids).vector())
+        together, expected = learner.compute_gradient(env_ids), alone.compute_gradient(env_ids)
+        torch.testing.assert_close(together, expected)
     gate = tmp_path / "gate"
     gate.touch()
     trainer, evaluations = build(gate, CheckpointStore(tmp_path / "é", {}), evaluate_every=UPDATE)

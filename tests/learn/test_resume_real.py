@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from knowarm.learn import CheckpointStore, Hooks, PPOConfig, PPOTrainer
+from knowarm.learn import CheckpointStore, Hooks, PPOConfig, PPOTrainer, PrivilegedConfig
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.torch_env import TorchArmVectorEnv
@@ -13,11 +13,9 @@ from knowarm.world.envs.torch_env import TorchArmVectorEnv
 CONFIG = PPOConfig(num_envs=4, rollout_steps=6, minibatches=2, processes=1)
 FAST = replace(
     CONFIG,
-    critic="state",
-    auxiliary_coef=0.5,
-    progress_coef=1.0,
-    threshold_factor=3.0,
-    threshold_success=0.0,
+    privileged=PrivilegedConfig(
+        critic=True, auxiliary_coef=0.5, progress_coef=1.0, threshold_factor=3.0
+    ),
     optimizer="muon",
 )
 
@@ -35,8 +33,9 @@ def trainer(folder, config, colours, stop_after=None):
 @pytest.mark.parametrize("config", [CONFIG, FAST], ids=["plain", "fast"])
 @pytest.mark.parametrize("colours", ["fixed", "randomized"])
 def test_a_stopped_and_resumed_training_equals_an_uninterrupted_one_to_the_byte(
-    tmp_path, colours, config
+    tmp_path, colours, config, monkeypatch
 ):
+    monkeypatch.setattr("knowarm.learn.environment.MIN_SUCCESS", -1.0)
     whole, rows = trainer(tmp_path / "whole", config, colours)
     whole.train(6 * 24)
     stopped, first = trainer(tmp_path / "cut", config, colours, stop_after=2)

@@ -1,12 +1,16 @@
 """Small vector environments and helpers of the learning tests."""
 
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
 import torch
 
 from knowarm.learn import Hooks, NumpyToTorch
+from knowarm.learn.learner import TrainingNetwork, make_learner
+from knowarm.learn.ppo import minibatch_loss
 from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
+from knowarm.policy.policy import ACTOR_GAIN
 
 JOINTS, LEVELS, SIDE = 2, 3, 20
 SHAPE = PolicyShape(joints=JOINTS, levels=LEVELS, image_size=SIDE)
@@ -114,7 +118,9 @@ def toy_policy(*, features=32, pixel_shift=0.4, seed=0):
 def informed_toy_policy(table, *, seed=1):
     """Create a small policy with a knowledge table (F, K) and visible actor outputs."""
     shape = PolicyShape(joints=JOINTS, levels=LEVELS, image_size=SIDE, knowledge_dim=table.shape[1])
-    return Policy(PolicyConfig(features=16, actor_gain=1.0), shape, table, seed=seed)
+    policy = Policy(PolicyConfig(features=16), shape, table, seed=seed)
+    policy.actor.weight.data /= ACTOR_GAIN
+    return policy
 
 
 def success_rate(policy, *, recall, length):
@@ -128,16 +134,28 @@ def success_rate(policy, *, recall, length):
     return infos["final_info"]["is_success"].mean()
 
 
-def fill_with_noise(learner, *, facets=1, seed=2):
-    """Write made-up numbers into rollout and targets of a learner."""
-    rng, rollout, targets = np.random.default_rng(seed), learner.rollout, learner.targets
+def noisy_learner(config, *, facets=3, auxiliary=0, device="cpu"):
+    """Create a learner of PPO whose rollout and targets hold made-up numbers."""
+    rng = np.random.default_rng(0)
+    policy = informed_toy_policy(rng.standard_normal((facets, 4)).astype(np.float32))
+    table = ((config.rollout_steps, config.num_envs), torch.float32)
+    learner = make_learner(
+        TrainingNetwork(policy, auxiliary, seed=3),
+        config,
+        partial(minibatch_loss, config),
+        {"advantage": table, "returns": table},
+        "float32",
+        torch.device(device),
+    )
+    rollout, targets = learner.rollout, learner.targets
     rollout.patches.copy_(torch.from_numpy(rng.integers(0, 256, rollout.patches.shape, np.uint8)))
     rollout.facet.copy_(torch.from_numpy(rng.integers(0, facets, rollout.facet.shape)))
     rollout.episode_start.copy_(torch.from_numpy(rng.random(rollout.reward.shape) < 0.2))
     rollout.action.copy_(torch.from_numpy(rng.integers(0, LEVELS, rollout.action.shape)))
-    floats = (rollout.log_probability, rollout.start_h, rollout.start_c)
-    for tensor in (*floats, targets.advantage, targets.returns):
+    floats = (rollout.log_probability, rollout.start_h, rollout.start_c, *targets.values())
+    for tensor in floats:
         tensor.copy_(torch.from_numpy(rng.standard_normal(tensor.shape)))
+    return learner
 
 
 def recorder(**options):

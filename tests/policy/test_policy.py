@@ -10,6 +10,7 @@ from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
 from knowarm.policy.config import FUSIONS, layer_widths
 from knowarm.policy.encoder import ImageEncoder
 from knowarm.policy.fusion import Fusion, Similarity
+from knowarm.policy.policy import ACTOR_GAIN
 from knowarm.questions import FACTS
 
 T, B, K, FACETS = 4, 3, 12, 5
@@ -18,11 +19,13 @@ TABLE = np.random.default_rng(7).standard_normal((FACETS, K)).astype(np.float32)
 USED = [name for name in FUSIONS if name != "none"]
 
 
-def make_policy(fusion, *, seed=0, table=TABLE, **changes):
+def make_policy(fusion, *, seed=0, table=TABLE, actor_gain=ACTOR_GAIN, **changes):
     """Create a small policy; ``changes`` go to the shape or to the config, by name."""
     shape = {name: changes.pop(name, value) for name, value in SHAPE.items()}
     config = PolicyConfig(features=16, fusion=fusion, **changes)
-    return Policy(config, PolicyShape(**shape), table, seed=seed)
+    policy = Policy(config, PolicyShape(**shape), table, seed=seed)
+    policy.actor.weight.data *= actor_gain / ACTOR_GAIN
+    return policy
 
 
 def inputs(seed=0):
@@ -269,7 +272,6 @@ def test_the_capacity_control_has_the_same_encoder_and_as_many_parameters(joints
         ({"hidden": 0}, "hidden"),
         ({"image_size": 8}, "image_size"),
         ({"joints": 0}, "joints"),
-        ({"knowledge_width": 0}, "knowledge_width"),
     ],
 )
 def test_invalid_sizes_are_rejected(changes, message):

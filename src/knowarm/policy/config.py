@@ -54,8 +54,6 @@ class PolicyConfig:
     knowledge_encoder: Literal["identity", "learned", "facts"] = "identity"
     """Layer between knowledge vector and fusion: none, a trained linear map, or a network that
     reads the facts of each slot, for knowledge with pooling "facts"."""
-    knowledge_width: int | None = None
-    """Output width of that layer; None: that of the knowledge vector, or 64 per slot of facts."""
     wide: bool = False
     """Capacity control: no knowledge input, but an LSTM so large that the policy has as many
     parameters as the same one with knowledge."""
@@ -65,13 +63,11 @@ class PolicyConfig:
     """Factor applied after the shift; .5 and 4 give images mean 0 and standard deviation ~1."""
     fc_activation: Literal["relu", "none"] = "relu"
     """Activation after the fully connected layer; the lineage of the paper's A3C has none."""
-    actor_gain: float = 0.01
-    """Gain of the orthogonal initialization of the actor heads; small gains start near uniform."""
 
     def __post_init__(self) -> None:
         if self.fusion not in FUSIONS:
             raise unknown_name("fusion", self.fusion, FUSIONS)
-        at_least(self, 1, "features", "knowledge_width")
+        at_least(self, 1, "features")
         above_zero(self, "pixel_scale")
         if isinstance(self.hidden, int) and self.hidden < 1:
             raise UserError(f"hidden must be 'grow', 'fixed' or at least 1, got {self.hidden}.")
@@ -117,8 +113,6 @@ def layer_widths(config: PolicyConfig, shape: PolicyShape) -> tuple[int, int]:
     knowledge = shape.knowledge_dim
     if config.knowledge_encoder == "facts":
         knowledge = 64 * shape.knowledge_slots
-    if config.knowledge_encoder != "identity" and config.knowledge_width is not None:
-        knowledge = config.knowledge_width
     if shape.knowledge_dim % shape.knowledge_slots or knowledge % shape.knowledge_slots:
         raise UserError(
             f"knowledge_slots ({shape.knowledge_slots}) must divide the width of the knowledge "

@@ -8,8 +8,7 @@ from knowarm.learn.a3c.worker import rollout_loss
 from knowarm.learn.algorithms import A3CConfig
 from knowarm.learn.collector import Collector
 from knowarm.learn.losses import a3c_loss
-from knowarm.learn.parallel.shared_tensors import zeros
-from knowarm.learn.rollout import Rollout, rollout_specs
+from knowarm.learn.rollout import Rollout
 from tests.learn.toys import toy_env, toy_policy
 
 
@@ -17,7 +16,7 @@ def collected(steps=8, *, count=1, until_episode_end=True):
     """Collect a rollout of episodes that are truncated after 5 steps."""
     policy, env = toy_policy(features=8), toy_env(count, recall=False, length=5)
     collector = Collector(env, policy, seed=0)
-    rollout = Rollout(**zeros(rollout_specs(steps, count, policy)))
+    rollout = Rollout.zeros(steps, count, policy)
     taken = [collector.collect(rollout, until_episode_end=until_episode_end) for _ in range(2)]
     return policy, rollout.first(taken[-1]), taken
 
@@ -33,7 +32,7 @@ def test_half_the_squared_error_enters_with_the_papers_weight_1():
         vf_coef=config.vf_coef,
         ent_coef=0.0,
     )
-    assert terms.total.item() == pytest.approx(0.5 * (4 - 1) ** 2)
+    assert terms["total"].item() == pytest.approx(0.5 * (4 - 1) ** 2)
 
 
 def test_a_rollout_ends_with_its_episode():
@@ -63,10 +62,12 @@ def test_the_return_of_a_truncated_episode(bootstrap):
         returns.insert(0, future)
     error = torch.tensor(returns) - rollout.value[:, 0]
     loss = rollout_loss(policy, config, rollout)
-    assert loss.value.item() == pytest.approx(0.5 * float(error.square().mean()), rel=1e-5)
+    assert loss["value_loss"].item() == pytest.approx(0.5 * float(error.square().mean()), rel=1e-5)
     policy_loss = -(rollout.log_probability[:, 0] * error).mean()
-    assert loss.policy.item() == pytest.approx(float(policy_loss), rel=1e-4)
-    assert loss.total.item() == pytest.approx(loss.policy.item() + loss.value.item(), rel=1e-5)
+    assert loss["policy_loss"].item() == pytest.approx(float(policy_loss), rel=1e-4)
+    assert loss["total"].item() == pytest.approx(
+        loss["policy_loss"].item() + loss["value_loss"].item(), rel=1e-5
+    )
 
 
 def test_rollouts_of_several_environments_cannot_end_with_an_episode():

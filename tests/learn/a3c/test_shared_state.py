@@ -12,21 +12,21 @@ from knowarm.learn.parallel.shared_tensors import (
     unflatten_parameters,
 )
 
-NUMBERS = {"learning_rate": 0.1, "alpha": 0.9, "eps": 0.01}
+NUMBERS = {"learning_rate": 0.1, "eps": 0.01}
 
 
 def test_one_step_by_hand():
     values, mean_square = torch.tensor([1.0]), torch.tensor([4.0])
     rmsprop_update(values, mean_square, torch.tensor([3.0]), **NUMBERS)
-    assert mean_square.item() == pytest.approx(0.9 * 4 + 0.1 * 9)
-    assert values.item() == pytest.approx(1 - 0.1 * 3 / (math.sqrt(4.5) + 0.01))
+    assert mean_square.item() == pytest.approx(0.99 * 4 + 0.01 * 9)
+    assert values.item() == pytest.approx(1 - 0.1 * 3 / (math.sqrt(4.05) + 0.01))
 
 
 def test_it_is_pytorchs_rmsprop():
     torch.manual_seed(0)
     parameter = torch.nn.Parameter(torch.randn(5))
     values, mean_square = parameter.detach().clone(), torch.zeros(5)
-    reference = torch.optim.RMSprop([parameter], lr=0.1, alpha=0.9, eps=0.01)
+    reference = torch.optim.RMSprop([parameter], lr=0.1, alpha=0.99, eps=0.01)
     for _ in range(3):
         gradient = torch.randn(5)
         parameter.grad = gradient.clone()
