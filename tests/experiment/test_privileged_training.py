@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from knowarm.config import to_dict
-from knowarm.experiment.config import EvaluationConfig
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.evaluation import EvaluationConfig
 from knowarm.experiment.load import load_agent
