@@ -12,9 +12,9 @@ from knowarm.learn.algorithms import SHORTEST_WAY, DistilConfig
 from knowarm.learn.checkpoint import Arrays
 from knowarm.learn.environment import TeachingVectorEnv, TorchVectorEnv
 from knowarm.learn.evaluation import Metrics
-from knowarm.learn.learner import Targets, TrainingNetwork
 from knowarm.learn.losses import Terms, distil_loss
 from knowarm.learn.minibatch import MinibatchTrainer
+from knowarm.learn.network import Targets, TrainingNetwork
 from knowarm.learn.parallel.shared_tensors import flatten_parameters
 from knowarm.learn.privileged import PrivilegedRecorder
 from knowarm.learn.rollout import Rollout

@@ -6,7 +6,7 @@ each compute the entire network for a part of the environments avoid this (docs/
 """
 
 import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from multiprocessing.connection import Connection
@@ -14,11 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from knowarm.cores import available_cores, torch_threads
 from knowarm.learn.algorithms import MinibatchConfig
 from knowarm.learn.losses import Terms
+from knowarm.learn.network import Loss, Targets, TrainingNetwork
 from knowarm.learn.parallel.processes import (
     ChildProcess,
     Restarted,
@@ -29,8 +30,6 @@ from knowarm.learn.parallel.processes import (
 from knowarm.learn.parallel.shared_tensors import FlatParameters, SharedTensors, TensorSpecs, zeros
 from knowarm.learn.rollout import Rollout, infer_step, rollout_specs
 from knowarm.policy import MakePolicy, MatmulPrecision, Policy, State
-from knowarm.policy.encoder import orthogonal
-from knowarm.seeding import torch_generator
 
 log = logging.getLogger("knowarm.learn")
 
@@ -39,50 +38,6 @@ MIN_ENVS_PER_PROCESS = 8
 
 MAX_TERMS = 8
 """Most terms of a loss."""
-
-
-class TrainingNetwork(nn.Module):
-    """The policy, and in training only a head that predicts K auxiliary targets (0: no head)."""
-
-    def __init__(self, policy: Policy, auxiliary_targets: int = 0, seed: int = 0) -> None:
-        super().__init__()
-        self.policy = policy
-        self.auxiliary_targets = auxiliary_targets
-        self.head: nn.Linear | None = None
-        if auxiliary_targets:
-            self.head = nn.Linear(policy.fc.out_features, auxiliary_targets)
-            orthogonal(self.head, 1.0, torch_generator(seed, "weights", 2))
-            self.head.to(policy.fc.weight.device)
-
-    def parameters_by_name(self) -> dict[str, nn.Parameter]:
-        """Return the parameters by name, those of the head after ``auxiliary``."""
-        head = self.head.named_parameters() if self.head else ()
-        named = {f"auxiliary.{name}": parameter for name, parameter in head}
-        return {**dict(self.policy.named_parameters()), **named}
-
-    def forward(self, batch: Rollout) -> tuple[Tensor, Tensor, Tensor]:
-        """Return logits (T, b, J, A), values (T, b) and image features (T * b, F) of a rollout."""
-        logits, values, _, features = self.policy.unroll_with_features(
-            batch.patches, batch.facet, batch.start_state, batch.episode_start
-        )
-        return logits, values, features
-
-    def add_auxiliary(
-        self, terms: Terms, features: Tensor, targets: "Targets", coefficient: float
-    ) -> Terms:
-        """Add the mean squared error of the head, if there is one, to the terms of a loss."""
-        if self.head is None:
-            return terms
-        error = self.head(features.float()) - targets["auxiliary"].flatten(0, 1)
-        auxiliary = error.square().mean()
-        total = terms["total"] + coefficient * auxiliary
-        return {**terms, "total": total, "auxiliary_loss": auxiliary}
-
-
-Targets = Mapping[str, Tensor]
-"""What a loss compares a rollout with, by name, each (T, B, ...)."""
-Loss = Callable[[TrainingNetwork, Rollout, Targets], Terms]
-"""Computes the terms of an algorithm's loss over a minibatch; picklable."""
 
 
 def add_gradient(

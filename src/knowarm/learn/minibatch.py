@@ -14,8 +14,9 @@ from knowarm.learn.collector import Collector
 from knowarm.learn.environment import ThresholdCurriculum, TorchVectorEnv
 from knowarm.learn.evaluation import Metrics
 from knowarm.learn.guards import FiniteGuard
-from knowarm.learn.learner import Loss, TrainingNetwork, make_learner
+from knowarm.learn.learner import make_learner
 from knowarm.learn.losses import Terms
+from knowarm.learn.network import Loss, TrainingNetwork
 from knowarm.learn.optimizer import PolicyOptimizer, resolve_precision
 from knowarm.learn.parallel.processes import keep_freed_memory
 from knowarm.learn.parallel.shared_tensors import TensorSpecs

@@ -12,9 +12,9 @@ from knowarm.learn.checkpoint import Arrays, select
 from knowarm.learn.environment import ThresholdCurriculum, TorchVectorEnv
 from knowarm.learn.evaluation import Metrics
 from knowarm.learn.guards import HealthMonitor
-from knowarm.learn.learner import Targets, TrainingNetwork
 from knowarm.learn.losses import Terms, advantages, ppo_loss
 from knowarm.learn.minibatch import MinibatchTrainer
+from knowarm.learn.network import Targets, TrainingNetwork
 from knowarm.learn.privileged import PrivilegedRecorder, StateCritic
 from knowarm.learn.rollout import Rollout
 from knowarm.policy import Policy
