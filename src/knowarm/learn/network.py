@@ -1,4 +1,4 @@
-"""Network of a training: the policy with an auxiliary head, and the losses that it is trained by."""
+"""Network of a training: the policy with an auxiliary head, and the type of its losses."""
 
 from collections.abc import Callable, Mapping
 
