@@ -277,5 +277,5 @@ def test_a_restarted_worker_continues_the_curriculum():
     )
     trainer.train(3000)
     assert trainer.restarts == 1
-    assert factors[0] == 3
+    assert factors[0] == pytest.approx(2.98)  # after the first update, in which all succeeded
     assert factors == sorted(factors, reverse=True)
