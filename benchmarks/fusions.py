@@ -49,7 +49,7 @@ def draw_starts(env: ArmVectorEnv, count: int, seed: int) -> Starts:
     observation, infos = env.reset(seed=seed)
     while len(images) * env.num_envs < count:
         images.append(observation)
-        queries.append(infos["query"])
+        queries.append(env.knowledge_input)
         positions.append(infos["object_positions"])
         observation, infos = env.reset()
     position = np.concatenate(positions)

@@ -17,7 +17,6 @@ from knowarm.benchmark.suites import (
     Cell,
     Split,
     Suite,
-    digest_of,
     parse_suite,
     read_suite,
 )
@@ -30,7 +29,6 @@ from knowarm.knowledge.graph.damage import Damage, damaged
 from knowarm.world.agents import OracleAgent
 from knowarm.world.agents.open_loop import FixedList, search_open_loop
 from knowarm.world.agents.play import play
-from knowarm.world.config import questions_of
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.episodes import Episodes, evaluation_episodes
 
@@ -47,15 +45,17 @@ def freeze(
     """Make a suite of cells."""
     arrays: dict[str, NDArray[Any]] = {}
     described = {}
+    queries = np.unique(np.concatenate([cell.episodes.question for cell in cells]))
     for cell in cells:
         for field in fields(Episodes):
             arrays[f"{cell.name}/{field.name}"] = getattr(cell.episodes, field.name)
+        numbers = np.searchsorted(queries, cell.episodes.question)
+        arrays[f"{cell.name}/question"] = numbers.astype(np.int64)
         arrays[f"{cell.name}/open_loop"] = cell.open_loop.astype(np.uint8)
         described[cell.name] = {
             "env": to_dict(cell.env),
             "split": cell.split,
             "reference": cell.reference,
-            "questions": cell.questions,
         }
         if cell.graph is not None:
             lines = ["\t".join(triple) for triple in cell.graph]
@@ -66,6 +66,7 @@ def freeze(
         "about": about,
         "training_seeds": training_seeds,
         "control_episodes": control_episodes,
+        "queries": queries.tolist(),
         "cells": described,
     }
     arrays = {key: np.ascontiguousarray(array) for key, array in arrays.items()}
@@ -84,8 +85,7 @@ def cell(name: str, experiment: str, how: EvaluationConfig) -> Cell:
         "chance": config.task.chance,
     }
     print(name, scores, flush=True)
-    questions = digest_of(questions_of(config))
-    return Cell(name, config, how.split, episodes, np.asarray(listed), scores, questions)
+    return Cell(name, config, how.split, episodes, np.asarray(listed), scores)
 
 
 def reach() -> Suite:

@@ -5,14 +5,15 @@ A condition is a relation and a value ("usedFor drinking"); a query is one condi
 facet that is its target. A facet is an object, or one of its parts, in one of its colours.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from knowarm.arrays import Integers, Mask
-from knowarm.errors import UserError
+from knowarm.arrays import Integers, Mask, Names
+from knowarm.errors import UserError, unknown_name
 
 AND = " and "  # What joins the conditions of a query in its name
 COLOUR_RELATION = "hasColor"  # Its values are colours: the facet answers it, not the graph
@@ -185,6 +186,23 @@ class QuestionTable:
                 f"{count} objects per episode need {count - 1}. Show more facets, relate "
                 "more of them, do not ask this query for this facet, or use fewer objects."
             )
+
+
+def find_rows(kind: str, names: Sequence[str] | Names, rows: Mapping[str, int]) -> Integers:
+    """Return the rows of names (n,) in a table, (n,).
+
+    Args:
+        kind: what the names are, for the error: "query".
+        names: may repeat each other.
+        rows: row of each known name.
+
+    Raises:
+        UserError: a name that the table does not have.
+    """
+    different, inverse = np.unique(np.asarray(names, np.str_), return_inverse=True)
+    if unknown := [name for name in different.tolist() if name not in rows]:
+        raise unknown_name(kind, unknown[0], rows)
+    return np.array([rows[name] for name in different.tolist()], dtype=np.int64)[inverse]
 
 
 def number_objects(facets: tuple[ObjectColour, ...], *, whole: bool = False) -> Integers:

@@ -14,14 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from safetensors.numpy import load
 
-import knowarm.experiment.graph_queries  # noqa: F401  (registers questions that suites ask)
 from knowarm.config import from_dict
-from knowarm.errors import UserError, unknown_name
+from knowarm.errors import unknown_name
 from knowarm.knowledge import KnowledgeGraph
 from knowarm.knowledge.graph.builder import graph_of
 from knowarm.knowledge.queries.splits import Split
-from knowarm.questions import QuestionTable
-from knowarm.world.config import EnvConfig, questions_of
+from knowarm.world.config import EnvConfig
 from knowarm.world.tasks.episodes import Episodes
 
 FOLDER = Path(__file__).parent / "suites"
@@ -47,7 +45,6 @@ class Cell:
         episodes: what every policy plays.
         open_loop: the best fixed list of actions, (T, J).
         reference: success of the oracle and of the fixed list, and chance, when it was frozen.
-        questions: digest of the question table that the episodes refer to.
         graph: what a policy may use in place of its own graph; None leaves it its own.
     """
 
@@ -57,21 +54,12 @@ class Cell:
     episodes: Episodes
     open_loop: NDArray[np.int64]
     reference: dict[str, float | None]
-    questions: str | None
     graph: KnowledgeGraph | None = None
 
     @property
     def table(self) -> str:
         """Table that the cell belongs to: one per robot and choice of colours."""
         return f"{self.env.robot}, {self.env.colours} colours"
-
-    def check(self) -> None:
-        """Raise a `UserError` if this version asks other questions than the frozen ones."""
-        if digest_of(questions_of(self.env)) != self.questions:
-            raise UserError(
-                f"The questions of cell {self.name!r} differ from the frozen ones: the shipped "
-                "graph or its reading has changed. Use the version that the suite was made with."
-            )
 
 
 @dataclass(frozen=True)
@@ -116,9 +104,11 @@ def read_suite(name: str) -> Suite:
 def parse_suite(text: bytes, arrays: bytes) -> Suite:
     """Make a suite of the content of its files."""
     values, columns = json.loads(text), load(arrays)
+    queries = np.array(values.pop("queries"))
     cells = {}
     for name, cell in values.pop("cells").items():
         found = {field.name: columns[f"{name}/{field.name}"] for field in fields(Episodes)}
+        found["question"] = queries[found["question"]]
         env = from_dict(EnvConfig, cell.pop("env"), where=f"{values['name']}.{name}")
         if (graph := cell.pop("graph", None)) is not None:
             triples = [tuple(text.split("\t")) for text in graph["triples"]]
@@ -127,11 +117,3 @@ def parse_suite(text: bytes, arrays: bytes) -> Suite:
         cells[name] = Cell(name, env, episodes=Episodes(**found), open_loop=listed, **cell)
     del values["format"]
     return Suite(**values, cells=cells, data=(text, arrays))
-
-
-def digest_of(table: QuestionTable | None) -> str | None:
-    """SHA-256 of queries, facets and answers; None without questions."""
-    if table is None:
-        return None
-    words = json.dumps([[query.name for query in table.queries], table.facets])
-    return hashlib.sha256(words.encode() + np.packbits(table.satisfies).tobytes()).hexdigest()

@@ -23,7 +23,6 @@ from knowarm.experiment.conditions import (
 )
 from knowarm.experiment.config import Which
 from knowarm.experiment.evaluation import EvaluationConfig
-from knowarm.experiment.names import task_for
 from knowarm.experiment.probes import (
     AnyProbe,
     BaseProbe,
@@ -197,7 +196,7 @@ def parse_with_task(
     rest, task = take_option(arguments, "--env.task", "package.module:Name")
     if task is None:
         return parse_options(command, prog, rest)
-    env = EnvConfig(task=task_for(task_type(task).kind_of()))
+    env = EnvConfig(task=task_type(task)())
     make: Callable[..., Command] = command
     return parse_options(command, prog, rest, default=make(**missing, env=env))
 

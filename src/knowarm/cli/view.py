@@ -11,7 +11,6 @@ from knowarm.cli.evaluate import is_scripted
 from knowarm.cli.tables import FilePath
 from knowarm.config import above_zero, at_least
 from knowarm.errors import UserError
-from knowarm.experiment.names import task_for
 from knowarm.integrations.rerun import check_rrd, write_rrd
 from knowarm.pictures import check_suffix
 from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
@@ -121,7 +120,7 @@ class View:
         """Return a constructor of the agent, and its environment's config."""
         if is_scripted(self.agent):
             robot = self.robot or DEFAULT_ROBOT
-            config = EnvConfig(robot=robot, task=task_for(task_type(self.task).kind_of()))
+            config = EnvConfig(robot=robot, task=task_type(self.task)())
             return lambda env: SCRIPTED_AGENTS[self.agent].make(self.seed), config
         from knowarm.experiment.evaluate import check_fits  # imports torch, which takes seconds
         from knowarm.experiment.load import load_agent

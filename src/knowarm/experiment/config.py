@@ -8,7 +8,6 @@ from knowarm.config import at_least, check_values, registered
 from knowarm.errors import UserError
 from knowarm.experiment.agents import Role
 from knowarm.experiment.algorithms import algorithms
-from knowarm.experiment.graph_queries import GraphQueries as GraphQueries  # registers itself
 from knowarm.knowledge.config import KnowledgeConfig
 from knowarm.learn.algorithms import AlgorithmConfig, PPOConfig
 from knowarm.perception.config import GroundingConfig

@@ -9,7 +9,7 @@ from knowarm.knowledge.formats import SHIPPED, read_graph
 from knowarm.knowledge.queries.queries import Pairs
 from knowarm.knowledge.queries.splits import HELD_OUT, QuerySplits, Split, query_splits
 from knowarm.questions import ObjectColour, QuestionTable
-from knowarm.world.tasks.choose.source import QUERY_SOURCES, QuerySource
+from knowarm.world.tasks.choose.source import QuerySource
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +57,3 @@ class GraphQueries(QuerySource):
             hold_out=self.hold_out,
             edited=None if self.edited is None else read_graph(self.edited),
         )
-
-
-QUERY_SOURCES["graph"] = GraphQueries

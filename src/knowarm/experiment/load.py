@@ -21,6 +21,7 @@ from knowarm.perception.grounding import GroundingNetwork
 from knowarm.perception.module import PerceptionModule, in_batches
 from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
 from knowarm.policy.policy import State
+from knowarm.questions import find_rows
 from knowarm.reading import one_line, reading
 from knowarm.world.config import facets_of, questions_of
 
@@ -56,13 +57,13 @@ class TrainedAgent:
             observation: image (H, W, 3) uint8, or images (n, H, W, 3) of n environments.
             state: what the previous step of the episode returned; None at the first step.
             info: infos of the reset, from which an agent whose knowledge depends on the episode
-                takes its facet or query; read at the first step.
+                takes the name of its facet or query; read at the first step.
 
         Returns:
             Action (J,) or (n, J) int64, and the state for the next step.
 
         Raises:
-            UserError: the infos lack the facet or query.
+            UserError: the infos lack the facet or query, or the agent does not know it.
         """
         images = torch.as_tensor(np.asarray(observation))
         batch = images if images.ndim == 4 else images[None]
@@ -76,19 +77,19 @@ class TrainedAgent:
     def _knowledge(self, images: torch.Tensor, info: Mapping[str, Any] | None) -> torch.Tensor:
         """Return the knowledge input of episodes that start with images (n, H, W, 3)."""
         env, name = self.config.env, self.config.env.task.knowledge_info
-        rows = None if info is None else info.get(name)
-        if rows is not None:
-            rows = torch.as_tensor(rows, dtype=torch.int64).reshape(-1)
-        table, module = self.policy.knowledge_table, self.module
-        if rows is None and (
-            bool((table != table[:1]).any()) if module is None else questions_of(env) is not None
-        ):
-            raise UserError(
-                f"The knowledge of this agent depends on the info {name!r} of the episode: pass "
-                "the infos of the environment's reset as info=..."
-            )
+        table, module, facets = self.policy.knowledge_table, self.module, facets_of(env)
+        rows: torch.Tensor | None = None
+        if questions_of(env) is not None if module else bool((table != table[:1]).any()):
+            if info is None or name not in info:
+                raise UserError(
+                    f"The knowledge of this agent depends on the info {name!r} of the episode: "
+                    "pass the infos of the environment's reset as info=..."
+                )
+            known = {each: row for row, each in enumerate(env.task.knowledge_rows(facets))}
+            given = np.asarray(info[name]).reshape(-1)
+            rows = torch.from_numpy(find_rows(f"{name} of {self.config.name}", given, known))
         if module is not None:
-            return in_batches(module.predictor(env, facets_of(env)), images, rows)
+            return in_batches(module.predictor(env, facets), images, rows)
         return torch.zeros(len(images), dtype=torch.int64) if rows is None else rows
 
     @property

@@ -15,7 +15,6 @@ from knowarm.world.config import EnvConfig
 from knowarm.world.robots import ROBOTS
 from knowarm.world.tasks import task_names, task_type
 from knowarm.world.tasks.sampling import Colours
-from knowarm.world.tasks.task import Task
 
 DEFAULT_TASK = "reach"
 """The task that names leave out."""
@@ -136,14 +135,6 @@ DEFAULT_EXPERIMENT = _example("")
 """Experiment of the benchmarks, the installation check and the examples."""
 
 
-TASK_FIELDS: dict[str, dict[str, Any]] = {
-    "choose": {"queries": GraphQueries()},
-    "purpose": {"queries": GraphQueries(graph="purposes", hold_out=("S4", "S2"))},
-    "families": {"queries": GraphQueries(graph="families", hold_out=("S3b", "S3a", "S4", "S2"))},
-}
-"""Fields of tasks that have other values in the named experiments, by task."""
-
-
 def experiment_config(name: str, /, **overrides: Any) -> ExperimentConfig:
     """Return the config of a named experiment.
 
@@ -160,14 +151,9 @@ def experiment_config(name: str, /, **overrides: Any) -> ExperimentConfig:
     return override(config, overrides) if overrides else config
 
 
-def task_for(name: str, **fields: Any) -> Task:
-    """Return a task of ``task_names`` as the named experiments have it, with fields changed."""
-    return override(task_type(name)(), {**TASK_FIELDS.get(name, {}), **fields})
-
-
 def _config(name: ExperimentName) -> ExperimentConfig:
     agent, algorithm = AGENTS[name.agent], algorithms()[name.algorithm]
-    task, knowledge = task_for(name.task, **agent.task), agent.knowledge
+    task, knowledge = override(task_type(name.task)(), agent.task), agent.knowledge
     policy = {**algorithm.policy, **(algorithm.grounded if agent.grounding else {})}
     queries = getattr(task, "queries", None)
     if knowledge.scope in ("query", "perceived") and isinstance(queries, GraphQueries):

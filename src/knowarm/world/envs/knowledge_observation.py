@@ -10,6 +10,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from knowarm.errors import UserError
+from knowarm.questions import find_rows
 from knowarm.world.config import EnvConfig, facets_of
 from knowarm.world.envs.single_env import ArmEnv
 from knowarm.world.envs.vector_env import ArmVectorEnv
@@ -32,9 +33,8 @@ class KnowledgeObservation(gymnasium.Wrapper):
         super().__init__(env)
         if not isinstance(env.unwrapped, ArmEnv):
             raise _wrong("KnowledgeObservation", "ArmEnv", env)
-        self._table = _checked_table(table, env.unwrapped.config)
-        self._row = env.unwrapped.config.task.knowledge_info
-        self.observation_space = _with_knowledge(env.observation_space, self._table)
+        self._knowledge = _NamedTable(table, env.unwrapped.config)
+        self.observation_space = self._knowledge.beside(env.observation_space)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -49,7 +49,7 @@ class KnowledgeObservation(gymnasium.Wrapper):
         return self._observe(image, info), reward, terminated, truncated, info
 
     def _observe(self, image: NDArray[np.uint8], info: dict[str, Any]) -> Observation:
-        return {"image": image, "knowledge": self._table[info[self._row]].copy()}
+        return {"image": image, "knowledge": self._knowledge.rows(info)[0]}
 
 
 class VectorKnowledgeObservation(VectorWrapper):
@@ -59,9 +59,8 @@ class VectorKnowledgeObservation(VectorWrapper):
         if not isinstance(env, VectorEnv) or not isinstance(env.unwrapped, ArmVectorEnv):
             raise _wrong("VectorKnowledgeObservation", "ArmVectorEnv", env)
         super().__init__(env)
-        self._table = _checked_table(table, env.unwrapped.config)
-        self._row = env.unwrapped.config.task.knowledge_info
-        self.single_observation_space = _with_knowledge(env.single_observation_space, self._table)
+        self._knowledge = _NamedTable(table, env.unwrapped.config)
+        self.single_observation_space = self._knowledge.beside(env.single_observation_space)
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
 
     def reset(
@@ -81,14 +80,14 @@ class VectorKnowledgeObservation(VectorWrapper):
         images, rewards, terminated, truncated, infos = self.env.step(actions)
         if self.env.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP and "final_obs" in infos:
             final = infos["final_obs"].copy()
-            for i in np.flatnonzero(infos["_final_obs"]):
-                row = infos["final_info"][self._row][i]
-                final[i] = {"image": final[i], "knowledge": self._table[row].copy()}
+            ids = np.flatnonzero(infos["_final_obs"])
+            for i, row in zip(ids, self._knowledge.rows(infos["final_info"], ids), strict=True):
+                final[i] = {"image": final[i], "knowledge": row}
             infos = infos | {"final_obs": final}
         return self._observe(images, infos), rewards, terminated, truncated, infos
 
     def _observe(self, images: NDArray[np.uint8], infos: dict[str, Any]) -> Observation:
-        return {"image": images, "knowledge": self._table[infos[self._row]]}
+        return {"image": images, "knowledge": self._knowledge.rows(infos)}
 
 
 def _wrong(wrapper: str, needed: str, env: object) -> UserError:
@@ -98,18 +97,28 @@ def _wrong(wrapper: str, needed: str, env: object) -> UserError:
     )
 
 
-def _checked_table(table: ArrayLike, config: EnvConfig) -> NDArray[np.float32]:
-    array = np.asarray(table, dtype=np.float32)
-    names = config.task.knowledge_rows(facets_of(config))
-    if array.ndim != 2 or len(array) != len(names) or array.shape[1] == 0:
-        raise UserError(
-            f"table must have one row for each of the {len(names)} values of the info "
-            f"{config.task.knowledge_info!r} ({', '.join(names)}), got shape {array.shape}."
-        )
-    return array
+class _NamedTable:
+    """A knowledge table, whose rows are found by the names that infos hold."""
 
+    def __init__(self, table: ArrayLike, config: EnvConfig) -> None:
+        self._table: NDArray[np.float32] = np.asarray(table, dtype=np.float32)
+        self._info = config.task.knowledge_info
+        names = config.task.knowledge_rows(facets_of(config))
+        self._rows = {name: row for row, name in enumerate(names)}
+        shape = self._table.shape
+        if len(shape) != 2 or shape[0] != len(names) or shape[1] == 0:
+            raise UserError(
+                f"table must have one row for each of the {len(names)} values of the info "
+                f"{self._info!r} ({', '.join(names)}), got shape {shape}."
+            )
 
-def _with_knowledge(image: spaces.Space, table: NDArray[np.float32]) -> spaces.Dict:
-    """Return the space of the image beside an unbounded vector of float32."""
-    knowledge = spaces.Box(-np.inf, np.inf, (table.shape[1],), np.float32)
-    return spaces.Dict({"image": image, "knowledge": knowledge})
+    def rows(
+        self, infos: dict[str, Any], ids: NDArray[np.intp] | slice = slice(None)
+    ) -> NDArray[np.float32]:
+        """Return the knowledge vectors (k, K) of some environments, by their infos."""
+        return self._table[find_rows(self._info, np.ravel(infos[self._info])[ids], self._rows)]
+
+    def beside(self, image: spaces.Space) -> spaces.Dict:
+        """Return the space of the image beside an unbounded vector of float32."""
+        knowledge = spaces.Box(-np.inf, np.inf, self._table.shape[1:], np.float32)
+        return spaces.Dict({"image": image, "knowledge": knowledge})

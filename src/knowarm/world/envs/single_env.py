@@ -120,7 +120,7 @@ def make_vector_env(
 
 
 def _first(infos: dict[str, Any]) -> dict[str, Any]:
-    """Return the infos of environment 0 as Python numbers or arrays, without the masks."""
+    """Return the infos of environment 0 as Python values or arrays, without the masks."""
     return {
         name: values[0].copy() if values.ndim > 1 else values[0].item()
         for name, values in infos.items()

@@ -29,8 +29,9 @@ class TorchArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
     step. Simulation and images are computed on the CPU, and the results are moved to ``device``;
     on the CPU tensors share the memory of NumPy arrays.
 
-    Observations are uint8 images (n, H, W, 3), new at every call. Infos are tensors (n,), named
-    as those of ``ArmVectorEnv``, which are not to be written into. ``step`` always adds
+    Observations are uint8 images (n, H, W, 3), new at every call. Infos are tensors (n,), or NumPy
+    arrays of names such as "facet", named as those of ``ArmVectorEnv``; they are not to be
+    written into. ``step`` always adds
 
     - "final_obs": (n, H, W, 3) uint8, the last image of each episode that was truncated. Other
       rows are undefined, and the next step overwrites the tensor.
@@ -234,9 +235,12 @@ class TorchArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
             f"{self.device}, got {given}."
         )
 
-    def _metrics(self) -> dict[str, Tensor]:
+    def _metrics(self) -> dict[str, Any]:
         """Return the infos of the current state without masks, (n, ...) each."""
-        return {name: self._tensor(values) for name, values in self.running.infos().items()}
+        return {
+            name: values if values.dtype.kind == "U" else self._tensor(values)
+            for name, values in self.running.infos().items()
+        }
 
     def _draw(self) -> Tensor:
         """Draw all environments, into a new tensor."""
@@ -273,6 +277,6 @@ def torch_device(name: str) -> torch.device:
     return torch.device("cuda", 0)
 
 
-def _masks(infos: dict[str, Tensor], mask: Tensor) -> dict[str, Tensor]:
+def _masks(infos: dict[str, Any], mask: Tensor) -> dict[str, Tensor]:
     """Return Gymnasium's mask of each info."""
     return {f"_{name}": mask for name in infos}

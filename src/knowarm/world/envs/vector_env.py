@@ -30,7 +30,7 @@ class ArmVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any]]
     does not depend on n. Every returned array is new and belongs to the caller.
 
     Infos are those of the task, `Task.infos`: arrays (n,) such as distance [m], angle [deg], target
-    and colour (indices), facet (index into ``facets``) and is_success, each with Gymnasium's mask
+    and colour (indices), facet (its name, as "mug/red") and is_success, each with Gymnasium's mask
     ``_name``.
 
     Args:
@@ -211,8 +211,8 @@ class ArmVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any]]
         images = np.full(self.num_envs, None, dtype=object)
         images[ids] = np.fromiter(self._render_images(ids), dtype=object, count=len(ids))
         final = {
-            name: np.where(ended[(...,) + (None,) * (values.ndim - 1)], values, 0).astype(
-                values.dtype
+            name: np.where(
+                ended[(...,) + (None,) * (values.ndim - 1)], values, np.zeros((), values.dtype)
             )
             for name, values in self._infos().items()
         }

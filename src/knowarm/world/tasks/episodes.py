@@ -6,7 +6,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from knowarm.arrays import Floats, Integers, Mask
+from knowarm.arrays import Floats, Integers, Mask, Names
 from knowarm.world.config import EnvConfig, setting_of
 from knowarm.world.tasks.sampling import derive, uniforms
 
@@ -29,8 +29,8 @@ class Episodes:
     """Indices into the colours of these, (n, m)."""
     positions: Floats
     """x and y of these [m], (n, m, 2)."""
-    question: Integers
-    """Row of the question table that the episode asks, (n,); 0 without questions."""
+    question: Names
+    """Query that the episode asks, (n,), as "usedFor drinking"; empty without questions."""
     look: Floats
     """Uniform draws for the visual randomization, (n, L); L = 0 without any."""
 

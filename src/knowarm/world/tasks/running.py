@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.errors import UserError
+from knowarm.questions import find_rows
 from knowarm.world.backend import MujocoSimulator
 from knowarm.world.config import EnvConfig, scene_of, setting_of
 from knowarm.world.envs.arguments import check_state, masked_ids, spread_seeds
@@ -91,6 +92,11 @@ class RunningEpisodes(EpisodeState):
         self.setting = setting_of(config)
         self.scene = scene = self.setting.scene
         self.facets = self.setting.facets
+        table = task.questions(self.facets)
+        queries = [""] if table is None else [query.name for query in table.queries]
+        self._query_rows = {name: row for row, name in enumerate(queries)}
+        self.query_names = np.array(queries)
+        self.facet_names = np.array(["/".join(facet) for facet in self.facets])
         self.ignore_roll = config.ignore_roll
         self.limits = np.array([config.success_distance_m, config.success_angle_deg])
         self.num_envs = n = simulator.num_envs
@@ -245,10 +251,11 @@ class RunningEpisodes(EpisodeState):
         """Put environments (k,) at the start of k episodes."""
         scene = self.scene
         joints = (scene.home + episodes.joint_offsets).clip(scene.joint_lower, scene.joint_upper)
+        question = find_rows("query of this environment", episodes.question, self._query_rows)
         self.joint_targets = _put(self.joint_targets, ids, joints)
         for field in fields(episodes):
             if field.name != "joint_offsets":
-                rows = getattr(episodes, field.name)
+                rows = question if field.name == "question" else getattr(episodes, field.name)
                 setattr(self, field.name, _put(getattr(self, field.name), ids, rows))
         self.steps = _put(self.steps, ids, 0)
         self.memory = {

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from knowarm.arrays import Floats, Integers
+from knowarm.arrays import Floats, Integers, Names
 from knowarm.errors import UserError
 from knowarm.questions import ObjectColour, number_parts
 from knowarm.world.objects.target import Target
@@ -55,7 +55,7 @@ class DrawnObjects(NamedTuple):
     objects: Integers
     colours: Integers
     positions: Floats
-    question: Integers
+    question: Names
 
 
 class ObjectSampler(Protocol):
@@ -105,7 +105,7 @@ class OneObject:
             objects=target[:, None],
             colours=self._colours[target, shade][:, None],
             positions=position[:, None],
-            question=np.zeros_like(target),
+            question=np.full(n, ""),
         )
 
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knowarm.arrays import Floats, Integers, Mask
+from knowarm.arrays import Floats, Integers, Mask, Names
 
 if TYPE_CHECKING:  # Configs are read where nothing else needs MuJoCo.
     from knowarm.world.backend import MujocoSimulator
@@ -23,6 +23,8 @@ class EpisodeState:
     simulator: "MujocoSimulator"  # Physics of the n environments
     # (object, colour) names; objects in config order, colours in theirs
     facets: tuple[tuple[str, str], ...]
+    facet_names: Names  # The same in words, as "mug/red", (F,)
+    query_names: Names  # The queries of the task, (Q,); one empty name without questions
     ignore_roll: bool  # Whether angles ignore the rotation about the approach axis
     limits: Floats  # Thresholds of distance and angle in the config, (2,) [m, deg]
     thresholds: Floats  # The same times the curriculum's factor, (2,) [m, deg]
@@ -31,7 +33,7 @@ class EpisodeState:
     objects: Integers  # Indices of the visible objects into the config's targets, (n, m)
     colours: Integers  # Indices into the colours of these, (n, m)
     positions: Floats  # Their x and y, (n, m, 2) [m]
-    question: Integers  # Row of the question table, (n,); 0 without questions
+    question: Integers  # Number of each episode's query in ``query_names``, (n,)
     goal_position: Floats  # Point that the gripper has to reach, world, (n, 3) [m]
     goal_matrix: Floats  # Rotation from goal frame to world, row-major, (n, 9)
     distance: Floats  # From gripper to goal, (n,) [m]

@@ -43,7 +43,7 @@ class Task:
     solid: ClassVar[bool] = False
     """Whether objects can be pushed and lifted, and the fingers are one more joint."""
     knowledge_info: ClassVar[str] = "facet"
-    """Info that holds the row of the knowledge table for an episode."""
+    """Info that names the row of the knowledge table for an episode."""
     training: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     """Fields of the task's experiments that differ from an algorithm's defaults, by algorithm."""
     column_meanings: ClassVar[dict[str, str]] = {}
@@ -159,7 +159,7 @@ class Task:
             "angle": state.angle,
             "target": state.target,
             "colour": state.colours[:, 0],
-            "facet": state.facet,
+            "facet": state.facet_names[state.facet],
             "is_success": state.success,
         }
 

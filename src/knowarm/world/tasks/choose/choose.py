@@ -6,6 +6,7 @@ turn.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -19,10 +20,11 @@ from knowarm.questions import ObjectColour, QuestionTable
 from knowarm.world.objects.families import FAMILIES
 from knowarm.world.tasks.choose.source import (
     QUERY_SOURCES,
-    NameQueries,
     QuerySource,
     SeveralObjects,
+    graph_queries,
     question_table,
+    source_type,
 )
 from knowarm.world.tasks.reward import is_success, measure
 from knowarm.world.tasks.sampling import Colours, ObjectSampler, Setting
@@ -37,6 +39,9 @@ CHOOSE_TARGETS = (
 """Objects of the choose task."""
 
 MAX_OBJECTS = 6
+
+
+ANY_SOURCE = registered(lambda: map(source_type, QUERY_SOURCES))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,9 +75,7 @@ class Choose(Task):
     """Tag of this task in JSON."""
     objects: int = 4
     """Objects per episode, 2 to 6, all different."""
-    queries: QuerySource = field(
-        default_factory=NameQueries, metadata=registered(lambda: QUERY_SOURCES.values())
-    )
+    queries: QuerySource = field(default_factory=graph_queries, metadata=ANY_SOURCE)
     """Where the questions come from, and which objects answer them."""
     marked: bool = False
     """Paint the object that answers the question in magenta and the others in grey: the upper
@@ -145,7 +148,7 @@ class Choose(Task):
         """Return the infos of reaching and those of the choice.
 
         ``reached_object`` is the object whose grasp point is nearest to the gripper, (n,) int64;
-        ``is_right_object``, whether it answers the question, (n,) bool; ``query``, (n,) int64;
+        ``is_right_object``, whether it answers the question, (n,) bool; ``query``, its name, (n,);
         ``objects`` and ``object_colours``, indices of the visible objects and of their colours,
         the right one first, (n, m) int64; ``object_positions``, their x and y, (n, m, 2) [m].
         """
@@ -153,7 +156,7 @@ class Choose(Task):
         return super().infos(state) | {
             "reached_object": state.objects[np.arange(len(nearest)), nearest],
             "is_right_object": nearest == 0,
-            "query": state.question,
+            "query": state.query_names[state.question],
             "objects": state.objects,
             "object_colours": state.colours,
             "object_positions": state.positions,
@@ -165,14 +168,14 @@ class Choose(Task):
         """Return the query, the object reached, and whether it answers the query."""
         names = np.array([target.name for target in setting.scene.targets])
         return {
-            "query": np.array(self.knowledge_rows(setting.facets))[infos["query"]],
+            "query": infos["query"],
             "chosen": names[infos["reached_object"]],
             "choice_correct": infos["is_right_object"],
         }
 
     def instruct(self, state: EpisodeState, setting: Setting, env_id: int) -> str:
         """Return the question, as "usedFor drinking"."""
-        return self.knowledge_rows(setting.facets)[int(state.question[env_id])]
+        return str(state.query_names[state.question[env_id]])
 
     def describe(self, state: EpisodeState, setting: Setting, env_id: int) -> str:
         """Describe the question and its answer, as "usedFor drinking: the red mug"."""
@@ -188,6 +191,13 @@ class Families(Choose):
 
     kind: Literal["families"] = "families"  # type: ignore[assignment]
     """Tag of this task in JSON."""
+    queries: QuerySource = field(
+        default_factory=partial(
+            graph_queries, graph="families", hold_out=("S3b", "S3a", "S4", "S2")
+        ),
+        metadata=ANY_SOURCE,
+    )
+    """Where the questions come from, and which objects answer them."""
 
 
 def measure_object(state: EpisodeState, which: Integers) -> tuple[Floats, Floats]:

@@ -5,7 +5,8 @@ part of one of the visible objects answers. An episode ends where any of them is
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -14,7 +15,8 @@ from numpy.typing import NDArray
 from knowarm.arrays import Integers
 from knowarm.measures import Measure
 from knowarm.questions import object_of
-from knowarm.world.tasks.choose.choose import Choose, measure_object
+from knowarm.world.tasks.choose.choose import ANY_SOURCE, Choose, measure_object
+from knowarm.world.tasks.choose.source import QuerySource, graph_queries
 from knowarm.world.tasks.sampling import Setting
 from knowarm.world.tasks.state import EpisodeState
 
@@ -47,6 +49,11 @@ class Purpose(Choose):
     """Tag of this task in JSON."""
     objects: int = 2
     """Objects per episode, 2 to 6, all different, with two parts each."""
+    queries: QuerySource = field(
+        default_factory=partial(graph_queries, graph="purposes", hold_out=("S4", "S2")),
+        metadata=ANY_SOURCE,
+    )
+    """Where the questions come from, and which parts answer them."""
 
     @property
     def visible(self) -> int:

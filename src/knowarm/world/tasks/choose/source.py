@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from knowarm.arrays import Floats, Integers
 from knowarm.errors import UserError
+from knowarm.own import load
 from knowarm.questions import COLOUR_RELATION, ObjectColour, Query, QuestionTable, number_parts
 from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.choose.layouts import LayoutSource, draws
@@ -73,8 +74,27 @@ class NameQueries(QuerySource):
         )
 
 
-QUERY_SOURCES: dict[str, type[QuerySource]] = {"names": NameQueries}
-"""Sources of questions by their tag. ``experiment.graph_queries`` adds those of a graph."""
+QUERY_SOURCES: dict[str, str] = {
+    "names": "knowarm.world.tasks.choose.source:NameQueries",
+    "graph": "knowarm.experiment.graph_queries:GraphQueries",
+}
+"""Sources of questions by their tag, as ``package.module:Name``. To add one, add an entry."""
+
+
+def graph_queries(**options: Any) -> QuerySource:
+    """Make the source of questions that a graph answers, with fields of ``GraphQueries``."""
+    return source_type("graph")(**options)
+
+
+def source_type(name: str) -> type[QuerySource]:
+    """Return the class of a name in ``QUERY_SOURCES``."""
+    found: type[QuerySource] = load(
+        QUERY_SOURCES[name],
+        "source of questions",
+        lambda each: isinstance(each, type) and issubclass(each, QuerySource),
+        "a class derived from knowarm.world.tasks.choose.source.QuerySource",
+    )
+    return found
 
 
 _ROUNDS = 6  # Layouts drawn for each set before it counts as too large for the rectangle
@@ -102,6 +122,7 @@ class SeveralObjects:
         facet_target, facet_colour = facet_indices(setting.scene, found.table)
         self._target = facet_target[found.sets.facets]
         self._colour = facet_colour[found.sets.facets]
+        self._queries = np.array([query.name for query in found.table.queries])
         self._rotation = np.arange(objects)
 
     def __call__(self, first: Floats, more: Floats) -> DrawnObjects:
@@ -116,7 +137,7 @@ class SeveralObjects:
             objects=self._target[row[:, None], order],
             colours=self._colour[row[:, None], order],
             positions=position[episode, order],
-            question=self._sets.query[row],
+            question=self._queries[self._sets.query[row]],
         )
 
 
