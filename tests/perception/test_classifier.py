@@ -83,11 +83,11 @@ def test_labels_are_the_visible_objects():
     world = ArmVectorEnv(env, 6)
     images, infos = world.reset(seed=3)
     assert (starts.images.numpy() == images).all()
-    assert (starts.queries.numpy() == infos["query"]).all()
+    assert (starts.queries.numpy() == world.knowledge_input).all()
     for row, facets in enumerate(starts.facets.tolist()):
         names = [spec.facets[i][0] for i in facets]
         assert names == [world.scene.targets[i].name for i in infos["objects"][row]]
-        assert spec.facets[facets[0]] == world.facets[infos["facet"][row]]
+        assert "/".join(spec.facets[facets[0]]) == infos["facet"][row]
     answers = query_answers(env, spec.facets).satisfies
     assert answers[starts.queries, starts.facets[:, 0]].all()
     assert not answers[starts.queries[:, None], starts.facets[:, 1:]].any()
@@ -261,9 +261,9 @@ def test_the_policy_gets_nothing_privileged(files, name, monkeypatch):
 def test_rows_follow_the_image_and_answer_the_query(files):
     env, perception = env_of(CHOOSE), FacetClassifier.read(files[CHOOSE])
     world = ArmVectorEnv(env, 8)
-    images, infos = world.reset(seed=1)
+    images, _ = world.reset(seed=1)
     select = perception.predictor(env, world.facets)
-    queries = torch.from_numpy(infos["query"])
+    queries = torch.from_numpy(world.knowledge_input)
     rows = select(torch.from_numpy(images), queries)
     assert query_answers(env, world.facets).satisfies[queries, rows].all()
     asked = queries.roll(1)

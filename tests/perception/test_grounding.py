@@ -351,8 +351,8 @@ def test_a_slot_of_zeros_is_no_condition(network):
 
 def test_the_policy_receives_the_frame_found_in_the_first_image(config, network):
     env = PerceivingVectorEnv(config.env, 6, network, num_threads=1)
-    images, infos = env.reset(seed=0)
-    first = network(images, torch.as_tensor(infos["query"]))
+    images, _ = env.reset(seed=0)
+    first = network(images, torch.as_tensor(env.running.knowledge_input))
     assert first.shape == (6, FRAME)
     assert torch.equal(env.knowledge_input, first)
     for _ in range(3):

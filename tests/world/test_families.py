@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from knowarm.errors import UserError
-from knowarm.experiment.names import experiment_config, task_for
+from knowarm.experiment.names import experiment_config
 from knowarm.knowledge.formats import shipped_graph
 from knowarm.perception.grounding import convolutions_of
 from knowarm.perception.module import PlaceEncoder
@@ -34,6 +34,7 @@ from knowarm.world.objects.families import (
     look_of,
 )
 from knowarm.world.scene.mjcf import read_mjcf
+from knowarm.world.tasks.choose.choose import Families
 from knowarm.world.tasks.episodes import evaluation_episodes
 
 SPLITS = ("train", "S2", "S3a", "S3b", "S4", "S5")
@@ -227,7 +228,7 @@ def test_s2_holds_out_a_condition_of_all_instances_of_a_kind(tables):
 
 @pytest.mark.parametrize("split", ["S3a", "S3b"])
 def test_the_oracle_reaches_new_objects(split):
-    env = EnvConfig(task=task_for("families"), image_size=8, dynamics="kinematic")
+    env = EnvConfig(task=Families(), image_size=8, dynamics="kinematic")
     env = replace(env, task=env.task.for_split(split, None))
     world = ArmVectorEnv(env, 32)
     result = play(OracleAgent(), world, evaluation_episodes(env, 32, 0))

@@ -10,7 +10,7 @@ import pytest
 from knowarm.errors import UserError
 from knowarm.experiment.names import experiment_config
 from knowarm.knowledge.formats import shipped_graph
-from knowarm.questions import number_parts, object_of
+from knowarm.questions import find_rows, number_parts, object_of
 from knowarm.world.agents.play import play
 from knowarm.world.agents.scripted import OracleAgent
 from knowarm.world.config import EnvConfig, questions_of, scene_of
@@ -125,7 +125,9 @@ def test_one_part_answers_and_both_parts_stand_at_one_place(drawn):
         env.facets.index((FEW[o], env.scene.colour_names[o][c]))
         for o, c in zip(episodes.objects.ravel(), episodes.colours.ravel(), strict=True)
     ]
-    answers = table.satisfies[episodes.question[:, None], np.reshape(facets, (-1, 4))]
+    rows = {query.name: row for row, query in enumerate(table.queries)}
+    asked = find_rows("query", episodes.question, rows)
+    answers = table.satisfies[asked[:, None], np.reshape(facets, (-1, 4))]
     assert (answers == [True, False, False, False]).all()
 
 

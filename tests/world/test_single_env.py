@@ -74,7 +74,8 @@ def test_knowledge_of_the_running_episode_stands_beside_the_image() -> None:
     for seed in range(5):
         observation, info = env.reset(seed=seed)
         assert env.observation_space.contains(observation)
-        assert (observation["knowledge"] == table[info["facet"]]).all()
+        assert (observation["knowledge"] == table[env.unwrapped.knowledge_input]).all()
+        assert info["facet"] == "/".join(env.unwrapped.facets[env.unwrapped.knowledge_input])
     with pytest.raises(
         UserError, match=r"one row for each of the 3 values of the info 'facet' \(mug/red, "
     ):
@@ -104,11 +105,11 @@ def test_final_observations_carry_the_knowledge_of_the_episode_that_ended() -> N
     env = VectorKnowledgeObservation(inner, table)
     observations, infos = env.reset(seed=0)
     assert env.observation_space.contains(observations)
-    before = infos["facet"]
+    before = env.unwrapped.knowledge_input
     for _ in range(2):
         observations, _, _, truncated, infos = env.step(env.action_space.sample() * 0)
     assert truncated.all()
-    after = infos["facet"]
+    after = env.unwrapped.knowledge_input
     assert (after != before).any()
     assert (observations["knowledge"][:, 0] == after).all()
     assert [final["knowledge"][0] for final in infos["final_obs"]] == before.tolist()

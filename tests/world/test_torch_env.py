@@ -83,7 +83,7 @@ def test_results_are_on_the_device(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def leaves(results: Any) -> list[torch.Tensor]:
     """Return all tensors in nested tuples and dictionaries."""
-    if isinstance(results, torch.Tensor):
-        return [results]
+    if isinstance(results, torch.Tensor | np.ndarray):
+        return [results] if isinstance(results, torch.Tensor) else []
     values = results.values() if isinstance(results, dict) else results
     return [tensor for value in values for tensor in leaves(value)]
