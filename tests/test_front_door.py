@@ -189,6 +189,7 @@ def test_a_trained_agent_plays_an_environment_of_gymnasium():
     chooser = knowarm.load_agent(ZOO.parent / CHOOSE)
     image, info = gymnasium.make("knowarm/IRB120Choose-v0").reset(seed=0)
     assert chooser.act(image, info=info)[0].shape == (6,)
+    assert chooser.act(image, info={"query": "usedFor drinking"})[0].shape == (6,)
     with pytest.raises(knowarm.UserError, match="info 'query'"):
         chooser.act(image)
 
@@ -256,7 +257,7 @@ def test_tasks(monkeypatch):
     assert knowarm.register_task("knowarm.world.tasks.reach:Reach") is knowarm.Reach
     assert issubclass(knowarm.Choose, knowarm.Task)
     env = knowarm.make("irb120", task="choose", num_envs=2, image_size=8)
-    assert env.config.task == knowarm.Choose(queries=knowarm.NameQueries())
+    assert env.config.task == knowarm.Choose(queries=knowarm.GraphQueries())
     asked = knowarm.Choose(objects=3, queries=knowarm.GraphQueries())
     env = knowarm.make("tiago", task=asked, num_envs=2, image_size=8)
     assert env.reset(seed=0)[1]["objects"].shape == (2, 3)

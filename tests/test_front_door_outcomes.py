@@ -1,0 +1,125 @@
+"""Outcomes through the public door: a policy does in every environment what `evaluate` says."""
+
+import json
+import subprocess
+import sys
+
+import gymnasium
+import numpy as np
+import pytest
+
+import knowarm
+from knowarm.config import to_dict
+from knowarm.statistics import share_difference, wilson
+from tests.source_tree import ROOT
+
+ZOO = ROOT / "zoo"
+POLICIES = sorted(path.name for path in ZOO.iterdir() if path.is_dir())
+CHOOSERS = [name for name in POLICIES if "-choose-" in name]
+CHOOSER = "irb120-choose-answers-fast"
+TRAINING = {"distance_m": 0.05, "angle_deg": 15.0}  # the thresholds of environments
+
+
+def made(agent, count=None, **options):
+    """Make the environments of an agent's robot and task, as the public door has them."""
+    config = agent.config.env
+    return knowarm.make(config.robot, num_envs=count, task=config.task.kind, **options)
+
+
+def ends(agent, env, seed, ask=lambda env, infos: infos):
+    """Play one episode in each of n environments; return the infos at their ends."""
+    images, infos = env.reset(seed=seed)
+    asked, state, found = ask(env, infos), None, [None] * env.num_envs
+    while None in found:
+        actions, state = agent.act(images, state, asked)
+        images, _, _, _, infos = env.step(actions)
+        for i in np.flatnonzero(infos.get("_final_info", np.zeros(env.num_envs))):
+            last = {name: values[i] for name, values in infos["final_info"].items()}
+            found[i] = found[i] or last
+    return found
+
+
+def assert_equal_success(successes, agent, episodes):
+    """Compare a list of successes with that of an evaluation, within the 95 % interval."""
+    measured = knowarm.evaluate(
+        agent, episodes=episodes, num_envs=50, blind_episodes=0, write=False, **TRAINING
+    ).summary["success"]
+    difference = share_difference(
+        wilson(int(sum(successes)), len(successes)), wilson(round(measured * episodes), episodes)
+    )
+    assert difference.low <= 0 <= difference.high, (np.mean(successes), measured)
+
+
+@pytest.mark.parametrize("name", CHOOSERS)
+def test_a_chooser_succeeds_in_vector_environments_as_evaluate_says(name):
+    agent = knowarm.load_agent(ZOO / name)
+    found = ends(agent, made(agent, 40), seed=0)
+    assert np.mean([end["is_right_object"] for end in found]) > 0.8
+    assert_equal_success([end["is_success"] for end in found], agent, 50)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", POLICIES)
+def test_every_policy_succeeds_in_each_environment_as_evaluate_says(name):
+    agent = knowarm.load_agent(ZOO / name)
+    config = agent.config.env
+    env = gymnasium.make(knowarm.world.env_id(config.robot, config.task.kind))
+    successes = []
+    for seed in range(60):
+        image, info = env.reset(seed=seed)
+        state, ended = None, False
+        while not ended:
+            action, state = agent.act(image, state, info)
+            image, _, terminated, truncated, info = env.step(action)
+            ended = terminated or truncated
+        successes.append(info["is_success"])
+    assert_equal_success(successes, agent, 200)
+    for device in (None, "cpu"):
+        found = ends(agent, made(agent, 60, device=device), seed=0)
+        assert_equal_success([bool(end["is_success"]) for end in found], agent, 200)
+
+
+def other_questions(env, infos):
+    """Ask each environment for its second object: by a query that no other visible one answers."""
+    table = env.config.task.questions(env.facets)
+    targets, names = [each.name for each in env.scene.targets], [name for name, _ in env.facets]
+    first = np.array([names.index(name) for name in targets])
+    answers = table.satisfies[:, first[infos["objects"]] + infos["object_colours"]]  # (Q, n, m)
+    only = answers[..., 1] & (answers.sum(2) == 1)
+    assert only.any(0).all()
+    return {"query": [table.queries[row].name for row in only.argmax(0)]}
+
+
+def test_another_question_leads_to_another_object():
+    agent = knowarm.load_agent(ZOO / CHOOSER)
+    found = ends(agent, made(agent, 40), seed=0, ask=other_questions)
+    assert np.mean([end["reached_object"] == end["objects"][1] for end in found]) > 0.8
+    assert np.mean([end["is_right_object"] for end in found]) < 0.1
+
+
+def test_a_question_that_an_agent_does_not_know_is_refused_in_one_line():
+    agent = knowarm.load_agent(ZOO / CHOOSER)
+    for task in (knowarm.Choose(queries=knowarm.NameQueries()), "purpose"):
+        images, infos = knowarm.make("irb120", num_envs=2, task=task).reset(seed=0)
+        with pytest.raises(knowarm.UserError, match=f"Unknown query.*{CHOOSER}") as error:
+            agent.act(images, info=infos)
+        assert "\n" not in str(error.value)
+        assert infos["query"][0] in str(error.value)
+
+
+def test_episodes_of_other_questions_are_refused():
+    env = made(knowarm.load_agent(ZOO / CHOOSER), 2, image_size=8)
+    named = knowarm.EnvConfig(task=knowarm.Choose(queries=knowarm.NameQueries()))
+    with pytest.raises(knowarm.UserError, match="Unknown query of this environment 'isA"):
+        env.reset(options={"episodes": knowarm.evaluation_episodes(named, 2, seed=0)})
+
+
+def test_a_config_with_questions_of_a_graph_is_read_without_another_import():
+    text = json.dumps(to_dict(knowarm.EnvConfig(task=knowarm.Purpose())))
+    code = (
+        "import json, sys\nfrom knowarm.config import from_dict\n"
+        "from knowarm.world.config import EnvConfig\n"
+        f"print(from_dict(EnvConfig, json.loads({text!r})).task.queries.graph)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "purposes\n"
