@@ -285,14 +285,13 @@ def episode_columns(
 ) -> dict[str, np.ndarray]:
     """Return the columns of ``episodes.parquet``, (n,) each."""
     count, wide = len(result.length), max(WIDE_ANGLE_DEG, config.angle_deg)
-    names = np.array(["/".join(facet) for facet in env.facets])
     seeds = config.seed + np.arange(config.seeds)
     targets = np.array([target.name for target in env.scene.targets])
     columns = {
         "episode": np.arange(count),
         "evaluation_seed": np.repeat(seeds, count // config.seeds),
         "target": targets[result.infos["target"]],
-        "facet": names[result.infos["facet"]],
+        "facet": result.infos["facet"],
         "return": result.episode_return,
         "length": result.length,
         "distance_m": result.distance,
