@@ -23,6 +23,7 @@ from knowarm.experiment.run import Run
 from knowarm.world.agents import OracleAgent
 from knowarm.world.config import EnvConfig, questions_of
 from knowarm.world.tasks.choose.choose import Choose
+from knowarm.world.tasks.choose.source import NameQueries
 from tests.tiny import CHOOSE_ENV, CHOOSE_NAME
 
 
@@ -128,8 +129,9 @@ def test_the_oracle_chooses_and_reaches_in_every_split() -> None:
 
 
 def test_a_split_needs_queries_of_a_graph() -> None:
+    env = EnvConfig(task=Choose(queries=NameQueries()))
     with pytest.raises(UserError, match="this task has NameQueries"):
-        evaluate(OracleAgent(), EnvConfig(task=Choose()), episodes=4, test=(SplitTest(split="S2"),))
+        evaluate(OracleAgent(), env, episodes=4, test=(SplitTest(split="S2"),))
 
 
 def test_questions_follow_a_graph_that_was_edited(tmp_path: Path) -> None:

@@ -60,7 +60,7 @@ def test_a_slot_says_what_the_graph_links_to_the_value():
     assert words.sentences[0] == "used for drinking"
     assert not embedding.constant
     assert not embedding.privileged
-    assert embedding.describe()["slots"] == [c.name for c in embedding.slots]
+    assert list(embedding.describe().slots) == [c.name for c in embedding.slots]
 
 
 def test_conditions_of_the_shipped_graph_can_be_told_apart():

@@ -17,6 +17,7 @@ from knowarm.world.config import EnvConfig, questions_of
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.objects import PARTS
 from knowarm.world.tasks.choose.purpose import Purpose
+from knowarm.world.tasks.choose.source import NameQueries
 from knowarm.world.tasks.episodes import evaluation_episodes
 from tests.experiment.test_zoo import ZOO
 
@@ -30,7 +31,8 @@ def trained():
 def parted():
     """Return a task with two parts per object, and an untrained network for it."""
     names = tuple(name for name in PARTS if object_of(name) in ("bell", "globe", "brush"))
-    env = EnvConfig(task=Purpose(), targets=names, dynamics="kinematic")
+    task = Purpose(queries=NameQueries())
+    env = EnvConfig(task=task, targets=names, dynamics="kinematic")
     knowledge = np.random.default_rng(0).normal(size=(len(questions_of(env).queries), 6))
     spec = ModuleSpec.of(env, GroundingConfig())
     return env, GroundingNetwork(spec, knowledge.astype(np.float32), 1)

@@ -10,6 +10,7 @@ from knowarm.errors import UserError
 from knowarm.experiment.build import build
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.names import experiment_config
+from knowarm.experiment.probes import LiftProbe
 from knowarm.world.agents import OpenLoopAgent, OracleAgent, ZeroAgent
 from knowarm.world.agents import open_loop as open_loop_module
 from knowarm.world.agents.lift_teacher import LiftTeacher
@@ -248,7 +249,7 @@ def test_what_a_lift_cannot_be_is_refused():
     with pytest.raises(UserError, match="names no fingers"):
         build_scene(replace(ROBOTS["irb120"], fingers=()), find_targets(("mug",)), solid=True)
     with pytest.raises(UserError, match="without solid objects"):
-        evaluate(ZeroAgent(), EnvConfig(task=Lift()), episodes=1, lift=True)
+        evaluate(ZeroAgent(), EnvConfig(task=Lift()), episodes=1, probes=(LiftProbe(),))
 
 
 @pytest.mark.parametrize("field", ["height_m", "hold_steps"])
