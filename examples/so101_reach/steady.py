@@ -4,8 +4,9 @@ A re-implementation, in another simulator, of a task of Squint (Almuzairee et al
 third-person camera of its code in place of the wrist camera of its curves.
 
     git clone --depth 1 https://github.com/TheRobotStudio/SO-ARM100
-    knowarm train irb120-bm-distil --name so101 --env.task steady:Steady --config run.toml
-    knowarm evaluate runs/so101/0 --tasks steady:Steady --distance-m 0.02 --angle-deg 179
+    knowarm train bm-distil --env.task steady:Steady --config run.toml
+    knowarm evaluate runs/so101-steady-bm-distil/0 --tasks steady:Steady --distance-m 0.02 \\
+        --angle-deg 179
 """
 
 from collections.abc import Mapping

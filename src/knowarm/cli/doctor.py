@@ -107,14 +107,15 @@ class Doctor(TableCommand):
         print(draft.toml(self.write))
         if task := draft.task_options():
             name, bare = Path(robot).stem, task.replace("env.success-", "").replace("env.", "")
-            file, run = self.write or f"{name}{SUFFIX}", f"{name}-full-fast"
+            file, agent = self.write or f"{name}{SUFFIX}", "full-fast"
             print(
                 "The arm can do the task with an easier orientation, which every command needs:\n"
                 f"  knowarm doctor --robot {file} {bare}\n"
                 f"  knowarm view {file} {bare}\n"
                 f"  knowarm evaluate oracle --env.robot {file} {task.replace('env.success-', '')}\n"
-                f"  knowarm train irb120-full-fast --name {run} --env.robot {file} {task}\n"
-                f"  knowarm evaluate runs/{run}/0 {bare.removesuffix('--ignore-roll').strip()}\n"
+                f"  knowarm train {agent} --env.robot {file} {task}\n"
+                f"  knowarm evaluate runs/{Path(file).stem}-{agent}/0 "
+                f"{bare.removesuffix('--ignore-roll').strip()}\n"
             )
         with TemporaryDirectory() as folder:
             file = self.write or Path(folder) / f"{Path(robot).stem}{SUFFIX}"

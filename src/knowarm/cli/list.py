@@ -75,8 +75,10 @@ class List(TableCommand):
         if "experiments" in shown:
             print(
                 "An experiment is named ROBOT-AGENT-ALGORITHM, with -dr after the agent for\n"
-                "randomized colours, and with the task after the robot if it is not reach:\n"
+                "randomized colours, and with the task after the robot if it is not reach. A\n"
+                "robot of your own is an option, and the experiment is named after its file:\n"
                 f"  knowarm train {DEFAULT_EXPERIMENT}\n"
+                "  knowarm train full-fast --env.robot my_arm.toml\n"
                 "  knowarm train tiago-bm-dr-ppo\n"
                 "  knowarm train irb120-choose-answers-distil"
             )

@@ -38,7 +38,8 @@ USAGE = f"""usage: knowarm train EXPERIMENT [OPTIONS]
 Train one agent, or resume a stopped run.
 
 EXPERIMENT is one of the names ROBOT-AGENT[-dr]-ALGORITHM that `knowarm list` explains, such as
-{DEFAULT_EXPERIMENT}. Its options have that experiment's values as defaults:
+{DEFAULT_EXPERIMENT}. For a robot of your own leave out ROBOT and give --env.robot my_arm.toml.
+Its options have that experiment's values as defaults:
   knowarm train {DEFAULT_EXPERIMENT} --help             the ten options that matter first
   knowarm train {DEFAULT_EXPERIMENT} --help knowledge   a group of options
   knowarm train {DEFAULT_EXPERIMENT} --help-all         all options
@@ -95,13 +96,19 @@ def parse_train(arguments: list[str]) -> Train:
     rest, file = take_option(rest, "--config", "run.toml")
     values = {} if file is None else read_toml(Path(file))
     rest, task = take_option(rest, "--env.task", "package.module:Name")
+    rest, robot = take_option(rest, "--env.robot", "my_arm.toml")
+    experiment = ExperimentName.parse(name)
     if task is not None:
         again += f" --env.task {task}"
-        kind = task_type(task).kind_of()
-        name = str(replace(ExperimentName.parse(name), task=kind))
-    config = override(experiment_config(name), values)
-    prog = f"knowarm train {name}"
-    rest = answer_help(Train(config=config), prog, rest, FIRST)
+        experiment = replace(experiment, task=task_type(task).kind_of())
+    name = str(experiment)
+    if robot is not None:
+        again += f" --env.robot {shlex.quote(robot)}"
+        values["env"] = {**values.get("env", {}), "robot": robot}
+        experiment = replace(experiment, robot=robot)
+    config = experiment_config(name, **values)
+    name = str(experiment)
+    rest = answer_help(Train(config=config), f"knowarm train {name}", rest, FIRST)
     command = _parse_options(name, rest, config)
     if command.config.name != name:
         again += f" --name {shlex.quote(command.config.name)}"

@@ -1,7 +1,7 @@
-"""Names of experiments, such as ``irb120-full-fast``, and the registry of those that ship."""
+"""Names of experiments, such as ``irb120-full-fast``, and their configs."""
 
-import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import Any
 
 from knowarm.config import override
@@ -12,7 +12,8 @@ from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.graph_queries import GraphQueries
 from knowarm.knowledge import QUERY
 from knowarm.world.config import EnvConfig
-from knowarm.world.robots import ROBOTS
+from knowarm.world.description import SUFFIX
+from knowarm.world.robots import DEFAULT_ROBOT, KNOWN_ARMS, ROBOTS
 from knowarm.world.tasks import task_names, task_type
 from knowarm.world.tasks.sampling import Colours
 
@@ -24,10 +25,11 @@ RANDOMIZED = "-dr"
 
 @dataclass(frozen=True)
 class ExperimentName:
-    """Name of an experiment: ``<robot>[-<task>]-<agent>[-dr]-<algorithm>``.
+    """Name of an experiment: ``[<robot>-][<task>-]<agent>[-dr]-<algorithm>``.
 
-    ``str`` writes it and `parse` reads it. The parts are names in ``ROBOTS``, ``task_names``,
-    ``AGENTS`` and ``algorithms``, and the colours of the targets (paper section 4.2.5).
+    ``str`` writes it and `parse` reads it. The parts are names of robots, ``task_names``,
+    ``AGENTS`` and ``algorithms``, and the colours of the targets (paper section 4.2.5). An own
+    robot is the path of its TOML file, and the name has the file's.
     """
 
     robot: str
@@ -38,12 +40,12 @@ class ExperimentName:
 
     def __post_init__(self) -> None:
         for what, value, known in (
-            ("robot", self.robot, ROBOTS),
+            ("robot", self.robot, [*ROBOTS, *KNOWN_ARMS]),
             ("task", self.task, task_names()),
             ("agent", self.agent, AGENTS),
             ("algorithm", self.algorithm, algorithms()),
         ):
-            if value not in known:
+            if value not in known and not (what == "robot" and value.endswith(SUFFIX)):
                 raise unknown_name(f"{what} of the experiment", value, known)
         if self.task not in (tasks := tasks_of(AGENTS[self.agent])):
             raise UserError(
@@ -60,21 +62,25 @@ class ExperimentName:
         """Return the name."""
         task = "" if self.task == DEFAULT_TASK else f"-{self.task}"
         suffix = "" if self.colours == colours_of(self.task)[0] else RANDOMIZED
-        return f"{self.robot}{task}-{self.agent}{suffix}-{self.algorithm}"
+        robot = Path(self.robot).stem if self.robot.endswith(SUFFIX) else self.robot
+        return f"{robot}{task}-{self.agent}{suffix}-{self.algorithm}"
 
     @classmethod
     def parse(cls, text: str) -> "ExperimentName":
-        """Read a name; an error for a part that is missing or unknown lists the nearest names."""
-        robots = [each for each in ROBOTS if text.startswith(f"{each}-")]
-        robot = max(robots, key=len, default=text.partition("-")[0])
+        """Read a name, by default of ``DEFAULT_ROBOT`` and ``DEFAULT_TASK``.
+
+        An error for a part that is missing or unknown lists the nearest names.
+        """
+        robots = [name for name in (*ROBOTS, *KNOWN_ARMS) if text.startswith(f"{name}-")]
+        robot = max(robots, key=len, default=DEFAULT_ROBOT)
         rest = text.removeprefix(f"{robot}-")
-        endings = [each for each in algorithms() if rest.endswith(f"-{each}")]
+        endings = [name for name in algorithms() if rest.endswith(f"-{name}")]
         algorithm = max(endings, key=len, default=rest.rpartition("-")[2])
         middle = rest.removesuffix(algorithm).removesuffix("-")
         if not middle:
             raise UserError(
-                "The name of an experiment has the parts ROBOT-AGENT-ALGORITHM, or with another "
-                f"task ROBOT-TASK-AGENT-ALGORITHM, got {text!r}. Give all parts, such as "
+                "The name of an experiment has the parts ROBOT-TASK-AGENT-ALGORITHM, of which "
+                f"robot and task have defaults, got {text!r}. Give the others, such as "
                 f"{_example(text)!r}; `knowarm list` shows them."
             )
         head, _, tail = middle.partition("-")
@@ -82,8 +88,10 @@ class ExperimentName:
         colours = colours_of(task)[0]
         if agent not in AGENTS and agent.endswith(RANDOMIZED):
             agent, colours = agent.removesuffix(RANDOMIZED), "randomized"
+        if not robots and agent not in AGENTS and tail.endswith(tuple(AGENTS)):
+            robot, agent = head, tail  # a robot that is unknown
         name = cls(robot=robot, task=task, agent=agent, colours=colours, algorithm=algorithm)
-        if str(name) != text:
+        if str(name) not in (text, f"{robot}-{text}"):
             raise UserError(f"The experiment {text!r} is named {str(name)!r}; give this name.")
         return name
 
@@ -96,9 +104,8 @@ def tasks_of(agent: Agent) -> list[str]:
     found = []
     for name in agent.tasks or task_names():
         task = task_type(name)
-        fields = {field.name for field in dataclasses.fields(task)}
         scope = agent.role == "baseline" or agent.knowledge.scope in task.scopes
-        if scope and fields.issuperset(agent.task):
+        if scope and {field.name for field in fields(task)}.issuperset(agent.task):
             found.append(name)
     return found
 
@@ -110,7 +117,7 @@ def colours_of(task: str) -> tuple[Colours, ...]:
 
 
 def experiment_names() -> list[str]:
-    """List the names of all experiments that the registries define."""
+    """List the names of all experiments of the shipped robots."""
     return [
         str(ExperimentName(robot, task, agent, colours, algorithm))
         for robot in ROBOTS
@@ -124,9 +131,9 @@ def experiment_names() -> list[str]:
 def _example(text: str) -> str:
     """Return a valid name with the parts that a text has."""
     words = (text, *text.split("-"))
-    robot = next((each for each in words if each in ROBOTS), next(iter(ROBOTS)))
-    agent = next((each for each in words if each in AGENTS), first_of_role("knowledge"))
-    algorithm = next((each for each in words if each in algorithms()), next(iter(algorithms())))
+    robot = next((word for word in words if word in {**ROBOTS, **KNOWN_ARMS}), DEFAULT_ROBOT)
+    agent = next((word for word in words if word in AGENTS), first_of_role("knowledge"))
+    algorithm = next((word for word in words if word in algorithms()), next(iter(algorithms())))
     task = tasks_of(AGENTS[agent])[0]
     return str(ExperimentName(robot, task, agent, colours_of(task)[0], algorithm))
 
@@ -141,14 +148,18 @@ def experiment_config(name: str, /, **overrides: Any) -> ExperimentConfig:
     Args:
         name: as `ExperimentName.parse` reads it, such as ``irb120-full-ppo``.
         **overrides: fields to change; a nested config takes a mapping of its fields, such as
-            ``algorithm={"num_envs": 64}``.
+            ``algorithm={"num_envs": 64}``. With another robot, ``env={"robot": "arm.toml"}``, the
+            config has the name of its experiment unless ``name`` is given.
 
     Raises:
         UserError: there is no experiment of that name (the message lists the nearest names), or an
             override does not fit.
     """
-    config = _config(ExperimentName.parse(name))
-    return override(config, overrides) if overrides else config
+    parsed = ExperimentName.parse(name)
+    config = override(_config(parsed), overrides)
+    if "name" in overrides or config.env.robot == parsed.robot:
+        return config
+    return replace(config, name=str(replace(parsed, robot=config.env.robot)))
 
 
 def _config(name: ExperimentName) -> ExperimentConfig:
@@ -158,7 +169,7 @@ def _config(name: ExperimentName) -> ExperimentConfig:
     queries = getattr(task, "queries", None)
     if knowledge.scope in ("query", "perceived") and isinstance(queries, GraphQueries):
         # described by the graph of the questions
-        knowledge = dataclasses.replace(knowledge, graph=queries.graph, aliases=QUERY.aliases)
+        knowledge = replace(knowledge, graph=queries.graph, aliases=QUERY.aliases)
     config = ExperimentConfig(
         name=str(name),
         agent=name.agent,

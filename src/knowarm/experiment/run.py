@@ -78,8 +78,9 @@ def train(
             cannot be written to, is in use by another process, or belongs to another config.
     """
     if isinstance(config, str):
-        config = experiment_config(config)
-    config = override(config, overrides) if overrides else config
+        config = experiment_config(config, **overrides)
+    elif overrides:
+        config = override(config, overrides)
     path = run_path(Path(runs), config)
     if resume:
         different = other_fields(RunFolder.open(path), config)

@@ -122,7 +122,8 @@ class StudyConfig:
 
     def cells(self) -> list[str]:
         """Return the names of the experiments."""
-        return [*self.experiments, *(self.grid.experiments() if self.grid else [])]
+        named = [str(ExperimentName.parse(name)) for name in self.experiments]
+        return [*named, *(self.grid.experiments() if self.grid else [])]
 
     def runs(self) -> list[ExperimentConfig]:
         """Return the config of every run, experiment by experiment."""
