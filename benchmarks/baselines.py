@@ -33,9 +33,10 @@ from knowarm.learn.sb3_vec_env import SB3VecEnv
 from knowarm.world.agents import OracleAgent
 from knowarm.world.agents.play import play_steps
 from knowarm.world.config import EnvConfig
+from knowarm.world.envs.episodes import draw_episodes
+from knowarm.world.envs.running import joint_increments
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.tasks.episodes import draw_episodes
-from knowarm.world.tasks.running import ACTION_LEVELS, joint_increments
+from knowarm.world.tasks.state import ACTION_LEVELS
 
 LEVELS = np.array(ACTION_LEVELS, np.float32)
 SAC_REWARD_SCALE = 0.1

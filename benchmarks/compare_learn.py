@@ -44,13 +44,13 @@ from knowarm.learn.sb3_vec_env import SB3VecEnv
 from knowarm.policy import Policy
 from knowarm.world.agents.play import play
 from knowarm.world.config import EnvConfig
+from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.knowledge_observation import (
     KnowledgeObservation,
     VectorKnowledgeObservation,
 )
 from knowarm.world.envs.single_env import ArmEnv
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.tasks.episodes import evaluation_episodes
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -35,9 +35,10 @@ from knowarm.integrations.serve import PolicyServer, pack, unpack
 from knowarm.statistics.bootstrap import wilson
 from knowarm.world.agents.play import EpisodeResults, play
 from knowarm.world.config import EnvConfig
+from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.scene.compose import CONTROL_PERIOD_S
-from knowarm.world.tasks.episodes import Episodes, evaluation_episodes
+from knowarm.world.tasks.sampling import Episodes
 
 
 class RunnerAgent:

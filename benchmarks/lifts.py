@@ -18,12 +18,12 @@ import numpy as np
 from PIL import Image
 
 from knowarm.statistics import wilson
-from knowarm.world.agents.ik import InverseKinematics
-from knowarm.world.lifting.lift import LiftTrial, lift, plan_lifts
-from knowarm.world.lifting.model import lifting_model
 from knowarm.world.objects import PARTS, TARGETS
 from knowarm.world.scene.scene import Scene, load_scene, target_places
 from knowarm.world.tasks.choose.choose import CHOOSE_TARGETS
+from knowarm.world.tasks.ik import InverseKinematics
+from knowarm.world.tasks.lift.model import lifting_model
+from knowarm.world.tasks.lift.probe import LiftTrial, lift, plan_lifts
 
 SEED = 7
 APPROACH_M, POSES = 0.12, 6  # Way to the grasp frame, and poses on it

@@ -10,14 +10,14 @@ from typing import Literal
 
 import numpy as np
 
-from knowarm.world.agents.ik import InverseKinematics
 from knowarm.world.agents.play import play
 from knowarm.world.agents.scripted import OracleAgent, RandomAgent
 from knowarm.world.config import EnvConfig
+from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.objects import TARGETS
 from knowarm.world.robots import ROBOTS
-from knowarm.world.tasks.episodes import evaluation_episodes
+from knowarm.world.tasks.ik import InverseKinematics
 
 SEED = 7
 

@@ -21,11 +21,11 @@ from knowarm.arrays import Floats
 from knowarm.experiment.load import load_agent
 from knowarm.statistics import bootstrap
 from knowarm.world.agents.play import play
+from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.render.renderer import OpenGLRenderer
 from knowarm.world.scene.appearance import VisualRandomization
 from knowarm.world.scene.scene import Scene
-from knowarm.world.tasks.episodes import evaluation_episodes
 
 # Each axis varies by up to 1 cm and 1 degree, which are also the root mean squares over three axes.
 CAMERA = {"camera_shift_m": 0.01, "camera_turn_deg": 1.0}

@@ -25,12 +25,13 @@ from knowarm.experiment.load import load_agent
 from knowarm.integrations.driver import Topics
 from knowarm.world.backend import MujocoSimulator
 from knowarm.world.config import EnvConfig, facets_of, scene_of
+from knowarm.world.envs.episodes import evaluation_episodes
+from knowarm.world.envs.running import RunningEpisodes
 from knowarm.world.envs.vector_env import draw_images
 from knowarm.world.render.renderer import make_renderer
 from knowarm.world.scene.compose import CONTROL_PERIOD_S, SUBSTEPS
 from knowarm.world.scene.scene import Scene
-from knowarm.world.tasks.episodes import Episodes, evaluation_episodes
-from knowarm.world.tasks.running import RunningEpisodes
+from knowarm.world.tasks.sampling import Episodes
 
 TICK_S = CONTROL_PERIOD_S / SUBSTEPS
 """Period of camera and joint states [s]."""

@@ -29,8 +29,9 @@ from knowarm.knowledge.graph.damage import Damage, damaged
 from knowarm.world.agents import OracleAgent
 from knowarm.world.agents.open_loop import FixedList, search_open_loop
 from knowarm.world.agents.play import play
+from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.tasks.episodes import Episodes, evaluation_episodes
+from knowarm.world.tasks.sampling import Episodes
 
 EPISODES = 500
 OPTIONS = {"training_seeds": 5, "control_episodes": 200}

@@ -17,9 +17,9 @@ from knowarm.knowledge import scene_embedding
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.statistics import one_way_anova
 from knowarm.world.config import EnvConfig
+from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.scene.scene import load_scene
-from knowarm.world.tasks.episodes import evaluation_episodes
 from knowarm.world.tasks.reward import is_success, paper_reward
 
 TARGETS = ("mug", "bottle", "cereal_box")  # paper 3.1

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from knowarm import UserError
 from knowarm.benchmark.suites import Cell, read_suite
+from knowarm.world.envs.running import joint_increments
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.tasks.running import joint_increments
 
 Observation = dict[str, NDArray[Any]]
 

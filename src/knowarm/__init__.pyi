@@ -48,6 +48,7 @@ from .world import make as make
 from .world.agents import OracleAgent as OracleAgent
 from .world.agents.play import play as play
 from .world.config import EnvConfig as EnvConfig
+from .world.envs.episodes import evaluation_episodes as evaluation_episodes
 from .world.envs.knowledge_observation import KnowledgeObservation as KnowledgeObservation
 from .world.envs.knowledge_observation import (
     VectorKnowledgeObservation as VectorKnowledgeObservation,
@@ -64,10 +65,9 @@ from .world.tasks.choose.choose import Choose as Choose
 from .world.tasks.choose.choose import Families as Families
 from .world.tasks.choose.purpose import Purpose as Purpose
 from .world.tasks.choose.source import NameQueries as NameQueries
-from .world.tasks.episodes import Episodes as Episodes
-from .world.tasks.episodes import evaluation_episodes as evaluation_episodes
 from .world.tasks.held_out import HeldOut as HeldOut
 from .world.tasks.reach import Reach as Reach
+from .world.tasks.sampling import Episodes as Episodes
 from .world.tasks.task import Task as Task
 
 __version__: str

@@ -8,8 +8,8 @@ import pytest
 from knowarm.world.agents import OracleAgent
 from knowarm.world.agents.play import play_steps
 from knowarm.world.config import EnvConfig
+from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.tasks.episodes import evaluation_episodes
 from knowarm.world.tasks.task import Task
 
 FOLDER = Path(__file__).parents[2] / "examples" / "so101_reach"

@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from knowarm.world.envs.running import joint_increments
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.tasks.running import ACTION_LEVELS, joint_increments
+from knowarm.world.tasks.state import ACTION_LEVELS
 
 
 class RunnerAgent:

@@ -15,8 +15,8 @@ from knowarm.integrations import runner as runner_module
 from knowarm.integrations.contract import export
 from knowarm.integrations.runner import Runner
 from knowarm.world.agents.play import play
+from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.tasks.episodes import evaluation_episodes
 from tests.integrations.played import RunnerAgent
 
 pytest.importorskip("onnxruntime")

@@ -13,8 +13,8 @@ from PIL import Image
 from knowarm.cli.main import main
 from knowarm.integrations.record import EPISODES
 from knowarm.world.config import EnvConfig
+from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.tasks.episodes import evaluation_episodes
 
 COUNT = 5
 

@@ -7,8 +7,8 @@ import torch
 from knowarm.cli.main import main
 from knowarm.experiment.load import load_agent
 from knowarm.perception.agent import known_in_episode
+from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.tasks.episodes import evaluation_episodes
 from tests.source_tree import ROOT
 
 pytest.importorskip("rerun")

@@ -26,8 +26,8 @@ from knowarm.integrations.contract import deployment, tcp_position
 from knowarm.integrations.driver import Driver, Safety, Topics
 from knowarm.integrations.ros import drive
 from knowarm.world.agents.play import play
+from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.tasks.episodes import evaluation_episodes
 from tests.source_tree import ROOT
 
 os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)  # other tests are other robots

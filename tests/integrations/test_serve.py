@@ -19,8 +19,8 @@ from knowarm.errors import UserError
 from knowarm.experiment.load import load_agent
 from knowarm.integrations.contract import deployment
 from knowarm.world.agents.play import play
+from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.tasks.episodes import evaluation_episodes
 from tests.integrations.played import RunnerAgent
 
 pytest.importorskip("websockets")

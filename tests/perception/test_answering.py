@@ -14,11 +14,11 @@ from knowarm.perception.images import query_answers, sample_images
 from knowarm.questions import object_of
 from knowarm.world.agents.play import play
 from knowarm.world.config import EnvConfig, questions_of
+from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.objects import PARTS
 from knowarm.world.tasks.choose.purpose import Purpose
 from knowarm.world.tasks.choose.source import NameQueries
-from knowarm.world.tasks.episodes import evaluation_episodes
 from tests.experiment.test_zoo import ZOO
 
 

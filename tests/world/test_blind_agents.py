@@ -15,10 +15,10 @@ from knowarm.world.agents.open_loop import (
 from knowarm.world.agents.open_loop_score import OpenLoopScore
 from knowarm.world.agents.play import play
 from knowarm.world.config import EnvConfig
+from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.objects.families import FAMILIES
 from knowarm.world.robots import ROBOTS
-from knowarm.world.tasks.episodes import evaluation_episodes
 from tests.world.helpers import EXAMPLES
 
 SCARA = str(EXAMPLES / "scara.toml")  # with a slide

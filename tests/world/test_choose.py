@@ -14,10 +14,10 @@ from stable_baselines3.common import env_checker
 
 from knowarm.errors import UserError
 from knowarm.world import env_id
-from knowarm.world.agents.ik import InverseKinematics
 from knowarm.world.agents.play import EpisodeResults, play
 from knowarm.world.agents.scripted import OracleAgent
 from knowarm.world.config import EnvConfig, scene_of, setting_of
+from knowarm.world.envs.episodes import EpisodeSource, evaluation_episodes
 from knowarm.world.envs.knowledge_observation import KnowledgeObservation
 from knowarm.world.envs.torch_env import TorchArmVectorEnv
 from knowarm.world.envs.vector_env import ArmVectorEnv
@@ -26,7 +26,7 @@ from knowarm.world.robots import ROBOTS
 from knowarm.world.tasks.choose.choose import Choose
 from knowarm.world.tasks.choose.layouts import support
 from knowarm.world.tasks.choose.source import Arrangements, NameQueries, arrange
-from knowarm.world.tasks.episodes import EpisodeSource, evaluation_episodes
+from knowarm.world.tasks.ik import InverseKinematics
 
 STREAMS = np.arange(200, dtype=np.uint64)
 NUMBERS = STREAMS % np.uint64(7)

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from knowarm.errors import UserError
+from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.robots import ROBOTS
 from knowarm.world.scene.appearance import VisualRandomization
-from knowarm.world.tasks.episodes import evaluation_episodes
 from knowarm.world.tasks.held_out import HeldOut
 from tests.world.faces import (
     COUNT,

@@ -10,10 +10,10 @@ from knowarm.errors import UserError
 from knowarm.world.agents.play import play
 from knowarm.world.agents.scripted import OracleAgent
 from knowarm.world.description import read_description
+from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.objects.target import Target
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.scene import load_scene
-from knowarm.world.tasks.episodes import evaluation_episodes
 from tests.world.helpers import EXAMPLES, MakeEnv, write_robot
 
 

@@ -14,6 +14,7 @@ from knowarm.world.agents.play import play
 from knowarm.world.backend import MujocoSimulator
 from knowarm.world.config import EnvConfig
 from knowarm.world.description import read_description
+from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.objects import find_targets
 from knowarm.world.own_robot.draft import _toml, draft_robot, read_overrides
@@ -24,7 +25,6 @@ from knowarm.world.robots import ROBOTS
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.compose import STOP_RAD
 from knowarm.world.scene.scene import build_scene, load_scene
-from knowarm.world.tasks.episodes import evaluation_episodes
 from tests.world.helpers import EXAMPLES
 
 SHIPPED = ROBOTS["irb120"]

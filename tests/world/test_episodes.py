@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 
 from knowarm.world.config import EnvConfig, scene_of
+from knowarm.world.envs.episodes import draw_episodes, evaluation_episodes
 from knowarm.world.robots import ROBOTS
-from knowarm.world.tasks.episodes import Episodes, draw_episodes, evaluation_episodes
+from knowarm.world.tasks.sampling import Episodes
 
 
 def draw(config: EnvConfig, count: int, stream: int = 5) -> Episodes:

@@ -20,6 +20,7 @@ from knowarm.questions import kind_of
 from knowarm.world.agents.play import play
 from knowarm.world.agents.scripted import OracleAgent
 from knowarm.world.config import EnvConfig, questions_of, scene_of
+from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.objects import find_targets
 from knowarm.world.objects.families import (
@@ -35,7 +36,6 @@ from knowarm.world.objects.families import (
 )
 from knowarm.world.scene.mjcf import read_mjcf
 from knowarm.world.tasks.choose.choose import Families
-from knowarm.world.tasks.episodes import evaluation_episodes
 
 SPLITS = ("train", "S2", "S3a", "S3b", "S4", "S5")
 

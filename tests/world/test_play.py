@@ -4,8 +4,8 @@ import pytest
 from knowarm.world.agents.play import play
 from knowarm.world.agents.scripted import OracleAgent, RandomAgent, ZeroAgent
 from knowarm.world.config import EnvConfig
+from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.robots import ROBOTS
-from knowarm.world.tasks.episodes import evaluation_episodes
 from tests.world.helpers import MakeEnv
 
 

@@ -14,6 +14,7 @@ from knowarm.questions import find_rows, number_parts, object_of
 from knowarm.world.agents.play import play
 from knowarm.world.agents.scripted import OracleAgent
 from knowarm.world.config import EnvConfig, questions_of, scene_of
+from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.objects import PARTS, TARGETS
 from knowarm.world.robots import ROBOTS
@@ -21,7 +22,7 @@ from knowarm.world.scene.appearance import MARKED_RGB
 from knowarm.world.scene.scene import Scene, build_scene
 from knowarm.world.tasks.choose.choose import CHOOSE_TARGETS
 from knowarm.world.tasks.choose.purpose import Purpose
-from knowarm.world.tasks.episodes import Episodes, evaluation_episodes
+from knowarm.world.tasks.sampling import Episodes
 from tests.world.test_choose import PickingAgent
 
 FEW = tuple(name for name in PARTS if object_of(name) in ("bottle", "brush", "globe"))

@@ -9,9 +9,9 @@ from PIL import Image
 from knowarm.errors import UserError
 from knowarm.world.agents.scripted import OracleAgent
 from knowarm.world.config import EnvConfig
+from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.choose.choose import Choose
-from knowarm.world.tasks.episodes import evaluation_episodes
 from knowarm.world.viewing.record import record_episode, write_strip, write_video
 from tests.world.helpers import MakeEnv
 

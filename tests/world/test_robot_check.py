@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from knowarm.world.agents.teacher import GoalTable
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.own_robot.robot_check import check_agents, check_robot
+from knowarm.world.tasks.teacher import GoalTable
 from tests.world.helpers import EXAMPLES, write_robot
 
 

@@ -7,10 +7,10 @@ import pytest
 from knowarm.world.agents import OracleAgent
 from knowarm.world.agents.play import play
 from knowarm.world.config import EnvConfig
+from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.robots import ROBOTS
 from knowarm.world.scene.scene import Scene, _load_scene, load_scene, project
-from knowarm.world.tasks.episodes import evaluation_episodes
 from knowarm.world.tasks.reward import measure
 
 TARGETS = EnvConfig().targets

@@ -7,7 +7,7 @@ import knowarm
 from knowarm.errors import UserError
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.robots import ROBOTS
-from knowarm.world.tasks.running import ACTION_LEVELS
+from knowarm.world.tasks.state import ACTION_LEVELS
 from tests.world.helpers import MakeEnv
 
 ALL_MODES = (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED)

@@ -4,9 +4,9 @@ import pytest
 from benchmarks.sim_to_sim import LampRenderer
 from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig
+from knowarm.world.envs.episodes import draw_episodes, evaluation_episodes
 from knowarm.world.scene.appearance import VisualRandomization
 from knowarm.world.scene.scene import load_scene
-from knowarm.world.tasks.episodes import draw_episodes, evaluation_episodes
 from knowarm.world.tasks.held_out import HeldOut
 from tests.world.helpers import MakeEnv
 

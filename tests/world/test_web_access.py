@@ -15,9 +15,9 @@ import pytest
 from knowarm.errors import UserError
 from knowarm.world.agents import RandomAgent
 from knowarm.world.config import EnvConfig
+from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.scene.compose import CONTROL_PERIOD_S
-from knowarm.world.tasks.episodes import evaluation_episodes
 from knowarm.world.viewing import watch as watching
 from knowarm.world.viewing.watch import listen, refusal
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.errors import UserError
-from knowarm.world.tasks.running import ACTION_LEVELS
+from knowarm.world.tasks.state import ACTION_LEVELS
 
 Observations = Mapping[str, NDArray[Any]]
 

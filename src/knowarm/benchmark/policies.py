@@ -28,8 +28,9 @@ from knowarm.reading import reading
 from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
 from knowarm.world.agents.open_loop import FixedList
 from knowarm.world.config import facets_of, questions_of
+from knowarm.world.envs.running import joint_increments
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.tasks.running import ACTION_LEVELS, joint_increments
+from knowarm.world.tasks.state import ACTION_LEVELS
 
 INPUTS = ("image", "words", "graph", "simulator")
 """What a policy may use: the image, the query's words, a graph, the simulator's state."""

@@ -21,7 +21,7 @@ from knowarm.world.agents.open_loop import FixedList
 from knowarm.world.agents.play import play
 from knowarm.world.config import questions_of
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.tasks.episodes import Episodes
+from knowarm.world.tasks.sampling import Episodes
 
 FORMAT = 1
 Bits = NDArray[np.bool_]

@@ -20,7 +20,7 @@ from knowarm.knowledge import KnowledgeGraph
 from knowarm.knowledge.graph.builder import graph_of
 from knowarm.knowledge.queries.splits import Split
 from knowarm.world.config import EnvConfig
-from knowarm.world.tasks.episodes import Episodes
+from knowarm.world.tasks.sampling import Episodes
 
 FOLDER = Path(__file__).parent / "suites"
 

@@ -20,8 +20,8 @@ from knowarm.integrations.hub import pull_from_hub, push_to_hub
 from knowarm.integrations.record import record
 from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
 from knowarm.world.config import EnvConfig
+from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.tasks.episodes import evaluation_episodes
 
 
 @dataclass(frozen=True, kw_only=True)

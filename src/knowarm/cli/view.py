@@ -15,10 +15,10 @@ from knowarm.integrations.rerun import check_rrd, write_rrd
 from knowarm.pictures import check_suffix
 from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
 from knowarm.world.config import EnvConfig
+from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.robots import DEFAULT_ROBOT, find_robot
 from knowarm.world.tasks import task_type
-from knowarm.world.tasks.episodes import evaluation_episodes
 from knowarm.world.viewing.record import (
     check_video,
     record_episode,

@@ -15,8 +15,8 @@ from knowarm.perception.config import Unclear
 from knowarm.perception.grounding import centres
 from knowarm.perception.images import first_facets
 from knowarm.questions import ObjectColour
+from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.tasks.episodes import evaluation_episodes
 from knowarm.world.viewing.record import Frame, record_episode
 
 SCENES = 4_000

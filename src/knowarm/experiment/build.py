@@ -20,11 +20,11 @@ from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.seeding import torch_generator
 from knowarm.world.agents.play import EpisodeResults, play
 from knowarm.world.config import EnvConfig, facets_of, questions_of
+from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.torch_env import TorchArmVectorEnv
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.robots import find_robot
-from knowarm.world.tasks.episodes import evaluation_episodes
-from knowarm.world.tasks.running import ACTION_LEVELS
+from knowarm.world.tasks.state import ACTION_LEVELS
 
 
 @dataclass(frozen=True)

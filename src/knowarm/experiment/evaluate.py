@@ -34,8 +34,9 @@ from knowarm.reading import write_json, writing
 from knowarm.world.agents import AgentProtocol
 from knowarm.world.agents.play import EpisodeResults, play
 from knowarm.world.config import EnvConfig, facets_of, questions_of
+from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.tasks.episodes import Episodes, evaluation_episodes
+from knowarm.world.tasks.sampling import Episodes
 
 
 @dataclass(frozen=True, repr=False)

@@ -13,9 +13,9 @@ from PIL import Image, ImageSequence
 from knowarm.experiment.measures import AGAIN, EXCLUDED, NOT_REACHED
 from knowarm.reading import reading, replacing, writing
 from knowarm.world.agents.play import EpisodeResults
-from knowarm.world.lifting.lift import lift
 from knowarm.world.scene.scene import Scene
-from knowarm.world.tasks.episodes import Episodes
+from knowarm.world.tasks.lift.probe import lift
+from knowarm.world.tasks.sampling import Episodes
 
 EPISODE_COLUMNS = {
     "episode": ("int32", "index of the episode in the fixed list, from 0"),
@@ -37,7 +37,7 @@ FURTHER_COLUMNS = {
     "chance": ("float64", "share of right objects of an agent that picks one at random"),
     "chose_old_answer": ("bool", "whether it answered the query before the graph was edited"),
     "visible_answers": ("int64", "objects in the first image that answer, as the agent sees it"),
-    "lift": ("string", "how the lift of the object ended: see lifting.OUTCOMES"),
+    "lift": ("string", "how the lift of the object ended: see OUTCOMES of the lift test"),
     "lift_rise_m": ("float64", "rise of the object's centre of mass in the lift [m]"),
 }
 """Further columns of some evaluations; a task adds its own."""

@@ -8,8 +8,8 @@ import numpy as np
 
 from knowarm.measures import Columns, Measure
 from knowarm.statistics import Interval, bootstrap, wilson
-from knowarm.world.lifting.lift import OUTCOMES
 from knowarm.world.tasks import task_names, task_type
+from knowarm.world.tasks.lift.probe import OUTCOMES
 
 AGAIN = "Evaluate the run again."
 """Remedy for a damaged file of an evaluation."""

@@ -14,7 +14,7 @@ if TYPE_CHECKING:  # Configs are read where nothing else needs the simulator.
     from knowarm.world.agents import AgentProtocol
     from knowarm.world.agents.play import EpisodeResults
     from knowarm.world.envs.vector_env import ArmVectorEnv
-    from knowarm.world.tasks.episodes import Episodes
+    from knowarm.world.tasks.sampling import Episodes
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ class LiftProbe(BaseProbe):
 
     def check(self, env: "ArmVectorEnv") -> None:
         """Refuse tasks with solid objects, and robots without fingers."""
-        from knowarm.world.lifting.model import lifting_model
+        from knowarm.world.tasks.lift.model import lifting_model
 
         if env.config.task.solid:
             raise UserError("A lift test lifts where episodes of a task without solid objects end.")

@@ -20,7 +20,7 @@ from knowarm.learn.algorithms import MinibatchConfig
 from knowarm.learn.optimizer import PolicyOptimizer
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.tasks.running import ACTION_LEVELS
+from knowarm.world.tasks.state import ACTION_LEVELS
 
 WARM_UP_ROWS = 2
 """Rows of the training metrics that are not measured: the first updates compile."""

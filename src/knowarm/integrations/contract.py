@@ -32,9 +32,9 @@ from knowarm.perception.images import query_answers
 from knowarm.perception.module import digest
 from knowarm.reading import writing
 from knowarm.world.config import facets_of, scene_of
+from knowarm.world.envs.running import joint_increments
 from knowarm.world.scene.compose import CONTROL_PERIOD_S
 from knowarm.world.scene.scene import Scene, target_places
-from knowarm.world.tasks.running import joint_increments
 
 FORMAT = "knowarm-contract-1"
 WORKSPACE_MARGIN_M = 0.15

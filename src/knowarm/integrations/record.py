@@ -20,7 +20,7 @@ from knowarm.world.agents.play import play_steps
 from knowarm.world.agents.scripted import AgentProtocol
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.scene.compose import CONTROL_PERIOD_S
-from knowarm.world.tasks.episodes import Episodes
+from knowarm.world.tasks.sampling import Episodes
 
 VERSION = "v3.0"
 IMAGE, STATE, ACTION, LEVELS = "observation.image", "observation.state", "action", "action.levels"

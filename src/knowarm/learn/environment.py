@@ -75,7 +75,7 @@ class PrivilegedVectorEnv(TorchVectorEnv, Protocol):
     """
 
     privileged_columns: tuple[str, ...]
-    """Names of the D columns; see `knowarm.world.tasks.privileged.privileged_columns`."""
+    """Names of the D columns; see `knowarm.world.envs.privileged.privileged_columns`."""
     report_privileged_state: bool
     """Set by the trainer."""
 

@@ -14,9 +14,9 @@ from knowarm.errors import UserError
 from knowarm.world.agents.play import play
 from knowarm.world.agents.scripted import OracleAgent
 from knowarm.world.config import EnvConfig
+from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks import TASKS, VARIABLE, register_task, task_names, task_type
-from knowarm.world.tasks.episodes import evaluation_episodes
 from knowarm.world.tasks.reach import Reach
 from knowarm.world.tasks.task import Task
 

@@ -12,17 +12,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knowarm.world.agents.ik import InverseKinematics
 from knowarm.world.agents.open_loop_score import OpenLoopScore
 from knowarm.world.agents.play import play
 from knowarm.world.agents.scripted import OracleAgent
 from knowarm.world.cache import cache_file, read_arrays, write_arrays
 from knowarm.world.config import EnvConfig
+from knowarm.world.envs.episodes import draw_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.scene.scene import build_scene
-from knowarm.world.tasks.episodes import Episodes, draw_episodes
-from knowarm.world.tasks.running import ACTION_LEVELS
-from knowarm.world.tasks.sampling import derive
+from knowarm.world.tasks.ik import InverseKinematics
+from knowarm.world.tasks.sampling import Episodes, derive
+from knowarm.world.tasks.state import ACTION_LEVELS
 
 BUDGET = 20_000  # Candidates that a search scores: 13 s on one core with three targets
 SEARCH_EPISODES = 1_000  # Episodes on which candidates are scored

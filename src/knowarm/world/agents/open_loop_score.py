@@ -9,10 +9,10 @@ import numpy as np
 from knowarm.arrays import Floats, Integers, Mask
 from knowarm.compiling import njit
 from knowarm.world.config import EnvConfig, scene_of
+from knowarm.world.envs.running import joint_increments
 from knowarm.world.scene.compose import ROBOT_PREFIX
 from knowarm.world.scene.scene import Scene, target_places
-from knowarm.world.tasks.episodes import Episodes
-from knowarm.world.tasks.running import joint_increments
+from knowarm.world.tasks.sampling import Episodes
 
 
 class OpenLoopScore:

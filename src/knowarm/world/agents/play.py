@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from knowarm.world.agents.scripted import AgentProtocol
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.tasks.episodes import Episodes
+from knowarm.world.tasks.sampling import Episodes
 
 
 @dataclass(frozen=True, kw_only=True)

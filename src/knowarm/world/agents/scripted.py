@@ -5,11 +5,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from knowarm.world.agents.ik import InverseKinematics
-from knowarm.world.agents.lift_teacher import make_teacher
-from knowarm.world.agents.teacher import Teacher
+from knowarm.world.envs.running import joint_increments
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.tasks.running import ACTION_LEVELS, joint_increments
+from knowarm.world.tasks.ik import InverseKinematics
+from knowarm.world.tasks.lift.teacher import make_teacher
+from knowarm.world.tasks.state import ACTION_LEVELS
+from knowarm.world.tasks.teacher import Teacher
 
 APPROACH_M = 0.10  # Way of the gripper straight to the goal frame
 WAYPOINTS = 8  # Poses of this way

@@ -12,14 +12,15 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from knowarm.errors import UserError
-from knowarm.world.agents.lift_teacher import make_teacher
-from knowarm.world.agents.teacher import Teacher
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.arguments import check_action_range
+from knowarm.world.envs.privileged import privileged_columns, privileged_state
+from knowarm.world.envs.running import RunningEpisodes, make_simulator
 from knowarm.world.envs.vector_env import describe, draw_images
 from knowarm.world.render.renderer import Renderer, make_renderer
-from knowarm.world.tasks.privileged import privileged_columns, privileged_state
-from knowarm.world.tasks.running import ACTION_LEVELS, RunningEpisodes, make_simulator
+from knowarm.world.tasks.lift.teacher import make_teacher
+from knowarm.world.tasks.state import ACTION_LEVELS
+from knowarm.world.tasks.teacher import Teacher
 
 
 class TorchArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
@@ -55,7 +56,7 @@ class TorchArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         renderer: draws the observations.
         facets: as those of ``ArmVectorEnv``.
         privileged_columns: names of the D columns of the privileged state, with their meaning in
-            `knowarm.world.tasks.privileged.privileged_columns`.
+            `knowarm.world.envs.privileged.privileged_columns`.
         report_final_observations: whether these images are drawn; True until a trainer that does
             not look at them clears it.
         report_privileged_state: whether infos contain the privileged state before resets; False

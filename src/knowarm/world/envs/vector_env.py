@@ -11,9 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig, scene_of
 from knowarm.world.envs.arguments import check_state, checked_actions
+from knowarm.world.envs.running import RunningEpisodes, make_simulator
 from knowarm.world.render.renderer import Renderer, make_renderer
 from knowarm.world.scene.scene import Scene
-from knowarm.world.tasks.running import ACTION_LEVELS, RunningEpisodes, make_simulator
+from knowarm.world.tasks.state import ACTION_LEVELS
 
 RENDER_SIZE = 480  # Width and height of the images that ``render`` returns [px]
 Step = tuple[

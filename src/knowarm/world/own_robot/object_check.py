@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from knowarm.errors import UserError
 from knowarm.questions import object_of
-from knowarm.world.agents.ik import InverseKinematics
 from knowarm.world.backend import MujocoSimulator
 from knowarm.world.config import EnvConfig, scene_of
 from knowarm.world.own_robot.robot_check import (
@@ -23,6 +22,7 @@ from knowarm.world.render.renderer import make_renderer
 from knowarm.world.scene.appearance import TargetColours, resting_colours
 from knowarm.world.scene.scene import Scene, target_places
 from knowarm.world.tasks import task_type
+from knowarm.world.tasks.ik import InverseKinematics
 
 PLACES = 4  # Positions per side of the grid over the rectangle at which objects are checked
 MIN_DIFFERENT = 6

@@ -13,15 +13,16 @@ from PIL import Image, ImageDraw
 from knowarm.arrays import Floats, Integers
 from knowarm.errors import UserError
 from knowarm.world.agents import OpenLoopAgent, OracleAgent
-from knowarm.world.agents.ik import IKSolution, InverseKinematics
 from knowarm.world.agents.play import play
 from knowarm.world.config import EnvConfig
+from knowarm.world.envs.episodes import evaluation_episodes
+from knowarm.world.envs.running import joint_increments
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.render.renderer import make_renderer
 from knowarm.world.scene.appearance import TargetColours, resting_colours
 from knowarm.world.scene.scene import Scene, project, target_places
-from knowarm.world.tasks.episodes import evaluation_episodes
-from knowarm.world.tasks.running import ACTION_LEVELS, joint_increments
+from knowarm.world.tasks.ik import IKSolution, InverseKinematics
+from knowarm.world.tasks.state import ACTION_LEVELS
 
 MJCF_SUFFIXES = (".xml", ".mjcf")
 """Files with these suffixes hold a bare model, for which a description is drafted."""

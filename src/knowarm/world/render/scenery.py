@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from knowarm.errors import UserError, unknown_name
 from knowarm.world.render.intersections import MESH, SUPPORTED
 from knowarm.world.render.mesh_simplification import Mesh, simplified, unit_normals
+from knowarm.world.scene.appearance import geom_colours
 
-DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)  # A geom with this colour takes its material's
 MIN_NORMAL_COSINE = 0.25
 """Below this cosine between a corner's and its triangle's normal the corner's is replaced."""
 
@@ -161,28 +161,6 @@ def _without_twins(model: mujoco.MjModel, drawn: NDArray[np.int64]) -> NDArray[n
 def _is_fixed(model: mujoco.MjModel, body: int) -> bool:
     """Tell whether a body is permanently welded to the world (a mocap body is not)."""
     return bool(model.body_weldid[body] == 0 and model.body_mocapid[model.body_rootid[body]] < 0)
-
-
-def _material_colours(model: mujoco.MjModel) -> NDArray[np.float32]:
-    """Return the colours of the materials, (materials, 4): with a texture, times its mean."""
-    colours = model.mat_rgba.astype(np.float32)
-    for m, texture in enumerate(model.mat_texid[:, int(mujoco.mjtTextureRole.mjTEXROLE_RGB)]):
-        if texture >= 0:
-            channels = model.tex_nchannel[texture]
-            first = model.tex_adr[texture]
-            size = channels * model.tex_width[texture] * model.tex_height[texture]
-            texels = model.tex_data[first : first + size].reshape(-1, channels)
-            colours[m, :3] *= texels[:, : min(3, channels)].mean(axis=0) / 255
-    return colours
-
-
-def geom_colours(model: mujoco.MjModel) -> NDArray[np.float32]:
-    """Return the colours as MuJoCo draws them, (G, 4): the geom's own, or its material's."""
-    colours = model.geom_rgba.astype(np.float32)
-    default = (model.geom_rgba == np.array(DEFAULT_RGBA, dtype=np.float32)).all(axis=1)
-    from_material = (model.geom_matid >= 0) & default
-    colours[from_material] = _material_colours(model)[model.geom_matid[from_material]]
-    return colours
 
 
 def _read_meshes(

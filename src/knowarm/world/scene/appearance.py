@@ -4,16 +4,17 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from knowarm.arrays import Floats, Integers
 from knowarm.errors import UserError
-from knowarm.world.render.scenery import geom_colours
 from knowarm.world.scene.scene import Scene
 
 MAX_DISTRACTORS = 4
+DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)  # A geom with this colour takes its material's
 FIXED_DRAWS, DRAWS_PER_DISTRACTOR = 16, 5
 """Uniform draws per episode: those always made, and two for the position and three for the colour
 of each distractor."""
@@ -63,6 +64,28 @@ class VisualRandomization:
         """Number of uniform draws per episode; 0 when everything is off."""
         off = self == VisualRandomization()
         return 0 if off else FIXED_DRAWS + DRAWS_PER_DISTRACTOR * self.distractors
+
+
+def _material_colours(model: mujoco.MjModel) -> NDArray[np.float32]:
+    """Return the colours of the materials, (materials, 4): with a texture, times its mean."""
+    colours = model.mat_rgba.astype(np.float32)
+    for m, texture in enumerate(model.mat_texid[:, int(mujoco.mjtTextureRole.mjTEXROLE_RGB)]):
+        if texture >= 0:
+            channels = model.tex_nchannel[texture]
+            first = model.tex_adr[texture]
+            size = channels * model.tex_width[texture] * model.tex_height[texture]
+            texels = model.tex_data[first : first + size].reshape(-1, channels)
+            colours[m, :3] *= texels[:, : min(3, channels)].mean(axis=0) / 255
+    return colours
+
+
+def geom_colours(model: mujoco.MjModel) -> NDArray[np.float32]:
+    """Return the colours as MuJoCo draws them, (G, 4): the geom's own, or its material's."""
+    colours = model.geom_rgba.astype(np.float32)
+    default = (model.geom_rgba == np.array(DEFAULT_RGBA, dtype=np.float32)).all(axis=1)
+    from_material = (model.geom_matid >= 0) & default
+    colours[from_material] = _material_colours(model)[model.geom_matid[from_material]]
+    return colours
 
 
 def resting_colours(scene: Scene, num_envs: int) -> NDArray[np.float32]:

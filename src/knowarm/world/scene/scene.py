@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from knowarm.errors import UserError
 from knowarm.reading import one_line
 from knowarm.world.description import SUFFIX
-from knowarm.world.lifting.model import FINGERS, TASK_TIMESTEP_S, LiftingModel, lifting_model
 from knowarm.world.objects import find_targets
 from knowarm.world.objects.target import Target
 from knowarm.world.robots import find_robot
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.compose import CAMERA, DISTRACTOR, ROBOT_PREFIX, compose
+from knowarm.world.tasks.lift.model import FINGERS, TASK_TIMESTEP_S, LiftingModel, lifting_model
 
 ENDLESS_RANGE_RAD = (-2 * np.pi, 2 * np.pi)  # Range of hinges that have none of their own [rad]
 

@@ -22,7 +22,7 @@ VARIABLE = "KNOWARM_TASKS"
 
 TASKS: dict[str, str] = {
     "reach": "knowarm.world.tasks.reach:Reach",
-    "lift": "knowarm.world.tasks.lift:Lift",
+    "lift": "knowarm.world.tasks.lift.lift:Lift",
     "choose": "knowarm.world.tasks.choose.choose:Choose",
     "purpose": "knowarm.world.tasks.choose.purpose:Purpose",
     "families": "knowarm.world.tasks.choose.choose:Families",

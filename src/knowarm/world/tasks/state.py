@@ -12,6 +12,10 @@ if TYPE_CHECKING:  # Configs are read where nothing else needs MuJoCo.
     from knowarm.world.scene.scene import Scene
 
 
+ACTION_LEVELS = (0.0, 1.0, -1.0, 0.1, -0.1, 0.01, -0.01)
+"""Joint increments of the seven actions, in units of MPI (paper, table 1)."""
+
+
 class EpisodeState:
     """State of n running episodes with m visible objects each, of which the first is the goal.
 
@@ -28,6 +32,7 @@ class EpisodeState:
     ignore_roll: bool  # Whether angles ignore the rotation about the approach axis
     limits: Floats  # Thresholds of distance and angle in the config, (2,) [m, deg]
     thresholds: Floats  # The same times the curriculum's factor, (2,) [m, deg]
+    increments: Floats  # Joint increment of each action level [rad] (slides: [m]), (7,)
     steps: Integers  # Steps played in the current episode, (n,)
     joint_targets: Floats  # Joint angles that the servos track, (n, J) [rad]; actions add to them
     objects: Integers  # Indices of the visible objects into the config's targets, (n, m)

@@ -15,7 +15,7 @@ from knowarm.reading import replacing
 from knowarm.world.agents.play import play_steps
 from knowarm.world.agents.scripted import AgentProtocol
 from knowarm.world.envs.vector_env import RENDER_SIZE, ArmVectorEnv
-from knowarm.world.tasks.episodes import Episodes
+from knowarm.world.tasks.sampling import Episodes
 
 FRAMES_PER_S = 10  # Frames per second of the video: one per step, the speed of the real robot
 _LAST_FRAMES = 10

@@ -21,7 +21,7 @@ from knowarm.world.agents.scripted import AgentProtocol
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.scene.appearance import TargetColours
 from knowarm.world.scene.compose import CONTROL_PERIOD_S
-from knowarm.world.tasks.episodes import Episodes
+from knowarm.world.tasks.sampling import Episodes
 
 ADDRESS = "127.0.0.1"  # The loopback interface, which other machines cannot reach
 PORTS = range(8080, 8180)  # Ports that are tried if none is given

@@ -6,11 +6,11 @@ from typing import cast
 import numpy as np
 
 from knowarm.arrays import Floats, Integers
-from knowarm.world.agents.teacher import PRACTICE_NOISE, GoalTable, Teacher
-from knowarm.world.lifting.model import SQUEEZE_M
-from knowarm.world.lifting.simulator import LiftSimulator
-from knowarm.world.tasks.episodes import Episodes
-from knowarm.world.tasks.running import RunningEpisodes
+from knowarm.world.envs.running import RunningEpisodes
+from knowarm.world.tasks.lift.model import SQUEEZE_M
+from knowarm.world.tasks.lift.simulator import LiftSimulator
+from knowarm.world.tasks.sampling import Episodes
+from knowarm.world.tasks.teacher import PRACTICE_NOISE, GoalTable, Teacher
 
 APPROACH_M = (0.07, 0.035)  # Distances of the poses of the approach from the grasp frame
 OVER_M = 0.05  # Height of the first pose above the start of the approach

@@ -13,18 +13,18 @@ from knowarm.experiment.names import experiment_config
 from knowarm.experiment.probes import LiftProbe
 from knowarm.world.agents import OpenLoopAgent, OracleAgent, ZeroAgent
 from knowarm.world.agents import open_loop as open_loop_module
-from knowarm.world.agents.lift_teacher import LiftTeacher
 from knowarm.world.agents.play import play
-from knowarm.world.agents.teacher import COARSE_LEVELS
 from knowarm.world.config import EnvConfig, scene_of
+from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.torch_env import TorchArmVectorEnv
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.lifting.model import TASK_TIMESTEP_S
 from knowarm.world.objects import find_targets
 from knowarm.world.robots import ROBOTS
 from knowarm.world.scene.scene import build_scene
-from knowarm.world.tasks.episodes import evaluation_episodes
-from knowarm.world.tasks.lift import FALLEN_M, LOST_M, Lift
+from knowarm.world.tasks.lift.lift import FALLEN_M, LOST_M, Lift
+from knowarm.world.tasks.lift.model import TASK_TIMESTEP_S
+from knowarm.world.tasks.lift.teacher import LiftTeacher
+from knowarm.world.tasks.teacher import COARSE_LEVELS
 from knowarm.world.viewing.watch import _copy_pose
 
 COUNT = 16

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from knowarm.arrays import Floats, Integers, Mask
 from knowarm.cores import available_cores
 from knowarm.questions import object_of
-from knowarm.world.agents.ik import InverseKinematics
-from knowarm.world.lifting.model import FINGERS, SUBSTEPS, LiftingModel, lifting_model
 from knowarm.world.scene.scene import Scene
+from knowarm.world.tasks.ik import InverseKinematics
+from knowarm.world.tasks.lift.model import FINGERS, SUBSTEPS, LiftingModel, lifting_model
 
 CLOSE_STEPS, LIFT_STEPS, HOLD_STEPS = 10, 20, 20  # Control periods of .1 s
 LIFT_M = 0.10  # Way of the gripper upwards

@@ -1,60 +1,13 @@
-"""Episodes as data: how they start, and how they are drawn from streams of random numbers."""
-
-from dataclasses import dataclass, fields
-from typing import Self
+"""Drawing of episodes from streams of random numbers."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from knowarm.arrays import Floats, Integers, Mask, Names
 from knowarm.world.config import EnvConfig, setting_of
-from knowarm.world.tasks.sampling import derive, uniforms
+from knowarm.world.tasks.sampling import Episodes, derive, uniforms
 
 _JOINTS = 4
 """Number of the first draw of the joint offsets; those before it are the task's."""
-
-
-@dataclass(frozen=True)
-class Episodes:
-    """Start conditions of n episodes, drawn before they are played; a fixed test set is a value.
-
-    m objects are visible; the first is the one to reach.
-    """
-
-    joint_offsets: Floats
-    """Start angle of each joint relative to home [rad], (n, J)."""
-    objects: Integers
-    """Indices of the visible objects into the config's targets, (n, m)."""
-    colours: Integers
-    """Indices into the colours of these, (n, m)."""
-    positions: Floats
-    """x and y of these [m], (n, m, 2)."""
-    question: Names
-    """Query that the episode asks, (n,), as "usedFor drinking"; empty without questions."""
-    look: Floats
-    """Uniform draws for the visual randomization, (n, L); L = 0 without any."""
-
-    @property
-    def target(self) -> Integers:
-        """Index of the object to reach, (n,)."""
-        return self.objects[:, 0]
-
-    @property
-    def colour(self) -> Integers:
-        """Index into its colours, (n,)."""
-        return self.colours[:, 0]
-
-    @property
-    def position(self) -> Floats:
-        """Its x and y [m], (n, 2)."""
-        return self.positions[:, 0]
-
-    def __len__(self) -> int:
-        return len(self.objects)
-
-    def __getitem__(self, index: slice | NDArray[np.intp] | Mask) -> Self:
-        """Select episodes by a slice or an index array."""
-        return type(self)(*(getattr(self, field.name)[index] for field in fields(self)))
 
 
 class EpisodeSource:

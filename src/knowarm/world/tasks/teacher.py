@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.arrays import Floats, Integers
-from knowarm.world.agents.ik import REACHED_M, IKSolution, InverseKinematics
 from knowarm.world.config import scene_of
+from knowarm.world.envs.running import RunningEpisodes, joint_increments
 from knowarm.world.scene.scene import target_places
-from knowarm.world.tasks.episodes import Episodes
-from knowarm.world.tasks.running import ACTION_LEVELS, RunningEpisodes, joint_increments
-from knowarm.world.tasks.sampling import derive, uniforms
+from knowarm.world.tasks.ik import REACHED_M, IKSolution, InverseKinematics
+from knowarm.world.tasks.sampling import Episodes, derive, uniforms
+from knowarm.world.tasks.state import ACTION_LEVELS
 
 log = logging.getLogger("knowarm.world")
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from knowarm.arrays import Floats
-from knowarm.world.tasks.running import RunningEpisodes
+from knowarm.world.envs.running import RunningEpisodes
 
 
 def privileged_columns(state: RunningEpisodes) -> tuple[str, ...]:

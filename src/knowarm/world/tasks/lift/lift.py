@@ -13,7 +13,7 @@ from knowarm.world.tasks.state import EpisodeState
 from knowarm.world.tasks.task import Task
 
 if TYPE_CHECKING:  # Configs are read where nothing else needs MuJoCo.
-    from knowarm.world.lifting.simulator import LiftSimulator
+    from knowarm.world.tasks.lift.simulator import LiftSimulator
 
 GRIP_REWARD, RISE_REWARD = 1.0, 4.0
 LOST_M = 0.15  # Way of the object along the support after which an episode ends

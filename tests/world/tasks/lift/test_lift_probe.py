@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from knowarm.errors import UserError
-from knowarm.world.lifting import model as lifting_model_module
-from knowarm.world.lifting.lift import LIFT_M, WAYPOINTS, lift, plan_lifts
-from knowarm.world.lifting.model import OBJECT_BIT, lifting_model
 from knowarm.world.objects import PARTS, TARGETS
 from knowarm.world.robots import ROBOTS
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.compose import compose
 from knowarm.world.scene.scene import build_scene
+from knowarm.world.tasks.lift import model as lifting_model_module
+from knowarm.world.tasks.lift.model import OBJECT_BIT, lifting_model
+from knowarm.world.tasks.lift.probe import LIFT_M, WAYPOINTS, lift, plan_lifts
 
 GANTRY = """
 <mujoco><worldbody><body name="x"><joint name="x" type="slide" axis="1 0 0" range="-1 1"/>

@@ -12,15 +12,13 @@ from knowarm.questions import find_rows
 from knowarm.world.backend import MujocoSimulator
 from knowarm.world.config import EnvConfig, scene_of, setting_of
 from knowarm.world.envs.arguments import check_state, masked_ids, spread_seeds
-from knowarm.world.lifting.simulator import LiftSimulator
+from knowarm.world.envs.episodes import EpisodeSource
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.appearance import AppearanceSource, Shown
-from knowarm.world.tasks.episodes import Episodes, EpisodeSource
+from knowarm.world.tasks.lift.simulator import LiftSimulator
 from knowarm.world.tasks.reward import measure
-from knowarm.world.tasks.state import EpisodeState
-
-ACTION_LEVELS = (0.0, 1.0, -1.0, 0.1, -0.1, 0.01, -0.01)
-"""Joint increments of the seven actions, in units of MPI (paper, table 1)."""
+from knowarm.world.tasks.sampling import Episodes
+from knowarm.world.tasks.state import ACTION_LEVELS, EpisodeState
 
 _STATE = (
     "streams",
@@ -105,7 +103,7 @@ class RunningEpisodes(EpisodeState):
         self._appearance = AppearanceSource(scene, config.randomization, task.paints_goal)
         first = [[name for name, _ in self.facets].index(target.name) for target in scene.targets]
         self._first_facet = np.array(first, dtype=np.int64)
-        self._increments = joint_increments(scene.robot, config)
+        self.increments = joint_increments(scene.robot, config)
         self.grasp_rotation = scene.grasp_matrix.reshape(-1, 9)
         self.streams = np.random.SeedSequence().generate_state(n, np.uint64).astype(np.uint64)
         self.next_episode = np.zeros(n, dtype=np.uint64)
@@ -179,7 +177,7 @@ class RunningEpisodes(EpisodeState):
     def move(self, levels: NDArray[np.int64]) -> None:
         """Add the increments of actions (n, J) to the joint targets and simulate one step."""
         lower, upper = self.scene.joint_lower, self.scene.joint_upper
-        self.joint_targets = (self.joint_targets + self._increments[levels]).clip(lower, upper)
+        self.joint_targets = (self.joint_targets + self.increments[levels]).clip(lower, upper)
         self.simulator.step(self.joint_targets)
         self.steps = self.steps + 1
         self._measure()

@@ -1,1 +1,0 @@
-"""Lift test: whether a gripper that closes where an episode ended holds the object."""
