@@ -22,8 +22,7 @@ from knowarm.world.objects import PARTS, TARGETS
 from knowarm.world.scene.scene import Scene, load_scene, target_places
 from knowarm.world.tasks.choose.choose import CHOOSE_TARGETS
 from knowarm.world.tasks.ik import InverseKinematics
-from knowarm.world.tasks.lift.model import lifting_model
-from knowarm.world.tasks.lift.probe import LiftTrial, lift, plan_lifts
+from knowarm.world.tasks.lift.probe import LiftTrial, build_trial_scene, lift, plan_lifts
 
 SEED = 7
 APPROACH_M, POSES = 0.12, 6  # Way to the grasp frame, and poses on it
@@ -79,8 +78,8 @@ def film(robot: str, targets: list[str], path: Path) -> None:
         scene = scene_of(robot, target)
         position = np.array(scene.robot.rectangle_centre_m)[None]
         paths, _ = straight_paths(scene, position)
-        trial = LiftTrial(lifting_model(scene.robot, scene.targets), 1)
-        model = trial.lifting.model
+        trial = LiftTrial(build_trial_scene(scene.robot, scene.targets), 1)
+        model = trial.simulator.scene.model
         renderer, frames, data = mujoco.Renderer(model, 240, 240), [], mujoco.MjData(model)
         camera = mujoco.MjvCamera()
         camera.lookat = target_places(scene, position)[0] + scene.grasp_position[0]
@@ -88,7 +87,7 @@ def film(robot: str, targets: list[str], path: Path) -> None:
         upward = plan_lifts(scene, paths[:, -1])
         for step, _ in enumerate(trial.play(list(paths), upward, position[:, None])):
             if any(abs(step / 10 - at) < 0.01 for at in SHOWN_S):
-                trial.batch.get_data(0, data)
+                trial.simulator.batch.get_data(0, data)
                 mujoco.mj_forward(model, data)
                 renderer.update_scene(data, camera)
                 frames.append(renderer.render().copy())

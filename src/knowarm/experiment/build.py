@@ -133,7 +133,7 @@ def build(config: ExperimentConfig) -> Parts:
         table = embedding.table(facets)
     grounded = config.grounding is not None
     shape = PolicyShape(
-        joints=len(find_robot(config.env.robot).joints) + config.env.task.solid,
+        joints=len(config.env.task.joint_names(find_robot(config.env.robot))),
         levels=len(ACTION_LEVELS),
         image_size=config.env.image_size,
         knowledge_dim=FRAME if grounded else embedding.dim,

@@ -137,12 +137,16 @@ class LiftProbe(BaseProbe):
     kind: Literal["lift"] = "lift"
 
     def check(self, env: "ArmVectorEnv") -> None:
-        """Refuse tasks with solid objects, and robots without fingers."""
-        from knowarm.world.tasks.lift.model import lifting_model
+        """Refuse tasks whose actions move fingers, and robots without fingers."""
+        from knowarm.world.tasks.lift.probe import build_trial_scene
 
-        if env.config.task.solid:
-            raise UserError("A lift test lifts where episodes of a task without solid objects end.")
-        lifting_model(env.scene.robot, env.scene.targets[:1])
+        robot = env.scene.robot
+        if env.scene.joint_names != robot.joints:
+            raise UserError(
+                "A lift test lifts where episodes of a task end that moves the arm only; the task "
+                f"{env.config.task.kind_of()!r} moves the fingers. Leave out the lift test."
+            )
+        build_trial_scene(robot, env.scene.targets[:1])
 
     def measure(self, played: Played, found: Findings) -> None:
         """Add how the lift of every successful episode ended."""

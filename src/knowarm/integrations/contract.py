@@ -121,7 +121,8 @@ def deployment(trained: TrainedAgent) -> Deployment:
             "The policy's knowledge comes from the simulator, which no robot has; export an agent "
             "with a knowledge table, a perception module or a grounding network."
         )
-    if env.task.solid:
+    scene = scene_of(env)
+    if scene.joint_names != scene.robot.joints:
         raise UserError(
             f"Policies of the task {env.task.kind_of()!r} close fingers, which deployments "
             "cannot do. Export a policy of another task."
@@ -137,7 +138,6 @@ def deployment(trained: TrainedAgent) -> Deployment:
             "digest": digest(module.to_bytes()),
             "when": "in the first image of an episode",
         }
-    scene = scene_of(env)
     contract = {
         "format": FORMAT,
         "origin": {

@@ -44,7 +44,6 @@ class MujocoSimulator:
         self._qpos = self.batch.bind("qpos")
         self._qvel = self.batch.bind("qvel")
         self._ctrl = self.batch.bind("ctrl")
-        self._servo_joint = np.arange(model.nu).clip(max=scene.num_joints - 1)
         self._warmstart = self.batch.bind("qacc_warmstart")
         self._mocap = self.batch.bind("mocap_pos")
         self._site_position = self.batch.bind("site_xpos")
@@ -85,9 +84,7 @@ class MujocoSimulator:
         self._qvel[ids] = 0.0
         self._warmstart[ids] = 0.0
         self._set_servos(ids, joint_targets)
-        if self.scene.lifting is None:
-            places = target_places(self.scene, target_position)
-            self._mocap[ids[:, None], self.scene.target_mocap] = places
+        self._place_targets(ids, target_position, visible)
         if distractor_position is not None:
             at = ids[:, None], self.scene.distractor_mocap
             self._mocap[(*at, slice(2))] = distractor_position
@@ -115,6 +112,10 @@ class MujocoSimulator:
         self.batch.state[:] = state
         self.batch.forward(stage=self._stage)
 
+    def _place_targets(self, ids: NDArray[np.intp], position: Floats, visible: Mask | None) -> None:
+        """Put the targets on their support; see `reset`."""
+        places = target_places(self.scene, position)
+        self._mocap[ids[:, None], self.scene.target_mocap] = places
+
     def _set_servos(self, ids: NDArray[np.intp] | slice, joint_targets: Floats) -> None:
-        """Set the servos' targets; further servos, of the second finger, follow the last joint."""
-        self._ctrl[ids] = joint_targets[:, self._servo_joint]
+        self._ctrl[ids] = joint_targets

@@ -12,6 +12,7 @@ from knowarm.world.scene.appearance import VisualRandomization
 from knowarm.world.scene.scene import Scene, load_scene
 from knowarm.world.tasks import task_names, task_type
 from knowarm.world.tasks.held_out import HeldOut
+from knowarm.world.tasks.reward import SUCCESS_ANGLE_DEG
 from knowarm.world.tasks.sampling import Colours, Setting, list_facets
 from knowarm.world.tasks.task import Task
 
@@ -41,7 +42,7 @@ class EnvConfig:
     """Steps after which an episode is truncated. 0: the task's, 50 as in the paper or more."""
     success_distance_m: float = 0.05
     """Distance from gripper to grasp point below which a target counts as reached [m]."""
-    success_angle_deg: float = 15.0
+    success_angle_deg: float = SUCCESS_ANGLE_DEG
     """Angle between gripper and grasp frame below which a target counts as reached [deg]."""
     ignore_roll: bool = False
     """Ignore the rotation about the approach axis in the angle."""
@@ -93,11 +94,11 @@ class EnvConfig:
                 f"{len(self.targets)}; all objects of an episode are different. Name more targets "
                 "or show fewer objects."
             )
-        if task.solid and self.dynamics == "kinematic":
+        if self.dynamics not in task.dynamics:
             raise UserError(
-                f"The task {task.kind_of()!r} is one of contacts, which kinematic dynamics do not "
-                "simulate. Take ",
-                Argument("env.dynamics", "dynamic"),
+                f"The task {task.kind_of()!r} cannot be simulated with {self.dynamics} dynamics. "
+                "Take ",
+                Argument("env.dynamics", task.dynamics[0]),
                 ".",
             )
         for name, used in (
@@ -111,11 +112,10 @@ class EnvConfig:
                 )
 
 
-def scene_of(config: EnvConfig, *, solid: bool | None = None) -> Scene:
-    """Load the scene of a config; ``solid`` replaces whether the task's objects are solid."""
+def scene_of(config: EnvConfig) -> Scene:
+    """Load the scene of a config."""
     distractors, task = config.randomization.distractors, config.task
-    solid = task.solid if solid is None else solid
-    return load_scene(config.robot, config.targets, distractors, task.area, solid)
+    return load_scene(config.robot, config.targets, distractors, task.area, task.build_scene)
 
 
 def setting_of(config: EnvConfig) -> Setting:

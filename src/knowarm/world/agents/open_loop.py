@@ -43,7 +43,7 @@ LEVEL_ODDS = np.array([0.25, 0.3, 0.3, 0.05, 0.05, 0.025, 0.025])
 """How often a mutation draws each action: rarely the small ones, which hardly move the arm."""
 
 REPLAYED_LISTS, REPLAYED_EPISODES = 12, 48
-"""Lists that are replayed where objects are solid, and episodes in which each is played."""
+"""Lists that are replayed where contacts matter, and episodes in which each is played."""
 
 REVISION = 1  # Part of the cache's key; to be increased with every change of the results
 Actions = NDArray[np.int64]  # A list of actions: indices into ``ACTION_LEVELS``, (T, J)
@@ -86,7 +86,7 @@ def search_open_loop(config: EnvConfig, budget: int = BUDGET, seed: int = 0) -> 
     """Search for the fixed list of actions, (T, J), that solves most episodes of a task.
 
     The list is kept in the user's cache, where the next search of the same task finds it, unless
-    objects are solid.
+    contacts matter.
 
     A third of the budget builds tours through joint angles that grasp the targets at anchor places:
     a beam search over the number of steps, which keeps the best tours for each set of targets that
@@ -94,10 +94,10 @@ def search_open_loop(config: EnvConfig, budget: int = BUDGET, seed: int = 0) -> 
     better half goes on. Candidates, whole lists or segments of a tour, are scored with exact joint
     angles (``dynamics="kinematic"``).
 
-    Where objects are solid, the candidates are the lists by which the oracle solves
-    ``REPLAYED_LISTS`` episodes, played in ``REPLAYED_EPISODES``.
+    In a task without kinematic dynamics, where contacts matter, the candidates are the lists by
+    which the oracle solves ``REPLAYED_LISTS`` episodes, played in ``REPLAYED_EPISODES``.
     """
-    if config.task.solid:
+    if "kinematic" not in config.task.dynamics:
         return _best_replayed(config, _episodes(config, REPLAYED_EPISODES, seed))
     score = OpenLoopScore(config, _episodes(config, SEARCH_EPISODES, seed))
     goal = _anchor_goals(score)

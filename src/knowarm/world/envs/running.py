@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from knowarm.errors import UserError
 from knowarm.questions import find_rows
 from knowarm.world.backend import MujocoSimulator
-from knowarm.world.config import EnvConfig, scene_of, setting_of
+from knowarm.world.config import EnvConfig, setting_of
 from knowarm.world.envs.arguments import check_state, masked_ids, spread_seeds
 from knowarm.world.envs.episodes import EpisodeSource
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.appearance import AppearanceSource, Shown
-from knowarm.world.tasks.lift.simulator import LiftSimulator
+from knowarm.world.scene.scene import target_places
 from knowarm.world.tasks.reward import measure
 from knowarm.world.tasks.sampling import Episodes
 from knowarm.world.tasks.state import ACTION_LEVELS, EpisodeState
@@ -40,14 +40,6 @@ def joint_increments(robot: Robot, config: EnvConfig) -> NDArray[np.float64]:
     return mpi_rad * np.array(ACTION_LEVELS)
 
 
-def make_simulator(config: EnvConfig, num_envs: int, num_threads: int) -> MujocoSimulator:
-    """Make the physics of n environments; 0 threads are one per core."""
-    scene = scene_of(config)
-    if config.task.solid:
-        return LiftSimulator(scene, num_envs, num_threads)
-    return MujocoSimulator(scene, num_envs, num_threads, config.dynamics)
-
-
 class Outcome(NamedTuple):
     """How a step went, (n,) each."""
 
@@ -68,7 +60,7 @@ ChangeEpisodes = Callable[[Episodes, NDArray[np.uint64], NDArray[np.uint64]], Ep
 """Changes episodes (k,), given their streams and numbers."""
 
 
-class RunningEpisodes(EpisodeState):
+class RunningEpisodes(EpisodeState[MujocoSimulator]):
     """n environments in which an arm plays the episodes of a task.
 
     The order of a step is ``move`` -> ``outcome`` -> ``start_next`` for what has ended. Images are
@@ -137,6 +129,13 @@ class RunningEpisodes(EpisodeState):
     def knowledge_input(self) -> NDArray[np.int64]:
         """Row of the knowledge table for each current episode, (n,) int64: facet, or query."""
         return self.task.knowledge_input(self)
+
+    def goal_frames(
+        self, objects: NDArray[np.int64], places: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the goal frames of objects (k,) at places (k, 2) [m]: (k, 3) [m] and (k, 9)."""
+        grasp = target_places(self.scene, places) + self.scene.grasp_position[objects]
+        return self.task.goal(self.scene, objects, grasp, self.grasp_rotation[objects])
 
     def instruct(self, env_id: int) -> str:
         """Return the goal of an environment's episode as a policy may know it; see `Task`."""
@@ -269,12 +268,7 @@ class RunningEpisodes(EpisodeState):
     def _refresh(self, ids: NDArray[np.intp]) -> NDArray[np.float64] | None:
         """Recompute goals and appearance; return distractor positions, (k, D, 2) [m]."""
         objects = self.objects[ids]
-        position, matrix = self.task.goal(
-            self.scene,
-            objects[:, 0],
-            self.grasp_positions(ids)[:, 0],
-            self.grasp_rotation[objects[:, 0]],
-        )
+        position, matrix = self.goal_frames(objects[:, 0], self.positions[ids, 0])
         self.goal_position = _put(self.goal_position, ids, position)
         self.goal_matrix = _put(self.goal_matrix, ids, matrix)
         shown = self._appearance(objects, self.colours[ids], self.positions[ids, 0], self.look[ids])

@@ -15,12 +15,11 @@ from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.arguments import check_action_range
 from knowarm.world.envs.privileged import privileged_columns, privileged_state
-from knowarm.world.envs.running import RunningEpisodes, make_simulator
+from knowarm.world.envs.running import RunningEpisodes
 from knowarm.world.envs.vector_env import describe, draw_images
 from knowarm.world.render.renderer import Renderer, make_renderer
-from knowarm.world.tasks.lift.teacher import make_teacher
-from knowarm.world.tasks.state import ACTION_LEVELS
-from knowarm.world.tasks.teacher import Teacher
+from knowarm.world.tasks.state import ACTION_LEVELS, nearest_levels
+from knowarm.world.tasks.teacher import COARSE_LEVELS, Teacher
 
 
 class TorchArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
@@ -75,7 +74,7 @@ class TorchArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         self.metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
         side = config.image_size
         self.renderer: Renderer = make_renderer(scene, config, side, num_threads)
-        self.simulation = make_simulator(config, num_envs, num_threads)
+        self.simulation = config.task.simulator(scene, num_envs, num_threads, config.dynamics)
         shape = (num_envs, side, side, 3)
         self._final_images = np.zeros(shape, dtype=np.uint8)
         self._final_tensor = self._tensor(self._final_images)
@@ -132,7 +131,8 @@ class TorchArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
     def teacher(self) -> Teacher:
         """Solves the episodes by inverse kinematics, for training only; made on first use."""
         if self._teacher is None:
-            self._teacher = make_teacher(self.running)
+            self._teacher = self.config.task.teacher(self.running)
+            self.running.change_episodes = self._teacher.practice
         return self._teacher
 
     def teach(self) -> tuple[Tensor, Tensor]:
@@ -141,7 +141,7 @@ class TorchArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         The way is in units of the largest joint step.
         """
         error = self.teacher.error()
-        return self._tensor(self.teacher.actions(error)), self._tensor(error).float()
+        return self._tensor(nearest_levels(error, COARSE_LEVELS)), self._tensor(error).float()
 
     @property
     def threshold_factor(self) -> float:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig, scene_of
 from knowarm.world.envs.arguments import check_state, checked_actions
-from knowarm.world.envs.running import RunningEpisodes, make_simulator
+from knowarm.world.envs.running import RunningEpisodes
 from knowarm.world.render.renderer import Renderer, make_renderer
 from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.state import ACTION_LEVELS
@@ -64,7 +64,7 @@ class ArmVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any]]
             "render_fps": 10,
             "autoreset_mode": AutoresetMode(autoreset),  # or its value
         }
-        self.simulation = make_simulator(config, num_envs, num_threads)
+        self.simulation = config.task.simulator(self.scene, num_envs, num_threads, config.dynamics)
         self.renderer: Renderer = make_renderer(self.scene, config, config.image_size, num_threads)
         self._large_renderer: Renderer | None = None
         self.running = RunningEpisodes(config, self.simulation)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from knowarm.errors import UserError
 from knowarm.questions import object_of
 from knowarm.world.backend import MujocoSimulator
-from knowarm.world.config import EnvConfig, scene_of
+from knowarm.world.config import EnvConfig
 from knowarm.world.own_robot.robot_check import (
     Check,
     check_reach,
@@ -20,7 +20,7 @@ from knowarm.world.own_robot.robot_check import (
 )
 from knowarm.world.render.renderer import make_renderer
 from knowarm.world.scene.appearance import TargetColours, resting_colours
-from knowarm.world.scene.scene import Scene, target_places
+from knowarm.world.scene.scene import Scene, load_scene, target_places
 from knowarm.world.tasks import task_type
 from knowarm.world.tasks.ik import InverseKinematics
 
@@ -41,7 +41,7 @@ def check_objects(
     """
     try:
         config = EnvConfig(robot=robot, task=task_type(task)(), targets=tuple(targets), **options)
-        scene = scene_of(config, solid=False)
+        scene = load_scene(config.robot, config.targets, area=config.task.area)
     except UserError as error:
         return [check_result("scene", False, str(error), "Correct the named field.")]
     # From border to border of the rectangle, (P, 2) [m].

@@ -130,7 +130,7 @@ def _check_reach(env: ArmVectorEnv) -> Check:
     """Solve the inverse kinematics at positions over the whole rectangle."""
     episodes = evaluation_episodes(env.config, SAMPLES, 1)
     env.reset(options={"episodes": episodes})
-    solver = InverseKinematics.of_task(env.scene, env.config)
+    solver = InverseKinematics.of_task(env.scene, env.running)
     solution = solver.solve(env.goal_position, env.goal_matrix, env.joint_positions)
     remedy = "move or shrink the rectangle, or turn the target with target_yaws_deg."
     return check_reach(

@@ -1,6 +1,7 @@
 """Scene: the compiled MuJoCo model of a robot and its targets, with the indices of its parts."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -17,7 +18,6 @@ from knowarm.world.objects.target import Target
 from knowarm.world.robots import find_robot
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.compose import CAMERA, DISTRACTOR, ROBOT_PREFIX, compose
-from knowarm.world.tasks.lift.model import FINGERS, TASK_TIMESTEP_S, LiftingModel, lifting_model
 
 ENDLESS_RANGE_RAD = (-2 * np.pi, 2 * np.pi)  # Range of hinges that have none of their own [rad]
 
@@ -33,6 +33,7 @@ class Scene:
     model: mujoco.MjModel
     robot: Robot  # Description of the robot
     targets: tuple[Target, ...]  # Descriptions of the targets
+    joint_names: tuple[str, ...]  # Names of the joints that the agent moves, (J,)
     qpos_index: NDArray[np.intp]  # Index in qpos of each joint, (J,)
     joint_lower: NDArray[np.float64]  # Lower limit of each joint [rad], (J,)
     joint_upper: NDArray[np.float64]  # Upper limit of each joint [rad], (J,)
@@ -53,8 +54,6 @@ class Scene:
     # Grasp point relative to the target's position on the support, world axes [m], (K, 3)
     grasp_position: NDArray[np.float64]
     grasp_matrix: NDArray[np.float64]  # Rotation from grasp frame to world, (K, 3, 3)
-    # Where objects are solid: the parts of the model; the fingers are then the last joint
-    lifting: LiftingModel | None = None
 
     @property
     def num_joints(self) -> int:
@@ -62,14 +61,20 @@ class Scene:
         return len(self.qpos_index)
 
     @property
-    def joint_names(self) -> tuple[str, ...]:
-        """Names of the joints the agent moves, "fingers" for those that move together."""
-        return (*self.robot.joints, *(("fingers",) if self.lifting else ()))
-
-    @property
     def colour_names(self) -> tuple[tuple[str, ...], ...]:
         """Names of each target's colours."""
         return tuple(tuple(target.colours) for target in self.targets)
+
+
+def build_scene(robot: Robot, targets: Sequence[Target], distractors: int = 0) -> Scene:
+    """Compose and compile the scene of an arm whose targets have no physics."""
+    with compiling(robot, targets):
+        model = compose(robot, targets, distractors).compile()
+    return describe_model(model, robot, targets, distractors)
+
+
+SceneBuilder = Callable[[Robot, Sequence[Target], int], Scene]
+"""Builds the scene of a robot, targets and a number of distractors, as `build_scene`."""
 
 
 def load_scene(
@@ -77,18 +82,17 @@ def load_scene(
     targets: tuple[str, ...],
     distractors: int = 0,
     area: str = "reach",
-    solid: bool = False,
+    build: SceneBuilder = build_scene,
 ) -> Scene:
     """Build the scene of a named robot and named targets, cached per process.
 
     Both may be TOML files, which are read again when they or the MJCF files beside them change.
-    ``area`` is the robot's area in which the targets stand. With ``solid``, they can be pushed and
-    lifted, and the fingers move.
+    ``area`` is the robot's area in which the targets stand.
     """
     own = [Path(name).resolve() for name in (robot, *targets) if name.endswith(SUFFIX)]
     files = [each for file in own for each in (file, *file.parent.glob("*.xml")) if each.is_file()]
     written = tuple((str(file), file.stat().st_mtime_ns) for file in files)
-    return _load_scene(robot, tuple(targets), distractors, area, solid, written)
+    return _load_scene(robot, tuple(targets), distractors, area, build, written)
 
 
 @lru_cache(maxsize=16)
@@ -97,17 +101,15 @@ def _load_scene(
     targets: tuple[str, ...],
     distractors: int,
     area: str,
-    solid: bool,
+    build: SceneBuilder,
     written: tuple[tuple[str, int], ...],
 ) -> Scene:
-    found = find_robot(robot).for_area(area)
-    return build_scene(found, find_targets(targets), distractors, solid=solid)
+    return build(find_robot(robot).for_area(area), find_targets(targets), distractors)
 
 
-def build_scene(
-    robot: Robot, targets: Sequence[Target], distractors: int = 0, *, solid: bool = False
-) -> Scene:
-    """Compose and compile a scene and look up its joints, sites and geoms."""
+@contextmanager
+def compiling(robot: Robot, targets: Sequence[Target]) -> Iterator[None]:
+    """Check the targets' names, and name robot and targets where MuJoCo's compiler fails."""
     names = [target.name for target in targets]
     for name in names:
         if names.count(name) > 1 or f"{name}/" == ROBOT_PREFIX:
@@ -115,11 +117,8 @@ def build_scene(
                 f"Target {name!r}: of the objects {', '.join(names)} each needs a name of its own, "
                 f"other than {ROBOT_PREFIX.removesuffix('/')!r}. Rename the file, or leave it out."
             )
-    lifting = None
     try:
-        if solid:
-            lifting = lifting_model(robot, tuple(targets), distractors, TASK_TIMESTEP_S)
-        model = lifting.model if lifting else compose(robot, targets, distractors).compile()
+        yield
     except UserError:
         raise
     except (ValueError, mujoco.FatalError) as error:
@@ -127,16 +126,18 @@ def build_scene(
             f"The scene of robot {robot.name!r} with {', '.join(names)} does not compile: "
             f"{one_line(error)}. Correct the descriptions."
         ) from error
+
+
+def describe_model(
+    model: mujoco.MjModel, robot: Robot, targets: Sequence[Target], distractors: int
+) -> Scene:
+    """Look up the joints, sites and geoms of a compiled scene, and turn its grasp frames."""
     _turn_grasps(model, robot, targets)
     joint_ids = [model.joint(ROBOT_PREFIX + name).id for name in robot.joints]
-    if lifting:
-        joint_ids.append(model.joint(FINGERS[0]).id)
     endless = model.jnt_limited[joint_ids] == 0
     ranges = np.where(endless[:, None], ENDLESS_RANGE_RAD, model.jnt_range[joint_ids])
     lower, upper = ranges.T.copy()
     home = np.array(robot.home, dtype=np.float64)
-    if lifting:
-        home, upper[-1] = np.append(home, 0.0), lifting.closed_m
     outside = (home < lower) | (home > upper)
     if outside.any():
         j = int(np.argmax(outside))
@@ -144,18 +145,7 @@ def build_scene(
             f"Robot {robot.name!r}: home of joint {robot.joints[j]!r} is {home[j]:g}; its range is "
             f"{lower[j]:g} to {upper[j]:g}."
         )
-    geom_target = np.full(model.ngeom, -1, dtype=np.intp)
-    geom_coloured = np.zeros(model.ngeom, dtype=np.bool_)
-    width = max(len(target.colours) for target in targets)
-    colours = np.zeros((len(targets), width, 3), dtype=np.float32)
-    for k, target in enumerate(targets):
-        rgb = list(target.colours.values())
-        colours[k] = rgb + [rgb[0]] * (width - len(rgb))
-        for g in range(model.ngeom):
-            name = model.geom(g).name
-            if name.startswith(f"{target.name}/"):
-                geom_target[g] = k
-                geom_coloured[g] = name.removeprefix(f"{target.name}/") in target.coloured_geoms
+    geom_target, geom_coloured, colours = _target_geoms(model, targets)
     surfaces = ["floor", "table"] if robot.table else ["floor"]
     others = [f"{DISTRACTOR}{i}" for i in range(distractors)]
     data = mujoco.MjData(model)
@@ -167,6 +157,7 @@ def build_scene(
         model=model,
         robot=robot,
         targets=tuple(targets),
+        joint_names=robot.joints,
         qpos_index=model.jnt_qposadr[joint_ids].astype(np.intp),
         joint_lower=lower,
         joint_upper=upper,
@@ -184,10 +175,28 @@ def build_scene(
         target_mocap=_target_mocap(model, targets),
         grasp_position=grasp_position,
         grasp_matrix=grasp_matrix,
-        lifting=lifting,
     )
     _check_in_image(scene)
     return scene
+
+
+def _target_geoms(
+    model: mujoco.MjModel, targets: Sequence[Target]
+) -> tuple[NDArray[np.intp], NDArray[np.bool_], NDArray[np.float32]]:
+    """Return ``geom_target``, ``geom_coloured`` and ``target_colours`` of a `Scene`."""
+    geom_target = np.full(model.ngeom, -1, dtype=np.intp)
+    geom_coloured = np.zeros(model.ngeom, dtype=np.bool_)
+    width = max(len(target.colours) for target in targets)
+    colours = np.zeros((len(targets), width, 3), dtype=np.float32)
+    for k, target in enumerate(targets):
+        rgb = list(target.colours.values())
+        colours[k] = rgb + [rgb[0]] * (width - len(rgb))
+        for g in range(model.ngeom):
+            name = model.geom(g).name
+            if name.startswith(f"{target.name}/"):
+                geom_target[g] = k
+                geom_coloured[g] = name.removeprefix(f"{target.name}/") in target.coloured_geoms
+    return geom_target, geom_coloured, colours
 
 
 def target_places(scene: Scene, position: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -8,9 +8,10 @@ import numpy as np
 
 from knowarm.arrays import Floats, Mask
 from knowarm.world.backend import MujocoSimulator
-from knowarm.world.config import EnvConfig
+from knowarm.world.scene.compose import ROBOT_PREFIX
 from knowarm.world.scene.scene import Scene
-from knowarm.world.tasks.reward import measure
+from knowarm.world.tasks.reward import SUCCESS_ANGLE_DEG, measure
+from knowarm.world.tasks.state import EpisodeState
 
 ITERATIONS = 80
 DAMPING = 0.05
@@ -67,17 +68,17 @@ class InverseKinematics:
         self.reached_deg = REACHED_DEG + eased_deg
         model = scene.model
         self._body = int(model.site_bodyid[scene.tcp_site])
-        joints = [model.joint(f"robot/{name}").id for name in scene.robot.joints]
+        joints = [model.joint(ROBOT_PREFIX + name).id for name in scene.robot.joints]
         self._is_hinge = model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_HINGE
         self._dofs = model.jnt_dofadr[joints]
 
     @classmethod
-    def of_task(cls, scene: Scene, config: EnvConfig, **options: Any) -> Self:
-        """Make the solver of a task, which uses what an easier orientation allows."""
-        angle_deg = config.success_angle_deg
-        eased_deg = min(2 * (angle_deg - EnvConfig.success_angle_deg), angle_deg - MARGIN_DEG)
-        eased_deg = max(0.0, eased_deg) if config.ignore_roll else 0.0
-        return cls(scene, ignore_roll=config.ignore_roll, eased_deg=eased_deg, **options)
+    def of_task(cls, scene: Scene, state: EpisodeState, **options: Any) -> Self:
+        """Make the solver of a task's episodes, which uses what an easier orientation allows."""
+        angle_deg = float(state.limits[1])
+        eased_deg = min(2 * (angle_deg - SUCCESS_ANGLE_DEG), angle_deg - MARGIN_DEG)
+        eased_deg = max(0.0, eased_deg) if state.ignore_roll else 0.0
+        return cls(scene, ignore_roll=state.ignore_roll, eased_deg=eased_deg, **options)
 
     def solve(
         self, position: Floats, matrix: Floats, start: Floats, attempts: int = ATTEMPTS

@@ -8,6 +8,7 @@ from knowarm.arrays import Floats, Mask
 from knowarm.compiling import njit
 
 SUCCESS_REWARD = 100.0
+SUCCESS_ANGLE_DEG = 15.0  # Threshold of the angle in the paper
 DISTANCE_WEIGHT = 2.0
 ANGLE_DIVISOR_DEG = 70.0
 

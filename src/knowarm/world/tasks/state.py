@@ -1,6 +1,6 @@
 """State of running episodes: the arrays from which tasks compute success, reward and infos."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,16 @@ ACTION_LEVELS = (0.0, 1.0, -1.0, 0.1, -0.1, 0.01, -0.01)
 """Joint increments of the seven actions, in units of MPI (paper, table 1)."""
 
 
-class EpisodeState:
+def nearest_levels(steps: Floats, count: int = len(ACTION_LEVELS)) -> Integers:
+    """Return the first ``count`` levels' nearest one to joint steps (n, J) in units of MPI."""
+    return np.abs(steps[..., None] - np.array(ACTION_LEVELS[:count])).argmin(axis=-1)
+
+
+SimulatorT = TypeVar("SimulatorT", bound="MujocoSimulator")
+"""Class of a task's simulator."""
+
+
+class EpisodeState(Generic[SimulatorT]):
     """State of n running episodes with m visible objects each, of which the first is the goal.
 
     No array is written after it was assigned to an attribute: attributes may be handed out, and
@@ -24,7 +33,7 @@ class EpisodeState:
     """
 
     scene: "Scene"  # Robot and objects
-    simulator: "MujocoSimulator"  # Physics of the n environments
+    simulator: SimulatorT  # Physics of the n environments
     # (object, colour) names; objects in config order, colours in theirs
     facets: tuple[tuple[str, str], ...]
     facet_names: Names  # The same in words, as "mug/red", (F,)
@@ -57,6 +66,10 @@ class EpisodeState:
     def facet(self) -> Integers:
         """Index of that object and its colour in ``facets``, (n,) int64."""
         return self._first_facet[self.objects[:, 0]] + self.colours[:, 0]
+
+    def goal_frames(self, objects: Integers, places: Floats) -> tuple[Floats, Floats]:
+        """Return the goal frames of objects (k,) at places (k, 2) [m]: (k, 3) [m] and (k, 9)."""
+        raise NotImplementedError
 
     def grasp_positions(self, ids: NDArray[np.intp] | slice = slice(None)) -> Floats:
         """Compute the grasp points of the visible objects of k environments, (k, m, 3) [m]."""

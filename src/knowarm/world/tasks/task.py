@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, get_args, get_type_hints
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, get_args, get_type_hints
 
 from numpy.typing import NDArray
 
@@ -12,14 +12,21 @@ from knowarm.measures import Measure
 from knowarm.questions import ObjectColour, QuestionTable
 from knowarm.world.tasks.reward import is_success, paper_reward
 from knowarm.world.tasks.sampling import Colours, ObjectSampler, OneObject, Setting
-from knowarm.world.tasks.state import EpisodeState
+from knowarm.world.tasks.state import EpisodeState, SimulatorT
 
 if TYPE_CHECKING:  # Configs are read where nothing else needs MuJoCo.
+    from collections.abc import Sequence
+
+    from knowarm.world.backend import Dynamics, MujocoSimulator
+    from knowarm.world.objects.target import Target
+    from knowarm.world.robots.robot import Robot
     from knowarm.world.scene.scene import Scene
+    from knowarm.world.tasks.guides import Guide
+    from knowarm.world.tasks.teacher import Teacher
 
 
 @dataclass(frozen=True, kw_only=True)
-class Task:
+class Task(Generic[SimulatorT]):
     """Base of tasks: one object is visible, and the arm has to reach its grasp frame.
 
     A task is a frozen config; all methods are batched over n episodes. To write your own, derive
@@ -40,8 +47,8 @@ class Task:
     """Scopes of knowledge that describe something in this task."""
     holds_out: ClassVar[bool] = True
     """Whether ``EnvConfig.held_out`` and visual distractors can be combined with the task."""
-    solid: ClassVar[bool] = False
-    """Whether objects can be pushed and lifted, and the fingers are one more joint."""
+    dynamics: ClassVar[tuple[str, ...]] = ("dynamic", "kinematic")
+    """Values of ``EnvConfig.dynamics`` with which the task can be simulated."""
     knowledge_info: ClassVar[str] = "facet"
     """Info that names the row of the knowledge table for an episode."""
     training: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
@@ -88,6 +95,47 @@ class Task:
         """Share of right objects of an agent that picks one at random; None with one object."""
         return None
 
+    @staticmethod
+    def build_scene(robot: "Robot", targets: "Sequence[Target]", distractors: int) -> "Scene":
+        """Build the scene of the task; by default objects have no physics."""
+        from knowarm.world.scene.scene import build_scene
+
+        return build_scene(robot, targets, distractors)
+
+    def simulator(
+        self, scene: "Scene", num_envs: int, num_threads: int, dynamics: "Dynamics"
+    ) -> "MujocoSimulator":
+        """Make the physics of n environments with a scene of `build_scene`; 0 threads: all cores.
+
+        Methods of the task find it in ``EpisodeState.simulator``; a task with a simulator of its
+        own is derived from ``Task[ItsSimulator]``.
+        """
+        from knowarm.world.backend import MujocoSimulator
+
+        return MujocoSimulator(scene, num_envs, num_threads, dynamics)
+
+    def joint_names(self, robot: "Robot") -> tuple[str, ...]:
+        """Name the joints of the actions of a robot, those of the scene."""
+        return robot.joints
+
+    def teacher(self, state: EpisodeState[SimulatorT]) -> "Teacher":
+        """Make what knows the actions that solve running episodes, for imitation."""
+        from knowarm.world.tasks.teacher import Teacher
+
+        return Teacher(state)
+
+    def guide(self, state: EpisodeState[SimulatorT], seed: int, straight: bool) -> "Guide":
+        """Make what guides scripted agents to the solution of running episodes.
+
+        Args:
+            state: the episodes.
+            seed: of the solver of the inverse kinematics.
+            straight: whether the way ends straight along the approach direction.
+        """
+        from knowarm.world.tasks.guides import ShortestWay, StraightApproach
+
+        return (StraightApproach if straight else ShortestWay)(state, seed)
+
     def sampler(self, setting: Setting) -> ObjectSampler:
         """Return what draws the objects of episodes, uniform by default (paper, table 1).
 
@@ -123,7 +171,7 @@ class Task:
         """
         return {}
 
-    def remember(self, state: EpisodeState) -> Mapping[str, NDArray[Any]]:
+    def remember(self, state: EpisodeState[SimulatorT]) -> Mapping[str, NDArray[Any]]:
         """Return the arrays of ``memory`` after a step, new, with its distance and angle known."""
         return {}
 
@@ -140,19 +188,19 @@ class Task:
         """
         return position, matrix
 
-    def success(self, state: EpisodeState) -> Mask:
+    def success(self, state: EpisodeState[SimulatorT]) -> Mask:
         """Return which episodes are solved, (n,) bool; a solved one ends."""
         return is_success(state.distance, state.angle, state.thresholds[0], state.thresholds[1])
 
-    def failure(self, state: EpisodeState) -> Mask | None:
+    def failure(self, state: EpisodeState[SimulatorT]) -> Mask | None:
         """Return which episodes end without success before the time limit, (n,) bool, or None."""
         return None
 
-    def reward(self, state: EpisodeState) -> Floats:
+    def reward(self, state: EpisodeState[SimulatorT]) -> Floats:
         """Compute the reward of a step, (n,); the paper's by default (table 1)."""
         return paper_reward(state.distance, state.angle, state.success)
 
-    def infos(self, state: EpisodeState) -> dict[str, NDArray[Any]]:
+    def infos(self, state: EpisodeState[SimulatorT]) -> dict[str, NDArray[Any]]:
         """Return the infos of the current state, (n, ...) each; ``is_success`` among them."""
         return {
             "distance": state.distance,
@@ -163,7 +211,7 @@ class Task:
             "is_success": state.success,
         }
 
-    def knowledge_input(self, state: EpisodeState) -> Integers:
+    def knowledge_input(self, state: EpisodeState[SimulatorT]) -> Integers:
         """Return the row of the knowledge table for each current episode, (n,) int64."""
         return state.facet
 
@@ -178,14 +226,14 @@ class Task:
         """
         return {}
 
-    def instruct(self, state: EpisodeState, setting: Setting, env_id: int) -> str:
+    def instruct(self, state: EpisodeState[SimulatorT], setting: Setting, env_id: int) -> str:
         """Return an episode's goal in words that a policy may know: without the answer to a query.
 
         Recorded datasets have it as their task.
         """
         return self.describe(state, setting, env_id)
 
-    def describe(self, state: EpisodeState, setting: Setting, env_id: int) -> str:
+    def describe(self, state: EpisodeState[SimulatorT], setting: Setting, env_id: int) -> str:
         """Describe the goal of one episode, as "red mug"."""
         target = state.scene.targets[int(state.objects[env_id, 0])]
         return f"{[*target.colours][int(state.colours[env_id, 0])]} {target.name}"

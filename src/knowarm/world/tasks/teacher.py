@@ -9,12 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.arrays import Floats, Integers
-from knowarm.world.config import scene_of
-from knowarm.world.envs.running import RunningEpisodes, joint_increments
-from knowarm.world.scene.scene import target_places
+from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.ik import REACHED_M, IKSolution, InverseKinematics
 from knowarm.world.tasks.sampling import Episodes, derive, uniforms
-from knowarm.world.tasks.state import ACTION_LEVELS
+from knowarm.world.tasks.state import EpisodeState
 
 log = logging.getLogger("knowarm.world")
 
@@ -43,20 +41,20 @@ class GoalTable:
     interpolated.
 
     Args:
-        running: episodes of the task.
+        state: episodes of the task.
+        scene: their scene without further joints, if it has any.
         seed: of the random starts that find the references.
 
     A warning tells the share of nodes without a solution if it is large.
     """
 
-    def __init__(self, running: RunningEpisodes, seed: int = 0) -> None:
-        self._running = running
-        self._scene = scene = scene_of(running.config, solid=False)
+    def __init__(self, state: EpisodeState, scene: Scene | None = None, seed: int = 0) -> None:
+        self._state, scene = state, scene or state.scene
         robot, count = scene.robot, len(scene.targets)
         self._low = np.array(robot.rectangle_centre_m) - np.array(robot.rectangle_half_size_m)
         size = 2 * np.array(robot.rectangle_half_size_m)
         self._cell = np.maximum(size / (NODES - 1), 1e-9)
-        solver = partial(InverseKinematics.of_task, scene, running.config, seed=seed)
+        solver = partial(InverseKinematics.of_task, scene, state, seed=seed)
         every = np.arange(count)
         centre = np.tile(robot.rectangle_centre_m, (count, 1))
         reference = self._solve(solver(), every, centre, np.tile(scene.home, (count, 1))).joints
@@ -100,9 +98,7 @@ class GoalTable:
         *attempts: int,
         shift: Floats | None = None,
     ) -> IKSolution:
-        running, scene = self._running, self._scene
-        grasp = target_places(scene, places) + scene.grasp_position[objects]
-        position, matrix = running.task.goal(scene, objects, grasp, running.grasp_rotation[objects])
+        position, matrix = self._state.goal_frames(objects, places)
         if shift is not None:
             position = position + shift[objects]
         return solver.solve(position, matrix, start, *attempts)
@@ -114,30 +110,28 @@ class Teacher:
     It also moves the starts of a share of the episodes to the way from start to solution
     (`practice`), so that a student sees all of the way before it can follow it.
 
+    Args:
+        state: the episodes.
+        scene: their scene without further joints, if it has any.
+
     Attributes:
         practice_share: share of the episodes that start on the way, 0 to 1.
     """
 
-    def __init__(self, running: RunningEpisodes) -> None:
-        self.goals = GoalTable(running)
+    def __init__(self, state: EpisodeState, scene: Scene | None = None) -> None:
+        self.goals = GoalTable(state, scene)
         self.practice_share = 0.0
-        self._running = running
-        self._levels = joint_increments(running.scene.robot, running.config)
-        running.change_episodes = self.practice
+        self._state = state
+        self._largest = state.increments[1]
+
+    def restart(self) -> None:
+        """Do nothing: the actions follow from the state alone."""
 
     def error(self) -> Floats:
         """Return the way from joint targets to solution in units of the largest step, (n, J)."""
-        running = self._running
-        goals = self.goals(running.objects[:, 0], running.positions[:, 0])
-        return np.asarray((goals - running.joint_targets) / self._levels[1])
-
-    def actions(self, error: Floats, levels: int = COARSE_LEVELS) -> Integers:
-        """Return for each joint the level that ends nearest to the solution, (n, J).
-
-        ``levels`` counts those that are allowed, from the first.
-        """
-        steps = np.array(ACTION_LEVELS[:levels])
-        return np.abs(error[..., None] - steps).argmin(axis=-1)
+        state = self._state
+        goals = self.goals(state.target, state.positions[:, 0])
+        return np.asarray((goals - state.joint_targets) / self._largest)
 
     def practice(
         self, episodes: Episodes, streams: NDArray[np.uint64], numbers: NDArray[np.uint64]
@@ -145,12 +139,12 @@ class Teacher:
         """Move the starts of a share of new episodes (k,) to noisy points on their way."""
         if not self.practice_share:
             return episodes
-        scene = self._running.scene
+        scene = self._state.scene
         joints = len(scene.robot.joints)  # Fingers start open.
         draws = uniforms(streams ^ _STREAM, numbers, 3 + 2 * joints)
         radius = np.sqrt(-2 * np.log1p(-draws[:, 2 : 2 + joints]))
         noise = radius * np.cos(2 * np.pi * draws[:, 2 + joints : -1])  # Box and Muller 1958
-        noise *= self._levels[1]
+        noise *= self._largest
         start = (scene.home + episodes.joint_offsets)[:, :joints]
         point = self.practice_point(episodes, start, draws[:, :1], noise, draws[:, -1:])
         point = point.clip(scene.joint_lower[:joints], scene.joint_upper[:joints])

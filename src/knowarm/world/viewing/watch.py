@@ -190,7 +190,7 @@ def _copy_pose(env: ArmVectorEnv, data: mujoco.MjData) -> None:
     data.qpos[:] = batch.bind("qpos")[0]
     data.mocap_pos[:] = batch.bind("mocap_pos")[0]
     data.mocap_quat[:] = batch.bind("mocap_quat")[0]
-    if scene.lifting is None:  # else they are far above
-        hidden = ~np.isin(np.arange(len(scene.targets)), env.running.objects[0])
-        data.mocap_pos[scene.target_mocap[hidden], 2] = FAR_BELOW_M
+    hidden = ~np.isin(np.arange(len(scene.targets)), env.running.objects[0])
+    bodies = scene.target_mocap[hidden]
+    data.mocap_pos[bodies[bodies >= 0], 2] = FAR_BELOW_M  # free bodies are far above already
     mujoco.mj_forward(env.scene.model, data)

@@ -13,8 +13,8 @@ from knowarm.world.robots import ROBOTS
 from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.compose import compose
 from knowarm.world.scene.scene import build_scene
-from knowarm.world.tasks.lift import model as lifting_model_module
-from knowarm.world.tasks.lift.model import OBJECT_BIT, lifting_model
+from knowarm.world.tasks.lift import model as lift_model_module
+from knowarm.world.tasks.lift.model import OBJECT_BIT, build_lift_scene
 from knowarm.world.tasks.lift.probe import LIFT_M, WAYPOINTS, lift, plan_lifts
 
 GANTRY = """
@@ -75,8 +75,8 @@ def test_fingers_may_be_geoms_of_any_shape(shape, tmp_path):
     path.write_text(text)
     robot = replace(irb120, mjcf=path).for_area("lift")
     poses = []
-    for solid in (False, True):
-        model = build_scene(robot, [TARGETS["mug"]], solid=solid).model
+    for build in (build_scene, build_lift_scene):
+        model = build(robot, [TARGETS["mug"]]).model
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
         geoms = [data.geom(f"robot/finger_{side}") for side in ("left", "right")]
@@ -131,7 +131,7 @@ def test_a_lift_depends_on_itself_only(gantry):
 
 
 def test_without_friction_the_bottle_stays(gantry, monkeypatch):
-    monkeypatch.setattr(lifting_model_module, "PAD_FRICTION", (0.01, 0.0001, 0.0001))
+    monkeypatch.setattr(lift_model_module, "PAD_FRICTION", (0.01, 0.0001, 0.0001))
     result = lifts(gantry, [down_to(*AT, 0.222)])
     assert result.outcome.tolist() == ["slipped"]
     assert result.rise[0] < 0.02
@@ -154,14 +154,14 @@ def test_the_way_upwards_is_straight(gantry):
 
 @pytest.mark.parametrize(("name", "opening_m"), [("irb120", 0.064), ("tiago", 0.078)])
 def test_all_objects_stand_still_with_their_masses(name, opening_m):
-    robot = replace(ROBOTS[name], table=None)
-    lifting = lifting_model(robot, tuple(TARGETS.values()))
-    model = lifting.model
-    assert lifting.closed_m > opening_m / 2
+    robot = replace(ROBOTS[name], table=None, camera_fovy_deg=120.0)
+    scene = build_lift_scene(robot, tuple(TARGETS.values()))
+    model = scene.model
+    assert scene.joint_upper[-1] > opening_m / 2
     assert model.jnt_range[model.joint("left").id] == pytest.approx([0, opening_m / 2])
     data = mujoco.MjData(model)
-    for i, start in enumerate(lifting.object_qpos):
-        data.qpos[start : start + 7] = lifting.rest[i]
+    for i, start in enumerate(scene.object_qpos):
+        data.qpos[start : start + 7] = scene.rest[i]
         data.qpos[start : start + 2] = 2 + 0.5 * (i % 6), 0.5 * (i // 6)
     bodies = [model.body(f"{name}/{name}").id for name in TARGETS]
     assert model.body_mass[bodies] == pytest.approx([t.mass_kg for t in TARGETS.values()])
@@ -178,7 +178,7 @@ def test_the_reaching_scene_knows_no_fingers():
     robot, targets = ROBOTS["irb120"], [TARGETS["mug"]]
     drawn = compose(robot, targets).to_xml()
     assert drawn == compose(replace(robot, fingers=()), targets).to_xml()
-    lifting_model(robot, tuple(targets))
+    build_lift_scene(robot, targets)
     model = compose(robot, targets).compile()
     assert model.nq == len(robot.joints)
     assert not (model.geom_contype & OBJECT_BIT).any()
@@ -190,7 +190,7 @@ def test_the_reaching_scene_knows_no_fingers():
 )
 def test_a_robot_without_fingers_is_refused(gantry, fingers, message):
     with pytest.raises(UserError, match=message):
-        lifting_model(replace(gantry, fingers=fingers), (TARGETS["mug"],))
+        build_lift_scene(replace(gantry, fingers=fingers), [TARGETS["mug"]])
 
 
 def test_a_finger_without_geoms_is_refused(tmp_path, gantry):
@@ -198,7 +198,7 @@ def test_a_finger_without_geoms_is_refused(tmp_path, gantry):
     path.write_text(GANTRY.replace('<body name="left">', '<body name="bare"/><body name="left">'))
     bare = replace(gantry, mjcf=path, fingers=("bare", "right"))
     with pytest.raises(UserError, match="fingers names the body 'bare', which has no geoms"):
-        lifting_model(bare, (TARGETS["mug"],))
+        build_lift_scene(bare, [TARGETS["mug"]])
 
 
 @pytest.mark.parametrize("own", ['density="500"', 'mass="0.05"', ""])
@@ -211,9 +211,9 @@ def test_an_object_has_its_mass_whatever_its_file_says(tmp_path, gantry, own):
         <sensor><clock/></sensor></mujoco>"""
     )
     brick = replace(TARGETS["mug"], name="brick", mjcf=path, xml=None, coloured_geoms=("top",))
-    lifting = lifting_model(gantry, (replace(brick, grasp_site="grasp", mass_kg=0.3),))
-    assert lifting.model.body_mass[lifting.bodies] == pytest.approx([0.3])
-    assert lifting.model.nlight == 1
+    scene = build_lift_scene(gantry, [replace(brick, grasp_site="grasp", mass_kg=0.3)])
+    assert scene.model.body_mass[scene.bodies] == pytest.approx([0.3])
+    assert scene.model.nlight == 1
 
 
 @pytest.mark.parametrize("name", ROBOTS)

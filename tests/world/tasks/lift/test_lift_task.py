@@ -20,9 +20,8 @@ from knowarm.world.envs.torch_env import TorchArmVectorEnv
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.objects import find_targets
 from knowarm.world.robots import ROBOTS
-from knowarm.world.scene.scene import build_scene
 from knowarm.world.tasks.lift.lift import FALLEN_M, LOST_M, Lift
-from knowarm.world.tasks.lift.model import TASK_TIMESTEP_S
+from knowarm.world.tasks.lift.model import TIMESTEP_S, build_lift_scene
 from knowarm.world.tasks.lift.teacher import LiftTeacher
 from knowarm.world.tasks.teacher import COARSE_LEVELS
 from knowarm.world.viewing.watch import _copy_pose
@@ -132,7 +131,7 @@ def test_an_object_that_is_pushed_away_or_falls_ends_the_episode():
     start(env)
     task, running, simulation = env.config.task, env.running, env.simulation
     assert not task.failure(running).any()
-    x = simulation.lifting.object_qpos[running.target]
+    x = env.scene.object_qpos[running.target]
     simulation._qpos[0, x[0]] += LOST_M + 0.02
     simulation._qpos[1, x[1] + 2] -= FALLEN_M + 0.02
     simulation.batch.forward()
@@ -236,19 +235,21 @@ def test_the_policy_has_an_action_for_the_fingers_and_episodes_take_longer():
     config = experiment_config("irb120-lift-full-distil")
     assert config.env.max_episode_steps == Lift.max_steps == 100
     assert EnvConfig().max_episode_steps == 50
-    assert build(config).policy_shape.joints == len(ROBOTS["irb120"].joints) + 1
+    names = scene_of(config.env).joint_names
+    assert names == config.env.task.joint_names(ROBOTS["irb120"])
+    assert build(config).policy_shape.joints == len(names) == len(ROBOTS["irb120"].joints) + 1
 
 
 def test_a_solid_scene_is_simulated_in_larger_steps():
-    assert scene_of(EnvConfig(task=Lift())).model.opt.timestep == TASK_TIMESTEP_S
+    assert scene_of(EnvConfig(task=Lift())).model.opt.timestep == TIMESTEP_S
 
 
 def test_what_a_lift_cannot_be_is_refused():
-    with pytest.raises(UserError, match="one of contacts"):
+    with pytest.raises(UserError, match="cannot be simulated with kinematic"):
         EnvConfig(task=Lift(), dynamics="kinematic")
     with pytest.raises(UserError, match="names no fingers"):
-        build_scene(replace(ROBOTS["irb120"], fingers=()), find_targets(("mug",)), solid=True)
-    with pytest.raises(UserError, match="without solid objects"):
+        build_lift_scene(replace(ROBOTS["irb120"], fingers=()), find_targets(("mug",)))
+    with pytest.raises(UserError, match="'lift' moves the fingers"):
         evaluate(ZeroAgent(), EnvConfig(task=Lift()), episodes=1, probes=(LiftProbe(),))
 
 

@@ -1,5 +1,6 @@
-"""Lifting model: a scene whose fingers move and whose objects are solid and free to move."""
+"""Scene of lifting: fingers that move, and objects that are solid and free to move."""
 
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 
@@ -10,18 +11,11 @@ from numpy.typing import NDArray
 from knowarm.errors import UserError
 from knowarm.world.objects.target import Target
 from knowarm.world.robots.robot import Robot
-from knowarm.world.scene.compose import (
-    CONTROL_PERIOD_S,
-    ROBOT_BIT,
-    ROBOT_PREFIX,
-    SUPPORT_BIT,
-    compose,
-)
+from knowarm.world.scene.compose import ROBOT_BIT, ROBOT_PREFIX, SUPPORT_BIT, compose
+from knowarm.world.scene.scene import Scene, compiling, describe_model
 
 OBJECT_BIT = 4  # Contact bit of objects, beside those of robot and support
-TIMESTEP_S = 0.002
-TASK_TIMESTEP_S = 0.004  # In the lifting task, twice as fast; from .005 on objects slip
-SUBSTEPS = round(CONTROL_PERIOD_S / TIMESTEP_S)  # Physics steps per control period
+TIMESTEP_S = 0.004  # From .005 on objects slip
 IMPRATIO = 10.0  # Stiffness of friction over that of normal forces; less lets held objects creep
 PAD_FRICTION = (1.0, 0.005, 0.0001)  # Sliding, torsional [m] and rolling [m] friction of fingers
 PAD_SOLREF, PAD_SOLIMP = (0.004, 1.0), (0.95, 0.99)  # Stiff contacts of the fingers
@@ -33,22 +27,21 @@ SUNK_M = 0.002  # Depth below the support from which a shape does not stand on i
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class LiftingModel:
-    """A compiled model and the indices of its parts; m objects, the first is lifted."""
+class LiftScene(Scene):
+    """A scene whose last joint are the fingers, and whose K targets are free bodies."""
 
-    model: mujoco.MjModel
-    arm_qpos: NDArray[np.intp]  # Index in qpos of each joint of the arm, (J,)
-    object_qpos: NDArray[np.intp]  # Index in qpos of each object's x, (m,)
-    bodies: NDArray[np.intp]  # Body of each object, (m,)
-    rest: NDArray[np.float64]  # Pose of each object on the support, x and y apart, (m, 7)
-    tcp_site: int  # Site between the fingers
-    closed_m: float  # Position of the fingers' servos that grips with full force
+    bodies: NDArray[np.intp]  # Body of each target, (K,)
+    object_qpos: NDArray[np.intp]  # Index in qpos of each target's x, (K,)
+    rest: NDArray[np.float64]  # Pose of each target on the support, x and y apart, (K, 7)
 
 
-def lifting_model(
-    robot: Robot, targets: tuple[Target, ...], distractors: int = 0, timestep_s: float = TIMESTEP_S
-) -> LiftingModel:
-    """Build the model of a robot and the objects of an episode.
+def build_lift_scene(
+    robot: Robot,
+    targets: Sequence[Target],
+    distractors: int = 0,
+    timestep_s: float = TIMESTEP_S,
+) -> LiftScene:
+    """Compose and compile the scene of an arm that lifts.
 
     The arm with its servos is that of `compose`. The robot's ``fingers`` slide along the y axis of
     the tool centre point, coupled as in a parallel gripper, by up to ``GRIP_FORCE_N`` each. Objects
@@ -58,30 +51,31 @@ def lifting_model(
     Raises:
         UserError: the robot names no fingers, or its file lacks them.
     """
-    spec = compose(robot, targets, distractors)
-    spec.option.timestep = timestep_s
-    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    spec.option.impratio = IMPRATIO
-    drawn = spec.compile()
-    data = mujoco.MjData(drawn)
-    mujoco.mj_kinematics(drawn, data)
-    opening = _move_fingers(spec, data, robot)
-    rest = np.stack([_free(spec, data, robot, target) for target in targets])
-    for target in targets:
-        for finger in FINGERS:
-            _sense_touch(spec, finger, _body_name(spec, target))
-    model = spec.compile()
-    joints = [model.joint(ROBOT_PREFIX + name).id for name in robot.joints]
-    bodies = [model.body(_body_name(spec, target)).id for target in targets]
-    return LiftingModel(
-        model=model,
-        arm_qpos=model.jnt_qposadr[joints].astype(np.intp),
-        object_qpos=model.jnt_qposadr[model.body_jntadr[bodies]].astype(np.intp),
-        bodies=np.array(bodies, dtype=np.intp),
-        rest=rest,
-        tcp_site=model.site(ROBOT_PREFIX + robot.tcp_site).id,
-        closed_m=opening / 2 + SQUEEZE_M,
-    )
+    with compiling(robot, targets):
+        spec = compose(robot, targets, distractors)
+        spec.option.timestep = timestep_s
+        spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+        spec.option.impratio = IMPRATIO
+        drawn = spec.compile()
+        data = mujoco.MjData(drawn)
+        mujoco.mj_kinematics(drawn, data)
+        opening = _move_fingers(spec, data, robot)
+        rest = np.stack([_free(spec, data, robot, target) for target in targets])
+        for target in targets:
+            for finger in FINGERS:
+                _sense_touch(spec, finger, _body_name(spec, target))
+        model = spec.compile()
+    arm = vars(describe_model(model, robot, targets, distractors))
+    fingers = {
+        "joint_names": (*robot.joints, "fingers"),
+        "qpos_index": np.append(arm["qpos_index"], model.joint(FINGERS[0]).qposadr),
+        "joint_lower": np.append(arm["joint_lower"], 0.0),
+        "joint_upper": np.append(arm["joint_upper"], opening / 2 + SQUEEZE_M),
+        "home": np.append(arm["home"], 0.0),
+    }
+    bodies = np.array([model.body(_body_name(spec, target)).id for target in targets], np.intp)
+    object_qpos = model.jnt_qposadr[model.body_jntadr[bodies]].astype(np.intp)
+    return LiftScene(**arm | fingers, bodies=bodies, object_qpos=object_qpos, rest=rest)
 
 
 FINGERS = ("left", "right")

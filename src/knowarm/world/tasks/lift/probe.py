@@ -4,16 +4,20 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from knowarm.arrays import Floats, Integers, Mask
+from knowarm.arrays import Floats, Integers
 from knowarm.cores import available_cores
 from knowarm.questions import object_of
+from knowarm.world.objects.target import Target
+from knowarm.world.robots.robot import Robot
+from knowarm.world.scene.compose import CONTROL_PERIOD_S
 from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.ik import InverseKinematics
-from knowarm.world.tasks.lift.model import FINGERS, SUBSTEPS, LiftingModel, lifting_model
+from knowarm.world.tasks.lift.model import LiftScene, build_lift_scene
+from knowarm.world.tasks.lift.simulator import LiftSimulator
 
+TIMESTEP_S = 0.002
 CLOSE_STEPS, LIFT_STEPS, HOLD_STEPS = 10, 20, 20  # Control periods of .1 s
 LIFT_M = 0.10  # Way of the gripper upwards
 LIFTED_M = 0.08  # Rise of the object's centre of mass from which it is lifted
@@ -60,7 +64,7 @@ def lift(scene: Scene, paths: Sequence[Floats], objects: Integers, positions: Fl
         names = [object_of(scene.targets[k].name) for k in shown]
         whole = [i for i, name in enumerate(names) if names.index(name) == i]
         targets = tuple(scene.targets[k] for k in shown[whole])
-        trial = LiftTrial(lifting_model(scene.robot, targets), len(rows))
+        trial = LiftTrial(build_trial_scene(scene.robot, targets), len(rows))
         places = positions[rows][:, whole]
         for _ in trial.play([paths[i] for i in rows.tolist()], upward[rows], places):
             pass
@@ -88,23 +92,27 @@ def plan_lifts(scene: Scene, joints: Floats) -> Floats:
     return np.stack(angles, axis=1)
 
 
+def build_trial_scene(robot: Robot, targets: Sequence[Target]) -> LiftScene:
+    """Build the scene of lifts of the first of m objects.
+
+    Raises:
+        UserError: the robot has no fingers.
+    """
+    return build_lift_scene(robot, targets, timestep_s=TIMESTEP_S)
+
+
 class LiftTrial:
     """n simulations of the lifting of the first of m objects, and what was measured in them.
 
     Attributes:
-        batch: the simulations, for drawing.
+        simulator: the simulations.
         rise, moved: as in `Lifts`; complete once `play` has ended.
     """
 
-    def __init__(self, model: LiftingModel, num_trials: int) -> None:
-        self.lifting = model
-        self.batch = Batch(model.model, num_trials, min(num_trials, available_cores()))
-        self._qpos = self.batch.bind("qpos")
-        self._qvel = self.batch.bind("qvel")
-        self._ctrl = self.batch.bind("ctrl")
-        self._centre = self.batch.bind("xipos")
-        self._site = self.batch.bind("site_xpos")
-        self._touch = self.batch.bind("sensordata")
+    def __init__(self, scene: LiftScene, num_trials: int) -> None:
+        threads, substeps = min(num_trials, available_cores()), CONTROL_PERIOD_S / TIMESTEP_S
+        self.simulator = LiftSimulator(scene, num_trials, threads, free_substeps=round(substeps))
+        self._first = np.zeros(num_trials, dtype=np.int64)
         self.rise = np.zeros(num_trials)
         self.moved = np.zeros(num_trials)
 
@@ -118,39 +126,38 @@ class LiftTrial:
             upward: of `plan_lifts`, (n, WAYPOINTS, J).
             positions: see `lift`.
         """
-        lifting, joints = self.lifting, upward.shape[2]
+        simulator, first, fingers = self.simulator, self._first, 0.0
         last = np.stack([path[-1] for path in paths])
-        self._qpos[:, lifting.arm_qpos] = np.stack([path[0] for path in paths])
-        for i, start in enumerate(lifting.object_qpos):
-            self._qpos[:, start : start + 7] = lifting.rest[i]
-            self._qpos[:, start : start + 2] = positions[:, i]
-        self._qvel[:] = 0.0
-        self._ctrl[:] = 0.0
-        self.batch.forward()
-        placed = self._centre[:, lifting.bodies[0]].copy()
+        start = _beside(np.stack([path[0] for path in paths]), fingers)
+        simulator.reset(np.arange(len(paths)), start, positions)
+        placed = simulator.centre(first)
         for step in range(max(map(len, paths))):
-            self._ctrl[:, :joints] = np.stack([path[min(step, len(path) - 1)] for path in paths])
-            yield self._advance("approach")
-        before = self._centre[:, lifting.bodies[0]].copy()
+            arm = np.stack([path[min(step, len(path) - 1)] for path in paths])
+            simulator.step(_beside(arm, fingers))
+            yield "approach"
+        before = simulator.centre(first)
         self.moved[:] = np.linalg.norm(before - placed, axis=1)
         for step in range(CLOSE_STEPS):
-            self._ctrl[:, joints:] = lifting.closed_m * (step + 1) / (CLOSE_STEPS - 2)
-            yield self._advance("close")
-        self._touched = self._touches()
-        gripper = self._site[:, lifting.tcp_site, 2].copy()
+            fingers = simulator.scene.joint_upper[-1] * (step + 1) / (CLOSE_STEPS - 2)
+            simulator.step(_beside(arm, fingers))
+            yield "close"
+        self._touched = simulator.touched(first)
+        gripper = simulator.tcp_position[:, 2].copy()
         way = np.concatenate([last[:, None], upward], axis=1)
         for step in range(LIFT_STEPS):
             at = (step + 1) * WAYPOINTS / LIFT_STEPS
             low = min(int(at), WAYPOINTS - 1)
             share = at - low
-            self._ctrl[:, :joints] = (1 - share) * way[:, low] + share * way[:, low + 1]
-            yield self._advance("lift")
-        self._held = self._touches()
+            arm = (1 - share) * way[:, low] + share * way[:, low + 1]
+            simulator.step(_beside(arm, fingers))
+            yield "lift"
+        self._held = simulator.touched(first)
         for _ in range(HOLD_STEPS):
-            yield self._advance("hold")
-            self._held &= self._touches()
-        self.rise[:] = self._centre[:, lifting.bodies[0], 2] - before[:, 2]
-        self._gripper_rise = self._site[:, lifting.tcp_site, 2] - gripper
+            simulator.step(_beside(arm, fingers))
+            yield "hold"
+            self._held &= simulator.touched(first)
+        self.rise[:] = simulator.centre(first)[:, 2] - before[:, 2]
+        self._gripper_rise = simulator.tcp_position[:, 2] - gripper
 
     def outcome(self) -> NDArray[np.str_]:
         """Name how each lift ended, (n,); see ``OUTCOMES``."""
@@ -158,10 +165,7 @@ class LiftTrial:
         causes = [held, self.moved > MOVED_M, ~self._touched, self._gripper_rise < LIFTED_M]
         return np.select(causes, list(OUTCOMES)[:4], "slipped")
 
-    def _advance(self, phase: str) -> str:
-        self.batch.step(nstep=SUBSTEPS, stage=3)
-        return phase
 
-    def _touches(self) -> Mask:
-        """Return whether both fingers touch the object, (n,)."""
-        return np.asarray((self._touch[:, : len(FINGERS)] > 0).all(axis=1))
+def _beside(arm: Floats, fingers: float) -> Floats:
+    """Return joint targets of arm (n, J) and fingers, (n, J + 1)."""
+    return np.column_stack([arm, np.full(len(arm), fingers)])

@@ -1,15 +1,15 @@
 """Teacher of the lifting task: approach, close the fingers, lift, by inverse kinematics."""
 
 from itertools import pairwise
-from typing import cast
 
 import numpy as np
 
 from knowarm.arrays import Floats, Integers
-from knowarm.world.envs.running import RunningEpisodes
+from knowarm.world.scene.scene import build_scene
 from knowarm.world.tasks.lift.model import SQUEEZE_M
 from knowarm.world.tasks.lift.simulator import LiftSimulator
 from knowarm.world.tasks.sampling import Episodes
+from knowarm.world.tasks.state import EpisodeState
 from knowarm.world.tasks.teacher import PRACTICE_NOISE, GoalTable, Teacher
 
 APPROACH_M = (0.07, 0.035)  # Distances of the poses of the approach from the grasp frame
@@ -34,10 +34,11 @@ class LiftTeacher(Teacher):
     object it follows the poses of the way upwards. Fingers that close on nothing open again.
     """
 
-    def __init__(self, running: RunningEpisodes) -> None:
-        super().__init__(running)
-        self._simulator = cast(LiftSimulator, running.simulator)
-        back = -running.scene.grasp_matrix[:, :, 2]
+    def __init__(self, state: EpisodeState[LiftSimulator]) -> None:
+        scene = state.scene
+        super().__init__(state, build_scene(scene.robot, scene.targets))
+        self._simulator = state.simulator
+        back = -scene.grasp_matrix[:, :, 2]
         up = np.tile([0.0, 0.0, 1.0], (len(back), 1))
         self._approach = [self.goals]
         for shift in (*(d * back for d in sorted(APPROACH_M)), APPROACH_M[0] * back + OVER_M * up):
@@ -48,16 +49,16 @@ class LiftTeacher(Teacher):
 
     def error(self) -> Floats:
         """Return the way from joint targets to the next pose in largest steps, (n, J)."""
-        running, simulator, target = self._running, self._simulator, self._running.target
-        joints, fingers = running.joint_targets[:, :-1], running.joint_targets[:, -1]
-        closed_m = running.scene.joint_upper[-1]
+        state, simulator, target = self._state, self._simulator, self._state.target
+        joints, fingers = state.joint_targets[:, :-1], state.joint_targets[:, -1]
+        closed_m = state.scene.joint_upper[-1]
         closed = fingers > closed_m / 2
         held = closed & simulator.touched(target)
         met = simulator.joint_positions[:, -1] > closed_m - SQUEEZE_M - MET_M
         closing = closed & ~held & ~met
-        places = np.where(closed[:, None], running.positions[:, 0], simulator.place(target))
+        places = np.where(closed[:, None], state.positions[:, 0], simulator.place(target))
         approach = _points(self._approach, target, places)
-        error = np.abs(approach - joints).max(axis=2) / self._levels[1]  # (W, n)
+        error = np.abs(approach - joints).max(axis=2) / self._largest  # (W, n)
         following = _next_point(error)
         rise = _points(self._rise, target, places)
         lowest = np.abs(rise - joints).max(axis=2).argmin(axis=0)
@@ -65,10 +66,10 @@ class LiftTeacher(Teacher):
         rows = np.arange(len(joints))
         pose = np.where(held[:, None], rise[above, rows], approach[following, rows])
         pose = np.where(closing[:, None], joints, pose)
-        at_grasp = (running.distance < CLOSE_M) & (running.angle < CLOSE_DEG)
+        at_grasp = (state.distance < CLOSE_M) & (state.angle < CLOSE_DEG)
         close = held | closing | (~closed & at_grasp)
         way = np.column_stack([pose - joints, np.where(close, closed_m, 0.0) - fingers])
-        return np.asarray(way / self._levels[1])
+        return np.asarray(way / self._largest)
 
     def practice_point(
         self, episodes: Episodes, start: Floats, share: Floats, noise: Floats, choice: Floats
@@ -80,11 +81,6 @@ class LiftTeacher(Teacher):
         reached = share * np.abs(way[0] - start).max(axis=1, keepdims=True)
         before = start + (way[0] - start).clip(-reached, reached) + PRACTICE_NOISE * noise
         return np.where(choice < ON_APPROACH, way[at, np.arange(len(at))] + spread * noise, before)
-
-
-def make_teacher(running: RunningEpisodes) -> Teacher:
-    """Return what knows how to solve the running episodes, for imitation and the oracle."""
-    return LiftTeacher(running) if running.task.solid else Teacher(running)
 
 
 def _points(tables: list[GoalTable], objects: Integers, places: Floats) -> Floats:
