@@ -2,7 +2,6 @@
 
 import ast
 import ctypes
-import io
 import os
 import re
 import signal
@@ -14,7 +13,6 @@ import pytest
 
 import knowarm
 from knowarm.experiment.run_lock import StopRequest
-from knowarm.knowledge.formats import oxigraph
 from knowarm.learn import checkpoint
 from knowarm.learn.parallel.processes import keep_freed_memory
 from knowarm.study import worker
@@ -98,12 +96,3 @@ def test_a_worker_without_its_study_stops_by_its_handler_where_kill_would_end_it
     with StopRequest() as stop:
         worker._request_stop()
         assert stop()
-
-
-def test_documents_are_read_where_their_memory_cannot_be_limited(monkeypatch):
-    monkeypatch.setitem(sys.modules, "resource", None)  # Windows has no such module
-    source, output = io.BytesIO(b'{"@id": "urn:a", "urn:b": {"@id": "urn:c"}}'), io.BytesIO()
-    monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=source))
-    monkeypatch.setattr(sys, "stdout", SimpleNamespace(buffer=output))
-    oxigraph.main({"memory": 1, "syntax": "jsonld", "base": None})
-    assert output.getvalue() == b"<urn:a> <urn:b> <urn:c> .\n"

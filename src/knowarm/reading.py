@@ -1,12 +1,11 @@
 """Reading and writing of stored files: every defect is one kind of error, with its remedy."""
 
-import io
 import json
 import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from safetensors.numpy import load
@@ -15,10 +14,6 @@ from knowarm.errors import UserError
 
 MAX_JSON = 64 * 2**20
 """Largest JSON or text file that is read whole [bytes]; what KnowArm writes is far smaller."""
-
-
-EXPANSION = 250
-"""How many times its size a compressed file may expand to, beyond `MAX_JSON`."""
 
 
 class UnreadableFileError(UserError):
@@ -78,34 +73,6 @@ def one_line(error: BaseException) -> str:
     text = " ".join(str(error).split()).rstrip(".") or type(error).__name__
     text = f"missing {text}" if isinstance(error, KeyError) else text
     return text if len(text) <= 300 else text[:297] + "..."
-
-
-class _Bounded(io.RawIOBase):
-    """Decompressed bytes of a file, which end in an error if there are far more than in it."""
-
-    def __init__(self, stream: Any, path: Path) -> None:
-        self._stream = stream
-        self._left = MAX_JSON + EXPANSION * path.stat().st_size
-
-    def readable(self) -> bool:
-        return True
-
-    def readinto(self, buffer: Any) -> int:
-        data = self._stream.read(len(buffer))
-        self._left -= len(data)
-        if self._left < 0:
-            raise ValueError(f"it expands to more than 64 MiB and {EXPANSION} times its size")
-        buffer[: len(data)] = data
-        return len(data)
-
-    def close(self) -> None:
-        self._stream.close()
-        super().close()
-
-
-def bounded(stream: Any, path: Path) -> IO[bytes]:
-    """Return a decompressing stream of a file that ends in a `ValueError` for a bomb."""
-    return io.BufferedReader(_Bounded(stream, path))
 
 
 def read_text(path: Path, *, remedy: str, most: int = MAX_JSON) -> str:

@@ -4,8 +4,8 @@ import pytest
 from knowarm.errors import UserError
 from knowarm.knowledge import graph_of
 from knowarm.knowledge.formats import shipped_graph
-from knowarm.knowledge.graph.sparql import sparql
 from knowarm.knowledge.queries.queries import QueryGraph, parse_query
+from knowarm.knowledge.queries.sparql import sparql
 from knowarm.questions import Condition
 from tests.knowledge.choice import CHOICE, COLOURS, OBJECTS
 

@@ -10,8 +10,8 @@ from knowarm.knowledge.formats.openke import read_openke_split
 from knowarm.knowledge.formats.tables import read_conceptnet
 from knowarm.knowledge.graph.builder import union
 from knowarm.knowledge.graph.edits import edited
-from knowarm.knowledge.graph.sparql import sparql
 from knowarm.knowledge.kge.train import split_graph
+from knowarm.knowledge.queries.sparql import sparql
 
 OWL = """<?xml version="1.0"?>
 <rdf:RDF xmlns="http://a.org/home#" xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"
@@ -206,15 +206,6 @@ def test_blank_nodes_keep_apart(tmp_path):
     assert edited(both, ["+ _:unnamed1 q d"]).find_entity("_:unnamed2") is None
     made = sparql(one, "CONSTRUCT { [] :of ?x } WHERE { ?y :p ?x }").graph
     assert list(made) == [("_:unnamed1", "of", "_:unnamed0")]
-
-
-@pytest.mark.parametrize("query", ["SELECT * { ?s ?p ?o }", "CONSTRUCT WHERE { ?s ?p ?o }"])
-def test_an_answer_is_never_cut(monkeypatch, query):
-    monkeypatch.setattr("knowarm.knowledge.graph.sparql.MAX_ROWS", 3)
-    graph = graph_of([("mug", "hasPart", name) for name in "abc"])
-    assert len(sparql(graph, query).rows or sparql(graph, query).graph) == 3
-    with pytest.raises(UserError, match=r"more than 3 rows\. Add a LIMIT"):
-        sparql(union(graph, graph_of([("mug", "hasPart", "d")])), query)
 
 
 @pytest.mark.parametrize("spelling", ["<urn:knowarm:caf%C3%A9>", ":café", "<urn:knowarm:café>"])

@@ -30,10 +30,10 @@ from knowarm.experiment.run import train
 from knowarm.experiment.run_folder import PERCEPTION_FILE, RunFolder
 from knowarm.knowledge import household, read_graph
 from knowarm.knowledge.formats import write_graph
-from knowarm.knowledge.graph.sparql import EXAMPLE, sparql
 from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.kge.train import save_model, split_graph
 from knowarm.knowledge.kge.train import train as train_embedding
+from knowarm.knowledge.queries.sparql import EXAMPLE, sparql
 from knowarm.knowledge.vectors.graph_embedding import stored_lookup
 from knowarm.knowledge.vectors.words import read_word_vectors
 from knowarm.learn.checkpoint import read_checkpoint

@@ -21,11 +21,10 @@ from knowarm.experiment.load import load_agent
 from knowarm.experiment.logs import RunLogs, TrainingProgress
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.knowledge import household, read_graph
-from knowarm.knowledge.graph import sparql as sparql_module
 from knowarm.knowledge.graph.graph import gamma
-from knowarm.knowledge.graph.sparql import sparql
 from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.kge.train import FORMAT, load_model, new_model, save_model
+from knowarm.knowledge.queries.sparql import sparql
 from knowarm.learn.checkpoint import Checkpoint, CheckpointStore, read_checkpoint
 from knowarm.world.description import read_description
 from knowarm.world.robots.robot import Robot
@@ -188,12 +187,6 @@ def test_toml_that_is_nested_very_deep(tmp_path):
 def test_queries_that_the_engine_refuses(query):
     with pytest.raises(UserError, match=r"SPARQL query: .*Example"):
         sparql(household(), query)
-
-
-def test_an_answer_of_very_many_rows(monkeypatch):
-    monkeypatch.setattr(sparql_module, "MAX_ROWS", 2)
-    with pytest.raises(UserError, match="more than 2 rows"):
-        sparql(household(), "SELECT * { ?s ?p ?o }")
 
 
 @pytest.mark.parametrize(

@@ -12,11 +12,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from knowarm.world.robots import ROBOTS
-from tests.robustness.cells import damage_cells
 from tests.robustness.faults import inject_file_errors
 from tests.robustness.formats import make_formats, try_mutations
-from tests.robustness.interrupts import interrupt_commands
-from tests.robustness.names import print_names
 from tests.robustness.storms import (
     kill_evaluations,
     kill_storm,
@@ -46,9 +43,6 @@ CAMPAIGNS: dict[str, tuple[int, Callable[[int, int], Result]]] = {
     "kill -9, evaluation": (20, kill_evaluations),
     "kill -9, study": (20, kill_study),
     "mutations of files": (20_000, mutations),
-    "damaged cells": (2000, damage_cells),
-    "names as markup": (300, print_names),
-    "Ctrl-C in long work": (40, interrupt_commands),
     "injected file errors": (500, inject_file_errors),
     **{
         f"random steps, {robot}": (

@@ -130,9 +130,6 @@ def test_a_bomb_is_refused(tmp_path):
     with gzip.open(file, "wb") as pack:
         pack.write(tar_header("manifest.json", b"0", len(manifest)) + manifest.ljust(512, b"\0"))
         pack.write(tar_header("a", b"0", size))
-        for _ in range(200):
-            pack.write(bytes(2**20))
-    assert file.stat().st_size < 2**18
     with pytest.raises(UserError, match="expands to more than 64 MiB"):
         unpack_study(file, tmp_path / "out")
     assert [path.name for path in tmp_path.iterdir()] == ["bomb.tar.gz"]

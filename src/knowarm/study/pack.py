@@ -15,12 +15,14 @@ from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.run import run_path
 from knowarm.experiment.run_folder import PERCEPTION_FILE
 from knowarm.experiment.run_lock import lock_folder
-from knowarm.reading import MAX_JSON, bounded, reading, replacing
+from knowarm.reading import MAX_JSON, reading, replacing
 from knowarm.study.config import PACKED, STUDY_FILE
 from knowarm.study.driver import open_study
 from knowarm.study.status import FAILURE
 
 FORMAT = 1  # of the manifest
+EXPANSION = 250
+"""How many times its size a pack may expand to, beyond `MAX_JSON`."""
 SUFFIX = ".tar.gz"
 
 Part = Literal["policies", "episodes", "steps", "films"]
@@ -113,11 +115,11 @@ def unpack_study(file: Path, out: Path) -> Path:
     try:
         with (
             reading(file, "Give an intact pack of a study, or another folder."),
-            bounded(gzip.open(file), file) as data,
+            gzip.open(file) as data,
             tarfile.open(fileobj=data, mode="r|", tarinfo=_RegularFile) as archive,
         ):
             temporary.mkdir(parents=True)
-            _extract(archive, temporary)
+            _extract(archive, temporary, MAX_JSON + EXPANSION * file.stat().st_size)
         temporary.rename(out)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
@@ -135,8 +137,12 @@ class _RegularFile(tarfile.TarInfo):
         return member
 
 
-def _extract(archive: tarfile.TarFile, folder: Path) -> None:
-    """Write the manifest and then the files that it lists; a `ValueError` says what differs."""
+def _extract(archive: tarfile.TarFile, folder: Path, most: int) -> None:
+    """Write the manifest and then the files that it lists, ``most`` bytes at most.
+
+    Raises:
+        ValueError: the pack differs from its manifest, or is too large.
+    """
     sizes, digests = {PACKED: MAX_JSON}, {}
     for member in archive:
         name = member.name
@@ -149,6 +155,8 @@ def _extract(archive: tarfile.TarFile, folder: Path) -> None:
             manifest = json.loads((folder / PACKED).read_bytes())
             digests = dict(manifest["sha256"])
             sizes = {name: manifest["bytes"][name] for name in digests}
+            if sum(sizes.values()) > most:
+                raise ValueError(f"it expands to more than 64 MiB and {EXPANSION} times its size")
     for name, digest in digests.items():
         found = ""
         if (folder / name).is_file():

@@ -16,11 +16,11 @@ from knowarm.knowledge.draw import draw_svg
 from knowarm.knowledge.formats import WRITERS, read_graph
 from knowarm.knowledge.graph.builder import difference, union
 from knowarm.knowledge.graph.graph import Direction
-from knowarm.knowledge.graph.sparql import sparql
 from knowarm.knowledge.graph.statistics import graph_statistics
 from knowarm.knowledge.graph.terms import local_name
 from knowarm.knowledge.probe import query_agreement
 from knowarm.knowledge.queries.queries import Pairs, QueryGraph
+from knowarm.knowledge.queries.sparql import sparql
 from knowarm.knowledge.queries.splits import SPLITS, QuerySplits, query_splits
 from knowarm.knowledge.slots import graph_facets
 from knowarm.questions import COLOUR_RELATION, QuestionTable

@@ -5,18 +5,15 @@ Nothing is fetched: a JSON-LD context must lie in the file itself.
 
 import heapq
 import re
-import shutil
 from codecs import BOM_UTF8
 from collections import defaultdict
 from collections.abc import Iterator
-from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
+from xml.parsers import expat
 
 from pyoxigraph import NamedNode, RdfFormat, Triple, parse, serialize
 
 from knowarm.errors import UserError
-from knowarm.knowledge.formats.oxigraph import run_oxigraph
 from knowarm.knowledge.formats.tables import open_bytes
 from knowarm.knowledge.graph.builder import GraphBuilder
 from knowarm.knowledge.graph.graph import KnowledgeGraph
@@ -64,14 +61,9 @@ def read_rdf(path: Path, syntax: RdfFormat) -> KnowledgeGraph:
     with reading(path, "Correct, copy or compress it again."):
         mark = _refuse_binary(path)
         try:
-            with open_bytes(path) as file, ExitStack() as stack:
+            with open_bytes(path) as file:
                 file.read(mark)
-                triples, lines = file, syntax
-                if syntax in (RdfFormat.RDF_XML, RdfFormat.JSON_LD):
-                    task = {"syntax": syntax.file_extension, "base": base}
-                    converted = run_oxigraph(partial(shutil.copyfileobj, file), **task)
-                    triples, lines = stack.enter_context(converted), RdfFormat.N_TRIPLES
-                for quad in parse(triples, format=lines, base_iri=base):
+                for quad in parse(file, format=syntax, base_iri=base):
                     head, tail, relation = quad.subject, quad.object, quad.predicate.value
                     if type(head) is NamedNode and type(tail) is NamedNode:  # most triples: fast
                         builder.add(head.value, relation, tail.value)
@@ -120,6 +112,12 @@ def _malformed(path: Path, syntax: RdfFormat, error: SyntaxError) -> UserError:
     _refuse_functional_syntax(path)
     reason = re.sub(r"^Parser error .*?: ", "", " ".join(str(error.msg).split()))
     line = error.lineno
+    if syntax == RdfFormat.RDF_XML and line is None:  # expat knows the line
+        try:
+            with open_bytes(path) as file:
+                expat.ParserCreate().ParseFile(file)
+        except expat.ExpatError as found:
+            line, reason = found.lineno, expat.errors.messages[found.code]
     if "Invalid UTF-8" in reason:
         return UserError(
             f"{path}, line {line}: not UTF-8 ({reason}). "

@@ -14,9 +14,9 @@ from knowarm.errors import UserError
 from knowarm.knowledge.graph.builder import GraphBuilder
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.terms import LABEL_RELATIONS, literal
-from knowarm.reading import bounded, reading
+from knowarm.reading import reading
 
-OPENERS: dict[str, Callable[..., Any]] = {".gz": gzip.open, ".bz2": bz2.open, ".xz": lzma.open}
+OPENERS: dict[str, Callable[[Path], Any]] = {".gz": gzip.open, ".bz2": bz2.open, ".xz": lzma.open}
 """Function that opens a compressed file, by suffix."""
 MAX_LINE = 1 << 20
 """Longest line in bytes; a file with a longer one is not line-based."""
@@ -32,8 +32,8 @@ def open_bytes(path: Path) -> IO[bytes]:
                 f"{path} must contain one file, but contains {', '.join(names[:6]) or 'none'}. "
                 f"Unpack it and give the path of the file."
             )
-        return bounded(archive.open(names[0]), path)
-    return bounded(OPENERS[suffix](path), path) if suffix in OPENERS else path.open("rb")
+        return archive.open(names[0])
+    return OPENERS[suffix](path) if suffix in OPENERS else path.open("rb")
 
 
 def byte_lines(path: Path) -> Iterator[tuple[int, bytes]]:

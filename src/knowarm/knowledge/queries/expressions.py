@@ -20,8 +20,8 @@ import numpy as np
 
 from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge.graph.graph import KnowledgeGraph
-from knowarm.knowledge.graph.sparql import sparql
 from knowarm.knowledge.graph.terms import local_name
+from knowarm.knowledge.queries.sparql import sparql
 from knowarm.questions import COLOUR_RELATION, ObjectColour
 
 Evidence = tuple[str, ...]
