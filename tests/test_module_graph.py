@@ -1,4 +1,4 @@
-"""The module graph of the package, type-checking and lazy imports included, has no circle."""
+"""Modules and folders of the package, type-checking and lazy imports included, form no circle."""
 
 import ast
 from collections import deque
@@ -35,6 +35,28 @@ def shortest_circles(graph):
     return sorted(found.values(), key=len)
 
 
+def folder_graph(graph):
+    """Return the folders and modules that each one beside them imports.
+
+    Modules that import each other are seen as what holds them in the folder that both are in: a
+    folder stands for all that is in it, a module directly in the folder for itself.
+    """
+    folders = {}
+    for path, targets in graph.items():
+        for target in targets:
+            pairs = zip(parts(path), parts(target), strict=False)
+            mine, theirs = next((a, b) for a, b in pairs if a != b)
+            folders.setdefault(mine, set()).add(theirs)
+            folders.setdefault(theirs, set())
+    return folders
+
+
+def parts(path):
+    """Return the folders that a path is in, from the outermost, and the path."""
+    names = path.split("/")
+    return ["/".join(names[:count]) for count in range(1, len(names) + 1)]
+
+
 def test_the_shortest_circles_of_a_graph():
     graph = {"a": {"b"}, "b": {"c", "d"}, "c": {"a", "b"}, "d": set(), "e": {"a"}}
     assert shortest_circles(graph) == [["b", "c", "b"], ["a", "b", "c", "a"]]
@@ -43,6 +65,20 @@ def test_the_shortest_circles_of_a_graph():
 def test_no_module_imports_itself_by_way_of_others():
     circles = shortest_circles(module_graph())
     assert not circles, "\n".join(" -> ".join(circle) for circle in circles[:20])
+
+
+def test_no_folder_imports_itself_by_way_of_others():
+    circles = shortest_circles(folder_graph(module_graph()))
+    assert not circles, "\n".join(" -> ".join(circle) for circle in circles[:20])
+
+
+def test_folders_that_import_each_other_are_found_at_every_depth():
+    """Also where their modules form no circle."""
+    graph = {"a/x/1.py": {"a/y/1.py"}, "a/y/2.py": {"a/x/2.py"}, "a/x/2.py": {"a/3.py", "b.py"}}
+    assert folder_graph(graph)["a/x"] == {"a/y", "a/3.py"}
+    assert shortest_circles(folder_graph(graph)) == [["a/x", "a/y", "a/x"]]
+    graph["a/3.py"] = {"a/x/1.py"}
+    assert ["a/x", "a/3.py", "a/x"] in shortest_circles(folder_graph(graph))
 
 
 def test_the_graph_is_complete():
