@@ -71,7 +71,7 @@ def imported(path: str, tree: ast.Module) -> Iterator[str]:
                 yield module if module in names() else beside
 
 
-BY_PATH = {"world/tasks/choose/source.py": {"experiment/graph_queries.py"}}
+BY_PATH = {"world/tasks/query_source.py": {"experiment/graph_queries.py"}}
 """Modules that a registry names by import path, and that are imported when they are used: a graph
 that answers questions joins ``knowledge`` and ``world``, which do not know each other."""
 

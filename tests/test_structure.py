@@ -1,13 +1,14 @@
 """Structure of the source: imports, registries, random state, names and lengths of modules."""
 
 import ast
-import re
 import tomllib
 from collections import defaultdict
 
 from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.world.robots import ROBOTS
+from knowarm.world.tasks import TASKS, task_type
+from knowarm.world.tasks.task import Task
 from tests.source_tree import ROOT, edges, files, imported, modules, package
 
 BELOW = {
@@ -28,6 +29,7 @@ BELOW = {
 
 REGISTRIES = {
     "world/robots/": set(ROBOTS),
+    "world/tasks/": set(TASKS),
     "experiment/agents.py": set(AGENTS),
     "experiment/algorithms.py": set(ALGORITHMS),
     "learn/algorithms.py": set(ALGORITHMS),
@@ -40,8 +42,9 @@ OTHER_MEANINGS = {
     "partial": "knowledge/",
     "learned": "policy/",  # PolicyConfig.knowledge_encoder
     "wide": "experiment/run.py",  # field of PolicyConfig
+    "reach": "world/objects/families.py",  # size of a handle
 }
-"""Names of agents that mean something else in a place."""
+"""Names of agents and tasks that mean something else in a place."""
 
 MOST_LINES = 350
 
@@ -96,7 +99,7 @@ def selectors(tree):
                     yield node.lineno, each.value
 
 
-def test_no_code_depends_on_the_name_of_a_robot_agent_or_algorithm():
+def test_no_code_depends_on_the_name_of_a_robot_agent_task_or_algorithm():
     """Their registries' entries say by fields what other code must know about them."""
     everything = set().union(*REGISTRIES.values())
     offenders = [
@@ -153,15 +156,54 @@ def test_modules_are_of_a_readable_length():
     assert not offenders, listed(offenders)
 
 
+def special_attributes():
+    """Return the names that some shipped tasks define and their base class does not."""
+    shipped = {name for kind in TASKS for name in dir(task_type(kind)) if name[0] != "_"}
+    fields = {name for kind in TASKS for name in task_type(kind).__dataclass_fields__}
+    return (shipped | fields) - set(dir(Task))
+
+
+def task_uses(path, tree):
+    """Yield where a module depends on which task it has."""
+    classes = {place.replace(":", ".") for place in TASKS.values()}
+    yield from (f"imports {name}" for name in imported(path, tree) if name in classes)
+    special = special_attributes()
+    for node in ast.walk(tree):
+        target = None
+        if isinstance(node, ast.Attribute) and node.attr in special:
+            target = node.value
+        elif isinstance(node, ast.Call) and ast.unparse(node.func) in ("getattr", "hasattr"):
+            target = node.args[0]
+        if target is not None and is_task(target):
+            yield f"{node.lineno}: {ast.unparse(node)}"
+
+
+def is_task(node):
+    """Return whether an expression is called ``task``."""
+    return ast.unparse(node).rpartition(".")[2] in ("task", "_task")
+
+
 def test_only_tasks_know_which_task_it_is():
     offenders = [
-        f"{path}:{number}: {line.strip()}"
-        for path, text in files("src").items()
-        if not path.startswith("src/knowarm/world/tasks/")
-        for number, line in enumerate(text.splitlines(), 1)
-        if re.search(r"config\.choice|env\.queries", line)
+        f"{path}: {use}"
+        for path, tree in modules().items()
+        if not path.startswith("world/tasks/")
+        for use in task_uses(path, tree)
     ]
     assert not offenders, listed(offenders)
+
+
+def test_every_use_of_one_task_is_found():
+    assert {"queries", "objects", "height_m", "nearest"} <= special_attributes()
+    lines = [
+        "from knowarm.world.tasks.reach import Reach",
+        "from knowarm.world.tasks.choose.choose import CHOOSE_TARGETS, Choose",
+        "env.task.height_m + task.objects",
+        "getattr(config.env.task, 'solid', None)",
+        "config.task.visible + setting.objects",
+    ]
+    found = [len([*task_uses("experiment/a.py", ast.parse(line))]) for line in lines]
+    assert found == [1, 1, 2, 1, 0]
 
 
 def test_mutation_testing_names_files_that_exist():

@@ -23,7 +23,7 @@ from knowarm.experiment.run import Run
 from knowarm.world.agents import OracleAgent
 from knowarm.world.config import EnvConfig, questions_of
 from knowarm.world.tasks.choose.choose import Choose
-from knowarm.world.tasks.choose.source import NameQueries
+from knowarm.world.tasks.query_source import NameQueries
 from tests.tiny import CHOOSE_ENV, CHOOSE_NAME
 
 

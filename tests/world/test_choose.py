@@ -23,10 +23,10 @@ from knowarm.world.envs.torch_env import TorchArmVectorEnv
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.render.cpu import Raycaster
 from knowarm.world.robots import ROBOTS
+from knowarm.world.tasks.choose.arrangements import Arrangements, arrange
 from knowarm.world.tasks.choose.choose import Choose
 from knowarm.world.tasks.choose.layouts import support
-from knowarm.world.tasks.choose.source import Arrangements, NameQueries, arrange
-from knowarm.world.tasks.ik import InverseKinematics
+from knowarm.world.tasks.query_source import NameQueries
 
 STREAMS = np.arange(200, dtype=np.uint64)
 NUMBERS = STREAMS % np.uint64(7)
@@ -62,8 +62,7 @@ class PickingAgent(OracleAgent):
         target = env.running.objects[rows, pick]
         grasp = env.running.grasp_positions()[rows, pick]
         matrix = env.scene.grasp_matrix[target].reshape(-1, 9)
-        solver = InverseKinematics(env.scene, seed=self._seed)
-        self._reach = solver.solve(grasp, matrix, env.joint_positions)
+        self.guide.go_to(grasp, matrix)
 
 
 class TryingAgent(PickingAgent):

@@ -9,7 +9,7 @@ from knowarm.knowledge.formats import SHIPPED, read_graph
 from knowarm.knowledge.queries.queries import Pairs
 from knowarm.knowledge.queries.splits import HELD_OUT, QuerySplits, Split, query_splits
 from knowarm.questions import ObjectColour, QuestionTable
-from knowarm.world.tasks.choose.source import QuerySource
+from knowarm.world.tasks.query_source import QuerySource
 
 
 @dataclass(frozen=True, kw_only=True)

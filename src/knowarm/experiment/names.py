@@ -166,7 +166,7 @@ def _config(name: ExperimentName) -> ExperimentConfig:
     agent, algorithm = AGENTS[name.agent], algorithms()[name.algorithm]
     task, knowledge = override(task_type(name.task)(), agent.task), agent.knowledge
     policy = {**algorithm.policy, **(algorithm.grounded if agent.grounding else {})}
-    queries = getattr(task, "queries", None)
+    queries = task.query_source
     if knowledge.scope in ("query", "perceived") and isinstance(queries, GraphQueries):
         # described by the graph of the questions
         knowledge = replace(knowledge, graph=queries.graph, aliases=QUERY.aliases)

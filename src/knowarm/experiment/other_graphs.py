@@ -21,7 +21,6 @@ from knowarm.perception.images import DescribedGraph, query_answers
 from knowarm.questions import ObjectColour, Query, QuestionTable
 from knowarm.seeding import derive_seed
 from knowarm.world.config import EnvConfig, facets_of, questions_of
-from knowarm.world.tasks.choose.choose import Choose
 
 
 def check_graph(config: ExperimentConfig, env: EnvConfig) -> None:
@@ -147,10 +146,7 @@ def target_names(env: EnvConfig) -> list[str]:
 def _questions(env: EnvConfig) -> QuestionTable:
     table = questions_of(env)
     if table is None:
-        raise UserError(
-            f"The task {env.task.kind_of()!r} has no queries that a graph could answer. Take a "
-            "run of the choose task."
-        )
+        raise _no_queries(env)
     return table
 
 
@@ -160,7 +156,14 @@ def splits_of(env: EnvConfig) -> QuerySplits:
 
 
 def _source(env: EnvConfig) -> GraphQueries:
-    task = env.task
-    assert isinstance(task, Choose)
-    assert isinstance(task.queries, GraphQueries)
-    return task.queries
+    source = env.task.query_source
+    if not isinstance(source, GraphQueries):
+        raise _no_queries(env)
+    return source
+
+
+def _no_queries(env: EnvConfig) -> UserError:
+    return UserError(
+        f"The task {env.task.kind_of()!r} has no queries that a graph could answer. Take a run of "
+        "the choose task."
+    )

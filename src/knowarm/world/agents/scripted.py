@@ -60,6 +60,9 @@ class OracleAgent:
 
     Args:
         seed: of the starting points of the solver.
+
+    Attributes:
+        guide: knows the way, from the first `start` on.
     """
 
     straight = False
@@ -67,18 +70,18 @@ class OracleAgent:
     def __init__(self, seed: int = 0) -> None:
         self._seed = seed
         self._env: ArmVectorEnv | None = None
-        self._guide: Guide
+        self.guide: Guide
 
     def start(self, env: ArmVectorEnv) -> None:
         """Solve the inverse kinematics of every episode."""
         if self._env is not env:
             self._env = env
-            self._guide = env.config.task.guide(env.running, self._seed, self.straight)
-        self._guide.restart()
+            self.guide = env.config.task.guide(env.running, self._seed, self.straight)
+        self.guide.restart()
 
     def act(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:
         """Choose for each joint the action that ends nearest to its solution, (n, J)."""
-        return nearest_levels(self._guide.error())
+        return nearest_levels(self.guide.error())
 
 
 class ApproachAgent(OracleAgent):

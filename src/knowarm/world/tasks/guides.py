@@ -32,9 +32,12 @@ class ShortestWay:
 
     def restart(self) -> None:
         """Solve the inverse kinematics of every episode."""
-        state = self._state
-        start = state.simulator.joint_positions
-        self._goal = self._solver.solve(state.goal_position, state.goal_matrix, start).joints
+        self.go_to(self._state.goal_position, self._state.goal_matrix)
+
+    def go_to(self, position: Floats, matrix: Floats) -> None:
+        """Solve for other goal frames than the true ones, (n, 3) [m] and (n, 9)."""
+        start = self._state.simulator.joint_positions
+        self._goal = self._solver.solve(position, matrix, start).joints
 
     def error(self) -> Floats:
         """Return the way from joint targets to solution in largest steps, (n, J)."""

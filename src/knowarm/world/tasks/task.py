@@ -10,6 +10,7 @@ from knowarm.arrays import Floats, Integers, Mask
 from knowarm.errors import UserError
 from knowarm.measures import Measure
 from knowarm.questions import ObjectColour, QuestionTable
+from knowarm.world.tasks.query_source import QuerySource
 from knowarm.world.tasks.reward import is_success, paper_reward
 from knowarm.world.tasks.sampling import Colours, ObjectSampler, OneObject, Setting
 from knowarm.world.tasks.state import EpisodeState, SimulatorT
@@ -84,6 +85,11 @@ class Task(Generic[SimulatorT]):
     def visible(self) -> int:
         """Number of objects that an episode shows."""
         return 1
+
+    @property
+    def query_source(self) -> QuerySource | None:
+        """Where the questions come from; None if episodes have none."""
+        return None
 
     @property
     def paints_goal(self) -> bool:

@@ -18,12 +18,11 @@ from knowarm.errors import UserError
 from knowarm.measures import Measure
 from knowarm.questions import ObjectColour, QuestionTable
 from knowarm.world.objects.families import FAMILIES
-from knowarm.world.tasks.choose.source import (
+from knowarm.world.tasks.choose.arrangements import SeveralObjects, question_table
+from knowarm.world.tasks.query_source import (
     QUERY_SOURCES,
     QuerySource,
-    SeveralObjects,
     graph_queries,
-    question_table,
     source_type,
 )
 from knowarm.world.tasks.reward import is_success, measure
@@ -98,6 +97,11 @@ class Choose(Task):
     def visible(self) -> int:
         """Number of objects that an episode shows."""
         return self.objects
+
+    @property
+    def query_source(self) -> QuerySource:
+        """Where the questions come from."""
+        return self.queries
 
     @property
     def paints_goal(self) -> bool:

@@ -16,7 +16,7 @@ from knowarm.arrays import Integers
 from knowarm.measures import Measure
 from knowarm.questions import object_of
 from knowarm.world.tasks.choose.choose import ANY_SOURCE, Choose, measure_object
-from knowarm.world.tasks.choose.source import QuerySource, graph_queries
+from knowarm.world.tasks.query_source import QuerySource, graph_queries
 from knowarm.world.tasks.sampling import Setting
 from knowarm.world.tasks.state import EpisodeState
 
