@@ -47,7 +47,8 @@ def write_random_graph(path: Path, triples: int, seed: int = 0) -> None:
 def own_bytes(graph: KnowledgeGraph) -> int:
     """Count the bytes held by triples and names."""
     arrays = (graph.heads, graph.relations, graph.tails, graph.by_tail, graph.tails_sorted)
-    names = sum(len(n.blob) + n.offsets.nbytes for n in (graph.names, graph.relation_names))
+    tables = (graph.names, graph.relation_names)
+    names = sum(sys.getsizeof(table) + sum(map(sys.getsizeof, table)) for table in tables)
     return sum(a.nbytes for a in arrays) + graph.nodes.nbytes + names
 
 

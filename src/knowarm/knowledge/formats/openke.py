@@ -74,7 +74,7 @@ def _read_names(path: Path) -> tuple[Names, np.ndarray]:
     order = sorted(by_id, key=lambda i: by_id[i])
     rank = np.empty(len(order), np.int64)
     rank[order] = np.arange(len(order))
-    return Names.from_sorted(by_id[i] for i in order), rank
+    return Names(by_id[i] for i in order), rank
 
 
 def _read_triples(path: Path, entities: int, relations: int) -> np.ndarray:

@@ -7,6 +7,7 @@ from itertools import count
 
 import numpy as np
 
+from knowarm.errors import UserError
 from knowarm.knowledge.graph.graph import KnowledgeGraph, Names, Triple
 from knowarm.knowledge.graph.terms import LABEL_RELATIONS, blank_names, parse_literal
 
@@ -77,10 +78,12 @@ class GraphBuilder:
 
 def _sorted(ids: dict[str, int]) -> tuple[Names, np.ndarray]:
     """Sort names; return them and the new id of each provisional id, (n,) int32."""
-    names = sorted(ids)
+    names = Names(sorted(ids))
+    if bad := next((name for name in names if "\0" in name), None):
+        raise UserError(f"The name {bad!r} contains a zero byte. Rename it.")
     rank = np.empty(len(names), np.int32)
     rank[[ids[name] for name in names]] = np.arange(len(names))
-    return Names.from_sorted(names), rank
+    return names, rank
 
 
 def graph_of(

@@ -18,37 +18,8 @@ _FEW = 20_000
 """With more entities than this, an error suggests names with the same first letter only."""
 
 
-class Names:
-    """Sorted distinct strings as UTF-8 in ``blob``, each followed by a zero byte.
-
-    A million names of 30 letters take 39 MB here and 143 MB as a Python dict. The id of a name is
-    its rank in the order of code points; ``offsets`` (n + 1,) int64 are the first bytes.
-    """
-
-    def __init__(self, blob: bytes, offsets: np.ndarray) -> None:
-        self.blob = blob
-        self.offsets = offsets
-
-    @classmethod
-    def from_sorted(cls, names: Iterable[str]) -> "Names":
-        """Build the table from names that are sorted and distinct."""
-        encoded = [name.encode() for name in names]
-        offsets = np.zeros(len(encoded) + 1, np.int64)
-        np.cumsum([len(name) + 1 for name in encoded], out=offsets[1:])
-        blob = b"\0".join(encoded) + (b"\0" if encoded else b"")
-        if blob.count(b"\0") > len(encoded):
-            bad = next(name for name in encoded if b"\0" in name)
-            raise UserError(f"The name {bad.decode()!r} contains a zero byte. Rename it.")
-        return cls(blob, offsets)
-
-    def __len__(self) -> int:
-        return len(self.offsets) - 1
-
-    def __getitem__(self, index: int) -> str:
-        return self.blob[self.offsets[index] : self.offsets[index + 1] - 1].decode()
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.blob.decode().split("\0")[:-1])
+class Names(tuple[str, ...]):
+    """Sorted distinct names; the id of a name is its rank in the order of code points."""
 
     def find(self, name: str) -> int | None:
         """Return the id of a name, or None: a binary search."""
@@ -56,31 +27,16 @@ class Names:
         return place if place < len(self) and self[place] == name else None
 
     def find_local(self, local: str) -> list[int]:
-        """Return the ids of IRIs whose `local_name` this is, ascending."""
-        found, needle = list(self._quoted.get(local, ())), local.encode(errors="surrogatepass")
-        place = self.blob.find(needle + b"\0")
-        while place >= 0:
-            if place and self.blob[place - 1 : place] in (b"#", b"/", b":"):
-                index = self._index(place)
-                found += [index] if local_name(self[index]) == local else []
-            place = self.blob.find(needle + b"\0", place + 1)
-        return sorted(set(found))
+        """Return the ids of the names, but for literals, whose `local_name` this is, ascending."""
+        return self._by_local.get(local, [])
 
     @cached_property
-    def _quoted(self) -> dict[str, list[int]]:
-        """Ids by local name, of the names whose bytes do not end in it."""
-        found = defaultdict(list)
-        data = np.frombuffer(self.blob, np.uint8)
-        ends = np.isin(data[self.offsets[1:] - 2], list(b"#/:"))
-        places = np.searchsorted(self.offsets, np.flatnonzero(data == ord("%")), side="right")
-        for index in np.union1d(np.flatnonzero(ends), places - 1).tolist():
-            if not (name := self[index]).startswith('"'):
-                found[local_name(name)].append(index)
-        return found
-
-    def _index(self, place: int) -> int:
-        """Return the id of the name that holds a byte."""
-        return int(np.searchsorted(self.offsets, place, side="right")) - 1
+    def _by_local(self) -> dict[str, list[int]]:
+        ids = defaultdict(list)
+        for index, name in enumerate(self):
+            if not name.startswith('"'):
+                ids[local_name(name)].append(index)
+        return dict(ids)
 
 
 class KnowledgeGraph:

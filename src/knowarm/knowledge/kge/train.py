@@ -277,7 +277,8 @@ def save_model(
     """Write a model, with the shares of the graph that were held out by `split_graph`."""
     tensors = {name: value.detach().contiguous() for name, value in model.state_dict().items()}
     for name, names in (("entities", graph.names), ("relations", graph.relation_names)):
-        tensors[f"names.{name}"] = torch.from_numpy(np.frombuffer(names.blob, np.uint8).copy())
+        data = "".join(f"{text}\0" for text in names).encode()
+        tensors[f"names.{name}"] = torch.from_numpy(np.frombuffer(data, np.uint8).copy())
     about = {"config": json.dumps(asdict(config)), "shares": json.dumps(dict(shares or {}))}
     with writing(path, "Give another path."):
         path.parent.mkdir(parents=True, exist_ok=True)
