@@ -55,7 +55,7 @@ types: $(VENV)/.dev ## run mypy
 fast-tests: $(VENV)/.dev ## run the fast tests
 	$(PY) -m pytest -q -n 2 --dist worksteal -m "not slow and not browser and not opengl"
 
-torture: $(VENV)/.dev ## kill, damage, stop and starve it for an hour or more: docs/reliability.md
+torture: $(VENV)/.dev ## kill and damage it for twenty minutes or more: docs/reliability.md
 	$(PY) -m tests.robustness.torture
 
 # All of [tool.mutmut] in pyproject.toml, or a part: make mutate MUTANTS='knowarm.learn.losses*'

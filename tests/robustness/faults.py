@@ -17,7 +17,7 @@ from knowarm.experiment.run import train
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.learn.checkpoint import Checkpoint, CheckpointStore, read_checkpoint
 from knowarm.report import write_report
-from tests.robustness.storms import STEPS, storm_config
+from tests.tiny import short
 
 
 class _Faults:
@@ -65,7 +65,7 @@ def inject_file_errors(tries: int, seed: int) -> tuple[int, list[str]]:
     arrays = {"a": np.arange(100.0)}
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        run = train(storm_config("ppo", 2 * STEPS), folder / "runs", policy={"features": 8}).folder
+        run = train(short(total_steps=40), folder / "runs", policy={"features": 8}).folder
         store = CheckpointStore(folder / "checkpoints", {})
         store.save(Checkpoint(policy=arrays, facts={"step": 0}))
 
@@ -82,12 +82,8 @@ def inject_file_errors(tries: int, seed: int) -> tuple[int, list[str]]:
             evaluate(run.path, episodes=2, probes=(), label="faults")
 
         def training(number: int) -> None:
-            train(
-                storm_config("ppo", (4 + number) * STEPS),
-                folder / "runs",
-                resume=True,
-                policy={"features": 8},
-            )
+            config = short(total_steps=20 * (4 + number))
+            train(config, folder / "runs", resume=True, policy={"features": 8})
 
         actions = [(save, 8, 20), (log, 8, 6), (report, 1, 30), (evaluated, 1, 12)]
         actions += [(training, 1, 60)]

@@ -5,15 +5,12 @@ import gzip
 import io
 import lzma
 import signal
-import sys
-import tempfile
 import traceback
 import zipfile
 import zlib
 from collections.abc import Callable
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -42,12 +39,6 @@ from knowarm.perception.config import PerceptionConfig
 from knowarm.perception.training import train_classifier
 from knowarm.report import write_report
 from knowarm.report.collect import collect
-from knowarm.world.description import read_description
-from knowarm.world.objects import TARGETS
-from knowarm.world.objects.target import Target
-from knowarm.world.robots import ROBOTS
-from knowarm.world.robots.robot import Robot
-from knowarm.world.scene.mjcf import read_mjcf
 from tests.robustness.mutator import mutate
 from tests.robustness.packs import pack_readers
 from tests.tiny import TINY, short
@@ -140,7 +131,6 @@ def make_formats(folder: Path) -> list[Format]:
     return [
         *_graphs(folder / "graphs ä"),
         *_vectors(folder / "vectors"),
-        *_world(folder / "world"),
         *_run(folder / "runs"),
         *_perception(folder / "perception"),
         *(Format(*each) for each in pack_readers(folder / "packs")),
@@ -200,50 +190,6 @@ def _vectors(folder: Path) -> list[Format]:
             for p in (plain, packed, zipped)
         ),
         Format("graph embedding", embedding, lambda path: stored_lookup(path, graph)),
-    ]
-
-
-ROBOT = """name = "own"
-mjcf = "{mjcf}"
-joints = {joints}
-tcp_site = "{robot.tcp_site}"
-home = {home}
-rectangle_centre_m = [0.5, 0.0]
-rectangle_half_size_m = [0.1, 0.1]
-target_yaw_deg = 180.0
-camera_position_m = [1.5, 0.0, 1.0]
-camera_look_at_m = [0.4, 0.0, 0.2]
-camera_fovy_deg = 45.0
-
-[target_yaws_deg]
-mug = 170.0
-"""
-
-TARGET = """name = "own"
-mjcf = "{mjcf}"
-coloured_geoms = {geoms}
-
-[colours]
-red = [0.9, 0.1, 0.1]
-"""
-
-
-def _world(folder: Path) -> list[Format]:
-    folder.mkdir()
-    robot, target = next(iter(ROBOTS.values())), next(iter(TARGETS.values()))
-    own_robot, own_target = folder / "robot.toml", folder / "target.toml"
-    mjcf = folder / "robot.xml"
-    mjcf.write_bytes(robot.mjcf.read_bytes())
-    own_robot.write_text(
-        ROBOT.format(mjcf=mjcf.name, joints=list(robot.joints), home=list(robot.home), robot=robot)
-    )
-    own_target.write_text(
-        TARGET.format(mjcf=target.mjcf.as_posix(), geoms=list(target.coloured_geoms))
-    )
-    return [
-        Format("robot TOML", own_robot, partial(read_description, kind=Robot)),
-        Format("target TOML", own_target, partial(read_description, kind=Target)),
-        Format("MJCF", mjcf, lambda path: read_mjcf(path, "Robot 'own'")),
     ]
 
 
@@ -327,20 +273,3 @@ def _texts(folder: Path) -> list[Format]:
             lambda p: parse_train([name, *p.read_bytes().decode(errors="replace").split()]),
         ),
     ]
-
-
-def main() -> None:
-    """Print the failures of ``FORMAT-PART COUNT [FIRST SEED]`` as a check while developing."""
-    part, count, *first = sys.argv[1:]
-    begin = int(first[0]) if first else 0
-    with tempfile.TemporaryDirectory() as folder:
-        for each in make_formats(Path(folder)):
-            if part in each.name:
-                failures = try_mutations(each, range(begin, begin + int(count)))
-                print(f"{each.name}: {len(failures)} failures", flush=True)
-                for failure in failures[:5]:
-                    print("   ", failure.seed, failure.what, flush=True)
-
-
-if __name__ == "__main__":
-    main()

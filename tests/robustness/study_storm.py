@@ -16,8 +16,10 @@ from knowarm.experiment.csv_log import read_csv
 from knowarm.study import driver as driver_module
 from knowarm.study.driver import open_study, run_study
 from knowarm.study.status import study_status
-from tests.robustness.storms import GONE_S
 from tests.study.tiny import InlineExecutor
+
+GONE_S = 120
+"""Time that processes of a killed study have to disappear [s]."""
 
 MARK = "KNOWARM_FAULT_TEST"
 ALONE, HELPED = "irb120-bm-ppo", "irb120-full-ppo"  # without and with helper processes

@@ -198,12 +198,6 @@ def test_service_is_refused_wherever_it_stands(before, service):
         sparql(household(), f"ASK {{ ?s ?p {before} {service}{{ ?s ?p ?o }} }}")
 
 
-def test_brackets_in_strings_are_no_nesting(tmp_path):
-    path = tmp_path / "a.jsonld"
-    path.write_text(json.dumps({"@id": "http://a", "http://b": '\\"' + "[{" * 1000}))
-    assert len(read_graph(path)) == 1
-
-
 LONG = "a" * 5000
 ODD = "x\x1b[31m\n\u202ey"
 

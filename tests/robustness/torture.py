@@ -11,14 +11,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from knowarm.world.robots import ROBOTS
 from tests.robustness.faults import inject_file_errors
 from tests.robustness.formats import make_formats, try_mutations
-from tests.robustness.storms import (
-    kill_evaluations,
-    kill_storm,
-    random_steps,
-)
 from tests.robustness.study_storm import kill_study
 
 Result = tuple[int, list[str]]
@@ -37,20 +31,9 @@ def mutations(tries: int, seed: int) -> Result:
 
 
 CAMPAIGNS: dict[str, tuple[int, Callable[[int, int], Result]]] = {
-    "kill -9, PPO alone": (50, lambda n, seed: kill_storm("ppo", n, seed)),
-    "kill -9, PPO with helpers": (25, lambda n, seed: kill_storm("ppo with helpers", n, seed)),
-    "kill -9, A3C": (25, lambda n, seed: kill_storm("a3c", n, seed)),
-    "kill -9, evaluation": (20, kill_evaluations),
-    "kill -9, study": (20, kill_study),
+    "kill -9": (20, kill_study),
     "mutations of files": (20_000, mutations),
     "injected file errors": (500, inject_file_errors),
-    **{
-        f"random steps, {robot}": (
-            1_000_000,
-            lambda n, seed, robot=robot: random_steps(robot, n, seed),
-        )
-        for robot in ROBOTS
-    },
 }
 """Tries of the long form, and the function that makes them."""
 

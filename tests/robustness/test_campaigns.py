@@ -1,0 +1,17 @@
+"""The short forms of the campaigns of mutations and file errors; `make torture` runs long ones."""
+
+import pytest
+
+from tests.robustness.faults import inject_file_errors
+from tests.robustness.formats import make_formats, try_mutations
+
+
+@pytest.mark.slow
+def test_damaged_files_end_in_an_error_for_users(tmp_path):
+    failures = [f for each in make_formats(tmp_path) for f in try_mutations(each, range(5))]
+    assert failures == []
+
+
+@pytest.mark.slow
+def test_file_errors_end_in_an_error_for_users_and_leave_what_was_stored():
+    assert inject_file_errors(30, 0) == (30, [])
