@@ -7,13 +7,14 @@ import re
 import shlex
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from knowarm.cli import main as cli
 from knowarm.cli.main import COMMANDS, main, with_flags
-from knowarm.cli.train import parse_train
+from knowarm.cli.train import Train
 from knowarm.config import to_dict
 from knowarm.errors import Argument, UserError
 from knowarm.experiment.agents import AGENTS
@@ -23,6 +24,7 @@ from knowarm.world.robots import ROBOTS
 from tests.tiny import short
 
 ROOT = Path(__file__).parent.parent.parent
+parse_train = partial(Train.parse, "knowarm train")
 
 
 def run(capsys, *arguments: str) -> tuple[int, str, str]:
@@ -257,21 +259,6 @@ def test_errors_of_the_library_name_flags() -> None:
     assert with_flags(error, "train") == (
         "Use --knowledge.detail full or --knowledge.aliases 'sauce pan' pan"
     )
-
-
-def test_help_joins_the_lines_of_docstrings(capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "90")
-    texts = []
-    for command in ("queries", "embed"):
-        with pytest.raises(SystemExit) as ended:
-            main(["knowledge", command, "--help"])
-        assert ended.value.code == 0
-        texts.append(capsys.readouterr().out)
-    assert max(map(len, texts[0].splitlines())) == 90
-    assert not re.search(r"the tail of *│?$", texts[0])  # the source breaks the line here
-    words = re.sub(r"[│\s]+", " ", texts[0])
-    assert "is the head of a triple and the tail of none, and no colour. --colours" in words
-    assert not re.search("``|default: \\)", "".join(texts))
 
 
 def test_a_knowledge_source_is_chosen_by_name() -> None:

@@ -52,7 +52,7 @@ def test_it_is_trained_and_evaluated_by_commands(
     run = tmp_path / NAME / "0"
     assert f"knowarm evaluate {run} --algorithms a2c:A2C\n" in capsys.readouterr().out
     assert read_json(run / "config.json")["algorithm"]["gamma"] == 0.9
-    assert _parse("train", [NAME]).again == f"knowarm train {NAME} --algorithms a2c:A2C"
+    assert _parse("train", [NAME]).again == f"knowarm train {NAME} --resume --algorithms a2c:A2C"
 
     ALGORITHMS.pop("a2c")  # as a new process does not know it
     monkeypatch.setenv(VARIABLE, "")

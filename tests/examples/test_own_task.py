@@ -54,7 +54,7 @@ def test_it_is_trained_evaluated_and_reported(
     name, options = "irb120-hover-full-ppo", ["--tasks", "hover:Hover"]
     command = _parse("train", [name, *options])  # which Ctrl-C prints
     assert (command.again, command.own) == (
-        "knowarm train irb120-hover-full-ppo --tasks hover:Hover",
+        "knowarm train irb120-hover-full-ppo --resume --tasks hover:Hover",
         " --tasks hover:Hover",
     )
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.apartment_graph import write_openke
-from knowarm.cli.train import parse_train
+from knowarm.cli.train import Train
 from knowarm.errors import UserError
 from knowarm.experiment.csv_log import CsvLog
 from knowarm.experiment.evaluate import evaluate
@@ -270,6 +270,6 @@ def _texts(folder: Path) -> list[Format]:
         Format(
             "command line",
             options,
-            lambda p: parse_train([name, *p.read_bytes().decode(errors="replace").split()]),
+            lambda p: Train.parse("", [name, *p.read_bytes().decode(errors="replace").split()]),
         ),
     ]

@@ -2,26 +2,17 @@
 
 import re
 import sys
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import redirect_stderr, suppress
-from dataclasses import field, fields, is_dataclass, make_dataclass
+from copy import copy
+from dataclasses import field, is_dataclass, make_dataclass
 from functools import partial
 from io import StringIO
-from itertools import chain
 from textwrap import fill
-from typing import (
-    TYPE_CHECKING,
-    Annotated,
-    Any,
-    TypeVar,
-    cast,
-    get_args,
-    get_origin,
-    get_type_hints,
-)
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 import tyro
-from docstring_parser import parse_from_object
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from knowarm.errors import UserError, unknown_name
@@ -70,19 +61,10 @@ def parse_options(
     command: type[Command], prog: str, arguments: Sequence[str], **options: Any
 ) -> Command:
     """Make a command, a dataclass, from its options; ``options`` are those of `tyro.cli`."""
-    given: set[str] = set()
-    for word in arguments:
-        name = word.partition("=")[0].replace("_", "-")
-        if name in given:
+    names = (word.partition("=")[0].replace("_", "-") for word in arguments)
+    for name, count in Counter(name for name in names if re.match(r"--[a-z]", name)).items():
+        if count > 1:
             raise UserError(f"{name} is given twice; give it once, a list as {name} FIRST SECOND.")
-        if re.match(r"--[a-z]", name):
-            given.add(name)
-    if any(word in HELP for word in arguments):
-        needed = [
-            each.name for each in fields(cast(Any, command)) if each.default is each.default_factory
-        ]
-        default = options.pop("default", None) or command(**dict.fromkeys(needed, tyro.MISSING))
-        command = _for_help(default)
     frame = StringIO()
     try:
         with redirect_stderr(frame):
@@ -100,13 +82,11 @@ def parse_options(
 def parse_command(command: Any, prog: str, about: str, arguments: Sequence[str]) -> Any:
     """Make a command from the words after its name ``prog``; ``about`` is the help of a group.
 
-    ``command`` is a dataclass whose fields are the options, a class with a method ``parse``, a
-    function of the words, or a group of these by name.
+    ``command`` is a dataclass whose fields are the options, which may have a method ``parse``, or a
+    group of these by name.
     """
     if isinstance(command, type):
         return getattr(command, "parse", partial(parse_options, command))(prog, arguments)
-    if not isinstance(command, Mapping):
-        return command(arguments)
     name, *rest = arguments or HELP
     if name in HELP:
         docs = {name: each.__doc__ or "" for name, each in command.items()}
@@ -145,7 +125,7 @@ def answer_help(
         return path.startswith(f"{groups[group]}.") if group else path in first
 
     with suppress(SystemExit):
-        command = _for_help(default, is_shown)
+        command = _showing(default, is_shown)
         tyro.cli(command, prog=prog, args=["--help"], description=about or None, **READING)
     print(f"`{prog} --help-all` shows all options, `--help GROUP` a group:")
     print(fill(", ".join(groups), 100, initial_indent="  ", subsequent_indent="  "))
@@ -154,39 +134,29 @@ def answer_help(
 
 def _groups(config: Any, prefix: str = "") -> Iterator[str]:
     """Yield the paths of the configs within a config."""
-    for name, value in ((each.name, getattr(config, each.name)) for each in fields(config)):
+    for name, value in vars(config).items():
         if is_dataclass(value):
             yield prefix + name
             yield from _groups(value, f"{prefix}{name}.")
 
 
-def _identity(value: Any) -> Any:
-    return value
-
-
-def _for_help(
-    config: Any, is_shown: Callable[[str], bool] = lambda path: True, prefix: str = ""
-) -> type:
+def _showing(config: Any, is_shown: Callable[[str], bool], prefix: str = "") -> type:
     """Return a class like a config's, with its values as defaults, whose help shows some fields."""
     types = get_type_hints(type(config), include_extras=True)
-    docs = [parse_from_object(base).params for base in reversed(type(config).__mro__[:-1])]
-    texts = {each.arg_name: " ".join((each.description or "").split()) for each in chain(*docs)}
-    chosen: list[tuple[str, Any, Any]] = []
-    for name, value in ((each.name, getattr(config, each.name)) for each in fields(config)):
+    shown: list[tuple[str, Any, Any]] = []
+    for name, value in vars(config).items():
         kind: Any = types[name]
-        default: Callable[[], Any] = partial(_identity, value)
+        default: Callable[[], Any] = partial(copy, value)
         if is_dataclass(value):
-            default = _for_help(value, is_shown, f"{prefix}{name}.")
+            default = _showing(value, is_shown, f"{prefix}{name}.")
             extras = get_args(kind)[1:] if get_origin(kind) is Annotated else ()
             kind = Annotated[default, *extras] if extras else default
         elif not is_shown(prefix + name):
             kind = Annotated[kind, tyro.conf.Suppress]
-        hint = "" if value in ((), {}, "") else None  # instead of "(default: )"
-        told = tyro.conf.arg(help=texts.get(name, "").replace("``", "`"), help_behavior_hint=hint)
-        chosen.append((name, Annotated[kind, told], field(default_factory=default)))
+        shown.append((name, kind, field(default_factory=default)))
     options: dict[str, Any] = {"bases": (type(config),), "frozen": True, "kw_only": True}
     options["namespace"] = {"__doc__": type(config).__doc__}
-    return make_dataclass(type(config).__name__, chosen, **options)
+    return make_dataclass(type(config).__name__, shown, **options)
 
 
 def take_experiment(arguments: Sequence[str], usage: str) -> tuple[str, list[str]]:

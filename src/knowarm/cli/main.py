@@ -20,7 +20,7 @@ from knowarm.private_apis import end_process
 COMMANDS = {
     "demo": ("train:Demo", "train two agents for a short time, evaluate them, write a report"),
     "list": ("list:List", "list robots, targets, agents, algorithms and experiments"),
-    "train": ("train:parse_train", "train one agent, or resume a stopped run"),
+    "train": ("train:Train", "train one agent, or resume a stopped run"),
     "evaluate": ("evaluate:Evaluate", "evaluate a trained or scripted agent on fixed episodes"),
     "ask": ("ask:Ask", "ask a trained agent a question that a graph answers"),
     "study": ("study:COMMANDS", "run a table of experiments and seeds, restartable"),
@@ -40,8 +40,7 @@ COMMANDS = {
 """Where each command is defined, and its help text.
 
 The definition is a frozen dataclass whose fields are the arguments and whose ``run()`` does the
-work and may return an exit code, a function that makes one from the arguments, or a dict of such
-definitions by name.
+work and may return an exit code, or a dict of such definitions by name.
 """
 
 FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EIO)  # system errors without the name of a file

@@ -5,10 +5,11 @@ What imports torch, which takes seconds, is imported after the options are read.
 
 import shlex
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import tyro
 
@@ -69,6 +70,42 @@ class Train:
     own: tyro.conf.Suppress[str] = ""
     """Options by which evaluations find a task and an algorithm of one's own."""
 
+    @classmethod
+    def parse(cls, prog: str, arguments: Sequence[str]) -> Self:
+        """Parse the options over the values of the experiment, or those of the run to resume."""
+        name, rest = take_experiment(arguments, USAGE)
+        rest, file = take_option(rest, "--config", "run.toml")
+        values = {} if file is None else read_toml(Path(file))
+        rest, task = take_option(rest, "--env.task", "package.module:Name")
+        rest, robot = take_option(rest, "--env.robot", "my_arm.toml")
+        rest, source = take_source(rest, "--knowledge.source")
+        experiment = ExperimentName.parse(name)
+        if task is not None:
+            experiment = replace(experiment, task=task_type(task).kind_of())
+        if robot is not None:
+            values["env"] = {**values.get("env", {}), "robot": robot}
+        config = experiment_config(str(experiment), **values)
+        prog = f"{prog} {name}"
+        rest = answer_help(cls(config=config), prog, rest, FIRST)
+
+        def parse_over(config: ExperimentConfig) -> Self:
+            if source is not None:
+                config = replace(config, knowledge=replace(config.knowledge, source=source))
+            return parse_options(cls, prog, rest, default=cls(config=config))
+
+        command = parse_over(config)
+        if command.resume:
+            from knowarm.experiment.run import run_path
+            from knowarm.experiment.run_folder import RunFolder
+
+            path = run_path(command.runs, command.config)
+            if not path.exists():
+                raise UserError(f"There is no run to resume in {path}: leave out --resume.")
+            command = parse_over(override(RunFolder.open(path).experiment(), values))
+        own = [f" {flag} {places[-1]}" for flag, (of, _) in OWN.items() if (places := named_by(of))]
+        again = shlex.join(["knowarm", "train", *arguments, *["--resume"] * (not command.resume)])
+        return replace(command, again=again + "".join(own), own="".join(own))
+
     def run(self) -> int:
         """Train until the last step or Ctrl-C; return the exit code."""
         from knowarm.experiment.run import train
@@ -78,61 +115,13 @@ class Train:
             run = train(self.config, self.runs, should_stop=should_stop, **options)
         where, result = run.folder.path, run.result
         if result.reason == "stopped":
-            again = f"{self.again} --seed {self.config.seed} --resume"
-            again += "" if self.runs == Path("runs") else f" --runs {shlex.quote(str(self.runs))}"
-            print(f"Stopped at step {result.step:,} and saved. Resume with: {again}")
+            print(f"Stopped at step {result.step:,} and saved. Resume with: {self.again}")
             return 130
         print(f"Trained for {result.step:,} steps: {where}")
         if (best := result.best_return) is not None:
             print(f"Best interim evaluation: return {best:.1f} at step {result.best_step:,}")
         print(f"Evaluate it with: knowarm evaluate {where}{self.own}")
         return 0
-
-
-def parse_train(arguments: list[str]) -> Train:
-    """Parse the options over the values of the experiment, or those of the run to resume."""
-    name, rest = take_experiment(arguments, USAGE)
-    again = f"knowarm train {name}"
-    rest, file = take_option(rest, "--config", "run.toml")
-    values = {} if file is None else read_toml(Path(file))
-    rest, task = take_option(rest, "--env.task", "package.module:Name")
-    rest, robot = take_option(rest, "--env.robot", "my_arm.toml")
-    experiment = ExperimentName.parse(name)
-    if task is not None:
-        again += f" --env.task {task}"
-        experiment = replace(experiment, task=task_type(task).kind_of())
-    name = str(experiment)
-    if robot is not None:
-        again += f" --env.robot {shlex.quote(robot)}"
-        values["env"] = {**values.get("env", {}), "robot": robot}
-        experiment = replace(experiment, robot=robot)
-    config = experiment_config(name, **values)
-    name = str(experiment)
-    rest = answer_help(Train(config=config), f"knowarm train {name}", rest, FIRST)
-    command = _parse_options(name, rest, config)
-    if command.config.name != name:
-        again += f" --name {shlex.quote(command.config.name)}"
-    if command.resume:
-        from knowarm.experiment.run import run_path
-        from knowarm.experiment.run_folder import RunFolder
-
-        path = run_path(command.runs, command.config)
-        if not path.exists():
-            raise UserError(f"There is no run to resume in {path}: leave out --resume.")
-        stored = RunFolder.open(path).experiment()
-        command = _parse_options(name, rest, override(stored, values))
-    own = {flag: places[-1] for flag, (name, _) in OWN.items() if (places := named_by(name))}
-    words = {f" {flag} {place}": place != task for flag, place in own.items()}
-    again += "".join(each for each, is_new in words.items() if is_new)
-    return replace(command, again=again, own="".join(words))
-
-
-def _parse_options(name: str, arguments: list[str], config: ExperimentConfig) -> Train:
-    """Parse the options over a config; `--knowledge.source` also takes the name of a source."""
-    arguments, source = take_source(arguments, "--knowledge.source")
-    if source is not None:
-        config = replace(config, knowledge=replace(config.knowledge, source=source))
-    return parse_options(Train, f"knowarm train {name}", arguments, default=Train(config=config))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,6 +169,13 @@ class TrainPerception(TableCommand):
     env: EnvConfig = field(default_factory=EnvConfig)
     """The task; its defaults are the experiment's."""
 
+    @classmethod
+    def parse(cls, prog: str, arguments: Sequence[str]) -> Self:
+        """Parse the options over the environment of the experiment."""
+        name, rest = take_experiment(arguments, PERCEPTION_USAGE)
+        default = cls(out=tyro.MISSING, env=experiment_config(name).env)
+        return parse_options(cls, f"{prog} {name}", rest, default=default)
+
     def result(self) -> dict[str, Any]:
         """Train, print and write."""
         from knowarm.perception.training import train_classifier
@@ -202,12 +198,5 @@ class TrainPerception(TableCommand):
         return to_dict(classifier.spec)
 
 
-def parse_train_perception(arguments: list[str]) -> TrainPerception:
-    """Train a module for the images of an experiment, and print its accuracy."""
-    name, rest = take_experiment(arguments, PERCEPTION_USAGE)
-    default = TrainPerception(out=tyro.MISSING, env=experiment_config(name).env)
-    return parse_options(TrainPerception, f"knowarm perception train {name}", rest, default=default)
-
-
-PERCEPTION = {"train": parse_train_perception}
+PERCEPTION = {"train": TrainPerception}
 """Commands of the group `knowarm perception`, by name."""
