@@ -131,18 +131,15 @@ def small_study(folder):
 def test_a_report_replaces_its_own_files_and_no_others(tmp_path):
     runs, data = small_study(tmp_path / "runs"), tmp_path / "report-data"
     page = write_report(runs, tmp_path / "report.html")
-    manifest = json.loads((data / "manifest.json").read_text())
-    assert {path.name for path in data.iterdir()} == {"manifest.json", *manifest["files"]}
-    (data / "own.csv").write_text("mine")
-    (data / "old.csv").write_text("")
-    (tmp_path / "kept.csv").write_text("mine")
-    manifest["files"] += ["old.csv", "../kept.csv", "/etc/hostname"]
-    (data / "manifest.json").write_text(json.dumps(manifest))
+    stored = json.loads(page.with_suffix(".json").read_text())
+    assert {path.stem for path in data.iterdir()} == set(stored["tables"])
+    for path in (data / "own.csv", data / "old.csv", tmp_path / "kept.csv"):
+        path.write_text("mine")
+    stored["tables"] |= {"old": {}, "../kept": {}}
+    page.with_suffix(".json").write_text(json.dumps(stored))
     write_report(runs, page)
-    assert (data / "own.csv").read_text() == "mine"
+    assert (data / "own.csv").read_text() == (tmp_path / "kept.csv").read_text() == "mine"
     assert not (data / "old.csv").exists()
-    assert (tmp_path / "kept.csv").read_text() == "mine"
-    assert page.exists()
 
 
 def test_files_of_others_are_not_overwritten(tmp_path):

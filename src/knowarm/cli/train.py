@@ -71,7 +71,7 @@ class Train:
     """Options by which evaluations find a task and an algorithm of one's own."""
 
     @classmethod
-    def parse(cls, prog: str, arguments: Sequence[str]) -> Self:
+    def parse(cls, prog: str, arguments: Sequence[str]) -> "Train":
         """Parse the options over the values of the experiment, or those of the run to resume."""
         name, rest = take_experiment(arguments, USAGE)
         rest, file = take_option(rest, "--config", "run.toml")
@@ -88,7 +88,7 @@ class Train:
         prog = f"{prog} {name}"
         rest = answer_help(cls(config=config), prog, rest, FIRST)
 
-        def parse_over(config: ExperimentConfig) -> Self:
+        def parse_over(config: ExperimentConfig) -> "Train":
             if source is not None:
                 config = replace(config, knowledge=replace(config.knowledge, source=source))
             return parse_options(cls, prog, rest, default=cls(config=config))

@@ -3,7 +3,7 @@
 import csv
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,6 @@ from knowarm.report.pages import build_pages
 DIGITS = 9  # significant digits of every written number
 FORMAT = 1  # version of the format of ``report.json``
 MOVE = "Move the file, or give the report another name."
-MANIFEST = "manifest.json"  # file beside the CSV files that lists them
 MOST_SOURCES = 40  # links under a table; ``report.json`` lists all sources
 LONG_TABLE = 400  # rows of a table that are written into the page; the CSV has all of them
 FOLDED_ROWS = 16  # rows above which a table is folded at first
@@ -33,8 +32,8 @@ def write_report(run_paths: Sequence[Path | str], out: Path | str) -> Path:
     """Write one report from run folders.
 
     Beside ``out`` it writes ``<out>.json`` with every table of the report and a folder
-    ``<out>-data`` with one CSV per table and a ``manifest.json`` that lists them. Of another
-    report of the same name it replaces these files and no others. Equal folders give equal bytes.
+    ``<out>-data`` with one CSV per table. Of another report of the same name it replaces these
+    files and no others. Equal folders give equal bytes.
 
     Args:
         run_paths: run folders, or folders that hold them at any depth.
@@ -66,11 +65,9 @@ def _write_data(study: StudyData, pages: Sequence[Page], out: Path) -> None:
     folder, start = out.with_name(f"{out.stem}-data"), out.parent
     tables = {table.name: table for page in pages for table in page.tables()}
     assert len(tables) == sum(len(page.tables()) for page in pages), "two tables of one name"
-    names = [f"{name}.csv" for name in tables]
-    _remove_earlier(out, folder, names)
+    _remove_earlier(out, folder, tables)
     with writing(folder):
         folder.mkdir(exist_ok=True)
-        write_json(folder / MANIFEST, {"format": FORMAT, "report": out.name, "files": names})
         for table in tables.values():
             path = folder / f"{table.name}.csv"
             with path.open("w", newline="", encoding="utf-8", errors="replace") as file:
@@ -102,22 +99,20 @@ def _write_data(study: StudyData, pages: Sequence[Page], out: Path) -> None:
     write_json(out.with_suffix(".json"), report)
 
 
-def _remove_earlier(out: Path, folder: Path, names: Sequence[str]) -> None:
-    """Remove the CSV files that the manifest in the folder lists, and no others."""
-    report, manifest = out.with_suffix(".json"), folder / MANIFEST
+def _remove_earlier(out: Path, folder: Path, names: Iterable[str]) -> None:
+    """Remove the CSV files of the report that is replaced, which its JSON names, and no others."""
+    report = out.with_suffix(".json")
     earlier = read_json(report) if report.is_file() else {}
     if report.exists() and not {"knowarm", "tables", "verdicts"} <= set(earlier):
         what = f"{report} exists and is no report of KnowArm, whose JSON would replace it"
         raise UserError(f"{what}. {MOVE}")
-    own = read_json(manifest).get("files") if manifest.is_file() else []
-    own = [name for name in own if isinstance(name, str)] if isinstance(own, list) else []
-    if strange := [name for name in names if name not in own and (folder / name).exists()]:
-        what = f"{folder / strange[0]} exists, and no report wrote it"
-        raise UserError(f"{what}. {MOVE}")
+    own = {f"{name}.csv" for name in earlier.get("tables", ()) if Path(name).name == name}
+    files = [folder / f"{name}.csv" for name in names]
+    if strange := [path for path in files if path.name not in own and path.exists()]:
+        raise UserError(f"{strange[0]} exists, and no report wrote it. {MOVE}")
     with writing(folder):
         for name in own:
-            if Path(name).name == name and name.endswith(".csv"):
-                (folder / name).unlink(missing_ok=True)
+            (folder / name).unlink(missing_ok=True)
 
 
 def _render(study: StudyData, pages: Sequence[Page], out: Path) -> str:
