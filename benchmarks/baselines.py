@@ -30,8 +30,9 @@ from torch import nn
 from knowarm.benchmark.suites import Cell, read_suite
 from knowarm.learn.algorithms import PPOConfig
 from knowarm.learn.sb3_vec_env import SB3VecEnv
-from knowarm.world.agents import OracleAgent
+from knowarm.world.agents import Batch, OracleAgent
 from knowarm.world.agents.play import play_steps
+from knowarm.world.agents.protocol import Observations
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.episodes import draw_episodes
 from knowarm.world.envs.running import joint_increments
@@ -216,15 +217,15 @@ class Cloned(nn.Module):
 class Disturbed:
     """Plays the oracle with a share of random actions; ``labels`` are what it would have done."""
 
-    def __init__(self, seed: int, share: float = 0.1) -> None:
-        self._oracle, self._share = OracleAgent(), share
+    def __init__(self, env: ArmVectorEnv, seed: int, share: float = 0.1) -> None:
+        self._oracle, self._share = OracleAgent(env), share
         self._rng = np.random.default_rng(seed)
 
-    def start(self, env: ArmVectorEnv) -> None:
+    def reset(self, batch: Batch) -> None:
         """Solve the episodes."""
-        self._oracle.start(env)
+        self._oracle.reset(batch)
 
-    def act(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:
+    def act(self, observations: Observations) -> NDArray[np.int64]:
         """Return actions (n, J)."""
         self.labels = self._oracle.act(observations)
         random = self._rng.integers(len(LEVELS), size=self.labels.shape)
@@ -233,7 +234,8 @@ class Disturbed:
 
 def demonstrations(config: EnvConfig, count: int, seed: int) -> tuple[torch.Tensor, ...]:
     """Play training episodes; return images, joint targets and the oracle's actions."""
-    env, agent = ArmVectorEnv(config, 100, num_threads=1), Disturbed(seed)
+    env = ArmVectorEnv(config, 100, num_threads=1)
+    agent = Disturbed(env, seed)
     rows: list[tuple[NDArray[Any], ...]] = []
     for first in range(0, count, 100):
         numbers = np.arange(first, first + 100, dtype=np.uint64)

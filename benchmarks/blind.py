@@ -9,6 +9,7 @@ each run folder, on black images and with the first image only, on the robot it 
 
 import argparse
 import json
+from functools import partial
 from pathlib import Path
 
 from knowarm.experiment.evaluate import evaluate
@@ -16,8 +17,9 @@ from knowarm.experiment.evaluation import EvaluationConfig
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.probes import BlindProbe
 from knowarm.statistics import Interval
-from knowarm.world.agents import BLIND_AGENTS, SCRIPTED_AGENTS
+from knowarm.world.agents import BLIND_AGENTS, SCRIPTED_AGENTS, AgentProtocol
 from knowarm.world.config import EnvConfig
+from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.robots import ROBOTS
 
 THRESHOLDS = ((0.10, 17.0), (0.05, 15.0))
@@ -36,15 +38,19 @@ def evaluation(episodes: int, thresholds: tuple[float, float]) -> EvaluationConf
     )
 
 
+def _make(name: str, env: ArmVectorEnv) -> AgentProtocol:
+    return SCRIPTED_AGENTS[name].make(env, EvaluationConfig().seed)
+
+
 def rows_of_robot(robot: str, episodes: int) -> list[dict]:
     """Evaluate the agents that need no training."""
     rows = []
     env = EnvConfig(robot=robot, image_size=8)  # they look at no image
     for name in UNTRAINED:
+        make = partial(_make, name)
         row = {"robot": robot, "agent": name}
         for thresholds in THRESHOLDS:
-            agent = SCRIPTED_AGENTS[name].make(EvaluationConfig().seed)
-            found = evaluate(agent, env, evaluation(episodes, thresholds)).summary
+            found = evaluate(make, env, evaluation(episodes, thresholds)).summary
             row |= cells(found.interval("success"), thresholds)
         rows.append(row)
         print(line(row), flush=True)

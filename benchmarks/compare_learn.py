@@ -43,6 +43,7 @@ from knowarm.learn import PPOConfig
 from knowarm.learn.sb3_vec_env import SB3VecEnv
 from knowarm.policy import Policy
 from knowarm.world.agents.play import play
+from knowarm.world.agents.protocol import Batch, Observations
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.knowledge_observation import (
@@ -151,15 +152,15 @@ class SB3Agent:
     def __init__(self, model: BaseAlgorithm, table: np.ndarray) -> None:
         self._model, self._table = model, table
 
-    def start(self, env: ArmVectorEnv) -> None:
-        self._env = env
+    def reset(self, batch: Batch) -> None:
+        self._knowledge = self._table[batch.rows]
         self._state: tuple[np.ndarray, ...] | None = None
-        self._episode_start = np.ones(env.num_envs, dtype=bool)
+        self._episode_start = np.ones(batch.size, dtype=bool)
 
-    def act(self, observations: np.ndarray) -> np.ndarray:
+    def act(self, observations: Observations) -> np.ndarray:
         """Choose the most probable actions, (n, H, W, 3) uint8 -> (n, J)."""
         actions, self._state = cast(RecurrentPPO, self._model).predict(
-            {"image": observations, "knowledge": self._table[self._env.knowledge_input]},
+            {"image": observations["image"], "knowledge": self._knowledge},
             self._state,
             self._episode_start,
             deterministic=True,

@@ -34,6 +34,7 @@ from knowarm.integrations.runner import Runner
 from knowarm.integrations.serve import PolicyServer, pack, unpack
 from knowarm.statistics.bootstrap import wilson
 from knowarm.world.agents.play import EpisodeResults, play
+from knowarm.world.agents.protocol import Batch, Observations
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
@@ -47,13 +48,13 @@ class RunnerAgent:
     def __init__(self, runner: Any) -> None:
         self.runner = runner
 
-    def start(self, env: ArmVectorEnv) -> None:
-        joints = dict(zip(self.runner.joint_names, env.joint_positions[0].tolist(), strict=True))
+    def reset(self, batch: Batch) -> None:
+        joints = {name: float(angles[0]) for name, angles in batch.joints.items()}
         rows = self.runner.contract["knowledge"]["rows"]
-        self.runner.start(joints, rows[int(env.knowledge_input[0]) if len(rows) > 1 else 0])
+        self.runner.start(joints, str(batch.names[0]) if len(rows) > 1 else rows[0])
 
-    def act(self, images: np.ndarray) -> np.ndarray:
-        self.runner.step(images[0])
+    def act(self, observations: Observations) -> np.ndarray:
+        self.runner.step(observations["image"][0])
         return np.asarray(self.runner.levels[None])
 
 

@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from knowarm.world.agents.play import play
+from knowarm.world.agents.protocol import Batch
 from knowarm.world.agents.scripted import OracleAgent, RandomAgent
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.episodes import evaluation_episodes
@@ -33,7 +34,7 @@ def task_row(robot: str, target: str, dynamics: Dynamics, episodes: int) -> dict
     solution = InverseKinematics(env.scene).solve(
         env.goal_position, env.goal_matrix, env.joint_positions
     )
-    oracle = play(OracleAgent(), env, fixed)
+    oracle = play(OracleAgent(env), env, fixed)
     random = play(RandomAgent(SEED), env, fixed)
     reached = solution.within(config.success_distance_m, config.success_angle_deg)
     return {
@@ -54,11 +55,11 @@ def tracking_row(robot: str, dynamics: Dynamics, episodes: int) -> dict:
     env = ArmVectorEnv(EnvConfig(robot=robot, dynamics=dynamics, image_size=8), episodes)
     env.reset(options={"episodes": evaluation_episodes(env.config, episodes, SEED)})
     agent = RandomAgent(SEED)
-    agent.start(env)
+    agent.reset(Batch.of(env))
     no_env = np.zeros(episodes, dtype=np.bool_)
     lags = []
     for _ in range(env.config.max_episode_steps):
-        env.advance(agent.act(np.empty(0, dtype=np.uint8)), no_env)
+        env.advance(agent.act({}), no_env)
         lags.append(np.abs(env.joint_positions - env.joint_targets))
     lag = np.stack(lags)
     return {

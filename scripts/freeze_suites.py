@@ -26,8 +26,8 @@ from knowarm.experiment.evaluation import EvaluationConfig
 from knowarm.experiment.names import experiment_config
 from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.damage import Damage, damaged
-from knowarm.world.agents import OracleAgent
-from knowarm.world.agents.open_loop import FixedList, search_open_loop
+from knowarm.world.agents import OpenLoopAgent, OracleAgent
+from knowarm.world.agents.open_loop import search_open_loop
 from knowarm.world.agents.play import play
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
@@ -81,8 +81,8 @@ def cell(name: str, experiment: str, how: EvaluationConfig) -> Cell:
     listed = search_open_loop(config)
     env = ArmVectorEnv(config, 100)
     scores = {
-        "oracle": float(play(OracleAgent(), env, episodes).success.mean()),
-        "open-loop": float(play(FixedList(listed), env, episodes).success.mean()),
+        "oracle": float(play(OracleAgent(env), env, episodes).success.mean()),
+        "open-loop": float(play(OpenLoopAgent(listed), env, episodes).success.mean()),
         "chance": config.task.chance,
     }
     print(name, scores, flush=True)

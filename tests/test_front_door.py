@@ -175,23 +175,28 @@ def test_a_trained_agent_plays_an_environment_of_gymnasium():
     successes = 0
     for seed in range(8):
         image, info = env.reset(seed=seed)
-        state, ended = None, False
+        trained.reset(info)
+        ended = False
         while not ended:
-            action, state = trained.act(image, state, info)
-            image, _, terminated, truncated, info = env.step(action)
+            image, _, terminated, truncated, info = env.step(trained.act(image))
             ended = terminated or truncated
         successes += info["is_success"]
     assert successes >= 6
     envs = knowarm.make("irb120", num_envs=8)  # plays the same episodes at once
-    images, _ = envs.reset(seed=0)
-    actions, state = trained.act(images)
-    assert actions.shape == (8, 6)
+    images, infos = envs.reset(seed=0)
+    trained.reset(infos)
+    assert trained.act(images).shape == (8, 6)
+    with pytest.raises(knowarm.UserError, match="8 episodes have started, and there are 1 images"):
+        trained.act(images[0])
     chooser = knowarm.load_agent(ZOO.parent / CHOOSE)
     image, info = gymnasium.make("knowarm/IRB120Choose-v0").reset(seed=0)
-    assert chooser.act(image, info=info)[0].shape == (6,)
-    assert chooser.act(image, info={"query": "usedFor drinking"})[0].shape == (6,)
-    with pytest.raises(knowarm.UserError, match="info 'query'"):
+    with pytest.raises(knowarm.UserError, match="0 episodes have started"):
         chooser.act(image)
+    for asked in (info, {"query": "usedFor drinking"}):
+        chooser.reset(asked)
+        assert chooser.act(image).shape == (6,)
+    with pytest.raises(knowarm.UserError, match="info 'query'"):
+        chooser.reset({})
 
 
 @example("write_report")
@@ -230,7 +235,8 @@ def test_play():
     config = knowarm.EnvConfig(image_size=8, dynamics="kinematic")
     episodes = knowarm.evaluation_episodes(config, 6, seed=0)
     assert isinstance(episodes, knowarm.Episodes)
-    result = knowarm.play(knowarm.OracleAgent(), knowarm.ArmVectorEnv(config, 3), episodes)
+    env = knowarm.ArmVectorEnv(config, 3)
+    result = knowarm.play(knowarm.OracleAgent(env), env, episodes)
     assert result.success.all()
     single = knowarm.make("irb120", image_size=8)
     assert isinstance(single, knowarm.ArmEnv)

@@ -29,10 +29,10 @@ def made(agent, count=None, **options):
 def ends(agent, env, seed, ask=lambda env, infos: infos):
     """Play one episode in each of n environments; return the infos at their ends."""
     images, infos = env.reset(seed=seed)
-    asked, state, found = ask(env, infos), None, [None] * env.num_envs
+    agent.reset(ask(env, infos))
+    found = [None] * env.num_envs
     while None in found:
-        actions, state = agent.act(images, state, asked)
-        images, _, _, _, infos = env.step(actions)
+        images, _, _, _, infos = env.step(agent.act(images))
         for i in np.flatnonzero(infos.get("_final_info", np.zeros(env.num_envs))):
             last = {name: values[i] for name, values in infos["final_info"].items()}
             found[i] = found[i] or last
@@ -67,10 +67,10 @@ def test_every_policy_succeeds_in_each_environment_as_evaluate_says(name):
     successes = []
     for seed in range(60):
         image, info = env.reset(seed=seed)
-        state, ended = None, False
+        agent.reset(info)
+        ended = False
         while not ended:
-            action, state = agent.act(image, state, info)
-            image, _, terminated, truncated, info = env.step(action)
+            image, _, terminated, truncated, info = env.step(agent.act(image))
             ended = terminated or truncated
         successes.append(info["is_success"])
     assert_equal_success(successes, agent, 200)
@@ -99,9 +99,9 @@ def test_another_question_leads_to_another_object():
 def test_a_question_that_an_agent_does_not_know_is_refused_in_one_line():
     agent = knowarm.load_agent(ZOO / CHOOSER)
     for task in (knowarm.Choose(queries=knowarm.NameQueries()), "purpose"):
-        images, infos = knowarm.make("irb120", num_envs=2, task=task).reset(seed=0)
+        _, infos = knowarm.make("irb120", num_envs=2, task=task).reset(seed=0)
         with pytest.raises(knowarm.UserError, match=f"Unknown query.*{CHOOSER}") as error:
-            agent.act(images, info=infos)
+            agent.reset(infos)
         assert "\n" not in str(error.value)
         assert infos["query"][0] in str(error.value)
 

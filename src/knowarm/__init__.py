@@ -22,8 +22,9 @@ Use one part alone::
     graph = knowarm.read_graph("kitchen.ttl")           # RDF, ConceptNet, OpenKE or a table
     config = knowarm.KnowledgeConfig(detail="full")
     vector = knowarm.scene_embedding(config, [("mug", "red"), ("bottle", "yellow")]).vector
-    trained = knowarm.load_agent("zoo/irb120-full-fast")  # an agent, its policy and its config
-    action, state = trained.act(image)                  # in any environment, step by step
+    agent = knowarm.load_agent("zoo/irb120-full-fast")  # an agent, its policy and its config
+    agent.reset(info)                                   # infos of any environment's reset
+    action = agent.act(image)                           # once per step
 
 Experiments
     train               train a named experiment or a config, or resume a run

@@ -9,20 +9,15 @@ import numpy as np
 import pytest
 
 from knowarm.benchmark.leaderboard import left_out, read_rows, tables, write_leaderboard
-from knowarm.benchmark.policies import (
-    Batch,
-    Entrant,
-    PolicyAdapter,
-    ShuffledQueries,
-    entrant,
-)
-from knowarm.benchmark.rows import read_row, run_suite, verify
+from knowarm.benchmark.policies import Entrant, entrant
+from knowarm.benchmark.rows import read_row, run_suite, shuffled, verify
 from knowarm.benchmark.suites import parse_suite, read_suite, suite_names
 from knowarm.cli.main import main
 from knowarm.errors import UserError
 from knowarm.knowledge.formats import read_graph
 from knowarm.questions import find_rows
 from knowarm.reading import write_json
+from knowarm.world.agents.protocol import Batch
 from knowarm.world.config import questions_of
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from scripts.freeze_suites import freeze
@@ -59,7 +54,7 @@ def test_the_frozen_questions_have_their_frozen_answers(name):
 def test_the_fixed_lists_still_reach_what_they_reached(name):
     for cell in list(read_suite(name).cells.values())[::4]:
         env = ArmVectorEnv(replace(cell.env, image_size=8), 100)  # a list reads no image
-        played = run_agent(entrant("open-loop").make(cell), env, cell.episodes)
+        played = run_agent(entrant("open-loop").make(cell, env), env, cell.episodes)
         assert abs(played.mean() - cell.reference["open-loop"]) <= 0.01
 
 
@@ -239,14 +234,13 @@ class Noting:
 def test_a_policy_receives_image_joints_and_query(small):
     cell, policy = small.cells["irb120-S1"], Noting()
     env = ArmVectorEnv(cell.env, 12)
-    run_agent(PolicyAdapter(policy), env, cell.episodes)
+    run_agent(policy, env, cell.episodes)
     assert policy.batch.queries == tuple(cell.episodes.question)
     assert policy.batch.conditions[0][0][1] in policy.batch.queries[0]
     assert policy.image.shape == (12, 64, 64, 3)
-    shuffled = Noting()
-    run_agent(ShuffledQueries(PolicyAdapter(shuffled)), env, cell.episodes)
-    assert sorted(shuffled.batch.queries) == sorted(policy.batch.queries)
-    assert shuffled.batch.queries != policy.batch.queries
+    queries = shuffled(policy.batch).queries
+    assert sorted(queries) == sorted(policy.batch.queries)
+    assert queries != policy.batch.queries
 
 
 @pytest.fixture(scope="module")
@@ -294,7 +288,8 @@ def test_an_agent_knows_the_damaged_graph_in_its_cells(damaged):
     trained = entrant(str(ROOT / "zoo/irb120-choose-subgraph-fast"))
     cell = damaged.cells["irb120-missing"]
     tables = [
-        trained.make(each).module.knowledge.numpy() for each in (cell, replace(cell, graph=None))
+        trained.make(each, None).module.knowledge.numpy()
+        for each in (cell, replace(cell, graph=None))
     ]
     changed = (tables[0] != tables[1]).any(axis=1)
     assert 0.2 < changed.mean() < 1
@@ -308,8 +303,8 @@ def test_an_agent_knows_the_damaged_graph_in_its_cells(damaged):
 def test_wrong_actions_are_refused(small, wrong):
     cell, policy = small.cells["irb120-fixed"], Noting()
     policy.act = lambda observations: wrong
-    with pytest.raises(UserError, match="integers 0 to 6 of shape"):
-        run_agent(PolicyAdapter(policy), ArmVectorEnv(cell.env, 12), cell.episodes)
+    with pytest.raises(UserError, match=r"actions must (be integers of shape|lie in 0 to 6)"):
+        run_agent(policy, ArmVectorEnv(cell.env, 12), cell.episodes)
 
 
 @pytest.mark.parametrize(
@@ -322,9 +317,9 @@ def test_unknown_policies_are_refused(spec):
 
 def test_a_run_plays_only_cells_of_its_robot_and_task(small):
     trained = entrant(str(ROOT / "zoo/irb120-full-fast"))
-    trained.make(small.cells["irb120-fixed"])
+    trained.make(small.cells["irb120-fixed"], None)
     with pytest.raises(UserError, match="was trained for irb120 and reach"):
-        trained.make(small.cells["irb120-S1"])
+        trained.make(small.cells["irb120-S1"], None)
 
 
 def test_the_commands(tmp_path, monkeypatch, capsys):

@@ -5,7 +5,7 @@ import threading
 import numpy as np
 import pytest
 
-from knowarm.benchmark.policies import PolicyAdapter, PredictingPolicy, entrant
+from knowarm.benchmark.policies import PredictingPolicy, entrant
 from knowarm.benchmark.suites import read_suite
 from knowarm.errors import UserError
 from knowarm.experiment.load import load_agent
@@ -14,6 +14,12 @@ from knowarm.world.envs.vector_env import ArmVectorEnv
 from tests.source_tree import ROOT
 
 CELL = read_suite("reach-v1").cells["irb120-fixed"]
+
+
+def made_for(made, cell, count):
+    """An agent of an entrant, and its environment."""
+    env = ArmVectorEnv(cell.env, count)
+    return made.make(cell, env), env
 
 
 def actions_of(agent, count):
@@ -59,7 +65,7 @@ def counting(tmp_path):
 def test_an_onnx_file_keeps_its_state_for_an_episode(counting):
     made = entrant(str(counting))
     assert (made.inputs, made.training, len(made.digest)) == ((), "counts", 64)
-    agent = made.make(CELL)
+    agent, _ = made_for(made, CELL, 1)
     for _ in range(2):  # the second batch starts with a state of zeros again
         steps = actions_of(agent, 2).reshape(2, -1, 6)
         np.testing.assert_array_equal(steps[:, :8, 0], [[1, 2, 3, 4, 5, 6, 6, 6]] * 2)
@@ -76,7 +82,7 @@ def test_damaged_and_unfit_onnx_files_are_refused(counting, tmp_path):
         cell for cell in read_suite("reach-v1").cells.values() if cell.env.robot == "tiago"
     )
     with pytest.raises(UserError, match=r"counting\.onnx does not take joint_targets float32"):
-        play(entrant(str(counting)).make(other), ArmVectorEnv(other.env, 1), other.episodes[:1])
+        play(*made_for(entrant(str(counting)), other, 1), other.episodes[:1])
     (tmp_path / "damaged.onnx").write_bytes(b"no model")
     with pytest.raises(UserError, match="Cannot read"):
         entrant(str(tmp_path / "damaged.onnx"))
@@ -103,7 +109,7 @@ class Continuous:
 def test_continuous_actions_are_played_as_the_nearest_levels():
     policy = PredictingPolicy(Continuous())
     assert (policy.inputs, policy.training, policy.seed) == ((), "Continuous, 1,234 steps", 5)
-    steps = actions_of(PolicyAdapter(policy), 1)
+    steps = actions_of(policy, 1)
     np.testing.assert_array_equal(steps[0], [2, 0, 5, 3, 1, 4])
     assert (steps[1:] == 0).all()
 
@@ -127,7 +133,7 @@ def test_a_saved_model_of_sb3_plays(tmp_path):
     sb3.PPO("CnnPolicy", env, n_steps=2, batch_size=2, seed=3).save(tmp_path / "model.zip")
     made = entrant(f"stable_baselines3:PPO:{tmp_path / 'model.zip'}")
     assert (made.inputs, made.training, made.seed) == (("image",), "PPO, 0 steps", 3)
-    assert actions_of(made.make(CELL), 2).shape == (100, 6)
+    assert actions_of(made_for(made, CELL, 1)[0], 2).shape == (100, 6)
     with pytest.raises(UserError, match="Cannot make the policy"):
         entrant(f"stable_baselines3:PPO:{tmp_path / 'other.zip'}")
 
@@ -145,7 +151,7 @@ def test_an_exported_policy_acts_as_the_same_policy_here(tmp_path, monkeypatch):
     made = entrant(str(tmp_path))
     for count in (3, 2):
         local = actions_of(trained.agent, count)
-        np.testing.assert_array_equal(actions_of(made.make(CELL), count), local)
+        np.testing.assert_array_equal(actions_of(made_for(made, CELL, 1)[0], count), local)
     assert len(sessions) == 1, "runners share the model"
     contract = (tmp_path / "contract.json").read_text()
     for text in (
@@ -171,13 +177,13 @@ def test_a_served_policy_acts_as_the_same_policy_here():
     try:
         for count in (2, 3):  # connections are used again, each episode starts anew
             local = actions_of(trained.agent, count)
-            np.testing.assert_array_equal(actions_of(made.make(CELL), count), local)
+            np.testing.assert_array_equal(actions_of(made_for(made, CELL, 1)[0], count), local)
         wrong = read_suite("reach-v1").cells["tiago-fixed"]
         with pytest.raises(UserError, match=r"refuses, or .*: .*joint"):
-            play(made.make(wrong), ArmVectorEnv(wrong.env, 1), wrong.episodes[:1])
+            play(*made_for(made, wrong, 1), wrong.episodes[:1])
     finally:
         server.close()
     with pytest.raises(UserError, match=r"The policy server at ws://.* has gone"):
-        actions_of(made.make(CELL), 2)
+        actions_of(made_for(made, CELL, 1)[0], 2)
     with pytest.raises(UserError, match="No policy server answers"):
         entrant("ws://127.0.0.1:1")

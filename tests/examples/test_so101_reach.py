@@ -26,7 +26,7 @@ def played(task: Task) -> tuple[np.ndarray, np.ndarray]:
         image_size=1,
     )
     env = ArmVectorEnv(config, 16, num_threads=1)
-    steps = list(play_steps(OracleAgent(), env, evaluation_episodes(config, 16, 0)))[1:]
+    steps = list(play_steps(OracleAgent(env), env, evaluation_episodes(config, 16, 0)))[1:]
     near = np.stack([(step.infos["distance"] < 0.1) & step.played for step in steps])
     solved = np.stack([step.infos["is_success"] & step.played for step in steps])
     return near, solved

@@ -123,7 +123,7 @@ def test_the_oracle_chooses_and_reaches_in_every_split() -> None:
     for split in ("S1", "S3", "S5"):
         task = Choose(queries=GraphQueries(pairs="none", split=split))
         env = EnvConfig(task=task, dynamics="kinematic", image_size=8)
-        result = evaluate(OracleAgent(), env, episodes=40)
+        result = evaluate(OracleAgent, env, episodes=40)
         assert result.summary["choice"] >= 0.97
         assert result.summary["success_if_chosen"] >= 0.97
 
@@ -131,7 +131,7 @@ def test_the_oracle_chooses_and_reaches_in_every_split() -> None:
 def test_a_split_needs_queries_of_a_graph() -> None:
     env = EnvConfig(task=Choose(queries=NameQueries()))
     with pytest.raises(UserError, match="this task has NameQueries"):
-        evaluate(OracleAgent(), env, episodes=4, test=(SplitTest(split="S2"),))
+        evaluate(OracleAgent, env, episodes=4, test=(SplitTest(split="S2"),))
 
 
 def test_questions_follow_a_graph_that_was_edited(tmp_path: Path) -> None:

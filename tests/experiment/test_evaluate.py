@@ -30,6 +30,7 @@ from knowarm.world.agents import (
     RandomAgent,
     ZeroAgent,
 )
+from knowarm.world.agents.open_loop import search_open_loop
 from knowarm.world.config import EnvConfig
 from knowarm.world.robots import ROBOTS
 from knowarm.world.scene.scene import _load_scene
@@ -207,7 +208,10 @@ def test_without_failures_there_is_no_failure_distance():
 
 
 def test_blind_agents_stand_beside_a_trained_one(monkeypatch):
-    quick = BlindEntry(make=lambda agent, seed: OpenLoopAgent(seed, budget=200), about="")
+    quick = BlindEntry(
+        make=lambda agent, env, seed: OpenLoopAgent(search_open_loop(env.config, 200, seed)),
+        about="",
+    )
     monkeypatch.setitem(BLIND_AGENTS, "open-loop", quick)
     trained = load_agent(ZOO)
     config = EvaluationConfig(episodes=40, probes=(BlindProbe(episodes=20),))
@@ -245,7 +249,7 @@ def test_untrained_and_scripted_agents_are_evaluated_alone():
 def test_the_lift_test_counts_what_physics_holds():
     config = EvaluationConfig(episodes=6, distance_m=0.002, angle_deg=1.0, probes=(LiftProbe(),))
     env = EnvConfig(targets=("mug", "bottle"), image_size=8, max_episode_steps=120)
-    result = evaluate(ApproachAgent(), env, config)
+    result = evaluate(ApproachAgent, env, config)
     outcomes = result.episodes["lift"]
     assert ((outcomes == "not reached") == ~result.episodes["success"]).all()
     assert ((outcomes == "lifted") == (result.episodes["lift_rise_m"] >= 0.08)).all()

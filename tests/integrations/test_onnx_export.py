@@ -20,25 +20,25 @@ def test_onnx_runtime_takes_the_same_actions(tmp_path, fusion):
     export_onnx(step, step.example(), tmp_path / "policy.onnx")
     session = onnxruntime.InferenceSession(tmp_path / "policy.onnx")
     agent = PolicyAgent(policy, greedy=True)
-    agent.start(Still())
+    agent.reset(Still())
     image = inputs()[0].numpy()
     h, c = (s.numpy() for s in policy.initial_state(B))
     with torch.no_grad():
         expected, values, _ = policy.unroll(
             torch.from_numpy(image),
-            torch.from_numpy(Still.knowledge_input).expand(T, B),
+            torch.from_numpy(Still.rows).expand(T, B),
             policy.initial_state(B),
             torch.tensor([[True] * B] + [[False] * B] * (T - 1)),
         )
     for t in range(T):
         given = {
             "image": image[t],
-            "knowledge": TABLE[Still.knowledge_input],
+            "knowledge": TABLE[Still.rows],
             "h": h,
             "c": c,
             "episode_start": np.full(B, t == 0),
         }
         action, logits, value, h, c = session.run(None, given)
-        np.testing.assert_array_equal(action, agent.act(image[t]))
+        np.testing.assert_array_equal(action, agent.act({"image": image[t]}))
         np.testing.assert_allclose(logits, expected[t].numpy(), rtol=1e-4, atol=1e-4)
         np.testing.assert_allclose(value, values[t].numpy(), rtol=1e-4, atol=1e-4)

@@ -7,6 +7,7 @@ import torch
 from knowarm.cli.main import main
 from knowarm.experiment.load import load_agent
 from knowarm.perception.agent import known_in_episode
+from knowarm.world.agents.protocol import Batch
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from tests.source_tree import ROOT
@@ -44,8 +45,8 @@ def test_the_map_of_recognition_is_largest_where_the_object_is_found():
     env = ArmVectorEnv(trained.config.env, 1)
     episode = evaluation_episodes(trained.config.env, 1, 0)
     images, _ = env.reset(options={"episodes": episode})
-    trained.agent.start(env)
-    known = known_in_episode(trained.agent, env, images[0])
+    trained.agent.reset(Batch.of(env))
+    known = known_in_episode(trained.agent, images[0])
     seen = trained.agent.module.see(torch.as_tensor(images), torch.as_tensor(env.knowledge_input))
     assert known["recognition"].shape == (16, 16)
     assert known["recognition"].sum() == pytest.approx(1, abs=1e-5)

@@ -129,9 +129,9 @@ def success_rate(policy, *, recall, length):
     env = ToyEnv(100, recall=recall, length=length)
     agent = PolicyAgent(policy, greedy=True)
     observation, _ = env.reset(seed=99)
-    agent.start(env)
+    agent.reset(SimpleNamespace(rows=env.knowledge_input))
     for _ in range(length):
-        observation, _, _, _, infos = env.step(agent.act(observation))
+        observation, _, _, _, infos = env.step(agent.act({"image": observation}))
     return infos["final_info"]["is_success"].mean()
 
 

@@ -28,6 +28,7 @@ from knowarm.perception.images import query_answers, sample_images
 from knowarm.perception.module import digest
 from knowarm.perception.training import train_classifier, without_colours
 from knowarm.reading import UnreadableFileError
+from knowarm.world.agents.protocol import Batch
 from knowarm.world.config import EnvConfig, HeldOut
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.choose.choose import Choose
@@ -230,15 +231,17 @@ def test_the_policy_gets_nothing_privileged(files, name, monkeypatch):
     env, perception = env_of(name), FacetClassifier.read(files[name])
     policy = build(experiment_config(name, env=SMALL_CHOICE if name == CHOOSE else SMALL_ENV))
     world = ArmVectorEnv(env, 6)
+    world.reset(seed=2)
+    batch = Batch.of(world)
 
     def played() -> tuple[torch.Tensor, torch.Tensor]:
         images, _ = world.reset(seed=2)
         agent = PerceivingAgent(perception, policy.new_policy(0), greedy=True)
-        agent.start(world)
-        agent.act(images)
+        agent.reset(batch)
+        agent.act({"image": images})
         learner = PerceivingVectorEnv(env, 6, FacetClassifier.read(files[name]))
         learner.reset(seed=2)
-        return agent.goal, learner.knowledge_input
+        return agent.knowledge, learner.knowledge_input
 
     rows, learned = played()
     assert torch.equal(rows, learned)
@@ -252,6 +255,7 @@ def test_the_policy_gets_nothing_privileged(files, name, monkeypatch):
     if name == REACH:  # in the choose task these are the queries, which the agent receives
         monkeypatch.setattr(type(world), "knowledge_input", property(refuse))
         monkeypatch.setattr(PerceivingVectorEnv.__mro__[1], "knowledge_input", property(refuse))
+        monkeypatch.setattr(Batch, "rows", np.full(6, -1))
     again, learned = played()
     assert torch.equal(rows, again)
     assert torch.equal(rows, learned)

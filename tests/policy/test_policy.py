@@ -280,18 +280,17 @@ def test_invalid_sizes_are_rejected(changes, message):
 
 
 class Still:
-    """Stands in for a vector environment: three running episodes of facets 0, 1, 1."""
+    """Stands in for a batch: three episodes of facets 0, 1, 1."""
 
-    num_envs = B
-    knowledge_input = np.array([0, 1, 1])
+    rows = np.array([0, 1, 1])
 
 
 def test_the_agent_remembers_until_the_next_start_and_reads_its_facets_row():
     policy = make_policy("before_lstm", actor_gain=50.0, seed=3)
     image = inputs()[0].numpy()
     agent = PolicyAgent(policy, greedy=True)
-    agent.start(Still())
-    acted = [agent.act(image[t]) for t in range(T)]
+    agent.reset(Still())
+    acted = [agent.act({"image": image[t]}) for t in range(T)]
     logits, _, _ = policy.unroll(
         torch.from_numpy(image),
         torch.tensor([0, 1, 1]).expand(T, B),
@@ -299,8 +298,8 @@ def test_the_agent_remembers_until_the_next_start_and_reads_its_facets_row():
         torch.zeros(T, B, dtype=torch.bool),
     )
     np.testing.assert_array_equal(np.stack(acted), logits.argmax(-1).numpy())
-    agent.start(Still())
-    np.testing.assert_array_equal(agent.act(image[0]), acted[0])
+    agent.reset(Still())
+    np.testing.assert_array_equal(agent.act({"image": image[0]}), acted[0])
 
 
 def test_sampled_actions_come_from_the_generator():
@@ -310,8 +309,8 @@ def test_sampled_actions_come_from_the_generator():
     def draw(seed):
         generator = torch.Generator().manual_seed(seed)
         agent = PolicyAgent(policy, greedy=False, generator=generator)
-        agent.start(Still())
-        return np.stack([agent.act(image[0]) for _ in range(8)])
+        agent.reset(Still())
+        return np.stack([agent.act({"image": image[0]}) for _ in range(8)])
 
     np.testing.assert_array_equal(draw(1), draw(1))
     assert (draw(1) != draw(2)).any()

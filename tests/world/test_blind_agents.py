@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from knowarm.world.agents import BlindAgent, FrozenAgent, OpenLoopAgent
+from knowarm.world.agents import Batch, BlindAgent, FrozenAgent, OpenLoopAgent
 from knowarm.world.agents.open_loop import (
     ANCHORS,
     MOST_GROUPS,
@@ -14,6 +14,7 @@ from knowarm.world.agents.open_loop import (
 )
 from knowarm.world.agents.open_loop_score import OpenLoopScore
 from knowarm.world.agents.play import play
+from knowarm.world.agents.protocol import Observations
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
@@ -31,12 +32,12 @@ class ListAgent:
         self.actions = actions
         self.seen: list[np.ndarray] = []
 
-    def start(self, env: ArmVectorEnv) -> None:
-        self.num_envs = env.num_envs
+    def reset(self, batch: Batch) -> None:
+        self.num_envs = batch.size
         self.step = 0
 
-    def act(self, observations: np.ndarray) -> np.ndarray:
-        self.seen.append(observations.copy())
+    def act(self, observations: Observations) -> np.ndarray:
+        self.seen.append(observations["image"].copy())
         self.step += 1
         return np.tile(self.actions[self.step - 1], (self.num_envs, 1))
 
@@ -100,7 +101,9 @@ def test_the_search_is_reproducible_and_beats_standing_still(cached):
     env = ArmVectorEnv(EnvConfig(robot="tiago", image_size=4), 100)
     env.config = config
     episodes = evaluation_episodes(config, 100, 0)
-    blind = play(OpenLoopAgent(3, 600), ArmVectorEnv(config, 100), episodes).success.mean()
+    blind = play(
+        OpenLoopAgent(search_open_loop(config, 600, 3)), ArmVectorEnv(config, 100), episodes
+    ).success.mean()
     still = play(ListAgent(np.zeros_like(actions)), ArmVectorEnv(config, 100), episodes)
     assert blind > 0.3 > still.success.mean()
 

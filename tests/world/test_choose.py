@@ -15,6 +15,7 @@ from stable_baselines3.common import env_checker
 from knowarm.errors import UserError
 from knowarm.world import env_id
 from knowarm.world.agents.play import EpisodeResults, play
+from knowarm.world.agents.protocol import Batch, Observations
 from knowarm.world.agents.scripted import OracleAgent
 from knowarm.world.config import EnvConfig, scene_of, setting_of
 from knowarm.world.envs.episodes import EpisodeSource, evaluation_episodes
@@ -50,10 +51,10 @@ def arranged(config: EnvConfig) -> Arrangements:
 class PickingAgent(OracleAgent):
     """Moves to one of the visible objects, which it draws: it knows no query."""
 
-    def start(self, env: ArmVectorEnv) -> None:
-        super().start(env)
-        count = env.running.objects.shape[1]
-        self._go_to(np.random.default_rng(self._seed).integers(count, size=env.num_envs))
+    def reset(self, batch: Batch) -> None:
+        super().reset(batch)
+        count = self._env.running.objects.shape[1]
+        self._go_to(np.random.default_rng(self._seed).integers(count, size=batch.size))
 
     def _go_to(self, pick: NDArray[np.int64]) -> None:
         """Move to one of the visible objects of each episode, the wanted one being 0."""
@@ -68,40 +69,40 @@ class PickingAgent(OracleAgent):
 class TryingAgent(PickingAgent):
     """Moves to another object first, and to the wanted one after that."""
 
-    def start(self, env: ArmVectorEnv) -> None:
-        super().start(env)
-        self._go_to(np.ones(env.num_envs, dtype=np.int64))
+    def reset(self, batch: Batch) -> None:
+        super().reset(batch)
+        self._go_to(np.ones(batch.size, dtype=np.int64))
         self._step = 0
 
-    def act(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:
+    def act(self, observations: Observations) -> NDArray[np.int64]:
         self._step += 1
         if self._step == SECOND_TRY:
             self._go_to(np.zeros(self._env.num_envs, dtype=np.int64))
         return super().act(observations)
 
 
-def played(agent: OracleAgent, config: EnvConfig, count: int) -> EpisodeResults:
+def played(kind: type[OracleAgent], config: EnvConfig, count: int) -> EpisodeResults:
     env = ArmVectorEnv(config, count)
-    return play(agent, env, evaluation_episodes(config, count, seed=1))
+    return play(kind(env), env, evaluation_episodes(config, count, seed=1))
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_the_oracle_reaches_the_object_of_the_query(robot: str) -> None:
-    result = played(OracleAgent(), small(robot), 60)
+    result = played(OracleAgent, small(robot), 60)
     assert result.infos["is_right_object"].mean() >= 0.98
     assert result.success.mean() >= 0.97
 
 
 def test_an_agent_that_does_not_know_the_query_stays_at_chance() -> None:
     count, chance = 160, 0.25
-    result = played(PickingAgent(), small(), count)
+    result = played(PickingAgent, small(), count)
     correct = result.infos["is_right_object"].mean()
     assert abs(correct - chance) < 3 * np.sqrt(chance * (1 - chance) / count)
     assert result.success.mean() < 0.4
 
 
 def test_whoever_reaches_another_object_gets_no_second_try() -> None:
-    result = played(TryingAgent(), small(), 40)
+    result = played(TryingAgent, small(), 40)
     at_another = ~result.infos["is_right_object"]
     assert at_another.mean() > 0.8
     assert (result.length[at_another] < SECOND_TRY).mean() > 0.9
@@ -115,7 +116,7 @@ def test_larger_thresholds_of_training_do_not_hold_for_other_objects() -> None:
     results = []
     for factor in (1.0, 3.0):
         env.running.threshold_factor = factor
-        results.append(play(TryingAgent(), env, episodes))
+        results.append(play(TryingAgent(env), env, episodes))
     at_another = ~results[0].success & ~results[1].success
     assert at_another.mean() > 0.5
     assert (results[0].length == results[1].length)[at_another].all()
@@ -211,11 +212,11 @@ def test_episodes_end_at_other_objects_on_tensors_too() -> None:
     arrays, tensors = ArmVectorEnv(config, 20), TorchArmVectorEnv(config, 20)
     arrays.reset(seed=5)
     tensors.reset(seed=5)
-    agent = TryingAgent()
-    agent.start(arrays)
+    agent = TryingAgent(arrays)
+    agent.reset(Batch.of(arrays))
     wrong = 0
     for _ in range(SECOND_TRY):
-        actions = agent.act(np.empty(0, np.uint8))
+        actions = agent.act({})
         _, _, terminated, _, infos = arrays.step(actions)
         _, _, torch_terminated, _, _ = tensors.step(torch.as_tensor(actions))
         assert (terminated == torch_terminated.numpy()).all()

@@ -29,7 +29,7 @@ def test_example_robot_and_target_can_be_solved(
     assert env.facets[2:] == (("bowl", "green"), ("bowl", "orange"))
     episodes = evaluation_episodes(env.config, 60, seed=1)
     assert set(episodes.target) == {0, 1}
-    assert play(OracleAgent(), env, episodes).success.mean() >= 0.97
+    assert play(OracleAgent(env), env, episodes).success.mean() >= 0.97
 
 
 def test_name_and_title_default_to_the_file_and_the_name(tmp_path: Path) -> None:
@@ -70,4 +70,4 @@ def test_an_arm_with_meshes_from_a_package_can_be_solved(make_env: MakeEnv) -> N
     env = make_env(40, robot=str(EXAMPLES / "jaco.toml"), targets=("bottle",))
     assert np.isin(7, env.scene.model.geom_type), "it has meshes"
     episodes = evaluation_episodes(env.config, 40, seed=1)
-    assert play(OracleAgent(), env, episodes).success.mean() >= 0.97
+    assert play(OracleAgent(env), env, episodes).success.mean() >= 0.97

@@ -143,7 +143,7 @@ def test_draft_of_a_six_joint_arm_passes_all_checks(tmp_path: Path) -> None:
     half_range = np.median(scene.joint_upper - scene.joint_lower) / 2
     assert robot.start_fraction == min(0.15, round(0.4 / half_range, 3))
     env = ArmVectorEnv(EnvConfig(robot=str(file), targets=("mug", "bottle")), 50)
-    results = play(OracleAgent(), env, evaluation_episodes(env.config, 50, seed=1))
+    results = play(OracleAgent(env), env, evaluation_episodes(env.config, 50, seed=1))
     assert results.success.mean() >= 0.9
     assert 12 <= np.median(results.length) <= 30  # of 50
     image = tmp_path / "arm.png"

@@ -231,6 +231,6 @@ def test_the_oracle_reaches_new_objects(split):
     env = EnvConfig(task=Families(), image_size=8, dynamics="kinematic")
     env = replace(env, task=env.task.for_split(split, None))
     world = ArmVectorEnv(env, 32)
-    result = play(OracleAgent(), world, evaluation_episodes(env, 32, 0))
+    result = play(OracleAgent(world), world, evaluation_episodes(env, 32, 0))
     assert result.success.mean() > 0.9
     assert {kind_of(scene_of(env).targets[k].name) for k in result.infos["target"]} <= set(KINDS)

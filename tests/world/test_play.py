@@ -13,7 +13,7 @@ from tests.world.helpers import MakeEnv
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_the_oracle_solves_every_task(robot: str, target: str, make_env: MakeEnv) -> None:
     env = make_env(40, robot=robot, targets=(target,), image_size=8, num_threads=0)
-    result = play(OracleAgent(), env, evaluation_episodes(env.config, 40, seed=1))
+    result = play(OracleAgent(env), env, evaluation_episodes(env.config, 40, seed=1))
     assert result.success.mean() >= 0.97
     assert (result.distance[result.success] < 0.05).all()
     assert (result.angle[result.success] < 15).all()
@@ -33,7 +33,7 @@ def test_chunks_of_any_size_give_the_same_result(make_env: MakeEnv) -> None:
     for num_envs in (3, 7, 10):
         env = make_env(num_envs, colours="randomized")
         episodes = evaluation_episodes(env.config, 10, seed=2)
-        results.append(play(OracleAgent(), env, episodes, record_images=4))
+        results.append(play(OracleAgent(env), env, episodes, record_images=4))
     for other in results[1:]:
         for name in ("episode_return", "length", "distance", "success"):
             assert (getattr(results[0], name) == getattr(other, name)).all()
@@ -48,7 +48,7 @@ def test_chunks_of_any_size_give_the_same_result(make_env: MakeEnv) -> None:
 def test_the_step_table_holds_every_step_of_every_episode(make_env: MakeEnv) -> None:
     env = make_env(4)
     episodes = evaluation_episodes(env.config, 6, seed=3)
-    result = play(OracleAgent(), env, episodes, record_images=2)
+    result = play(OracleAgent(env), env, episodes, record_images=2)
     steps = result.steps
     assert (np.bincount(steps.episode) == result.length).all()
     for i in range(6):

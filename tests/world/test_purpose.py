@@ -12,6 +12,7 @@ from knowarm.experiment.names import experiment_config
 from knowarm.knowledge.formats import shipped_graph
 from knowarm.questions import find_rows, number_parts, object_of
 from knowarm.world.agents.play import play
+from knowarm.world.agents.protocol import Batch
 from knowarm.world.agents.scripted import OracleAgent
 from knowarm.world.config import EnvConfig, questions_of, scene_of
 from knowarm.world.envs.episodes import evaluation_episodes
@@ -138,13 +139,13 @@ def test_the_other_part_of_the_right_object_is_a_mistake(drawn):
     class OtherPart(PickingAgent):
         """Moves to the other part of the right object."""
 
-        def start(self, env: ArmVectorEnv) -> None:
-            OracleAgent.start(self, env)
-            places = env.running.positions
+        def reset(self, batch: Batch) -> None:
+            OracleAgent.reset(self, batch)
+            places = self._env.running.positions
             beside = (places[:, 1:] == places[:, :1]).all(axis=2)
             self._go_to(1 + beside.argmax(axis=1))
 
-    right, wrong = play(OracleAgent(), env, episodes), play(OtherPart(), env, episodes)
+    right, wrong = play(OracleAgent(env), env, episodes), play(OtherPart(env), env, episodes)
     assert right.success.mean() > 0.95
     assert right.infos["is_right_object"].mean() > 0.95
     assert not wrong.success.any()

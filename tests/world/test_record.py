@@ -20,7 +20,7 @@ from tests.world.helpers import MakeEnv
 def films(make_env: MakeEnv) -> list:
     env = make_env(1, image_size=32)
     episodes = evaluation_episodes(env.config, 2, seed=0)
-    return [record_episode(OracleAgent(), env, episodes[i : i + 1]) for i in range(2)]
+    return [record_episode(OracleAgent(env), env, episodes[i : i + 1]) for i in range(2)]
 
 
 def test_a_recorded_episode_runs_from_the_start_to_success(films: list) -> None:
@@ -84,7 +84,7 @@ def test_an_unwritable_or_unknown_file_is_named(films: list, tmp_path: Path) -> 
 def test_a_strip_shows_the_query_above_its_row(tmp_path: Path) -> None:
     env = ArmVectorEnv(EnvConfig(task=Choose(), image_size=16, dynamics="kinematic"), 1)
     episodes = evaluation_episodes(env.config, 1, seed=1)
-    frames = record_episode(OracleAgent(), env, episodes)
+    frames = record_episode(OracleAgent(env), env, episodes)
     assert frames[0].goal.startswith(f"{episodes.question[0]}: the ")
     write_strip(tmp_path / "with.png", [frames])
     write_strip(tmp_path / "without.png", [[replace(frame, goal="") for frame in frames]])

@@ -47,7 +47,7 @@ def test_the_start_is_far_from_every_grasp_and_the_oracle_needs_half_the_episode
     for first in range(0, 300, 100):
         _, infos = env.reset(options={"episodes": episodes[first : first + 100]})
         assert infos["angle"].min() > 55  # degrees; success requires less than 15
-    results = play(OracleAgent(), env, episodes)
+    results = play(OracleAgent(env), env, episodes)
     assert results.success.mean() >= 0.99
     for k in range(3):
         assert 20 <= np.median(results.length[episodes.target == k]) <= 25

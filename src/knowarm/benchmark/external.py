@@ -1,7 +1,6 @@
 """Policies of other libraries: ONNX files and models of Stable-Baselines3."""
 
 import hashlib
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.errors import UserError
+from knowarm.world.agents.protocol import Batch, Observations
 from knowarm.world.tasks.state import ACTION_LEVELS
-
-Observations = Mapping[str, NDArray[Any]]
 
 
 class OnnxPolicy:
@@ -44,7 +42,7 @@ class OnnxPolicy:
         self.training = session.get_modelmeta().custom_metadata_map.get("training", "")
         self.digest = hashlib.sha256(path.read_bytes()).hexdigest()
 
-    def reset(self, batch: Any) -> None:
+    def reset(self, batch: Batch) -> None:
         """Start with states of zeros."""
         self._state = {k: np.zeros((batch.size, *v), np.float32) for k, v in self._sizes.items()}
 
@@ -79,7 +77,7 @@ class PredictingPolicy:
         self.training = f"{type(model).__name__}, {model.num_timesteps:,} steps"
         self.seed = model.seed
 
-    def reset(self, batch: Any) -> None:
+    def reset(self, batch: Batch) -> None:
         """Forget the recurrent state."""
         self._state, self._start = None, np.ones(batch.size, np.bool_)
 

@@ -3,11 +3,12 @@
 import copy
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,130 +22,14 @@ from knowarm.experiment.evaluate import known_in_test
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.other_graphs import check_graph, splits_of
 from knowarm.integrations.runner import Runner
-from knowarm.knowledge import KnowledgeGraph
 from knowarm.learn.algorithms import privileged_uses
 from knowarm.own import load
 from knowarm.reading import reading
-from knowarm.world.agents import SCRIPTED_AGENTS, AgentProtocol
-from knowarm.world.agents.open_loop import FixedList
+from knowarm.world.agents import SCRIPTED_AGENTS
+from knowarm.world.agents.protocol import INPUTS, AgentProtocol, Batch, Observations
+from knowarm.world.agents.scripted import InformedAgent, OpenLoopAgent
 from knowarm.world.config import facets_of, questions_of
-from knowarm.world.envs.running import joint_increments
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.tasks.state import ACTION_LEVELS
-
-INPUTS = ("image", "words", "graph", "simulator")
-"""What a policy may use: the image, the query's words, a graph, the simulator's state."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Batch:
-    """What a policy receives when n episodes start; the simulator's state is not part of it."""
-
-    size: int
-    """Number of episodes n, which are played side by side."""
-    joints: Mapping[str, NDArray[np.float64]]
-    """Start angle of each joint by name, (n,) [rad] (slides: [m])."""
-    increments: NDArray[np.float64]
-    """Joint increment of each of the seven levels, (7,) [rad]."""
-    limits: NDArray[np.float64]
-    """Lower and upper limits of the joints, (2, J) [rad]."""
-    queries: tuple[str, ...] | None = None
-    """Query of each episode, such as ``usedFor drinking and hasColor blue``."""
-    conditions: tuple[tuple[tuple[str, str], ...], ...] | None = None
-    """The same as (relation, value) pairs."""
-    graph: KnowledgeGraph | None = None
-    """Graph that replaces the policy's own in these episodes."""
-
-
-class BenchmarkPolicy(Protocol):
-    """A policy of anybody."""
-
-    def reset(self, batch: Batch) -> None:
-        """Forget everything: n new episodes start."""
-
-    def act(self, observations: Mapping[str, NDArray[Any]]) -> NDArray[np.int64]:
-        """Choose actions (n, J), levels 0 to 6 of each joint.
-
-        ``observations["image"]`` is (n, 64, 64, 3) uint8 RGB, ``observations["joint_targets"]``
-        the joint angles that the actions have commanded, (n, J) float32 [rad].
-        """
-
-
-class PolicyAdapter:
-    """Plays a `BenchmarkPolicy` as an agent, and checks its actions."""
-
-    def __init__(self, policy: BenchmarkPolicy, graph: KnowledgeGraph | None = None) -> None:
-        self._policy, self._graph = policy, graph
-
-    def start(self, env: ArmVectorEnv) -> None:
-        """Hand the policy the start of the episodes."""
-        self._env, scene = env, env.scene
-        table = questions_of(env.config)
-        asked = [] if table is None else [table.queries[row] for row in env.knowledge_input]
-        names = scene.joint_names
-        self._shape = (env.num_envs, len(names))
-        batch = Batch(
-            size=env.num_envs,
-            joints=dict(zip(names, env.joint_positions.T.copy(), strict=True)),
-            increments=joint_increments(scene.robot, env.config),
-            limits=np.stack([scene.joint_lower, scene.joint_upper]),
-            queries=tuple(query.name for query in asked) or None,
-            conditions=tuple(tuple((c.relation, c.value) for c in q.conditions) for q in asked)
-            or None,
-            graph=self._graph,
-        )
-        self._policy.reset(batch)
-
-    def act(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:
-        """Return the policy's actions (n, J).
-
-        Raises:
-            UserError: they are no integers of this shape from 0 to 6.
-        """
-        seen: dict[str, NDArray[Any]] = {"image": observations}
-        seen["joint_targets"] = self._env.joint_targets.astype(np.float32)
-        actions = np.asarray(self._policy.act(seen))
-        levels = len(ACTION_LEVELS)
-        if (
-            actions.shape != self._shape
-            or not np.issubdtype(actions.dtype, np.integer)
-            or not ((actions >= 0) & (actions < levels)).all()
-        ):
-            found = f"{actions.dtype} of shape {actions.shape}"
-            raise UserError(
-                f"act() must return integers 0 to {levels - 1} of shape {self._shape}, one row per "
-                f"episode and one column per joint; got {found}."
-            )
-        return actions.astype(np.int64)
-
-
-class ShuffledQueries:
-    """Plays an agent with the queries of other episodes of the batch."""
-
-    def __init__(self, agent: AgentProtocol) -> None:
-        self._agent = agent
-
-    def start(self, env: Any) -> None:
-        """Start the agent in an environment whose queries are permuted."""
-        rows = np.asarray(env.knowledge_input)
-        order = np.random.default_rng(0).permutation(len(rows))
-        asking: Any = _Asking(env, rows[order])
-        self._agent.start(asking)
-
-    def act(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:
-        """Return the agent's actions (n, J)."""
-        return self._agent.act(observations)
-
-
-class _Asking:
-    """An environment with other queries."""
-
-    def __init__(self, env: Any, knowledge_input: NDArray[np.int64]) -> None:
-        self._env = env
-        self.knowledge_input = knowledge_input
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._env, name)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,15 +38,15 @@ class Entrant:
 
     spec: str
     """What was given: a run folder, an exported folder, ``module:Name`` or a scripted agent."""
-    make: Callable[[Cell], AgentProtocol]
-    """Return an agent for a cell, or raise a `UserError` that says why it cannot play it."""
+    make: Callable[[Cell, ArmVectorEnv], AgentProtocol]
+    """Return an agent for a cell and its environment; a `UserError` says why it cannot play."""
     inputs: tuple[str, ...] = ("image",)
     """What it uses, of `INPUTS`."""
     training: str = ""
     """How it was trained, in a few words."""
     digest: str = ""
     """SHA-256 of its files, where it has any."""
-    controls: dict[str, Callable[[Cell], AgentProtocol]] = field(default_factory=dict)
+    controls: dict[str, Callable[[Cell, ArmVectorEnv], AgentProtocol]] = field(default_factory=dict)
     """Controls that only this kind of policy has."""
     seed: int | None = None
     """Training seed."""
@@ -199,19 +84,20 @@ def entrant(spec: str) -> Entrant:
 
 
 def _scripted(name: str) -> Entrant:
-    inputs = ("simulator",) if name == "oracle" else ()
+    agent = SCRIPTED_AGENTS[name]
 
-    def make(cell: Cell) -> AgentProtocol:
-        return FixedList(cell.open_loop) if name == "open-loop" else SCRIPTED_AGENTS[name].make(0)
+    def make(cell: Cell, env: ArmVectorEnv) -> AgentProtocol:
+        stored = agent.kind is OpenLoopAgent
+        return OpenLoopAgent(cell.open_loop) if stored else agent.make(env, 0)
 
-    return Entrant(spec=name, make=make, inputs=inputs, training="scripted")
+    return Entrant(spec=name, make=make, inputs=agent.kind.inputs, training="scripted")
 
 
 def _run(spec: str) -> Entrant:
     trained = load_agent(spec)
     config = trained.config
 
-    def make(cell: Cell, reasoning: Any = None) -> AgentProtocol:
+    def make(cell: Cell, env: ArmVectorEnv, reasoning: Any = None) -> AgentProtocol:
         own, other = config.env, cell.env
         if (own.robot, own.task.kind_of()) != (other.robot, other.task.kind_of()):
             raise UserError(f"{spec} was trained for {own.robot} and {own.task.kind_of()}.")
@@ -239,9 +125,9 @@ def _run(spec: str) -> Entrant:
     training = f"{config.name}, {trained.folder.steps_trained:,} steps"
     if privileged:
         training += f"; training used the simulator's state for {', '.join(privileged)}"
-    controls = {}
+    controls: dict[str, Callable[[Cell, ArmVectorEnv], AgentProtocol]] = {}
     if config.reasoning == "graph":
-        controls["shuffled graph"] = lambda cell: make(cell, "graph-shuffled")
+        controls["shuffled graph"] = partial(make, reasoning="graph-shuffled")
     files = sorted((trained.folder.checkpoints / "best").glob("*.safetensors"))
     perception = trained.folder.path / "perception.safetensors"
     parts = [path.read_bytes() for path in (*files, perception) if path.is_file()]
@@ -273,7 +159,7 @@ class _Runners:
             self._runners[i].start(joints, row)
         self._batch = batch
 
-    def act(self, observations: Mapping[str, NDArray[Any]]) -> NDArray[np.int64]:
+    def act(self, observations: Observations) -> NDArray[np.int64]:
         """Step every runner; return the levels that lead nearest to its joint targets."""
         images, joints = observations["image"], observations["joint_targets"].astype(np.float64)
         wanted = np.empty_like(joints)
@@ -296,14 +182,14 @@ def _exported(spec: str, folder: Path) -> Entrant:
     inputs = ("image", "words") if len(rows) > 1 else ("image",)
     policy = _Runners(lambda: copy.copy(loaded), inputs, "exported")  # which share the models
 
-    def make(cell: Cell) -> AgentProtocol:
+    def make(cell: Cell, env: ArmVectorEnv) -> AgentProtocol:
         table = questions_of(cell.env)
         asked = {query.name for query in table.queries} if table is not None else set[str]()
         if not asked <= set(rows) or (not asked and len(rows) > 1):
             raise UserError(f"{spec} knows other queries than those of {cell.name}.")
-        if not names <= set(ArmVectorEnv(cell.env, 1).scene.robot.joints):
+        if not names <= set(env.scene.robot.joints):
             raise UserError(f"{spec} moves the joints {', '.join(sorted(names))}.")
-        return PolicyAdapter(policy, cell.graph)
+        return _informed(policy, cell)
 
     return replace(_entrant(spec, policy), make=make, digest=hashlib.sha256(data).hexdigest())
 
@@ -320,6 +206,11 @@ def _user_policy(spec: str) -> Any:
     return PredictingPolicy(policy) if hasattr(policy, "predict") else policy
 
 
+def _informed(policy: AgentProtocol, cell: Cell) -> AgentProtocol:
+    """Return the policy with the graph that a cell gives it."""
+    return InformedAgent(policy, partial(replace, graph=cell.graph))
+
+
 def _entrant(spec: str, policy: Any, num_envs: int = 100) -> Entrant:
     for method in ("reset", "act"):
         if not callable(getattr(policy, method, None)):
@@ -329,7 +220,7 @@ def _entrant(spec: str, policy: Any, num_envs: int = 100) -> Entrant:
         raise UserError(f"{spec}.inputs names {', '.join(unknown)}; allowed: {', '.join(INPUTS)}.")
     return Entrant(
         spec=spec,
-        make=lambda cell: PolicyAdapter(policy, cell.graph),
+        make=lambda cell, env: _informed(policy, cell),
         inputs=inputs,
         training=str(getattr(policy, "training", "")),
         digest=getattr(policy, "digest", ""),

@@ -10,15 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 import knowarm
-from knowarm.benchmark.policies import Entrant, ShuffledQueries
+from knowarm.benchmark.policies import Entrant
 from knowarm.benchmark.suites import CONTROLS, Cell, Suite, read_suite
 from knowarm.config import differences
 from knowarm.errors import UserError, unknown_name
 from knowarm.reading import read_json
 from knowarm.statistics import bootstrap, wilson
-from knowarm.world.agents import AgentProtocol, BlindAgent, FrozenAgent
-from knowarm.world.agents.open_loop import FixedList
 from knowarm.world.agents.play import play
+from knowarm.world.agents.protocol import AgentProtocol, Batch
+from knowarm.world.agents.scripted import BlindAgent, FrozenAgent, InformedAgent, OpenLoopAgent
 from knowarm.world.config import questions_of
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.sampling import Episodes
@@ -100,25 +100,30 @@ def _play_cell(suite: Suite, cell: Cell, entrant: Entrant) -> dict[str, Any]:
     """Play one cell with one seed of a policy and with its controls; return outcomes as hex."""
     env = ArmVectorEnv(cell.env, min(entrant.num_envs, len(cell.episodes)))
     try:
-        outcome = {"policy": _bits(entrant.make(cell), env, cell.episodes)}
+        outcome = {"policy": _bits(entrant.make(cell, env), env, cell.episodes)}
         few = cell.episodes[: suite.control_episodes]
-        for name, agent in _controls(cell, entrant).items():
+        for name, agent in _controls(cell, entrant, env).items():
             outcome[name] = _bits(agent, env, few)
     finally:
         env.close()
     return outcome
 
 
-def _controls(cell: Cell, entrant: Entrant) -> dict[str, AgentProtocol]:
-    agents: dict[str, AgentProtocol] = {"open-loop": FixedList(cell.open_loop)}
+def _controls(cell: Cell, entrant: Entrant, env: ArmVectorEnv) -> dict[str, AgentProtocol]:
+    agents: dict[str, AgentProtocol] = {"open-loop": OpenLoopAgent(cell.open_loop)}
     if "image" in entrant.inputs:
-        agents["black"] = BlindAgent(entrant.make(cell))
-        agents["frozen"] = FrozenAgent(entrant.make(cell))
+        agents["black"] = BlindAgent(entrant.make(cell, env))
+        agents["frozen"] = FrozenAgent(entrant.make(cell, env))
     if {"words", "graph"} & set(entrant.inputs) and questions_of(cell.env) is not None:
-        agents["shuffled query"] = ShuffledQueries(entrant.make(cell))
+        agents["shuffled query"] = InformedAgent(entrant.make(cell, env), shuffled)
     if cell.graph is not None and "graph" in entrant.inputs:
-        agents["intact graph"] = entrant.make(replace(cell, graph=None))
-    return agents | {name: make(cell) for name, make in entrant.controls.items()}
+        agents["intact graph"] = entrant.make(replace(cell, graph=None), env)
+    return agents | {name: make(cell, env) for name, make in entrant.controls.items()}
+
+
+def shuffled(batch: Batch) -> Batch:
+    """Return a batch with the queries of other episodes."""
+    return replace(batch, names=batch.names[np.random.default_rng(0).permutation(batch.size)])
 
 
 def _bits(agent: AgentProtocol, env: ArmVectorEnv, episodes: Episodes) -> dict[str, str]:

@@ -118,14 +118,12 @@ class Record:
         """Play, write and say how many episodes succeeded."""
         at_least(self, 1, "episodes")
         at_least(self, 0, "seed")
-        agent: AgentProtocol
-        config = self.env
-        if is_scripted(self.agent, self.env):
-            agent = SCRIPTED_AGENTS[self.agent].make(self.seed)
-        else:
-            trained = load_agent(self.agent)
-            config, agent = trained.config.env, trained.agent
+        trained = None if is_scripted(self.agent, self.env) else load_agent(self.agent)
+        config = self.env if trained is None else trained.config.env
         env = ArmVectorEnv(config, min(self.episodes, 100))
+        agent: AgentProtocol = (
+            SCRIPTED_AGENTS[self.agent].make(env, self.seed) if trained is None else trained.agent
+        )
         drawn = evaluation_episodes(config, self.episodes, self.seed)
         solved = record(agent, env, drawn, self.to)
         print(f"Wrote {self.episodes} episodes to {self.to}; {solved} of them succeeded.")

@@ -173,8 +173,8 @@ class Evaluate(TableCommand):
                     given = name.replace("_", "-")
                     wanted = given.removeprefix("success-")
                     raise UserError(f"--env.{given} is of training: give --{wanted} here.")
-            agent = SCRIPTED_AGENTS[self.agent].make(how.seed)
-            result = evaluate(agent, self.env, how, agent_name=self.agent)
+            make = SCRIPTED_AGENTS[self.agent].make
+            result = evaluate(lambda env: make(env, how.seed), self.env, how, agent_name=self.agent)
         else:
             options: dict[str, Any] = {"which": self.which, "perception": self.perception}
             greedy = how.actions == "greedy"

@@ -95,7 +95,7 @@ class View:
         for number in range(len(episodes)):
             films.append(record_episode(agent, env, episodes[number : number + 1]))
             if self.rrd is not None:
-                known.append(self._known(agent, env, films[-1][0].policy))
+                known.append(self._known(agent, films[-1][0].policy))
         reached = sum(film[-1].success for film in films)
         print(f"{reached} of {len(films)} episodes reached their target.")
         write_recording = partial(write_rrd, joints=env.scene.joint_names, known=known)
@@ -108,20 +108,20 @@ class View:
                 write(path, films)
                 print(f"Wrote {path}")
 
-    def _known(self, agent: AgentProtocol, env: ArmVectorEnv, image: Any) -> dict[str, Any]:
+    def _known(self, agent: AgentProtocol, image: Any) -> dict[str, Any]:
         """Return what the agent knows in the episode that it has played."""
         if is_scripted(self.agent):
             return {}
         from knowarm.perception.agent import known_in_episode  # imports torch
 
-        return known_in_episode(agent, env, image)
+        return known_in_episode(agent, image)
 
     def _agent(self) -> tuple[Callable[[ArmVectorEnv], AgentProtocol], EnvConfig]:
         """Return a constructor of the agent, and its environment's config."""
         if is_scripted(self.agent):
             robot = self.robot or DEFAULT_ROBOT
             config = EnvConfig(robot=robot, task=task_type(self.task)())
-            return lambda env: SCRIPTED_AGENTS[self.agent].make(self.seed), config
+            return lambda env: SCRIPTED_AGENTS[self.agent].make(env, self.seed), config
         from knowarm.experiment.evaluate import check_fits  # imports torch, which takes seconds
         from knowarm.experiment.load import load_agent
 

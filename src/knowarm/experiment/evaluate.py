@@ -2,11 +2,11 @@
 
 import dataclasses
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -104,8 +104,12 @@ BATCH = 128
 """Most episodes played in parallel; another batch size rounds sums differently."""
 
 
+MakeAgent = Callable[[ArmVectorEnv], AgentProtocol]
+Playable = AgentProtocol | MakeAgent | TrainedAgent | Run | Path | str
+
+
 def evaluate(
-    agent: AgentProtocol | TrainedAgent | Run | Path | str,
+    agent: Playable,
     env_config: EnvConfig | None = None,
     config: EvaluationConfig | None = None,
     *,
@@ -118,8 +122,8 @@ def evaluate(
     Agents evaluated with equal configs play the same episodes.
 
     Args:
-        agent: what `train` or `load_agent` returned, a run folder, or any object with
-            ``start(env)`` and ``act(images)``.
+        agent: what `train` or `load_agent` returned, a run folder, any `AgentProtocol`, or what
+            makes one for an environment, such as the class `OracleAgent`.
         env_config: the task; its success thresholds are replaced by those of ``config``. None
             takes the task that a trained agent was trained on.
         config: episodes, test conditions and probes; None takes the defaults.
@@ -177,9 +181,9 @@ def evaluate(
 
 
 def _loaded(
-    agent: AgentProtocol | TrainedAgent | Run | Path | str, config: EvaluationConfig
-) -> tuple[AgentProtocol, TrainedAgent | None, EvaluationConfig]:
-    """Return what plays, and the trained agent, if it is one, ready to draw its actions."""
+    agent: Playable, config: EvaluationConfig
+) -> tuple[AgentProtocol | MakeAgent, TrainedAgent | None, EvaluationConfig]:
+    """Return what plays, or makes it, and the trained agent, if any, ready to draw actions."""
     if isinstance(agent, Run):
         agent = agent.folder.path
     greedy = config.actions == "greedy"
@@ -218,11 +222,15 @@ def _subject(trained: TrainedAgent | None, env: EnvConfig | None, *, own_folder:
 
 @contextmanager
 def agent_for_test(
-    agent: AgentProtocol, trained: TrainedAgent | None, subject: Subject, env: ArmVectorEnv
+    agent: AgentProtocol | MakeAgent,
+    trained: TrainedAgent | None,
+    subject: Subject,
+    env: ArmVectorEnv,
 ) -> Iterator[AgentProtocol]:
     """Yield an agent with what it knows in a test, and restore what it knew."""
     if trained is None:
-        yield agent
+        is_made = hasattr(agent, "act") and not isinstance(agent, type)
+        yield cast(AgentProtocol, agent) if is_made else cast(MakeAgent, agent)(env)
         return
     changed, table = known_in_test(trained, subject)
     knows_task = table is not None or changed is not trained.agent

@@ -13,7 +13,7 @@ from knowarm.errors import UserError
 from knowarm.experiment.build import build
 from knowarm.experiment.names import DEFAULT_EXPERIMENT, experiment_config
 from knowarm.experiment.run_folder import provenance
-from knowarm.world.agents import OracleAgent
+from knowarm.world.agents import Batch, OracleAgent
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.own_robot.robot_check import Check
@@ -63,11 +63,11 @@ def _knowledge() -> str:
 def _world() -> str:
     env = ArmVectorEnv(EnvConfig(), 4)
     images, infos = env.reset(seed=0)
-    agent = OracleAgent(0)
-    agent.start(env)
+    agent = OracleAgent(env)
+    agent.reset(Batch.of(env))
     before = infos["angle"].mean()
     for _ in range(5):
-        images, _, _, _, infos = env.step(agent.act(images))
+        images, _, _, _, infos = env.step(agent.act({"image": images}))
     if not np.ptp(images) > 50 or not infos["angle"].mean() < before:
         raise UserError("the simulation runs, but the image is uniform or the arm does not move")
     return "simulation and ray caster work, without OpenGL"

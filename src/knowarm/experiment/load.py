@@ -1,9 +1,9 @@
 """Trained agents, loaded from their run folders."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -18,23 +18,15 @@ from knowarm.perception.agent import PerceivingAgent
 from knowarm.perception.answering import AnswerGrounding, AnsweringAgent
 from knowarm.perception.config import Unclear
 from knowarm.perception.grounding import GroundingNetwork
-from knowarm.perception.module import PerceptionModule, in_batches
+from knowarm.perception.module import PerceptionModule
 from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
-from knowarm.policy.policy import State
 from knowarm.questions import find_rows
 from knowarm.reading import one_line, reading
+from knowarm.world.agents.protocol import Batch
 from knowarm.world.config import facets_of, questions_of
 
 
-class PlayState(NamedTuple):
-    """State of a trained agent between the steps of an episode."""
-
-    recurrent: State
-    knowledge: torch.Tensor
-    """Row (n,) int64, or knowledge (n, K) float32, of each episode."""
-
-
-@dataclass(frozen=True)
+@dataclass
 class TrainedAgent:
     """A trained agent and its origin."""
 
@@ -44,53 +36,70 @@ class TrainedAgent:
     folder: RunFolder  #: The run.
     step: int  #: Environment steps it was trained for.
     which: Which  #: Checkpoint: of the best interim evaluation, the latest, or untrained.
+    _is_new: bool | None = field(default=None, init=False)  # whether the next step is the first
+    _names: np.ndarray | None = field(default=None, init=False)
 
-    def act(
-        self,
-        observation: np.ndarray,
-        state: PlayState | None = None,
-        info: Mapping[str, Any] | None = None,
-    ) -> tuple[np.ndarray, PlayState]:
-        """Choose the action of a step in any environment, also one of ``gymnasium.make``.
+    def reset(self, batch: Batch | Mapping[str, Any]) -> None:
+        """Forget everything: episodes start, one or several side by side.
 
         Args:
-            observation: image (H, W, 3) uint8, or images (n, H, W, 3) of n environments.
-            state: what the previous step of the episode returned; None at the first step.
-            info: infos of the reset, from which an agent whose knowledge depends on the episode
-                takes the name of its facet or query; read at the first step.
-
-        Returns:
-            Action (J,) or (n, J) int64, and the state for the next step.
+            batch: infos of an environment's reset, from which an agent whose knowledge depends
+                on the episode takes the name of its facet or query; or what `play` hands over.
 
         Raises:
             UserError: the infos lack the facet or query, or the agent does not know it.
         """
-        images = torch.as_tensor(np.asarray(observation))
-        batch = images if images.ndim == 4 else images[None]
-        start = torch.full((len(batch),), state is None)
-        if state is None:
-            state = PlayState(self.policy.initial_state(len(batch)), self._knowledge(batch, info))
-        actions, recurrent = self.agent.choose(batch, state.knowledge, state.recurrent, start)
-        state = state._replace(recurrent=recurrent)
-        return (actions if images.ndim == 4 else actions[0]), state
+        self._is_new, self._names = True, None
+        if not self._asks:
+            return
+        info, env = self.config.env.task.knowledge_info, self.config.env
+        given = {info: batch.names} if isinstance(batch, Batch) else batch
+        if info not in given:
+            raise UserError(
+                f"The knowledge of this agent depends on the info {info!r} of the episode: pass "
+                "the infos of the environment's reset, agent.reset(info)."
+            )
+        known = env.task.knowledge_rows(facets_of(env))
+        self._names = np.array(given[info], np.str_).reshape(-1)
+        find_rows(f"{info} of {self.config.name}", self._names, dict.fromkeys(known, 0))
 
-    def _knowledge(self, images: torch.Tensor, info: Mapping[str, Any] | None) -> torch.Tensor:
-        """Return the knowledge input of episodes that start with images (n, H, W, 3)."""
-        env, name = self.config.env, self.config.env.task.knowledge_info
-        table, module, facets = self.policy.knowledge_table, self.module, facets_of(env)
-        rows: torch.Tensor | None = None
-        if questions_of(env) is not None if module else bool((table != table[:1]).any()):
-            if info is None or name not in info:
-                raise UserError(
-                    f"The knowledge of this agent depends on the info {name!r} of the episode: "
-                    "pass the infos of the environment's reset as info=..."
-                )
-            known = {each: row for row, each in enumerate(env.task.knowledge_rows(facets))}
-            given = np.asarray(info[name]).reshape(-1)
-            rows = torch.from_numpy(find_rows(f"{name} of {self.config.name}", given, known))
-        if module is not None:
-            return in_batches(module.predictor(env, facets), images, rows)
-        return torch.zeros(len(images), dtype=torch.int64) if rows is None else rows
+    def act(self, observations: np.ndarray | Mapping[str, np.ndarray]) -> np.ndarray:
+        """Choose the action of a step in any environment, also one of ``gymnasium.make``.
+
+        Args:
+            observations: image (H, W, 3) uint8, or images (n, H, W, 3) of n environments, whose
+                episodes started together; alone, or as ``image`` of a dictionary.
+
+        Returns:
+            Action (J,) or (n, J) int64.
+
+        Raises:
+            UserError: no episodes have started, or another number.
+        """
+        seen = observations["image"] if isinstance(observations, Mapping) else observations
+        images = np.asarray(seen).reshape(-1, *np.shape(seen)[-3:])
+        if self._is_new:
+            env = self.config.env
+            any_name = env.task.knowledge_rows(facets_of(env))[:1]
+            names = np.repeat(any_name, len(images)) if self._names is None else self._names
+            self.agent.reset(Batch(env=env, names=names))
+            self._is_new = False
+        started = 0 if self._is_new is None else len(self.agent.rows)
+        if len(images) != started:
+            raise UserError(
+                f"{started} episodes have started, and there are {len(images)} images: call "
+                "reset(info) whenever environments are reset."
+            )
+        actions = self.agent.act({"image": images})
+        return actions.reshape(*np.shape(seen)[:-3], -1)
+
+    @property
+    def _asks(self) -> bool:
+        """Whether the knowledge depends on the episode's facet or query."""
+        if self.module is not None:
+            return questions_of(self.config.env) is not None
+        table = self.policy.knowledge_table
+        return bool((table != table[:1]).any())
 
     @property
     def module(self) -> PerceptionModule | None:

@@ -115,7 +115,8 @@ class BlindProbe(BaseProbe):
         own = wilson(int(np.count_nonzero(success)), len(success))
         numbers: dict[str, dict[str, Any]] = {}
         for name, entry in BLIND_AGENTS.items():
-            blind, chosen = entry.make(played.agent, played.seed), played.episodes[: self.episodes]
+            blind = entry.make(played.agent, played.env, played.seed)
+            chosen = played.episodes[: self.episodes]
             solved = play(blind, played.env, chosen).success
             share = wilson(int(np.count_nonzero(solved)), len(solved))
             numbers[name] = {"episodes": float(len(solved)), "success": share}

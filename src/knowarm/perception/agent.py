@@ -13,7 +13,7 @@ from torch import Tensor
 from knowarm.errors import UserError
 from knowarm.perception.module import PerceptionModule, in_batches
 from knowarm.policy import PolicyAgent
-from knowarm.world.config import EnvConfig, questions_of
+from knowarm.world.config import EnvConfig, facets_of, questions_of
 from knowarm.world.envs.torch_env import TorchArmVectorEnv
 
 
@@ -92,24 +92,19 @@ class PerceivingAgent(PolicyAgent):
         super().__init__(*arguments, **options)
         self.module = module
 
-    def start(self, env: Any) -> None:
-        """As `PolicyAgent.start`; the next image is the first of every episode."""
-        super().start(env)
-        self._predict = self.module.predictor(env.config, env.facets)
-        self._has_queries = questions_of(env.config) is not None
-        self.goal: Tensor | None = None
+    def reset(self, batch: Any) -> None:
+        """As `PolicyAgent.reset`; the next image is the first of every episode."""
+        super().reset(batch)
+        self._predict = self.module.predictor(batch.env, facets_of(batch.env))
+        self._has_queries = questions_of(batch.env) is not None
 
-    def knowledge_input(self, observations: np.ndarray) -> Tensor:
-        """As `PolicyAgent.knowledge_input`, computed from the first image."""
-        if self.goal is None:
-            queries = torch.as_tensor(self._env.knowledge_input) if self._has_queries else None
-            images = torch.as_tensor(observations)
-            self.goal = in_batches(self._predict, images, queries).clone()
-        return self.goal
+    def recognize(self, images: Tensor) -> Tensor:
+        """As `PolicyAgent.recognize`, computed from the images."""
+        return in_batches(self._predict, images, self.rows if self._has_queries else None)
 
 
 @torch.inference_mode()
-def known_in_episode(agent: Any, env: Any, image: np.ndarray) -> dict[str, np.ndarray]:
+def known_in_episode(agent: Any, image: np.ndarray) -> dict[str, np.ndarray]:
     """Return what an agent knows in the episode of one environment with this first image.
 
     ``knowledge`` (K,) is what its policy receives, ``recognition`` (P, P) the likelihood of the
@@ -117,12 +112,12 @@ def known_in_episode(agent: Any, env: Any, image: np.ndarray) -> dict[str, np.nd
     """
     if not isinstance(agent, PolicyAgent) or not agent.policy.uses_knowledge:
         return {}
-    given = agent.knowledge_input(image[None])
+    images = torch.as_tensor(image[None])
+    given = agent.recognize(images) if agent.knowledge is None else agent.knowledge
     table = agent.policy.knowledge_table
     found = {"knowledge": given[0] if given.is_floating_point() else table[given[0]]}
     place_scores = getattr(getattr(agent, "module", None), "place_scores", None)
     if place_scores is not None:
-        images, queries = torch.as_tensor(image[None]), torch.as_tensor(env.knowledge_input)
-        scores = place_scores(images, queries)[0].softmax(0)
+        scores = place_scores(images, agent.rows)[0].softmax(0)
         found["recognition"] = scores.reshape(round(len(scores) ** 0.5), -1)
     return {name: value.numpy() for name, value in found.items()}

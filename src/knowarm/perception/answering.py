@@ -5,6 +5,7 @@ whose log-sum-exp over the answering facets is largest holds the answer, and its
 grasp frame. Nothing of this is trained on queries.
 """
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -145,22 +146,17 @@ class AnsweringAgent(PerceivingAgent):
         super().__init__(module, *arguments, **options)
         self.unclear = unclear
         self.log: list[np.ndarray] = []
-        """``visible_answers`` of every start, in order."""
+        """``visible_answers`` of every reset, in order."""
 
-    @torch.inference_mode()
-    def knowledge_input(self, observations: np.ndarray) -> Tensor:
-        """As `PerceivingAgent.knowledge_input`; counts the visible answers in the first image."""
-        if self.goal is None:
-            queries = torch.as_tensor(self._env.knowledge_input)
-            images = torch.as_tensor(observations)
-            parts = zip(images.split(BATCH), queries.split(BATCH), strict=True)
-            seen = [self.module.see(*part) for part in parts]
-            self.goal = torch.cat([each.frames for each in seen]).clone()
-            self.visible_answers = torch.cat([each.visible for each in seen]).numpy()
-            self.log.append(self.visible_answers)
-        return self.goal
+    def recognize(self, images: Tensor) -> Tensor:
+        """As `PerceivingAgent.recognize`; counts the visible answers in the images."""
+        parts = zip(images.split(BATCH), self.rows.split(BATCH), strict=True)
+        seen = [self.module.see(*part) for part in parts]
+        self.visible_answers = torch.cat([each.visible for each in seen]).numpy()
+        self.log.append(self.visible_answers)
+        return torch.cat([each.frames for each in seen])
 
-    def act(self, observations: np.ndarray) -> np.ndarray:
+    def act(self, observations: Mapping[str, np.ndarray]) -> np.ndarray:
         """As `PolicyAgent.act`; with ``unclear`` "stop" nothing moves without exactly one answer.
 
         Action 0 adds nothing to the joint targets.

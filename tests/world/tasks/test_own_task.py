@@ -12,6 +12,7 @@ import pytest
 from knowarm.config import from_dict, to_dict
 from knowarm.errors import UserError
 from knowarm.world.agents.play import play
+from knowarm.world.agents.protocol import Batch
 from knowarm.world.agents.scripted import OracleAgent
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.episodes import evaluation_episodes
@@ -45,7 +46,8 @@ def hover(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
 
 def test_the_oracle_holds_the_gripper_above_the_object(hover: Any) -> None:
     config = EnvConfig(task=hover(), image_size=8, dynamics="kinematic")
-    result = play(OracleAgent(), ArmVectorEnv(config, 30), evaluation_episodes(config, 30, 0))
+    env = ArmVectorEnv(config, 30)
+    result = play(OracleAgent(env), env, evaluation_episodes(config, 30, 0))
     assert result.success.mean() >= 0.95
     assert (result.infos["held"][result.success] == 10).all()
     held = result.steps.distance < 0.05
@@ -64,11 +66,12 @@ def test_the_goal_is_above_the_grasp(hover: Any) -> None:
 
 def test_what_a_task_remembers_is_part_of_the_state(hover: Any) -> None:
     config = EnvConfig(task=hover(), image_size=8, dynamics="kinematic")
-    env, agent = ArmVectorEnv(config, 3), OracleAgent()
-    images, _ = env.reset(seed=1)
-    agent.start(env)
+    env = ArmVectorEnv(config, 3)
+    agent = OracleAgent(env)
+    env.reset(seed=1)
+    agent.reset(Batch.of(env))
     for _ in range(50):
-        images, _, _, _, infos = env.step(agent.act(images))
+        _, _, _, _, infos = env.step(agent.act({}))
         if infos["held"].max() > 3:
             break
     state, held = env.get_state(), infos["held"]

@@ -1,4 +1,4 @@
-"""Open-loop agent: plays the best fixed list of actions that a search finds, without looking.
+"""Search for the best fixed list of actions of a task, which an open-loop agent plays.
 
 Its success is the part of a task that needs no observation: a trained agent has to exceed it
 before its score says anything about vision.
@@ -49,38 +49,6 @@ REVISION = 1  # Part of the cache's key; to be increased with every change of th
 Actions = NDArray[np.int64]  # A list of actions: indices into ``ACTION_LEVELS``, (T, J)
 
 
-class FixedList:
-    """Plays a list of actions (T, J) in every episode."""
-
-    def __init__(self, actions: Actions) -> None:
-        self._actions = actions
-
-    def start(self, env: ArmVectorEnv) -> None:
-        """Return to the beginning of the list."""
-        self._step, self._num_envs = 0, env.num_envs
-
-    def act(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:
-        """Return the next action for every environment, (n, J)."""
-        self._step += 1
-        return np.tile(self._actions[self._step - 1], (self._num_envs, 1))
-
-
-class OpenLoopAgent(FixedList):
-    """Searches for the best fixed list of actions of a task, then plays it in every episode.
-
-    The search scores ``budget`` candidates, on episodes that no evaluation of any seed has.
-    """
-
-    def __init__(self, seed: int = 0, budget: int = BUDGET) -> None:
-        self._seed = seed
-        self._budget = budget
-
-    def start(self, env: ArmVectorEnv) -> None:
-        """Search, once per task and process, and return to the list's first action."""
-        self._actions = search_open_loop(env.config, self._budget, self._seed)
-        super().start(env)
-
-
 @lru_cache(maxsize=16)
 def search_open_loop(config: EnvConfig, budget: int = BUDGET, seed: int = 0) -> Actions:
     """Search for the fixed list of actions, (T, J), that solves most episodes of a task.
@@ -119,7 +87,7 @@ def _episodes(config: EnvConfig, count: int, seed: int) -> Episodes:
 def _best_replayed(config: EnvConfig, episodes: Episodes) -> Actions:
     """Return the list of the oracle's actions in one episode that solves most of all of them."""
     env = ArmVectorEnv(config, len(episodes))
-    steps = play(OracleAgent(), env, episodes[:REPLAYED_LISTS]).steps
+    steps = play(OracleAgent(env), env, episodes[:REPLAYED_LISTS]).steps
     best, most = np.zeros((config.max_episode_steps, env.scene.num_joints), dtype=np.int64), -1
     for i in range(REPLAYED_LISTS):
         played = steps.actions[steps.episode == i]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knowarm.world.agents.scripted import AgentProtocol
+from knowarm.world.agents.protocol import AgentProtocol, Batch
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.sampling import Episodes
 
@@ -76,7 +76,7 @@ def play_steps(agent: AgentProtocol, env: ArmVectorEnv, episodes: Episodes) -> I
     n, count = env.num_envs, len(episodes)
     rows = np.minimum(np.arange(n), count - 1)
     images, infos = env.reset(options={"episodes": episodes[rows]})
-    agent.start(env)
+    agent.reset(Batch.of(env))
     played = running = np.arange(n) < count
     step, actions = 0, None
     reward, terminated = np.zeros(n), np.zeros(n, dtype=np.bool_)
@@ -94,7 +94,8 @@ def play_steps(agent: AgentProtocol, env: ArmVectorEnv, episodes: Episodes) -> I
         if not running.any():
             return
         step, played = step + 1, running
-        actions = np.asarray(agent.act(images))
+        targets = env.joint_targets.astype(np.float32)
+        actions = np.asarray(agent.act({"image": images, "joint_targets": targets}))
         images, reward, terminated, truncated, infos = env.advance(actions, played)
         running = played & ~(terminated | truncated)
 

@@ -1,36 +1,26 @@
-"""Agent protocol, agents that act by a fixed rule (zero, random, oracle), and blinding."""
+"""Agents that act by a fixed rule (zero, random, list, oracle), and agents that see less."""
 
-from typing import Protocol
+from collections.abc import Callable
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from knowarm.world.agents.protocol import AgentProtocol, Batch, Observations, PrivilegedAgent
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.tasks.guides import Guide
 from knowarm.world.tasks.state import ACTION_LEVELS, nearest_levels
 
 
-class AgentProtocol(Protocol):
-    """Chooses the actions of a vector environment, scripted or by a policy."""
-
-    def start(self, env: ArmVectorEnv) -> None:
-        """Prepare for new episodes: all environments of ``env`` were just reset."""
-
-    def act(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:
-        """Choose actions (n, J) in 0..6 from images (n, H, W, 3)."""
-
-
 class ZeroAgent:
-    """Never moves; as all scripted agents it is created from a seed."""
+    """Never moves."""
 
-    def __init__(self, seed: int = 0) -> None:
-        self._shape = (0, 0)
+    inputs: ClassVar[tuple[str, ...]] = ()
 
-    def start(self, env: ArmVectorEnv) -> None:
+    def reset(self, batch: Batch) -> None:
         """Read the shape of the actions."""
-        self._shape = (env.num_envs, env.scene.num_joints)
+        self._shape = (batch.size, len(batch.joints))
 
-    def act(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:
+    def act(self, observations: Observations) -> NDArray[np.int64]:
         """Return the action without movement, (n, J)."""
         return np.zeros(self._shape, dtype=np.int64)
 
@@ -38,48 +28,62 @@ class ZeroAgent:
 class RandomAgent:
     """Draws every action uniformly; a trained agent has to be better than this."""
 
+    inputs: ClassVar[tuple[str, ...]] = ()
+
     def __init__(self, seed: int = 0) -> None:
         self._generator = np.random.default_rng(seed)
-        self._shape = (0, 0)
 
-    def start(self, env: ArmVectorEnv) -> None:
+    def reset(self, batch: Batch) -> None:
         """Read the shape of the actions."""
-        self._shape = (env.num_envs, env.scene.num_joints)
+        self._shape = (batch.size, len(batch.joints))
 
-    def act(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:
+    def act(self, observations: Observations) -> NDArray[np.int64]:
         """Draw actions (n, J)."""
         return self._generator.integers(len(ACTION_LEVELS), size=self._shape)
 
 
-class OracleAgent:
+class OpenLoopAgent:
+    """Plays a fixed list of actions (T, J) in every episode."""
+
+    inputs: ClassVar[tuple[str, ...]] = ()
+
+    def __init__(self, actions: NDArray[np.int64]) -> None:
+        self._actions = actions
+
+    def reset(self, batch: Batch) -> None:
+        """Return to the beginning of the list."""
+        self._step, self._size = 0, batch.size
+
+    def act(self, observations: Observations) -> NDArray[np.int64]:
+        """Return the next action for every environment, (n, J)."""
+        self._step += 1
+        return np.tile(self._actions[self._step - 1], (self._size, 1))
+
+
+class OracleAgent(PrivilegedAgent):
     """Moves to the true goal frame by inverse kinematics, without looking at the image.
 
     In every step each joint takes the action that ends nearest to what the task's `Task.guide`
     says. It shows that a task can be solved with the seven actions, and its score is an upper
     reference for agents that see images.
 
-    Args:
-        seed: of the starting points of the solver.
-
     Attributes:
-        guide: knows the way, from the first `start` on.
+        guide: knows the way.
     """
 
     straight = False
+    """Whether the way ends straight along the approach direction."""
 
-    def __init__(self, seed: int = 0) -> None:
-        self._seed = seed
-        self._env: ArmVectorEnv | None = None
-        self.guide: Guide
+    def __init__(self, env: ArmVectorEnv, seed: int = 0) -> None:
+        super().__init__(env, seed)
+        self.guide = env.config.task.guide(env.running, seed, self.straight)
 
-    def start(self, env: ArmVectorEnv) -> None:
+    def reset(self, batch: Batch) -> None:
         """Solve the inverse kinematics of every episode."""
-        if self._env is not env:
-            self._env = env
-            self.guide = env.config.task.guide(env.running, self._seed, self.straight)
+        super().reset(batch)
         self.guide.restart()
 
-    def act(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:
+    def act(self, observations: Observations) -> NDArray[np.int64]:
         """Choose for each joint the action that ends nearest to its solution, (n, J)."""
         return nearest_levels(self.guide.error())
 
@@ -96,13 +100,13 @@ class BlindAgent:
     def __init__(self, agent: AgentProtocol) -> None:
         self._agent = agent
 
-    def start(self, env: ArmVectorEnv) -> None:
-        """Start the agent."""
-        self._agent.start(env)
+    def reset(self, batch: Batch) -> None:
+        """Reset the agent."""
+        self._agent.reset(batch)
 
-    def act(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:
+    def act(self, observations: Observations) -> NDArray[np.int64]:
         """Choose actions (n, J) for black images."""
-        return self._agent.act(np.zeros_like(observations))
+        return self._agent.act({**observations, "image": np.zeros_like(observations["image"])})
 
 
 class FrozenAgent:
@@ -111,13 +115,28 @@ class FrozenAgent:
     def __init__(self, agent: AgentProtocol) -> None:
         self._agent = agent
 
-    def start(self, env: ArmVectorEnv) -> None:
-        """Start the agent and forget the images."""
-        self._agent.start(env)
+    def reset(self, batch: Batch) -> None:
+        """Reset the agent and forget the images."""
+        self._agent.reset(batch)
         self._first: NDArray[np.uint8] | None = None
 
-    def act(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:
-        """Choose actions (n, J) for the first images since the start."""
+    def act(self, observations: Observations) -> NDArray[np.int64]:
+        """Choose actions (n, J) for the first images since the reset."""
         if self._first is None:
-            self._first = observations.copy()
-        return self._agent.act(self._first)
+            self._first = observations["image"].copy()
+        return self._agent.act({**observations, "image": self._first})
+
+
+class InformedAgent:
+    """Plays an agent that is told something else about the episodes."""
+
+    def __init__(self, agent: AgentProtocol, change: Callable[[Batch], Batch]) -> None:
+        self._agent, self._change = agent, change
+
+    def reset(self, batch: Batch) -> None:
+        """Reset the agent with a changed batch."""
+        self._agent.reset(self._change(batch))
+
+    def act(self, observations: Observations) -> NDArray[np.int64]:
+        """Choose actions (n, J)."""
+        return self._agent.act(observations)

@@ -13,6 +13,7 @@ from PIL import Image, ImageDraw
 from knowarm.arrays import Floats, Integers
 from knowarm.errors import UserError
 from knowarm.world.agents import OpenLoopAgent, OracleAgent
+from knowarm.world.agents.open_loop import search_open_loop
 from knowarm.world.agents.play import play
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.episodes import evaluation_episodes
@@ -142,7 +143,7 @@ def check_agents(config: EnvConfig) -> Iterator[Check]:
     """Play the oracle, whose way must be short enough to learn, and a fixed list of actions."""
     env = ArmVectorEnv(config, SAMPLES)
     episodes = evaluation_episodes(config, SAMPLES, 2)
-    oracle = play(OracleAgent(), env, episodes)
+    oracle = play(OracleAgent(env), env, episodes)
     share, steps = oracle.success.mean(), float(np.percentile(oracle.length, 75))
     most = LEARNABLE_SHARE * config.max_episode_steps
     yield check_result(
@@ -153,7 +154,8 @@ def check_agents(config: EnvConfig) -> Iterator[Check]:
         f"At least {100 * MIN_ORACLE:.0f} % and at most {most:.0f} steps are learned well: change "
         "home or mpi_rad, or turn the targets (target_yaws_deg).",
     )
-    blind = play(OpenLoopAgent(budget=BLIND_BUDGET), env, episodes).success.mean()
+    fixed = OpenLoopAgent(search_open_loop(config, BLIND_BUDGET))
+    blind = play(fixed, env, episodes).success.mean()
     yield check_result(
         "without looking",
         bool(blind <= MAX_BLIND),

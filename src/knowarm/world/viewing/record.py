@@ -13,7 +13,7 @@ from knowarm.errors import UserError
 from knowarm.pictures import check_suffix
 from knowarm.reading import replacing
 from knowarm.world.agents.play import play_steps
-from knowarm.world.agents.scripted import AgentProtocol
+from knowarm.world.agents.protocol import AgentProtocol
 from knowarm.world.envs.vector_env import RENDER_SIZE, ArmVectorEnv
 from knowarm.world.tasks.sampling import Episodes
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from knowarm.errors import UserError
 from knowarm.private_apis import local_web_viewer
 from knowarm.world.agents.play import PlayedStep, play_steps
-from knowarm.world.agents.scripted import AgentProtocol
+from knowarm.world.agents.protocol import AgentProtocol
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.scene.appearance import TargetColours
 from knowarm.world.scene.compose import CONTROL_PERIOD_S

@@ -11,7 +11,7 @@ from knowarm.experiment.build import build
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.names import experiment_config
 from knowarm.experiment.probes import LiftProbe
-from knowarm.world.agents import OpenLoopAgent, OracleAgent, ZeroAgent
+from knowarm.world.agents import Batch, OracleAgent, ZeroAgent
 from knowarm.world.agents import open_loop as open_loop_module
 from knowarm.world.agents.play import play
 from knowarm.world.config import EnvConfig, scene_of
@@ -40,19 +40,18 @@ def start(env, seed=0):
 
 def play_oracle(env, steps):
     """Play the oracle for some steps; return the last outcome."""
-    oracle = OracleAgent()
-    oracle.start(env)
-    images = np.zeros((env.num_envs, 1, 1, 3), dtype=np.uint8)
+    oracle = OracleAgent(env)
+    oracle.reset(Batch.of(env))
     nothing = np.zeros(env.num_envs, dtype=np.bool_)
     for _ in range(steps):
-        result = env.advance(oracle.act(images), nothing)
+        result = env.advance(oracle.act({}), nothing)
     return result
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_the_oracle_lifts(robot):
     env = make_env(robot)
-    result = play(OracleAgent(), env, evaluation_episodes(env.config, COUNT, 0))
+    result = play(OracleAgent(env), env, evaluation_episodes(env.config, COUNT, 0))
     assert result.success.mean() >= 0.9
     assert (result.infos["rise"][result.success] >= env.config.task.height_m).all()
     assert result.infos["gripped"][result.success].all()
@@ -146,10 +145,10 @@ def test_rewards_rise_from_the_way_to_the_grip_to_the_lift():
     expected = -2 * running.distance**2 - running.angle / 70
     np.testing.assert_allclose(away, expected)
     reward, most = np.full(8, -np.inf), np.full(8, -np.inf)
-    oracle = OracleAgent()
-    oracle.start(env)
+    oracle = OracleAgent(env)
+    oracle.reset(Batch.of(env))
     for _ in range(70):
-        _, reward, _, _, infos = env.advance(oracle.act(None), np.zeros(8, dtype=np.bool_))
+        _, reward, _, _, infos = env.advance(oracle.act({}), np.zeros(8, dtype=np.bool_))
         held = infos["gripped"] & ~infos["is_success"]
         rise = (infos["rise"] / task.height_m).clip(0, 1)
         np.testing.assert_allclose(reward[held], 1 + 4 * rise[held])
@@ -162,11 +161,11 @@ def test_a_lift_has_to_last():
     task = env.config.task
     start(env)
     ended = np.zeros(8, dtype=np.bool_)
-    oracle = OracleAgent()
-    oracle.start(env)
+    oracle = OracleAgent(env)
+    oracle.reset(Batch.of(env))
     up = np.zeros(8, dtype=np.int64)
     for _ in range(80):
-        _, _, terminated, _, infos = env.advance(oracle.act(None), np.zeros(8, dtype=np.bool_))
+        _, _, terminated, _, infos = env.advance(oracle.act({}), np.zeros(8, dtype=np.bool_))
         up = np.where(infos["gripped"] & (infos["rise"] >= task.height_m), up + 1, 0)
         new = terminated & infos["is_success"] & ~ended
         assert (up[new] == task.hold_steps).all()
@@ -221,14 +220,10 @@ def test_the_open_loop_agent_replays_a_lift(monkeypatch):
     open_loop_module.search_open_loop.cache_clear()
     env = make_env(count=6)
     start(env)
-    agent = OpenLoopAgent()
-    agent.start(env)
+    actions = open_loop_module.search_open_loop(env.config)
     open_loop_module.search_open_loop.cache_clear()
-    first = agent.act(None)
-    assert first.shape == env.action_space.shape
-    assert (first == first[0]).all()
-    assert agent._actions.shape == (env.config.max_episode_steps, env.scene.num_joints)
-    assert (agent._actions[:, -1] == 1).any()  # closes the fingers
+    assert actions.shape == (env.config.max_episode_steps, env.scene.num_joints)
+    assert (actions[:, -1] == 1).any()  # closes the fingers
 
 
 def test_the_policy_has_an_action_for_the_fingers_and_episodes_take_longer():

@@ -1,0 +1,125 @@
+"""Interface of everything that plays: `AgentProtocol`, and what it learns as episodes start."""
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knowarm.arrays import Floats, Integers
+from knowarm.errors import UserError
+from knowarm.questions import find_rows
+from knowarm.world.config import EnvConfig, facets_of, questions_of, scene_of
+from knowarm.world.envs.running import joint_increments
+from knowarm.world.envs.vector_env import ArmVectorEnv
+
+INPUTS = ("image", "words", "graph", "simulator")
+"""What an agent may use: the image, the query's words, a graph, the simulator's state."""
+
+Observations = Mapping[str, NDArray[Any]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Batch:
+    """What an agent may know when n episodes start; the simulator's state is not part of it."""
+
+    env: EnvConfig
+    """Robot and task."""
+    names: NDArray[np.str_]
+    """Facet or query of each episode, as the info ``task.knowledge_info`` gives it, (n,)."""
+    joints: Mapping[str, Floats] = field(default_factory=dict)
+    """Start angle of each joint by name, (n,) [rad] (slides: [m])."""
+    graph: Collection[tuple[str, str, str]] | None = None
+    """Triples that replace the agent's own graph in these episodes."""
+
+    @classmethod
+    def of(cls, env: ArmVectorEnv) -> Self:
+        """Describe the episodes that have just started in an environment."""
+        names = np.array(env.config.task.knowledge_rows(env.facets))[env.knowledge_input]
+        joints = dict(zip(env.scene.joint_names, env.joint_positions.T.copy(), strict=True))
+        return cls(env=env.config, names=names, joints=joints)
+
+    @property
+    def size(self) -> int:
+        """Number of episodes n, which are played side by side."""
+        return len(self.names)
+
+    @property
+    def rows(self) -> Integers:
+        """Row of each episode's facet or query among ``task.knowledge_rows``, (n,)."""
+        task = self.env.task
+        known = {name: row for row, name in enumerate(task.knowledge_rows(facets_of(self.env)))}
+        return find_rows(task.knowledge_info, self.names, known)
+
+    @property
+    def queries(self) -> tuple[str, ...] | None:
+        """Query of each episode, such as ``usedFor drinking and hasColor blue``, or None."""
+        return None if questions_of(self.env) is None else tuple(self.names.tolist())
+
+    @property
+    def conditions(self) -> tuple[tuple[tuple[str, str], ...], ...] | None:
+        """The queries as (relation, value) pairs."""
+        if (table := questions_of(self.env)) is None:
+            return None
+        pairs = [tuple((c.relation, c.value) for c in q.conditions) for q in table.queries]
+        return tuple(pairs[row] for row in self.rows)
+
+    @property
+    def increments(self) -> Floats:
+        """Joint increment of each of the seven levels, (7,) [rad]."""
+        return joint_increments(scene_of(self.env).robot, self.env)
+
+    @property
+    def limits(self) -> Floats:
+        """Lower and upper limits of the joints, (2, J) [rad]."""
+        scene = scene_of(self.env)
+        return np.stack([scene.joint_lower, scene.joint_upper])
+
+
+class AgentProtocol(Protocol):
+    """What plays: scripted, trained, exported, served, or of anybody.
+
+    The n episodes of a batch start together. Where one has ended, its actions are ignored until the
+    next ``reset``.
+    """
+
+    def reset(self, batch: Batch) -> None:
+        """Forget everything: n new episodes start."""
+
+    def act(self, observations: Observations) -> NDArray[np.int64]:
+        """Choose actions (n, J), levels 0 to 6 of each joint.
+
+        ``observations["image"]`` is (n, H, W, 3) uint8 RGB, ``observations["joint_targets"]`` the
+        joint angles that the actions have commanded, (n, J) float32 [rad].
+        """
+
+
+class PrivilegedAgent:
+    """Base of agents that use the simulator's state: each is made for one environment.
+
+    Args:
+        env: the environment that the agent plays.
+        seed: of what it draws.
+    """
+
+    inputs: ClassVar[tuple[str, ...]] = ("simulator",)
+    """What the agent uses, of `INPUTS`."""
+
+    def __init__(self, env: ArmVectorEnv, seed: int = 0) -> None:
+        self._env, self._seed = env, seed
+
+    def reset(self, batch: Batch) -> None:
+        """Check that the episodes are those of the environment.
+
+        Raises:
+            UserError: they started in another one.
+        """
+        if not np.array_equal([*batch.joints.values()], self._env.joint_positions.T):
+            raise UserError(
+                f"This {type(self).__name__} was made for another environment; make one for this."
+            )
+
+    def act(self, observations: Observations) -> NDArray[np.int64]:
+        """Choose actions (n, J)."""
+        raise NotImplementedError
