@@ -64,8 +64,8 @@ from .world.tasks import register_task as register_task
 from .world.tasks.choose.choose import Choose as Choose
 from .world.tasks.choose.choose import Families as Families
 from .world.tasks.choose.purpose import Purpose as Purpose
-from .world.tasks.choose.source import NameQueries as NameQueries
 from .world.tasks.held_out import HeldOut as HeldOut
+from .world.tasks.query_source import NameQueries as NameQueries
 from .world.tasks.reach import Reach as Reach
 from .world.tasks.sampling import Episodes as Episodes
 from .world.tasks.task import Task as Task

@@ -71,12 +71,11 @@ class OracleAgent(PrivilegedAgent):
         guide: knows the way.
     """
 
-    straight = False
-    """Whether the way ends straight along the approach direction."""
+    _straight = False  # Whether the way ends straight along the approach direction
 
     def __init__(self, env: ArmVectorEnv, seed: int = 0) -> None:
         super().__init__(env, seed)
-        self.guide = env.config.task.guide(env.running, seed, self.straight)
+        self.guide = env.config.task.guide(env.running, seed, self._straight)
 
     def reset(self, batch: Batch) -> None:
         """Solve the inverse kinematics of every episode."""
@@ -91,7 +90,7 @@ class OracleAgent(PrivilegedAgent):
 class ApproachAgent(OracleAgent):
     """Moves to the true goal frame along its approach direction, as a gripper has to."""
 
-    straight = True
+    _straight = True
 
 
 class BlindAgent:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, get_args, get_type_hints
+from typing import TYPE_CHECKING, Any, ClassVar, get_args, get_type_hints
 
 from numpy.typing import NDArray
 
@@ -13,7 +13,7 @@ from knowarm.questions import ObjectColour, QuestionTable
 from knowarm.world.tasks.query_source import QuerySource
 from knowarm.world.tasks.reward import is_success, paper_reward
 from knowarm.world.tasks.sampling import Colours, ObjectSampler, OneObject, Setting
-from knowarm.world.tasks.state import EpisodeState, SimulatorT
+from knowarm.world.tasks.state import EpisodeState
 
 if TYPE_CHECKING:  # Configs are read where nothing else needs MuJoCo.
     from collections.abc import Sequence
@@ -27,7 +27,7 @@ if TYPE_CHECKING:  # Configs are read where nothing else needs MuJoCo.
 
 
 @dataclass(frozen=True, kw_only=True)
-class Task(Generic[SimulatorT]):
+class Task:
     """Base of tasks: one object is visible, and the arm has to reach its grasp frame.
 
     A task is a frozen config; all methods are batched over n episodes. To write your own, derive
@@ -113,8 +113,8 @@ class Task(Generic[SimulatorT]):
     ) -> "MujocoSimulator":
         """Make the physics of n environments with a scene of `build_scene`; 0 threads: all cores.
 
-        Methods of the task find it in ``EpisodeState.simulator``; a task with a simulator of its
-        own is derived from ``Task[ItsSimulator]``.
+        Methods of the task find it in ``EpisodeState.simulator``, where its class is that of
+        ``EpisodeState[ItsSimulator]``.
         """
         from knowarm.world.backend import MujocoSimulator
 
@@ -124,13 +124,13 @@ class Task(Generic[SimulatorT]):
         """Name the joints of the actions of a robot, those of the scene."""
         return robot.joints
 
-    def teacher(self, state: EpisodeState[SimulatorT]) -> "Teacher":
+    def teacher(self, state: EpisodeState) -> "Teacher":
         """Make what knows the actions that solve running episodes, for imitation."""
         from knowarm.world.tasks.teacher import Teacher
 
         return Teacher(state)
 
-    def guide(self, state: EpisodeState[SimulatorT], seed: int, straight: bool) -> "Guide":
+    def guide(self, state: EpisodeState, seed: int, straight: bool) -> "Guide":
         """Make what guides scripted agents to the solution of running episodes.
 
         Args:
@@ -177,7 +177,7 @@ class Task(Generic[SimulatorT]):
         """
         return {}
 
-    def remember(self, state: EpisodeState[SimulatorT]) -> Mapping[str, NDArray[Any]]:
+    def remember(self, state: EpisodeState) -> Mapping[str, NDArray[Any]]:
         """Return the arrays of ``memory`` after a step, new, with its distance and angle known."""
         return {}
 
@@ -194,19 +194,19 @@ class Task(Generic[SimulatorT]):
         """
         return position, matrix
 
-    def success(self, state: EpisodeState[SimulatorT]) -> Mask:
+    def success(self, state: EpisodeState) -> Mask:
         """Return which episodes are solved, (n,) bool; a solved one ends."""
         return is_success(state.distance, state.angle, state.thresholds[0], state.thresholds[1])
 
-    def failure(self, state: EpisodeState[SimulatorT]) -> Mask | None:
+    def failure(self, state: EpisodeState) -> Mask | None:
         """Return which episodes end without success before the time limit, (n,) bool, or None."""
         return None
 
-    def reward(self, state: EpisodeState[SimulatorT]) -> Floats:
+    def reward(self, state: EpisodeState) -> Floats:
         """Compute the reward of a step, (n,); the paper's by default (table 1)."""
         return paper_reward(state.distance, state.angle, state.success)
 
-    def infos(self, state: EpisodeState[SimulatorT]) -> dict[str, NDArray[Any]]:
+    def infos(self, state: EpisodeState) -> dict[str, NDArray[Any]]:
         """Return the infos of the current state, (n, ...) each; ``is_success`` among them."""
         return {
             "distance": state.distance,
@@ -217,7 +217,7 @@ class Task(Generic[SimulatorT]):
             "is_success": state.success,
         }
 
-    def knowledge_input(self, state: EpisodeState[SimulatorT]) -> Integers:
+    def knowledge_input(self, state: EpisodeState) -> Integers:
         """Return the row of the knowledge table for each current episode, (n,) int64."""
         return state.facet
 
@@ -232,14 +232,14 @@ class Task(Generic[SimulatorT]):
         """
         return {}
 
-    def instruct(self, state: EpisodeState[SimulatorT], setting: Setting, env_id: int) -> str:
+    def instruct(self, state: EpisodeState, setting: Setting, env_id: int) -> str:
         """Return an episode's goal in words that a policy may know: without the answer to a query.
 
         Recorded datasets have it as their task.
         """
         return self.describe(state, setting, env_id)
 
-    def describe(self, state: EpisodeState[SimulatorT], setting: Setting, env_id: int) -> str:
+    def describe(self, state: EpisodeState, setting: Setting, env_id: int) -> str:
         """Describe the goal of one episode, as "red mug"."""
         target = state.scene.targets[int(state.objects[env_id, 0])]
         return f"{[*target.colours][int(state.colours[env_id, 0])]} {target.name}"

@@ -31,7 +31,7 @@ FALLEN_M = 0.05  # Depth below its place after which an episode ends
 
 
 @dataclass(frozen=True, kw_only=True)
-class Lift(Task["LiftSimulator"]):
+class Lift(Task):
     """Lift the one visible object, which is solid, with fingers that move.
 
     The fingers are one more joint of the actions, its increments in metres per finger: level 1
