@@ -66,23 +66,48 @@ def named(sentence: str) -> set[str]:
     return set(words) & set(AGENTS)
 
 
-def test_a_query_is_understood_if_every_control_is_beaten(tmp_path):
-    finding = only(study_of(tmp_path, on("S2", EVERY)))
-    assert finding.kind == "understood"
+def some(*agents: str, **others: float) -> dict[str, float]:
+    return {name: EVERY[name] for name in agents} | others
+
+
+@pytest.mark.parametrize(
+    ("split", "choices", "kind", "words"),
+    [
+        ("S2", EVERY, "understood", "S2 (pairs of condition and object that training never asked)"),
+        # A code that is as good refutes the meaning.
+        (
+            "S1",
+            EVERY | {"query-onehot": 0.9},
+            "not above the best control",
+            "not significantly more often than query-onehot",
+        ),
+        ("S1", some("bm", "query-onehot", "subgraph"), "understood", ""),
+        # The meaning is tested by content controls only.
+        (
+            "S1",
+            some("bm", "query-zeros", "subgraph"),
+            "meaning not tested",
+            "Registered for this: query-onehot",
+        ),
+        ("S1", {"subgraph": 0.9, "mask": 0.99}, "no control", ""),
+        # On S5 a code follows the old graph, and so lies below chance.
+        ("S5", dict.fromkeys(CONTROLS, 0.05) | {"subgraph": 0.25}, "not above chance", ""),
+    ],
+)
+def test_a_query_is_understood_if_every_control_is_beaten(tmp_path, split, choices, kind, words):
+    finding = only(study_of(tmp_path, on(split, choices)))
     verdict = finding.verdict()
-    assert verdict.tone == "good"
-    assert named(verdict.sentence) == set(EVERY)
-    assert "S2 (pairs of condition and object that training never asked)" in verdict.sentence
-    assert len(verdict.reasons) == 1 + len(CONTROLS) + 1
-
-
-def test_a_code_that_is_as_good_refutes_the_meaning(tmp_path):
-    finding = only(study_of(tmp_path, on("S1", EVERY | {"query-onehot": 0.9})))
-    assert finding.kind == "not above the best control"
-    assert finding.claims[0].against == "query-onehot"
-    words = finding.verdict().sentence
-    assert "not significantly more often than query-onehot" in words
-    assert "better than query-random, subgraph-shuffled" in words
+    assert finding.kind == kind
+    assert (verdict.tone == "good") == (kind == "understood")
+    assert words in verdict.sentence
+    controls = [claim.against for claim in finding.claims if claim.second]
+    assert set(controls) == set(choices) & set(CONTROLS)
+    assert len(verdict.reasons) == (1 + len(controls) + 1 if controls else 0)
+    if kind == "understood":
+        assert named(verdict.sentence) == set(choices)
+    if kind == "not above the best control":
+        assert controls[0] == "query-onehot"
+        assert "better than query-random, subgraph-shuffled" in verdict.sentence
 
 
 @pytest.mark.parametrize("seeds", [1, 2])
@@ -90,25 +115,6 @@ def test_few_seeds_decide_nothing(tmp_path, seeds):
     finding = only(study_of(tmp_path, on("S1", EVERY), seeds=seeds))
     assert finding.kind == "too few seeds"
     assert f"{seeds} training seed" in finding.verdict().sentence
-
-
-def test_a_sentence_names_only_the_controls_that_ran(tmp_path):
-    ran = {name: EVERY[name] for name in ("bm", "query-onehot", "subgraph")}
-    finding = only(study_of(tmp_path, on("S1", ran)))
-    assert finding.kind == "understood"
-    assert named(finding.verdict().sentence) == set(ran)
-
-
-def test_the_meaning_is_tested_by_content_controls_only(tmp_path):
-    ran = {name: EVERY[name] for name in ("bm", "query-zeros", "subgraph")}
-    finding = only(study_of(tmp_path, on("S1", ran)))
-    assert finding.kind == "meaning not tested"
-    assert "Registered for this: query-onehot" in finding.verdict().sentence
-
-
-def test_without_controls_nothing_is_compared(tmp_path):
-    finding = only(study_of(tmp_path, on("S1", {"subgraph": 0.9, "mask": 0.99})))
-    assert finding.kind == "no control"
 
 
 def test_unseen_objects_fail_beside_splits_that_are_understood(tmp_path):
@@ -123,12 +129,6 @@ def test_unseen_objects_fail_beside_splits_that_are_understood(tmp_path):
     ]
     (summary,) = query_summary(findings)
     assert summary.sentence.endswith("subgraph: understood on S1; not above chance on S3.")
-
-
-def test_an_agent_at_chance_does_not_beat_controls_below_it(tmp_path):
-    """On S5 a code follows the old graph, and so lies below chance."""
-    low = dict.fromkeys(CONTROLS, 0.05) | {"subgraph": 0.25}
-    assert only(study_of(tmp_path, on("S5", low))).kind == "not above chance"
 
 
 def test_controls_are_those_of_the_registry(tmp_path):

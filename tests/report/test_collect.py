@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -125,23 +126,84 @@ def test_what_is_no_run_folder_is_named(tmp_path):
         collect([tmp_path / "empty"])
 
 
-def test_another_format_is_left_out(tmp_path):
-    paths = study(tmp_path)
-    edit(paths[0] / "config.json", format=7)
-    found = collect(paths)
-    assert len(found.runs) == 3
-    assert "format 7" in named(found, paths[0])
+SUMMARY, INTERIM = f"evaluation/{LABEL}/summary.json", "evaluations.csv"
+
+
+def with_row(number: int, *cells: str) -> Callable[[Path], None]:
+    """Damage that replaces the first cells of a row, or all after them by nothing."""
+
+    def damage(path: Path) -> None:
+        lines = path.read_text().splitlines()
+        lines[number] = ",".join([*cells, *lines[number].split(",")[len(cells) :]])
+        path.write_text("\n".join(lines) + "\n")
+
+    return damage
 
 
 @pytest.mark.parametrize(
-    "text", ["", "{", "[]", '{"format": 1}', '{"format": 1, "seed": 0}', DAMAGED]
+    ("file", "damage", "reason"),
+    [
+        *(
+            ("config.json", text, "left out")
+            for text in ("", "{", "[]", '{"format": 1}', '{"format": 1, "seed": 0}', DAMAGED)
+        ),
+        ("config.json", {"format": 7}, "format 7"),
+        ("config.json", {"seed": "0"}, "seed must be of type int, got '0'"),
+        ("config.json", {"env": {"robot": ["irb120"]}}, "env.robot must be of type str"),
+        ("config.json", {"total_steps": float("nan")}, "total_steps must be of type int, got nan"),
+        ("config.json", {"knowledge": []}, "knowledge must hold fields of KnowledgeConfig, got []"),
+        ("config.json", {"agent": None}, "agent must be of type str, got None"),
+        *(
+            (SUMMARY, text, "the evaluation is left out")
+            for text in ("", "{}", '{"episodes": 3, "success": "high"}', "[1]")
+        ),
+        (SUMMARY, {"numbers": {"success": float("inf")}}, "numbers.success must be a finite"),
+        (SUMMARY, {"numbers": {"success": 1.0}}, "lack episodes, accuracy, return_mean"),
+        (SUMMARY, {"groups": {"target": {"mug": {"success": "x"}}}}, "groups.target.mug.success"),
+        (SUMMARY, {"format": 1}, "format 1, this version reads 2"),
+        (INTERIM, b"\xff\xfe\x00step\n", "cannot be read"),
+        *((INTERIM, with_row(2, step), "1 damaged rows") for step in ("inf", "1e308", "-1")),
+        ("metrics.csv", with_row(2, "\0\0\0"), "1 damaged rows: the rows or cells are left out"),
+    ],
 )
-def test_a_broken_config_is_left_out(tmp_path, text):
+def test_damage_to_one_file_is_named_and_leaves_the_rest(tmp_path, file, damage, reason):
     paths = study(tmp_path)
-    (paths[0] / "config.json").write_text(text)
+    path = paths[0] / file
+    if callable(damage):
+        damage(path)
+    elif isinstance(damage, dict):
+        edit(path, **damage)
+    else:
+        path.write_bytes(damage.encode() if isinstance(damage, str) else damage)
     found = collect(paths)
-    assert len(found.runs) == 3
-    assert "left out" in named(found, paths[0])
+    of = path if path.suffix == ".csv" else path.parent
+    assert reason in named(found, of)
+    assert len(found.runs) == (3 if file == "config.json" else 4)
+    assert all(np.isfinite(run.metrics["step"]).all() for run in found.runs)
+
+
+def test_metrics_cut_short_by_a_crash_lose_only_their_last_line(tmp_path):
+    path = study(tmp_path)[0] / INTERIM
+    whole = path.read_text()
+    path.write_text(whole + "99999999,12.")
+    found = collect([tmp_path])
+    assert "last line truncated: the line is left out" in named(found, path)
+    run = next(run for run in found.runs if run.path == path.parent)
+    assert len(run.interim["step"]) == len(whole.splitlines()) - 1
+
+
+def test_missing_and_other_evaluations_are_named(tmp_path):
+    paths = study(tmp_path, seeds=3)
+    shutil.rmtree(paths[0] / "evaluation")
+    (paths[1] / "evaluations.csv").unlink()
+    other = paths[2] / "evaluation" / LABEL
+    edit_summary(other, config={"distance_m": 0.05})
+    found = collect(paths)
+    assert "no post-training evaluation: kept" in named(found, paths[0])
+    assert "no interim evaluations: kept" in named(found, paths[1])
+    assert "other thresholds than most" in named(found, other)
+    assert len(found.tasks[0].groups[0].runs) == 3
+    assert len(found.tasks[0].groups[0].scores("success")) == 1
 
 
 def test_other_versions_are_merged_and_said_to_be(tmp_path):
@@ -151,56 +213,6 @@ def test_other_versions_are_merged_and_said_to_be(tmp_path):
     found = collect(paths)
     assert len(found.runs) == 4
     assert "made with knowarm 2, most runs with 1: merged" in named(found, paths[3])
-
-
-def test_missing_evaluations_are_named(tmp_path):
-    paths = study(tmp_path)
-    shutil.rmtree(paths[0] / "evaluation")
-    (paths[1] / "evaluations.csv").unlink()
-    found = collect(paths)
-    assert "no post-training evaluation: kept" in named(found, paths[0])
-    assert "no interim evaluations: kept" in named(found, paths[1])
-    assert len(found.tasks[0].groups[0].runs) == 2
-    assert len(found.tasks[0].groups[0].scores("success")) == 1
-
-
-@pytest.mark.parametrize("summary", ["", "{}", '{"episodes": 3, "success": "high"}', "[1]"])
-def test_a_broken_summary_is_left_out(tmp_path, summary):
-    paths = study(tmp_path)
-    folder = paths[0] / "evaluation" / LABEL
-    (folder / "summary.json").write_text(summary)
-    found = collect(paths)
-    assert "the evaluation is left out" in named(found, folder)
-
-
-def test_metrics_cut_short_by_a_crash_lose_only_their_last_line(tmp_path):
-    paths = study(tmp_path)
-    path = paths[0] / "evaluations.csv"
-    whole = path.read_text()
-    path.write_text(whole + "99999999,12.")
-    found = collect(paths)
-    assert "last line truncated: the line is left out" in named(found, path)
-    run = next(run for run in found.runs if run.path == paths[0])
-    assert len(run.interim["step"]) == len(whole.splitlines()) - 1
-
-
-def test_damaged_rows_are_counted(tmp_path):
-    paths = study(tmp_path)
-    path = paths[0] / "metrics.csv"
-    lines = path.read_text().splitlines()
-    lines[2] = "\0\0\0"
-    lines[3] = lines[3].split(",")[0]
-    path.write_text("\n".join(lines) + "\n")
-    found = collect(paths)
-    assert "2 damaged rows" in named(found, path)
-    assert np.isfinite(found.runs[0].metrics["step"]).all()
-
-
-def test_bytes_that_are_no_text_are_named(tmp_path):
-    paths = study(tmp_path)
-    (paths[0] / "evaluations.csv").write_bytes(b"\xff\xfe\x00step\n")
-    found = collect(paths)
-    assert "cannot be read" in named(found, paths[0] / "evaluations.csv")
 
 
 def test_of_two_rows_of_one_step_the_later_counts(tmp_path):
@@ -239,15 +251,6 @@ def test_a_stopped_run_is_kept_and_named(tmp_path):
     edit(paths[1] / "config.json", stop_when=None)
     said = named(collect(paths), paths[0])
     assert "50% of its steps, as its stop_when says (success 0% 1x): kept" in said
-
-
-def test_evaluations_by_other_rules_are_left_out(tmp_path):
-    paths = study(tmp_path)
-    folder = paths[0] / "evaluation" / LABEL
-    edit_summary(folder, config={"distance_m": 0.05})
-    found = collect(paths)
-    assert "other thresholds than most" in named(found, folder)
-    assert len(found.tasks[0].groups[0].scores("success")) == 1
 
 
 def test_untrained_policies_are_references_and_never_compared(tmp_path):
@@ -332,53 +335,6 @@ def test_held_out_colours_are_shown_beside_and_never_instead(tmp_path):
     rows = tables["elsewhere-irb120-fixed-colours-ppo"]["rows"]
     assert [(row["agent"], row["seeds"]) for row in rows] == [("bm", 3), ("full", 3)]
     assert rows[0]["difference_low"] < rows[0]["difference"] < rows[0]["difference_high"]
-
-
-@pytest.mark.parametrize(
-    ("changes", "reason"),
-    [
-        ({"seed": "0"}, "seed must be of type int, got '0'"),
-        ({"env": {"robot": ["irb120"]}}, "env.robot must be of type str"),
-        ({"total_steps": float("nan")}, "total_steps must be of type int, got nan"),
-        ({"knowledge": []}, "knowledge must hold fields of KnowledgeConfig, got []"),
-        ({"agent": None}, "agent must be of type str, got None"),
-    ],
-)
-def test_a_damaged_value_of_a_config_is_named_and_the_run_left_out(tmp_path, changes, reason):
-    paths = study(tmp_path)
-    edit(paths[0] / "config.json", **changes)
-    found = collect(paths)
-    assert len(found.runs) == 3
-    assert f"{reason}" in named(found, paths[0])
-    assert "left out" in named(found, paths[0])
-
-
-@pytest.mark.parametrize(
-    ("changes", "reason"),
-    [
-        ({"numbers": {"success": float("inf")}}, "numbers.success must be a finite number"),
-        ({"numbers": {"success": 1.0}}, "lack episodes, accuracy, return_mean"),
-        ({"groups": {"target": {"mug": {"success": "x"}}}}, "groups.target.mug.success"),
-        ({"format": 1}, "format 1, this version reads 2"),
-    ],
-)
-def test_a_damaged_value_of_a_summary_is_named(tmp_path, changes, reason):
-    paths = study(tmp_path)
-    folder = paths[0] / "evaluation" / LABEL
-    edit(folder / "summary.json", **changes)
-    found = collect(paths)
-    assert reason in named(found, folder)
-    assert len(found.runs) == 4
-
-
-@pytest.mark.parametrize("cell", ["inf", "1e308", "-1"])
-def test_a_step_that_is_none_is_a_damaged_row(tmp_path, cell):
-    paths = study(tmp_path)
-    path = paths[0] / "evaluations.csv"
-    lines = path.read_text().splitlines()
-    lines[2] = ",".join([cell, *lines[2].split(",")[1:]])
-    path.write_text("\n".join(lines) + "\n")
-    assert "1 damaged rows" in named(collect(paths), path)
 
 
 def test_a_table_without_a_column_is_refused(tmp_path):
