@@ -159,7 +159,7 @@ def test_the_same_bytes_in_any_process(facets):
         "import hashlib; from knowarm.knowledge import *; "
         "from tests.knowledge.helpers import KNOWLEDGE\n"
         "from tests.tiny import FACETS\n"
-        "for n in ('full', 'full+', 'shuffled', 'wrong-object', 'random'):\n"
+        "for n in ('full', 'full+', 'shuffled', 'wrong-object', 'random', 'analogy'):\n"
         "    e = scene_embedding(KNOWLEDGE[n], FACETS)\n"
         "    print(n, hashlib.sha256(e.vector.tobytes()).hexdigest(), e.sentences[0])\n"
     )

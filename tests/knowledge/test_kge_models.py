@@ -69,29 +69,3 @@ def test_bad_configs():
         new_model(KgeConfig(model="complex", dim=5), 3, 1)
     with pytest.raises(UserError, match="dim=2; it must be at least 4"):
         new_model(KgeConfig(model="transe", dim=2), 3, 1)
-
-
-PYKEEN = {"transe": "TransE", "distmult": "DistMult", "complex": "ComplEx"}
-
-
-@pytest.mark.parametrize("name", PYKEEN)
-def test_scores_agree_with_pykeen(name):
-    modules = pytest.importorskip(
-        "pykeen.nn.modules", reason="PyKEEN, the oracle, is not installed"
-    )
-    model = new_model(KgeConfig(model=name, dim=DIM, seed=3), 6, 2)
-    h, r = model.entity[:1].detach(), model.relation[:1].detach()
-    t = model.entity.detach()
-    half = DIM // 2
-
-    def as_complex(x):
-        return torch.complex(x[..., :half], x[..., half:])
-
-    if name == "transe":
-        theirs = modules.TransEInteraction(p=1)(h, r, t)
-    elif name == "distmult":
-        theirs = modules.DistMultInteraction()(h, r, t)
-    else:
-        theirs = modules.ComplExInteraction()(as_complex(h), as_complex(r), as_complex(t))
-    ours = model(torch.tensor([0]), torch.tensor([0]))[0].detach()
-    torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=1e-5)

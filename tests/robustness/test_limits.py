@@ -48,6 +48,7 @@ def server():
         "SELECT * { FILTER(1<2)SERVICE<URL>{ ?x ?y ?z } FILTER(2>1) }",
         "SELECT * { ?s ?p ?o.SERVICE <URL> { ?x ?y ?z } }",
         "SELECT * FROM <URL> { ?s ?p ?o }",
+        "# {\nSELECT * FROM <URL> { ?s ?p ?o }",
         "SELECT * FROM NAMED <URL> { GRAPH ?g { ?s ?p ?o } }",
     ],
 )
@@ -56,11 +57,6 @@ def test_queries_do_not_reach_the_network(server, query):
     with pytest.raises(UserError, match="SPARQL query"):
         sparql(household(), query.replace("URL", url))
     assert requests == []
-
-
-def test_names_that_contain_service_are_no_keyword():
-    for name in (":service", "?service", "<http://x/service>", ":room_service"):
-        assert sparql(household(), f"ASK {{ {name} ?p ?o }}").columns == ("answer",)
 
 
 def test_a_json_ld_context_is_not_fetched(server, tmp_path):
@@ -115,10 +111,3 @@ def test_zip_files_that_cannot_be_decompressed(tmp_path, method):
     path.write_bytes(data)
     with pytest.raises(UserError, match="is damaged or of another format"):
         read_graph(path)
-
-
-def test_ids_are_ascii_digits(tmp_path):
-    for name, text in (("entity", "1\nmug\t²\n"), ("relation", "1\nisA\t0\n"), ("train", "0\n")):
-        (tmp_path / f"{name}2id.txt").write_text(text, encoding="utf-8")
-    with pytest.raises(UserError, match="expected `name<tab>id`"):
-        read_graph(tmp_path)

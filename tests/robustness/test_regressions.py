@@ -145,15 +145,6 @@ def test_a_film_of_very_many_images(tmp_path):
         read_film(tmp_path / "0.webp")
 
 
-@pytest.mark.parametrize("number", ["9" * 5000, "9" * 12, "٣"])
-def test_ids_of_openke_are_small_numbers(tmp_path, number):
-    for name, text in (("entity", "1\nmug\t0\n"), ("relation", "1\nisA\t0\n")):
-        (tmp_path / f"{name}2id.txt").write_text(text)
-    (tmp_path / "train2id.txt").write_text(f"1\n0 0 {number}\n", encoding="utf-8")
-    with pytest.raises(UserError, match="expected three ids"):
-        read_graph(tmp_path)
-
-
 @pytest.mark.parametrize(
     ("name", "text"),
     [
