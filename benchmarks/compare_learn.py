@@ -46,10 +46,7 @@ from knowarm.world.agents.play import play
 from knowarm.world.agents.protocol import Batch, Observations
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.episodes import evaluation_episodes
-from knowarm.world.envs.knowledge_observation import (
-    KnowledgeObservation,
-    VectorKnowledgeObservation,
-)
+from knowarm.world.envs.interface import Observed
 from knowarm.world.envs.single_env import ArmEnv
 from knowarm.world.envs.vector_env import ArmVectorEnv
 
@@ -96,12 +93,16 @@ def compare_learn(config: CompareLearnConfig) -> dict[str, Any]:
     }
 
 
+SHOWN: tuple[Observed, ...] = ("image", "knowledge")
+
+
 def sb3_environments(
-    vector: ArmVectorEnv, table: np.ndarray, ppo: PPOConfig, seed: int
+    config: CompareLearnConfig, env: EnvConfig, table: np.ndarray, ppo: PPOConfig
 ) -> SB3VecEnv:
     """Return the environment that Stable-Baselines3 learns from, with rewards scaled as ours."""
-    observed = VectorKnowledgeObservation(vector, table)
-    return SB3VecEnv(TransformReward(observed, lambda r: ppo.reward_scale * r), seed=seed)
+    threads = config.cores
+    vector = ArmVectorEnv(env, ppo.num_envs, threads, observe=SHOWN, knowledge=table)
+    return SB3VecEnv(TransformReward(vector, lambda r: ppo.reward_scale * r), seed=config.seed)
 
 
 def sb3_row(config: CompareLearnConfig, *, opengl: bool) -> Row:
@@ -116,8 +117,7 @@ def sb3_row(config: CompareLearnConfig, *, opengl: bool) -> Row:
             replace(chosen.env, renderer="opengl"), parts.table, config.opengl_envs
         )
     else:
-        vector = ArmVectorEnv(chosen.env, ppo.num_envs, num_threads=config.cores)
-        env = sb3_environments(vector, parts.table, ppo, config.seed)
+        env = sb3_environments(config, chosen.env, parts.table, ppo)
     clock = RolloutClock(config.seconds)
     model = recurrent_ppo(parts.new_policy(0), ppo, env, seed=config.seed)
     model.learn(10**9, callback=clock)
@@ -138,8 +138,7 @@ def sb3_success_row(config: CompareLearnConfig) -> Row:
     """Train RecurrentPPO on KnowArm's vector environment until 80 % success."""
     chosen, ppo = experiment_config(config.experiment), cast(PPOConfig, config.ppo())
     parts = build(chosen)
-    vector = ArmVectorEnv(chosen.env, ppo.num_envs, num_threads=config.cores)
-    env = sb3_environments(vector, parts.table, ppo, config.seed)
+    env = sb3_environments(config, chosen.env, parts.table, ppo)
     model = recurrent_ppo(parts.new_policy(0), ppo, env, seed=config.seed)
     callback = SuccessCallback(chosen.env, parts.table, config.success_steps)
     model.learn(10**9, callback=callback)
@@ -252,8 +251,8 @@ def recurrent_ppo(policy: Policy, config: PPOConfig, env: VecEnv, *, seed: int) 
 def single_environments(config: EnvConfig, table: np.ndarray, count: int) -> VecEnv:
     """Make ``count`` single environments in one process each, as Stable-Baselines3 does."""
 
-    def make() -> KnowledgeObservation:
-        return KnowledgeObservation(ArmEnv(**vars(config)), table)
+    def make() -> ArmEnv:
+        return ArmEnv(observe=SHOWN, knowledge=table, **vars(config))
 
     return SubprocVecEnv([make] * count, start_method="spawn")
 

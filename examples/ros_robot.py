@@ -86,7 +86,7 @@ class RobotNode(Node):
         self.running.reset(None, {"episodes": episode})
         self.arm.command = None
         for _ in range(periods):
-            self.running.move(np.zeros((1, len(self.names)), np.int64))
+            self.running.move(np.zeros((1, len(self.names))))
             if self.running.success[0]:
                 return True
         return False

@@ -16,10 +16,6 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 from knowarm.experiment.build import build
 from knowarm.experiment.names import experiment_config
 from knowarm.learn.sb3_vec_env import SB3VecEnv
-from knowarm.world.envs.knowledge_observation import (
-    KnowledgeObservation,
-    VectorKnowledgeObservation,
-)
 from knowarm.world.envs.single_env import ArmEnv
 from knowarm.world.envs.vector_env import ArmVectorEnv
 
@@ -33,13 +29,11 @@ def main() -> None:
     arguments = parser.parse_args()
 
     chosen = experiment_config(arguments.experiment)
-    table = build(chosen).table
+    shown = {"observe": ("image", "knowledge"), "knowledge": build(chosen).table}
     if arguments.single:
-        options = vars(chosen.env)
-        env = DummyVecEnv([lambda: KnowledgeObservation(ArmEnv(**options), table)] * arguments.envs)
+        env = DummyVecEnv([lambda: ArmEnv(**shown, **vars(chosen.env))] * arguments.envs)
     else:
-        vector = ArmVectorEnv(chosen.env, arguments.envs)
-        env = SB3VecEnv(VectorKnowledgeObservation(vector, table), seed=0)
+        env = SB3VecEnv(ArmVectorEnv(chosen.env, arguments.envs, **shown), seed=0)
     model = RecurrentPPO(
         "MultiInputLstmPolicy",
         VecMonitor(env),  # logs return and length of the episodes

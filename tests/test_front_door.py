@@ -248,6 +248,12 @@ def test_families():
     assert knowarm.EnvConfig(task=knowarm.Families()).targets[:2] == ("mug-0", "mug-1")
 
 
+@example("Lift")
+def test_lift():
+    env = knowarm.make("irb120", task=knowarm.Lift(hold_steps=5), image_size=8)
+    assert env.action_space.shape == (7,)
+
+
 @example("Purpose")
 def test_purpose():
     assert knowarm.EnvConfig(task=knowarm.Purpose()).targets[:2] == (
@@ -279,12 +285,12 @@ def test_queries():
     assert isinstance(table, knowarm.QuestionTable)
 
 
-@example("KnowledgeObservation", "VectorKnowledgeObservation", "SB3VecEnv", "NumpyToTorch")
-def test_wrappers():
-    table = np.arange(6, dtype=np.float32).reshape(3, 2)
-    single = knowarm.KnowledgeObservation(knowarm.make("irb120", image_size=8), table)
-    assert set(single.reset(seed=0)[0]) == {"image", "knowledge"}
-    vector = knowarm.VectorKnowledgeObservation(knowarm.make("irb120", 2, image_size=8), table)
+@example("SB3VecEnv", "NumpyToTorch")
+def test_adapters():
+    shown = {"observe": ("image", "joints", "knowledge"), "knowledge": np.ones((3, 2))}
+    single = knowarm.make("irb120", image_size=8, **shown)
+    assert set(single.reset(seed=0)[0]) == {"image", "joints", "knowledge"}
+    vector = knowarm.make("irb120", 2, image_size=8, **shown)
     assert knowarm.SB3VecEnv(vector, seed=0).reset()["knowledge"].shape == (2, 2)
     adapted = knowarm.NumpyToTorch(knowarm.make("irb120", 2, image_size=8))
     assert adapted.reset(seed=0)[0].shape == (2, 8, 8, 3)

@@ -4,6 +4,7 @@ LeRobot imports every installed package named ``lerobot_env_*`` when it starts. 
 the environment type ``knowarm``: ``--env.type=knowarm --env.task=reach-v1/irb120-fixed``.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -19,8 +20,9 @@ from numpy.typing import NDArray
 
 from knowarm import UserError
 from knowarm.benchmark.suites import Cell, read_suite
+from knowarm.world.config import scene_of
 from knowarm.world.envs.running import joint_increments
-from knowarm.world.envs.vector_env import ArmVectorEnv
+from knowarm.world.envs.single_env import ArmEnv
 
 Observation = dict[str, NDArray[Any]]
 
@@ -38,17 +40,14 @@ class BenchmarkEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     def __init__(self, suite: str, cell: str) -> None:
         self._cell = read_suite(suite).cells[cell]
         config = self._cell.env
-        self._arm = ArmVectorEnv(config, 1, 1, AutoresetMode.DISABLED, "rgb_array")
+        self._arm = arm = ArmEnv("rgb_array", observe=("image", "joints"), **vars(config))
         self.task, self.render_mode = f"{suite}/{cell}", "rgb_array"
         self._max_episode_steps = config.max_episode_steps
-        scene = self._arm.scene
+        scene = scene_of(config)
         self._increments = joint_increments(scene.robot, config)
         self._lower, self._upper = scene.joint_lower, scene.joint_upper
         self._number = -1
-        joints = spaces.Box(-np.inf, np.inf, self._lower.shape, np.float32)
-        self.observation_space = spaces.Dict(
-            {"pixels": self._arm.single_observation_space, "agent_pos": joints}
-        )
+        self.observation_space = spaces.Dict(_renamed(arm.observation_space))
         self.action_space = spaces.Box(
             self._lower.astype(np.float32), self._upper.astype(np.float32)
         )
@@ -56,7 +55,7 @@ class BenchmarkEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     @property
     def task_description(self) -> str:
         """The query of the current episode, or its object where there is none, as "red mug"."""
-        return self._arm.running.instruct(0)
+        return self._arm.instruction
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -65,28 +64,27 @@ class BenchmarkEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         super().reset(seed=seed)
         self._number = (self._number + 1 if seed is None else seed) % len(self._cell.episodes)
         start = self._cell.episodes[self._number : self._number + 1]
-        images, infos = self._arm.reset(options={"episodes": start})
-        return self._observe(images), {"is_success": bool(infos["is_success"][0])}
+        observation, info = self._arm.reset(options={"episodes": start})
+        return _renamed(observation), {"is_success": info["is_success"]}
 
     def step(
         self, action: NDArray[np.float32]
     ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Move each joint by the increment that leads nearest to its target [rad]."""
-        targets = self._arm.joint_targets[0, :, None] + self._increments
+        targets = self._arm.joint_targets[:, None] + self._increments
         reached = targets.clip(self._lower[:, None], self._upper[:, None])
         levels = np.abs(reached - np.asarray(action)[:, None]).argmin(1)
-        images, reward, terminated, truncated, infos = self._arm.step(levels[None])
-        success = {"is_success": bool(infos["is_success"][0])}
-        end = bool(terminated[0]), bool(truncated[0])
-        return self._observe(images), float(reward[0]), *end, success
+        observation, *outcome, info = self._arm.step(levels)
+        return _renamed(observation), *outcome, {"is_success": info["is_success"]}
 
     def render(self) -> NDArray[np.uint8]:
         """Draw the policy's view, (480, 480, 3) uint8."""
-        return self._arm.render()[0]
+        return self._arm.render()
 
-    def _observe(self, images: NDArray[np.uint8]) -> Observation:
-        joints = self._arm.joint_positions[0].astype(np.float32)
-        return {"pixels": images[0], "agent_pos": joints}
+
+def _renamed(parts: Mapping[str, Any]) -> dict[str, Any]:
+    """Return image and joints under the names that LeRobot reads."""
+    return {"pixels": parts["image"], "agent_pos": parts["joints"]}
 
 
 @EnvConfig.register_subclass("knowarm")

@@ -49,7 +49,6 @@ World
     ArmVectorEnv      vector environment on NumPy arrays (Gymnasium)
     TorchArmVectorEnv vector environment on torch tensors
     VisualRandomization, HeldOut    what varies in the image; colours and places held out
-    KnowledgeObservation, VectorKnowledgeObservation    wrappers: Dict(image, knowledge)
     evaluation_episodes draw a fixed list of episodes
     Episodes            start conditions of episodes
     play                play a list of episodes with an agent
@@ -58,6 +57,7 @@ Tasks
     Task                base of tasks; derive your own from it
     Reach, Choose       reach one object; reach the object that answers a question
     Families            as Choose, with objects whose kinds have many instances
+    Lift                close the fingers and lift an object
     Purpose             reach the part of an object that answers a question
     TASKS, register_task    tasks by name; add one of your own module
     NameQueries, GraphQueries    questions from names, or answered by a graph

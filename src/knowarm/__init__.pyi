@@ -49,10 +49,6 @@ from .world.agents import OracleAgent as OracleAgent
 from .world.agents.play import play as play
 from .world.config import EnvConfig as EnvConfig
 from .world.envs.episodes import evaluation_episodes as evaluation_episodes
-from .world.envs.knowledge_observation import KnowledgeObservation as KnowledgeObservation
-from .world.envs.knowledge_observation import (
-    VectorKnowledgeObservation as VectorKnowledgeObservation,
-)
 from .world.envs.single_env import ArmEnv as ArmEnv
 from .world.envs.torch_env import TorchArmVectorEnv as TorchArmVectorEnv
 from .world.envs.vector_env import ArmVectorEnv as ArmVectorEnv
@@ -65,6 +61,7 @@ from .world.tasks.choose.choose import Choose as Choose
 from .world.tasks.choose.choose import Families as Families
 from .world.tasks.choose.purpose import Purpose as Purpose
 from .world.tasks.held_out import HeldOut as HeldOut
+from .world.tasks.lift.lift import Lift as Lift
 from .world.tasks.query_source import NameQueries as NameQueries
 from .world.tasks.reach import Reach as Reach
 from .world.tasks.sampling import Episodes as Episodes

@@ -8,7 +8,6 @@ from knowarm.experiment.build import build
 from knowarm.experiment.names import experiment_config
 from knowarm.learn import PPOConfig
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.knowledge_observation import VectorKnowledgeObservation
 from knowarm.world.envs.vector_env import ArmVectorEnv
 
 
@@ -19,7 +18,8 @@ def test_a_recurrent_policy_of_sb3_has_as_many_parameters() -> None:
 
     chosen = experiment_config("irb120-full-ppo")
     parts = build(chosen)
-    env = SB3VecEnv(VectorKnowledgeObservation(ArmVectorEnv(chosen.env, 4), parts.table))
+    shown = {"observe": ("image", "knowledge"), "knowledge": parts.table}
+    env = SB3VecEnv(ArmVectorEnv(chosen.env, 4, **shown))
     config = PPOConfig(num_envs=4, minibatches=2)
     model = recurrent_ppo(parts.new_policy(0), config, env, seed=0)
     counts = parts.new_policy(0).parameter_counts()

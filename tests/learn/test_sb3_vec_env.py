@@ -8,20 +8,16 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
 from knowarm.learn.sb3_vec_env import SB3VecEnv
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.knowledge_observation import (
-    KnowledgeObservation,
-    VectorKnowledgeObservation,
-)
 from knowarm.world.envs.single_env import ArmEnv
 from knowarm.world.envs.vector_env import ArmVectorEnv
 
 TABLE = np.random.default_rng(0).standard_normal((3, 5)).astype(np.float32)
+SHOWN = {"observe": ("image", "knowledge"), "knowledge": TABLE}
 SHORT = {"dynamics": "kinematic", "max_episode_steps": 6}
 
 
 def vectorized(n=4):
-    env = ArmVectorEnv(EnvConfig(**SHORT), n)
-    return SB3VecEnv(VectorKnowledgeObservation(env, TABLE), seed=7)
+    return SB3VecEnv(ArmVectorEnv(EnvConfig(**SHORT), n, **SHOWN), seed=7)
 
 
 def test_ends_of_episodes_are_marked_as_stable_baselines_wants_them():
@@ -63,7 +59,7 @@ def test_multi_input_lstm_policy_trains_unchanged(kind):
     if kind == "vectorized":
         env = vectorized()
     else:
-        env = DummyVecEnv([lambda: KnowledgeObservation(ArmEnv(**SHORT), TABLE)] * 2)
+        env = DummyVecEnv([lambda: ArmEnv(**SHORT, **SHOWN)] * 2)
     model = RecurrentPPO(
         "MultiInputLstmPolicy", env, n_steps=8, batch_size=16, n_epochs=1, device="cpu"
     )

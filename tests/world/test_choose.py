@@ -19,7 +19,6 @@ from knowarm.world.agents.protocol import Batch, Observations
 from knowarm.world.agents.scripted import OracleAgent
 from knowarm.world.config import EnvConfig, scene_of, setting_of
 from knowarm.world.envs.episodes import EpisodeSource, evaluation_episodes
-from knowarm.world.envs.knowledge_observation import KnowledgeObservation
 from knowarm.world.envs.torch_env import TorchArmVectorEnv
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.render.cpu import Raycaster
@@ -256,7 +255,8 @@ def test_the_checkers_pass_without_a_warning(robot: str) -> None:
         check_env(env.unwrapped)
         config = env.unwrapped.config  # type: ignore[attr-defined]
         rows = config.task.knowledge_rows(setting_of(config).facets)
-        env_checker.check_env(KnowledgeObservation(env, np.eye(len(rows))))
+        shown = {"observe": ("image", "knowledge"), "knowledge": np.eye(len(rows))}
+        env_checker.check_env(gymnasium.make(name, **shown).unwrapped)
     envs = gymnasium.make_vec(name, num_envs=2)
     assert envs.reset(seed=0)[1]["objects"].shape == (2, 4)
 

@@ -10,13 +10,10 @@ from gymnasium.vector import AutoresetMode
 
 from knowarm.errors import UserError
 from knowarm.world import env_id, make
-from knowarm.world.envs.knowledge_observation import (
-    KnowledgeObservation,
-    VectorKnowledgeObservation,
-)
 from knowarm.world.envs.single_env import ArmEnv
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.robots import ROBOTS
+from knowarm.world.tasks.state import ACTION_LEVELS
 
 
 @pytest.mark.parametrize("env_id", [env_id(robot) for robot in ROBOTS])
@@ -33,8 +30,8 @@ def test_stable_baselines3_s_checker_passes_without_a_warning(env_id: str) -> No
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         checker.check_env(gymnasium.make(env_id).unwrapped)
-        env = KnowledgeObservation(gymnasium.make(env_id), np.eye(3))
-        checker.check_env(env)
+        shown = {"observe": ("image", "joints", "knowledge"), "knowledge": np.eye(3)}
+        checker.check_env(gymnasium.make(env_id, action="continuous", **shown).unwrapped)
 
 
 def test_make_vec_gives_our_own_vector() -> None:
@@ -68,9 +65,8 @@ def test_an_unseeded_environment_is_not_the_same_every_time() -> None:
 
 def test_knowledge_of_the_running_episode_stands_beside_the_image() -> None:
     table = np.arange(12).reshape(6, 2)
-    env = KnowledgeObservation(
-        gymnasium.make("knowarm/IRB120Reach-v0", image_size=16, colours="randomized"), table
-    )
+    shown = {"observe": ("image", "knowledge"), "knowledge": table}
+    env = gymnasium.make("knowarm/IRB120Reach-v0", image_size=16, colours="randomized", **shown)
     for seed in range(5):
         observation, info = env.reset(seed=seed)
         assert env.observation_space.contains(observation)
@@ -79,9 +75,37 @@ def test_knowledge_of_the_running_episode_stands_beside_the_image() -> None:
     with pytest.raises(
         UserError, match=r"one row for each of the 3 values of the info 'facet' \(mug/red, "
     ):
-        KnowledgeObservation(gymnasium.make("knowarm/IRB120Reach-v0"), table)
-    with pytest.raises(UserError, match="wraps a ArmVectorEnv, got a TorchArmVectorEnv"):
-        VectorKnowledgeObservation(make("irb120", 2, "cpu", image_size=8), table)
+        make("irb120", **shown)
+    with pytest.raises(UserError, match="name it in observe"):
+        make("irb120", knowledge=table)
+    with pytest.raises(UserError, match="Unknown part of an observation 'picture'"):
+        make("irb120", observe=("picture",))
+    with pytest.raises(UserError, match="Unknown kind of action 'torque'"):
+        make("irb120", action="torque")
+    with pytest.raises(UserError, match="Leave out action, observe and knowledge, or device"):
+        make("irb120", 2, "cpu", **shown)
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_continuous_actions_are_joint_steps_in_units_of_the_mpi(robot: str) -> None:
+    levels = make(robot, 3, image_size=8)
+    steps = make(robot, 3, image_size=8, action="continuous", observe=("joints",))
+    levels.reset(seed=0)
+    steps.reset(seed=0)
+    chosen = np.random.default_rng(0).integers(7, size=(5, *levels.action_space.shape))
+    for actions in chosen:
+        levels.step(actions)
+        observed = steps.step(np.array(ACTION_LEVELS, np.float32)[actions])[0]
+        np.testing.assert_allclose(steps.joint_targets, levels.joint_targets, atol=1e-6)
+        assert list(observed) == ["joints"]
+        np.testing.assert_allclose(observed["joints"], levels.joint_positions, atol=1e-5)
+    for wrong, message in (
+        (np.full(steps.action_space.shape, 1.1), "must lie in -1 to 1"),
+        (np.full(steps.action_space.shape, np.nan), "must lie in -1 to 1"),
+        (np.zeros(steps.action_space.shape, int), "must be floats"),
+    ):
+        with pytest.raises(UserError, match=message):
+            steps.step(wrong)
 
 
 def test_an_id_and_another_task_are_refused() -> None:
@@ -94,18 +118,19 @@ def test_an_id_and_another_task_are_refused() -> None:
 
 def test_final_observations_carry_the_knowledge_of_the_episode_that_ended() -> None:
     table = np.arange(6).reshape(6, 1)
-    inner = gymnasium.make_vec(
+    env = gymnasium.make_vec(
         "knowarm/IRB120Reach-v0",
         num_envs=16,
         image_size=8,
         colours="randomized",
         max_episode_steps=2,
         autoreset=AutoresetMode.SAME_STEP,
+        observe=("image", "joints", "knowledge"),
+        knowledge=table,
     )
-    env = VectorKnowledgeObservation(inner, table)
     observations, infos = env.reset(seed=0)
     assert env.observation_space.contains(observations)
-    before = env.unwrapped.knowledge_input
+    before, joints = env.unwrapped.knowledge_input, observations["joints"]
     for _ in range(2):
         observations, _, _, truncated, infos = env.step(env.action_space.sample() * 0)
     assert truncated.all()
@@ -113,6 +138,8 @@ def test_final_observations_carry_the_knowledge_of_the_episode_that_ended() -> N
     assert (after != before).any()
     assert (observations["knowledge"][:, 0] == after).all()
     assert [final["knowledge"][0] for final in infos["final_obs"]] == before.tolist()
+    last = np.stack([final["joints"] for final in infos["final_obs"]])
+    assert np.abs(last - joints).max() < 0.01 < np.abs(observations["joints"] - joints).max()
 
 
 def test_importing_the_package_imports_no_simulator() -> None:

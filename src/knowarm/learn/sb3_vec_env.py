@@ -20,7 +20,7 @@ class SB3VecEnv(VecEnv):
 
     Args:
         env: a vector environment with autoreset mode SAME_STEP; its observations may be a
-            ``Dict``, as those of `knowarm.world.VectorKnowledgeObservation`.
+            ``Dict``.
         seed: of the first reset.
     """
 

@@ -5,8 +5,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import NDArray
 
+from knowarm.errors import UserError
 from knowarm.world.agents.protocol import AgentProtocol, Batch
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.sampling import Episodes
@@ -72,7 +74,12 @@ def play_steps(agent: AgentProtocol, env: ArmVectorEnv, episodes: Episodes) -> I
 
     The autoreset mode of the environment does not matter. Environments without an episode of
     their own repeat the last one and are never marked as played.
+
+    Raises:
+        UserError: the environment observes more than the image.
     """
+    if not isinstance(env.single_observation_space, spaces.Box):
+        raise UserError("Agents play environments that observe the image; leave out observe.")
     n, count = env.num_envs, len(episodes)
     rows = np.minimum(np.arange(n), count - 1)
     images, infos = env.reset(options={"episodes": episodes[rows]})

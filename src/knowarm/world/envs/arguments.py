@@ -20,6 +20,22 @@ def checked_actions(actions: ArrayLike, shape: tuple[int, int], levels: int) -> 
     return array.astype(np.int64, copy=False)
 
 
+def checked_steps(actions: ArrayLike, shape: tuple[int, int]) -> NDArray[np.float64]:
+    """Return continuous actions as float64 of a shape (n, J)."""
+    array = np.asarray(actions)
+    if array.shape != shape or array.dtype.kind != "f":
+        raise UserError(
+            f"actions must be floats of shape {shape} (environments, joints), got {array.dtype} "
+            f"of shape {array.shape}."
+        )
+    if not (np.abs(array) <= 1).all():
+        raise UserError(
+            f"actions must lie in -1 to 1, got {array.min()} to {array.max()}; they are joint "
+            "steps in units of the maximum position increment."
+        )
+    return array.astype(np.float64)
+
+
 def check_action_range(actions: NDArray[Any], levels: int) -> None:
     """Check that actions index one of the levels."""
     if actions.min() < 0 or actions.max() >= levels:

@@ -173,10 +173,10 @@ class RunningEpisodes(EpisodeState[MujocoSimulator]):
         self.next_episode = _put(self.next_episode, ids, numbers + 1)
         self._start(ids, episodes)
 
-    def move(self, levels: NDArray[np.int64]) -> None:
-        """Add the increments of actions (n, J) to the joint targets and simulate one step."""
+    def move(self, steps: NDArray[np.float64]) -> None:
+        """Add steps (n, J) [rad] to the joint targets and simulate one control period."""
         lower, upper = self.scene.joint_lower, self.scene.joint_upper
-        self.joint_targets = (self.joint_targets + self.increments[levels]).clip(lower, upper)
+        self.joint_targets = (self.joint_targets + steps).clip(lower, upper)
         self.simulator.step(self.joint_targets)
         self.steps = self.steps + 1
         self._measure()

@@ -6,31 +6,48 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
-from numpy.typing import NDArray
+from gymnasium.vector.utils import iterate
+from numpy.typing import ArrayLike, NDArray
 
 from knowarm.errors import UserError, unknown_name
 from knowarm.world.config import EnvConfig
+from knowarm.world.envs.interface import Action, Observe
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks import task_type
 from knowarm.world.tasks.task import Task
 
 
-class ArmEnv(gymnasium.Env[NDArray[np.uint8], NDArray[np.int64]]):
+class ArmEnv(gymnasium.Env[Any, NDArray[Any]]):
     """An environment as ``gymnasium.make`` returns it: ``ArmVectorEnv`` with n = 1.
 
     Args:
         render_mode: "rgb_array" to draw enlarged images with ``render``, or None.
+        action, observe, knowledge: as those of ``ArmVectorEnv``.
         options: fields of ``EnvConfig``.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012 (Gymnasium's name)
 
-    def __init__(self, render_mode: str | None = None, **options: Any) -> None:
+    def __init__(
+        self,
+        render_mode: str | None = None,
+        *,
+        action: Action = "levels",
+        observe: Observe = "image",
+        knowledge: ArrayLike | None = None,
+        **options: Any,
+    ) -> None:
         if render_mode not in (None, "rgb_array"):
             raise UserError(f"render_mode must be 'rgb_array' or None, got {render_mode!r}.")
         self.render_mode = render_mode
         self._vector = ArmVectorEnv(
-            env_config(**options), 1, num_threads=1, autoreset=AutoresetMode.DISABLED
+            env_config(**options),
+            1,
+            num_threads=1,
+            autoreset=AutoresetMode.DISABLED,
+            action=action,
+            observe=observe,
+            knowledge=knowledge,
         )
         self.config = self._vector.config
         self.facets = self._vector.facets
@@ -43,30 +60,42 @@ class ArmEnv(gymnasium.Env[NDArray[np.uint8], NDArray[np.int64]]):
         return int(self._vector.knowledge_input[0])
 
     @property
+    def instruction(self) -> str:
+        """Goal of the current episode in words that a policy may know; see `Task.instruct`."""
+        return self._vector.running.instruct(0)
+
+    @property
+    def joint_targets(self) -> NDArray[np.float64]:
+        """Joint angles that the servos track, (J,) [rad]; actions add to them."""
+        return self._vector.joint_targets[0]
+
+    @property
     def joint_positions(self) -> NDArray[np.float64]:
         """Current joint angles, (J,) [rad]."""
         return self._vector.joint_positions[0]
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.uint8], dict[str, Any]]:
+    ) -> tuple[Any, dict[str, Any]]:
         """Start a new episode; ``options["episodes"]`` may be an ``Episodes`` of length 1."""
         super().reset(seed=seed)
-        images, infos = self._vector.reset(seed=seed, options=options)
-        return images[0], _first(infos)
+        observations, infos = self._vector.reset(seed=seed, options=options)
+        return self._only(observations), _first(infos)
 
-    def step(
-        self, action: NDArray[np.int64]
-    ) -> tuple[NDArray[np.uint8], float, bool, bool, dict[str, Any]]:
-        """Play one step with an action of (J,) integers in 0..6."""
-        images, rewards, terminated, truncated, infos = self._vector.step(np.asarray(action)[None])
+    def step(self, action: NDArray[Any]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Play one step with an action of (J,) integers in 0..6, or floats in -1 to 1."""
+        vector = self._vector
+        observations, rewards, terminated, truncated, infos = vector.step(np.asarray(action)[None])
         return (
-            images[0],
+            self._only(observations),
             float(rewards[0]),
             bool(terminated[0]),
             bool(truncated[0]),
             _first(infos),
         )
+
+    def _only(self, observations: Any) -> Any:
+        return next(iter(iterate(self.observation_space, observations)))
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the policy's view, (480, 480, 3) uint8; None without a render mode."""
@@ -88,6 +117,10 @@ def make_vector_env(
     autoreset: AutoresetMode = AutoresetMode.SAME_STEP,
     render_mode: str | None = None,
     device: str | None = None,
+    *,
+    action: Action = "levels",
+    observe: Observe = "image",
+    knowledge: ArrayLike | None = None,
     **options: Any,
 ) -> VectorEnv[Any, Any, Any]:
     """Create a vector environment: the entry point of ``gymnasium.make_vec``.
@@ -97,6 +130,7 @@ def make_vector_env(
         num_threads: threads of physics and rendering; 0 for one per core.
         autoreset: Gymnasium's mode.
         render_mode: "rgb_array", or None.
+        action, observe, knowledge: as those of ``ArmVectorEnv``.
         device: None for ``ArmVectorEnv``, with NumPy arrays; "cpu" or "cuda" for
             ``TorchArmVectorEnv``, with tensors on that device.
         options: fields of ``EnvConfig``.
@@ -106,7 +140,21 @@ def make_vector_env(
     """
     config, autoreset = env_config(**options), AutoresetMode(autoreset)
     if device is None:
-        return ArmVectorEnv(config, num_envs, num_threads, autoreset, render_mode)
+        return ArmVectorEnv(
+            config,
+            num_envs,
+            num_threads,
+            autoreset,
+            render_mode,
+            action=action,
+            observe=observe,
+            knowledge=knowledge,
+        )
+    if (action, observe, knowledge) != ("levels", "image", None):
+        raise UserError(
+            f"With device {device!r} observations are images and actions are levels; a policy "
+            "holds the knowledge table. Leave out action, observe and knowledge, or device."
+        )
     if (autoreset, render_mode) != (AutoresetMode.SAME_STEP, None):
         raise UserError(
             f"With device {device!r} environments are reset in the same step and have no render "

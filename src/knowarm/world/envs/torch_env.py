@@ -70,11 +70,11 @@ class TorchArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
     ) -> None:
         self.config = config
         self.device = torch_device(device)
-        self.scene = scene = describe(self, config, num_envs)
+        self.scene, _ = describe(self, config, num_envs)
         self.metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
         side = config.image_size
-        self.renderer: Renderer = make_renderer(scene, config, side, num_threads)
-        self.simulation = config.task.simulator(scene, num_envs, num_threads, config.dynamics)
+        self.renderer: Renderer = make_renderer(self.scene, config, side, num_threads)
+        self.simulation = config.task.simulator(self.scene, num_envs, num_threads, config.dynamics)
         shape = (num_envs, side, side, 3)
         self._final_images = np.zeros(shape, dtype=np.uint8)
         self._final_tensor = self._tensor(self._final_images)
@@ -187,7 +187,7 @@ class TorchArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
             UserError: actions of the wrong shape, dtype or device, or outside 0..6.
         """
         running, tensor = self.running, self._tensor
-        running.move(self._checked(actions))
+        running.move(running.increments[self._checked(actions)])
         outcome = running.outcome()
         reward, terminated, truncated = map(tensor, outcome)
         extra: dict[str, Any] = {}

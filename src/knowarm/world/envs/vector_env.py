@@ -3,32 +3,30 @@
 from typing import Any
 
 import numpy as np
-from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space
+from gymnasium.vector.utils import batch_space, iterate
 from numpy.typing import ArrayLike, NDArray
 
 from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig, scene_of
-from knowarm.world.envs.arguments import check_state, checked_actions
+from knowarm.world.envs.arguments import check_state
+from knowarm.world.envs.interface import Action, Interface, Observe
 from knowarm.world.envs.running import RunningEpisodes
 from knowarm.world.render.renderer import Renderer, make_renderer
 from knowarm.world.scene.scene import Scene
-from knowarm.world.tasks.state import ACTION_LEVELS
 
 RENDER_SIZE = 480  # Width and height of the images that ``render`` returns [px]
-Step = tuple[
-    NDArray[np.uint8], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]
-]
-"""Images (n, H, W, 3), reward (n,), terminated (n,), truncated (n,) and infos."""
+Step = tuple[Any, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
+"""Observations (n, ...), reward (n,), terminated (n,), truncated (n,) and infos."""
 
 
-class ArmVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any]]):
+class ArmVectorEnv(VectorEnv[Any, NDArray[Any], NDArray[Any]]):
     """n environments in which an arm plays the episodes of a task (paper, section 3).
 
     Observations are uint8 images (n, H, W, 3), actions int64 (n, J) that index
-    ``ACTION_LEVELS``. With seed s, environment i plays the episodes of stream s + i, so an episode
-    does not depend on n. Every returned array is new and belongs to the caller.
+    ``ACTION_LEVELS``, unless ``observe`` and ``action`` say otherwise. With seed s, environment i
+    plays the episodes of stream s + i, so an episode does not depend on n. Every returned array is
+    new and belongs to the caller.
 
     Infos are those of the task, `Task.infos`: arrays (n,) such as distance [m], angle [deg], target
     and colour (indices), facet (its name, as "mug/red") and is_success, each with Gymnasium's mask
@@ -40,6 +38,10 @@ class ArmVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any]]
         num_threads: threads of physics and rendering; 0 for one per core.
         autoreset: Gymnasium's mode; SAME_STEP adds ``final_obs`` and ``final_info``.
         render_mode: "rgb_array", or None.
+        action: "levels"; or "continuous" for joint steps in units of the MPI, (n, J) in -1 to 1.
+        observe: "image"; or a tuple of "image", "joints" (their angles, (n, J) [rad]) and
+            "knowledge" for a ``Dict``.
+        knowledge: the table of "knowledge", (R, K), with a row per `Task.knowledge_rows`.
 
     Attributes:
         running: the state of the episodes.
@@ -55,9 +57,13 @@ class ArmVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any]]
         num_threads: int = 0,
         autoreset: AutoresetMode = AutoresetMode.SAME_STEP,
         render_mode: str | None = None,
+        *,
+        action: Action = "levels",
+        observe: Observe = "image",
+        knowledge: ArrayLike | None = None,
     ) -> None:
         self.config = config
-        self.scene = describe(self, config, num_envs)
+        self.scene, self._interface = describe(self, config, num_envs, action, observe, knowledge)
         self.render_mode = render_mode
         self.metadata = {
             "render_modes": ["rgb_array"],
@@ -104,7 +110,7 @@ class ArmVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any]]
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.uint8], dict[str, Any]]:
+    ) -> tuple[Any, dict[str, Any]]:
         """Start a new episode in every environment, or in those of a mask.
 
         Args:
@@ -117,16 +123,16 @@ class ArmVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any]]
             UserError: a seed, mask or list of episodes of the wrong length.
         """
         self._ended[self.running.reset(seed, options)] = False
-        return self._render_images(), self._infos()
+        return self._observe(), self._infos()
 
     def step(self, actions: ArrayLike) -> Step:
         """Play one step in every environment; see Gymnasium's ``VectorEnv.step``.
 
         Args:
-            actions: (n, J) integers in 0..6.
+            actions: (n, J) integers in 0..6, or floats in -1 to 1.
 
         Raises:
-            UserError: actions of the wrong shape or outside 0..6; with autoreset disabled, a step
+            UserError: actions of the wrong shape or out of range; with autoreset disabled, a step
                 in an environment whose episode has ended.
         """
         mode = self.metadata["autoreset_mode"]
@@ -149,13 +155,15 @@ class ArmVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any]]
             running.start_next(np.flatnonzero(ended))
             ended = np.zeros_like(ended)
         self._ended = ended
-        return self._render_images(), reward, terminated, truncated, self._infos() | final
+        return self._observe(), reward, terminated, truncated, self._infos() | final
 
     def advance(self, actions: ArrayLike, active: NDArray[np.bool_]) -> Step:
         """Play one step and reset nothing; for playing a list of episodes to its end.
 
+        The observations are images in any case.
+
         Args:
-            actions: (n, J) integers in 0..6.
+            actions: as in `step`.
             active: (n,) bool, the environments to draw; the images of the others are black.
         """
         self._move(actions)
@@ -189,13 +197,17 @@ class ArmVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any]]
         self._ended = np.array(state["ended"])
 
     def _move(self, actions: ArrayLike) -> None:
-        shape = (self.num_envs, self.scene.num_joints)
-        self.running.move(checked_actions(actions, shape, len(ACTION_LEVELS)))
+        running = self.running
+        running.move(self._interface.steps(actions, self.num_envs, running.increments))
 
     def _outcome(self) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
         """Return reward, terminated and truncated, (n,) each, which the caller may write into."""
         outcome = self.running.outcome()
         return outcome.reward, outcome.terminated.copy(), outcome.truncated
+
+    def _observe(self, ids: NDArray[np.intp] | slice = slice(None)) -> Any:
+        joints, rows = self.joint_positions[ids], self.running.knowledge_input[ids]
+        return self._interface.observe(self._render_images(ids), joints, rows)
 
     def _render_images(self, ids: NDArray[np.intp] | slice = slice(None)) -> NDArray[np.uint8]:
         return draw_images(self.renderer, self.running, ids)
@@ -207,10 +219,11 @@ class ArmVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any]]
         return infos | dict.fromkeys(masks, np.ones(self.num_envs, dtype=np.bool_))
 
     def _final_infos(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
-        """Return last images and metrics of the episodes that ended, as Gymnasium defines them."""
+        """Return last observations and metrics where episodes ended, as Gymnasium defines them."""
         ids = np.flatnonzero(ended)
-        images = np.full(self.num_envs, None, dtype=object)
-        images[ids] = np.fromiter(self._render_images(ids), dtype=object, count=len(ids))
+        observations = np.full(self.num_envs, None, dtype=object)
+        last = iterate(self.single_observation_space, self._observe(ids))
+        observations[ids] = np.fromiter(last, dtype=object, count=len(ids))
         final = {
             name: np.where(
                 ended[(...,) + (None,) * (values.ndim - 1)], values, np.zeros((), values.dtype)
@@ -218,24 +231,26 @@ class ArmVectorEnv(VectorEnv[NDArray[np.uint8], NDArray[np.int64], NDArray[Any]]
             for name, values in self._infos().items()
         }
         return {
-            "final_obs": images,
+            "final_obs": observations,
             "_final_obs": ended.copy(),
             "final_info": final,
             "_final_info": ended.copy(),
         }
 
 
-def describe(env: Any, config: EnvConfig, num_envs: int) -> Scene:
+def describe(
+    env: Any, config: EnvConfig, num_envs: int, *interface: Any
+) -> tuple[Scene, Interface]:
     """Load the scene of a config and set the attributes that both vector environments have."""
     if num_envs < 1:
         raise UserError(f"num_envs must be at least 1, got {num_envs}.")
     scene = scene_of(config)
-    shape = (config.image_size, config.image_size, 3)
+    described = Interface(config, scene.num_joints, *interface)
     env.num_envs = num_envs
-    env.single_observation_space = spaces.Box(0, 255, shape, np.uint8)
-    env.single_action_space = spaces.MultiDiscrete(np.full(scene.num_joints, len(ACTION_LEVELS)))
+    env.single_observation_space = described.observation_space
+    env.single_action_space = described.action_space
     env.action_space = batch_space(env.single_action_space, num_envs)
-    return scene
+    return scene, described
 
 
 def draw_images(

@@ -1,0 +1,113 @@
+"""Interface of an environment: what its observations hold, and what its actions mean."""
+
+from typing import Any, Literal, get_args
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import ArrayLike, NDArray
+
+from knowarm.arrays import Floats, Integers
+from knowarm.errors import UserError, unknown_name
+from knowarm.world.config import EnvConfig, facets_of
+from knowarm.world.envs.arguments import checked_actions, checked_steps
+from knowarm.world.tasks.state import ACTION_LEVELS
+
+Action = Literal["levels", "continuous"]
+"""Integers that index ``ACTION_LEVELS``; or joint steps in units of the MPI, -1 to 1."""
+
+Observed = Literal["image", "joints", "knowledge"]
+"""Image of the camera; angles of the joints [rad]; the knowledge vector of the episode."""
+
+Observe = Literal["image"] | tuple[Observed, ...]
+"""The image itself, or the parts of a ``Dict``."""
+
+
+class Interface:
+    """Spaces of one environment, and the conversion of observations and actions of n.
+
+    Args:
+        config: robot and task.
+        joints: number of joints that the actions move, J.
+        action: what an action is.
+        observe: "image" for the image itself, or the names of the parts of a ``Dict``.
+        knowledge: (R, K), one row per `Task.knowledge_rows`, where ``observe`` names "knowledge".
+
+    Raises:
+        UserError: an unknown name, or a table that is missing, of another shape, or not observed.
+    """
+
+    def __init__(
+        self,
+        config: EnvConfig,
+        joints: int,
+        action: Action = "levels",
+        observe: Observe = "image",
+        knowledge: ArrayLike | None = None,
+    ) -> None:
+        names = ("image",) if observe == "image" else tuple(observe)
+        for name in names:
+            if name not in get_args(Observed):
+                raise unknown_name("part of an observation", name, get_args(Observed))
+        if action not in get_args(Action):
+            raise unknown_name("kind of action", action, get_args(Action))
+        self._is_dict, self._names = observe != "image", names
+        self._is_continuous = action == "continuous"
+        self._table = _checked_table(config, names, knowledge)
+        shape = (config.image_size, config.image_size, 3)
+        parts: dict[str, spaces.Space[Any]] = {
+            "image": spaces.Box(0, 255, shape, np.uint8),
+            "joints": spaces.Box(-np.inf, np.inf, (joints,), np.float32),
+            "knowledge": spaces.Box(-np.inf, np.inf, self._table.shape[1:], np.float32),
+        }
+        self.observation_space: spaces.Space[Any] = parts["image"]
+        if self._is_dict:
+            self.observation_space = spaces.Dict({name: parts[name] for name in names})
+        self.action_space: spaces.Space[Any] = spaces.MultiDiscrete(
+            np.full(joints, len(ACTION_LEVELS))
+        )
+        if self._is_continuous:
+            self.action_space = spaces.Box(-1.0, 1.0, (joints,), np.float32)
+
+    def observe(self, images: NDArray[np.uint8], joints: Floats, rows: Integers) -> Any:
+        """Return the observations of n environments: images, or a dict of arrays (n, ...).
+
+        ``rows`` are those of the knowledge table, (n,).
+        """
+        if not self._is_dict:
+            return images
+        parts: dict[str, NDArray[Any]] = {"image": images, "joints": joints.astype(np.float32)}
+        if "knowledge" in self._names:
+            parts["knowledge"] = self._table[rows]
+        return {name: parts[name] for name in self._names}
+
+    def steps(self, actions: ArrayLike, num_envs: int, increments: Floats) -> Floats:
+        """Return the joint steps of actions (n, J) [rad], from the increments of the levels (7,).
+
+        Raises:
+            UserError: actions of the wrong shape or type, or out of range.
+        """
+        shape = (num_envs, *self.action_space.shape)  # type: ignore[misc]
+        if self._is_continuous:
+            return checked_steps(actions, shape) * increments[1]
+        return increments[checked_actions(actions, shape, len(ACTION_LEVELS))]
+
+
+def _checked_table(
+    config: EnvConfig, names: tuple[str, ...], knowledge: ArrayLike | None
+) -> NDArray[np.float32]:
+    """Return the knowledge table, (R, K); without rows where it is not observed."""
+    if "knowledge" not in names:
+        if knowledge is not None:
+            raise UserError(
+                "knowledge is a table that observations do not show; name it in observe, such as "
+                "observe=('image', 'knowledge')."
+            )
+        return np.zeros((0, 0), dtype=np.float32)
+    rows = config.task.knowledge_rows(facets_of(config))
+    table = np.asarray([] if knowledge is None else knowledge, dtype=np.float32)
+    if table.ndim != 2 or table.shape[0] != len(rows) or table.shape[1] == 0:
+        raise UserError(
+            f"knowledge must be a table with one row for each of the {len(rows)} values of the "
+            f"info {config.task.knowledge_info!r} ({', '.join(rows)}), got shape {table.shape}."
+        )
+    return table
