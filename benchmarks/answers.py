@@ -37,7 +37,7 @@ from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.kge.models import MODELS
 from knowarm.knowledge.queries.splits import SPLITS
 from knowarm.perception.answering import AnswerGrounding
-from knowarm.perception.grounding import GroundingNetwork
+from knowarm.perception.grounding import FrameRecognition, GroundingNetwork
 from knowarm.perception.images import LabelledImages, sample_images
 from knowarm.seeding import derive_seed
 from knowarm.statistics import wilson
@@ -77,17 +77,16 @@ def measure(
     ``graph`` is what the agent knows instead of its own.
     """
     (env, labels), network = task, network_of(trained)
-    parts = list(zip(labels.images.split(BATCH), labels.queries.split(BATCH), strict=True))
     if reasoning == "vector":
-        kept = network.knowledge
-        network.knowledge = torch.from_numpy(knowledge_at_test(trained.config, env, graph))
-        frames = torch.cat([network(*part) for part in parts])
-        network.knowledge = kept
+        known = FrameRecognition(network, knowledge_at_test(trained.config, env, graph))
+        frames = known(labels.images, labels.queries)
         return {"right": right_object(trained, labels, frames)}
     control = None if reasoning == "graph" else reasoning
     facets = network.spec.facets
     answers = answer_table(trained.config, env, facets, graph=graph, control=control)
-    seen = [AnswerGrounding(network, answers).see(*part) for part in parts]
+    known = AnswerGrounding(network, answers)
+    parts = zip(labels.images.split(BATCH), labels.queries.split(BATCH), strict=True)
+    seen = [known.see(images, known.of_rows(rows)) for images, rows in parts]
     visible = torch.cat([each.visible for each in seen]).numpy()
     shown = answers[labels.queries[:, None].numpy(), labels.facets.numpy()]
     count = shown.sum(axis=1)

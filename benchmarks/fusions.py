@@ -35,14 +35,14 @@ class Starts:
 
     image: Tensor
     """(N, H, W, 3) uint8."""
-    query: Tensor
-    """(N,) int64, rows of the knowledge table."""
+    knowledge: Tensor
+    """(N, K) float32, of the queries."""
     position: Tensor
     """(N, m, 2) float32, x and y of the objects, standardized over all of them."""
 
 
-def draw_starts(env: ArmVectorEnv, count: int, seed: int) -> Starts:
-    """Draw at least ``count`` starts."""
+def draw_starts(env: ArmVectorEnv, table: np.ndarray, count: int, seed: int) -> Starts:
+    """Draw at least ``count`` starts, with rows of the knowledge table."""
     images: list[np.ndarray] = []
     queries: list[np.ndarray] = []
     positions: list[np.ndarray] = []
@@ -56,7 +56,7 @@ def draw_starts(env: ArmVectorEnv, count: int, seed: int) -> Starts:
     position = (position - position.mean((0, 1))) / position.std((0, 1))
     return Starts(
         torch.from_numpy(np.concatenate(images)),
-        torch.from_numpy(np.concatenate(queries)),
+        torch.from_numpy(table[np.concatenate(queries)]),
         torch.from_numpy(position).float(),
     )
 
@@ -65,7 +65,7 @@ def predicted(policy: Policy, starts: Starts, rows: Tensor) -> Tensor:
     """Predict where the wanted objects of ``rows`` stand, (N, 2), by the head of the actor."""
     start = torch.ones(len(rows), dtype=torch.bool)
     state = policy.initial_state(len(rows))
-    return policy.step(starts.image[rows], starts.query[rows], state, start)[0].squeeze(2)
+    return policy.step(starts.image[rows], starts.knowledge[rows], state, start)[0].squeeze(2)
 
 
 @torch.no_grad()
@@ -115,12 +115,12 @@ def main() -> None:
         parts = build(replace(config, env=env_config, seed=seed, grounding=None))
         shape = replace(parts.policy_shape, joints=2, levels=1)  # x and y instead of actions
         env = ArmVectorEnv(env_config, 512, 1)
-        starts = draw_starts(env, arguments.images + TEST_IMAGES, seed)
+        starts = draw_starts(env, parts.table, arguments.images + TEST_IMAGES, seed)
         for fusion in arguments.fusions:
             policy_config = PolicyConfig(
                 fusion=fusion, hidden="fixed", pixel_shift=0.5, pixel_scale=4.0
             )
-            policy = Policy(policy_config, shape, parts.table, seed=seed)
+            policy = Policy(policy_config, shape, seed=seed)
             generator = torch.Generator().manual_seed(seed)
             share = train(policy, starts, arguments.images, arguments.epochs, generator)
             print(f"{fusion}, seed {seed}: right in new images {100 * share:.1f} %", flush=True)

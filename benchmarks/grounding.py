@@ -29,7 +29,7 @@ from knowarm.experiment.other_graphs import (
 )
 from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.damage import Damage, damaged
-from knowarm.perception.grounding import GroundingNetwork
+from knowarm.perception.grounding import FrameRecognition
 from knowarm.perception.grounding_training import train_grounding
 from knowarm.perception.images import DescribedGraph, LabelledImages, sample_images
 from knowarm.seeding import derive_seed
@@ -61,10 +61,9 @@ def damaged_graphs(config: ExperimentConfig, arguments: argparse.Namespace) -> l
 
 
 @torch.no_grad()
-def measure(network: GroundingNetwork, labels: LabelledImages) -> str:
+def measure(known: FrameRecognition, labels: LabelledImages) -> str:
     """Describe the share of right objects, and the errors of their grasp frames."""
-    parts = zip(labels.images.split(256), labels.queries.split(256), strict=True)
-    frame = torch.cat([network(*part) for part in parts])
+    network, frame = known.module, known(labels.images, labels.queries)
     position = frame[:, :3] * network.position_std + network.position_mean
     distance = (labels.grasp_position - position[:, None]).norm(dim=2)
     right = distance.argmin(1) == 0
@@ -114,8 +113,8 @@ def main() -> None:
                     env, network.spec, arguments.test_images, derive_seed(0, "perception", number)
                 )
                 graph = splits_of(env).edited if split == "S5" else None
-                network.knowledge = torch.from_numpy(knowledge_at_test(config, env, graph))
-                shares.append(f"{split} {measure(network, labels)}")
+                known = FrameRecognition(network, knowledge_at_test(config, env, graph))
+                shares.append(f"{split} {measure(known, labels)}")
             print(f"{agent}, seed {seed}: {', '.join(shares)}, {seconds:.0f} s", flush=True)
 
 

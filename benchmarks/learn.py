@@ -20,12 +20,12 @@ from knowarm.cores import processor
 from knowarm.errors import UserError
 from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.build import EnvFactory, Parts, build
+from knowarm.experiment.inputs import KnowledgeTable
 from knowarm.experiment.names import DEFAULT_EXPERIMENT, experiment_config
 from knowarm.experiment.speed import measure_images
 from knowarm.learn import A3CConfig, Hooks, Metrics, PPOConfig, TorchVectorEnv
 from knowarm.learn.a3c import A3CTrainer
 from knowarm.learn.algorithms import MinibatchConfig
-from knowarm.world.envs.torch_env import TorchArmVectorEnv
 
 WARM_UP_UPDATES = 3
 """Updates that are not measured: the first ones compile and fill caches."""
@@ -164,11 +164,12 @@ def raycaster_row(config: LearnBenchConfig) -> Row:
 def ppo_row(config: LearnBenchConfig, name: str = PPO) -> Row:
     """Measure a registered algorithm that learns from minibatches."""
     chosen, ppo = experiment_config(config.experiment), config.ppo(name)
-    env = TorchArmVectorEnv(chosen.env, ppo.num_envs, num_threads=config.cores)
+    parts = build(chosen)
+    env = KnowledgeTable(parts.table).make_env(chosen.env, ppo.num_envs, num_threads=config.cores)
     image_seconds = timed(env.renderer, "draw")
     row = train_ppo(
         ppo,
-        build(chosen),
+        parts,
         env,
         seconds=config.seconds,
         seed=config.seed,
@@ -284,7 +285,8 @@ def a3c_row(config: LearnBenchConfig, name: str, *, workers: int, envs_per_worke
         on_metrics=record,
         should_stop=lambda: bool(marks) and marks[-1][1] - marks[0][1] > config.seconds,
     )
-    make_env, policy = EnvFactory(chosen.env), parts.new_policy(config.seed)
+    make_env = EnvFactory(chosen.env, KnowledgeTable(parts.table))
+    policy = parts.new_policy(config.seed)
     trainer = A3CTrainer(a3c, policy, make_env, seed=config.seed, hooks=hooks)
     trainer.train(UNLIMITED)
     steps, seconds = marks[-1][0] - marks[0][0], marks[-1][1] - marks[0][1]

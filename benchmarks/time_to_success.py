@@ -15,11 +15,11 @@ from knowarm.errors import UserError
 from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.build import build, interim_evaluation
 from knowarm.experiment.config import ExperimentConfig, InterimConfig
+from knowarm.experiment.inputs import KnowledgeTable
 from knowarm.experiment.names import ExperimentName, experiment_config
 from knowarm.learn import Hooks, TorchVectorEnv, Trainer
 from knowarm.learn.algorithms import MinibatchConfig
 from knowarm.policy import Policy
-from knowarm.world.envs.torch_env import TorchArmVectorEnv
 
 SUCCESS = 0.8
 """Success of an interim evaluation that a learner has to reach."""
@@ -121,14 +121,16 @@ def time_to_success(
     refuse_module(experiment)
     chosen = with_algorithm(experiment, algorithm)
     config = replace(cast(MinibatchConfig, chosen.algorithm), processes=processes)
-    env = TorchArmVectorEnv(chosen.env, config.num_envs, num_threads=processes)
+    parts = build(chosen)
+    knowledge = KnowledgeTable(parts.table)
+    env = knowledge.make_env(chosen.env, config.num_envs, num_threads=processes)
     clock = SuccessClock(most_steps)
     trainer = trainer_of(
         config,
-        build(chosen).new_policy(seed),
+        parts.new_policy(seed),
         env,
         seed=seed,
-        evaluate=interim_evaluation(chosen.env, INTERIM, seed),
+        evaluate=interim_evaluation(chosen.env, INTERIM, seed, knowledge),
         evaluate_every=INTERIM.every_steps,
         hooks=Hooks(
             on_evaluation=lambda step, results, _: clock.add(step, results["success"]),

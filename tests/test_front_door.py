@@ -346,12 +346,11 @@ def test_scene_embedding():
 
 @example("Policy", "PolicyConfig", "PolicyShape")
 def test_policy():
-    table = np.zeros((3, 150), np.float32)
     shape = knowarm.PolicyShape(joints=6, knowledge_dim=150, knowledge_slots=3)
-    policy = knowarm.Policy(knowarm.PolicyConfig(fusion="film"), shape, table, seed=1)
+    policy = knowarm.Policy(knowarm.PolicyConfig(fusion="film"), shape, seed=1)
     image = torch.zeros(2, 64, 64, 3, dtype=torch.uint8)
-    facet, start = torch.tensor([0, 2]), torch.ones(2, dtype=torch.bool)
-    logits, value, _ = policy.step(image, facet, policy.initial_state(2), start)
+    knowledge, start = torch.zeros(2, 150), torch.ones(2, dtype=torch.bool)
+    logits, value, _ = policy.step(image, knowledge, policy.initial_state(2), start)
     assert logits.shape == (2, 6, 7)
     assert value.shape == (2,)
 

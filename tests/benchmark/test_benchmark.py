@@ -288,7 +288,7 @@ def test_an_agent_knows_the_damaged_graph_in_its_cells(damaged):
     trained = entrant(str(ROOT / "zoo/irb120-choose-subgraph-fast"))
     cell = damaged.cells["irb120-missing"]
     tables = [
-        trained.make(each, None).module.knowledge.numpy()
+        trained.make(each, None).recognition.knowledge.numpy()
         for each in (cell, replace(cell, graph=None))
     ]
     changed = (tables[0] != tables[1]).any(axis=1)

@@ -105,12 +105,6 @@ def test_an_agent_of_the_user_has_no_registered_controls():
 def test_facts_and_the_network_that_reads_them_come_together():
     with pytest.raises(UserError, match="Facts need a network that reads them"):
         build(experiment_config("irb120-choose-reasoner-fast", grounding={"query": "vector"}))
-    with pytest.raises(UserError, match="Facts need a network that reads them"):
-        build(
-            experiment_config(
-                "irb120-choose-subgraph-before-lstm-fast", policy={"knowledge_encoder": "facts"}
-            )
-        )
 
 
 def test_agents_of_the_fusions_of_a_query_differ_in_nothing_else():

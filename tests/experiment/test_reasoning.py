@@ -18,7 +18,8 @@ from knowarm.experiment.conditions import (
     Subject,
 )
 from knowarm.experiment.evaluate import evaluate
-from knowarm.experiment.load import load_agent, reasoning_module
+from knowarm.experiment.inputs import knowledge_input
+from knowarm.experiment.load import load_agent
 from knowarm.experiment.names import experiment_config, experiment_names
 from knowarm.experiment.other_graphs import answer_table, varied_graphs, with_graph
 from knowarm.experiment.run import train
@@ -56,7 +57,7 @@ def test_an_agent_trains_with_the_answers_of_its_graph_and_plays_from_its_folder
     assert isinstance(trained.agent, AnsweringAgent)
     config = trained.config
     satisfies = questions_of(config.env).satisfies
-    assert (trained.agent.module.knowledge.numpy() == satisfies).all()
+    assert (trained.agent.recognition.knowledge.numpy() == satisfies).all()
     result = evaluate(trained, **{**BRIEF, "episodes": 8})
     assert set(result.episodes["visible_answers"]) <= {0, 1, 2, 3, 4}
     by_vector = evaluate(trained, test=(ReasoningTest(by="vector"),), **{**BRIEF, "episodes": 8})
@@ -173,31 +174,27 @@ def test_the_query_enters_through_its_vector_only(name):
     """
     config = experiment_config(f"irb120-choose-{name}-fast", env=CHOOSE_ENV)
     parts = build(config)
-    table, queries = torch.from_numpy(parts.table), torch.arange(len(parts.table))
+    table = torch.from_numpy(parts.table)
     generator = torch.Generator().manual_seed(0)
     image = torch.randint(0, 256, (1, 64, 64, 3), dtype=torch.uint8, generator=generator)
-    images = image.expand(len(queries), -1, -1, -1)
-    if parts.grounded:
+    images = image.expand(len(table), -1, -1, -1)
+    if config.grounding is not None:
         spec = ModuleSpec.of(config.env, config.grounding)
         network = GroundingNetwork(spec, table, slots_of(parts.embedding))
-        owner, attribute = reasoning_module(config, network), "knowledge"
-        table = owner.knowledge
-        act = partial(owner, images, queries)
+        recognition = knowledge_input(config, parts.table, network)
+        table = recognition.knowledge
+        act = partial(recognition.locate, images)
     else:
         policy = parts.new_policy(0)
-        start = torch.ones(len(queries), dtype=torch.bool)
-        state = policy.initial_state(len(queries))
+        start = torch.ones(len(table), dtype=torch.bool)
+        state = policy.initial_state(len(table))
 
-        def act():
-            return policy.step(images, queries, state, start)[0]
+        def act(known):
+            return policy.step(images, known, state, start)[0]
 
-        owner, attribute = policy, "knowledge_table"
     with torch.no_grad():
-        real = act()
-        setattr(owner, attribute, table.flip(0))
-        torch.testing.assert_close(act().flip(0), real, rtol=1e-4, atol=1e-5)
-        setattr(owner, attribute, torch.zeros_like(table))
-        zeroed = act()
+        real, zeroed = act(table), act(torch.zeros_like(table))
+        torch.testing.assert_close(act(table.flip(0)).flip(0), real, rtol=1e-4, atol=1e-5)
     torch.testing.assert_close(zeroed, zeroed[:1].expand_as(zeroed), rtol=1e-4, atol=1e-5)
     if AGENTS[name].role == "knowledge":
         assert np.ptp(real.numpy(), axis=0).max() > 1e-4

@@ -192,8 +192,8 @@ def test_every_agent_can_be_built(name, task):
     if config.knowledge.scope == "perceived":  # a row per facet in all tasks
         rows = len(parts.facets)
     assert parts.table.shape == (rows, parts.embedding.dim) or config.policy.wide
-    told = parts.new_policy(0).knowledge_table
-    assert told.shape[1] == parts.policy_shape.knowledge_dim or config.policy.wide
+    width = parts.new_policy(0).knowledge_width
+    assert width == parts.policy_shape.knowledge_dim or config.policy.wide
     assert np.isfinite(parts.table).all()
     assert parts.new_policy(0).parameter_counts()["total"] > 0
 
@@ -261,7 +261,7 @@ def test_each_training_seed_draws_its_own_placebo_and_keeps_it(tmp_path):
     # A run goes on with the table it was started with, however a later version draws it.
     folder.write_knowledge(tables[1])
     resumed = train(dataclasses.replace(config, total_steps=40), tmp_path, resume=True)
-    np.testing.assert_array_equal(load_agent(resumed.folder.path).policy.knowledge_table, tables[1])
+    np.testing.assert_array_equal(load_agent(resumed.folder.path).agent.table, tables[1])
 
 
 def test_the_policy_is_built_once(tmp_path, monkeypatch):

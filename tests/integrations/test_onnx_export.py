@@ -19,14 +19,14 @@ def test_onnx_runtime_takes_the_same_actions(tmp_path, fusion):
     step = PolicyStep(policy)
     export_onnx(step, step.example(), tmp_path / "policy.onnx")
     session = onnxruntime.InferenceSession(tmp_path / "policy.onnx")
-    agent = PolicyAgent(policy, greedy=True)
+    agent = PolicyAgent(policy, TABLE, greedy=True)
     agent.reset(Still())
     image = inputs()[0].numpy()
     h, c = (s.numpy() for s in policy.initial_state(B))
     with torch.no_grad():
         expected, values, _ = policy.unroll(
             torch.from_numpy(image),
-            torch.from_numpy(Still.rows).expand(T, B),
+            torch.from_numpy(TABLE[Still.rows]).expand(T, B, -1),
             policy.initial_state(B),
             torch.tensor([[True] * B] + [[False] * B] * (T - 1)),
         )

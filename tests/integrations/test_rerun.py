@@ -47,7 +47,9 @@ def test_the_map_of_recognition_is_largest_where_the_object_is_found():
     images, _ = env.reset(options={"episodes": episode})
     trained.agent.reset(Batch.of(env))
     known = known_in_episode(trained.agent, images[0])
-    seen = trained.agent.module.see(torch.as_tensor(images), torch.as_tensor(env.knowledge_input))
+    recognition = trained.agent.recognition
+    rows = torch.as_tensor(env.knowledge_input)
+    seen = recognition.see(torch.as_tensor(images), recognition.of_rows(rows))
     assert known["recognition"].shape == (16, 16)
     assert known["recognition"].sum() == pytest.approx(1, abs=1e-5)
     assert known["recognition"].argmax() == seen.scores[0].argmax()

@@ -65,7 +65,7 @@ def test_a_rollout_holds_what_the_policy_computed():
     collector.collect(rollout)
     collector.collect(rollout)
     logits, values, _ = policy.unroll(
-        rollout.patches, rollout.facet, rollout.start_state, rollout.episode_start
+        rollout.patches, rollout.knowledge, rollout.start_state, rollout.episode_start
     )
     torch.testing.assert_close(rollout.value, values, rtol=0, atol=1e-6)
     chosen = torch.distributions.Categorical(logits=logits).log_prob(rollout.action).sum(-1)
@@ -88,11 +88,13 @@ def test_a_restored_collector_continues_identically():
 
 
 def test_a_facet_without_knowledge_is_rejected():
-    env = toy_env(COUNT, recall=False, length=5)
+    env = toy_env(COUNT, np.ones((2, 4), np.float32), recall=False, length=5)
+    Collector(env, informed_toy_policy(4), seed=0)
     env.env.knowledge_input[3] = 2
-    policy = informed_toy_policy(np.ones((2, 4), np.float32))
-    with pytest.raises(UserError, match="2 rows and the environment has facet 2"):
-        Collector(env, policy, seed=0)
+    with pytest.raises(UserError, match="2 rows and the environment has episodes of row 2"):
+        Collector(env, informed_toy_policy(4), seed=0)
+    with pytest.raises(UserError, match="the policy expects vectors of 4 float32 numbers"):
+        Collector(toy_env(COUNT, recall=False, length=5), informed_toy_policy(4), seed=0)
 
 
 class Recorder:
@@ -106,15 +108,15 @@ class Recorder:
 
     def reset(self, *, seed=None, options=None):
         result = self.env.reset(seed=seed, options=options)
-        self._shown = result[0], self.env.knowledge_input.clone()
+        self._shown = result[0], self.env.knowledge.clone()
         return result
 
     def step(self, actions):
-        image, facet = self._shown
+        image, knowledge = self._shown
         result = self.env.step(actions)
         final = result[4].get("final_obs", torch.zeros_like(image)).clone()
-        self.steps.append((image, facet, actions.clone(), *result[1:4], final))
-        self._shown = result[0].clone(), self.env.knowledge_input.clone()
+        self.steps.append((image, knowledge, actions.clone(), *result[1:4], final))
+        self._shown = result[0].clone(), self.env.knowledge.clone()
         return result
 
 
@@ -123,8 +125,8 @@ class Recorder:
 def test_a_rollout_pairs_each_image_with_its_facet_state_and_final_value(recall):
     """The same rollout, written as plain loops over what the environments returned."""
     table = np.random.default_rng(0).standard_normal((4, 6)).astype(np.float32)
-    policy = informed_toy_policy(table)
-    env = toy_env(COUNT, recall=recall, length=5, staggered=True, facets=4)
+    policy = informed_toy_policy(table.shape[1])
+    env = toy_env(COUNT, recall=recall, length=5, staggered=True, facets=4, table=table)
     recorder = Recorder(env)
     collector = Collector(recorder, policy, seed=3)
     rollout = Rollout.zeros(STEPS, COUNT, policy)
@@ -134,14 +136,14 @@ def test_a_rollout_pairs_each_image_with_its_facet_state_and_final_value(recall)
         recorder.steps.clear()
         collector.collect(rollout)
         following = torch.zeros(STEPS, COUNT)
-        for t, (image, facet, action, reward, ended, cut, final) in enumerate(recorder.steps):
-            _, value, state = policy.step(image, facet, state, start)
+        for t, (image, knowledge, action, reward, ended, cut, final) in enumerate(recorder.steps):
+            _, value, state = policy.step(image, knowledge, state, start)
             torch.testing.assert_close(rollout.value[t], value)
             if expected_value is not None:  # of the rollout before
                 torch.testing.assert_close(expected_value, value)
                 expected_value = None
             assert torch.equal(rollout.patches[t], policy.patches(image))
-            assert torch.equal(rollout.facet[t], facet)
+            assert torch.equal(rollout.knowledge[t], knowledge)
             assert torch.equal(rollout.action[t], action)
             assert torch.equal(rollout.reward[t], reward.float())
             assert torch.equal(rollout.terminated[t], ended)
@@ -149,13 +151,13 @@ def test_a_rollout_pairs_each_image_with_its_facet_state_and_final_value(recall)
             if t:
                 following[t - 1] = torch.where(rollout.done[t - 1], following[t - 1], value)
             none = torch.zeros_like(start)
-            final_value = policy.step(final, facet, state, none)[1]
+            final_value = policy.step(final, knowledge, state, none)[1]
             following[t] = torch.where(cut, final_value, 0.0)
             start = ended | cut
         last = torch.where(rollout.done[-1], following[-1], rollout.last_value)
         following[-1] = last
         torch.testing.assert_close(rollout.following(), following)
         expected_value = rollout.last_value.clone()
-        assert len(rollout.facet.unique()) == 4
+        assert len(rollout.knowledge.flatten(0, 1).unique(dim=0)) == 4
     assert rollout.done.any()
-    assert (rollout.facet[1:] != rollout.facet[:-1]).any()
+    assert (rollout.knowledge[1:] != rollout.knowledge[:-1]).any()

@@ -43,7 +43,8 @@ def test_an_ordinary_gymnasium_vector_environment_is_adapted():
     env = NumpyToTorch(vector())
     image, _ = env.reset(seed=0)
     assert (image.dtype, image.shape) == (torch.uint8, (8, SIDE, SIDE, 3))
-    assert env.knowledge_input.tolist() == [0] * 8
+    assert env.knowledge.shape == (8, 0)
+    assert NumpyToTorch(vector(), np.ones((1, 3))).knowledge.tolist() == [[1.0] * 3] * 8
     for step in (1, 2, 3):
         image, reward, terminated, truncated, infos = env.step(torch.zeros(8, JOINTS, dtype=int))
         assert reward.tolist() == [1.0] * 8

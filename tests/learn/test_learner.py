@@ -128,8 +128,8 @@ def test_one_process_a_core_by_default():
 def test_two_processes_learn_like_one_and_the_same_way_again():
     def train(processes):
         config = dataclasses.replace(CONFIG, reward_scale=1.0, processes=processes)
-        rows, trained = [], informed_toy_policy(np.ones((3, 4), np.float32))
-        env = toy_env(32, recall=False, length=5)
+        rows, trained = [], informed_toy_policy(4)
+        env = toy_env(32, np.ones((3, 4), np.float32), recall=False, length=5)
         hooks = Hooks(on_metrics=rows.append)
         PPOTrainer(config, trained, env, seed=0, hooks=hooks).train(6 * 32 * 3)
         return [row["policy_loss"] for row in rows], trained.state_dict()

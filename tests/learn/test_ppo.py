@@ -129,20 +129,13 @@ def test_truncation_bootstraps_from_the_final_observation():
         assert (rollout.final_value[4] == expected).all()
 
 
-@pytest.mark.parametrize(
-    ("spoil", "term"),
-    [
-        (lambda t: t.policy.critic.weight.data.fill_(float("nan")), "the value"),
-        (
-            lambda t: setattr(t.policy, "knowledge_table", torch.full((1, 1), float("inf"))),
-            "the knowledge",
-        ),
-    ],
-)
-def test_a_nan_stops_training_names_the_term_and_saves_the_batch(tmp_path, spoil, term):
-    trainer, _ = build(None)
+@pytest.mark.parametrize(("term", "number"), [("the value", 0.0), ("the knowledge", np.inf)])
+def test_a_nan_stops_training_names_the_term_and_saves_the_batch(tmp_path, term, number):
+    env = toy_env(32, np.full((1, 4), number, np.float32), recall=True, length=7)
+    trainer = PPOTrainer(SMALL, informed_toy_policy(4), env, seed=3)
     trainer._guard._folder = tmp_path
-    spoil(trainer)
+    if term == "the value":
+        trainer.policy.critic.weight.data.fill_(float("nan"))
     with pytest.raises(NotFiniteError, match=term):
         trainer.train(320)
     (file,) = tmp_path.glob("not-finite-*.safetensors")
@@ -169,11 +162,10 @@ def test_invalid_configs_are_rejected():
 
 
 def test_a_table_with_too_few_rows_is_rejected():
-    env = toy_env(32, recall=True, length=7)
-    env.env.knowledge_input = env.knowledge_input.numpy() + 2
-    policy = informed_toy_policy(np.zeros((1, 4), np.float32))
-    with pytest.raises(UserError, match="1 rows and the environment has facet 2"):
-        PPOTrainer(SMALL, policy, env, seed=0)
+    env = toy_env(32, np.zeros((1, 4), np.float32), recall=True, length=7)
+    env.env.knowledge_input += 2
+    with pytest.raises(UserError, match="1 rows and the environment has episodes of row 2"):
+        PPOTrainer(SMALL, informed_toy_policy(4), env, seed=0)
 
 
 def test_an_environment_of_another_size_or_device_is_rejected():

@@ -25,9 +25,9 @@ CONFIG = PPOConfig(
 
 
 def build(*, recall=False, hooks=None, **changes):
-    env = toy_env(8, recall=recall, length=5, staggered=True, facets=4)
+    env = toy_env(8, TABLE, recall=recall, length=5, staggered=True, facets=4)
     config = dataclasses.replace(CONFIG, **changes)
-    return PPOTrainer(config, informed_toy_policy(TABLE), env, seed=1, hooks=hooks)
+    return PPOTrainer(config, informed_toy_policy(TABLE.shape[1]), env, seed=1, hooks=hooks)
 
 
 def advantages_by_hand(rollout, scale, gamma, gae_lambda):

@@ -7,7 +7,7 @@ import pytest
 
 from knowarm.learn import CheckpointStore, Hooks, PPOConfig, PPOTrainer, PrivilegedConfig
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
-from knowarm.world.config import EnvConfig
+from knowarm.world.config import EnvConfig, facets_of
 from knowarm.world.envs.torch_env import TorchArmVectorEnv
 
 CONFIG = PPOConfig(num_envs=4, rollout_steps=6, minibatches=2, processes=1)
@@ -21,9 +21,10 @@ FAST = replace(
 
 
 def trainer(folder, config, colours, stop_after=None):
-    env = TorchArmVectorEnv(EnvConfig(max_episode_steps=8, colours=colours), 4, num_threads=1)
-    table = np.eye(len(env.facets), dtype=np.float32)
-    policy = Policy(PolicyConfig(), PolicyShape(joints=6, knowledge_dim=len(table)), table)
+    world = EnvConfig(max_episode_steps=8, colours=colours)
+    table = np.eye(len(facets_of(world)), dtype=np.float32)
+    env = TorchArmVectorEnv(world, 4, num_threads=1, table=table)
+    policy = Policy(PolicyConfig(), PolicyShape(joints=6, knowledge_dim=len(table)))
     rows = []
     hooks = Hooks(on_metrics=rows.append, should_stop=lambda: len(rows) == stop_after)
     store = CheckpointStore(folder, {"robot": "irb120"})

@@ -105,9 +105,9 @@ class ToyEnv:
         return image + noise.integers(0, 6, image.shape, np.uint8)
 
 
-def toy_env(num_envs, **options):
-    """Create a toy environment as the learner expects it."""
-    return NumpyToTorch(ToyEnv(num_envs, **options))
+def toy_env(num_envs, table=None, **options):
+    """Create a toy environment as the learner expects it, with a knowledge table (F, K)."""
+    return NumpyToTorch(ToyEnv(num_envs, **options), table)
 
 
 def toy_policy(*, features=32, pixel_shift=0.4, seed=0):
@@ -116,10 +116,10 @@ def toy_policy(*, features=32, pixel_shift=0.4, seed=0):
     return Policy(config, SHAPE, seed=seed)
 
 
-def informed_toy_policy(table, *, seed=1):
-    """Create a small policy with a knowledge table (F, K) and visible actor outputs."""
-    shape = PolicyShape(joints=JOINTS, levels=LEVELS, image_size=SIDE, knowledge_dim=table.shape[1])
-    policy = Policy(PolicyConfig(features=16), shape, table, seed=seed)
+def informed_toy_policy(width, *, seed=1):
+    """Create a small policy with knowledge of some width and visible actor outputs."""
+    shape = PolicyShape(joints=JOINTS, levels=LEVELS, image_size=SIDE, knowledge_dim=width)
+    policy = Policy(PolicyConfig(features=16), shape, seed=seed)
     policy.actor.weight.data /= ACTOR_GAIN
     return policy
 
@@ -135,10 +135,11 @@ def success_rate(policy, *, recall, length):
     return infos["final_info"]["is_success"].mean()
 
 
-def noisy_learner(config, *, facets=3, auxiliary=0, device="cpu"):
+def noisy_learner(config, *, auxiliary=0, device="cpu"):
     """Create a learner of PPO whose rollout and targets hold made-up numbers."""
     rng = np.random.default_rng(0)
-    policy = informed_toy_policy(rng.standard_normal((facets, 4)).astype(np.float32))
+    known = rng.standard_normal((3, 4)).astype(np.float32)
+    policy = informed_toy_policy(4)
     table = ((config.rollout_steps, config.num_envs), torch.float32)
     learner = make_learner(
         TrainingNetwork(policy, auxiliary, seed=3),
@@ -150,7 +151,7 @@ def noisy_learner(config, *, facets=3, auxiliary=0, device="cpu"):
     )
     rollout, targets = learner.rollout, learner.targets
     rollout.patches.copy_(torch.from_numpy(rng.integers(0, 256, rollout.patches.shape, np.uint8)))
-    rollout.facet.copy_(torch.from_numpy(rng.integers(0, facets, rollout.facet.shape)))
+    rollout.knowledge.copy_(torch.from_numpy(known[rng.integers(0, 3, rollout.reward.shape)]))
     rollout.episode_start.copy_(torch.from_numpy(rng.random(rollout.reward.shape) < 0.2))
     rollout.action.copy_(torch.from_numpy(rng.integers(0, LEVELS, rollout.action.shape)))
     floats = (rollout.log_probability, rollout.start_h, rollout.start_c, *targets.values())

@@ -22,14 +22,14 @@ from knowarm.experiment.run_folder import PERCEPTION_FILE, RunFolder, stored_mod
 from knowarm.perception import images as perception_images
 from knowarm.perception import training
 from knowarm.perception.agent import PerceivingAgent, PerceivingVectorEnv
-from knowarm.perception.classifier import FacetClassifier
+from knowarm.perception.classifier import FacetClassifier, NamedFacet
 from knowarm.perception.config import PerceptionConfig
 from knowarm.perception.images import query_answers, sample_images
 from knowarm.perception.module import digest
 from knowarm.perception.training import train_classifier, without_colours
 from knowarm.reading import UnreadableFileError
 from knowarm.world.agents.protocol import Batch
-from knowarm.world.config import EnvConfig, HeldOut
+from knowarm.world.config import EnvConfig, HeldOut, facets_of
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.choose.choose import Choose
 from tests.tiny import TINY
@@ -157,9 +157,9 @@ def test_a_module_of_something_else_is_refused(files, tmp_path):
         (replace(env_of(REACH), image_size=64), "image size of 32, and this task has 64"),
         (replace(env_of(REACH), targets=("mug", "lamp")), "does not know .* lamp"),
     ):
-        facets = ArmVectorEnv(env, 1).facets
+        table = np.zeros((len(facets_of(env)), 1), np.float32)
         with pytest.raises(UserError, match=message):
-            reach.predictor(env, facets)
+            NamedFacet(reach, env, table)
 
 
 def test_a_module_is_needed_and_only_where_it_is_used(files, tmp_path):
@@ -236,12 +236,14 @@ def test_the_policy_gets_nothing_privileged(files, name, monkeypatch):
 
     def played() -> tuple[torch.Tensor, torch.Tensor]:
         images, _ = world.reset(seed=2)
-        agent = PerceivingAgent(perception, policy.new_policy(0), greedy=True)
+        agent = NamedFacet(perception, env, policy.table).make_agent(
+            policy.new_policy(0), greedy=True
+        )
         agent.reset(batch)
         agent.act({"image": images})
-        learner = PerceivingVectorEnv(env, 6, FacetClassifier.read(files[name]))
+        learner = NamedFacet(perception, env, policy.table).make_env(env, 6)
         learner.reset(seed=2)
-        return agent.knowledge, learner.knowledge_input
+        return agent.knowledge, learner.knowledge
 
     rows, learned = played()
     assert torch.equal(rows, learned)
@@ -251,7 +253,7 @@ def test_the_policy_gets_nothing_privileged(files, name, monkeypatch):
 
     monkeypatch.setattr(perception_images, "first_facets", refuse)
     monkeypatch.setattr(training, "sample_images", refuse)
-    true = world.knowledge_input.copy()
+    true = policy.table[world.running.facet]
     if name == REACH:  # in the choose task these are the queries, which the agent receives
         monkeypatch.setattr(type(world), "knowledge_input", property(refuse))
         monkeypatch.setattr(PerceivingVectorEnv.__mro__[1], "knowledge_input", property(refuse))
@@ -266,38 +268,34 @@ def test_rows_follow_the_image_and_answer_the_query(files):
     env, perception = env_of(CHOOSE), FacetClassifier.read(files[CHOOSE])
     world = ArmVectorEnv(env, 8)
     images, _ = world.reset(seed=1)
-    select = perception.predictor(env, world.facets)
+    indices = np.arange(len(world.facets), dtype=np.float32)[:, None]
+    select = NamedFacet(perception, env, indices)
     queries = torch.from_numpy(world.knowledge_input)
-    rows = select(torch.from_numpy(images), queries)
-    assert query_answers(env, world.facets).satisfies[queries, rows].all()
-    asked = queries.roll(1)
-    assert (
-        query_answers(env, world.facets)
-        .satisfies[asked, select(torch.from_numpy(images), asked)]
-        .all()
-    )
+    for asked in (queries, queries.roll(1)):
+        rows = select(torch.from_numpy(images), asked).squeeze(1).long()
+        assert query_answers(env, world.facets).satisfies[asked, rows].all()
 
 
 def test_an_episode_keeps_its_row_until_the_next_begins(files):
     env = replace(env_of(REACH), max_episode_steps=3)
     module = FacetClassifier.read(files[REACH])
-    world = EnvFactory(env, module)(6)
+    select = NamedFacet(module, env, build(experiment_config(REACH)).table)
+    world = EnvFactory(env, select)(6)
     world.reset(seed=4)
-    select = module.predictor(env, world.facets)
-    start = world.knowledge_input.clone()
+    start = world.knowledge.clone()
     actions = torch.zeros((6, 6), dtype=torch.int64)
     for step in range(1, 4):
         images, _, terminated, truncated, _ = world.step(actions)
         fresh = terminated | truncated
         assert bool(fresh.all()) == (step == 3)
-        expected = torch.where(fresh, select(images, None), start)
-        assert torch.equal(world.knowledge_input, expected)
+        expected = torch.where(fresh[:, None], select(images, world.knowledge_input), start)
+        assert torch.equal(world.knowledge, expected)
     state = world.get_state()
-    other = EnvFactory(env, module)(6)
+    other = EnvFactory(env, select)(6)
     other.reset(seed=9)
     other.set_state(state)
-    assert torch.equal(other.knowledge_input, world.knowledge_input)
-    with pytest.raises(UserError, match="what a module recognized"):
+    assert torch.equal(other.knowledge, world.knowledge)
+    with pytest.raises(UserError, match="what was recognized"):
         other.set_state({name: value for name, value in state.items() if name != "perceived"})
 
 

@@ -16,9 +16,16 @@ from knowarm.experiment.names import experiment_config
 from knowarm.experiment.run import train
 from knowarm.experiment.run_folder import PERCEPTION_FILE
 from knowarm.perception import grounding_training
-from knowarm.perception.agent import PerceivingVectorEnv
 from knowarm.perception.config import GroundingConfig, ModuleSpec
-from knowarm.perception.grounding import FRAME, STRIDE, WIDTH, GroundingNetwork, centres, place_of
+from knowarm.perception.grounding import (
+    FRAME,
+    STRIDE,
+    WIDTH,
+    FrameRecognition,
+    GroundingNetwork,
+    centres,
+    place_of,
+)
 from knowarm.perception.grounding_training import train_grounding
 from knowarm.perception.images import ImageSampler, query_answers, sample_images
 from knowarm.reading import UnreadableFileError
@@ -120,8 +127,11 @@ def test_a_marked_image_answers_for_the_marked_object_only(config, network, labe
     ]
     assert means_others
     with torch.no_grad():
-        assert network.losses(labels, row, torch.tensor(means_others), answers)[0] == 0
-        assert network.losses(labels, row, labels.queries[5:6], answers)[0] > 0
+        others, own = torch.tensor(means_others), labels.queries[5:6]
+        for queries, is_asked in ((others, False), (own, True)):
+            known = network.knowledge[queries]
+            loss = network.losses(labels, row, known, answers.of(queries))[0]
+            assert (loss > 0) == is_asked
 
 
 def test_the_losses_are_those_of_a_plain_loop(config, network, labels):
@@ -131,7 +141,9 @@ def test_the_losses_are_those_of_a_plain_loop(config, network, labels):
     column = {facets.index(facet): number for number, facet in enumerate(table.facets)}
     errors, named, frames = [], [], []
     with torch.no_grad():
-        place, naming, frame = network.losses(labels, rows, queries, answers)
+        place, naming, frame = network.losses(
+            labels, rows, network.knowledge[queries], answers.of(queries)
+        )
         for row in rows.tolist():
             features = network.encoder.features(labels.images[row][None])
             shown = [column[facet] for facet in labels.facets[row].tolist()]
@@ -174,7 +186,9 @@ def test_the_naming_of_the_config_is_trained(network, labels, config):
     rows, queries = torch.arange(8), torch.arange(0, 49, 3)
     with torch.no_grad():
         image, place = (
-            network.losses(labels, rows, queries, answers, naming=naming)[1]
+            network.losses(
+                labels, rows, network.knowledge[queries], answers.of(queries), naming=naming
+            )[1]
             for naming in ("image", "place")
         )
     assert place > image + 1  # one of 256 places is asked for, too
@@ -332,7 +346,7 @@ def test_the_frame_found_is_that_of_the_most_similar_place(network, labels):
     images, queries = labels.images[:8], labels.queries[:8]
     features = network.encoder.features(images)
     wanted, keys = network.project_queries(network.knowledge[queries]), network.keys(features)
-    for row, found in enumerate(network(images, queries)):
+    for row, found in enumerate(FrameRecognition(network)(images, queries)):
         place = (keys[row] @ wanted[row]).argmax().view(1, 1)
         expected = network.frames(features[row, None], place)[0, 0]
         torch.testing.assert_close(found, expected)
@@ -350,28 +364,28 @@ def test_a_slot_of_zeros_is_no_condition(network):
 
 
 def test_the_policy_receives_the_frame_found_in_the_first_image(config, network):
-    env = PerceivingVectorEnv(config.env, 6, network, num_threads=1)
+    env = FrameRecognition(network).make_env(config.env, 6, num_threads=1)
     images, _ = env.reset(seed=0)
-    first = network(images, torch.as_tensor(env.running.knowledge_input))
+    first = FrameRecognition(network)(images, env.knowledge_input)
     assert first.shape == (6, FRAME)
-    assert torch.equal(env.knowledge_input, first)
+    assert torch.equal(env.knowledge, first)
     for _ in range(3):
         env.step(torch.zeros(6, env.scene.num_joints, dtype=torch.int64))
-    assert torch.equal(env.knowledge_input, first)
+    assert torch.equal(env.knowledge, first)
     parts = build(config)
     assert parts.table.shape[0] == 49
     policy = parts.new_policy(0)
-    policy.check_facets(first)
-    with pytest.raises(UserError, match="expects vectors of 9 numbers"):
-        policy.check_facets(torch.zeros(6, dtype=torch.int64))
+    policy.check_knowledge(first)
+    with pytest.raises(UserError, match="expects vectors of 9 float32 numbers"):
+        policy.check_knowledge(torch.zeros(6, 50))
 
 
 def test_a_teacher_goes_with_the_true_frame(config, network):
-    env = PerceivingVectorEnv(config.env, 6, network, num_threads=1)
+    env = FrameRecognition(network).make_env(config.env, 6, num_threads=1)
     env.reset(seed=0)
     env.practice_share = 1.0
     env.reset()
-    frames, running = env.knowledge_input, env.running
+    frames, running = env.knowledge, env.running
     position = frames[:, :3] * network.position_std + network.position_mean
     assert np.allclose(position, running.goal_position, atol=1e-6)
     matrix = running.goal_matrix.reshape(-1, 3, 3)
@@ -398,8 +412,8 @@ def test_the_file_holds_the_network_and_its_table(network, labels):
     again = GroundingNetwork.from_bytes(network.to_bytes())
     assert isinstance(again, GroundingNetwork)
     assert torch.equal(again.knowledge, network.knowledge)
-    queries = labels.queries[:8]
-    assert torch.equal(again(labels.images[:8], queries), network(labels.images[:8], queries))
+    known = network.knowledge[labels.queries[:8]]
+    assert torch.equal(again(labels.images[:8], known), network(labels.images[:8], known))
     for damaged in (network.to_bytes()[:-40], b"no file"):
         with pytest.raises(UnreadableFileError, match=PERCEPTION_FILE):
             GroundingNetwork.from_bytes(damaged, Path(PERCEPTION_FILE))
@@ -422,7 +436,7 @@ def test_a_run_keeps_its_network_and_resumes_to_the_byte(tmp_path, choose_run, c
         one, two = (run.folder.path / name for run in (whole, resumed))
         assert one.read_bytes() == two.read_bytes()
     agent = load_agent(resumed.folder.path).agent
-    assert isinstance(agent.module, GroundingNetwork)
+    assert isinstance(agent.recognition, FrameRecognition)
     assert resumed.folder.provenance().perception["config"]["images"] == 64
 
 

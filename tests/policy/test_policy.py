@@ -7,11 +7,10 @@ from torch import nn
 
 from knowarm.errors import UserError
 from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
-from knowarm.policy.config import FUSIONS, layer_widths
+from knowarm.policy.config import FUSIONS, hidden_size
 from knowarm.policy.encoder import ImageEncoder
 from knowarm.policy.fusion import Fusion, Similarity
 from knowarm.policy.policy import ACTOR_GAIN
-from knowarm.questions import FACTS
 
 T, B, K, FACETS = 4, 3, 12, 5
 SHAPE = {"joints": 2, "levels": 3, "image_size": 28, "knowledge_dim": K, "knowledge_slots": 3}
@@ -19,11 +18,11 @@ TABLE = np.random.default_rng(7).standard_normal((FACETS, K)).astype(np.float32)
 USED = [name for name in FUSIONS if name != "none"]
 
 
-def make_policy(fusion, *, seed=0, table=TABLE, actor_gain=ACTOR_GAIN, **changes):
+def make_policy(fusion, *, seed=0, actor_gain=ACTOR_GAIN, **changes):
     """Create a small policy; ``changes`` go to the shape or to the config, by name."""
     shape = {name: changes.pop(name, value) for name, value in SHAPE.items()}
     config = PolicyConfig(features=16, fusion=fusion, **changes)
-    policy = Policy(config, PolicyShape(**shape), table, seed=seed)
+    policy = Policy(config, PolicyShape(**shape), seed=seed)
     policy.actor.weight.data *= actor_gain / ACTOR_GAIN
     return policy
 
@@ -33,7 +32,7 @@ def inputs(seed=0):
     image = torch.randint(0, 256, (T, B, 28, 28, 3), dtype=torch.uint8, generator=generator)
     facet = torch.randint(0, FACETS, (T, B), generator=generator)
     start = torch.rand(T, B, generator=generator) < 0.3
-    return image, facet, start
+    return image, torch.from_numpy(TABLE)[facet], start
 
 
 @pytest.mark.parametrize(
@@ -51,7 +50,7 @@ def test_sizes_of_the_paper(knowledge, hidden, size, memory):
     shape = PolicyShape(joints=6, knowledge_dim=knowledge)
     policy = Policy(config, shape)
     assert policy.encoder.width == 1152
-    assert policy.hidden_size == layer_widths(config, shape)[1] == size
+    assert policy.hidden_size == hidden_size(config, shape) == size
     counts = policy.parameter_counts()
     assert counts["memory"] == memory
     assert counts["image"] == 3 * 9 * 16 + 16 + 16 * 25 * 32 + 32 + 1152 * 128 + 128
@@ -61,13 +60,13 @@ def test_sizes_of_the_paper(knowledge, hidden, size, memory):
 @pytest.mark.parametrize("fusion", FUSIONS)
 def test_shapes_and_steps_agree_with_the_unroll(fusion):
     policy = make_policy(fusion, seed=1)
-    image, facet, start = inputs()
+    image, knowledge, start = inputs()
     state = policy.initial_state(B)
-    logits, values, last = policy.unroll(image, facet, state, start)
+    logits, values, last = policy.unroll(image, knowledge, state, start)
     assert logits.shape == (T, B, 2, 3)
     assert values.shape == (T, B)
     for t in range(T):
-        one, value, state = policy.step(image[t], facet[t], state, start[t])
+        one, value, state = policy.step(image[t], knowledge[t], state, start[t])
         torch.testing.assert_close(one, logits[t])
         torch.testing.assert_close(value, values[t])
     torch.testing.assert_close(state, last)
@@ -76,8 +75,8 @@ def test_shapes_and_steps_agree_with_the_unroll(fusion):
 @pytest.mark.parametrize("fusion", FUSIONS)
 def test_every_live_parameter_gets_a_gradient(fusion):
     policy = make_policy(fusion, knowledge_encoder="learned", actor_gain=1.0)
-    image, facet, start = inputs()
-    logits, values, _ = policy.unroll(image, facet, policy.initial_state(B), start)
+    image, knowledge, start = inputs()
+    logits, values, _ = policy.unroll(image, knowledge, policy.initial_state(B), start)
     (logits.square().sum() + values.square().sum()).backward()
     for name, parameter in policy.named_parameters():
         assert parameter.grad is not None, name
@@ -86,14 +85,14 @@ def test_every_live_parameter_gets_a_gradient(fusion):
 
 @pytest.mark.parametrize("fusion", ["before_lstm", "none"])
 def test_bfloat16_products_give_nearly_the_same_numbers_and_gradients(fusion):
-    image, facet, start = inputs()
+    image, knowledge, start = inputs()
     results = {}
     for precision in ("float32", "bfloat16"):
         policy = make_policy(fusion, pixel_shift=0.5, actor_gain=1.0, seed=1)
         policy.matmul_precision = precision
         state = policy.initial_state(B)
-        logits, values, last = policy.unroll(image, facet, state, start)
-        one, _, _ = policy.step(image[0], facet[0], state, start[0])
+        logits, values, last = policy.unroll(image, knowledge, state, start)
+        one, _, _ = policy.step(image[0], knowledge[0], state, start[0])
         torch.testing.assert_close(one, logits[0], atol=2e-2, rtol=0)
         assert logits.dtype == values.dtype == last[0].dtype == torch.float32
         (logits.square().sum() + values.square().sum()).backward()
@@ -108,11 +107,10 @@ def test_bfloat16_products_give_nearly_the_same_numbers_and_gradients(fusion):
 @pytest.mark.parametrize("fusion", USED)
 def test_knowledge_reaches_what_the_fusion_promises(fusion):
     policy = make_policy(fusion, actor_gain=1.0)
-    image, facet, start = inputs()
+    image, knowledge, start = inputs()
     state = policy.initial_state(B)
-    logits, values, _ = policy.unroll(image, facet, state, start)
-    policy.knowledge_table += 1
-    other_logits, other_values, _ = policy.unroll(image, facet, state, start)
+    logits, values, _ = policy.unroll(image, knowledge, state, start)
+    other_logits, other_values, _ = policy.unroll(image, knowledge + 1, state, start)
     assert not torch.allclose(values, other_values)
     assert torch.allclose(logits, other_logits) == (fusion == "critic")
 
@@ -142,91 +140,46 @@ def test_similarity_amplifies_positions_that_match_all_slots():
 
 def test_without_fusion_knowledge_changes_nothing():
     policy = make_policy("none")
-    image, facet, start = inputs()
+    image, knowledge, start = inputs()
     state = policy.initial_state(B)
-    first = policy.unroll(image, facet, state, start)[0]
-    policy.knowledge_table += 1
-    assert torch.equal(first, policy.unroll(image, facet, state, start)[0])
+    first = policy.unroll(image, knowledge, state, start)[0]
+    assert torch.equal(first, policy.unroll(image, knowledge + 1, state, start)[0])
 
 
 @pytest.mark.parametrize("fusion", ["none", "before_lstm"])
 def test_patches_and_images_give_the_same_numbers(fusion):
     policy = make_policy(fusion, seed=1)
-    image, facet, start = inputs()
+    image, knowledge, start = inputs()
     state = policy.initial_state(B)
     patches = policy.patches(image)
     assert patches.shape == (T, B, *policy.encoder.patch_shape)
     for got, expected in zip(
-        policy.unroll(patches, facet, state, start)[:2],
-        policy.unroll(image, facet, state, start)[:2],
+        policy.unroll(patches, knowledge, state, start)[:2],
+        policy.unroll(image, knowledge, state, start)[:2],
         strict=True,
     ):
         assert torch.equal(got, expected)
-    one = policy.step(patches[0], facet[0], state, start[0])[0]
-    assert torch.equal(one, policy.step(image[0], facet[0], state, start[0])[0])
+    one = policy.step(patches[0], knowledge[0], state, start[0])[0]
+    assert torch.equal(one, policy.step(image[0], knowledge[0], state, start[0])[0])
 
 
-def test_a_step_with_knowledge_is_that_of_its_facet():
-    policy = make_policy("before_lstm", seed=1, knowledge_encoder="learned")
-    image, facet, start = inputs()
-    state, knowledge = policy.initial_state(B), torch.from_numpy(TABLE)[facet[0]]
-    by_facet = policy.step(image[0], facet[0], state, start[0])[1]
-    by_vector = policy.step(image[0], knowledge, state, start[0])[1]
-    assert torch.equal(by_facet, by_vector)
+def test_knowledge_of_another_width_or_dtype_is_rejected():
+    policy = make_policy("before_lstm")
+    policy.check_knowledge(torch.zeros(2, K))
+    for wrong in (torch.zeros(2, K - 1), torch.zeros(2, K, dtype=torch.int64), torch.zeros(2)):
+        with pytest.raises(UserError, match="the policy expects vectors of 12 float32 numbers"):
+            policy.check_knowledge(wrong)
+    make_policy("none").check_knowledge(torch.zeros(2, 0))
 
 
-def test_the_knowledge_table_is_copied_checked_and_part_of_no_checkpoint():
-    table = TABLE.copy()
-    policy = make_policy("before_lstm", table=table)
-    table += 1
-    np.testing.assert_array_equal(policy.knowledge_table.numpy(), TABLE)
-    assert not any("table" in name for name in policy.state_dict())
-    with pytest.raises(UserError, match=r"\(facets, 12\), got \(5, 11\)"):
-        make_policy("before_lstm", table=TABLE[:, 1:])
-    with pytest.raises(UserError, match="5 rows and the environment has facet 5"):
-        policy.check_facets(torch.tensor([0, FACETS]))
-    with pytest.raises(UserError, match="expects rows of the policy's table"):
-        policy.check_facets(torch.zeros(2, K))
-    make_policy("none", table=None).check_facets(torch.tensor([FACETS]))
-
-
-def test_without_a_table_the_facets_are_the_knowledge():
-    policy, bare = make_policy("before_lstm"), make_policy("before_lstm", table=None)
-    assert policy.facet_spec == ((), torch.int64)
-    assert bare.facet_spec == ((K,), torch.float32)
-    image, facet, start = inputs()
-    state, knowledge = policy.initial_state(B), torch.from_numpy(TABLE)[facet]
-    bare.check_facets(knowledge[0])
-    expected = policy.unroll(image, facet, state, start)[0]
-    assert torch.equal(bare.unroll(image, knowledge, state, start)[0], expected)
-
-
-def test_facts_are_read_once_per_query_and_as_numbers():
-    dim = 2 * FACTS * 3
-    table = np.random.default_rng(7).standard_normal((5, 2 * dim)).astype(np.float32)
-    sizes = {"knowledge_dim": 2 * dim, "knowledge_slots": 2, "knowledge_encoder": "facts"}
-    policy = make_policy("before_lstm", table=table, **sizes)
-    assert layer_widths(policy.config, policy.shape)[0] == 128
-    image, facet, start = inputs()
-    state = policy.initial_state(B)
-    policy.knowledge_encoder.register_forward_hook(lambda _, given, __: read.append(given[0]))
-    read = []
-    logits, value, _ = policy.unroll(image, facet, state, start)
-    assert read[0].shape == (len(facet.unique()), 2 * dim)
-    numbers = torch.from_numpy(table)[facet]
-    torch.testing.assert_close(policy.unroll(image, numbers, state, start)[0], logits)
-    (logits.square().sum() + value.sum()).backward()
-    assert all(p.grad.abs().sum() > 0 for p in policy.knowledge_encoder.parameters())
-
-
-def test_a_maker_builds_the_same_structure_with_the_same_knowledge():
+def test_a_maker_builds_the_same_structure():
     policy = make_policy("attention", seed=4, knowledge_encoder="learned", wide=False)
     built = pickle.loads(pickle.dumps(policy.maker()))()
     built.load_state_dict(policy.state_dict())
-    image, facet, start = inputs()
+    image, knowledge, start = inputs()
     state = policy.initial_state(B)
-    expected = policy.unroll(image, facet, state, start)[0]
-    assert torch.equal(built.unroll(image, facet, state, start)[0], expected)
+    expected = policy.unroll(image, knowledge, state, start)[0]
+    assert torch.equal(built.unroll(image, knowledge, state, start)[0], expected)
 
 
 def test_pixels_are_scaled_and_shifted():
@@ -276,7 +229,7 @@ def test_the_capacity_control_has_the_same_encoder_and_as_many_parameters(joints
 )
 def test_invalid_sizes_are_rejected(changes, message):
     with pytest.raises(UserError, match=message):
-        make_policy("before_lstm", table=None, **changes)
+        make_policy("before_lstm", **changes)
 
 
 class Still:
@@ -288,12 +241,12 @@ class Still:
 def test_the_agent_remembers_until_the_next_start_and_reads_its_facets_row():
     policy = make_policy("before_lstm", actor_gain=50.0, seed=3)
     image = inputs()[0].numpy()
-    agent = PolicyAgent(policy, greedy=True)
+    agent = PolicyAgent(policy, TABLE, greedy=True)
     agent.reset(Still())
     acted = [agent.act({"image": image[t]}) for t in range(T)]
     logits, _, _ = policy.unroll(
         torch.from_numpy(image),
-        torch.tensor([0, 1, 1]).expand(T, B),
+        torch.from_numpy(TABLE)[[0, 1, 1]].expand(T, B, K),
         policy.initial_state(B),
         torch.zeros(T, B, dtype=torch.bool),
     )
@@ -333,8 +286,8 @@ def test_a_fusion_is_one_class_and_one_entry(monkeypatch):
 
     monkeypatch.setitem(FUSIONS, "doubled", Doubled)
     policy = make_policy("doubled")
-    image, facet, start = inputs()
-    logits, _, _ = policy.unroll(image, facet, policy.initial_state(B), start)
+    image, knowledge, start = inputs()
+    logits, _, _ = policy.unroll(image, knowledge, policy.initial_state(B), start)
     assert logits.shape == (T, B, 2, 3)
     assert policy.memory.weight_ih.shape[1] == 16 + 2 * K
 

@@ -103,16 +103,11 @@ def _run(spec: str) -> Entrant:
             raise UserError(f"{spec} was trained for {own.robot} and {own.task.kind_of()}.")
         if facets_of(own) != facets_of(other):
             raise UserError(f"{spec} was trained with other objects or colours.")
-        # A fresh copy: knowledge of one cell must not stay for the next.
         graph = cell.graph or (splits_of(other).edited if cell.split == "S5" else None)
         if graph is not None:
             check_graph(config, other)
-        fresh = load_agent(spec)
-        subject = Subject(env=other, config=fresh.config, graph=graph, reasoning=reasoning)
-        agent, table = known_in_test(fresh, subject)
-        if table is not None:
-            fresh.set_knowledge_table(table)
-        return agent
+        subject = Subject(env=other, config=config, graph=graph, reasoning=reasoning)
+        return known_in_test(trained, subject)
 
     asks = questions_of(config.env) is not None and trained.network is not None
     uses = {

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
 import tyro
 
@@ -114,7 +114,7 @@ class View:
             return {}
         from knowarm.perception.agent import known_in_episode  # imports torch
 
-        return known_in_episode(agent, image)
+        return known_in_episode(cast(Any, agent), image)
 
     def _agent(self) -> tuple[Callable[[ArmVectorEnv], AgentProtocol], EnvConfig]:
         """Return a constructor of the agent, and its environment's config."""

@@ -149,14 +149,13 @@ class Asker:
         order = np.argsort(~answers.satisfies[shown], kind="stable")  # an answer first
         names = ("objects", "colours", "positions")
         episode = replace(episode, **{name: getattr(episode, name)[:, order] for name in names})
-        queries = len(self._env.config.task.knowledge_rows(self._env.facets))
-        agent = self.trained.answering(np.tile(answers.satisfies, (queries, 1)), unclear)
+        agent = self.trained.answering(answers.satisfies[None], unclear)
         film = record_episode(agent, self._env, episode)
         infos = self._env.config.task.infos(self._env.running)
         nearest = int(np.flatnonzero(infos["objects"][0] == infos["reached_object"][0])[0])
         with torch.inference_mode():
             image = torch.as_tensor(film[0].policy)[None]
-            seen = agent.module.see(image, torch.zeros(1, dtype=torch.int64))
+            seen = agent.recognition.see(image, agent.recognition.knowledge)
         side = int(seen.scores.shape[1] ** 0.5)
         size = self._network.spec.image_size
         return Asked(

@@ -10,18 +10,15 @@ import numpy as np
 from knowarm.errors import UserError
 from knowarm.experiment.algorithms import algorithms
 from knowarm.experiment.config import ExperimentConfig, InterimConfig
-from knowarm.experiment.load import policy_agent
+from knowarm.experiment.inputs import KnowledgeInput
 from knowarm.knowledge import Embedding, query_embedding, scene_embedding
 from knowarm.learn import TorchVectorEnv, Trainer
-from knowarm.perception.agent import PerceivingVectorEnv
 from knowarm.perception.grounding import FRAME
-from knowarm.perception.module import PerceptionModule
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.seeding import torch_generator
 from knowarm.world.agents.play import EpisodeResults, play
 from knowarm.world.config import EnvConfig, facets_of, questions_of
 from knowarm.world.envs.episodes import evaluation_episodes
-from knowarm.world.envs.torch_env import TorchArmVectorEnv
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.robots import find_robot
 from knowarm.world.tasks.state import ACTION_LEVELS
@@ -29,23 +26,22 @@ from knowarm.world.tasks.state import ACTION_LEVELS
 
 @dataclass(frozen=True)
 class EnvFactory:
-    """Picklable factory of the training environments of a run, with its perception module."""
+    """Picklable factory of the training environments of a run."""
 
     config: EnvConfig
-    perception: PerceptionModule | None = None
+    knowledge: KnowledgeInput
 
     def __call__(
         self, num_envs: int, num_threads: int = 0, *, device: str = "cpu"
     ) -> TorchVectorEnv:
         """Make ``num_envs`` environments on a device, with ``num_threads`` threads (0: all)."""
-        options: dict[str, Any] = {"device": device, "num_threads": num_threads}
-        if self.perception is None:
-            return TorchArmVectorEnv(self.config, num_envs, **options)
-        return PerceivingVectorEnv(self.config, num_envs, self.perception, **options)
+        return self.knowledge.make_env(
+            self.config, num_envs, device=device, num_threads=num_threads
+        )
 
 
 def interim_evaluation(
-    config: EnvConfig, interim: InterimConfig, seed: int, perception: PerceptionModule | None = None
+    config: EnvConfig, interim: InterimConfig, seed: int, knowledge: KnowledgeInput
 ) -> Callable[[Policy], dict[str, float]]:
     """Make the environments, draw the episodes, and return the function that plays them.
 
@@ -57,7 +53,7 @@ def interim_evaluation(
 
     def evaluate(policy: Policy) -> dict[str, float]:
         generator = torch_generator(seed, "interim_actions")
-        agent = policy_agent(policy, perception, interim.greedy, generator)
+        agent = knowledge.make_agent(policy, greedy=interim.greedy, generator=generator)
         result = play(agent, env, episodes)
         numbers = _numbers(result, config.success_distance_m)
         columns = task.columns(setting, result.infos)
@@ -86,12 +82,12 @@ def _numbers(result: EpisodeResults, success_distance_m: float) -> dict[str, flo
 def make_trainer(
     config: ExperimentConfig,
     policy: Policy,
-    perception: PerceptionModule | None = None,
+    knowledge: KnowledgeInput,
     **options: Any,
 ) -> Trainer:
     """Make the trainer of an experiment; ``options`` are those of `knowarm.learn.Trainer`."""
-    evaluation = partial(interim_evaluation, config.env, config.interim, config.seed, perception)
-    options |= {"make_env": EnvFactory(config.env, perception), "make_evaluate": evaluation}
+    evaluation = partial(interim_evaluation, config.env, config.interim, config.seed, knowledge)
+    options |= {"make_env": EnvFactory(config.env, knowledge), "make_evaluate": evaluation}
     return algorithms()[config.algorithm.name].make_trainer(
         config.algorithm, policy, seed=config.seed, **options
     )
@@ -108,13 +104,10 @@ class Parts:
     policy_shape: PolicyShape
     facets: tuple[tuple[str, str], ...]
     """The F (object, colour) pairs of the environment."""
-    grounded: bool = False
-    """Whether the policy receives grasp frames instead of rows of the table."""
 
     def new_policy(self, seed: int) -> Policy:
         """Initialize a policy; the same seed gives the same weights."""
-        table = None if self.grounded else self.table
-        return Policy(self.policy_config, self.policy_shape, table, seed=seed)
+        return Policy(self.policy_config, self.policy_shape, seed=seed)
 
 
 def build(config: ExperimentConfig) -> Parts:
@@ -145,15 +138,15 @@ def build(config: ExperimentConfig) -> Parts:
             f"The knowledge source {config.knowledge.source.short_name!r} has no meaning of its "
             "own: set policy.knowledge_encoder to 'learned'."
         )
-    reads = config.grounding.query if config.grounding is not None else policy.knowledge_encoder
+    reads = config.grounding.query if config.grounding is not None else "vector"
     if embedding.dim and (config.knowledge.pooling == "facts") != (reads == "facts"):
         raise UserError(
             "Facts need a network that reads them, and it nothing else: set knowledge.pooling and "
-            "grounding.query to 'facts', or without grounding policy.knowledge_encoder."
+            "grounding.query to 'facts'."
         )
-    if policy.wide:
+    if policy.wide or (policy.fusion == "none" and not grounded):
         table = table[:, :0]
-    return Parts(embedding, table, policy, shape, facets, grounded)
+    return Parts(embedding, table, policy, shape, facets)
 
 
 def slots_of(embedding: Embedding) -> int:

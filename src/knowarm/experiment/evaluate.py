@@ -2,14 +2,13 @@
 
 import dataclasses
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-import torch
 
 from knowarm.config import override, to_dict
 from knowarm.errors import UserError
@@ -22,13 +21,16 @@ from knowarm.experiment.evaluation_files import (
     write_film,
     write_table,
 )
-from knowarm.experiment.load import TrainedAgent, load_agent, policy_agent
+from knowarm.experiment.inputs import knowledge_input
+from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.experiment.measures import WIDE_ANGLE_DEG, summarize
 from knowarm.experiment.other_graphs import answer_table, knowledge_at_test
 from knowarm.experiment.probes import Findings, Played
 from knowarm.experiment.run import Run
 from knowarm.experiment.summary import Summary
 from knowarm.perception.answering import AnsweringAgent
+from knowarm.perception.grounding import FrameRecognition
+from knowarm.policy import PolicyAgent
 from knowarm.questions import AND
 from knowarm.reading import write_json, writing
 from knowarm.world.agents import AgentProtocol
@@ -145,10 +147,8 @@ def evaluate(
     if trained is not None and trained.which != "best":
         config = replace(config, label=f"{config.folder}-{trained.which}")
     task = subject.env.task
-    with (
-        closing(ArmVectorEnv(subject.env, min(BATCH, config.episodes))) as env,
-        agent_for_test(agent, trained, subject, env) as agent,
-    ):
+    with closing(ArmVectorEnv(subject.env, min(BATCH, config.episodes))) as env:
+        agent = agent_for_test(agent, trained, subject, env)
         for probe in config.probes:
             probe.check(env)
         fixed = _episodes(env, config)
@@ -220,34 +220,24 @@ def _subject(trained: TrainedAgent | None, env: EnvConfig | None, *, own_folder:
     return Subject(env=env or trained.config.env, config=trained.config)
 
 
-@contextmanager
 def agent_for_test(
     agent: AgentProtocol | MakeAgent,
     trained: TrainedAgent | None,
     subject: Subject,
     env: ArmVectorEnv,
-) -> Iterator[AgentProtocol]:
-    """Yield an agent with what it knows in a test, and restore what it knew."""
+) -> AgentProtocol:
+    """Return the agent that plays a test, with what it knows in it."""
     if trained is None:
         is_made = hasattr(agent, "act") and not isinstance(agent, type)
-        yield cast(AgentProtocol, agent) if is_made else cast(MakeAgent, agent)(env)
-        return
-    changed, table = known_in_test(trained, subject)
-    knows_task = table is not None or changed is not trained.agent
-    old = None if table is None else trained.set_knowledge_table(table)
-    try:
-        check_fits(trained, env, knows_task=knows_task)
-        yield changed
-    finally:
-        if old is not None:
-            trained.set_knowledge_table(old)
+        return cast(AgentProtocol, agent) if is_made else cast(MakeAgent, agent)(env)
+    changed = known_in_test(trained, subject)
+    check_fits(trained, env, knows_task=changed is not trained.agent)
+    return changed
 
 
-def known_in_test(
-    trained: TrainedAgent, subject: Subject
-) -> tuple[AgentProtocol, torch.Tensor | None]:
-    """Return the agent that plays a test, and the table that replaces its knowledge, if any."""
-    config, network, graph = subject.trained, trained.network, subject.graph
+def known_in_test(trained: TrainedAgent, subject: Subject) -> PolicyAgent:
+    """Return a trained agent with what it knows in a test."""
+    config, module, network, graph = subject.trained, trained.module, trained.network, subject.graph
     reasoning = subject.reasoning or config.reasoning
     if subject.reasoning and network is None:
         raise UserError(
@@ -260,17 +250,19 @@ def known_in_test(
                 f"unclear={subject.unclear!r} is for agents that answer by a graph, and "
                 f"{config.agent!r} knows a vector. Leave it out, or reason by the graph."
             )
-        if graph is None and subject.reasoning is None and config is trained.config:
-            return trained.agent, None
-        agent = trained.agent
-        if subject.reasoning:  # the network compares the query's vector with places
-            agent = policy_agent(trained.policy, network, agent.greedy, agent.generator)
-        return agent, torch.from_numpy(knowledge_at_test(config, subject.env, graph))
+        same = graph is None and subject.reasoning is None and config is trained.config
+        if same and (network is not None or module is None):
+            return trained.agent
+        table = trained.table if same else knowledge_at_test(config, subject.env, graph)
+        if network is not None:
+            return trained.with_knowledge(FrameRecognition(network, table))
+        changed = replace(config, env=subject.env)
+        return trained.with_knowledge(knowledge_input(changed, table, module))
     assert network is not None  # of every agent that answers by a graph
     control = None if reasoning == "graph" else reasoning
     facets = network.spec.facets
     answers = answer_table(config, subject.env, facets, graph=graph, control=control)
-    return trained.answering(answers, subject.unclear), None
+    return trained.answering(answers, subject.unclear)
 
 
 def check_fits(trained: TrainedAgent, env: ArmVectorEnv, *, knows_task: bool) -> None:

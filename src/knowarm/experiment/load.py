@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -11,10 +11,9 @@ import torch
 from knowarm.config import from_dict
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig, Which
-from knowarm.experiment.other_graphs import answer_table
+from knowarm.experiment.inputs import KnowledgeInput, knowledge_input
 from knowarm.experiment.run_folder import RunFolder, given_module, stored_module
 from knowarm.learn import read_checkpoint
-from knowarm.perception.agent import PerceivingAgent
 from knowarm.perception.answering import AnswerGrounding, AnsweringAgent
 from knowarm.perception.config import Unclear
 from knowarm.perception.grounding import GroundingNetwork
@@ -23,7 +22,7 @@ from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
 from knowarm.questions import find_rows
 from knowarm.reading import one_line, reading
 from knowarm.world.agents.protocol import Batch
-from knowarm.world.config import facets_of, questions_of
+from knowarm.world.config import facets_of
 
 
 @dataclass
@@ -32,6 +31,8 @@ class TrainedAgent:
 
     agent: PolicyAgent  #: Chooses actions by the policy, with its memory and knowledge.
     policy: Policy  #: The network, in evaluation mode.
+    table: np.ndarray  #: (rows, K) float32, the knowledge table of its training.
+    module: PerceptionModule | None  #: Its trained perception module or grounding network.
     config: ExperimentConfig  #: What it was trained with.
     folder: RunFolder  #: The run.
     step: int  #: Environment steps it was trained for.
@@ -50,7 +51,7 @@ class TrainedAgent:
             UserError: the infos lack the facet or query, or the agent does not know it.
         """
         self._is_new, self._names = True, None
-        if not self._asks:
+        if not self.agent.depends_on_rows:
             return
         info, env = self.config.env.task.knowledge_info, self.config.env
         given = {info: batch.names} if isinstance(batch, Batch) else batch
@@ -94,24 +95,14 @@ class TrainedAgent:
         return actions.reshape(*np.shape(seen)[:-3], -1)
 
     @property
-    def _asks(self) -> bool:
-        """Whether the knowledge depends on the episode's facet or query."""
-        if self.module is not None:
-            return questions_of(self.config.env) is not None
-        table = self.policy.knowledge_table
-        return bool((table != table[:1]).any())
-
-    @property
-    def module(self) -> PerceptionModule | None:
-        """The perception module or grounding network of an agent that has one."""
-        return self.agent.module if isinstance(self.agent, PerceivingAgent) else None
-
-    @property
     def network(self) -> GroundingNetwork | None:
         """The grounding network of an agent that has one."""
-        module = self.module
-        module = module.network if isinstance(module, AnswerGrounding) else module
-        return module if isinstance(module, GroundingNetwork) else None
+        return None if self.config.grounding is None else cast(GroundingNetwork, self.module)
+
+    def with_knowledge(self, knowledge: KnowledgeInput, **options: Any) -> PolicyAgent:
+        """Return an agent with this policy and other knowledge."""
+        own = {"greedy": self.agent.greedy, "generator": self.agent.generator}
+        return knowledge.make_agent(self.policy, **own, **options)
 
     def answering(self, answers: np.ndarray, unclear: Unclear = "guess") -> AnsweringAgent:
         """Return an agent with this policy and network that answers queries by (Q, F) answers.
@@ -121,19 +112,8 @@ class TrainedAgent:
             unclear: what the agent does where it sees no answer, or several.
         """
         assert self.network is not None
-        options: dict[str, Any] = {"greedy": self.agent.greedy, "generator": self.agent.generator}
-        module = AnswerGrounding(self.network, answers).eval()
-        return AnsweringAgent(module, self.policy, unclear=unclear, **options)
-
-    def set_knowledge_table(self, knowledge: torch.Tensor) -> torch.Tensor:
-        """Replace the knowledge table (F, K) of grounding network or policy; return the old one."""
-        module = self.network
-        if module is not None:
-            replaced, module.knowledge = module.knowledge, knowledge.to(module.knowledge.device)
-        else:
-            replaced = self.policy.knowledge_table
-            self.policy.knowledge_table = knowledge.to(replaced.device)
-        return replaced
+        recognition = AnswerGrounding(self.network, answers)
+        return cast(AnsweringAgent, self.with_knowledge(recognition, unclear=unclear))
 
 
 def load_agent(
@@ -163,7 +143,7 @@ def load_agent(
         stored = provenance.policy
         choices = from_dict(PolicyConfig, stored["config"], where="policy.config")
         shape = from_dict(PolicyShape, stored["shape"], where="policy.shape")
-        policy = Policy(choices, shape, None if config.grounding else table, seed=config.seed)
+        policy = Policy(choices, shape, seed=config.seed)
     step = 0
     if checkpoint:
         step = int(checkpoint.facts["step"])
@@ -179,27 +159,8 @@ def load_agent(
     module: PerceptionModule | None = None
     if perception is not None or config.has_module:
         given = perception and given_module(config, perception)
-        module = reasoning_module(config, given or stored_module(config, folder))
-    agent = policy_agent(policy, module, greedy, torch.Generator().manual_seed(seed))
-    return TrainedAgent(agent, policy, config, folder, step, which)
-
-
-def reasoning_module(config: ExperimentConfig, module: PerceptionModule) -> PerceptionModule:
-    """Return the module with the answers of the graph, for an agent that answers by a graph."""
-    if config.reasoning == "vector" or not isinstance(module, GroundingNetwork):
-        return module
-    return AnswerGrounding(module, answer_table(config, config.env, module.spec.facets)).eval()
-
-
-def policy_agent(
-    policy: Policy,
-    perception: PerceptionModule | None,
-    greedy: bool,
-    generator: torch.Generator | None,
-) -> PolicyAgent:
-    """Return the agent that plays with a policy, and with a perception module where it has one."""
-    if perception is None:
-        return PolicyAgent(policy, greedy=greedy, generator=generator)
-    if isinstance(perception, AnswerGrounding):
-        return AnsweringAgent(perception, policy, greedy=greedy, generator=generator)
-    return PerceivingAgent(perception, policy, greedy=greedy, generator=generator)
+        module = given or stored_module(config, folder)
+    agent = knowledge_input(config, table, module).make_agent(
+        policy, greedy=greedy, generator=torch.Generator().manual_seed(seed)
+    )
+    return TrainedAgent(agent, policy, table, module, config, folder, step, which)

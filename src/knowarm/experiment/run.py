@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from knowarm.errors import UserError
 from knowarm.experiment.build import Parts, build, make_trainer, slots_of
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.csv_log import writing
-from knowarm.experiment.load import reasoning_module
+from knowarm.experiment.inputs import knowledge_input
 from knowarm.experiment.logs import RunLogs, TrainingProgress
 from knowarm.experiment.names import experiment_config
 from knowarm.experiment.other_graphs import varied_graphs
@@ -94,9 +94,11 @@ def train(
     module = module_for_training(config, RunFolder(path) if resume else None, perception)
     parts = build(config)
     if (
-        isinstance(module, GroundingNetwork)
+        config.grounding is not None
+        and module is not None
         and config.reasoning == "vector"
-        and not (resume or np.array_equal(module.knowledge.numpy(), parts.table))
+        and not resume
+        and not np.array_equal(cast(GroundingNetwork, module).knowledge.numpy(), parts.table)
     ):
         raise UserError(
             f"The grounding network {perception} was trained with other knowledge of the queries "
@@ -145,13 +147,11 @@ def _train_locked(
             if module is None:
                 stopped = TrainingResult(step=0, reason="stopped", best_return=None, best_step=None)
                 return Run(folder, stopped)
-        if module is not None:
-            module = reasoning_module(config, module)
         logs = RunLogs(folder, progress)
         trainer = make_trainer(
             config,
             policy,
-            module,
+            knowledge_input(config, parts.table, module),
             evaluate_every=config.interim.every_steps,
             hooks=Hooks(
                 on_metrics=logs.metrics, on_evaluation=logs.evaluation, should_stop=should_end

@@ -15,6 +15,7 @@ from knowarm.cores import torch_threads
 from knowarm.experiment.agents import AGENTS, first_of_role
 from knowarm.experiment.build import build, make_trainer
 from knowarm.experiment.config import ExperimentConfig
+from knowarm.experiment.inputs import KnowledgeTable
 from knowarm.learn import A3CConfig, DistilConfig, Hooks, Metrics
 from knowarm.learn.algorithms import MinibatchConfig
 from knowarm.learn.optimizer import PolicyOptimizer
@@ -102,8 +103,9 @@ def measure_training(config: ExperimentConfig, seconds: float) -> float:
 
     config = replace(config, interim=replace(config.interim, episodes=1))
     hooks = Hooks(on_metrics=rows.append, should_stop=is_enough)
-    policy = build(config).new_policy(config.seed)
-    make_trainer(config, policy, evaluate_every=NEVER, hooks=hooks).train(NEVER)
+    parts = build(config)
+    policy, knowledge = parts.new_policy(config.seed), KnowledgeTable(parts.table)
+    make_trainer(config, policy, knowledge, evaluate_every=NEVER, hooks=hooks).train(NEVER)
     first, last = rows[WARM_UP_ROWS - 1], rows[-1]
     return (last["step"] - first["step"]) / (last["wall_time_s"] - first["wall_time_s"])
 
@@ -118,10 +120,10 @@ def training_flops(config: ExperimentConfig) -> float:
     algorithm = config.algorithm
     policy = build(_measurable(config)).new_policy(0)
     image = torch.zeros((1, 1, *policy.encoder.patch_shape), dtype=torch.uint8)
-    facet = torch.zeros((1, 1, *policy.facet_spec[0]), dtype=policy.facet_spec[1])
+    knowledge = torch.zeros((1, 1, policy.knowledge_width))
     start = torch.zeros((1, 1), dtype=torch.bool)
     with FlopCounterMode(display=False) as forward:
-        logits, values, _ = policy.unroll(image, facet, policy.initial_state(1), start)
+        logits, values, _ = policy.unroll(image, knowledge, policy.initial_state(1), start)
     with FlopCounterMode(display=False) as backward:
         (logits.sum() + values.sum()).backward()
     passes, muon = 1, 0.0

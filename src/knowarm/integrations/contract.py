@@ -25,10 +25,7 @@ from knowarm.integrations.onnx_export import (
     torch_model,
 )
 from knowarm.integrations.runner import Runner
-from knowarm.perception.answering import AnswerGrounding
-from knowarm.perception.classifier import FacetClassifier
-from knowarm.perception.grounding import GroundingNetwork
-from knowarm.perception.images import query_answers
+from knowarm.perception.agent import Recognition
 from knowarm.perception.module import digest
 from knowarm.reading import writing
 from knowarm.world.config import facets_of, scene_of
@@ -41,37 +38,16 @@ WORKSPACE_MARGIN_M = 0.15
 """How far the workspace reaches beyond start poses and grasp points [m]."""
 
 
-class Grounding(nn.Module):
-    """Recognition of the grasp frame: first images, and vectors of or answers to queries."""
+class RecognitionStep(nn.Module):
+    """`Recognition.locate`: first images and what is known of their queries, to knowledge."""
 
-    def __init__(self, network: GroundingNetwork | AnswerGrounding) -> None:
+    def __init__(self, recognition: Recognition) -> None:
         super().__init__()
-        self.network = network
+        self.recognition = recognition
 
     def forward(self, image: Tensor, query: Tensor) -> Tensor:
-        """Compute the knowledge of the policy, (B, 9), of images and queries (B, K)."""
-        return self.network.locate(image, query)
-
-
-class Naming(nn.Module):
-    """Recognition by a classifier: first images and allowed facets to rows of the policy's table.
-
-    A query is a row of 1 for facets that answer it, 0 for the others.
-    """
-
-    columns: Tensor
-    table: Tensor
-
-    def __init__(self, network: FacetClassifier, columns: Tensor, table: Tensor) -> None:
-        super().__init__()
-        self.network = network
-        self.register_buffer("columns", columns)
-        self.register_buffer("table", table)
-
-    def forward(self, image: Tensor, query: Tensor) -> Tensor:
-        """Compute the knowledge of the policy, (B, K), of images and queries (B, F)."""
-        scores = self.network(image)[:, self.columns]
-        return self.table[scores.masked_fill(query == 0, -torch.inf).argmax(1)]
+        """Compute the knowledge of the policy, (B, K), of images and queries (B, D)."""
+        return self.recognition.locate(image, query)
 
 
 @dataclass(frozen=True)
@@ -104,23 +80,10 @@ def deployment(trained: TrainedAgent) -> Deployment:
         UserError: the agent's knowledge comes from the simulator only.
     """
     env, policy = trained.config.env, trained.policy
-    facets = facets_of(env)
-    table = policy.knowledge_table.numpy()
-    rows = env.task.knowledge_rows(facets)
-    recognition: nn.Module | None = None
-    module = trained.module
-    if isinstance(module, GroundingNetwork | AnswerGrounding):
-        recognition, table = Grounding(module), module.knowledge.numpy()
-    elif isinstance(module, FacetClassifier):
-        columns = torch.tensor([module.spec.facets.index(facet) for facet in facets])
-        recognition = Naming(module, columns, policy.knowledge_table)
-        answers = query_answers(env, facets)
-        table = np.ones((1, len(facets))) if answers is None else answers.satisfies.numpy()
-    elif policy.uses_knowledge and not len(table):
-        raise UserError(
-            "The policy's knowledge comes from the simulator, which no robot has; export an agent "
-            "with a knowledge table, a perception module or a grounding network."
-        )
+    rows = env.task.knowledge_rows(facets_of(env))
+    recognition = trained.agent.recognition
+    step = None if recognition is None else RecognitionStep(recognition)
+    table = trained.table if recognition is None else recognition.knowledge.numpy()
     scene = scene_of(env)
     if scene.joint_names != scene.robot.joints:
         raise UserError(
@@ -131,7 +94,8 @@ def deployment(trained: TrainedAgent) -> Deployment:
         table, rows = np.zeros((1, 0)) if not table.size else table[:1], ["any"]
     table = np.ascontiguousarray(table, dtype=np.float32)
     recognized: dict[str, Any] | None = None
-    if module is not None:
+    if recognition is not None:
+        module = recognition.module
         recognized = {
             "file": "recognition.onnx",
             "format": module.FORMAT,
@@ -172,7 +136,7 @@ def deployment(trained: TrainedAgent) -> Deployment:
         ],
         "digests": {},
     }
-    return Deployment(PolicyStep(policy), recognition, table, contract, scene)
+    return Deployment(PolicyStep(policy), step, table, contract, scene)
 
 
 def export(trained: TrainedAgent, folder: Path) -> Deployment:

@@ -45,7 +45,7 @@ class PolicyStep(nn.Module):
         shape = self.policy.shape
         return (
             torch.zeros((2, shape.image_size, shape.image_size, 3), dtype=torch.uint8),
-            torch.zeros(2, shape.knowledge_dim),
+            torch.zeros(2, self.policy.knowledge_width),
             *self.policy.initial_state(2),
             torch.ones(2, dtype=torch.bool),
         )

@@ -123,7 +123,7 @@ class Collector:
         self._greedy = greedy
         if not final_values and hasattr(env, "report_final_observations"):
             env.report_final_observations = False
-        policy.check_facets(env.knowledge_input)
+        policy.check_knowledge(env.knowledge)
 
     @torch.no_grad()
     def collect(
@@ -146,7 +146,7 @@ class Collector:
         for t in range(len(rollout.reward)):
             if recorder is not None:
                 recorder.before_step(t)
-            rollout.facet[t] = self.env.knowledge_input
+            rollout.knowledge[t] = self.env.knowledge
             rollout.episode_start[t] = self._start
             logit, self._state = infer(rollout, t, self._image, self._state)
             logits.append(logit)
@@ -167,7 +167,7 @@ class Collector:
             if until_episode_end and bool(self._start.any()):
                 break
         count = len(logits)
-        stacked, knowledge = torch.stack(logits), self.env.knowledge_input
+        stacked, knowledge = torch.stack(logits), self.env.knowledge
         rollout.log_probability[:count] = log_probability(stacked, rollout.action[:count])
         if self._final_values:
             _, value, _ = self.policy.step(self._image, knowledge, self._state, self._start)
@@ -187,7 +187,7 @@ class Collector:
         if len(ids):
             image, start = infos["final_obs"][ids], torch.zeros_like(cut[ids])
             state = (self._state[0][ids], self._state[1][ids])
-            _, value, _ = self.policy.step(image, rollout.facet[t, ids], state, start)
+            _, value, _ = self.policy.step(image, rollout.knowledge[t, ids], state, start)
             rollout.final_value[t, ids] = value
 
     def get_state(self) -> dict[str, np.ndarray]:

@@ -113,7 +113,7 @@ class DistilTrainer(MinibatchTrainer):
         rollout.episode_start.fill_(True)
         for t in range(len(rollout.reward)):
             rollout.patches[t] = self.policy.patches(self._collector.restart())
-            rollout.facet[t] = env.knowledge_input
+            rollout.knowledge[t] = env.knowledge
             self._lessons.before_step(t)
 
     def set_targets(self) -> None:

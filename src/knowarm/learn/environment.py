@@ -35,11 +35,8 @@ class TorchVectorEnv(Protocol):
         """Device of all tensors."""
 
     @property
-    def knowledge_input(self) -> Tensor:
-        """Row of the knowledge table of each running episode, (n,) int64.
-
-        Or, for a policy without table, the knowledge itself, (n, K) float32.
-        """
+    def knowledge(self) -> Tensor:
+        """What the policy knows in each running episode, (n, K) float32; K may be 0."""
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -108,8 +105,10 @@ class NumpyToTorch:
     Args:
         env: a Gymnasium vector environment with images (n, H, W, 3) uint8 as observations,
             MultiDiscrete actions and autoreset mode SAME_STEP. Optional members:
-            ``knowledge_input`` (n,), 0 for every episode without it; ``get_state`` and
-            ``set_state``, without which training cannot write checkpoints.
+            ``knowledge_input`` (n,), rows of the table, 0 for every episode without it;
+            ``get_state`` and ``set_state``, without which training cannot write checkpoints.
+        table: (rows, K) float32, what the policy knows in the episodes of each row; None without
+            knowledge.
 
     Raises:
         UserError: another autoreset mode.
@@ -117,7 +116,7 @@ class NumpyToTorch:
 
     device = torch.device("cpu")  #: Device of all tensors.
 
-    def __init__(self, env: Any) -> None:
+    def __init__(self, env: Any, table: np.ndarray | None = None) -> None:
         mode = (getattr(env, "metadata", None) or {}).get("autoreset_mode")
         mode = getattr(mode, "value", mode)
         if mode not in (None, "SameStep"):
@@ -127,13 +126,22 @@ class NumpyToTorch:
             )
         self.env = env
         self.num_envs: int = env.num_envs
+        self._table = None if table is None else torch.as_tensor(table, dtype=torch.float32)
 
     @property
-    def knowledge_input(self) -> Tensor:
-        """As `TorchVectorEnv.knowledge_input`."""
+    def knowledge(self) -> Tensor:
+        """As `TorchVectorEnv.knowledge`."""
+        if self._table is None:
+            return torch.zeros(self.num_envs, 0)
         if not hasattr(self.env, "knowledge_input"):
-            return torch.zeros(self.num_envs, dtype=torch.int64)
-        return torch.from_numpy(np.asarray(self.env.knowledge_input, np.int64))
+            return self._table[torch.zeros(self.num_envs, dtype=torch.int64)]
+        rows = torch.from_numpy(np.asarray(self.env.knowledge_input, np.int64))
+        if (highest := int(rows.max())) >= len(self._table):
+            raise UserError(
+                f"The knowledge table has {len(self._table)} rows and the environment has episodes "
+                f"of row {highest}; build the table from the facets of this environment."
+            )
+        return self._table[rows]
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

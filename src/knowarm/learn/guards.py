@@ -38,10 +38,10 @@ class FiniteGuard:
                     "intact."
                 )
 
-    def check_rollout(self, rollout: Rollout, knowledge: Tensor, step: int) -> None:
+    def check_rollout(self, rollout: Rollout, step: int) -> None:
         """Raise an error if knowledge, rewards or values of a rollout are not finite."""
         terms = {
-            "the knowledge": knowledge,
+            "the knowledge": rollout.knowledge,
             "the reward": rollout.reward,
             "the value": rollout.value,
             "the last value": rollout.last_value,

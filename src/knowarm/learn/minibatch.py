@@ -53,7 +53,7 @@ class MinibatchTrainer(SynchronousTrainer):
 
     Raises:
         UserError: the number of environments or the device differs from the config's, the device
-            lacks the precision, or the knowledge table has no row for a facet.
+            lacks the precision, or the environment's knowledge does not fit the policy.
     """
 
     def __init__(
@@ -166,7 +166,7 @@ class MinibatchTrainer(SynchronousTrainer):
         environment_s = self._collector.environment_s - environment_s
         collected = time.perf_counter()
         self.step += rollout.reward.numel()
-        self._guard.check_rollout(rollout, self.policy.knowledge_table, self.step)
+        self._guard.check_rollout(rollout, self.step)
         if self._recorder is not None:
             self._recorder.standardize()
         self.set_targets()

@@ -33,7 +33,7 @@ class TrainingNetwork(nn.Module):
     def forward(self, batch: Rollout) -> tuple[Tensor, Tensor, Tensor]:
         """Return logits (T, b, J, A), values (T, b) and image features (T * b, F) of a rollout."""
         logits, values, _, features = self.policy.unroll_with_features(
-            batch.patches, batch.facet, batch.start_state, batch.episode_start
+            batch.patches, batch.knowledge, batch.start_state, batch.episode_start
         )
         return logits, values, features
 

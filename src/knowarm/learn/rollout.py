@@ -18,7 +18,7 @@ class Rollout:
     """Preallocated tensors of a rollout, written in place."""
 
     patches: Tensor  # (T, B, S, L) uint8: patches of the images; see `Policy.patches`
-    facet: Tensor  # (T, B) int64: row of the knowledge table; or (T, B, K) float32: the knowledge
+    knowledge: Tensor  # (T, B, K) float32: knowledge of the episode
     episode_start: Tensor  # (T, B) bool: the image is the first of its episode
     action: Tensor  # (T, B, J) int64
     # (T, B) float32: log-probability of the action, summed over joints [nat]
@@ -75,10 +75,9 @@ class Rollout:
 def rollout_specs(steps: int, batch: int, policy: Policy) -> TensorSpecs:
     """Return shapes and dtypes of the tensors of a rollout of T steps of B environments."""
     table, state = (steps, batch), (batch, policy.hidden_size)
-    facet_shape, facet_dtype = policy.facet_spec
     return {
         "patches": ((*table, *policy.encoder.patch_shape), torch.uint8),
-        "facet": ((*table, *facet_shape), facet_dtype),
+        "knowledge": ((*table, policy.knowledge_width), torch.float32),
         "episode_start": (table, torch.bool),
         "action": ((*table, policy.shape.joints), torch.int64),
         "log_probability": (table, torch.float32),
@@ -99,15 +98,15 @@ def infer_step(
 ) -> tuple[Tensor, State]:
     """Run the policy for step t of the b environments ``envs``.
 
-    ``image`` and ``state`` are those of all environments; ``facet`` and ``episode_start`` of step t
-    are read from the rollout, and ``patches`` and ``value`` written to it. Returns logits (b, J, A)
-    and the next state of these environments.
+    ``image`` and ``state`` are those of all environments; ``knowledge`` and ``episode_start`` of
+    step t are read from the rollout, and ``patches`` and ``value`` written to it. Returns logits
+    (b, J, A) and the next state of these environments.
     """
     patches = rollout.patches[t, envs]
     patches.copy_(policy.patches(image[envs]))
     logits, values, state = policy.step(
         patches,
-        rollout.facet[t, envs],
+        rollout.knowledge[t, envs],
         (state[0][envs], state[1][envs]),
         rollout.episode_start[t, envs],
     )

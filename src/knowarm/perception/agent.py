@@ -1,6 +1,7 @@
-"""Environments and agents whose policy receives what a perception module recognizes.
+"""Recognition: what a policy knows of an episode, computed from its first image and its query.
 
-Of the environment they read the images and, where the task has queries, the query; no labels.
+Environments and agents with a recognition read of the simulation images and, where the task has
+queries, the query; no labels.
 """
 
 import copy
@@ -8,116 +9,183 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
+from numpy.typing import NDArray
+from torch import Tensor, nn
 
 from knowarm.errors import UserError
-from knowarm.perception.module import PerceptionModule, in_batches
-from knowarm.policy import PolicyAgent
-from knowarm.world.config import EnvConfig, facets_of, questions_of
+from knowarm.perception.module import BATCH, PerceptionModule
+from knowarm.policy import Policy, PolicyAgent
+from knowarm.world.config import EnvConfig
 from knowarm.world.envs.torch_env import TorchArmVectorEnv
+from knowarm.world.tasks.state import EpisodeState
+
+
+class Recognition(nn.Module):
+    """Base of what computes a policy's knowledge with a perception module.
+
+    Args:
+        module: the trained network.
+        knowledge: (rows, D), what is known of the query of each row; one row for all episodes.
+        width: number K of numbers that the policy receives.
+    """
+
+    knowledge: Tensor
+
+    def __init__(self, module: PerceptionModule, knowledge: np.ndarray | Tensor, width: int):
+        super().__init__()
+        self.module, self.width = module, width
+        self.register_buffer("knowledge", torch.as_tensor(knowledge, dtype=torch.float32).clone())
+
+    def locate(self, images: Tensor, knowledge: Tensor) -> Tensor:
+        """Compute what the policy receives, (n, K), from images (n, H, W, 3) uint8 and (n, D)."""
+        raise NotImplementedError
+
+    def true_knowledge(self, episodes: EpisodeState, ids: NDArray[np.int64]) -> Tensor:
+        """Return what the policy of episodes (n,) would receive by the simulator's labels."""
+        raise NotImplementedError
+
+    def place_scores(self, images: Tensor, knowledge: Tensor) -> Tensor | None:
+        """Score the places of images (n, H, W, 3) uint8, (n, places); None if it has no places."""
+        return None
+
+    def check_fits(self, env: EnvConfig) -> None:
+        """Check that the module was made for a task."""
+        self.module.spec.check_fits(env, ())
+
+    @property
+    def depends_on_rows(self) -> bool:
+        """Whether episodes of different rows have different knowledge."""
+        return len(self.knowledge) > 1
+
+    def of_rows(self, rows: Tensor) -> Tensor:
+        """Return what is known of rows (n,) int64, (n, D); their numbers may not matter."""
+        if self.depends_on_rows:
+            return self.knowledge[rows]
+        return self.knowledge.expand(len(rows), -1)
+
+    @torch.inference_mode()
+    def forward(self, images: Tensor, rows: Tensor) -> Tensor:
+        """Compute what the policy receives in episodes of some rows, in batches; see `locate`."""
+        parts = zip(images.split(BATCH), self.of_rows(rows).split(BATCH), strict=True)
+        return torch.cat([self.locate(*part) for part in parts])
+
+    def make_env(self, config: EnvConfig, num_envs: int, **options: Any) -> TorchArmVectorEnv:
+        """Make training environments with this knowledge; options as `TorchArmVectorEnv`."""
+        return PerceivingVectorEnv(config, num_envs, self, **options)
+
+    def make_agent(self, policy: Policy, **options: Any) -> PolicyAgent:
+        """Make an agent with this knowledge; options as `PolicyAgent`."""
+        return PerceivingAgent(self, policy, **options)
 
 
 class PerceivingVectorEnv(TorchArmVectorEnv):
-    """Training environments whose knowledge input is what a copy of a module recognizes.
+    """Training environments whose knowledge is what a copy of a recognition computes.
 
     It is computed from the first image of every episode and kept until the next begins. Once a
     teacher is in use, it is what the simulator knows instead: practice starts hide objects from
-    the module, and a wrong goal would contradict the teacher's actions.
+    the image, and a wrong goal would contradict the teacher's actions.
     """
 
     def __init__(
-        self, config: EnvConfig, num_envs: int, module: PerceptionModule, **options: Any
+        self, config: EnvConfig, num_envs: int, recognition: Recognition, **options: Any
     ) -> None:
+        recognition.check_fits(config)
         super().__init__(config, num_envs, **options)
-        self._module = module = copy.deepcopy(module).to(self.device)
-        self._predict = module.predictor(config, self.facets)
-        shape, dtype = module.GOAL
-        self._goal = torch.zeros((num_envs, *shape), dtype=dtype, device=self.device)
+        self._recognition = copy.deepcopy(recognition).to(self.device)
+        self._known = torch.zeros((num_envs, recognition.width), device=self.device)
 
     @property
-    def knowledge_input(self) -> Tensor:
-        """Goal of each current episode: (n,) int64 rows, or (n, 9) float32 grasp frames."""
-        return self._goal
+    def knowledge(self) -> Tensor:
+        """As `TorchArmVectorEnv.knowledge`."""
+        return self._known
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Tensor, dict[str, Any]]:
-        """As `TorchArmVectorEnv.reset`; then computes the goals of the new episodes."""
+        """As `TorchArmVectorEnv.reset`; then computes the knowledge of the new episodes."""
         images, infos = super().reset(seed=seed, options=options)
         mask = (options or {}).get("reset_mask")
         fresh = self._everywhere if mask is None else torch.as_tensor(mask, device=self.device)
-        self._update_goals(images, fresh)
+        self._update(images, fresh)
         return images, infos
 
     def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
-        """As `TorchArmVectorEnv.step`; then computes the goals of the new episodes."""
+        """As `TorchArmVectorEnv.step`; then computes the knowledge of the new episodes."""
         result = super().step(actions)
-        self._update_goals(result[0], result[2] | result[3])
+        self._update(result[0], result[2] | result[3])
         return result
 
     def get_state(self) -> dict[str, np.ndarray]:
-        """As `TorchArmVectorEnv.get_state`, with the goals."""
-        return super().get_state() | {"perceived": self._goal.cpu().numpy().copy()}
+        """As `TorchArmVectorEnv.get_state`, with what was recognized."""
+        return super().get_state() | {"perceived": self._known.cpu().numpy().copy()}
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
         """As `TorchArmVectorEnv.set_state`."""
         state = dict(state)
-        goal = state.pop("perceived", None)
-        if goal is None or goal.shape != self._goal.shape:
+        known = state.pop("perceived", None)
+        if known is None or known.shape != self._known.shape:
             raise UserError(
-                "The state does not hold what a module recognized in this number of environments: "
+                "The state does not hold what was recognized in this number of environments: "
                 "it belongs to another kind of environment."
             )
-        self._goal = torch.from_numpy(np.array(goal)).to(self.device)
+        self._known = torch.from_numpy(np.array(known)).to(self.device)
         super().set_state(state)
 
-    def _update_goals(self, images: Tensor, fresh: Tensor) -> None:
-        """Compute the goals of the environments of a mask (n,); the others stay."""
+    def _update(self, images: Tensor, fresh: Tensor) -> None:
+        """Compute the knowledge of the environments of a mask (n,); the others keep theirs."""
         ids = fresh.nonzero().squeeze(1)
         if not len(ids):
             return
-        goal = self._goal.clone()
+        known = self._known.clone()
         if self.has_teacher:
-            goal[ids] = self._module.true_goals(self.running, ids.cpu().numpy())
+            known[ids] = self._recognition.true_knowledge(self.running, ids.cpu().numpy())
         else:
-            asked = None if questions_of(self.config) is None else super().knowledge_input[ids]
-            goal[ids] = in_batches(self._predict, images[ids], asked)
-        self._goal = goal
+            rows = self.knowledge_input[ids] if self._recognition.depends_on_rows else ids
+            known[ids] = self._recognition(images[ids], rows)
+        self._known = known
 
 
 class PerceivingAgent(PolicyAgent):
-    """Policy agent whose knowledge input is what a module recognizes in the first image."""
+    """Policy agent whose knowledge is what a recognition computes from the first image."""
 
-    def __init__(self, module: PerceptionModule, *arguments: Any, **options: Any) -> None:
-        super().__init__(*arguments, **options)
-        self.module = module
+    recognition: Recognition
+
+    def __init__(self, recognition: Recognition, policy: Policy, **options: Any) -> None:
+        super().__init__(policy, **options)
+        self.recognition = recognition
 
     def reset(self, batch: Any) -> None:
         """As `PolicyAgent.reset`; the next image is the first of every episode."""
+        self.recognition.check_fits(batch.env)
         super().reset(batch)
-        self._predict = self.module.predictor(batch.env, facets_of(batch.env))
-        self._has_queries = questions_of(batch.env) is not None
+
+    @property
+    def depends_on_rows(self) -> bool:
+        """As `PolicyAgent.depends_on_rows`."""
+        return self.recognition.depends_on_rows
 
     def recognize(self, images: Tensor) -> Tensor:
         """As `PolicyAgent.recognize`, computed from the images."""
-        return in_batches(self._predict, images, self.rows if self._has_queries else None)
+        return self.recognition(images, self.rows)
 
 
 @torch.inference_mode()
-def known_in_episode(agent: Any, image: np.ndarray) -> dict[str, np.ndarray]:
+def known_in_episode(agent: PolicyAgent, image: np.ndarray) -> dict[str, np.ndarray]:
     """Return what an agent knows in the episode of one environment with this first image.
 
     ``knowledge`` (K,) is what its policy receives, ``recognition`` (P, P) the likelihood of the
     places where its network looks for the object; what it does not have is left out.
     """
-    if not isinstance(agent, PolicyAgent) or not agent.policy.uses_knowledge:
+    if not agent.policy.uses_knowledge:
         return {}
     images = torch.as_tensor(image[None])
     given = agent.recognize(images) if agent.knowledge is None else agent.knowledge
-    table = agent.policy.knowledge_table
-    found = {"knowledge": given[0] if given.is_floating_point() else table[given[0]]}
-    place_scores = getattr(getattr(agent, "module", None), "place_scores", None)
-    if place_scores is not None:
-        scores = place_scores(images, agent.rows)[0].softmax(0)
-        found["recognition"] = scores.reshape(round(len(scores) ** 0.5), -1)
+    found = {"knowledge": given[0]}
+    recognition: Recognition | None = agent.recognition
+    if recognition is None:
+        return {"knowledge": given[0].numpy()}
+    scores = recognition.place_scores(images, recognition.of_rows(agent.rows))
+    if scores is not None:
+        share = scores[0].softmax(0)
+        found["recognition"] = share.reshape(round(len(share) ** 0.5), -1)
     return {name: value.numpy() for name, value in found.items()}

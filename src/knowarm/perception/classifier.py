@@ -8,17 +8,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from knowarm.perception.agent import Recognition
 from knowarm.perception.config import ModuleSpec
 from knowarm.perception.images import LabelledImages, query_answers
-from knowarm.perception.module import (
-    BATCH,
-    GoalPredictor,
-    PerceptionModule,
-    PlaceEncoder,
-    number_facets,
-)
-from knowarm.questions import ObjectColour
-from knowarm.world.config import EnvConfig
+from knowarm.perception.module import BATCH, PerceptionModule, PlaceEncoder, number_facets
+from knowarm.world.config import EnvConfig, facets_of
 from knowarm.world.tasks.state import EpisodeState
 
 CONVOLUTIONS = ((3, 16, 5, 2), (16, 32, 3, 2), (32, 64, 3, 2), (64, 64, 3, 1))
@@ -29,7 +23,6 @@ class FacetClassifier(PerceptionModule):
     """Network that scores the facets in an image; the seed is that of its initial weights."""
 
     FORMAT = "knowarm-perception-1"
-    GOAL = ((), torch.int64)
 
     def __init__(self, spec: ModuleSpec, *, seed: int = 0) -> None:
         super().__init__(spec, PlaceEncoder(spec.facets, CONVOLUTIONS, seed))
@@ -43,34 +36,49 @@ class FacetClassifier(PerceptionModule):
         """Score the facets in images (n, H, W, 3) uint8: (n, F) float32, softmax over facets."""
         return self.encoder.facet_scores(self.encoder.features(images))
 
-    def predictor(self, env: EnvConfig, facets: tuple[ObjectColour, ...]) -> GoalPredictor:
-        """As `PerceptionModule.predictor`; a goal is the knowledge row of the most likely facet.
-
-        Where the task has queries, only facets that answer the query count.
-        """
-        self.spec.check_fits(env, facets)
-        known, device = self.spec.facets, self.encoder.facet_parts.device
-        columns = torch.tensor([known.index(facet) for facet in facets], device=device)
-        answers = query_answers(env, facets)
-        refused = None if answers is None else ~answers.satisfies.to(device)
-
-        def select(images: Tensor, queries: Tensor | None) -> Tensor:
-            scores = self(images)[:, columns]
-            if refused is not None:
-                assert queries is not None
-                scores = scores.masked_fill(refused[queries], -torch.inf)
-            return scores.argmax(1)
-
-        return select
-
-    def true_goals(self, episodes: EpisodeState, ids: NDArray[np.int64]) -> Tensor:
-        """As `PerceptionModule.true_goals`: the facet of the target."""
-        return torch.from_numpy(episodes.facet[ids])
-
     def loss(self, labels: LabelledImages, rows: Tensor) -> Tensor:
         """Compute the negative log-likelihood of the visible facets, with equal shares."""
         likelihood = self(labels.images[rows]).log_softmax(dim=1)
         return -likelihood.gather(1, labels.facets[rows]).mean()
+
+
+class NamedFacet(Recognition):
+    """Recognition of the most likely facet: the policy receives its row of a table.
+
+    Where the task has queries, only facets that answer the query count, so that ``knowledge`` is
+    1 for facets that answer each query and 0 for others.
+
+    Args:
+        classifier: names the facets.
+        env: the task.
+        table: (F, K) float32, one row per facet of the task.
+    """
+
+    columns: Tensor
+    table: Tensor
+
+    def __init__(self, classifier: FacetClassifier, env: EnvConfig, table: np.ndarray) -> None:
+        facets = facets_of(env)
+        classifier.spec.check_fits(env, facets)
+        answers = query_answers(env, facets)
+        allowed = torch.ones(1, len(facets)) if answers is None else answers.satisfies
+        super().__init__(classifier, allowed, table.shape[1])
+        columns = [classifier.spec.facets.index(facet) for facet in facets]
+        self.register_buffer("columns", torch.tensor(columns))
+        self.register_buffer("table", torch.as_tensor(table))
+
+    def check_fits(self, env: EnvConfig) -> None:
+        """As `Recognition.check_fits`."""
+        self.module.spec.check_fits(env, facets_of(env))
+
+    def locate(self, images: Tensor, knowledge: Tensor) -> Tensor:
+        """As `Recognition.locate`."""
+        scores = self.module(images)[:, self.columns]
+        return self.table[scores.masked_fill(knowledge == 0, -torch.inf).argmax(1)]
+
+    def true_knowledge(self, episodes: EpisodeState, ids: NDArray[np.int64]) -> Tensor:
+        """As `Recognition.true_knowledge`: the row of the target's facet."""
+        return self.table[torch.from_numpy(episodes.facet[ids]).to(self.table.device)]
 
 
 @torch.inference_mode()

@@ -14,14 +14,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from knowarm.perception.agent import Recognition
 from knowarm.perception.config import FrameHead, GroundingConfig, ModuleSpec, Naming
+from knowarm.perception.facts import FactEncoder
 from knowarm.perception.images import LabelledImages, QueryAnswers
-from knowarm.perception.module import GoalPredictor, PerceptionModule, PlaceEncoder
+from knowarm.perception.module import PerceptionModule, PlaceEncoder
 from knowarm.policy.encoder import RELU_GAIN, orthogonal
-from knowarm.policy.facts import FactEncoder
-from knowarm.questions import ObjectColour, number_parts
+from knowarm.questions import number_parts
 from knowarm.seeding import torch_generator
-from knowarm.world.config import EnvConfig
 from knowarm.world.tasks.state import EpisodeState
 
 STRIDE = 4
@@ -48,10 +48,9 @@ class GroundingNetwork(PerceptionModule):
     """
 
     FORMAT = "knowarm-grounding-2"
-    GOAL = ((FRAME,), torch.float32)
 
     knowledge: Tensor
-    """(Q, K) buffer; may be replaced by a table of other queries."""
+    """(Q, K) buffer, the table of the training."""
     position_mean: Tensor
     position_std: Tensor
     """(3,) buffers, of the grasp positions in training [m]."""
@@ -110,11 +109,6 @@ class GroundingNetwork(PerceptionModule):
             raise ValueError(f"it has an unknown frame head {head!r}")
         return cls(spec, table, slots, frame_head=head)
 
-    def predictor(self, env: EnvConfig, facets: tuple[ObjectColour, ...]) -> GoalPredictor:
-        """As `PerceptionModule.predictor`; a goal is a grasp frame, as of `frames`."""
-        self.spec.check_fits(env, ())
-        return self
-
     def keys(self, features: Tensor) -> Tensor:
         """Compute the keys of the cells from the encoder's features: (n, P parts, D)."""
         keys = self.key(features.flatten(2).transpose(1, 2))  # (n, places, P D)
@@ -165,25 +159,21 @@ class GroundingNetwork(PerceptionModule):
         """Return the numbers of grasp frames (..., 9) with positions (..., 3) and axes (..., 6)."""
         return torch.cat(((position - self.position_mean) / self.position_std, axes), -1)
 
-    def true_goals(self, episodes: EpisodeState, ids: NDArray[np.int64]) -> Tensor:
-        """As `PerceptionModule.true_goals`: the goal frame, numbers as of `frames`."""
+    def goal_frames(self, episodes: EpisodeState, ids: NDArray[np.int64]) -> Tensor:
+        """Return the goal frames of episodes (n,) by the simulator, as of `frames`: (n, 9)."""
         axes = episodes.goal_matrix[ids].reshape(-1, 3, 3)[..., [0, 2]].swapaxes(-1, -2)
         numbers = (episodes.goal_position[ids], axes.reshape(-1, 6))
         return self.standardized(*(torch.from_numpy(each).to(self.knowledge) for each in numbers))
 
-    def forward(self, images: Tensor, queries: Tensor) -> Tensor:
-        """Predict the grasp frames (n, 9) of the objects that queries mean; see `GoalPredictor`."""
-        return self.locate(images, self.knowledge[queries])
-
-    def locate(self, images: Tensor, knowledge: Tensor) -> Tensor:
-        """As `forward`, with the knowledge of the queries, (n, K) float32."""
+    def forward(self, images: Tensor, knowledge: Tensor) -> Tensor:
+        """Predict the grasp frames (n, 9) of what queries with knowledge (n, K) mean."""
         features = self.encoder.features(images)
         cell = self._scores(features, knowledge).argmax(1)
         return self.frames(features, cell[:, None])[:, 0]
 
-    def place_scores(self, images: Tensor, queries: Tensor) -> Tensor:
-        """Score the places of images (n, H, W, 3) for queries (n,) int64, (n, places)."""
-        scores = self._scores(self.encoder.features(images), self.knowledge[queries])
+    def place_scores(self, images: Tensor, knowledge: Tensor) -> Tensor:
+        """Score the places of images (n, H, W, 3) for queries with knowledge (n, K), (n, P)."""
+        scores = self._scores(self.encoder.features(images), knowledge)
         return scores.unflatten(1, (-1, self.parts)).amax(2)
 
     def _scores(self, features: Tensor, knowledge: Tensor) -> Tensor:
@@ -199,7 +189,7 @@ class GroundingNetwork(PerceptionModule):
         self,
         labels: LabelledImages,
         rows: Tensor,
-        queries: Tensor,
+        knowledge: Tensor,
         answers: QueryAnswers,
         *,
         naming: Naming = "image",
@@ -210,13 +200,13 @@ class GroundingNetwork(PerceptionModule):
         Args:
             labels: images and their labels.
             rows: (n,) int64, images.
-            queries: (q,) int64, rows of the knowledge table.
-            answers: to all queries, among the facets of the network.
+            knowledge: (q, K) float32, of the queries.
+            answers: to these queries, among the facets of the network.
             naming: as `GroundingConfig.naming`.
             bfloat16: for convolutions and keys.
         """
         features = self.features(labels.images[rows], bfloat16)
-        place = self.place_loss(features, labels, rows, queries, answers, bfloat16=bfloat16)
+        place = self.place_loss(features, labels, rows, knowledge, answers, bfloat16=bfloat16)
         return place, *self.recognition_losses(features.float(), labels, rows, naming)
 
     def place_loss(
@@ -224,7 +214,7 @@ class GroundingNetwork(PerceptionModule):
         features: Tensor,
         labels: LabelledImages,
         rows: Tensor,
-        queries: Tensor,
+        knowledge: Tensor,
         answers: QueryAnswers,
         *,
         bfloat16: bool = False,
@@ -238,9 +228,9 @@ class GroundingNetwork(PerceptionModule):
         cells = self.cells(place_of(labels.pixels[rows], self.spec.image_size), facets)
         with torch.autocast("cpu", torch.bfloat16, enabled=bfloat16):
             keys = self.keys(features)
-        scores = keys.float() @ self.project_queries(self.knowledge[queries]).T  # (n, cells, q)
-        satisfies = answers.satisfies[queries][:, facets].transpose(0, 1)  # (n, q, m)
-        askable = answers.askable[queries][:, facets].transpose(0, 1)
+        scores = keys.float() @ self.project_queries(knowledge).T  # (n, cells, q)
+        satisfies = answers.satisfies[:, facets].transpose(0, 1)  # (n, q, m)
+        askable = answers.askable[:, facets].transpose(0, 1)
         asked = (satisfies.sum(2) == 1) & (satisfies & askable).any(2)
         if answers.marked:  # the image answers for the marked object only
             asked &= satisfies[..., 0]
@@ -258,6 +248,32 @@ class GroundingNetwork(PerceptionModule):
         truth = self.standardized(labels.grasp_position[rows], labels.grasp_axes[rows])
         frames = self.frames(features, self.cells(places, labels.facets[rows]))
         return -named.mean(), (frames - truth).square().mean()
+
+
+class FrameRecognition(Recognition):
+    """Recognition of grasp frames by a grounding network: base, and that by the queries' vectors.
+
+    ``knowledge`` is by default the table that the network was trained with.
+    """
+
+    module: GroundingNetwork
+
+    def __init__(
+        self, network: GroundingNetwork, knowledge: np.ndarray | Tensor | None = None
+    ) -> None:
+        super().__init__(network, network.knowledge if knowledge is None else knowledge, FRAME)
+
+    def locate(self, images: Tensor, knowledge: Tensor) -> Tensor:
+        """As `Recognition.locate`."""
+        return cast(Tensor, self.module(images, knowledge))
+
+    def true_knowledge(self, episodes: EpisodeState, ids: NDArray[np.int64]) -> Tensor:
+        """As `Recognition.true_knowledge`: the goal frame."""
+        return self.module.goal_frames(episodes, ids)
+
+    def place_scores(self, images: Tensor, knowledge: Tensor) -> Tensor:
+        """As `Recognition.place_scores`."""
+        return self.module.place_scores(images, knowledge)
 
 
 class Standardize(nn.Module):

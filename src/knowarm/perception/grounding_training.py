@@ -99,11 +99,12 @@ def train_grounding(
     generator = torch_generator(seed, "perception", GROUNDING_IMAGES)
 
     def ask() -> tuple[Tensor, QueryAnswers]:
-        known = answers
+        described = knowledge, answers
         if graphs:
-            table, known = graphs[int(torch.randint(len(graphs), (), generator=generator))]
-            network.knowledge = torch.from_numpy(table)
-        return torch.randperm(len(knowledge), generator=generator)[:QUERIES], known
+            described = graphs[int(torch.randint(len(graphs), (), generator=generator))]
+        table, known = described
+        rows = torch.randperm(len(knowledge), generator=generator)[:QUERIES]
+        return torch.from_numpy(table)[rows], known.of(rows)
 
     def everything(labels: LabelledImages, rows: Tensor) -> tuple[Tensor, Tensor]:
         place, naming, frame = network.losses(
@@ -158,7 +159,6 @@ def train_grounding(
             if not minimize(network, config, steps, stage.rounds, name, report, should_stop):
                 return None
         write_arrays(file, {name: value.numpy() for name, value in parts.items()})
-    network.knowledge = torch.from_numpy(knowledge)
     return network.eval().requires_grad_(False)
 
 

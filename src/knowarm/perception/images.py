@@ -38,6 +38,10 @@ class QueryAnswers(NamedTuple):
     askable: Tensor
     marked: bool  # Whether the image marks the target
 
+    def of(self, queries: Tensor) -> "QueryAnswers":
+        """Return the answers to some queries (q,) int64."""
+        return self._replace(satisfies=self.satisfies[queries], askable=self.askable[queries])
+
 
 DescribedGraph = tuple[np.ndarray, QueryAnswers]
 """Knowledge (Q, K) float32 of queries by a graph, and its answers."""

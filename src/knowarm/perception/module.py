@@ -1,15 +1,13 @@
-"""Perception module: encoder and base of trained networks, file format, predicted goals."""
+"""Perception module: encoder and base of trained networks, file format."""
 
 import hashlib
 import json
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Self, cast
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from safetensors.torch import load, save
 from torch import Tensor, nn
 
@@ -20,9 +18,7 @@ from knowarm.policy.encoder import RELU_GAIN, orthogonal
 from knowarm.questions import ObjectColour
 from knowarm.reading import UnreadableFileError, one_line, reading, replacing
 from knowarm.seeding import torch_generator
-from knowarm.world.config import EnvConfig
 from knowarm.world.objects.families import ATTRIBUTES, COLUMNS, attribute_codes
-from knowarm.world.tasks.state import EpisodeState
 
 
 class PlaceEncoder(nn.Module):
@@ -149,10 +145,6 @@ METADATA, ENCODER = "knowarm", "encoder."
 
 REMEDY = "Restore the file, or make one with `knowarm perception train EXPERIMENT --out FILE`."
 
-GoalPredictor = Callable[[Tensor, Tensor | None], Tensor]
-"""Computes the goals of n episodes, which the policy gets as knowledge, from their first images
-(n, H, W, 3) uint8 and, for tasks with queries, the rows of their queries (n,) int64."""
-
 BATCH = 256
 """Most images that are processed at once."""
 
@@ -162,21 +154,11 @@ class PerceptionModule(nn.Module):
 
     FORMAT: ClassVar[str]
     """Format of the file."""
-    GOAL: ClassVar[tuple[tuple[int, ...], torch.dtype]]
-    """Shape and dtype of one goal."""
 
     def __init__(self, spec: ModuleSpec, encoder: PlaceEncoder) -> None:
         super().__init__()
         self.spec = spec
         self.encoder = encoder
-
-    def predictor(self, env: EnvConfig, facets: tuple[ObjectColour, ...]) -> GoalPredictor:
-        """Return the goal predictor for a task and its facets, which the module must fit."""
-        raise NotImplementedError
-
-    def true_goals(self, episodes: EpisodeState, ids: NDArray[np.int64]) -> Tensor:
-        """Return the goals of running episodes (k,) by the simulator's labels, for training."""
-        raise NotImplementedError
 
     def describe(self) -> dict[str, Any]:
         """Return what the file contains beside the parameters."""
@@ -237,14 +219,6 @@ class PerceptionModule(nn.Module):
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy, and send to other processes, by the content of the file."""
         return type(self).from_bytes, (self.to_bytes(),)
-
-
-@torch.inference_mode()
-def in_batches(predict: GoalPredictor, images: Tensor, queries: Tensor | None = None) -> Tensor:
-    """Compute the goals of n episodes in batches; arguments as `GoalPredictor`."""
-    parts = images.split(BATCH)
-    asked = [None] * len(parts) if queries is None else queries.split(BATCH)
-    return torch.cat([predict(*part) for part in zip(parts, asked, strict=True)])
 
 
 def digest(data: bytes) -> str:

@@ -1,7 +1,7 @@
 """Policy agent: plays batches of episodes with a policy."""
 
 from collections.abc import Mapping
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -24,21 +24,32 @@ class PolicyAgent:
     Call `reset` after every reset of the environments, then `act` once per step.
 
     Args:
-        policy: the policy, with its knowledge table; it is not changed.
+        policy: the policy; it is not changed.
+        table: (rows, K) float32, what it knows in the episodes of each row; None without knowledge.
         greedy: choose the most probable action instead of sampling.
         generator: samples the actions; required unless ``greedy``.
 
     Attributes:
-        rows: row of the knowledge table of each episode, (n,) int64.
-        knowledge: what the policy receives in the episode, `recognize` in its first image.
+        rows: row of the table of each episode, (n,) int64.
+        knowledge: what the policy receives in the episode, (n, K) float32: that of `recognize` in
+            its first image.
+        recognition: the `Recognition` that computes it; None if a table holds it.
     """
 
+    recognition: Any = None
+
     def __init__(
-        self, policy: Policy, *, greedy: bool, generator: torch.Generator | None = None
+        self,
+        policy: Policy,
+        table: np.ndarray | None = None,
+        *,
+        greedy: bool,
+        generator: torch.Generator | None = None,
     ) -> None:
         if not greedy and generator is None:
             raise ValueError("PolicyAgent(greedy=False) needs a generator to sample actions.")
         self.policy = policy
+        self.table = None if table is None else torch.as_tensor(table, dtype=torch.float32)
         self.greedy = greedy
         self.generator = generator
 
@@ -49,9 +60,14 @@ class PolicyAgent:
         self._episode_start = torch.ones(len(self.rows), dtype=torch.bool)
         self.knowledge: Tensor | None = None
 
+    @property
+    def depends_on_rows(self) -> bool:
+        """Whether the knowledge of episodes of different rows differs."""
+        return self.table is not None and bool((self.table != self.table[:1]).any())
+
     def recognize(self, images: Tensor) -> Tensor:
-        """Return row (n,) int64, or knowledge (n, K) float32, of episodes that start."""
-        return self.rows
+        """Return the knowledge of episodes that start with images (n, H, W, 3), (n, K) float32."""
+        return torch.zeros(len(self.rows), 0) if self.table is None else self.table[self.rows]
 
     @torch.inference_mode()
     def act(self, observations: Mapping[str, np.ndarray]) -> np.ndarray:

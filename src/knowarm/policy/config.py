@@ -51,9 +51,8 @@ class PolicyConfig:
     paper's 128 / 278 / 428), "fixed" is ``features``, or a number."""
     features: int = 128
     """Output width of the fully connected layer after the convolutions."""
-    knowledge_encoder: Literal["identity", "learned", "facts"] = "identity"
-    """Layer between knowledge vector and fusion: none, a trained linear map, or a network that
-    reads the facts of each slot, for knowledge with pooling "facts"."""
+    knowledge_encoder: Literal["identity", "learned"] = "identity"
+    """Layer between knowledge vector and fusion: none, or a trained linear map."""
     wide: bool = False
     """Capacity control: no knowledge input, but an LSTM so large that the policy has as many
     parameters as the same one with knowledge."""
@@ -101,8 +100,8 @@ class PolicyShape:
             )
 
 
-def layer_widths(config: PolicyConfig, shape: PolicyShape) -> tuple[int, int]:
-    """Compute width of the encoded knowledge and hidden size of the LSTM."""
+def hidden_size(config: PolicyConfig, shape: PolicyShape) -> int:
+    """Compute the hidden size of the LSTM, and check the sizes of the knowledge."""
     if config.fusion != "none" and shape.knowledge_dim == 0:
         raise UserError(
             f"fusion {config.fusion!r} needs a knowledge vector and knowledge_dim is 0; pass a "
@@ -110,15 +109,12 @@ def layer_widths(config: PolicyConfig, shape: PolicyShape) -> tuple[int, int]:
             Argument("policy.fusion", "none"),
             ".",
         )
-    knowledge = shape.knowledge_dim
-    if config.knowledge_encoder == "facts":
-        knowledge = 64 * shape.knowledge_slots
-    if shape.knowledge_dim % shape.knowledge_slots or knowledge % shape.knowledge_slots:
+    if shape.knowledge_dim % shape.knowledge_slots:
         raise UserError(
             f"knowledge_slots ({shape.knowledge_slots}) must divide the width of the knowledge "
-            f"vector ({shape.knowledge_dim}) and of its encoding ({knowledge})."
+            f"vector ({shape.knowledge_dim})."
         )
     if isinstance(config.hidden, int):
-        return knowledge, config.hidden
+        return config.hidden
     grows = config.hidden == "grow" and config.fusion != "none"
-    return knowledge, config.features + grows * knowledge
+    return config.features + grows * shape.knowledge_dim

@@ -15,14 +15,12 @@ from dataclasses import replace
 from functools import partial
 from typing import Literal
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
 from knowarm.errors import UserError
-from knowarm.policy.config import FUSIONS, PolicyConfig, PolicyShape, layer_widths
+from knowarm.policy.config import FUSIONS, PolicyConfig, PolicyShape, hidden_size
 from knowarm.policy.encoder import RELU_GAIN, ImageEncoder, orthogonal, orthogonal_
-from knowarm.policy.facts import FactEncoder
 from knowarm.policy.lstm import MaskedLSTM, State
 from knowarm.seeding import torch_generator
 
@@ -42,46 +40,31 @@ class Policy(nn.Module):
     Args:
         config: the choices.
         shape: sizes given by robot, image and knowledge.
-        knowledge_table: (F, K) float32, one row per facet; None for a policy without knowledge,
-            or one whose parameters alone are of interest.
         seed: of the initial weights.
 
     Attributes:
         resolved_config: ``config`` with the capacity control (``wide``) replaced by the sizes it
             leads to; equal to ``config`` otherwise.
         hidden_size: H.
-        knowledge_table: (F, K) buffer; part of no checkpoint.
         matmul_precision: of the products in encoder and LSTM; parameters, cell state, heads and
             losses are always float32.
 
     Raises:
-        UserError: the sizes do not fit each other or the knowledge table.
+        UserError: the sizes do not fit each other.
     """
 
-    knowledge_table: Tensor
-
-    def __init__(
-        self,
-        config: PolicyConfig,
-        shape: PolicyShape,
-        knowledge_table: np.ndarray | Tensor | None = None,
-        *,
-        seed: int = 0,
-    ) -> None:
+    def __init__(self, config: PolicyConfig, shape: PolicyShape, *, seed: int = 0) -> None:
         super().__init__()
         self.config = config
         self.shape = shape
         self.resolved_config = matched_without_knowledge(config, shape) if config.wide else config
         config = self.resolved_config
-        knowledge, hidden = layer_widths(config, shape)
-        self.hidden_size = hidden
+        self.hidden_size = hidden = hidden_size(config, shape)
+        knowledge = shape.knowledge_dim
         self.encoder = ImageEncoder(shape.image_size, config.pixel_shift, config.pixel_scale)
         self.knowledge_encoder: nn.Module = nn.Identity()
         if self.uses_knowledge and config.knowledge_encoder == "learned":
             self.knowledge_encoder = nn.Linear(shape.knowledge_dim, knowledge, bias=False)
-        elif self.uses_knowledge and config.knowledge_encoder == "facts":
-            sizes = shape.knowledge_dim, knowledge, shape.knowledge_slots
-            self.knowledge_encoder = FactEncoder(*sizes)
         fusion = FUSIONS[config.fusion](config.features, knowledge, shape.knowledge_slots)
         self.fusion = fusion
         self.fc = nn.Linear(self.encoder.width + fusion.extra_inputs("fc"), config.features)
@@ -89,14 +72,6 @@ class Policy(nn.Module):
         self.actor = nn.Linear(hidden + fusion.extra_inputs("actor"), shape.joints * shape.levels)
         self.critic = nn.Linear(hidden + fusion.extra_inputs("critic"), 1)
         self.matmul_precision: MatmulPrecision = "float32"
-        table = torch.zeros(0, shape.knowledge_dim) if knowledge_table is None else knowledge_table
-        table = torch.as_tensor(table, dtype=torch.float32).clone()
-        if self.uses_knowledge and table.shape[1:] != (shape.knowledge_dim,):
-            raise UserError(
-                f"knowledge_table must have shape (facets, {shape.knowledge_dim}), got "
-                f"{tuple(table.shape)}."
-            )
-        self.register_buffer("knowledge_table", table, persistent=False)
         if not self.critic.weight.is_meta:
             self.reset_parameters(torch_generator(seed, "weights"))
 
@@ -133,40 +108,32 @@ class Policy(nn.Module):
         return self.encoder.patches(image)
 
     @property
-    def facet_spec(self) -> tuple[tuple[int, ...], torch.dtype]:
-        """Shape and dtype of a facet: a row of the table; without a table the knowledge, (K,)."""
-        if self.uses_knowledge and not len(self.knowledge_table):
-            return (self.shape.knowledge_dim,), torch.float32
-        return (), torch.int64
+    def knowledge_width(self) -> int:
+        """Number K of numbers per episode that the network reads as knowledge; 0 without."""
+        return self.shape.knowledge_dim if self.uses_knowledge else 0
 
-    def check_facets(self, facet: Tensor) -> None:
-        """Check that the knowledge of an environment's facets is known; as `step` takes them.
+    def check_knowledge(self, knowledge: Tensor) -> None:
+        """Check that the knowledge of an environment's episodes fits, as `step` takes it.
 
         Raises:
-            UserError: the table lacks a row, or is missing where one is needed.
+            UserError: it has another width or dtype.
         """
-        shape, dtype = self.facet_spec
-        if self.uses_knowledge and (facet.shape[1:], facet.dtype) != (shape, dtype):
-            needs = f"vectors of {shape[0]} numbers" if shape else "rows of the policy's table"
+        width = self.knowledge_width
+        if (knowledge.shape[1:], knowledge.dtype) != ((width,), torch.float32):
             raise UserError(
-                f"The environment's facets are {tuple(facet.shape)} {facet.dtype}, and the policy "
-                f"expects {needs}: build both from the same experiment."
-            )
-        rows = len(self.knowledge_table)
-        if self.uses_knowledge and not shape and (highest := int(facet.max())) >= rows:
-            raise UserError(
-                f"The policy's knowledge table has {rows} rows and the environment has facet "
-                f"{highest}; build the table from the facets of this environment."
+                f"The environment's knowledge is {tuple(knowledge.shape)} {knowledge.dtype}, and "
+                f"the policy expects vectors of {width} float32 numbers: build both from the same "
+                "experiment."
             )
 
     def step(
-        self, image: Tensor, facet: Tensor, state: State, episode_start: Tensor
+        self, image: Tensor, knowledge: Tensor, state: State, episode_start: Tensor
     ) -> tuple[Tensor, Tensor, State]:
         """Advance every environment by one step.
 
         Args:
             image: (B, H, W, 3) uint8, or their patches (B, S, L) uint8.
-            facet: (B,) int64, row of the knowledge table, or (B, K) float32, the knowledge.
+            knowledge: (B, K) float32; K is 0 for a policy without knowledge.
             state: (h, c) after the previous step, (B, H) each.
             episode_start: (B,) bool, true where the image is the first of an episode; the
                 state is reset there.
@@ -175,7 +142,7 @@ class Policy(nn.Module):
             Logits (B, J, A), values (B,), next state.
         """
         patches = self.patches(image) if image.ndim == 4 else image
-        knowledge = self._knowledge(facet)
+        knowledge = self.knowledge_encoder(knowledge)
         with self._autocast():
             inputs = self.fusion("lstm", self._features(patches, knowledge), knowledge)
             hidden, state = self.memory.step(inputs, state, episode_start)
@@ -183,14 +150,14 @@ class Policy(nn.Module):
         return logits, value, state
 
     def unroll(
-        self, image: Tensor, facet: Tensor, state: State, episode_start: Tensor
+        self, image: Tensor, knowledge: Tensor, state: State, episode_start: Tensor
     ) -> tuple[Tensor, Tensor, State]:
         """Advance every environment by T steps; see `unroll_with_features`."""
-        logits, values, state, _ = self.unroll_with_features(image, facet, state, episode_start)
+        logits, values, state, _ = self.unroll_with_features(image, knowledge, state, episode_start)
         return logits, values, state
 
     def unroll_with_features(
-        self, image: Tensor, facet: Tensor, state: State, episode_start: Tensor
+        self, image: Tensor, knowledge: Tensor, state: State, episode_start: Tensor
     ) -> tuple[Tensor, Tensor, State, Tensor]:
         """Advance every environment by T steps, for training.
 
@@ -202,7 +169,7 @@ class Policy(nn.Module):
         """
         patches = self.patches(image) if image.ndim == 5 else image
         steps, batch = episode_start.shape
-        knowledge = self._knowledge(facet).flatten(0, 1)
+        knowledge = self.knowledge_encoder(knowledge).flatten(0, 1)
         with self._autocast():
             features = self._features(patches.flatten(0, 1), knowledge)
             inputs = self.fusion("lstm", features, knowledge).view(steps, batch, -1)
@@ -225,20 +192,8 @@ class Policy(nn.Module):
         return {**counts, "total": sum(counts.values())}
 
     def maker(self) -> "MakePolicy":
-        """Return a function that builds a policy with this structure and knowledge."""
-        return partial(Policy, self.config, self.shape, self.knowledge_table.cpu().numpy())
-
-    def _knowledge(self, facet: Tensor) -> Tensor:
-        """Look up and encode the knowledge of facets (...), or knowledge (..., K): (..., width)."""
-        encode: Callable[[Tensor], Tensor] = self.knowledge_encoder
-        if facet.is_floating_point():
-            return encode(facet)
-        if not self.uses_knowledge:
-            return self.knowledge_table.new_empty((*facet.shape, 0))
-        if not isinstance(encode, FactEncoder):
-            return encode(self.knowledge_table[facet])
-        rows, place = facet.unique(return_inverse=True)  # one query lasts for many steps
-        return encode(self.knowledge_table[rows])[place]
+        """Return a function that builds a policy with this structure."""
+        return partial(Policy, self.config, self.shape)
 
     def _autocast(self) -> torch.autocast:
         """Return a context in which products and convolutions have the policy's precision."""

@@ -176,8 +176,8 @@ def test_a_nan_in_a_worker_stops_the_training_and_names_the_term(tmp_path):
 
 
 def test_a_user_error_in_a_worker_is_raised_as_one():
-    policy = informed_toy_policy(np.zeros((0, 4), np.float32))
-    with pytest.raises(UserError, match="expects vectors of 4 numbers"):
+    policy = informed_toy_policy(4)
+    with pytest.raises(UserError, match="expects vectors of 4 float32 numbers"):
         A3CTrainer(FAST, policy, Make(False, 5), seed=0).train(1000)
 
 

@@ -78,7 +78,7 @@ class A3CWorker:
         rollout = self._rollout.first(count)
         steps = rollout.reward.numel()
         before = self._step()
-        self._guard.check_rollout(rollout, self._policy.knowledge_table, before + steps)
+        self._guard.check_rollout(rollout, before + steps)
         loss = rollout_loss(self._policy, config, rollout)
         self._parameters.gradient.zero_()
         loss["total"].backward()
@@ -149,7 +149,7 @@ def rollout_loss(policy: Policy, config: A3CConfig, rollout: Rollout) -> Terms:
     )
     returns = n_step_returns(reward, following, rollout.done, config.gamma)
     logits, values, _ = policy.unroll(
-        rollout.patches, rollout.facet, rollout.start_state, rollout.episode_start
+        rollout.patches, rollout.knowledge, rollout.start_state, rollout.episode_start
     )
     weights = {"vf_coef": config.vf_coef, "ent_coef": config.ent_coef}
     return a3c_loss(logits, values, rollout.action, advantage, returns, **weights)

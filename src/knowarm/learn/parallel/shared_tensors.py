@@ -46,7 +46,10 @@ class SharedTensors:
     def __setstate__(self, buffers: dict[str, Any]) -> None:
         self._buffers = buffers
         self.tensors = {
+            # PyTorch makes no tensor from an empty buffer.
             name: torch.frombuffer(buffer, dtype=dtype).view(shape)
+            if len(buffer)
+            else torch.zeros(shape, dtype=dtype)
             for name, (buffer, shape, dtype) in buffers.items()
         }
 

@@ -47,6 +47,8 @@ class TorchArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         num_envs: n.
         device: where the tensors are: "cpu", or "cuda" for the first visible GPU.
         num_threads: threads of physics and rendering; 0 for one per core.
+        table: (rows, K) float32, what a policy knows in the episodes of each row, such as
+            `knowarm.experiment.build.Parts.table`; None without knowledge.
 
     Attributes:
         device: where the tensors are.
@@ -66,7 +68,13 @@ class TorchArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
     """
 
     def __init__(
-        self, config: EnvConfig, num_envs: int, *, device: str = "cpu", num_threads: int = 0
+        self,
+        config: EnvConfig,
+        num_envs: int,
+        *,
+        device: str = "cpu",
+        num_threads: int = 0,
+        table: NDArray[np.float32] | None = None,
     ) -> None:
         self.config = config
         self.device = torch_device(device)
@@ -80,6 +88,13 @@ class TorchArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         self._final_tensor = self._tensor(self._final_images)
         self.running = RunningEpisodes(config, self.simulation)
         self.facets = self.running.facets
+        rows = len(config.task.knowledge_rows(self.facets))
+        self._table = self._tensor(np.zeros((rows, 0), np.float32) if table is None else table)
+        if len(self._table) != rows:
+            raise UserError(
+                f"The knowledge table has {len(self._table)} rows, and the episodes of this task "
+                f"have {rows}; build the table from its configuration."
+            )
         self.privileged_columns = privileged_columns(self.running)
         self.report_final_observations = True
         self.report_privileged_state = False
@@ -97,6 +112,11 @@ class TorchArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
     def knowledge_input(self) -> Tensor:
         """Row of the knowledge table for each current episode, (n,) int64: facet, or query."""
         return self._tensor(self.running.knowledge_input)
+
+    @property
+    def knowledge(self) -> Tensor:
+        """What a policy knows in each current episode, (n, K) float32."""
+        return self._table[self.knowledge_input]
 
     @property
     def joint_positions(self) -> Tensor:

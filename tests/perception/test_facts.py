@@ -2,7 +2,7 @@
 
 import torch
 
-from knowarm.policy.facts import FactEncoder
+from knowarm.perception.facts import FactEncoder
 from knowarm.questions import FACTS
 
 D, NAMES = 16, 80
