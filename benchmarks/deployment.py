@@ -22,7 +22,6 @@ import numpy as np
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rosgraph_msgs.msg import Clock
-from websockets.sync.client import connect
 
 from examples.ros_robot import TICK_S, RobotNode
 from knowarm.experiment.load import load_agent
@@ -31,54 +30,14 @@ from knowarm.integrations.contract import Deployment, deployment, export, tcp_po
 from knowarm.integrations.driver import Driver, Safety, Topics
 from knowarm.integrations.ros import DriverNode
 from knowarm.integrations.runner import Runner
-from knowarm.integrations.serve import PolicyServer, pack, unpack
+from knowarm.integrations.serve import Client, PolicyServer
 from knowarm.statistics.bootstrap import wilson
 from knowarm.world.agents.play import EpisodeResults, play
-from knowarm.world.agents.protocol import Batch, Observations
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.scene.compose import CONTROL_PERIOD_S
 from knowarm.world.tasks.sampling import Episodes
-
-
-class RunnerAgent:
-    """Plays a runner in one environment."""
-
-    def __init__(self, runner: Any) -> None:
-        self.runner = runner
-
-    def reset(self, batch: Batch) -> None:
-        joints = {name: float(angles[0]) for name, angles in batch.joints.items()}
-        rows = self.runner.contract["knowledge"]["rows"]
-        self.runner.start(joints, str(batch.names[0]) if len(rows) > 1 else rows[0])
-
-    def act(self, observations: Observations) -> np.ndarray:
-        self.runner.step(observations["image"][0])
-        return np.asarray(self.runner.levels[None])
-
-
-class Client:
-    """A runner of a policy server, with the methods of `Runner`."""
-
-    def __init__(self, connection: Any) -> None:
-        self._connection = connection
-        self.contract = unpack(connection.recv())
-        self.joint_names = self.contract["joints"]["names"]
-
-    def start(self, joints: dict[str, float], row: str) -> None:
-        self._targets = np.array([*joints.values()])
-        self._state = {"observation/state": self._targets, "prompt": row, "reset": True}
-
-    def step(self, image: np.ndarray) -> None:
-        self._connection.send(pack(self._state | {"observation/image": image}))
-        targets = unpack(self._connection.recv())["actions"][0]
-        self._state["reset"] = False
-        joints = self.contract["joints"]
-        lower, upper = (np.array(joints[end])[:, None] for end in ("lower", "upper"))
-        reached = (self._targets[:, None] + np.array(joints["increments"])).clip(lower, upper)
-        self.levels = np.abs(reached - targets[:, None]).argmin(1)
-        self._targets = targets
 
 
 class Watched(Driver):
@@ -203,14 +162,12 @@ def main() -> None:
         add("in process", ours.success)
         with tempfile.TemporaryDirectory() as folder:
             export(trained, Path(folder))
-            agent = RunnerAgent(Runner.load(folder))
-            theirs = play(agent, ArmVectorEnv(config, 1), episodes)
+            theirs = play(Runner.load(folder), ArmVectorEnv(config, 1), episodes)
         add("ONNX Runtime", theirs.success, same_joints=same(theirs, ours))
         server = PolicyServer(parts.runner, port=0)
         threading.Thread(target=server.run, daemon=True).start()
-        with connect(f"ws://127.0.0.1:{server.port}", compression=None) as connection:
-            client = RunnerAgent(Client(connection))
-            theirs = play(client, ArmVectorEnv(config, 1), episodes)
+        client = Client(f"ws://127.0.0.1:{server.port}")
+        theirs = play(client, ArmVectorEnv(config, 1), episodes)
         server.close()
         add("served", theirs.success, same_joints=same(theirs, ours))
     for delay_s in arguments.delays:

@@ -41,7 +41,7 @@ class Robot:
 
         runner = Runner(contract, np.zeros((2, 3), np.float32), policy)
         if step is not None:
-            runner.step = lambda image: np.array(step)
+            runner.act = lambda observations: setattr(runner, "targets", np.array([step]))
         gripper = gripper or (lambda angles: np.array([*angles, 0.0]))
         safety = {"confirm_steps": 0} | safety
         self.driver = Driver(runner, gripper, Safety(**safety), "usedFor drinking", resize=resize)
@@ -76,7 +76,7 @@ def test_a_target_that_breaks_a_rule_ends_the_episode(robot, words):
     assert robot.tick() is None
     assert robot.driver.end.startswith("stopped")
     assert words in robot.driver.end
-    robot.driver._runner.step = lambda image: np.array([0.0, 0.5])
+    robot.driver._runner.act = lambda observations: None
     assert robot.tick() is None, "an end is final"
 
 
@@ -217,8 +217,8 @@ def test_a_step_is_not_confirmed_during_a_hold():
 
 def test_a_stop_during_the_computation_sends_nothing():
     robot = Robot()
-    step = robot.driver._runner.step
-    robot.driver._runner.step = lambda image: robot.driver.stop("stopped") or step(image)
+    act = robot.driver._runner.act
+    robot.driver._runner.act = lambda seen: robot.driver.stop("stopped") or act(seen)
     assert robot.tick() is None
     assert robot.driver.status == "stopped"
 

@@ -19,9 +19,10 @@ from knowarm.errors import UserError
 from knowarm.experiment.load import load_agent
 from knowarm.integrations.contract import deployment
 from knowarm.world.agents.play import play
+from knowarm.world.agents.protocol import Batch
+from knowarm.world.config import EnvConfig
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from tests.integrations.played import RunnerAgent
 
 pytest.importorskip("websockets")
 pytest.importorskip("msgpack")
@@ -88,21 +89,7 @@ def ask(connection, values):
 def test_served_episodes_are_those_in_process(trained, server):
     env = ArmVectorEnv(trained.config.env, 1)
     episodes = evaluation_episodes(trained.config.env, 12, 5)
-    with client(server) as connection:
-        about = unpack(connection.recv())
-        state = {}
-
-        def start(joints, row):
-            prompt = about["knowledge"]["rows"][row]
-            state.update({"observation/state": np.array([*joints.values()]), "prompt": prompt})
-            state["reset"] = True
-
-        def step(image):
-            answer = unpack(ask(connection, state | {"observation/image": image}))
-            state["reset"] = False
-            return answer["actions"][0]
-
-        theirs = play(RunnerAgent(start, step, about["joints"]["names"]), env, episodes)
+    theirs = play(Client(f"ws://127.0.0.1:{server.port}"), env, episodes)
     ours = play(trained.agent, env, episodes)
     np.testing.assert_array_equal(theirs.steps.joint_positions, ours.steps.joint_positions)
 
@@ -165,9 +152,10 @@ def test_a_client_refuses_an_answer_without_joint_targets(answer):
     with serve(reply, "127.0.0.1", 0) as other:
         threading.Thread(target=other.serve_forever, daemon=True).start()
         played = Client(f"ws://127.0.0.1:{other.socket.getsockname()[1]}")
-        played.start(dict.fromkeys("abcdef", 0.0))
+        played.reset(Batch(env=EnvConfig(), names=np.array(["mug/red"])))
+        targets = np.zeros((1, 6), np.float32)
         with pytest.raises(UserError, match=r"no finite actions \(n, 6\): "):
-            played.step(IMAGE)
+            played.act({"image": IMAGE[None], "joint_targets": targets})
 
 
 def test_healthz(server):
@@ -187,7 +175,7 @@ OBJECTS = {b"__ndarray__": True, b"data": b"x", b"dtype": "|O", b"shape": [1]}
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"observation/image": IMAGE[:32]}, "(64, 64, 3)"),
+        ({"observation/image": IMAGE[:32]}, "64, 64, 3) uint8, got (1, 32"),
         ({"observation/image": "no array"}, "lacks the array"),
         ({"observation/state": np.zeros(5)}, "must hold"),
         ({"observation/state": np.full(6, np.nan)}, "not finite"),

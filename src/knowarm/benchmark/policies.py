@@ -1,17 +1,12 @@
 """Policies of a benchmark: run folders, exported folders, anything with ``reset`` and ``act``."""
 
-import copy
 import hashlib
-import json
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from knowarm.benchmark.external import OnnxPolicy, PredictingPolicy
 from knowarm.benchmark.suites import Cell
@@ -26,7 +21,7 @@ from knowarm.learn.algorithms import privileged_uses
 from knowarm.own import load
 from knowarm.reading import reading
 from knowarm.world.agents import SCRIPTED_AGENTS
-from knowarm.world.agents.protocol import INPUTS, AgentProtocol, Batch, Observations
+from knowarm.world.agents.protocol import INPUTS, AgentProtocol
 from knowarm.world.agents.scripted import InformedAgent, OpenLoopAgent
 from knowarm.world.config import facets_of, questions_of
 from knowarm.world.envs.vector_env import ArmVectorEnv
@@ -70,10 +65,9 @@ def entrant(spec: str) -> Entrant:
     if path.suffix == ".onnx":
         return _entrant(spec, OnnxPolicy(path))
     if spec.startswith(("ws://", "wss://")):
-        from knowarm.integrations.serve import MOST_CONNECTIONS, Client
+        from knowarm.integrations.serve import Client
 
-        policy = _Runners(lambda: Client(spec), ("image", "words"), "served")
-        return _entrant(spec, policy, MOST_CONNECTIONS)
+        return _entrant(spec, Client(spec))
     if ":" in spec:
         return _entrant(spec, _user_policy(spec))
     raise UserError(
@@ -137,56 +131,24 @@ def _run(spec: str) -> Entrant:
     )
 
 
-class _Runners:
-    """Plays what commands joint targets, one runner or client per episode."""
-
-    def __init__(self, make: Callable[[], Any], inputs: tuple[str, ...], training: str) -> None:
-        self._make, self.inputs, self.training = make, inputs, training
-        self._runners = [make()]
-
-    def reset(self, batch: Batch) -> None:
-        """Start a runner per episode."""
-        while len(self._runners) < batch.size:
-            self._runners.append(self._make())
-        for i in range(batch.size):
-            joints = {name: float(angles[i]) for name, angles in batch.joints.items()}
-            row = None if batch.queries is None else batch.queries[i]
-            self._runners[i].start(joints, row)
-        self._batch = batch
-
-    def act(self, observations: Observations) -> NDArray[np.int64]:
-        """Step every runner; return the levels that lead nearest to its joint targets."""
-        images, joints = observations["image"], observations["joint_targets"].astype(np.float64)
-        wanted = np.empty_like(joints)
-        for i, image in enumerate(images):
-            self._runners[i].targets = joints[i]
-            wanted[i] = self._runners[i].step(image)
-        reached = joints[..., None] + self._batch.increments
-        reached = reached.clip(*self._batch.limits[..., None])
-        return np.abs(reached - wanted[..., None]).argmin(-1)
-
-
 def _exported(spec: str, folder: Path) -> Entrant:
     if find_spec("onnxruntime") is None:
         raise UserError("An exported folder needs pip install 'knowarm[onnx]'.")
     with reading(folder, "Export the policy again."):
-        data = (folder / "contract.json").read_bytes()
-        contract = json.loads(data)
-        rows, names = contract["knowledge"]["rows"], set(contract["joints"]["names"])
-        loaded = Runner.load(folder)
-    inputs = ("image", "words") if len(rows) > 1 else ("image",)
-    policy = _Runners(lambda: copy.copy(loaded), inputs, "exported")  # which share the models
+        digest = hashlib.sha256((folder / "contract.json").read_bytes()).hexdigest()
+        policy = Runner.load(folder)
+        rows = policy.contract["knowledge"]["rows"]
 
     def make(cell: Cell, env: ArmVectorEnv) -> AgentProtocol:
-        table = questions_of(cell.env)
-        asked = {query.name for query in table.queries} if table is not None else set[str]()
-        if not asked <= set(rows) or (not asked and len(rows) > 1):
-            raise UserError(f"{spec} knows other queries than those of {cell.name}.")
-        if not names <= set(env.scene.robot.joints):
-            raise UserError(f"{spec} moves the joints {', '.join(sorted(names))}.")
-        return _informed(policy, cell)
+        if len(rows) > 1 and not set(env.config.task.knowledge_rows(env.facets)) <= set(rows):
+            raise UserError(f"{spec} knows other facets or queries than those of {cell.name}.")
+        if not set(policy.joint_names) <= set(env.scene.robot.joints):
+            raise UserError(f"{spec} moves the joints {', '.join(policy.joint_names)}.")
+        return policy
 
-    return replace(_entrant(spec, policy), make=make, digest=hashlib.sha256(data).hexdigest())
+    uses = ("image", "words") if len(rows) > 1 else ("image",)
+    found = _entrant(spec, policy)
+    return replace(found, make=make, inputs=uses, training="exported", digest=digest)
 
 
 def _user_policy(spec: str) -> Any:
@@ -206,7 +168,7 @@ def _informed(policy: AgentProtocol, cell: Cell) -> AgentProtocol:
     return InformedAgent(policy, partial(replace, graph=cell.graph))
 
 
-def _entrant(spec: str, policy: Any, num_envs: int = 100) -> Entrant:
+def _entrant(spec: str, policy: Any) -> Entrant:
     for method in ("reset", "act"):
         if not callable(getattr(policy, method, None)):
             raise UserError(f"{spec} has no method {method}(); a policy has reset and act.")
@@ -220,5 +182,5 @@ def _entrant(spec: str, policy: Any, num_envs: int = 100) -> Entrant:
         training=str(getattr(policy, "training", "")),
         digest=getattr(policy, "digest", ""),
         seed=getattr(policy, "seed", None),
-        num_envs=num_envs,
+        num_envs=getattr(policy, "num_envs", Entrant.num_envs),
     )

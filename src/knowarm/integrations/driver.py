@@ -14,7 +14,7 @@ from PIL import Image
 
 from knowarm.config import above_zero, at_least, check_values
 from knowarm.errors import UserError
-from knowarm.integrations.runner import Runner
+from knowarm.integrations.runner import Runner, Start
 from knowarm.world.own_robot.camera_check import central_square
 
 Targets = NDArray[np.float64]
@@ -82,11 +82,9 @@ class Driver:
         self._proposal: Targets | None = None
         self._is_confirmed = False
         self._sent_at, self._held_since = -np.inf, np.inf
-        home = dict(zip(runner.joint_names, about["joints"]["home"], strict=True))
-        try:
-            runner.start(home, knowledge)
-        except ValueError as error:
-            raise UserError(f"Wrong knowledge: {error}.") from error
+        rows = about["knowledge"]["rows"]
+        if knowledge not in (rows if len(rows) > 1 else (None, *rows)):
+            raise UserError(f"The knowledge must be a row such as {rows[0]!r}, got {knowledge!r}.")
         runner.is_started = False
 
     def see(self, image: NDArray[np.uint8] | str, stamp_s: float) -> None:
@@ -135,7 +133,7 @@ class Driver:
                 targets = self._previous + share * (self._proposal - self._previous)
                 if not (problem := self._barred(targets, angles)):
                     return None if self.end else self._released(targets, now_s)
-            self._runner.targets, self._proposal = self._previous, None
+            self._runner.targets, self._proposal = self._previous[None], None
         self.status = f"hold: {problem}"
         self._held_since = min(self._held_since, now_s)
         longest = self.safety.patience_s if self.steps else self.safety.wait_s
@@ -147,11 +145,13 @@ class Driver:
         """Compute the next targets."""
         runner = self._runner
         if not runner.is_started:
-            runner.start(dict(zip(self.joint_names, angles.tolist(), strict=True)), self._knowledge)
+            joints = dict(zip(self.joint_names, angles.tolist(), strict=True))
+            runner.reset(Start(joints, self._knowledge))
         if self.safety.dry_run:  # nothing follows the targets, so each step starts where the arm is
-            runner.targets = angles.clip(runner.lower, runner.upper)
-        self._previous, self._is_confirmed = runner.targets.copy(), False
-        return np.asarray(runner.step(image), np.float64)
+            runner.targets = angles.clip(runner.lower, runner.upper)[None]
+        self._previous, self._is_confirmed = runner.targets[0].copy(), False
+        runner.act({"image": image[None]})
+        return runner.targets[0]
 
     def _released(self, targets: Targets, now_s: float) -> Targets | None:
         """Return checked targets if the step needs no confirmation or has it."""
@@ -163,7 +163,7 @@ class Driver:
             self.status += "; Enter moves, anything else stops"
             return None
         self.status = f"dry run, {self.status}" if dry else "moving"
-        self._runner.targets, self._proposal = targets.copy(), None
+        self._runner.targets, self._proposal = targets[None].copy(), None
         self._sent_at, self.steps = now_s, self.steps + 1
         if self.steps == self.max_steps:
             self.completed = True

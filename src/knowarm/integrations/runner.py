@@ -2,13 +2,15 @@
 
 Example:
     runner = Runner.load("exported")
-    runner.start({"joint_1": 0.0, ...}, knowledge="usedFor drinking")  # joint names to radians
-    targets = runner.step(image)  # once per control period; the first step of an episode too
+    runner.reset(Start({"joint_1": 0.0, ...}, "usedFor drinking"))  # joint names to radians
+    runner.act({"image": image[None]})  # once per control period; the first step of an episode too
+    runner.targets[0]  # joint targets
 """
 
 import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +19,23 @@ import numpy as np
 Model = Callable[[dict[str, np.ndarray]], Sequence[np.ndarray]]  # named inputs to outputs in order
 
 
+@dataclass(frozen=True)
+class Start:
+    """Start of an episode, or of n: numbers and names are arrays (n,) then."""
+
+    joints: Mapping[str, Any]  # Joint angles by name [rad]
+    names: Any = None  # Row of the contract's knowledge; not read where there is only one
+
+
 class Runner:
-    """Plays one episode after the other: joint angles once, then an image per control period.
+    """Plays n episodes side by side, one on a robot, and then the next ones.
 
     Args:
         contract: the content of ``contract.json``.
         knowledge: (rows, width) float32, the content of ``knowledge.npy``.
         policy, recognition: the models; recognition is None for agents without such a network.
+
+    ``targets`` are the joint angles that the actions have commanded, (n, J) [rad].
     """
 
     def __init__(
@@ -59,40 +71,38 @@ class Runner:
         recognition = model("recognition.onnx") if contract["recognition"] else None
         return cls(contract, np.load(folder / "knowledge.npy"), model("policy.onnx"), recognition)
 
-    def start(self, joints: Mapping[str, float], knowledge: str | int | None = None) -> None:
-        """Start an episode at joint angles by name; ``knowledge`` is a row of the table."""
+    def reset(self, batch: Any) -> None:
+        """Start the episodes of a `Start`, or of anything with its members."""
         self.is_started = False
-        if missing := [name for name in self.joint_names if name not in joints]:
-            raise ValueError(f"joints lack {', '.join(missing)}; got {', '.join(joints) or 'none'}")
-        angles = np.array([joints[name] for name in self.joint_names], np.float64)
+        if missing := [name for name in self.joint_names if name not in batch.joints]:
+            raise ValueError(f"joints lack {', '.join(missing)}; got {[*batch.joints]}")
+        angles = np.atleast_2d(np.transpose([batch.joints[name] for name in self.joint_names]))
         slack = 0.05  # [rad]: a resting joint may lie slightly beyond its limit
         if not ((angles > self.lower - slack) & (angles < self.upper + slack)).all():
             raise ValueError(f"joint angles {angles.tolist()} are not finite and within the limits")
-        about = self.contract["knowledge"]
-        rows, row = about["rows"], about["default_row"] if knowledge is None else knowledge
-        row = rows.index(row) if row in rows else row
-        if not isinstance(row, int) or not 0 <= row < len(rows):
-            raise ValueError(f"knowledge must be a row such as {rows[0]!r}, got {knowledge!r}")
+        rows = self.contract["knowledge"]["rows"]
+        names = rows * len(angles) if len(rows) == 1 else np.atleast_1d(batch.names).tolist()
+        if unknown := [name for name in names if name not in rows]:
+            raise ValueError(f"knowledge must be a row such as {rows[0]!r}, got {unknown[0]!r}")
         self.targets = angles.clip(self.lower, self.upper)
-        self._knowledge = self._table[[row]]
+        self._knowledge = self._table[[rows.index(name) for name in names]]
         size = self.contract["recurrent"]["size"]
-        self._state = [np.zeros((1, size), np.float32)] * 2
+        self._h = self._c = np.zeros((len(angles), size), np.float32)
         self._first = self.is_started = True
 
-    def step(self, image: np.ndarray) -> np.ndarray:
-        """Return the joint targets (J,) that follow an image (H, W, 3) uint8 RGB."""
-        size = self.contract["camera"]["size"]
-        if image.shape != (size, size, 3) or image.dtype != np.uint8:
-            wanted = f"({size}, {size}, 3) uint8"
-            raise ValueError(f"image must be {wanted}, got {image.shape} {image.dtype}")
+    def act(self, observations: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Return levels (n, J) for the images (n, H, W, 3) uint8, and add them to `targets`."""
         if not self.is_started:
             raise ValueError("no episode has started; give the joint angles first")
+        image, size = observations["image"], self.contract["camera"]["size"]
+        wanted = len(self.targets), size, size, 3
+        if image.shape != wanted or image.dtype != np.uint8:
+            raise ValueError(f"image must be {wanted} uint8, got {image.shape} {image.dtype}")
         if self._first and self._recognition is not None:  # recognizes once, in the first image
-            asked = {"image": image[None], "query": self._knowledge}
-            (self._knowledge,) = self._recognition(asked)
-        names = "image", "knowledge", "h", "c", "episode_start"
-        inputs = image[None], self._knowledge, *self._state, np.array([self._first])
-        action, _, _, *self._state = self._policy(dict(zip(names, inputs, strict=True)))
-        self._first, self.levels = False, action[0]
-        self.targets = (self.targets + self.increments[self.levels]).clip(self.lower, self.upper)
-        return self.targets.copy()
+            (self._knowledge,) = self._recognition({"image": image, "query": self._knowledge})
+        inputs = {"image": image, "knowledge": self._knowledge, "h": self._h, "c": self._c}
+        inputs["episode_start"] = np.full(len(image), self._first)
+        levels, _, _, self._h, self._c = self._policy(inputs)
+        self._first = False
+        self.targets = (self.targets + self.increments[levels]).clip(self.lower, self.upper)
+        return levels

@@ -11,18 +11,20 @@ import ipaddress
 import socket
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from knowarm.errors import UserError
-from knowarm.integrations.runner import Runner
+from knowarm.integrations.runner import Runner, Start
+from knowarm.world.agents.protocol import Batch, Observations
 
 try:
     import msgpack
     from websockets.exceptions import ConnectionClosed, WebSocketException
-    from websockets.sync.client import connect
+    from websockets.sync.client import ClientConnection, connect
     from websockets.sync.server import Server, ServerConnection, serve
 except ImportError as missing:
     raise UserError(
@@ -175,44 +177,65 @@ class PolicyServer:
 
 
 class Client:
-    """Plays a policy server as a `Runner` plays an exported policy.
+    """Plays the policy of a server, with a connection per episode.
 
     Raises:
         UserError: no server answers, or it refuses an observation.
     """
 
+    inputs = ("image", "words")
+    training = "served"
+    num_envs = MOST_CONNECTIONS
+
     def __init__(self, url: str) -> None:
         self._url = url
+        self._links = [self._connect()]
+
+    def reset(self, batch: Batch) -> None:
+        """Start an episode of each connection with the next step."""
+        while len(self._links) < batch.size:
+            self._links.append(self._connect())
+        self._batch, self._reset = batch, True
+
+    def act(self, observations: Observations) -> NDArray[np.int64]:
+        """Return the levels (n, J) that lead nearest to the joint targets of the server."""
+        joints = observations["joint_targets"].astype(np.float64)
+        wanted = np.empty_like(joints)
+        for i, image in enumerate(observations["image"]):
+            seen = {IMAGE: image, STATE: joints[i], RESET: self._reset}
+            if self._batch.queries is not None:
+                seen[PROMPT] = self._batch.queries[i]
+            wanted[i] = self._ask(self._links[i], seen)
+        self._reset = False
+        reached = joints[..., None] + self._batch.increments
+        reached = reached.clip(*self._batch.limits[..., None])
+        return np.abs(reached - wanted[..., None]).argmin(-1)
+
+    def _connect(self) -> ClientConnection:
         try:
-            link = connect(url, compression=None, max_size=MOST_BYTES)
-            self._link = contextlib.ExitStack().enter_context(link)
-            about = self._link.recv()
+            link = connect(self._url, compression=None, max_size=MOST_BYTES)
+            about = contextlib.ExitStack().enter_context(link).recv()
         except (OSError, WebSocketException, ValueError) as error:
-            raise UserError(f"No policy server answers at {url}: {error}.") from None
+            raise UserError(f"No policy server answers at {self._url}: {error}.") from None
         if isinstance(about, str):  # no metadata
-            raise UserError(f"The policy server at {url} refuses: {about:.300}")
+            raise UserError(f"The policy server at {self._url} refuses: {about:.300}")
+        return link
 
-    def start(self, joints: Mapping[str, float], knowledge: str | None = None) -> None:
-        """Start an episode with the next step."""
-        self.targets, self._reset = np.array(list(joints.values())), True
-        self._prompt = {} if knowledge is None else {PROMPT: knowledge}
-
-    def step(self, image: np.ndarray) -> np.ndarray:
-        """Return the joint targets (J,) that follow an image (H, W, 3) uint8 RGB."""
-        seen = {IMAGE: image, STATE: self.targets, RESET: self._reset, **self._prompt}
+    def _ask(self, link: ClientConnection, seen: dict[str, Any]) -> np.ndarray:
+        """Return the joint targets (J,) that a connection answers."""
         try:
-            self._link.send(pack(seen))
-            answer, self._reset = self._link.recv(), False
+            link.send(pack(seen))
+            answer = link.recv()
         except (OSError, WebSocketException) as error:
             raise UserError(f"The policy server at {self._url} has gone: {error}.") from None
         try:
             targets = np.asarray(unpack(answer)["actions"], np.float64)[0]
         except (ValueError, TypeError, KeyError, IndexError):  # a line of text, or no such array
             targets = np.array(np.nan)
-        if targets.shape != self.targets.shape or not np.isfinite(targets).all():
+        if targets.shape != seen[STATE].shape or not np.isfinite(targets).all():
             raise UserError(
                 f"The policy server at {self._url} refuses, or gives no finite actions (n, "
-                f"{len(self.targets)}): {answer!r:.300}"
+                f"{len(seen[STATE])}): {answer!r:.300}"
             )
         return targets
 
@@ -237,8 +260,9 @@ def act(runner: Runner, observation: Any) -> np.ndarray:
             names = ", ".join(runner.joint_names)
             raise ValueError(f"{STATE!r} must hold {names} as an episode starts, got {len(state)}")
         joints = dict(zip(runner.joint_names, state.tolist(), strict=True))
-        runner.start(joints, observation.get(PROMPT))
-    return runner.step(image)
+        runner.reset(Start(joints, observation.get(PROMPT)))
+    runner.act({"image": image[None]})
+    return runner.targets[0]
 
 
 def metadata(runner: Runner) -> dict[str, Any]:
