@@ -205,7 +205,6 @@ def test_a_training_that_diverges_is_refused(name):
 @pytest.mark.parametrize(
     ("field", "value"),
     [("seed", -1), ("n3", float("nan")), ("n3", -1.0), ("learning_rate", 0.0)]
-    + [("label_smoothing", value) for value in (-0.1, 2.0)]
     + [(name, 0) for name in ("dim", "epochs", "batch_size", "patience", "threads")]
     + [("evaluate_every", 0)],
 )

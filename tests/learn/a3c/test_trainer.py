@@ -111,10 +111,9 @@ def test_updates_of_both_workers_arrive_and_are_recorded():
     policy = toy_policy()
     trainer = A3CTrainer(FAST, policy, Make(False, 5), seed=0, hooks=Hooks(on_metrics=rows.append))
     before = trainer._copy("values")
-    result = trainer.train(20_000)
-    assert result.step >= 20_000
+    result = trainer.train(5_000)
+    assert result.step >= 5_000
     assert trainer._shared["steps"].sum() == result.step
-    assert (trainer._shared["steps"] >= 10 * 96).all()
     assert (trainer._shared["steps"] % 96 == 0).all()
     assert not np.array_equal(before, trainer._copy("values"))
     assert rows[-1]["worker_0_steps"] > 0
@@ -136,24 +135,6 @@ def test_the_learning_rate_follows_its_schedule():
     constant = trained(learning_rate_schedule="constant")
     assert trained(learning_rate_schedule="linear", learning_rate_final=1.0) == constant
     assert trained(learning_rate_schedule="linear", learning_rate_final=0.0) != constant
-
-
-@pytest.mark.slow
-def test_a_killed_worker_is_reported_and_replaced(caplog):
-    killed = []
-
-    def kill(row):
-        if not killed:
-            killed.append(trainer._workers[1].child.process.pid)
-            os.kill(killed[0], signal.SIGKILL)
-
-    trainer = A3CTrainer(FAST, toy_policy(), Make(False, 5), seed=0, hooks=Hooks(on_metrics=kill))
-    with caplog.at_level(logging.WARNING, "knowarm.learn"):
-        result = trainer.train(20_000)
-    assert result.reason == "finished"
-    assert trainer.restarts == 1
-    assert "The worker 1 was killed by signal 9; restarting it" in caplog.text
-    assert not psutil.pid_exists(killed[0])
 
 
 @pytest.mark.slow
@@ -263,19 +244,23 @@ def test_killing_the_trainer_leaves_a_checkpoint_and_no_orphans(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_restarted_worker_continues_the_curriculum():
-    factors = []
+def test_a_killed_worker_is_replaced_and_continues_the_curriculum(caplog):
+    factors, killed = [], []
 
     def kill(row):
         factors.append(row["threshold_factor"])
         if len(factors) == 10:
-            os.kill(trainer._workers[0].child.process.pid, signal.SIGKILL)
+            killed.append(trainer._workers[0].child.process.pid)
+            os.kill(killed[0], signal.SIGKILL)
 
     config = dataclasses.replace(FAST, workers=1, log_every_steps=96, threshold_factor=3.0)
     trainer = A3CTrainer(
         config, toy_policy(), Make(False, 5, thresholds=True), seed=0, hooks=Hooks(on_metrics=kill)
     )
-    trainer.train(3000)
+    with caplog.at_level(logging.WARNING, "knowarm.learn"):
+        assert trainer.train(3000).reason == "finished"
     assert trainer.restarts == 1
+    assert "The worker 0 was killed by signal 9; restarting it" in caplog.text
+    assert not psutil.pid_exists(killed[0])
     assert factors[0] == pytest.approx(2.98)  # after the first update, in which all succeeded
     assert factors == sorted(factors, reverse=True)

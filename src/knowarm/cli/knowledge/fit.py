@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from knowarm.cli.knowledge.options import GraphOptions, check_suffix
+from knowarm.cli.knowledge.options import GraphOptions, check_out
 from knowarm.cli.tables import TableCommand, print_table
 from knowarm.errors import UserError
 from knowarm.knowledge.formats import SHIPPED
@@ -55,7 +55,7 @@ class Fit(SplitCommand):
             train,
         )
 
-        check_suffix(self.out, "models", (".safetensors",))
+        check_out(self.out, "models", (".safetensors",))
         config, shares = self.training, {"valid": self.valid, "test": self.test}
         split = self.split(config.seed, shares)
         end = "\r" if sys.stdout.isatty() else "\n"

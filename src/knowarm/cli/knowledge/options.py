@@ -1,7 +1,6 @@
 """Options shared by the `knowarm knowledge` commands: graph, objects, embedding and source."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, Self
@@ -13,7 +12,6 @@ from knowarm.cli.tables import TableCommand, check_output
 from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge import FULL, KnowledgeConfig, KnowledgeGraph, read_graph
 from knowarm.knowledge.slots import graph_facets
-from knowarm.reading import writing as writing_file
 from knowarm.world.config import EnvConfig, facets_of
 from knowarm.world.objects import TARGETS
 
@@ -110,17 +108,8 @@ class SceneOptions(TableCommand):
         return facets
 
 
-def check_suffix(path: Path | None, what: str, suffixes: Sequence[str]) -> None:
+def check_out(path: Path | None, what: str, suffixes: Sequence[str]) -> None:
     """Refuse an output file of another type before the work whose result it will hold."""
     if path is not None and path.suffix not in suffixes:
         raise UserError(f"--out {path}: {what} are written as {', '.join(suffixes)}.")
     check_output(path, "--out")
-
-
-@contextmanager
-def writing(path: Path) -> Iterator[None]:
-    """Make a file's folder, turn errors of the system into a `UserError`, and print the path."""
-    with writing_file(path, "Give another path."):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield
-    print(f"Wrote {path}")

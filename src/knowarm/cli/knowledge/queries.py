@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from knowarm.cli.knowledge.options import OBJECTS, GraphOptions, check_suffix, writing
+from knowarm.cli.knowledge.options import OBJECTS, GraphOptions, check_out
 from knowarm.cli.tables import TableCommand, print_table
 from knowarm.config import at_least, check_values
 from knowarm.errors import UserError, unknown_name
@@ -24,7 +24,7 @@ from knowarm.knowledge.queries.sparql import sparql
 from knowarm.knowledge.queries.splits import SPLITS, QuerySplits, query_splits
 from knowarm.knowledge.slots import graph_facets
 from knowarm.questions import COLOUR_RELATION, QuestionTable
-from knowarm.reading import read_text
+from knowarm.reading import read_text, replacing
 from knowarm.world.objects import TARGETS
 from knowarm.world.objects.target import COLOURS
 
@@ -198,8 +198,10 @@ class Draw(SelectionOptions):
     def run(self) -> None:
         """Select, draw and write."""
         graph = self.select(self.read())
-        with writing(self.out):
-            self.out.write_text(draw_svg(graph, self.objects, self.title), encoding="utf-8")
+        drawing = draw_svg(graph, self.objects, self.title)
+        with replacing(self.out, "Give another path.") as temporary:
+            temporary.write_text(drawing, encoding="utf-8")
+        print(f"Wrote {self.out}")
         print(f"{len(graph)} triples, {len(graph.nodes)} entities")
 
 
@@ -220,7 +222,7 @@ class Subgraph(SelectionOptions, TableCommand):
 
     def result(self) -> dict[str, Any]:
         """Select, print and write."""
-        check_suffix(self.out, "graphs", tuple(WRITERS))
+        check_out(self.out, "graphs", tuple(WRITERS))
         graph = self.read()
         if self.union is not None:
             graph = union(graph, read_graph(self.union))

@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 from safetensors.numpy import save_file
 
-from knowarm.cli.knowledge.options import SceneOptions, check_suffix, writing
+from knowarm.cli.knowledge.options import SceneOptions, check_out
 from knowarm.cli.tables import print_table
 from knowarm.config import to_dict
 from knowarm.knowledge import SceneEmbedding, scene_embedding, scene_sentences, scene_subgraph
 from knowarm.knowledge.graph.terms import local_name
 from knowarm.knowledge.probe import NEARLY_SAME, probe
+from knowarm.reading import replacing
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +63,7 @@ class Embed(SceneOptions):
 
     def result(self) -> dict[str, Any]:
         """Embed, print and write."""
-        check_suffix(self.out, "vectors", (".npy", ".safetensors"))
+        check_out(self.out, "vectors", (".npy", ".safetensors"))
         embedding = scene_embedding(self.config(), self.facets(), run_seed=self.run_seed())
         rows = [
             [slot.name, " ".join(f"{x:.3f}" for x in row[:6]) + " ...", float(np.linalg.norm(row))]
@@ -72,8 +73,9 @@ class Embed(SceneOptions):
         title = f"{slots}, {embedding.dim} to the policy"
         print_table(title, ["slot", "numbers", "norm"], rows)
         if self.out is not None:
-            with writing(self.out):
-                _write(embedding, self.out)
+            with replacing(self.out, "Give another path.") as temporary:
+                _write(embedding, temporary)
+            print(f"Wrote {self.out}")
         return {**to_dict(embedding.describe()), "vectors": embedding.matrix.tolist()}
 
 

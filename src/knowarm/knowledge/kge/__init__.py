@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from knowarm.config import above_zero, at_least, check_values, fraction
+from knowarm.config import above_zero, at_least, check_values
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,8 +21,6 @@ class KgeConfig:
     """Adam's step size; None takes the model's own."""
     n3: float | None = None
     """Weight of the N3 penalty; None takes the model's own."""
-    label_smoothing: float = 0.0
-    """Share of the target probability spread over all entities, 0 to 1."""
     evaluate_every: int = 10
     """Epochs between two evaluations on the validation triples."""
     patience: int = 8
@@ -37,4 +35,3 @@ class KgeConfig:
         at_least(self, 1, "dim", "epochs", "batch_size", "evaluate_every", "patience", "threads")
         above_zero(self, "learning_rate")
         at_least(self, 0, "n3")
-        fraction(self, "label_smoothing")

@@ -20,11 +20,11 @@ from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.kge import KgeConfig
 from knowarm.knowledge.kge.models import MODELS, KgeModel
-from knowarm.reading import reading, writing
+from knowarm.reading import reading, replacing
 
 _DIVERGED = (
-    "The graph embedding diverged: {}. Lower learning_rate, n3 or label_smoothing, or leave them "
-    "out, and train again."
+    "The graph embedding diverged: {}. Lower learning_rate or n3, or leave them out, and train "
+    "again."
 )
 
 
@@ -156,7 +156,7 @@ def train(
             for rows in torch.randperm(len(queries), generator=order).split(config.batch_size):
                 head, relation, tail = queries[rows].T
                 scores = model(head, relation)
-                loss = cross_entropy(scores, tail, label_smoothing=config.label_smoothing)
+                loss = cross_entropy(scores, tail)
                 if n3:
                     loss = loss + n3 * model.penalty(head, relation, tail)
                 optimizer.zero_grad()
@@ -280,10 +280,9 @@ def save_model(
         data = "".join(f"{text}\0" for text in names).encode()
         tensors[f"names.{name}"] = torch.from_numpy(np.frombuffer(data, np.uint8).copy())
     about = {"config": json.dumps(asdict(config)), "shares": json.dumps(dict(shares or {}))}
-    with writing(path, "Give another path."):
-        path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path, "Give another path.") as temporary:
         # `save_file` raises another type of error than `OSError` when a disk is full.
-        path.write_bytes(save(tensors, {"format": FORMAT, **about}))
+        temporary.write_bytes(save(tensors, {"format": FORMAT, **about}))
 
 
 def load_model(path: Path) -> StoredModel:
