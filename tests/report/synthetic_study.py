@@ -27,7 +27,7 @@ from knowarm.knowledge import KnowledgeConfig, SceneEmbedding, query_embedding, 
 from knowarm.knowledge.queries.queries import parse_query
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.reading import read_json, write_json
-from knowarm.report.model import StudyData
+from knowarm.report.model import Group, StudyData
 from knowarm.statistics import Interval
 from knowarm.world.agents import BLIND_AGENTS
 from knowarm.world.robots import ROBOTS
@@ -150,7 +150,7 @@ def redraw(study: StudyData, truth: Truth, *, seed: int, size: Size) -> StudyDat
             numbers = {**evaluation.summary.numbers, "success": share}
             evaluation = replace(evaluation, summary=replace(evaluation.summary, numbers=numbers))
             runs.append(replace(run, interim=interim, evaluations={LABEL: evaluation}))
-        groups[agent] = replace(groups[agent], runs=tuple(runs))
+        groups[agent] = Group.of(groups[agent].name, runs, LABEL)
     return replace(study, tasks=(replace(task, groups=tuple(groups.values())),))
 
 

@@ -102,6 +102,11 @@ def row_of(task: TaskData, each: Evaluated, *keys: str) -> Row:
     return row
 
 
+def files(evaluated: Iterable[Evaluated], name: str = "summary.json") -> list[Path]:
+    """Return the paths of one file of all evaluations, sources of a table."""
+    return [evaluation.folder / name for each in evaluated for evaluation in each.evaluations]
+
+
 Tone = Literal["good", "bad", "open", "note"]  # confirmed, refuted, undecided, or a remark
 
 

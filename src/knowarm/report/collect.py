@@ -78,10 +78,8 @@ def _task(
         for run, values in zip(same_agent, settings, strict=True):
             details = [f"{field.split('.')[-1]}={values.get(field)}" for field in fields]
             members[" · ".join([agent, *details])].append(run)
-        role = same_agent[0].config.role
         for each, chosen in members.items():
-            runs_of = _one_run_per_seed(chosen, problems)
-            groups.append(Group(each, agent, role, runs_of, label))
+            groups.append(Group.of(each, _one_run_per_seed(chosen, problems), label))
     own = next((run.evaluations[label] for run in runs if label in run.evaluations), None)
     fitting = [each for each in known if own and _same_rules(each.evaluations[0], own)]
     groups.sort(key=lambda group: rank(group.role, group.agent))
@@ -99,7 +97,7 @@ def _untrained(runs: list[RunData]) -> list[Reference]:
     for run in sorted(runs, key=order):
         for label, evaluation in run.evaluations.items():
             if label.endswith(UNTRAINED):
-                reference = Reference(f"untrained {run.agent}", (evaluation,))
+                reference = Reference(f"untrained {run.agent}", [evaluation])
                 found.setdefault((_task_key(run), run.agent), reference)
     return list(found.values())
 
@@ -124,27 +122,40 @@ def rules(evaluation: Evaluation) -> str:
     return json.dumps([evaluation.summary["episodes"], kept], sort_keys=True)
 
 
+EvaluationSet = dict[Group, list[Evaluation]]
+"""Evaluations by the same rules, by agent."""
+
+
+def evaluation_sets(task: TaskData) -> dict[tuple[str, str], EvaluationSet]:
+    """Return the evaluations of the best models by label and rules."""
+    found: dict[tuple[str, str], EvaluationSet] = defaultdict(lambda: defaultdict(list))
+    for group in task.groups:
+        for run in group.runs:
+            for label, evaluation in run.evaluations.items():
+                if not label.endswith((UNTRAINED, LATEST)):
+                    found[label, rules(evaluation)][group].append(evaluation)
+    return dict(sorted(found.items(), key=lambda each: each[0][0]))
+
+
 def split_groups(task: TaskData) -> dict[str, list[SplitGroup]]:
     """Return the agents of a task that chose between objects, by split.
 
     Without a split the queries are those of training (S1). The most common episodes count.
     """
-    found: dict[str, dict[str, list[tuple[Group, Evaluation]]]] = defaultdict(dict)
-    for group in task.groups:
-        for run in group.runs:
-            for label, evaluation in sorted(run.evaluations.items()):
-                final = not label.endswith((UNTRAINED, LATEST))
-                if final and "choice_chance" in evaluation.summary:
-                    split: str = evaluation.summary.config.split or next(iter(SPLITS))
-                    key = json.dumps([label, rules(evaluation)])
-                    found[split].setdefault(key, []).append((group, evaluation))
-    splits = {}
-    for split in filter(found.__contains__, SPLITS):
-        by_group: dict[Group, list[Evaluation]] = defaultdict(list)
-        for group, evaluation in max(found[split].values(), key=len):
-            by_group[group].append(evaluation)
-        splits[split] = [SplitGroup(group, split, each) for group, each in by_group.items()]
-    return splits
+    found: dict[str, list[EvaluationSet]] = defaultdict(list)
+    for each in evaluation_sets(task).values():
+        summary = next(iter(each.values()))[0].summary
+        if "choice_chance" in summary:
+            found[summary.config.split or next(iter(SPLITS))].append(each)
+    return {
+        split: [
+            SplitGroup(group.name, evaluations, group, split)
+            for group, evaluations in max(
+                found[split], key=lambda each: sum(map(len, each.values()))
+            ).items()
+        ]
+        for split in filter(found.__contains__, SPLITS)
+    }
 
 
 def _comparable(runs: list[RunData], label: str, problems: list[FolderProblem]) -> list[RunData]:

@@ -52,8 +52,9 @@ class Evaluation:
         return {int(path.stem): path for path in numbered if int(path.stem) < count}
 
 
+@dataclass(frozen=True, eq=False)
 class Evaluated:
-    """Something with one or more evaluations of the same episodes."""
+    """Evaluations of one agent on the same episodes."""
 
     name: str  # name shown in the report
     evaluations: Sequence[Evaluation]  # one evaluation per training seed
@@ -78,12 +79,8 @@ class Evaluated:
         return bootstrap(np.array([each.estimate for each in found]))
 
 
-@dataclass(frozen=True)
 class Reference(Evaluated):
-    """The evaluation of an untrained policy, shown for comparison."""
-
-    name: str  # name shown in the report
-    evaluations: tuple[Evaluation]  # the evaluation, alone
+    """The evaluation of an untrained policy, alone, shown for comparison."""
 
 
 def _complete(path: Path, needed: Collection[str]) -> dict[str, np.ndarray]:
@@ -172,18 +169,22 @@ class RunData:
 
 @dataclass(frozen=True, eq=False)
 class Group(Evaluated):
-    """Runs of one agent on one task that differ in the training seed only."""
+    """Runs of one agent on one task that differ in the training seed only.
 
-    name: str  # the agent, with the settings that tell it from others of the same name
+    Its name has the settings that tell it from others of the same agent. Its evaluations are those
+    that the task compares.
+    """
+
     agent: str
     role: Role
     runs: tuple[RunData, ...]  # runs by seed, at least one
     label: str  # label of the evaluation that the task compares; "" if there is none
 
-    @cached_property
-    def evaluations(self) -> Sequence[Evaluation]:  # type: ignore[override]
-        """The compared evaluation of every run that has it."""
-        return [r.evaluations[self.label] for r in self.runs if self.label in r.evaluations]
+    @classmethod
+    def of(cls, name: str, runs: Sequence[RunData], label: str) -> "Group":
+        """Return the runs as a group."""
+        found = [run.evaluations[label] for run in runs if label in run.evaluations]
+        return cls(name, found, runs[0].agent, runs[0].config.role, tuple(runs), label)
 
     @property
     def scope(self) -> str:
@@ -214,12 +215,6 @@ class SplitGroup(Evaluated):
 
     group: Group
     split: str  # name of the split
-    evaluations: Sequence[Evaluation]  # one per training seed
-
-    @property
-    def name(self) -> str:  # type: ignore[override]
-        """Name of the agent."""
-        return self.group.name
 
     @property
     def chance(self) -> float:

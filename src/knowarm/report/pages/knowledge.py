@@ -1,17 +1,16 @@
 """Page "Knowledge": each subject against the controls, and under other conditions."""
 
-from collections import defaultdict
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 from knowarm.experiment.agents import AGENTS
 from knowarm.report import format
 from knowarm.report.blocks import Block, Column, DataTable, Figure, Panel, Row, cells, table_of
 from knowarm.report.charts import POINTS_AXIS
-from knowarm.report.collect import LATEST, UNTRAINED, rules
+from knowarm.report.collect import evaluation_sets
 from knowarm.report.diagrams import Dot, dot_chart
 from knowarm.report.format import slugs
-from knowarm.report.model import Evaluation, Group, SplitGroup, TaskData
+from knowarm.report.model import Evaluated, Group, TaskData
 from knowarm.report.pages.results import conditions
 from knowarm.report.verdicts.claims import TOLERANCE, Claim, size_of
 from knowarm.report.verdicts.knowledge import finding
@@ -102,25 +101,21 @@ def forest_figure(table: DataTable, caption: str, panels: Mapping[str, Sequence[
 
 def _other_conditions(task: TaskData, subject: Group, stem: str) -> list[Block]:
     """Show the evaluations under other labels, such as held-out colours or sampled actions."""
-    labels = {label for run in task.runs for label in run.evaluations} - {task.label}
+    sets = {key: each for key, each in evaluation_sets(task).items() if key[0] != task.label}
+    rules = Counter(label for label, _ in sets)
     rows: list[Row] = []
     sources = []
-    for label in sorted(each for each in labels if not each.endswith((UNTRAINED, LATEST))):
-        found: dict[str, dict[Group, list[Evaluation]]] = defaultdict(lambda: defaultdict(list))
-        for group in task.groups:
-            for each in replace(group, label=label).evaluations:
-                found[rules(each)][group].append(each)
-        for alike in found.values():
-            own = SplitGroup(subject, "", alike.get(subject, [])).scores("success")
-            for group, evaluations in alike.items():
-                values = SplitGroup(group, "", evaluations).scores("success")
-                name = f"{label}: {conditions(evaluations[0])}" if len(found) > 1 else label
-                row: Row = {"label": name, "agent": group.name, "seeds": len(values)}
-                row |= {"success": float(values.mean()), "_colour": task.colours[group.name]}
-                if group is not subject and min(len(own), len(values)) > 1:
-                    row |= cells("difference", welch(own, values).difference)
-                rows.append(row)
-                sources += [evaluation.folder for evaluation in evaluations]
+    for (label, _), alike in sets.items():
+        own = Evaluated(subject.name, alike.get(subject, [])).scores("success")
+        for group, evaluations in alike.items():
+            values = Evaluated(group.name, evaluations).scores("success")
+            name = f"{label}: {conditions(evaluations[0])}" if rules[label] > 1 else label
+            row: Row = {"label": name, "agent": group.name, "seeds": len(values)}
+            row |= {"success": float(values.mean()), "_colour": task.colours[group.name]}
+            if group is not subject and min(len(own), len(values)) > 1:
+                row |= cells("difference", welch(own, values).difference)
+            rows.append(row)
+            sources += [evaluation.folder for evaluation in evaluations]
     if not rows:
         return []
     columns: list[str | Column] = [

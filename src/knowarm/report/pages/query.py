@@ -1,7 +1,6 @@
 """Page "Query": which object each agent chose, by split, by kind of query and by object."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from knowarm.report.blocks import (
     Verdict,
     cells,
     column_of,
+    files,
     row_of,
     shared,
     table_of,
@@ -25,7 +25,7 @@ from knowarm.report.blocks import (
 from knowarm.report.charts import CHOICE_AXIS, percent_axis
 from knowarm.report.collect import split_groups
 from knowarm.report.diagrams import confusion_map, dot_chart, group_dot
-from knowarm.report.model import Evaluation, Group, SplitGroup, TaskData
+from knowarm.report.model import Group, SplitGroup, TaskData
 from knowarm.report.pages.results import part_panels
 from knowarm.report.pages.training import curve_figure
 from knowarm.report.verdicts.claims import ALPHA, FEWEST_SEEDS, Finding
@@ -88,21 +88,13 @@ def _all(splits: Splits) -> list[SplitGroup]:
     return [each for asked in splits.values() for each in asked]
 
 
-def _folders(asked: Sequence[SplitGroup]) -> list[Evaluation]:
-    return [evaluation for each in asked for evaluation in each.evaluations]
-
-
-def _summaries(asked: Sequence[SplitGroup]) -> list[Path]:
-    return [each.folder / "summary.json" for each in _folders(asked)]
-
-
 def _table(
     task: TaskData, name: str, title: str, columns: Columns, asked: Sequence[SplitGroup], note: str
 ) -> DataTable:
     keys = [column.key for column in columns if column.interval]
     shown = shared("split", "agent", "seeds", *columns)
     rows = [{"split": g.split, "chance": g.chance} | row_of(task, g, *keys) for g in asked]
-    return table_of(task, name, title, shown, rows, _summaries(asked), note)
+    return table_of(task, name, title, shown, rows, files(asked), note)
 
 
 def _measure(task: TaskData, splits: Splits, key: str, title: str, columns: Columns) -> Figure:
@@ -144,7 +136,7 @@ def _by_type(task: TaskData, splits: Splits) -> Figure:
     panels = part_panels(task, _types(asked), groups, choice, CHOICE_AXIS)[1]
     asked_as = Column("type", "kind of query")
     columns = shared("split", asked_as, "agent", "choice", "success")
-    title, sources = f"Right choices by kind of query, {first}", _summaries(_all(splits))
+    title, sources = f"Right choices by kind of query, {first}", files(_all(splits))
     table = table_of(task, "query-types", title, columns, rows, sources)
     caption = (
         "Kind: the relations that the query names. Dot: mean over training seeds; line: "
@@ -154,7 +146,8 @@ def _by_type(task: TaskData, splits: Splits) -> Figure:
 
 
 def _types(asked: Sequence[SplitGroup]) -> list[str]:
-    return sorted({kind for each in _folders(asked) for kind in each.summary.groups["query_type"]})
+    summaries = [evaluation.summary for each in asked for evaluation in each.evaluations]
+    return sorted({kind for each in summaries for kind in each.groups["query_type"]})
 
 
 def _confusion(task: TaskData, splits: Splits) -> list[Block]:
@@ -182,7 +175,7 @@ def _confusion(task: TaskData, splits: Splits) -> list[Block]:
         *("episodes", Column("share", "share of the wanted", "percent")),
     ]
     title = f"Chosen against wanted object, {shown[0].name}"
-    sources = [each.folder / "episodes.parquet" for each in _folders(shown)]
+    sources = files(shown, "episodes.parquet")
     table = table_of(task, "confusion", title, columns, rows, sources)
     caption = (
         "Row: the wanted object. Column: the chosen one. The darker a cell, the larger its share "

@@ -12,14 +12,15 @@ from knowarm.report.blocks import (
     Row,
     cells,
     column_of,
+    files,
     row_of,
     shared,
     table_of,
 )
 from knowarm.report.charts import SUCCESS_AXIS, Axis
-from knowarm.report.collect import HELD_OUT, LATEST, UNTRAINED, rules
+from knowarm.report.collect import HELD_OUT, evaluation_sets
 from knowarm.report.diagrams import Dot, dot_chart
-from knowarm.report.model import Evaluation, Group, SplitGroup, TaskData
+from knowarm.report.model import Evaluated, Evaluation, Group, TaskData
 from knowarm.statistics import Interval
 from knowarm.world.agents import BLIND_AGENTS
 from knowarm.world.tasks.lift.probe import OUTCOMES
@@ -48,8 +49,7 @@ def _table(task: TaskData) -> DataTable:
             value = each.level(column.key)
             row[column.key] = value.estimate if value else None
         rows.append(row)
-    shown = [evaluation for each in lines for evaluation in each.evaluations]
-    first = shown[0] if shown else None
+    first = next((evaluation for each in lines for evaluation in each.evaluations), None)
     columns = [
         *shared("agent", "seeds", "return_mean", PLAIN[0], "success", "accuracy", "success_wide"),
         *shared("length_mean", *PLAIN[1:]),
@@ -60,8 +60,7 @@ def _table(task: TaskData) -> DataTable:
         "that one network. Failure distance: final distance of unsuccessful episodes. Standard "
         "deviations are within an evaluation, averaged over seeds."
     )
-    sources = [evaluation.folder / "summary.json" for evaluation in shown]
-    return table_of(task, "evaluation", conditions(first), columns, rows, sources, note)
+    return table_of(task, "evaluation", conditions(first), columns, rows, files(lines), note)
 
 
 def _vision(task: TaskData) -> DataTable | None:
@@ -78,11 +77,11 @@ def _vision(task: TaskData) -> DataTable | None:
         rows.append(row)
     if not rows:
         return None
-    evaluations = [evaluation for group in shown for evaluation in group.evaluations]
     played = [
-        each.summary.interval("episodes", "blind", name).estimate
-        for each in evaluations
-        for name in each.summary.groups.get("blind", {})
+        blind.estimate
+        for group in shown
+        for name in BLIND_AGENTS
+        if (blind := group.level("episodes", "blind", name))
     ]
     abouts = "; ".join(f"{name}: {entry.about}" for name, entry in BLIND_AGENTS.items())
     columns = shared("agent", "seeds", "success")
@@ -100,28 +99,26 @@ def _vision(task: TaskData) -> DataTable | None:
         "(Newcombe). A better fixed list may exist than the one that the search found."
     )
     title = "How much of the success depends on vision"
-    sources = [evaluation.folder / "summary.json" for evaluation in evaluations]
-    return table_of(task, "vision", title, columns, rows, sources, note)
+    return table_of(task, "vision", title, columns, rows, files(shown), note)
 
 
 def _lifts(task: TaskData) -> DataTable | None:
     """Show how many successes are grasps, by agent and thresholds of its lift tests."""
     causes = [f"lift_{name}" for name in OUTCOMES if name != "lifted"]
     shares = ["success", "lifted", "grasps", *causes]
-    rows: list[Row] = []
-    sources = []
-    for group in task.groups:
-        found: dict[tuple[str, str], list[Evaluation]] = {}
-        for label, each in (pair for run in group.runs for pair in run.evaluations.items()):
-            if "lifted" in each.summary and not label.endswith((UNTRAINED, LATEST)):
-                found.setdefault((label, rules(each)), []).append(each)
-        for (label, _), tests in found.items():
-            row = row_of(task, SplitGroup(group, "", tests), *shares)
-            row["rules"] = conditions(tests[0]) + " (held out)" * label.endswith(HELD_OUT)
-            rows.append(row)
-            sources += [each.folder / "summary.json" for each in tests]
-    if not rows:
+    tested = [
+        (label, Evaluated(group.name, each[group]))
+        for group in task.groups
+        for (label, _), each in evaluation_sets(task).items()
+        if group in each and "lifted" in each[group][0].summary
+    ]
+    if not tested:
         return None
+    rows: list[Row] = [
+        row_of(task, each, *shares)
+        | {"rules": conditions(each.evaluations[0]) + " (held out)" * label.endswith(HELD_OUT)}
+        for label, each in tested
+    ]
     columns = shared("agent", "seeds", Column("rules", "episodes"), *shares)
     note = (
         "The joint path of every successful episode is replayed among solid objects, the fingers "
@@ -129,6 +126,7 @@ def _lifts(task: TaskData) -> DataTable | None:
         "ended, of all. Objects that the gripper cannot lift are left out of these columns."
     )
     title = "How many successes are grasps"
+    sources = files(each for _, each in tested)
     return table_of(task, "lifts", title, columns, rows, sources, note)
 
 
