@@ -26,13 +26,8 @@ def test_changes_that_move_the_return_are_named():
     text = single_changes(measured, 2_000_000)
     assert "none has a success. " in text
     assert text.endswith("higher with none of them, and lower with none of them.")
-
-
-def test_changes_with_few_seeds_are_not_compared():
-    measured = {name: variant([0.0, 0.0, 0.0]) for name in NAMES}
-    measured["rewards"] = variant([0.0], (-10.0,))
+    measured["rewards"] = variant([0.0], (-10.0,))  # one seed
     assert "are not compared" in single_changes(measured, 2_000_000)
-    assert single_changes({"all": variant([0.5])}, 5_000_000) == ""
 
 
 def test_the_smallest_set_has_four_fifths_of_the_success_of_all():

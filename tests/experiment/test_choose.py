@@ -7,13 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from knowarm.config import from_dict, to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.algorithms import ALGORITHMS
 from knowarm.experiment.build import build
 from knowarm.experiment.conditions import SplitTest, Subject
-from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.graph_queries import GraphQueries
 from knowarm.experiment.load import load_agent
@@ -24,16 +22,7 @@ from knowarm.world.agents import OracleAgent
 from knowarm.world.config import EnvConfig, questions_of
 from knowarm.world.tasks.choose.choose import Choose
 from knowarm.world.tasks.query_source import NameQueries
-from tests.tiny import CHOOSE_ENV, CHOOSE_NAME
-
-
-def test_names_say_task_and_agent() -> None:
-    names = [name for name in experiment_names() if "-choose-" in name]
-    assert "irb120-choose-mask-fast" in names
-    assert "tiago-choose-bm-ppo" in names
-    assert not [name for name in names if "-full-" in name]
-    with pytest.raises(UserError, match="Unknown agent of the experiment 'fulll'"):
-        experiment_config("irb120-choose-fulll-fast")
+from tests.tiny import CHOOSE_ENV
 
 
 def test_the_image_marks_the_object_for_the_upper_bound_only() -> None:
@@ -43,13 +32,6 @@ def test_the_image_marks_the_object_for_the_upper_bound_only() -> None:
             assert isinstance(config.env.task, Choose)
             assert config.env.task.marked == (name == "mask")
             assert agent.task == ({"marked": True} if name == "mask" else {})
-
-
-def test_a_config_survives_json() -> None:
-    config = experiment_config(CHOOSE_NAME, env=CHOOSE_ENV)
-    assert from_dict(ExperimentConfig, to_dict(config), where="config") == config
-    assert isinstance(config.env.task, Choose)
-    assert isinstance(config.env.task.queries, GraphQueries)
 
 
 def test_the_knowledge_table_has_a_row_per_query() -> None:

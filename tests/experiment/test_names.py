@@ -24,6 +24,9 @@ def test_a_name_has_five_parts(text, parts):
     name = ExperimentName.parse(text)
     assert name == ExperimentName(*parts)
     assert str(name) == text
+    config = experiment_config(text)
+    assert (config.env.robot, config.env.task.kind, config.agent) == parts[:3]
+    assert (config.env.colours, config.learner) == parts[3:]
 
 
 def test_every_name_is_read_as_it_is_written():

@@ -12,10 +12,9 @@ from knowarm.experiment.build import Parts, build
 from knowarm.experiment.config import ExperimentConfig, StopWhen
 from knowarm.experiment.csv_log import read_csv
 from knowarm.experiment.load import load_agent
-from knowarm.experiment.names import ExperimentName, experiment_config, experiment_names, tasks_of
+from knowarm.experiment.names import ExperimentName, experiment_config, tasks_of
 from knowarm.experiment.run import train
 from knowarm.experiment.run_folder import RunFolder
-from knowarm.learn.algorithms import A3CConfig, PPOConfig
 from knowarm.learn.checkpoint import (
     Checkpoint,
     CheckpointStore,
@@ -25,7 +24,7 @@ from knowarm.learn.checkpoint import (
 from knowarm.reading import read_json, write_json
 from knowarm.world.config import questions_of
 from knowarm.world.scene import scene
-from tests.tiny import short
+from tests.tiny import CHOOSE_NAME, short
 
 
 @pytest.fixture(autouse=True)
@@ -208,22 +207,10 @@ def test_wide_matches_full():
     assert abs(counts[0] / counts[1] - 1) < 0.005
 
 
-@pytest.mark.parametrize("name", ["irb120-full-ppo", "tiago-bm-dr-a3c"])
+@pytest.mark.parametrize("name", ["irb120-full-ppo", "tiago-bm-dr-a3c", CHOOSE_NAME])
 def test_configs_survive_json(name):
     config = experiment_config(name)
     assert from_dict(ExperimentConfig, to_dict(config)) == config
-
-
-def test_names_say_what_they_are():
-    config = experiment_config("tiago-partial-dr-a3c")
-    assert config.env.robot == "tiago"
-    assert config.env.colours == "randomized"
-    assert config.agent == "partial"
-    assert isinstance(config.algorithm, A3CConfig)
-    assert isinstance(experiment_config("irb120-bm-ppo").algorithm, PPOConfig)
-    assert experiment_config("irb120-bm-ppo").env.colours == "fixed"
-    assert experiment_config("irb120-bm-ppo", name="mine").name == "mine"
-    assert all(name == experiment_config(name).name for name in experiment_names())
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")

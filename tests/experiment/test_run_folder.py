@@ -36,24 +36,21 @@ def test_the_commit_of_another_project_is_not_taken_for_the_packages(tmp_path, m
     assert len(run_folder.provenance().commit) == 40
 
 
-def test_what_is_no_run_folder_is_refused(tmp_path):
-    with pytest.raises(UserError, match=r"has no config\.json"):
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (None, r"has no config\.json"),
+        *((text, "JSON") for text in ("[]", "3", "{", "")),
+        ('{"format": 99}', "format 99"),
+    ],
+)
+def test_what_is_no_run_folder_is_refused(tmp_path, text, words):
+    if text is not None:
+        (tmp_path / "config.json").write_text(text)
+    with pytest.raises(UserError, match=words):
         RunFolder.open(tmp_path)
     with pytest.raises(UserError, match="does not exist"):
         RunFolder.open(tmp_path / "nowhere")
-
-
-@pytest.mark.parametrize("text", ["[]", "3", "{", ""])
-def test_a_damaged_config_is_refused(tmp_path, text):
-    (tmp_path / "config.json").write_text(text)
-    with pytest.raises(UserError, match="JSON"):
-        RunFolder.open(tmp_path)
-
-
-def test_another_format_is_refused(tmp_path):
-    write_json(tmp_path / "config.json", {"format": 99})
-    with pytest.raises(UserError, match="format 99"):
-        RunFolder.open(tmp_path)
 
 
 def test_knowledge_survives_the_disk(tmp_path):
@@ -85,24 +82,14 @@ def test_resuming_drops_the_rows_that_will_come_again(tmp_path):
     log = CsvLog(path, keep_to_step=20)
     log.write({"step": 30})
     assert [row["step"] for row in read_csv(path)] == ["10", "20", "30"]
-
-
-def test_a_new_log_replaces_an_old_file(tmp_path):
-    path = tmp_path / "metrics.csv"
-    CsvLog(path).write({"step": 1})
-    CsvLog(path).write({"step": 2})
+    CsvLog(path).write({"step": 2})  # a new log replaces the old file
     assert [row["step"] for row in read_csv(path)] == ["2"]
-
-
-def log_of(tmp_path, content: bytes):
-    path = tmp_path / "metrics.csv"
-    path.write_bytes(content)
-    return path
 
 
 @pytest.mark.parametrize("damage", [b"\xff", b"\0", b"x", b"", b",,,,"])
 def test_one_damaged_row_does_not_block_resuming(tmp_path, damage):
-    path = log_of(tmp_path, b"step,loss\n10,0.5\n" + damage + b"20,0.4\n30,0.3\n40,0.2\n")
+    path = tmp_path / "metrics.csv"
+    path.write_bytes(b"step,loss\n10,0.5\n" + damage + b"20,0.4\n30,0.3\n40,0.2\n")
     CsvLog(path, keep_to_step=30).write({"step": 50, "loss": 0.1})
     steps = [row["step"] for row in read_csv(path)]
     assert [step for step in steps if step != "20"] == ["10", "30", "50"]
@@ -121,7 +108,8 @@ def test_a_row_that_cannot_be_written_is_an_error_for_users(tmp_path):
 
 
 def test_a_damaged_header_does_not_block_resuming(tmp_path, caplog):
-    path = log_of(tmp_path, b"st\xffp,loss\n10,0.5\n")
+    path = tmp_path / "metrics.csv"
+    path.write_bytes(b"st\xffp,loss\n10,0.5\n")
     CsvLog(path, keep_to_step=30).write({"step": 50})
     assert read_csv(path) == [{"step": "50"}]
     assert path.with_suffix(".damaged").exists()

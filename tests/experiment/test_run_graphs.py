@@ -24,36 +24,28 @@ def run(tmp_path):
     return folder, path, config
 
 
-def test_the_original_is_read_while_it_is_the_same(run):
-    folder, _, config = run
-    assert folder.experiment() == config
-
-
 @pytest.mark.parametrize("change", ["gone", "edited"])
 def test_the_copy_is_read_where_the_original_is_gone_or_edited(run, change):
-    folder, path, _ = run
+    folder, path, config = run
+    assert folder.experiment() == config
     path.unlink() if change == "gone" else path.write_text("head,relation,tail\nmug,is,red\n")
     read = folder.experiment().knowledge.graph
     assert read != str(path)
     assert Path(read).read_text() == GRAPH
 
 
-def test_a_graph_of_several_files_is_kept(run, tmp_path):
+@pytest.mark.parametrize("file", ["entity2id.txt", "more/facts.csv"])
+def test_a_graph_of_several_files_is_kept_and_compared(run, tmp_path, file):
     folder, _, config = run
-    graph = tmp_path / "openke"
-    graph.mkdir()
-    (graph / "entity2id.txt").write_text("1\nmug 0\n")
-    config = replace(config, knowledge=replace(config.knowledge, graph=str(graph)))
+    part = tmp_path / "openke" / file
+    part.parent.mkdir(parents=True)
+    part.write_text(GRAPH)
+    graph = str(tmp_path / "openke")
+    config = replace(config, knowledge=replace(config.knowledge, graph=graph))
     folder.write_experiment(config)
     assert folder.experiment() == config
-    (graph / "entity2id.txt").write_text("changed")
+    part.write_text("changed")
     assert folder.experiment() != config
-
-
-def test_shipped_graphs_are_not_copied(tmp_path):
-    folder = RunFolder.create(tmp_path)
-    folder.write_experiment(experiment_config("irb120-choose-subgraph-fast"))
-    assert not (tmp_path / "graphs").exists()
 
 
 def test_a_folder_with_the_name_of_a_shipped_graph_is_no_graph_of_the_run(tmp_path, monkeypatch):
@@ -96,15 +88,3 @@ def test_a_graph_that_was_copied_in_part_is_copied_again(run):
     copy.rename(copy.with_name(".kitchen.csv.tmp")).write_text("head,rel")
     folder.write_experiment(config)
     assert [each.read_text() for each in folder.graphs.glob("*/*")] == [GRAPH]
-
-
-def test_folders_inside_a_graph_are_compared(run, tmp_path):
-    folder, _, config = run
-    inner = tmp_path / "openke" / "more"
-    inner.mkdir(parents=True)
-    (inner / "facts.csv").write_text(GRAPH)
-    config = replace(config, knowledge=replace(config.knowledge, graph=str(inner.parent)))
-    folder.write_experiment(config)
-    assert folder.experiment() == config
-    (inner / "facts.csv").write_text("changed")
-    assert folder.experiment() != config

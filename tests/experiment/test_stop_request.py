@@ -39,19 +39,12 @@ def test_the_second_ctrl_c_interrupts(name):
             signal.raise_signal(signal.SIGINT)
 
 
-def test_sigterm_may_come_twice():
+@pytest.mark.parametrize("name", [name for name in NAMES if name != "SIGINT"])
+def test_other_signals_may_come_twice(name):
     """A job's end signals every process, and the driver of a study its workers once more."""
     with StopRequest() as should_stop:
-        signal.raise_signal(signal.SIGTERM)
-        signal.raise_signal(signal.SIGTERM)
-        assert should_stop()
-
-
-@hangup
-def test_a_closing_terminal_may_say_so_twice():
-    with StopRequest() as should_stop:
-        signal.raise_signal(signal.SIGHUP)
-        signal.raise_signal(signal.SIGHUP)
+        for _ in range(2):
+            signal.raise_signal(getattr(signal, name))
         assert should_stop()
 
 
