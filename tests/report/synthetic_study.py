@@ -15,7 +15,6 @@ from knowarm.experiment.conditions import SplitTest
 from knowarm.experiment.evaluation import EvaluationConfig
 from knowarm.experiment.evaluation_files import (
     EPISODE_COLUMNS,
-    episode_types,
     step_columns,
     write_film,
     write_table,
@@ -31,7 +30,6 @@ from knowarm.report.model import Group, StudyData
 from knowarm.statistics import Interval
 from knowarm.world.agents import BLIND_AGENTS
 from knowarm.world.robots import ROBOTS
-from knowarm.world.tasks.choose.choose import Choose
 
 FACETS = {
     "fixed": [("mug", "red"), ("bottle", "yellow"), ("cereal_box", "brown")],
@@ -44,9 +42,8 @@ FACETS = {
         ("cereal_box", "light_blue"),
     ],
 }
-QUERIES = {"usedFor drinking": "mug", "hasPart handle": "bottle", "hasColor brown": "cereal_box"}
-ASKED = [parse_query(text) for text in QUERIES]
-"""Queries of the choose task, and the object that each means."""
+ASKED = [parse_query(text) for text in ("usedFor drinking", "hasPart handle", "hasColor brown")]
+"""Queries of the choose task."""
 JOINTS = {"irb120": 6, "tiago": 7}
 LABEL = "post-training-greedy"
 
@@ -334,54 +331,31 @@ def write_choice(
     old: float = 0.5,
     size: Size = Size(),
 ) -> None:
-    """Write one evaluation folder of the choose task.
+    """Write the summary of an evaluation of the choose task.
 
     Args:
-        folder: the folder.
+        folder: its folder.
         agent: name of the agent.
         split: name of the split.
         choice: probability of a right choice.
         generator: of the draws.
         reach: probability of success after a right choice.
         old: probability that a wrong choice on S5 is the answer before the edit.
-        size: episodes and films.
+        size: number of episodes.
     """
     folder.mkdir(parents=True)
-    count, env = size.episodes, choice_env()
-    size = replace(
-        size, evaluation={"test": (SplitTest(split=split),), "distance_m": 0.05, "angle_deg": 15.0}
-    )
+    rules = {"test": (SplitTest(split=split),), "distance_m": 0.05, "angle_deg": 15.0}
+    env, share = choice_env(), generator.binomial(size.episodes, choice) / size.episodes
     chance = 1 / env["task"]["objects"]
-    if not size.tables:
-        share = generator.binomial(count, choice) / count
-        flat = {"success": share * reach, "accuracy": share * reach, "return_mean": 140 * share}
-        flat |= {"episodes": float(count), "choice": share, "success_if_chosen": reach}
-        flat |= {"choice_chance": chance, "choice_corrected": (share - chance) / (1 - chance)}
-        flat["success_corrected"] = (share - chance) * reach / (1 - chance)
-        if split == "S5":
-            before = (1 - share) * old
-            flat |= {"chose_old_answer": before, "switched": share / (share + before)}
-        write_summary(folder, agent, env, size, numbers=flat)
-        return
-    columns = _episodes(0.5, env, generator, size, 1)
-    asked = np.array([list(QUERIES.values()).index(name) for name in columns["target"]])
-    correct = generator.random(count) < choice
-    others = np.array([*list(QUERIES.values())[1:], *list(QUERIES.values())[:1]])[asked]
-    columns |= {
-        "query": np.array(list(QUERIES))[asked],
-        "chosen": np.where(correct, columns["target"], others),
-        "choice_correct": correct,
-        "chance": np.full(count, chance),
-        "query_type": np.array([name.split(" ")[0] for name in QUERIES])[asked],
-        "success": correct & (generator.random(count) < reach),
-    }
+    beyond = (share - chance) / (1 - chance)
+    numbers = {"success": share * reach, "accuracy": share * reach, "return_mean": 140 * share}
+    numbers |= {"episodes": float(size.episodes), "choice": share, "success_if_chosen": reach}
+    numbers |= {"choice_chance": chance, "choice_corrected": beyond}
+    numbers["success_corrected"] = beyond * reach
     if split == "S5":
-        columns["chose_old_answer"] = ~correct & (generator.random(count) < old)
-    write_table(folder / "episodes.parquet", columns, episode_types(columns))
-    for number in range(size.films):
-        write_film(folder / "films" / f"{number}.webp", _images(int(columns["length"][number])))
-    numbers, groups = summarize(columns, Choose.measures)
-    write_summary(folder, agent, env, size, numbers=numbers, groups=groups)
+        before = (1 - share) * old
+        numbers |= {"chose_old_answer": before, "switched": share / (share + before)}
+    write_summary(folder, agent, env, replace(size, evaluation=rules), numbers=numbers)
 
 
 def _blind(success: float) -> dict[str, Any]:

@@ -1,6 +1,5 @@
 """The page "Was the query understood?" on studies whose truth is known, and on a real run."""
 
-import json
 import shutil
 from pathlib import Path
 
@@ -12,7 +11,7 @@ from knowarm.experiment.conditions import SplitTest
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.probes import FilmsProbe
 from knowarm.report import write_report
-from knowarm.report.blocks import Films, flat
+from knowarm.report.blocks import flat
 from knowarm.report.collect import collect, split_groups
 from knowarm.report.model import StudyData
 from knowarm.report.pages import behaviour, build_pages
@@ -181,34 +180,6 @@ def test_the_upper_bound_is_shown_in_the_same_task(tmp_path):
     assert only(study).kind == "understood"
 
 
-def test_films_say_what_was_asked(tmp_path):
-    size = Size(points=5, episodes=30, films=3)
-    study = study_of(tmp_path, on("S1", {"bm": 0.25, "subgraph": 0.5}), seeds=1, size=size)
-    assert behaviour.query_words("usedFor drinking and hasColor light_blue") == (
-        "used for drinking and has color light blue"
-    )
-    found = behaviour.film_blocks(study.tasks[0])
-    assert all(isinstance(each, Films) and "asked for “" in each.title for each in found)
-    texts = {film.text.split(",")[0] for each in found for film in each.films}
-    assert any(text.startswith("chose the ") for text in texts)
-
-
-def test_the_page_shows_every_number(tmp_path):
-    splits = {"S1": 0.3, "S5": 0.3}
-    size = Size(points=5, episodes=40)
-    study = study_of(tmp_path, {"bm": splits, "subgraph": {"S1": 0.9, "S5": 0.7}}, size=size)
-    page = next(page for page in build_pages(study) if page.name == "query")
-    tables = {table.name.split("-irb120")[0]: table for table in page.tables()}
-    assert set(tables) == {"choice", "reach", "switched", "query-types", "confusion"}
-    assert [row["split"] for row in tables["choice"].rows] == ["S1", "S1", "S5", "S5"]
-    assert {row["type"] for row in tables["query-types"].rows} == {"usedFor", "hasPart", "hasColor"}
-    shares = [row for row in tables["confusion"].rows if row["split"] == "S1"]
-    assert sum(row["episodes"] for row in shares) == 3 * 40
-    by_object = {(row["asked"], row["chosen"]): row["share"] for row in shares}
-    assert by_object["mug", "mug"] > 0.7
-    assert len([block for block in flat(page.blocks) if getattr(block, "kind", "")]) == 2
-
-
 def test_a_study_that_asks_nothing_has_no_such_page(tmp_path):
     write_run(tmp_path / "run" / "0", "bm", 0, 0.5, size=Size(points=5, episodes=10))
     assert "query" not in {page.name for page in build_pages(collect([tmp_path]))}
@@ -218,17 +189,25 @@ def test_a_real_run_is_reported(choose_run, copy_of, tmp_path):
     run = copy_of(choose_run).path
     for split in ("S1", "S5"):
         test = (SplitTest(split=split),)
-        evaluate(run, episodes=8, test=test, probes=(FilmsProbe(episodes=2),))
-    page = write_report([run], tmp_path / "report.html")
-    written = page.read_text()
+        evaluate(run, episodes=8, test=test, probes=(FilmsProbe(episodes=4),))
+    study = collect([run])
+    page = next(page for page in build_pages(study) if page.name == "query")
+    tables = {table.name.split("-irb120")[0]: table.rows for table in page.tables()}
+    names = {"choice", "reach", "switched", "choice-curves", "query-types", "confusion"}
+    assert set(tables) == names
+    assert [row["split"] for row in tables["choice"]] == ["S1", "S5"]
+    kinds = {row["type"] for row in tables["query-types"]}
+    assert {"usedFor", "hasColor"} & kinds
+    for split in ("S1", "S5"):
+        confused = [row for row in tables["confusion"] if row["split"] == split]
+        assert sum(row["episodes"] for row in confused) == 8
+    kinds = [block.kind for block in flat(page.blocks) if getattr(block, "kind", "")]
+    assert kinds == ["no control"] * 2
+    films = behaviour.film_blocks(study.tasks[0])
+    assert all("asked for “" in each.title for each in films)
+    assert any(f.text.startswith("chose the ") for each in films for f in each.films)
+    assert behaviour.query_words("usedFor drinking and hasColor light_blue") == (
+        "used for drinking and has color light blue"
+    )
+    written = write_report([run], tmp_path / "report.html").read_text()
     assert "Was the query understood?" in written
-    assert "asked for “" in written
-    tables = json.loads(page.with_suffix(".json").read_text())["tables"]
-    names = {name.split("-irb120")[0] for name in tables}
-    assert {"choice", "reach", "switched", "choice-curves", "query-types", "confusion"} <= names
-    (verdict,) = {
-        v["kind"]
-        for v in json.loads(page.with_suffix(".json").read_text())["verdicts"]
-        if v["page"] == "query"
-    }
-    assert verdict == "no control"

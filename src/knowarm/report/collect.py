@@ -146,7 +146,8 @@ def split_groups(task: TaskData) -> dict[str, list[SplitGroup]]:
     for each in evaluation_sets(task).values():
         summary = next(iter(each.values()))[0].summary
         if "choice_chance" in summary:
-            found[summary.config.split or next(iter(SPLITS))].append(each)
+            split: str = summary.config.split or next(iter(SPLITS))
+            found[split].append(each)
     return {
         split: [
             SplitGroup(group.name, evaluations, group, split)
