@@ -15,7 +15,7 @@ from knowarm.experiment.run import train
 from knowarm.learn.algorithms import privileged_uses
 from knowarm.learn.checkpoint import CheckpointStore, read_checkpoint
 from knowarm.world.envs import torch_env
-from knowarm.world.tasks import privileged
+from knowarm.world.envs import privileged
 from tests.tiny import TINY
 
 EVALUATION = EvaluationConfig(episodes=6, probes=())
