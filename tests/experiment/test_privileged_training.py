@@ -14,8 +14,7 @@ from knowarm.experiment.names import experiment_config
 from knowarm.experiment.run import train
 from knowarm.learn.algorithms import privileged_uses
 from knowarm.learn.checkpoint import CheckpointStore, read_checkpoint
-from knowarm.world.envs import torch_env
-from knowarm.world.envs import privileged
+from knowarm.world.envs import privileged, torch_env
 from tests.tiny import TINY
 
 EVALUATION = EvaluationConfig(episodes=6, probes=())

@@ -37,35 +37,11 @@ def make_fail():
     return fail
 
 
-def make_compare_policies():
-    """Return an evaluation that tells how many policies, and sets of parameters, it was given."""
-    policies, values = [], []
-
-    def compare(policy):
-        if not any(policy is other for other in policies):
-            policies.append(policy)
-        values.append(float(sum(p.detach().sum() for p in policy.parameters())))
-        return {"policies": len(policies), "values": len(set(values))}
-
-    return compare
-
-
 def take_all(evaluations):
     completed = evaluations.completed(timeout_s=0.0)
     while evaluations.pending():
         completed += evaluations.completed(timeout_s=0.2)
     return completed
-
-
-@pytest.mark.slow
-def test_the_evaluator_reuses_one_policy():
-    evaluations = BackgroundEvaluations(toy_policy(), make_compare_policies)
-    for step in range(3):
-        evaluations.submit(step, flatten_parameters(toy_policy(seed=step)))
-    completed = take_all(evaluations)
-    evaluations.close()
-    assert [each.results["policies"] for each in completed] == [1, 1, 1]
-    assert [each.results["values"] for each in completed] == [1, 2, 3]
 
 
 @pytest.mark.slow

@@ -3,7 +3,6 @@
 import dataclasses
 import os
 import signal
-from functools import partial
 
 import numpy as np
 import pytest
@@ -11,8 +10,7 @@ import torch
 
 from knowarm.cores import available_cores
 from knowarm.learn import Hooks, PPOConfig, PPOTrainer
-from knowarm.learn.learner import GradientCommand, add_gradient, count_processes
-from knowarm.learn.ppo import minibatch_loss
+from knowarm.learn.learner import GradientCommand, count_processes
 from tests.learn import toys
 from tests.learn.toys import SIDE, informed_toy_policy, toy_env
 
@@ -54,17 +52,6 @@ def test_loss_and_gradient_of_two_processes_are_those_of_one(auxiliary):
     assert results[0][1].abs().max() > 0
     for one, two in zip(*results, strict=True):
         torch.testing.assert_close(one, two, rtol=1e-4, atol=1e-6)
-
-
-def test_the_workers_part_counts():
-    learner, env_ids = noisy_learner(2), torch.arange(16)
-    with learner.running():
-        learner.compute_gradient(env_ids)
-    whole = learner.gradient.clone()
-    learner.gradient.zero_()
-    loss = partial(minibatch_loss, CONFIG)
-    add_gradient(learner.network, loss, learner.rollout, learner.targets, env_ids[:8], 0.5)
-    assert not torch.allclose(whole, learner.gradient, rtol=1e-2, atol=1e-4)
 
 
 def test_a_step_of_two_processes_is_that_of_one():

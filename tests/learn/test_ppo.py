@@ -177,23 +177,6 @@ def test_an_environment_of_another_size_or_device_is_rejected():
         PPOTrainer(config, toy_policy(), env, seed=0)
 
 
-def test_a_gradient_that_is_not_finite_stays_out_of_the_parameters(monkeypatch):
-    trainer, policy = build(None)
-    trainer.train(320)
-    before = {name: tensor.clone() for name, tensor in policy.state_dict().items()}
-    compute = trainer._learner.compute_gradient
-
-    def poisoned(env_ids):
-        loss = compute(env_ids)
-        trainer._learner.gradient[3] = float("nan")
-        return loss
-
-    monkeypatch.setattr(trainer._learner, "compute_gradient", poisoned)
-    with pytest.raises(NotFiniteError, match=r"the gradient of encoder\.conv1\.weight"):
-        trainer._learn()
-    assert all(torch.equal(t, before[n]) for n, t in policy.state_dict().items())
-
-
 def test_a_constructor_changes_no_setting_of_the_process(monkeypatch):
     from knowarm.learn import minibatch
 
