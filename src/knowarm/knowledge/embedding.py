@@ -129,8 +129,8 @@ class SceneEmbedding(Embedding):
         wanted = Facet(name, None if self.config.detail == "partial" else colour)
         if wanted in self.slots:
             return self.slots.index(wanted)
-        known = ", ".join(slot.name for slot in self.slots)
-        raise UserError(f"No slot describes {wanted.name!r}. The slots are: {known}.")
+        names = ", ".join(slot.name for slot in self.slots)
+        raise UserError(f"No slot describes {wanted.name!r}. The slots are: {names}.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -285,8 +285,8 @@ def _embed(
     matrix = source.change_vectors(matrix, seed)
     if source.real is not source and not source.content_free:
         real = _embed(replace(config, source=source.real), slots, graph).matrix
-        wanted, found = (np.linalg.norm(each, axis=1, keepdims=True) for each in (real, matrix))
-        factor = np.divide(wanted, found, out=np.zeros_like(wanted), where=found > 0)
+        wanted, length = (np.linalg.norm(m, axis=1, keepdims=True) for m in (real, matrix))
+        factor = np.divide(wanted, length, out=np.zeros_like(wanted), where=length > 0)
         matrix = (matrix * factor).astype(np.float32)
     return _Embedded(matrix, sentences, coverage)
 
@@ -315,14 +315,14 @@ def _vectors(
     several = len(set(described.hues)) > 1  # a colour less itself would be nothing
     hue_centre = _centre(lookup, described.hues) if config.centring and several else 0.0
     rows = []
-    for parts, own, rest in zip(*described[:3], strict=True):
+    for parts, hue_part, other_parts in zip(*described[:3], strict=True):
         if config.pooling == "facts":
             rows.append(join_facts([lookup.find(part, coverage) for part in parts], centre))
             continue
-        labels = parts if config.colour_share is None else rest
+        labels = parts if config.colour_share is None else other_parts
         vector = pool([lookup.find(p, coverage) for p in labels], config.pooling, centre)
-        if own is not None and config.colour_share is not None:
-            hue = pool([lookup.find(own, coverage)], config.pooling, hue_centre)
+        if hue_part is not None and config.colour_share is not None:
+            hue = pool([lookup.find(hue_part, coverage)], config.pooling, hue_centre)
             share, length = config.colour_share, np.linalg.norm(vector)
             vector = ((1 - share) * _unit(vector) + share * _unit(hue)) * length
         rows.append(vector if config.slot_norm is None else _unit(vector) * config.slot_norm)
@@ -331,11 +331,11 @@ def _vectors(
 
 def _centre(lookup: VectorLookup, parts: Sequence[SentencePart]) -> np.ndarray:
     """Return the mean vector of labels, (D,) float64; labels that are not found are skipped."""
-    found = []
+    matrices = []
     for part in parts:
         with suppress(UserError):
-            found.append(lookup.find(part, Coverage()).vectors)
-    vectors = np.concatenate([np.empty((0, lookup.dim), np.float32), *found])
+            matrices.append(lookup.find(part, Coverage()).vectors)
+    vectors = np.concatenate([np.empty((0, lookup.dim), np.float32), *matrices])
     return vectors.mean(axis=0, dtype=np.float64) if len(vectors) else np.zeros(lookup.dim)
 
 

@@ -88,8 +88,8 @@ def probe(
         recovered["object"] = _single(vectors, objects, in_task)
         recovered["colour"] = _single(vectors, np.array(colours), in_task)
     recovered |= _attributes(graph, vectors, objects, in_task, config)
-    found = {name: scores for name, scores in recovered.items() if scores}
-    return Probe(slots=names, cosine=cosine, recovered=found)
+    scored = {name: scores for name, scores in recovered.items() if scores}
+    return Probe(slots=names, cosine=cosine, recovered=scored)
 
 
 def _cosine(matrix: np.ndarray) -> np.ndarray:
@@ -103,9 +103,9 @@ def _population(
     graph: KnowledgeGraph, facets: Sequence[tuple[str, str]], config: KnowledgeConfig
 ) -> list[tuple[str, str]]:
     """Return the task's facets, then those of all other objects that have a colour."""
-    known = [graph.entity_id(config.graph_name(name)) for name, _ in facets]
+    task_objects = [graph.entity_id(config.graph_name(name)) for name, _ in facets]
     coloured = graph.relations == graph.relation_id(config.colour_relation)
-    rows = np.flatnonzero(coloured & ~np.isin(graph.heads, known))
+    rows = np.flatnonzero(coloured & ~np.isin(graph.heads, task_objects))
     if len(rows) > MOST_OTHERS:
         rows = np.random.default_rng(config.seed).choice(rows, MOST_OTHERS, replace=False)
     others = ((graph.heads[row], graph.tails[row]) for row in np.sort(rows))
@@ -121,11 +121,11 @@ def _predict(vectors: np.ndarray, targets: np.ndarray, held: np.ndarray) -> np.n
     return (vectors[held] - mean) @ x.T @ np.linalg.solve(gram, y) + centre
 
 
-def _scores(found: np.ndarray, guess: np.ndarray, in_task: np.ndarray) -> dict[str, float]:
+def _scores(shares: np.ndarray, guess: np.ndarray, in_task: np.ndarray) -> dict[str, float]:
     """Average what was asked of each slot, (S,); NaN where nothing was, {} if not of the task."""
-    if np.isnan(found[in_task]).all():
+    if np.isnan(shares[in_task]).all():
         return {}
-    means = {"task": np.nanmean(found[in_task]), "all": np.nanmean(found)}
+    means = {"task": np.nanmean(shares[in_task]), "all": np.nanmean(shares)}
     return {name: float(mean) for name, mean in (means | {"guess": np.nanmean(guess)}).items()}
 
 
@@ -133,11 +133,11 @@ def _single(vectors: np.ndarray, answers: np.ndarray, in_task: np.ndarray) -> di
     """Predict one answer per slot, leaving one slot out; answers that occur once are skipped."""
     classes, index, counts = np.unique(answers, return_inverse=True, return_counts=True)
     targets = np.eye(len(classes))[index]
-    found = np.full(len(vectors), np.nan)
+    hits = np.full(len(vectors), np.nan)
     for row in np.flatnonzero(counts[index] > 1):
         held = np.arange(len(vectors)) == row
-        found[row] = _predict(vectors, targets, held)[0].argmax() == index[row]
-    return _scores(found, counts.max(keepdims=True) / len(answers), in_task)
+        hits[row] = _predict(vectors, targets, held)[0].argmax() == index[row]
+    return _scores(hits, counts.max(keepdims=True) / len(answers), in_task)
 
 
 def _attributes(
@@ -154,22 +154,24 @@ def _attributes(
     about = np.isin(graph.heads, ids)
     for relation in np.unique(graph.relations[about]):
         rows = np.flatnonzero((graph.relations == relation) & about)
-        tails, place, counts = np.unique(graph.tails[rows], return_inverse=True, return_counts=True)
+        tails, columns, counts = np.unique(
+            graph.tails[rows], return_inverse=True, return_counts=True
+        )
         if relation == colour or (counts > 1).sum() < 2:
             continue
         true = np.zeros((len(objects), len(tails)))
-        for row, column in zip(rows, place, strict=True):
+        for row, column in zip(rows, columns, strict=True):
             true[ids == graph.heads[row], column] = 1.0
         true = true[:, counts > 1]  # a value of a single object cannot be learned from others
-        found, guess = np.full((2, len(objects)), np.nan)
+        shares, guess = np.full((2, len(objects)), np.nan)
         for name in np.unique(objects[true.any(axis=1)]):
             held = objects == name
             frequent = true[~held].mean(axis=0)
             for row, score in zip(np.flatnonzero(held), _predict(vectors, true, held), strict=True):
-                found[row] = _share_found(score, true[row])
+                shares[row] = _share_found(score, true[row])
                 guess[row] = _share_found(frequent, true[row])
         name = local_name(graph.relation_names[int(relation)])
-        scores[name] = _scores(found, guess, in_task)
+        scores[name] = _scores(shares, guess, in_task)
     return scores
 
 

@@ -124,8 +124,8 @@ def _apart(
     parts: list[SentencePart], name: str | None
 ) -> tuple[SentencePart | None, list[SentencePart]]:
     """Return the part with a name, if there is one, and the parts with other names."""
-    own = next((part for part in parts if part.name == name), None)
-    return own, [part for part in parts if part.name != name]
+    named = next((part for part in parts if part.name == name), None)
+    return named, [part for part in parts if part.name != name]
 
 
 def _condition_parts(
@@ -136,7 +136,7 @@ def _condition_parts(
     A value that the graph does not hold, such as a colour without facts, has its own label only.
     """
     held = _entity(graph, condition, config)
-    names = (each for each in graph.relation_names if local_name(each) == condition.relation)
+    names = (name for name in graph.relation_names if local_name(name) == condition.relation)
     relation = next(names, condition.relation)
     value = entity_part(graph, held or condition.value)
     parts = [*relation_parts(graph, relation, config), value]
@@ -180,8 +180,8 @@ def facet_subgraph(
     entity = around.entity_id(facet.object)
     relation = around.find_relation(colour_relation)
     if relation is None and facet.colour is not None:
-        known = [local_name(name) for name in around.relation_names]
-        unknown = unknown_name("colour relation", colour_relation, known)
+        relations = [local_name(name) for name in around.relation_names]
+        unknown = unknown_name("colour relation", colour_relation, relations)
         hint = "Set colour_relation to the graph's relation, or detail to 'partial'."
         raise UserError(f"{unknown} {hint}")
     colours = (around.heads == entity) & (around.relations == relation)
@@ -209,10 +209,10 @@ def _colour_row(around: KnowledgeGraph, rows: np.ndarray, facet: Facet, wanted: 
             Argument("knowledge.detail", "partial"),
             ".",
         )
-    known = sorted(local_name(around.names[around.tails[row]]) for row in rows)
+    colours = sorted(local_name(around.names[around.tails[row]]) for row in rows)
     raise UserError(
         f"The graph does not say that {facet.object!r} can be {wanted!r}. "
-        f"Its colours there: {', '.join(known)}. "
+        f"Its colours there: {', '.join(colours)}. "
         "Add that fact to the graph, use ",
         Argument("env.colours", "fixed"),
         " if it has those, or ",
@@ -288,16 +288,16 @@ def _subgraphs(
         return graph, {}
     seed, scene = source.draw_seed(config.seed, run_seed), FacetSlots(slots)
     graph = source.change_graph(scene.complete(graph, config), seed)
-    found = scene.subgraphs(graph, config, seed)
-    return graph, {slot.name: sub for slot, (sub, _) in zip(slots, found, strict=True)}
+    subgraphs = scene.subgraphs(graph, config, seed)
+    return graph, {slot.name: sub for slot, (sub, _) in zip(slots, subgraphs, strict=True)}
 
 
 def scene_subgraph(
     config: KnowledgeConfig, facets: Sequence[ObjectColour], *, run_seed: int = 0
 ) -> KnowledgeGraph:
     """Return the union of the slots' subgraphs."""
-    graph, found = _subgraphs(config, facets, run_seed)
-    subgraphs = found.values()
+    graph, by_slot = _subgraphs(config, facets, run_seed)
+    subgraphs = by_slot.values()
     triples = [subgraph.triples for subgraph in subgraphs]
     return KnowledgeGraph(
         graph.names,
@@ -312,5 +312,5 @@ def scene_sentences(
     config: KnowledgeConfig, facets: Sequence[ObjectColour], *, run_seed: int = 0
 ) -> dict[str, str]:
     """Return the sentence of each slot, by the slot's name."""
-    found = _subgraphs(config, facets, run_seed)[1]
-    return {name: sentence(sub, config) for name, sub in found.items()}
+    by_slot = _subgraphs(config, facets, run_seed)[1]
+    return {name: sentence(sub, config) for name, sub in by_slot.items()}

@@ -98,8 +98,8 @@ def _refuse_binary(path: Path) -> int:
     """Refuse a file with a zero byte; return the length of its byte order mark."""
     with open_bytes(path) as file:
         start = file.read(1 << 16)
-    if (place := start.find(b"\0")) >= 0:
-        line = 1 + start.count(b"\n", 0, place)
+    if (zero := start.find(b"\0")) >= 0:
+        line = 1 + start.count(b"\n", 0, zero)
         raise UserError(
             f"{path}, line {line}: contains a zero byte, so this is "
             f"not a text file. Check the path and the format."
@@ -128,9 +128,9 @@ def _malformed(path: Path, syntax: RdfFormat, error: SyntaxError) -> UserError:
             f"{path}: the JSON-LD context is a remote document, and nothing is fetched from the "
             f"network. Write the context into the file."
         )
-    place = f"{path}, line {line}" if line else str(path)
+    location = f"{path}, line {line}" if line else str(path)
     return UserError(
-        f"{place}: not well-formed {syntax.name}: {reason}. "
+        f"{location}: not well-formed {syntax.name}: {reason}. "
         f"Correct the file, or give the right format."
     )
 

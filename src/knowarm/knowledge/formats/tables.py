@@ -84,7 +84,7 @@ def read_table(path: Path, separator: str) -> KnowledgeGraph:
     builder = GraphBuilder()
     tabs = ((number, line.split("\t")) for number, line in text_lines(path) if line)
     rows = tabs if separator == "\t" else _csv_rows(path, separator)
-    for place, (number, row) in enumerate(rows):
+    for index, (number, row) in enumerate(rows):
         if len(row) != 3:
             named = {"\t": "tabs", ",": "commas"}[separator]
             raise UserError(
@@ -92,7 +92,7 @@ def read_table(path: Path, separator: str) -> KnowledgeGraph:
                 f"triple has 3 (head, relation, tail) separated by {named}. Correct the line, or "
                 f"give the file the suffix of its separator: .tsv for tabs, .csv for commas."
             )
-        if not place and tuple(cell.strip().lower() for cell in row) in HEADERS:
+        if not index and tuple(cell.strip().lower() for cell in row) in HEADERS:
             continue
         if not all(row):
             empty = HEADERS[0][row.index("")]

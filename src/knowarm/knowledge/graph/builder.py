@@ -52,11 +52,11 @@ class GraphBuilder:
         renamed = []
         for old, columns in ((self.entities, [0, 2]), (self.relations, [1])):
             new: dict[str, int] = defaultdict(count().__next__)
-            place = np.array([new[new_name(name)] for name in old], np.int32)
-            ids[:, columns] = place[ids[:, columns]]
+            new_ids = np.array([new[new_name(name)] for name in old], np.int32)
+            ids[:, columns] = new_ids[ids[:, columns]]
             renamed.append(new)
         self.entities, self.relations = renamed
-        labels = sorted(self._labels.items(), key=lambda each: each[1], reverse=True)
+        labels = sorted(self._labels.items(), key=lambda item: item[1], reverse=True)
         self._labels = {new_name(name): label for name, label in labels}
 
     def build(self, labels: Mapping[str, str] | None = None) -> KnowledgeGraph:
@@ -113,11 +113,11 @@ def union(first: KnowledgeGraph, second: KnowledgeGraph) -> KnowledgeGraph:
 
     Blank nodes of two graphs are never the same: those of the second get names that are free.
     """
-    own = set(first.entities)
-    free = blank_names(own.union(second.entities))
-    new = {n: next(free) for n in second.entities if n.startswith("_:") and n in own}
+    first_names = set(first.entities)
+    free = blank_names(first_names.union(second.entities))
+    new = {n: next(free) for n in second.entities if n.startswith("_:") and n in first_names}
     triples = ((new.get(h, h), r, new.get(t, t)) for h, r, t in second)
-    nodes = (*own, *(new.get(name, name) for name in second.entities))
+    nodes = (*first_names, *(new.get(name, name) for name in second.entities))
     labels = {new.get(name, name): label for name, label in second.own_labels().items()}
     return graph_of((*first, *triples), nodes=nodes, labels=labels | first.own_labels())
 

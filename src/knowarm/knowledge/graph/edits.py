@@ -32,17 +32,17 @@ def edited(graph: KnowledgeGraph, edits: Iterable[str]) -> KnowledgeGraph:
             graph = with_facts(graph, [triple])
             continue
         if triple not in graph:
-            stated = "; ".join(" ".join(each) for each in graph if each[0] == head)
+            stated = "; ".join(" ".join(fact) for fact in graph if fact[0] == head)
             raise UserError(
                 f"The edit {text!r} removes a triple that the graph does not hold. It states: "
                 f"{stated or f'nothing about {head}'}."
             )
-        rest = [each for each in graph if each != triple]
-        graph = graph_of(rest, nodes=graph.entities, labels=graph.own_labels())
+        kept = [fact for fact in graph if fact != triple]
+        graph = graph_of(kept, nodes=graph.entities, labels=graph.own_labels())
     return graph
 
 
 def _known(name: str, find: Callable[[str], int | None], names: Names) -> str:
     """Return the graph's full name, or the name itself if the graph does not hold it."""
-    found = find(name)
-    return name if found is None else names[found]
+    entity = find(name)
+    return name if entity is None else names[entity]

@@ -23,8 +23,8 @@ class Names(tuple[str, ...]):
 
     def find(self, name: str) -> int | None:
         """Return the id of a name, or None: a binary search."""
-        place = bisect_left(self, name)
-        return place if place < len(self) and self[place] == name else None
+        index = bisect_left(self, name)
+        return index if index < len(self) and self[index] == name else None
 
     def find_local(self, local: str) -> list[int]:
         """Return the ids of the names, but for literals, whose `local_name` this is, ascending."""
@@ -182,16 +182,16 @@ class KnowledgeGraph:
         exact = self.names.find(name)
         if exact is not None and self._has_node(exact):
             return exact
-        found = [i for i in self.names.find_local(name) if self._has_node(i)]
-        if not found:
+        ids = [i for i in self.names.find_local(name) if self._has_node(i)]
+        if not ids:
             labelled = (self.names.find(n) for n, label in self.labels.items() if label == name)
-            found = [i for i in labelled if i is not None and self._has_node(i)]
-        return _single(found, name, self.names, "entities")
+            ids = [i for i in labelled if i is not None and self._has_node(i)]
+        return _single(ids, name, self.names, "entities")
 
     def entity_id(self, name: str) -> int:
         """Return the id as `find_entity`; raise a `UserError` without."""
-        if (found := self.find_entity(name)) is not None:
-            return found
+        if (entity := self.find_entity(name)) is not None:
+            return entity
         names = {local_name(n) for n in self.entities}
         if len(names) > _FEW:
             names = {n for n in names if n[:1] == name[:1] and abs(len(n) - len(name)) < 3}
@@ -200,29 +200,29 @@ class KnowledgeGraph:
     def find_relation(self, name: str) -> int | None:
         """Return the id by name or last part of the IRI; None without, refuse several."""
         exact = self.relation_names.find(name)
-        found = self.relation_names.find_local(name) if exact is None else [exact]
-        return _single(found, name, self.relation_names, "relations")
+        ids = self.relation_names.find_local(name) if exact is None else [exact]
+        return _single(ids, name, self.relation_names, "relations")
 
     def relation_id(self, name: str) -> int:
         """Return the id as `find_relation`; raise a `UserError` without."""
-        if (found := self.find_relation(name)) is not None:
-            return found
+        if (relation := self.find_relation(name)) is not None:
+            return relation
         raise unknown_name("relation", name, [local_name(n) for n in self.relation_names])
 
     def _has_node(self, entity: int) -> bool:
-        place = int(np.searchsorted(self.nodes, np.int32(entity)))
-        return place < len(self.nodes) and self.nodes[place] == entity
+        index = int(np.searchsorted(self.nodes, np.int32(entity)))
+        return index < len(self.nodes) and self.nodes[index] == entity
 
 
-def _single(found: Sequence[int], name: str, names: Names, kind: str) -> int | None:
+def _single(ids: Sequence[int], name: str, names: Names, kind: str) -> int | None:
     """Return what was found by a name, or None; refuse several."""
-    if len(found) > 1:
-        full = ", ".join(sorted(names[i] for i in found)[:5])
+    if len(ids) > 1:
+        full = ", ".join(sorted(names[i] for i in ids)[:5])
         raise UserError(
-            f"{name!r} names {len(found)} {kind} of the graph: {full}. "
+            f"{name!r} names {len(ids)} {kind} of the graph: {full}. "
             f"Give the full name of one of them."
         )
-    return found[0] if found else None
+    return ids[0] if ids else None
 
 
 def gamma(
@@ -244,14 +244,14 @@ def gamma(
     Further hops keep their direction: `mug -> red` may continue to `red -> color` and never returns
     through `red <- fire_truck`, so that an attribute that many objects share stays a leaf.
     """
-    for what, least in (("hops", hops), ("max_degree", max_degree)):
+    for option, least in (("hops", hops), ("max_degree", max_degree)):
         if least is not None and least < 0:
-            raise UserError(f"{what} is {least}; it must be 0 or more.")
+            raise UserError(f"{option} is {least}; it must be 0 or more.")
     if direction not in get_args(Direction):
         raise unknown_name("direction", direction, get_args(Direction))
     start = np.array(sorted({graph.entity_id(name) for name in entities}), np.int32)
     allowed = None if relations is None else [graph.relation_id(name) for name in relations]
-    found = [np.empty(0, np.int64)]
+    rows = [np.empty(0, np.int64)]
     for way in ("out", "in") if direction == "both" else (direction,):
         seen = frontier = start
         for hop in range(hops):
@@ -262,10 +262,10 @@ def gamma(
                     continue
                 if allowed is not None:
                     edges = edges[np.isin(graph.relations[edges], allowed)]
-                found.append(edges)
+                rows.append(edges)
                 reached.append((graph.tails if way == "out" else graph.heads)[edges])
             frontier = np.setdiff1d(np.concatenate(reached), seen)
             if not len(frontier):
                 break
             seen = np.union1d(seen, frontier)
-    return graph.rows(np.unique(np.concatenate(found)), nodes=start)
+    return graph.rows(np.unique(np.concatenate(rows)), nodes=start)

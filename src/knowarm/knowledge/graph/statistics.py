@@ -40,9 +40,9 @@ def graph_statistics(graph: KnowledgeGraph) -> GraphStatistics:
     """Compute the statistics of a graph."""
     size = len(graph.names)
     degree = np.bincount(graph.heads, minlength=size) + np.bincount(graph.tails, minlength=size)
-    own = degree[graph.nodes]
+    node_degree = degree[graph.nodes]
     part = _components(graph.heads, graph.tails, size, "weak")
-    order = graph.nodes[np.lexsort((graph.nodes, -own))][:MOST]
+    order = graph.nodes[np.lexsort((graph.nodes, -node_degree))][:MOST]
     counts = np.bincount(graph.relations, minlength=len(graph.relation_names))
     used = sorted(np.flatnonzero(counts), key=lambda i: (-counts[i], i))
     owners: dict[str, list[str]] = defaultdict(list)
@@ -54,9 +54,9 @@ def graph_statistics(graph: KnowledgeGraph) -> GraphStatistics:
         entities=len(graph.nodes),
         relations=len(used),
         labelled=sum(graph.names.find(name) is not None for name in graph.own_labels()),
-        alone=int((own == 0).sum()),
+        alone=int((node_degree == 0).sum()),
         components=len(np.unique(part[graph.nodes])),
-        max_degree=int(own.max(initial=0)),
+        max_degree=int(node_degree.max(initial=0)),
         hubs=tuple((graph.names[int(i)], int(degree[i])) for i in order),
         by_relation={graph.relation_names[int(i)]: int(counts[i]) for i in used},
         cycles=_cycles(graph),
@@ -72,7 +72,7 @@ def _components(heads: np.ndarray, tails: np.ndarray, size: int, kind: str) -> n
 
 def _cycles(graph: KnowledgeGraph) -> tuple[tuple[str, tuple[str, ...]], ...]:
     """Find entities that reach each other along a relation that is not mostly symmetric."""
-    size, found = len(graph.names), []
+    size, cycles = len(graph.names), []
     for relation in np.unique(graph.relations):
         rows = graph.relations == relation
         heads, tails = graph.heads[rows].astype(np.int64), graph.tails[rows].astype(np.int64)
@@ -83,5 +83,5 @@ def _cycles(graph: KnowledgeGraph) -> tuple[tuple[str, tuple[str, ...]], ...]:
         groups = [np.flatnonzero(part == i) for i in np.flatnonzero(np.bincount(part) > 1)[:MOST]]
         groups += [np.array([node]) for node in np.unique(heads[heads == tails])[:MOST]]
         name = graph.relation_names[int(relation)]
-        found += [(name, tuple(graph.names[i] for i in group[:8])) for group in groups]
-    return tuple(found[:MOST])
+        cycles += [(name, tuple(graph.names[i] for i in group[:8])) for group in groups]
+    return tuple(cycles[:MOST])

@@ -48,9 +48,9 @@ def parse_literal(name: str) -> Literal | None:
     if not name.startswith('"'):
         return None
     with suppress(SyntaxError):
-        found = list(parse(f"<x:x> <x:x> {name} .", format=RdfFormat.N_TRIPLES))
-        if len(found) == 1 and isinstance(found[0].object, Literal):
-            return found[0].object
+        quads = list(parse(f"<x:x> <x:x> {name} .", format=RdfFormat.N_TRIPLES))
+        if len(quads) == 1 and isinstance(quads[0].object, Literal):
+            return quads[0].object
     return None
 
 
@@ -67,8 +67,8 @@ def name_of_iri(iri: str) -> str:
     if iri.startswith(NAMESPACE):
         name = unquote(iri[len(NAMESPACE) :])
         if name and not name.startswith(('"', "_:")) and "\0" not in name:
-            own = iri_of_name(name)
-            if own == iri or quote(own, safe=_ASCII) == quote(iri, safe=_ASCII):  # é or %C3%A9
+            same = iri_of_name(name)
+            if same == iri or quote(same, safe=_ASCII) == quote(iri, safe=_ASCII):  # é or %C3%A9
                 return name
     return iri
 
@@ -97,8 +97,8 @@ def name_of_term(term: Term | Triple) -> str:
 
 def local_name(name: str) -> str:
     """Return the short form of a name: the last part of an IRI, the text of a literal."""
-    if (found := parse_literal(name)) is not None:
-        return found.value
+    if (term := parse_literal(name)) is not None:
+        return term.value
     if _IRI.fullmatch(name):
         return unquote(re.split(r"[#/:]", name.rstrip("#/:"))[-1])
     return name
@@ -124,4 +124,4 @@ def _node(name: str) -> NamedNode:
     if _IRI.fullmatch(name):
         with suppress(ValueError):
             return NamedNode(name)
-    return NamedNode(NAMESPACE + _QUOTED.sub(lambda found: quote(found[0], safe=""), name))
+    return NamedNode(NAMESPACE + _QUOTED.sub(lambda match: quote(match[0], safe=""), name))

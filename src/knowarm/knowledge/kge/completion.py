@@ -44,7 +44,7 @@ def completed(
     pairs = np.unique(np.stack([graph.relations[about], graph.tails[about]], 1), axis=0)
     trained_on = set(map(tuple, split.train.tolist()))
     every = ((head, *pair) for head, pair in product(ids, pairs.tolist()))
-    candidates = [each for each in every if each not in trained_on]
+    candidates = [triple for triple in every if triple not in trained_on]
     if not candidates:
         return graph
     triples = torch.tensor(candidates)
@@ -53,7 +53,7 @@ def completed(
         score = trained(heads, relations).gather(1, tails[:, None])[:, 0]
         score += trained(tails, relations + split.relations).gather(1, heads[:, None])[:, 0]
     held = set(map(tuple, split.test.tolist()))
-    true = np.array([tuple(each) in held for each in triples.tolist()])
+    true = np.array([tuple(triple) in held for triple in triples.tolist()])
     order = (-score).argsort(stable=True).numpy()
     hits, chosen = true[order].cumsum(), np.arange(1, len(order) + 1)
     best = int((hits / (chosen + true.sum())).argmax()) + 1 if true.any() else 0

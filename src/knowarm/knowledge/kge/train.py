@@ -57,7 +57,7 @@ class LinkPrediction(NamedTuple):
     def describe(self) -> dict[str, float]:
         """Return the measures as JSON-able values, for both directions together and each alone."""
         half = len(self.ranks) // 2
-        tails, heads = (LinkPrediction(each) for each in np.split(self.ranks, 2))
+        tails, heads = (LinkPrediction(half_ranks) for half_ranks in np.split(self.ranks, 2))
         values = {"mrr": self.mrr, "mrr_tails": tails.mrr, "mrr_heads": heads.mrr}
         values |= {f"hits_at_{k}": self.hits_at(k) for k in (1, 3, 10)}
         return values | {"mean_rank": float(self.ranks.mean()), "triples": float(half)}
@@ -73,7 +73,7 @@ def rank(
     Realistic: entities with the same score share a rank: 1 + #(higher) + #(equal) / 2.
     """
     model.eval()
-    heads, known_heads = (reciprocal(each, model.relations) for each in (triples, known))
+    heads, known_heads = (reciprocal(rows, model.relations) for rows in (triples, known))
     tails = _ranks(model, triples, known, batch_size)
     return LinkPrediction(np.concatenate([tails, _ranks(model, heads, known_heads, batch_size)]))
 

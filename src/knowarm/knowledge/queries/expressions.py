@@ -61,17 +61,17 @@ def answer(graph: KnowledgeGraph, facets: Sequence[ObjectColour], text: str) -> 
     Raises:
         UserError: the question is malformed, names what the graph does not hold, or has no answer.
     """
-    known = {name: graph.find_entity(name) for name in dict.fromkeys(name for name, _ in facets)}
-    if not any(entity is not None for entity in known.values()):
+    entities = {name: graph.find_entity(name) for name in dict.fromkeys(name for name, _ in facets)}
+    if not any(entity is not None for entity in entities.values()):
         raise UserError(
-            f"The graph describes none of the {len(known)} objects of the task, such as "
-            f"{next(iter(known))!r}. Name objects as `knowarm list` does, or give another graph."
+            f"The graph describes none of the {len(entities)} objects of the task, such as "
+            f"{next(iter(entities))!r}. Name objects as `knowarm list` does, or give another graph."
         )
     colours = {colour for _, colour in facets}
     part = _sparql(graph, text) if _SPARQL.match(text) else _Reader(text, graph, colours).whole()
     evidence = {}
     for name, colour in facets:
-        entity = known[name]
+        entity = entities[name]
         why = None if entity is None else part(entity, colour)
         if why is not None:
             evidence[name, colour] = why
@@ -110,9 +110,9 @@ class _Reader:
     def take(self, *words: str) -> str:
         """Take the next word if it is one of some, or, without any, if it is a name."""
         fits = self.next in words if words else self.next and self.next not in _KEYWORDS
-        found = self.next if fits else ""
-        self.place += bool(found)
-        return found
+        word = self.next if fits else ""
+        self.place += bool(word)
+        return word
 
     def wrong(self, expected: str) -> UserError:
         """Return the error for a word that does not fit."""
@@ -130,10 +130,10 @@ class _Reader:
 
         def evidence(entity: int, colour: str | None) -> Evidence | None:
             whys = [part(entity, colour) for part in parts]
-            found = [why for why in whys if why is not None]
+            reasons = [why for why in whys if why is not None]
             if word == "or":
-                return found[0] if found else None
-            return sum(found, ()) if len(found) == len(parts) else None
+                return reasons[0] if reasons else None
+            return sum(reasons, ()) if len(reasons) == len(parts) else None
 
         return parts[0] if len(parts) == 1 else evidence
 
@@ -162,8 +162,8 @@ class _Reader:
         if not (value := " ".join(names)):
             raise self.wrong(f"a value of {relation}")
         is_colour = relation == COLOUR_RELATION
-        known = is_colour and value in self.colours  # any other value must be in the graph
-        in_graph = (self.graph.find_entity if known else self.graph.entity_id)(value)
+        is_shown = is_colour and value in self.colours  # any other value must be in the graph
+        in_graph = (self.graph.find_entity if is_shown else self.graph.entity_id)(value)
 
         def evidence(entity: int, colour: str | None) -> Evidence | None:
             if is_colour and colour is not None:
@@ -191,9 +191,9 @@ class _Reader:
 
         def evidence(entity: int, colour: str | None) -> Evidence | None:
             whys = [(text, of(tail, None)) for text, tail in self.links(entity, relation)]
-            found = [(text, *why) for text, why in whys if why is not None]
-            fits = SIGNS[sign](len(found), int(number))
-            return (*sum(found, ()), f"counted: {len(found)}") if fits else None
+            reasons = [(text, *why) for text, why in whys if why is not None]
+            fits = SIGNS[sign](len(reasons), int(number))
+            return (*sum(reasons, ()), f"counted: {len(reasons)}") if fits else None
 
         return evidence
 
@@ -226,16 +226,16 @@ class _Reader:
 
 def _sparql(graph: KnowledgeGraph, text: str) -> Part:
     """Return what is true of the rows of a SPARQL query, by ?object and, if selected, ?colour."""
-    found = sparql(graph, text)
-    if "object" not in found.columns:
+    result = sparql(graph, text)
+    if "object" not in result.columns:
         raise UserError(
             "A question in SPARQL must select ?object, and may select ?colour; got "
-            f"{', '.join(found.columns) or 'no variables'}. Example: SELECT ?object WHERE "
+            f"{', '.join(result.columns) or 'no variables'}. Example: SELECT ?object WHERE "
             "{ ?object :usedFor :drinking }"
         )
     rows: dict[tuple[int | None, str | None], Evidence] = {}
-    for row in found.rows:
-        named = dict(zip(found.columns, row, strict=True))
+    for row in result.rows:
+        named = dict(zip(result.columns, row, strict=True))
         key = graph.find_entity(named["object"]), local_name(named.get("colour", "")) or None
         why = tuple(f"?{name} = {local_name(value)}" for name, value in named.items())
         rows.setdefault(key, why)

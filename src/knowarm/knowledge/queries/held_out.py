@@ -58,9 +58,9 @@ class HeldOutQuestions:
     def hold_instances(self, rng: np.random.Generator, per_episode: int) -> None:
         """Hold out some instances of each kind that training shows (S3a)."""
         held: set[str] = set()
-        shown = sorted(set(self.asked.objects) - self.objects)
-        for kind in sorted({kind_of(name) for name in shown if kind_of(name) != name}):
-            names = [name for name in shown if kind_of(name) == kind]
+        in_training = sorted(set(self.asked.objects) - self.objects)
+        for kind in sorted({kind_of(name) for name in in_training if kind_of(name) != name}):
+            names = [name for name in in_training if kind_of(name) == kind]
             held.update(rng.permutation(names)[: round(SHARES["S3a"] * len(names))].tolist())
         if len({kind_of(name) for name in held}) <= per_episode:
             raise UserError(
@@ -78,11 +78,11 @@ class HeldOutQuestions:
     ) -> set[str]:
         """Draw objects or kinds such that each condition keeps half of them or more."""
         holders = [{n if n in names else kind_of(n) for n in self.holders[c]} for c in self.facts]
-        shared = [each for each in holders if len(each) > 1]
+        shared = [group for group in holders if len(group) > 1]
         held: set[str] = set()
         for index in rng.permutation(len(names)):
             new = {*held, names[index]}
-            if len(new) <= wanted and all(2 * len(new & each) <= len(each) for each in shared):
+            if len(new) <= wanted and all(2 * len(new & group) <= len(group) for group in shared):
                 held = new
         if len(held) < wanted or len(names) - len(held) <= per_episode:
             raise UserError(
@@ -99,7 +99,7 @@ class HeldOutQuestions:
         """
         values = sorted({condition.value for condition in self.facts})
         links = self._links(values)
-        known = {name for condition in self.facts for name in self.holders[condition]}
+        answering = {name for condition in self.facts for name in self.holders[condition]}
         wanted = max(1, round(SHARES["S4"] * len(values)))
         held: set[str] = set()
         beside = 0
@@ -107,7 +107,7 @@ class HeldOutQuestions:
             new = {*held, values[index]}
             linked = all(links[value] - new for value in new)
             left = {name for c in self.facts if c.value not in new for name in self.holders[c]}
-            if (len(new) <= wanted or beside < per_episode - 1) and linked and left == known:
+            if (len(new) <= wanted or beside < per_episode - 1) and linked and left == answering:
                 held, beside = new, self._most_beside(new)
         if beside < per_episode - 1:
             raise UserError(
@@ -126,7 +126,7 @@ class HeldOutQuestions:
         new = self.objects
         names = sorted({kind_of(name) for name in self.asked.objects})
         kinds = {c: sorted({kind_of(n) for n in held}) for c, held in self.holders.items()}
-        total = {name: sum(name in each for each in kinds.values()) for name in names}
+        total = {name: sum(name in group for group in kinds.values()) for name in names}
         load = dict.fromkeys(names, 0)
         facts = {
             name: sum(name in kinds[c] for c in self.facts if c.value not in self.values)
@@ -136,15 +136,15 @@ class HeldOutQuestions:
         for index in rng.permutation(len(conditions)):
             condition = conditions[index]
             members = [name for name in self.holders[condition] if name not in new]
-            shown = sorted({kind_of(name) for name in members})
+            member_kinds = sorted({kind_of(name) for name in members})
             is_object = condition.relation == OBJECT_RELATION
-            if condition.value in self.values or is_object or len(shown) < 2:
+            if condition.value in self.values or is_object or len(member_kinds) < 2:
                 continue
-            spare = [name for name in shown if condition.is_seen or facts[name] > 1]
+            spare = [name for name in member_kinds if condition.is_seen or facts[name] > 1]
             free = [name for name in spare if load[name] < total[name] // 3]
             order = sorted(rng.permutation(free).tolist(), key=lambda n: load[n] / total[n])
-            for name in order[: max(1, round(SHARES["S2"] * len(shown)))]:
-                self.pairs |= {(condition, each) for each in members if kind_of(each) == name}
+            for name in order[: max(1, round(SHARES["S2"] * len(member_kinds)))]:
+                self.pairs |= {(condition, member) for member in members if kind_of(member) == name}
                 load[name] += 1
                 facts[name] -= not condition.is_seen
         if len({kind_of(name) for _, name in self.pairs}) < per_episode:
@@ -157,7 +157,7 @@ class HeldOutQuestions:
     def _most_beside(self, values: set[str]) -> int:
         """Return how many objects that some of the values belong to lack one of them, at most."""
         held = [set(self.holders[c]) - self.objects for c in self.facts if c.value in values]
-        return max((len(set().union(*held) - each) for each in held), default=0)
+        return max((len(set().union(*held) - group) for group in held), default=0)
 
     def _links(self, values: list[str]) -> dict[str, set[str]]:
         """Return the values that a triple links to each value, in either direction."""
@@ -197,8 +197,8 @@ class HeldOutQuestions:
     def is_new_value(self, query: Query, name: str) -> bool:
         """Return whether a query is a question of S4."""
         held = any(c.value in self.values for c in query.conditions)
-        known = any((c, name) in self.pairs for c in query.conditions)
-        return held and not known and name not in self.objects
+        is_held_pair = any((c, name) in self.pairs for c in query.conditions)
+        return held and not is_held_pair and name not in self.objects
 
 
 def draw_edits(held: HeldOutQuestions, rng: np.random.Generator) -> KnowledgeGraph:

@@ -28,17 +28,17 @@ Pairs = Literal["none", "colour", "all"]
 
 def parse_query(text: str, relations: Collection[str] = ()) -> Query:
     """Read a query from its name, e.g. "usedFor drinking and hasColor blue"."""
-    known = sorted({*relations, COLOUR_RELATION}, key=len, reverse=True)
+    names = sorted({*relations, COLOUR_RELATION}, key=len, reverse=True)
     parts: list[str] = []
     for part in text.split(AND):
-        starts = any(part.strip().startswith(f"{name} ") for name in known)
+        starts = any(part.strip().startswith(f"{name} ") for name in names)
         if parts and not (starts if relations else " " in part.strip()):  # a value with an "and"
             parts[-1] += AND + part
         else:
             parts.append(part)
     conditions = []
     for part in map(str.strip, parts):
-        named = (name for name in known if part.startswith(f"{name} "))
+        named = (name for name in names if part.startswith(f"{name} "))
         relation = next(named, part.split(" ")[0])
         value = part.removeprefix(relation).strip()
         if not value:
@@ -71,16 +71,16 @@ class QueryGraph:
         A value that is one of the objects is no condition, since a query
         never names an object.
         """
-        graph, found = self.graph, set[Condition]()
+        graph, stated = self.graph, set[Condition]()
         for entity in self._ids:
             rows = graph.out_rows(entity)
             pairs = zip(graph.relations[rows], graph.tails[rows], strict=True)
-            found |= {
+            stated |= {
                 Condition(local_name(graph.relation_names[r]), local_name(graph.names[t]))
                 for r, t in pairs
                 if t not in self._ids and parse_literal(graph.names[t]) is None
             }
-        facts = sorted(each for each in found if not each.is_seen)
+        facts = sorted(each for each in stated if not each.is_seen)
         colours = sorted({colour for _, colour in self.facets})
         every = [*facts, *(Condition(COLOUR_RELATION, colour) for colour in colours)]
         whole = sorted({object_of(name) for name in self.objects} - {*self.objects})
@@ -122,19 +122,19 @@ class QueryGraph:
         other by the graph's triples about the facet's object or part.
         """
         rows = {c: self._holders(c) for query in queries for c in query.conditions}
-        found = np.ones((len(queries), len(self.facets)), bool)
-        for row, query in zip(found, queries, strict=True):
+        table = np.ones((len(queries), len(self.facets)), bool)
+        for row, query in zip(table, queries, strict=True):
             for condition in query.conditions:
                 row &= rows[condition]
-        return found
+        return table
 
     def parse(self, text: str) -> Query:
         """Read a query that some facet answers from its name; see `parse_query`."""
-        known = {condition.relation for condition in self.conditions} | {COLOUR_RELATION}
-        query = parse_query(text, known)
+        relations = {condition.relation for condition in self.conditions} | {COLOUR_RELATION}
+        query = parse_query(text, relations)
         for condition in query.conditions:
-            if condition.relation not in known:
-                raise unknown_name("relation of the query", condition.relation, known)
+            if condition.relation not in relations:
+                raise unknown_name("relation of the query", condition.relation, relations)
             if condition.value in self.objects:
                 raise UserError(
                     f"The query {text!r} names the object {condition.value!r}. A query holds "
@@ -163,15 +163,15 @@ class QueryGraph:
         stated = {name: set[str]() for name in self.objects}
         for name, colour in graph_facets(self.objects, self.graph, COLOUR_RELATION):
             stated[name] |= {colour} - {""}
-        found = np.array([not stated[n] or colour in stated[n] for n, colour in self.facets])
+        allowed = np.array([not stated[n] or colour in stated[n] for n, colour in self.facets])
         for number, name in enumerate(self.objects):
-            if not found[self.owner == number].any():
-                own = [colour for each, colour in self.facets if each == name]
+            if not allowed[self.owner == number].any():
+                colours = ", ".join(colour for other, colour in self.facets if other == name)
                 raise UserError(
                     f"The graph gives {name!r} the colours {', '.join(sorted(stated[name]))}, but "
-                    f"the task can show it in {', '.join(own)} only. State one of these, or none."
+                    f"the task can show it in {colours} only. State one of these, or none."
                 )
-        return found
+        return allowed
 
     def _object(self, name: str) -> int:
         try:

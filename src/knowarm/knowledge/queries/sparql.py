@@ -82,10 +82,10 @@ def _answer(result: Any, graph: KnowledgeGraph) -> Answer:
 
 
 def _malformed(error: SyntaxError) -> UserError:
-    place = re.match(r"error at (\d+):(\d+): (.*)", str(error.msg), re.DOTALL)
-    if place is None:
+    match = re.match(r"error at (\d+):(\d+): (.*)", str(error.msg), re.DOTALL)
+    if match is None:
         return UserError(f"SPARQL query: {error.msg}. Example: {EXAMPLE}")
-    line, column, reason = place.groups()
+    line, column, reason = match.groups()
     short = reason if len(reason) <= 60 else "unexpected symbol or end of the query"
     return UserError(
         f"SPARQL query, line {line}, column {column}: {short}. Check that every prefix is "

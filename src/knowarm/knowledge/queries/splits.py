@@ -103,25 +103,25 @@ def query_splits(
             "each distractor shares a fact or colour with it. Give more objects or facts, fewer "
             "objects per episode, or hold out less."
         )
-    found: dict[str, QuestionTable | None] = {"S1": train}
+    tables: dict[str, QuestionTable | None] = {"S1": train}
     if held.pairs:
-        found["S2"] = maker.table(held.is_new_pair)
+        tables["S2"] = maker.table(held.is_new_pair)
     for name in filter(held.new.__contains__, NEW_OBJECTS):
-        found[name] = maker.table(held.is_new_object, show=held.new[name])
+        tables[name] = maker.table(held.is_new_object, show=held.new[name])
     if held.values:
-        found["S4"] = maker.table(held.is_new_value)
+        tables["S4"] = maker.table(held.is_new_value)
     try:
         if edited is None:
             edited = draw_edits(held, np.random.default_rng(seed_sequence(seed, "splits", 5)))
-        found["S5"] = maker.edited_table(edited)
+        tables["S5"] = maker.edited_table(edited)
     except UserError as error:
         reasons["S5"] = str(error)
-    tests = {name: table for name, table in found.items() if table is not None}
+    tests = {name: table for name, table in tables.items() if table is not None}
     no_distractors = (
         f"no question of it has {objects - 1} distractors that share something with the "
         "target. Give more objects or facts, or fewer objects per episode."
     )
-    reasons |= dict.fromkeys(found.keys() - tests.keys(), no_distractors)
+    reasons |= dict.fromkeys(tables.keys() - tests.keys(), no_distractors)
     reasons = {name: reasons[name] for name in SPLITS if name in reasons and name not in tests}
     return QuerySplits(train=train, tests=tests, reasons=reasons, held_out=held, edited=edited)
 
@@ -169,8 +169,8 @@ class _Maker:
         answer may stand beside the new one.
         """
         other = QueryGraph(edited, self.asked.facets)
-        known = {condition for query in self.queries for condition in query.conditions}
-        added = [q for q in other.queries(self.pairs) if not known.issuperset(q.conditions)]
+        conditions = {condition for query in self.queries for condition in query.conditions}
+        added = [q for q in other.queries(self.pairs) if not conditions.issuperset(q.conditions)]
         queries = [*self.queries, *added]
         satisfies, before = other.answers(queries), self.asked.answers(queries)
         shown = other.possible() & ~np.isin(self.owner, self._numbers(self.held.objects))
@@ -184,8 +184,8 @@ class _Maker:
         related = _related(np.concatenate([satisfies[single], before[single]]))
         askable = with_distractors(new, satisfies, related, shown, self.owner, self.objects)
         kept = np.asarray(satisfies.any(1))
-        rest = [query for query, keep in zip(queries, kept, strict=True) if keep]
-        return self._table(rest, satisfies[kept], askable[kept], related, shown)
+        kept_queries = [query for query, keep in zip(queries, kept, strict=True) if keep]
+        return self._table(kept_queries, satisfies[kept], askable[kept], related, shown)
 
     def _numbers(self, names: Collection[str]) -> list[int]:
         return [self.asked.objects.index(name) for name in names]

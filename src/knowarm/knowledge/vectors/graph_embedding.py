@@ -87,11 +87,11 @@ def stored_lookup(path: Path, graph: KnowledgeGraph) -> EntityLookup:
 
     stored = load_model(path)
     tables = []
-    for kind, known, matrix, names in (
+    for kind, stored_names, matrix, names in (
         ("entity", stored.entities, stored.model.entity, graph.names),
         ("relation", stored.relations, stored.model.relation, graph.relation_names),
     ):
-        row = {name: i for i, name in enumerate(known)}
+        row = {name: i for i, name in enumerate(stored_names)}
         missing = [name for name in names if name not in row]
         if missing:
             raise UserError(

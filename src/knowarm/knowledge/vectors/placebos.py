@@ -170,8 +170,8 @@ class WrongObject(DrawnPlacebo):
 def _number_colours(facets: Sequence[Facet]) -> list[Facet]:
     """Number the colours of each object in the order of its facets."""
     return [
-        facet._replace(colour_number=sum(other.object == facet.object for other in facets[:place]))
-        for place, facet in enumerate(facets)
+        facet._replace(colour_number=sum(other.object == facet.object for other in facets[:index]))
+        for index, facet in enumerate(facets)
     ]
 
 

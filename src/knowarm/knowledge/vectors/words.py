@@ -102,7 +102,7 @@ def read_word_vectors(path: Path, wanted: Collection[str] | None = None) -> Word
     header = int(bool(beginning) and _HEADER.fullmatch(beginning[0][1]) is not None)
     dim = _dimension([line for _, line in beginning[header:]], path, header)
     lengths = [_length(line, dim) for _, line in beginning[header:]]
-    length = float(np.median([each for each in lengths if np.isfinite(each)] or [1.0]))
+    length = float(np.median([value for value in lengths if np.isfinite(value)] or [1.0]))
     for number, line in chain(beginning, lines):
         if line.count(b" ") != dim:
             if number <= header or not line.strip():
@@ -260,9 +260,9 @@ class WordLookup:
     def _word_by_word(self, words: list[str]) -> tuple[list[int], str, list[str]]:
         rows, missing, kind = list[int](), list[str](), "words"
         for word in words:
-            found, how = self._one(word)
-            rows += found
-            missing += [] if found else [word]
+            word_rows, how = self._one(word)
+            rows += word_rows
+            missing += [] if word_rows else [word]
             kind = how or kind
         return rows, ("part" if rows else "missing") if missing else kind, missing
 
@@ -271,10 +271,10 @@ class WordLookup:
         index = self.words.index
         if word in index:
             return [index[word]], ""
-        if known := [index[w] for w in self.aliases.get(word, "").split() if w in index]:
-            return known, "alias"
-        known = [index[form] for form in word_forms(word) if form in index][:1]
-        return known, "form" if known else ""
+        if rows := [index[w] for w in self.aliases.get(word, "").split() if w in index]:
+            return rows, "alias"
+        rows = [index[form] for form in word_forms(word) if form in index][:1]
+        return rows, "form" if rows else ""
 
     def _hashed(self, label: str, coverage: Coverage) -> Found:
         """Return random vectors of the median length that depend on the words' letters only."""
@@ -304,9 +304,9 @@ def word_forms(word: str) -> list[str]:
 
 def all_forms(label: str, aliases: Mapping[str, str]) -> set[str]:
     """Return every spelling that the lookup of a label may try."""
-    known = {key.lower(): alias.lower().split() for key, alias in aliases.items()}
-    words = [*label.split(), *known.get(label, ())]
-    words += [other for word in words for other in known.get(word, ())]
+    aliased = {key.lower(): alias.lower().split() for key, alias in aliases.items()}
+    words = [*label.split(), *aliased.get(label, ())]
+    words += [other for word in words for other in aliased.get(word, ())]
     forms = (form for word in words for form in (word, *word_forms(word)))
     return {label, *joined_forms(label), *forms}
 
