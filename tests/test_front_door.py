@@ -186,6 +186,12 @@ def test_a_trained_agent_plays_an_environment_of_gymnasium():
     images, infos = envs.reset(seed=0)
     trained.reset(infos)
     assert trained.act(images).shape == (8, 6)
+    episodes = knowarm.evaluation_episodes(envs.config, 8, seed=1)
+    agents = (trained, trained.agent)
+    whole, part = (knowarm.play(each, envs, episodes).steps.actions for each in agents)
+    np.testing.assert_array_equal(whole, part)
+    trained.reset(infos)
+    trained.act(images)
     with pytest.raises(knowarm.UserError, match="8 episodes have started, and there are 1 images"):
         trained.act(images[0])
     chooser = knowarm.load_agent(ZOO.parent / CHOOSE)
