@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from knowarm.errors import UserError
 from knowarm.world.agents.protocol import Batch, Observations
-from knowarm.world.tasks.state import ACTION_LEVELS
+from knowarm.world.tasks.state import nearest_levels
 
 
 class OnnxPolicy:
@@ -90,4 +90,4 @@ class PredictingPolicy:
         self._start = np.zeros_like(self._start)
         if np.issubdtype(actions.dtype, np.integer):
             return actions
-        return np.abs(actions[..., None] - np.array(ACTION_LEVELS)).argmin(-1)
+        return nearest_levels(actions)

@@ -93,43 +93,17 @@ class ApproachAgent(OracleAgent):
     _straight = True
 
 
-class BlindAgent:
-    """Plays an agent, which keeps its memory and its knowledge, on black images."""
-
-    def __init__(self, agent: AgentProtocol) -> None:
-        self._agent = agent
-
-    def reset(self, batch: Batch) -> None:
-        """Reset the agent."""
-        self._agent.reset(batch)
-
-    def act(self, observations: Observations) -> NDArray[np.int64]:
-        """Choose actions (n, J) for black images."""
-        return self._agent.act({**observations, "image": np.zeros_like(observations["image"])})
-
-
-class FrozenAgent:
-    """Plays an agent that sees the first image of an episode in every step."""
-
-    def __init__(self, agent: AgentProtocol) -> None:
-        self._agent = agent
-
-    def reset(self, batch: Batch) -> None:
-        """Reset the agent and forget the images."""
-        self._agent.reset(batch)
-        self._first: NDArray[np.uint8] | None = None
-
-    def act(self, observations: Observations) -> NDArray[np.int64]:
-        """Choose actions (n, J) for the first images since the reset."""
-        if self._first is None:
-            self._first = observations["image"].copy()
-        return self._agent.act({**observations, "image": self._first})
-
-
 class InformedAgent:
-    """Plays an agent that is told something else about the episodes."""
+    """Plays an agent that is told something else about the episodes.
 
-    def __init__(self, agent: AgentProtocol, change: Callable[[Batch], Batch]) -> None:
+    Args:
+        agent: what plays.
+        change: changes what it is told.
+    """
+
+    def __init__(
+        self, agent: AgentProtocol, change: Callable[[Batch], Batch] = lambda batch: batch
+    ) -> None:
         self._agent, self._change = agent, change
 
     def reset(self, batch: Batch) -> None:
@@ -139,3 +113,26 @@ class InformedAgent:
     def act(self, observations: Observations) -> NDArray[np.int64]:
         """Choose actions (n, J)."""
         return self._agent.act(observations)
+
+
+class BlindAgent(InformedAgent):
+    """Plays an agent, which keeps its memory and its knowledge, on black images."""
+
+    def act(self, observations: Observations) -> NDArray[np.int64]:
+        """Choose actions (n, J) for black images."""
+        return super().act({**observations, "image": np.zeros_like(observations["image"])})
+
+
+class FrozenAgent(InformedAgent):
+    """Plays an agent that sees the first image of an episode in every step."""
+
+    def reset(self, batch: Batch) -> None:
+        """Reset the agent and forget the images."""
+        super().reset(batch)
+        self._first: NDArray[np.uint8] | None = None
+
+    def act(self, observations: Observations) -> NDArray[np.int64]:
+        """Choose actions (n, J) for the first images since the reset."""
+        if self._first is None:
+            self._first = observations["image"].copy()
+        return super().act({**observations, "image": self._first})
