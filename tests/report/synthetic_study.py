@@ -22,7 +22,7 @@ from knowarm.experiment.evaluation_files import (
 from knowarm.experiment.measures import summarize
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.summary import Summary
-from knowarm.knowledge import KnowledgeConfig, SceneEmbedding, query_embedding, scene_embedding
+from knowarm.knowledge import SceneEmbedding, query_embedding, scene_embedding
 from knowarm.knowledge.queries.queries import parse_query
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.reading import read_json, write_json
@@ -174,69 +174,22 @@ def write_run(
     generator = generator or np.random.default_rng(seed)
     folder = RunFolder.create(path)
     facets = FACETS[env["colours"]]
-    known = knowledge_of(agent)
-    if agent in AGENTS:
-        role = role or AGENTS[agent].role
-    write_json(
-        folder.config_path,
-        {
-            "format": 1,
-            "name": path.parent.name,
-            "agent": agent,
-            "algorithm_name": algorithm,
-            "seed": seed,
-            "env": env,
-            "knowledge": to_dict(known),
-            "policy": {"fusion": "before_lstm", "wide": policy_of(agent).wide},
-            "algorithm": to_dict(ALGORITHMS[algorithm].config),
-            "total_steps": size.total_steps,
-        }
-        | ({"role": role} if role else {}),
-    )
-    _write_curves(folder, success, generator, size)
-    embedding = _embedding(agent, env["colours"])
-    provenance = _provenance(agent, embedding, facets, JOINTS[env["robot"]])
-    for part, values in (sizes or {}).items():
-        provenance[part] = provenance[part] | values
-    write_json(folder.path / "provenance.json", provenance)
-    if size.tables:
-        table = embedding.table(ASKED if known.scope == "query" else facets)
-        folder.write_knowledge(table[:, :0] if policy_of(agent).wide else table)
-    write_evaluation(path / "evaluation" / LABEL, agent, success, env, generator, size)
-    return path
-
-
-@lru_cache
-def _embedding(agent: str, colours: str) -> SceneEmbedding:
-    if knowledge_of(agent).scope == "query":
-        return query_embedding(knowledge_of(agent), ASKED)
-    return scene_embedding(knowledge_of(agent), FACETS[colours])
-
-
-def knowledge_of(agent: str) -> KnowledgeConfig:
-    """Knowledge of a registered agent; that of ``full`` for others."""
-    return AGENTS[agent if agent in AGENTS else "full"].knowledge
-
-
-def policy_of(agent: str) -> PolicyConfig:
-    """Policy of a registered agent; that of ``full`` for others."""
-    return AGENTS[agent if agent in AGENTS else "full"].policy
-
-
-@lru_cache
-def _parameter_counts(config: PolicyConfig, joints: int, dim: int, slots: int) -> dict[str, int]:
-    shape = PolicyShape(joints=joints, knowledge_dim=dim, knowledge_slots=slots)
-    with torch.device("meta"):
-        return Policy(config, shape).parameter_counts()
-
-
-def _provenance(
-    agent: str, embedding: SceneEmbedding, facets: list[tuple[str, str]], joints: int
-) -> dict[str, Any]:
-    config = policy_of(agent) if embedding.dim else PolicyConfig(fusion="none")
-    slots = max(1, embedding.dim // max(1, embedding.slot_dim))
-    counts = _parameter_counts(config, joints, embedding.dim, slots)
-    return {
+    entry = AGENTS.get(agent, AGENTS["full"])
+    role = role or (entry.role if agent in AGENTS else None)
+    config = {
+        **{"format": 1, "name": path.parent.name, "agent": agent, "seed": seed, "env": env},
+        "algorithm_name": algorithm,
+        "algorithm": to_dict(ALGORITHMS[algorithm].config),
+        "knowledge": to_dict(entry.knowledge),
+        "policy": {"fusion": "before_lstm", "wide": entry.policy.wide},
+        "total_steps": size.total_steps,
+    }
+    write_json(folder.config_path, config | ({"role": role} if role else {}))
+    log = _curve(success, generator, size)
+    folder.evaluations_path.write_text(log)
+    folder.metrics_path.write_text(log)
+    embedding, counts = _parts(agent, env["robot"], env["colours"])
+    provenance: dict[str, Any] = {
         "versions": {"knowarm": "0.1.0", "torch": "2.13.0", "mujoco": "4.0.0"},
         "commit": "0123456789abcdef",
         "machine": {"processor": "a processor", "cores": 2},
@@ -244,6 +197,29 @@ def _provenance(
         "facets": facets,
         "knowledge": to_dict(embedding.describe()),
     }
+    for part, values in (sizes or {}).items():
+        provenance[part] = provenance[part] | values
+    write_json(folder.path / "provenance.json", provenance)
+    if size.tables:
+        table = embedding.table(ASKED if entry.knowledge.scope == "query" else facets)
+        folder.write_knowledge(table[:, :0] if entry.policy.wide else table)
+    write_evaluation(path / "evaluation" / LABEL, agent, success, env, generator, size)
+    return path
+
+
+@lru_cache
+def _parts(agent: str, robot: str, colours: str) -> tuple[SceneEmbedding, dict[str, int]]:
+    """Return the knowledge of an agent and the parameter counts of its policy."""
+    entry = AGENTS.get(agent, AGENTS["full"])
+    if entry.knowledge.scope == "query":
+        embedding = query_embedding(entry.knowledge, ASKED)
+    else:
+        embedding = scene_embedding(entry.knowledge, FACETS[colours])
+    dim, slots = embedding.dim, max(1, embedding.dim // max(1, embedding.slot_dim))
+    shape = PolicyShape(joints=JOINTS[robot], knowledge_dim=dim, knowledge_slots=slots)
+    with torch.device("meta"):
+        policy = Policy(entry.policy if dim else PolicyConfig(fusion="none"), shape)
+    return embedding, policy.parameter_counts()
 
 
 def _interim_steps(size: Size) -> np.ndarray:
@@ -255,24 +231,20 @@ def _interim_success(success: float, generator: np.random.Generator, size: Size)
     return np.clip(share + generator.normal(0, 0.03, size.points), 0, 1)
 
 
-def _write_curves(
-    folder: RunFolder, success: float, generator: np.random.Generator, size: Size
-) -> None:
-    ends = _interim_steps(size)
+def _curve(success: float, generator: np.random.Generator, size: Size) -> str:
+    """Return a log with the columns of ``metrics.csv`` and of ``evaluations.csv``."""
     share = _interim_success(success, generator, size)
-    lines = ["step,wall_time_s,return_mean,return_std,length_mean,success,accuracy,best"]
-    metrics = ["step,wall_time_s,steps_per_s,episodes,return_mean,policy_loss,entropy"]
-    best = -np.inf
-    for end, value in zip(ends, share, strict=True):
-        gain = -40 + 140 * value
-        cells = [f"{end:.0f}", f"{end / 2500:.1f}", f"{gain:.3f}"]
-        lines.append(",".join([*cells, "40", "30", *2 * [f"{value:.4f}"], str(int(gain > best))]))
-        metrics.append(
-            ",".join([*cells[:2], "2500", "40", cells[2], ".1", f"{11 - 5 * value:.3f}"])
-        )
-        best = max(best, gain)
-    folder.evaluations_path.write_text("\n".join(lines) + "\n")
-    folder.metrics_path.write_text("\n".join(metrics) + "\n")
+    columns = {
+        "step": _interim_steps(size).astype(int),
+        "wall_time_s": _interim_steps(size) / 2500,
+        "return_mean": (gain := (140 * share - 40).round(3)),
+        "steps_per_s": np.full(size.points, 2500),
+        "success": share.round(4),
+        "accuracy": share.round(4),
+        "best": (gain >= np.maximum.accumulate(gain)).astype(int),
+    }
+    rows = zip(*(values.tolist() for values in columns.values()), strict=True)
+    return "".join(",".join(map(str, row)) + "\n" for row in (columns, *rows))
 
 
 def write_summary(folder: Path, agent: str, env: dict[str, Any], size: Size, **found: Any) -> None:

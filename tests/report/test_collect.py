@@ -4,6 +4,7 @@ import json
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -74,22 +75,28 @@ def test_a_folder_of_runs_is_searched_and_counts_once(tmp_path):
     assert len(collect([tmp_path, tmp_path / "runs"]).runs) == 4
 
 
-def test_tasks_of_one_name_are_told_apart_by_what_differs(tmp_path):
-    for mpi in (0.1, 0.2):
-        env = env_of() | {"mpi_rad": mpi}
-        write_run(tmp_path / f"full-{mpi}" / "0", "full", 0, 0.5, env=env, size=LIGHT)
-    assert [task.title.split(" · ")[-1] for task in collect([tmp_path]).tasks] == [
-        "mpi_rad 0.1",
-        "mpi_rad 0.2",
-    ]
-
-
-def test_algorithms_of_one_trainer_are_told_apart(tmp_path):
-    for algorithm in ("ppo", "fast", "a3c-tuned"):
-        path = tmp_path / f"kitchen-{algorithm[0]}" / "0"  # the name says nothing
-        write_run(path, "full", 0, 0.5, size=LIGHT, algorithm=algorithm)
+@pytest.mark.parametrize(
+    ("env", "algorithms", "tasks", "agents"),
+    [
+        ([{"mpi_rad": 0.1}, {"mpi_rad": 0.2}], ["ppo"], ["mpi_rad 0.1", "mpi_rad 0.2"], ["full"]),
+        # Of one trainer; the name of the run says nothing.
+        ([{}], ["ppo", "fast", "a3c-tuned"], ["a3c-tuned", "fast", "ppo"], ["full"]),
+        (
+            [{"image_size": 64}, {"image_size": 96}],
+            ["ppo"],
+            ["ppo"],
+            ["full · image_size=64", "full · image_size=96"],
+        ),
+    ],
+)
+def test_tasks_and_agents_of_one_name_are_told_apart(tmp_path, env, algorithms, tasks, agents):
+    for number, (changes, algorithm) in enumerate(product(env, algorithms)):
+        path = tmp_path / "kitchen" / str(number)
+        options = {"env": env_of() | changes, "algorithm": algorithm, "size": LIGHT}
+        write_run(path, "full", number, 0.5, **options)
     found = collect([tmp_path])
-    assert [task.title.split(" · ")[-1] for task in found.tasks] == ["a3c-tuned", "fast", "ppo"]
+    assert [task.title.split(" · ")[-1] for task in found.tasks] == tasks
+    assert [group.name for group in found.tasks[0].groups] == agents
     assert not found.problems
 
 
@@ -355,14 +362,6 @@ def test_a_column_without_any_number_is_left_out(tmp_path):
         (path / "evaluations.csv").write_text("".join(",".join(row) + "\n" for row in rows))
     assert "return_mean" not in collect(paths).runs[0].interim
     assert write_report(paths, tmp_path / "report.html").exists()
-
-
-def test_agents_that_see_differently_are_told_apart(tmp_path):
-    for seed, size in enumerate((64, 96)):
-        env = env_of() | {"image_size": size}
-        write_run(tmp_path / "full" / str(seed), "full", seed, 0.5, env=env, size=LIGHT)
-    (task,) = collect([tmp_path]).tasks
-    assert [group.name for group in task.groups] == ["full · image_size=64", "full · image_size=96"]
 
 
 def test_only_reaching_is_compared_with_the_paper(tmp_path):

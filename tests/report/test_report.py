@@ -164,13 +164,6 @@ def test_a_number_without_an_interval_is_shown_alone():
     assert "to" not in _cell(column, cells("success", Interval(0.5, 0.5, 0.5)), Path())
 
 
-DAMAGE = {
-    "config.json": lambda v: v["env"].update(colours=[1], targets=3) or v.update(total_steps="x"),
-    "provenance.json": lambda v: v.update(parameter_counts={"total": {}}, versions=[]),
-    "summary.json": lambda v: v.update(groups=[1], config=3),
-}
-
-
 def test_half_of_a_surrogate_pair_does_not_stop_the_report(tmp_path):
     runs = small_study(tmp_path / "runs")
     path = next(runs[0].rglob("config.json"))
@@ -180,20 +173,6 @@ def test_half_of_a_surrogate_pair_does_not_stop_the_report(tmp_path):
     write_report(runs, tmp_path / "report.html")
     assert "full ?" in (tmp_path / "report.html").read_text()
     assert (tmp_path / "report.json").exists()
-
-
-@pytest.mark.parametrize("name", DAMAGE)
-def test_one_damaged_folder_does_not_stop_the_report(tmp_path, name):
-    runs = small_study(tmp_path / "runs")
-    path = next(runs[0].rglob(name))
-    values = json.loads(path.read_text())
-    DAMAGE[name](values)
-    path.write_text(json.dumps(values))
-    write_report(runs, tmp_path / "report.html")
-    written = json.loads((tmp_path / "report.json").read_text())
-    named = {problem["path"] for problem in written["problems"]}
-    assert path.relative_to(tmp_path).parent.as_posix() in named
-    assert written["runs"]
 
 
 def test_curves_are_drawn_from_the_values_of_their_table(made):
@@ -216,10 +195,6 @@ def test_curves_are_drawn_from_the_values_of_their_table(made):
         wanted = left + (float(row["step"]) - low) / (high - low) * (right - left)
         assert abs(x - wanted) < 0.01
         assert abs(y - (bottom + float(row["success"]) * (top - bottom))) < 0.01
-
-
-def test_the_angles_of_joints_have_their_names(made):
-    assert "joint 1 (hinge_0): difference of means" in made.page.read_text()
 
 
 def test_the_paper_stands_beside_ours(made):
@@ -299,25 +274,18 @@ def test_a_curve_counts_the_seeds_that_reach_each_step(tmp_path):
     assert {row["seeds"] for row in table.rows} == {2}, "a run that its rule ended goes on"
 
 
-def test_anova_says_what_it_does_not_show(made):
+def test_notes_and_verdicts_say_what_follows_and_what_does_not(made):
     values = json.loads(made.page.with_suffix(".json").read_text())
     table = values["tables"]["anova-irb120-fixed-colours-ppo"]
     assert "says nothing about another training seed" in table["note"]
     assert table["rows"][0]["rates"] == 30
-
-
-def test_one_seed_is_refused_and_three_are_judged(made):
-    sentences = [
-        v["sentence"] for v in json.loads(made.page.with_suffix(".json").read_text())["verdicts"]
-    ]
-    assert any(
-        robot_title("tiago") in s and "cannot be decided from 1 training seed" in s
-        for s in sentences
-    )
-    assert any(
-        robot_title("irb120") in s and "full was better than the baseline bm" in s
-        for s in sentences
-    )
+    irb120, tiago = map(robot_title, ("irb120", "tiago"))
+    said = [verdict["sentence"] for verdict in values["verdicts"]]
+    few = "cannot be decided from 1 training seed"
+    assert any(each.startswith(tiago) and few in each for each in said)
+    better = "full was better than the baseline bm"
+    assert any(each.startswith(irb120) and better in each for each in said)
+    assert "joint 1 (hinge_0): difference of means" in made.page.read_text()
 
 
 def test_a_study_with_two_subjects_is_reported(tmp_path):
