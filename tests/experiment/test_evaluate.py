@@ -103,7 +103,9 @@ def test_the_same_evaluation_gives_the_same_bytes(result, tmp_path):
 def test_what_was_written_is_what_was_found(result, tmp_path):
     result.write(tmp_path)
     read = read_table(tmp_path / "episodes.parquet")
-    np.testing.assert_array_equal(read["return"], result.episodes["return"])
+    assert list(read) == list(result.episodes)
+    for name, values in result.episodes.items():
+        np.testing.assert_array_equal(read[name], values)
     frames = read_film(tmp_path / "films" / "0.webp")
     np.testing.assert_array_equal(frames, result.films[0])
     assert len(frames) == result.episodes["length"][0] + 1
@@ -169,13 +171,9 @@ def played(success=(True, True, False, False), distance=(0.05, 0.08, 0.09, 0.5))
     }
 
 
-def numbers(episodes):
-    found, _ = summarize(episodes)
-    return {name: getattr(number, "estimate", number) for name, number in found.items()}
-
-
 def test_the_paper_s_numbers_by_hand():
-    found = numbers(played())
+    numbers, groups = summarize(played())
+    found = {name: getattr(number, "estimate", number) for name, number in numbers.items()}
     assert found["return_mean"] == 30
     assert found["return_std"] == pytest.approx(np.std([90, 80, -10, -40], ddof=1))
     assert found["length_mean"] == 28.5
@@ -184,16 +182,8 @@ def test_the_paper_s_numbers_by_hand():
     assert found["failure_distance_mean"] == pytest.approx(0.295)
     assert found["failure_distance_std"] == pytest.approx(np.std([0.09, 0.5], ddof=1))
     assert found["failure_distance_max"] == 0.5
-
-
-def test_shares_carry_wilson_s_interval():
-    found, _ = summarize(played())
-    assert found["accuracy"] == wilson(3, 4)
-    assert found["return_mean"].low < found["return_mean"].estimate < found["return_mean"].high
-
-
-def test_parts_add_up_to_the_whole():
-    found, groups = summarize(played())
+    assert numbers["accuracy"] == wilson(3, 4)
+    assert numbers["return_mean"].low < found["return_mean"] < numbers["return_mean"].high
     targets, facets = (groups[name] for name in ("target", "facet"))
     assert set(targets) == {"mug", "bottle"}
     assert set(facets) == {"mug/red", "mug/blue", "bottle/yellow"}
@@ -202,7 +192,7 @@ def test_parts_add_up_to_the_whole():
 
 
 def test_without_failures_there_is_no_failure_distance():
-    found = numbers(played((True,), (0.01,)))
+    found, _ = summarize(played((True,), (0.01,)))
     assert not {"failure_distance_mean", "failure_distance_max"} & set(found)
     assert found["return_std"] == 0
 
@@ -301,13 +291,10 @@ def test_a_loaded_agent_acts_as_it_was_loaded_and_twice_the_same():
 def test_conditions_of_trained_agents_are_refused_for_others(condition, name):
     with pytest.raises(UserError, match=f"Only trained agents.*{name}"):
         evaluate(ZeroAgent(), ENV, BRIEF, test=(condition,))
+    with pytest.raises(UserError, match="unclear='stop'"):  # of an agent with a vector
+        evaluate(ZOO, config=BRIEF, test=(ReasoningTest(unclear="stop"),), write=False)
     with pytest.raises(UserError, match=r"Only trained agents.*actions"):
         evaluate(ZeroAgent(), ENV, BRIEF, actions="sampled")
-
-
-def test_unclear_is_refused_for_an_agent_with_a_vector():
-    with pytest.raises(UserError, match="unclear='stop'"):
-        evaluate(ZOO, config=BRIEF, test=(ReasoningTest(unclear="stop"),), write=False)
 
 
 def test_another_task_does_not_replace_the_evaluation_of_the_own():

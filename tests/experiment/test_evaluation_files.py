@@ -12,34 +12,6 @@ from knowarm.experiment.evaluation_files import (
     write_table,
 )
 
-COLUMNS = {
-    "episode": np.arange(3),
-    "evaluation_seed": np.full(3, 7),
-    "target": np.array(["mug", "bottle", "mug"]),
-    "facet": np.array(["mug/red", "bottle/yellow", "mug/red"]),
-    "return": np.array([1.5, -2.5, 0.1]),
-    "length": np.array([3, 50, 7]),
-    "distance_m": np.array([0.01, 0.3, 0.1]),
-    "angle_deg": np.array([1.0, 90.0, 17.0]),
-    "success": np.array([True, False, True]),
-    "accurate": np.array([True, False, True]),
-    "success_wide": np.array([True, False, True]),
-}
-
-
-def test_columns_come_back_as_they_were(tmp_path):
-    write_table(tmp_path / "e.parquet", COLUMNS, EPISODE_COLUMNS)
-    read = read_table(tmp_path / "e.parquet")
-    assert list(read) == list(EPISODE_COLUMNS)
-    for name, values in COLUMNS.items():
-        np.testing.assert_array_equal(read[name], values)
-
-
-def test_the_same_columns_give_the_same_bytes(tmp_path):
-    for name in ("a", "b"):
-        write_table(tmp_path / name, COLUMNS, EPISODE_COLUMNS)
-    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
-
 
 @pytest.mark.parametrize("described", [EPISODE_COLUMNS, step_columns(7)])
 def test_every_column_carries_its_meaning_and_unit(tmp_path, described):

@@ -32,7 +32,9 @@ def test_training_is_measured_and_nothing_is_written(tmp_path, monkeypatch):
     assert not (tmp_path / "out").exists()
 
 
-def test_steps_of_training_and_evaluations_are_added_up(tmp_path, measured):
+def test_steps_of_training_and_evaluations_are_added_up(tmp_path, measured, finished):
+    done = estimate(tiny(), finished)
+    assert (done.statuses, done.core_hours, measured) == ([], 0, [])
     evaluations = (
         EvaluationConfig(episodes=10, probes=()),
         EvaluationConfig(label="b", episodes=10, probes=(BlindProbe(episodes=20),)),
@@ -58,12 +60,6 @@ def test_a_dry_run_lists_the_runs(tmp_path, measured, monkeypatch, capsys):
     monkeypatch.setenv("FORCE_COLOR", "1")  # as on a terminal: a clock shows that it measures
     main(["study", "run", "mine.toml", "--dry-run", "--at-once", "1"])
     assert "0:00:0" in capsys.readouterr().err
-
-
-def test_a_finished_study_costs_nothing(finished, measured, inline):
-    study = tiny()
-    found = estimate(study, finished)
-    assert (found.statuses, found.core_hours, measured) == ([], 0, [])
 
 
 def test_an_experiment_that_cannot_be_trained_is_named(tmp_path):
