@@ -148,19 +148,15 @@ def from_dict(cls: type[T], values: Mapping[str, Any], *, where: str = "") -> T:
     for name, field in fields.items():
         path = f"{where}.{name}" if where else name
         if name in values:
-            hint = hints[name]
             if _TYPES in field.metadata:
-                hint = Union[tuple(field.metadata[_TYPES]())]  # noqa: UP007 (built at run time)
-            try:
-                arguments[name] = _typed(hint, values[name], path)
-            except UserError as error:
-                own, unknown = field.metadata.get(_OWN), (f"Unknown {path}.{tag} " for tag in TAGS)
-                if not own or not str(error).startswith(tuple(unknown)):
-                    raise
-                remedy = (
-                    f"Read one of your own with `--{own}s package.module:Name`, or register_{own}."
+                own = field.metadata[_OWN]
+                remedy = own and (
+                    f" Read one of your own with `--{own}s package.module:Name`, or register_{own}."
                 )
-                raise UserError(f"{error} {remedy}") from None
+                kinds = tuple(field.metadata[_TYPES]())
+                arguments[name] = _union(kinds, values[name], path, remedy)
+            else:
+                arguments[name] = _typed(hints[name], values[name], path)
         elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
             raise UserError(f"Field {path!r} is missing; {kind} requires it.")
     return cls(**arguments)
@@ -203,8 +199,11 @@ def _typed(hint: Any, value: Any, path: str) -> Any:
     return value
 
 
-def _union(args: tuple[Any, ...], value: Any, path: str) -> Any:
-    """Convert a value to the first alternative that fits, or to the config that its tag names."""
+def _union(args: tuple[Any, ...], value: Any, path: str, remedy: str = "") -> Any:
+    """Convert a value to the first alternative that fits, or to the config that its tag names.
+
+    ``remedy`` ends the error for an unknown tag.
+    """
     if value is None and type(None) in args:
         return None
     kinds = [kind for kind in args if kind is not type(None)]
@@ -214,7 +213,8 @@ def _union(args: tuple[Any, ...], value: Any, path: str) -> Any:
             if value.get(field) == choice:
                 return from_dict(kind, value, where=path)
         field = next(iter(tags))[0]
-        raise unknown_name(f"{path}.{field}", str(value.get(field)), [choice for _, choice in tags])
+        unknown = unknown_name(f"{path}.{field}", str(value.get(field)), [tag for _, tag in tags])
+        raise UserError(f"{unknown}{remedy}")
     if tags and all(map(_tags, kinds)):
         names = ", ".join(kind.__name__ for kind in kinds)
         raise UserError(f"{path} must hold the fields of one of {names}, got {value!r}.")
