@@ -68,7 +68,7 @@ class A2CTrainer(SynchronousTrainer):
             config.gae_lambda,
         )
         logits, values, _ = self.policy.unroll(  # (T, B, J, A) and (T, B)
-            rollout.patches, rollout.facet, rollout.start_state, rollout.episode_start
+            rollout.patches, rollout.knowledge, rollout.start_state, rollout.episode_start
         )
         policy_loss = -(log_probability(logits, rollout.action) * advantage).mean()
         value_loss = 0.5 * (advantage + rollout.value - values).square().mean()
