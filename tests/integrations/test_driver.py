@@ -22,7 +22,7 @@ CONTRACT = {
     },
     "workspace_m": {"lower": [-9.0, -9.0, -9.0], "upper": [9.0, 9.0, 9.0]},
     "camera": {"size": 4},
-    "knowledge": {"rows": ["usedFor drinking", "usedFor eating"], "default_row": None},
+    "knowledge": {"rows": ["usedFor drinking", "usedFor eating"]},
     "recurrent": {"size": 1},
     "recognition": None,
 }

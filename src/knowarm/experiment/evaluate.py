@@ -154,11 +154,9 @@ def evaluate(
         fixed = _episodes(env, config)
         result = play(agent, env, fixed, record_images=config.films)
         columns = episode_columns(agent, result, env, config)
-        found, is_trained = Findings(columns), trained is not None and trained.which != "untrained"
-        played, found = (
-            Played(agent, env, fixed, result, config.seed, is_trained),
-            Findings(columns),
-        )
+        is_trained = trained is not None and trained.which != "untrained"
+        played = Played(agent, env, fixed, result, config.seed, is_trained)
+        found = Findings(columns)
         for probe in config.probes:
             probe.measure(played, found)
     numbers, groups = summarize(found.columns, task.measures)

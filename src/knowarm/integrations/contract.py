@@ -118,7 +118,6 @@ def deployment(trained: TrainedAgent) -> Deployment:
         "knowledge": {
             "file": "knowledge.npy",
             "rows": rows,
-            "default_row": 0 if len(rows) == 1 else None,
             "meaning": env.task.knowledge_info,
             "origin": to_dict(trained.config.knowledge),
         },
