@@ -32,7 +32,7 @@ def task_row(robot: str, target: str, dynamics: Dynamics, episodes: int) -> dict
     fixed = evaluation_episodes(config, episodes, SEED)
     env.reset(options={"episodes": fixed})
     solution = InverseKinematics(env.scene).solve(
-        env.goal_position, env.goal_matrix, env.joint_positions
+        env.running.goal_position, env.running.goal_matrix, env.joint_positions
     )
     oracle = play(OracleAgent(env), env, fixed)
     random = play(RandomAgent(SEED), env, fixed)

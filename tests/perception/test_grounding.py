@@ -93,8 +93,8 @@ def test_labels_are_the_grasp_frames_of_the_simulator(config, network, labels):
     world = ArmVectorEnv(config.env, 96)
     images, infos = world.reset(seed=3)
     assert (labels.images.numpy() == images).all()
-    np.testing.assert_allclose(labels.grasp_position[:, 0], world.goal_position, atol=1e-6)
-    axes = world.goal_matrix.reshape(-1, 3, 3)[:, :, [0, 2]].swapaxes(1, 2).reshape(-1, 6)
+    np.testing.assert_allclose(labels.grasp_position[:, 0], world.running.goal_position, atol=1e-6)
+    axes = world.running.goal_matrix.reshape(-1, 3, 3)[:, :, [0, 2]].swapaxes(1, 2).reshape(-1, 6)
     np.testing.assert_allclose(labels.grasp_axes[:, 0], axes, atol=1e-6)
     places = infos["object_positions"]
     np.testing.assert_allclose(

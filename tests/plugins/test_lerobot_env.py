@@ -53,7 +53,7 @@ def solved(cell):
     env = ArmVectorEnv(cell.env, N)
     env.reset(options={"episodes": cell.episodes[:N]})
     solver = InverseKinematics(env.scene, seed=0)
-    reach = solver.solve(env.goal_position, env.goal_matrix, env.joint_positions)
+    reach = solver.solve(env.running.goal_position, env.running.goal_matrix, env.joint_positions)
     return reach.joints.astype(np.float32)
 
 

@@ -149,7 +149,7 @@ def test_most_of_every_object_is_visible_beside_the_others(robot: str) -> None:
     scene, running = env.scene, env.running
     raycaster = Raycaster(scene.model, scene.camera, 64, 64)
     poses = env.simulation.geom_position, env.simulation.geom_matrix
-    rgba = env.geom_rgba
+    rgba = env.running.shown.rgba
     together = raycaster.trace(*poses, rgba).geom
     owner = np.append(scene.geom_target, -1)  # -1, no geom, belongs to no target
     shares = []
@@ -265,9 +265,9 @@ def test_marked_objects_show_the_answer() -> None:
     env = ArmVectorEnv(small(task=Choose(marked=True)), 4)
     env.reset(seed=0)
     wanted = env.scene.geom_target == env.running.target[:, None]
-    assert (env.geom_rgba[wanted] == [1, 0, 1, 1]).all()
-    others = (env.geom_rgba[..., 3] > 0) & (env.scene.geom_target >= 0) & ~wanted
-    assert (np.ptp(env.geom_rgba[others][:, :3], axis=1) == 0).all(), "grey"
+    assert (env.running.shown.rgba[wanted] == [1, 0, 1, 1]).all()
+    others = (env.running.shown.rgba[..., 3] > 0) & (env.scene.geom_target >= 0) & ~wanted
+    assert (np.ptp(env.running.shown.rgba[others][:, :3], axis=1) == 0).all(), "grey"
 
 
 @pytest.mark.parametrize(

@@ -82,7 +82,7 @@ def test_knowledge_of_the_running_episode_stands_beside_the_image() -> None:
         make("irb120", observe=("picture",))
     with pytest.raises(UserError, match="Unknown kind of action 'torque'"):
         make("irb120", action="torque")
-    with pytest.raises(UserError, match="Leave out action, observe and knowledge, or device"):
+    with pytest.raises(UserError, match="Leave out observe, knowledge, or device"):
         make("irb120", 2, "cpu", **shown)
 
 

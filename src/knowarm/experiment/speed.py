@@ -67,7 +67,7 @@ def measure_images(config: EnvConfig, *, num_envs: int, seconds: float) -> float
     """Return images per second of CPU time of the ray caster, ``num_envs`` per call."""
     env = ArmVectorEnv(config, num_envs, num_threads=1)
     env.reset(seed=0)
-    poses = env.simulation.geom_position, env.simulation.geom_matrix, env.geom_rgba
+    poses = env.simulation.geom_position, env.simulation.geom_matrix, env.running.shown.rgba
     env.renderer.draw(*poses)
     count, start, cpu = 0, time.perf_counter(), cpu_seconds()
     while time.perf_counter() - start < seconds or count == 0:

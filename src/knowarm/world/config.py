@@ -13,7 +13,7 @@ from knowarm.world.scene.scene import Scene, load_scene
 from knowarm.world.tasks import task_names, task_type
 from knowarm.world.tasks.held_out import HeldOut
 from knowarm.world.tasks.reward import SUCCESS_ANGLE_DEG
-from knowarm.world.tasks.sampling import Colours, Setting, list_facets
+from knowarm.world.tasks.sampling import Colours, Setting
 from knowarm.world.tasks.task import Task
 
 MAX_IMAGE_SIZE = 4096
@@ -120,12 +120,14 @@ def scene_of(config: EnvConfig) -> Scene:
 
 def setting_of(config: EnvConfig) -> Setting:
     """Return what the task of a config draws episodes from."""
-    return Setting(scene_of(config), config.colours, config.held_out)
+    return Setting(scene_of(config), config.colours, config.held_out, facets_of(config))
 
 
 def facets_of(config: EnvConfig) -> tuple[tuple[str, str], ...]:
     """List the (object, colour) pairs that a config shows; objects in config order."""
-    return list_facets(find_targets(config.targets), config.colours)
+    last = None if config.colours == "randomized" else 1
+    targets = find_targets(config.targets)
+    return tuple((target.name, colour) for target in targets for colour in [*target.colours][:last])
 
 
 def questions_of(config: EnvConfig) -> QuestionTable | None:

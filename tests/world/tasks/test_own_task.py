@@ -59,7 +59,7 @@ def test_the_goal_is_above_the_grasp(hover: Any) -> None:
     envs = [ArmVectorEnv(config, 4) for config in (plain, above)]
     for env in envs:
         env.reset(seed=1)
-    assert envs[1].goal_position - envs[0].goal_position == pytest.approx(
+    assert envs[1].running.goal_position - envs[0].running.goal_position == pytest.approx(
         np.tile([0, 0, 0.1], (4, 1))
     )
 

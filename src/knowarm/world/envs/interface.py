@@ -50,7 +50,7 @@ class Interface:
                 raise unknown_name("part of an observation", name, get_args(Observed))
         if action not in get_args(Action):
             raise unknown_name("kind of action", action, get_args(Action))
-        self._is_dict, self._names = observe != "image", names
+        self._names = names
         self._is_continuous = action == "continuous"
         self._table = _checked_table(config, names, knowledge)
         shape = (config.image_size, config.image_size, 3)
@@ -60,7 +60,7 @@ class Interface:
             "knowledge": spaces.Box(-np.inf, np.inf, self._table.shape[1:], np.float32),
         }
         self.observation_space: spaces.Space[Any] = parts["image"]
-        if self._is_dict:
+        if observe != "image":
             self.observation_space = spaces.Dict({name: parts[name] for name in names})
         self.action_space: spaces.Space[Any] = spaces.MultiDiscrete(
             np.full(joints, len(ACTION_LEVELS))
@@ -68,13 +68,10 @@ class Interface:
         if self._is_continuous:
             self.action_space = spaces.Box(-1.0, 1.0, (joints,), np.float32)
 
-    def observe(self, images: NDArray[np.uint8], joints: Floats, rows: Integers) -> Any:
-        """Return the observations of n environments: images, or a dict of arrays (n, ...).
-
-        ``rows`` are those of the knowledge table, (n,).
-        """
-        if not self._is_dict:
-            return images
+    def observe(
+        self, images: NDArray[np.uint8], joints: Floats, rows: Integers
+    ) -> dict[str, NDArray[Any]]:
+        """Return the named parts of n observations, (n, ...) each; ``rows`` of the table, (n,)."""
         parts: dict[str, NDArray[Any]] = {"image": images, "joints": joints.astype(np.float32)}
         if "knowledge" in self._names:
             parts["knowledge"] = self._table[rows]

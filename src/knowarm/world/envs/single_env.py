@@ -7,14 +7,16 @@ import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import iterate
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from knowarm.errors import UserError, unknown_name
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.interface import Action, Observe
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks import task_type
 from knowarm.world.tasks.task import Task
+
+INTERFACE = ("action", "observe", "knowledge")
+"""Options of ``ArmVectorEnv`` besides the fields of ``EnvConfig``."""
 
 
 class ArmEnv(gymnasium.Env[Any, NDArray[Any]]):
@@ -22,33 +24,18 @@ class ArmEnv(gymnasium.Env[Any, NDArray[Any]]):
 
     Args:
         render_mode: "rgb_array" to draw enlarged images with ``render``, or None.
-        action, observe, knowledge: as those of ``ArmVectorEnv``.
-        options: fields of ``EnvConfig``.
+        options: fields of ``EnvConfig``; and ``action``, ``observe`` and ``knowledge``, as those of
+            ``ArmVectorEnv``.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012 (Gymnasium's name)
 
-    def __init__(
-        self,
-        render_mode: str | None = None,
-        *,
-        action: Action = "levels",
-        observe: Observe = "image",
-        knowledge: ArrayLike | None = None,
-        **options: Any,
-    ) -> None:
+    def __init__(self, render_mode: str | None = None, **options: Any) -> None:
         if render_mode not in (None, "rgb_array"):
             raise UserError(f"render_mode must be 'rgb_array' or None, got {render_mode!r}.")
         self.render_mode = render_mode
-        self._vector = ArmVectorEnv(
-            env_config(**options),
-            1,
-            num_threads=1,
-            autoreset=AutoresetMode.DISABLED,
-            action=action,
-            observe=observe,
-            knowledge=knowledge,
-        )
+        config, interface = env_config(**options)
+        self._vector = ArmVectorEnv(config, 1, 1, AutoresetMode.DISABLED, **interface)
         self.config = self._vector.config
         self.facets = self._vector.facets
         self.observation_space = self._vector.single_observation_space
@@ -102,13 +89,15 @@ class ArmEnv(gymnasium.Env[Any, NDArray[Any]]):
         return self._vector.render()[0] if self.render_mode else None
 
 
-def env_config(*, task: str | Task = "reach", **options: Any) -> EnvConfig:
-    """Return the config of an environment, whose task may be given by name."""
-    names = [field.name for field in dataclasses.fields(EnvConfig)]
+def env_config(*, task: str | Task = "reach", **options: Any) -> tuple[EnvConfig, dict[str, Any]]:
+    """Return the config of an environment, whose task may be given by name, and other options."""
+    fields = [field.name for field in dataclasses.fields(EnvConfig)]
     for name in options:
-        if name not in names:
-            raise unknown_name("option of an environment", name, names)
-    return EnvConfig(task=task_type(task)() if isinstance(task, str) else task, **options)
+        if name not in (*fields, *INTERFACE):
+            raise unknown_name("option of an environment", name, [*fields, *INTERFACE])
+    interface = {name: options.pop(name) for name in INTERFACE if name in options}
+    made = task_type(task)() if isinstance(task, str) else task
+    return EnvConfig(task=made, **options), interface
 
 
 def make_vector_env(
@@ -117,10 +106,6 @@ def make_vector_env(
     autoreset: AutoresetMode = AutoresetMode.SAME_STEP,
     render_mode: str | None = None,
     device: str | None = None,
-    *,
-    action: Action = "levels",
-    observe: Observe = "image",
-    knowledge: ArrayLike | None = None,
     **options: Any,
 ) -> VectorEnv[Any, Any, Any]:
     """Create a vector environment: the entry point of ``gymnasium.make_vec``.
@@ -130,30 +115,21 @@ def make_vector_env(
         num_threads: threads of physics and rendering; 0 for one per core.
         autoreset: Gymnasium's mode.
         render_mode: "rgb_array", or None.
-        action, observe, knowledge: as those of ``ArmVectorEnv``.
         device: None for ``ArmVectorEnv``, with NumPy arrays; "cpu" or "cuda" for
             ``TorchArmVectorEnv``, with tensors on that device.
-        options: fields of ``EnvConfig``.
+        options: fields of ``EnvConfig``, and those of ``ArmVectorEnv``.
 
     Raises:
         UserError: a device is combined with an argument of the NumPy environment.
     """
-    config, autoreset = env_config(**options), AutoresetMode(autoreset)
+    config, interface = env_config(**options)
+    autoreset = AutoresetMode(autoreset)
     if device is None:
-        return ArmVectorEnv(
-            config,
-            num_envs,
-            num_threads,
-            autoreset,
-            render_mode,
-            action=action,
-            observe=observe,
-            knowledge=knowledge,
-        )
-    if (action, observe, knowledge) != ("levels", "image", None):
+        return ArmVectorEnv(config, num_envs, num_threads, autoreset, render_mode, **interface)
+    if interface:
         raise UserError(
             f"With device {device!r} observations are images and actions are levels; a policy "
-            "holds the knowledge table. Leave out action, observe and knowledge, or device."
+            f"holds the knowledge table. Leave out {', '.join(interface)}, or device."
         )
     if (autoreset, render_mode) != (AutoresetMode.SAME_STEP, None):
         raise UserError(

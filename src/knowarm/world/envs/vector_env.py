@@ -3,6 +3,7 @@
 from typing import Any
 
 import numpy as np
+from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space, iterate
 from numpy.typing import ArrayLike, NDArray
@@ -87,21 +88,6 @@ class ArmVectorEnv(VectorEnv[Any, NDArray[Any], NDArray[Any]]):
     def joint_targets(self) -> NDArray[np.float64]:
         """Joint angles that the servos track, (n, J) [rad]; actions add to them."""
         return self.running.joint_targets.copy()
-
-    @property
-    def geom_rgba(self) -> NDArray[np.float32]:
-        """Colour of every geom, alpha 0 where it is hidden, (n, G, 4)."""
-        return self.running.shown.rgba.copy()
-
-    @property
-    def goal_position(self) -> NDArray[np.float64]:
-        """Point that each gripper has to reach, world, (n, 3) [m]; for scripted agents."""
-        return self.running.goal_position.copy()
-
-    @property
-    def goal_matrix(self) -> NDArray[np.float64]:
-        """Rotation from goal frame to world, row-major, (n, 9); for scripted agents."""
-        return self.running.goal_matrix.copy()
 
     @property
     def knowledge_input(self) -> NDArray[np.int64]:
@@ -206,8 +192,11 @@ class ArmVectorEnv(VectorEnv[Any, NDArray[Any], NDArray[Any]]):
         return outcome.reward, outcome.terminated.copy(), outcome.truncated
 
     def _observe(self, ids: NDArray[np.intp] | slice = slice(None)) -> Any:
+        images = self._render_images(ids)
+        if isinstance(self.single_observation_space, spaces.Box):
+            return images
         joints, rows = self.joint_positions[ids], self.running.knowledge_input[ids]
-        return self._interface.observe(self._render_images(ids), joints, rows)
+        return self._interface.observe(images, joints, rows)
 
     def _render_images(self, ids: NDArray[np.intp] | slice = slice(None)) -> NDArray[np.uint8]:
         return draw_images(self.renderer, self.running, ids)

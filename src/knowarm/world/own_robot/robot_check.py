@@ -132,7 +132,7 @@ def _check_reach(env: ArmVectorEnv) -> Check:
     episodes = evaluation_episodes(env.config, SAMPLES, 1)
     env.reset(options={"episodes": episodes})
     solver = InverseKinematics.of_task(env.scene, env.running)
-    solution = solver.solve(env.goal_position, env.goal_matrix, env.joint_positions)
+    solution = solver.solve(env.running.goal_position, env.running.goal_matrix, env.joint_positions)
     remedy = "move or shrink the rectangle, or turn the target with target_yaws_deg."
     return check_reach(
         env.scene, env.config, 0, episodes.position, env.joint_positions, solution, remedy

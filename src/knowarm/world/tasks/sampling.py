@@ -5,7 +5,6 @@ episodes of any streams can be drawn in one batch, in any order, and the state o
 integers. The hash is splitmix64's finalizer (Steele, Lea and Flood 2014) applied to each in turn.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol, Self
 
@@ -15,7 +14,6 @@ from numpy.typing import NDArray
 from knowarm.arrays import Floats, Integers, Mask, Names
 from knowarm.errors import UserError
 from knowarm.questions import ObjectColour, number_parts
-from knowarm.world.objects.target import Target
 from knowarm.world.tasks.held_out import TRIES, HeldOut, allowed_colours, check_names, choose_places
 
 if TYPE_CHECKING:  # Configs are read where nothing else needs MuJoCo.
@@ -38,16 +36,8 @@ class Setting(NamedTuple):
     held_out: HeldOut | None
     """Colours and places reserved for a test of generalization."""
 
-    @property
-    def facets(self) -> tuple[ObjectColour, ...]:
-        """The (object, colour) pairs that can be shown; objects in config order."""
-        return list_facets(self.scene.targets, self.colours)
-
-
-def list_facets(targets: Sequence[Target], colours: Colours) -> tuple[ObjectColour, ...]:
-    """List the (object, colour) pairs of targets, with the first colours or with all."""
-    last = None if colours == "randomized" else 1
-    return tuple((target.name, colour) for target in targets for colour in [*target.colours][:last])
+    facets: tuple[ObjectColour, ...]
+    """The (object, colour) pairs that can be shown; objects in config order."""
 
 
 class DrawnObjects(NamedTuple):
