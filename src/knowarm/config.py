@@ -139,7 +139,7 @@ def from_dict(cls: type[T], values: Mapping[str, Any], *, where: str = "") -> T:
     kind = cls.__name__
     if not isinstance(values, Mapping):
         raise UserError(f"{where or kind} must hold fields of {kind}, got {values!r}.")
-    hints = typing.get_type_hints(cls)
+    hints = _hints(cls)
     fields = {each.name: each for each in dataclasses.fields(typing.cast(Any, cls)) if each.init}
     for name in values:
         if name not in fields:
@@ -231,6 +231,6 @@ def _tags(cls: Any) -> list[tuple[str, str]]:
     """Literal field (``kind`` or ``name``) that tells a config from others, with each value."""
     if not dataclasses.is_dataclass(cls):
         return []
-    hints = typing.get_type_hints(cls)
+    hints = _hints(cls)
     field = next((name for name in TAGS if get_origin(hints.get(name)) is Literal), "")
     return [(field, choice) for choice in get_args(hints.get(field))]
