@@ -291,7 +291,7 @@ def test_notes_and_verdicts_say_what_follows_and_what_does_not(made):
 def test_a_study_with_two_subjects_is_reported(tmp_path):
     success = {"bm": 0.3, "full": 0.6, "target": 0.8, "target-onehot": 0.8, "toy": 0.5}
     truth = Truth(success=success, roles={"toy": "content_control"})
-    size = Size(points=6, episodes=40, steps=True, films=1)
+    size = Size(points=6, tables=False)
     runs = write_study(tmp_path / "runs", truth, seeds=3, size=size)
     page = write_report(runs, tmp_path / "a.html")
     tables = json.loads(page.with_suffix(".json").read_text())["tables"]

@@ -41,7 +41,7 @@ BOTH = LOW | {"target": 0.8, "target-onehot": 0.8}
 MEANING, SIZE, INPUT = "knowledge matters", "size may explain it", "input without meaning"
 
 
-def decided(folder: Path, success: dict[str, float], seeds: int = 6, **truth) -> list[Verdict]:
+def decided(folder: Path, success: dict[str, float], seeds: int = 5, **truth) -> list[Verdict]:
     """Findings on success of every subject of one study."""
     study = collect(write_study(folder, Truth(success=success, **truth), seeds=seeds, size=LIGHT))
     return [each.verdict() for each in findings(study.tasks[0], claims(study))]

@@ -10,9 +10,9 @@ def inline(monkeypatch):
     monkeypatch.setattr(driver, "LocalExecutor", InlineExecutor)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def finished(tmp_path_factory):
-    """The folder of a complete study; not to be changed."""
+    """The folder of a complete study; copy it before changing anything."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(driver, "LocalExecutor", InlineExecutor)
         patch.setattr(driver, "POLL_S", 0.0)

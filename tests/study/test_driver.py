@@ -1,7 +1,9 @@
 import json
 import os
+import shutil
 import signal
 import time
+from pathlib import Path
 
 import psutil
 import pytest
@@ -139,16 +141,18 @@ def test_runs_start_seed_by_seed_and_the_longest_first(tmp_path, executors):
     assert executors[-1].started == [(name, seed) for seed in (3, 0) for name in names[::-1]]
 
 
-def test_other_studies_and_changed_runs_are_refused(tmp_path, executors):
-    run_study(tiny(seeds=(0,)), tmp_path)
-    with pytest.raises(UserError, match="holds the study 'tiny', not 'other'"):
-        run_study(tiny(name="other"), tmp_path)
-    changed = tiny(overrides={**STUDY, "total_steps": 100})
-    with pytest.raises(UserError, match=r"bm-ppo/0 has another config.*total_steps: 40 \| 100"):
-        run_study(changed, tmp_path)
-    assert len(run_study(tiny(seeds=(0, 1)), tmp_path)) == 2  # more seeds are no other study
-    with pytest.raises(UserError, match=r"no longer belong to the study: irb120-bm-ppo/0 \(1\)"):
-        run_study(tiny(seeds=(1, 2)), tmp_path)
+def test_other_studies_and_changed_runs_are_refused(finished):
+    for study, words in (
+        (tiny(name="other"), "holds the study 'tiny', not 'other'"),
+        (
+            tiny(overrides={**STUDY, "total_steps": 100}),
+            r"bm-ppo/0 has another config.*total_steps: 40 \| 100",
+        ),
+        (tiny(seeds=(1, 2)), r"no longer belong to the study: irb120-bm-ppo/0 \(1\)"),
+    ):
+        with pytest.raises(UserError, match=words):
+            driver.check_folder(study, finished)
+    driver.check_folder(tiny(seeds=(0, 1, 2)), finished)  # more seeds are no other study
 
 
 def test_a_silent_run_that_another_process_holds_is_not_waited_for(
@@ -163,9 +167,10 @@ def test_a_silent_run_that_another_process_holds_is_not_waited_for(
     assert time.monotonic() - start < 20
 
 
-def test_a_run_with_pending_interim_evaluations_is_not_trained(tmp_path):
-    (config,) = tiny(seeds=(0,)).runs()
-    folder = train(config, tmp_path).folder
+def test_a_run_with_pending_interim_evaluations_is_not_trained(tmp_path, finished):
+    config, _ = tiny().runs()
+    path = finished / "irb120-bm-ppo" / "0"
+    folder = RunFolder(Path(shutil.copytree(path, tmp_path / "run")))
     assert is_trained(folder, config)
     meta = folder.checkpoints / "latest" / "meta.json"
     assert '"pending": 0' in meta.read_text()
@@ -181,7 +186,7 @@ def test_gpus_that_the_environment_hides_are_not_used(monkeypatch, visible, gpus
 
 
 def test_a_folder_in_use_is_refused(tmp_path, executors):
-    run_study(tiny(seeds=(0,)), tmp_path)
+    write_study(tiny(seeds=(0,)), tmp_path)
     assert not request_stop(tmp_path)
     with lock_folder(tmp_path, remedy=""):
         assert request_stop(tmp_path)
