@@ -7,8 +7,6 @@ starts: the state belongs to the connection, and a new connection or ``reset: tr
 
 import contextlib
 import hmac
-import ipaddress
-import socket
 import threading
 import time
 from collections.abc import Callable
@@ -35,6 +33,8 @@ except ImportError as missing:
 MOST_BYTES = 4 * 2**20
 """Largest message [bytes]; the connection is closed before a larger one is read."""
 MOST_CONNECTIONS = 8
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
+"""Addresses that no other machine can reach."""
 IMAGE, STATE, PROMPT, RESET = "observation/image", "observation/state", "prompt", "reset"
 _KINDS = "biuf"  # kinds of arrays that are read: no objects, records or complex numbers
 
@@ -97,9 +97,9 @@ class PolicyServer:
         port: int = 8000,
         key: str | None = None,
     ) -> None:
-        if key is None and not _is_loopback(host):
+        if key is None and host not in LOOPBACK:
             raise UserError(
-                f"Other machines can reach {host}: give a key, or serve on 127.0.0.1 and let "
+                f"Other machines may reach {host}: give a key, or serve on 127.0.0.1 and let "
                 "clients connect through SSH."
             )
         self._make_runner, self._key = make_runner, key
@@ -277,11 +277,3 @@ def metadata(runner: Runner) -> dict[str, Any]:
             RESET: "true starts an episode; so does a new connection",
         },
     }
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        found = {each[4][0] for each in socket.getaddrinfo(host, None)}
-    except OSError:
-        return False
-    return all(ipaddress.ip_address(str(each).split("%")[0]).is_loopback for each in found)

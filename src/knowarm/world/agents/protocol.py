@@ -119,7 +119,3 @@ class PrivilegedAgent:
             raise UserError(
                 f"This {type(self).__name__} was made for another environment; make one for this."
             )
-
-    def act(self, observations: Observations) -> NDArray[np.int64]:
-        """Choose actions (n, J)."""
-        raise NotImplementedError
