@@ -200,8 +200,8 @@ class RandomSearchTrainer(SynchronousTrainer):
         pass
 
 
-def make_random_search(config, policy, make_env, make_evaluate, **options):
-    return RandomSearchTrainer(config, policy, evaluate=make_evaluate(), **options)
+def make_random_search(config, policy, make_env, **options):
+    return RandomSearchTrainer(config, policy, **options)
 
 
 def test_an_algorithm(monkeypatch, listed, tmp_path):

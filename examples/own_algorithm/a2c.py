@@ -14,7 +14,6 @@ from knowarm.learn import (
     AlgorithmConfig,
     Checkpoint,
     Collector,
-    MakeEvaluate,
     Metrics,
     Rollout,
     SynchronousTrainer,
@@ -109,13 +108,9 @@ class A2CTrainer(SynchronousTrainer):
         self.collector.set_state(checkpoint.state)
 
 
-def make_a2c(
-    config: A2CConfig, policy: Policy, *, make_env: Any, make_evaluate: MakeEvaluate, **options: Any
-) -> A2CTrainer:
-    """Make the environments, and the function that plays the interim evaluations."""
-    return A2CTrainer(
-        config, policy, make_env(config.num_envs), evaluate=make_evaluate(), **options
-    )
+def make_a2c(config: A2CConfig, policy: Policy, *, make_env: Any, **options: Any) -> A2CTrainer:
+    """Make the environments and the trainer."""
+    return A2CTrainer(config, policy, make_env(config.num_envs), **options)
 
 
 A2C = Algorithm(

@@ -64,17 +64,14 @@ def test_background_evaluations_equal_inline_ones():
 
 
 @pytest.mark.slow
-def test_training_with_background_evaluations_keeps_the_same_best_policy(tmp_path):
+def test_training_with_background_evaluations_keeps_the_same_best_policy(tmp_path, monkeypatch):
     best = []
-    for name, options in (
-        ("inline", {"evaluate": squared_norm}),
-        ("background", {"make_evaluate": make_squared_norm}),
-    ):
-        store = CheckpointStore(tmp_path / name, {})
+    for in_background in (False, True):
+        store = CheckpointStore(tmp_path / str(in_background), {})
         env = toy_env(8, recall=False, length=5, staggered=True)
-        trainer = PPOTrainer(
-            CONFIG, toy_policy(), env, seed=3, evaluate_every=96, checkpoints=store, **options
-        )
+        options = {"make_evaluate": make_squared_norm, "evaluate_every": 96, "checkpoints": store}
+        trainer = PPOTrainer(CONFIG, toy_policy(), env, seed=3, **options)
+        monkeypatch.setattr(trainer, "evaluates_in_background", in_background)
         trainer.train(96 * 4)
         best.append(
             (trainer.best.step, read_checkpoint(store.folder / "best").facts["return_mean"])

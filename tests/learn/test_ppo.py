@@ -57,7 +57,7 @@ def build(folder, hooks=None, evaluate=None, **changes):
         toy_env(32, recall=True, length=7),
         seed=3,
         hooks=hooks,
-        evaluate=evaluate,
+        make_evaluate=evaluate and (lambda: evaluate),
         evaluate_every=640,
         checkpoints=store,
         checkpoint_every=640,

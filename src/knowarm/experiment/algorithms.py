@@ -21,7 +21,7 @@ from knowarm.learn.algorithms import (
 from knowarm.own import installed, load, named_by, share
 
 if TYPE_CHECKING:
-    from knowarm.learn import MakeEvaluate, TorchVectorEnv, Trainer
+    from knowarm.learn import TorchVectorEnv, Trainer
     from knowarm.policy import Policy
 
 GROUP = "knowarm.algorithms"
@@ -40,9 +40,8 @@ class Algorithm:
     config: AlgorithmConfig
     """Default hyperparameters; their literal ``name`` is the registry's name of the trainer."""
     make_trainer: "Callable[..., Trainer]"
-    """Builds a trainer from ``config``, the ``policy`` that it trains in place, and two picklable
-    functions: ``make_env``, a `build.EnvFactory`, and ``make_evaluate``, which makes the interim
-    evaluation. Further options are those of the base class `knowarm.learn.Trainer`."""
+    """Builds a trainer from ``config``, the ``policy`` that it trains in place, and ``make_env``, a
+    picklable `build.EnvFactory`. Further options are those of `knowarm.learn.Trainer`."""
     total_steps: int
     """Environment steps of an experiment, over all environments."""
     policy: Mapping[str, Any] = field(default_factory=dict)
@@ -56,15 +55,12 @@ def _make_minibatch(
     config: MinibatchConfig,
     policy: "Policy",
     make_env: "Callable[..., TorchVectorEnv]",
-    make_evaluate: "MakeEvaluate",
     **options: Any,
 ) -> "Trainer":
     from knowarm import learn  # imports torch, which naming an experiment does not need
 
     env = make_env(config.num_envs, device=config.device)
-    made: Trainer = getattr(learn, trainer)(
-        config, policy, env, evaluate=make_evaluate(), **options
-    )
+    made: Trainer = getattr(learn, trainer)(config, policy, env, **options)
     return made
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from multiprocessing.context import BaseContext
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 import torch
@@ -15,7 +15,6 @@ from knowarm.learn.checkpoint import Checkpoint, CheckpointStore, select
 from knowarm.learn.evaluation import (
     MAX_PENDING,
     BackgroundEvaluations,
-    Evaluate,
     Evaluations,
     InlineEvaluations,
     MakeEvaluate,
@@ -81,11 +80,7 @@ class Trainer(ABC):
         policy: trained in place.
         seed: of the run, 0 or more; each purpose of randomness derives a stream of its own from
             it (`knowarm.seeding`).
-        evaluate: plays the interim evaluation while training waits; None for none.
-        make_evaluate: instead of ``evaluate``, creates it in a child process that plays while
-            training continues; picklable. Results may arrive after later steps. Checkpoints do
-            not wait for them: they hold the parameters of pending evaluations, which are played
-            after resuming.
+        make_evaluate: creates the function that plays an interim evaluation; None for none.
         evaluate_every: steps between two interim evaluations; the first precedes training.
         hooks: functions to call.
         checkpoints: where checkpoints are saved; None saves none.
@@ -93,18 +88,23 @@ class Trainer(ABC):
         failure_folder: where a rollout with non-finite values is saved; None saves nothing.
 
     Attributes:
+        evaluates_in_background: whether a child process plays the interim evaluations while
+            training continues, for which ``make_evaluate`` is picklable. Results may arrive after
+            later steps. Checkpoints do not wait for them: they hold the parameters of pending
+            evaluations, which are played after resuming.
         step: environment steps so far.
         best: the best interim evaluation so far.
         pending_evaluations: parameters by step of the interim evaluations that were pending in
             the checkpoint that `resume` restored; `train` plays them.
     """
 
+    evaluates_in_background: ClassVar[bool] = False
+
     def __init__(
         self,
         policy: Policy,
         *,
         seed: int,
-        evaluate: Evaluate | None = None,
         make_evaluate: MakeEvaluate | None = None,
         evaluate_every: int = 50_000,
         hooks: Hooks | None = None,
@@ -122,7 +122,6 @@ class Trainer(ABC):
         self.checkpoint_every = checkpoint_every
         self.evaluate_every = evaluate_every
         self.failure_folder = failure_folder
-        self._evaluate = evaluate
         self._make_evaluate = make_evaluate
         self._evaluations: Evaluations = InlineEvaluations(policy, None)
         self._context: BaseContext | None = None
@@ -131,7 +130,7 @@ class Trainer(ABC):
     @property
     def evaluates(self) -> bool:
         """Whether there are interim evaluations."""
-        return self._evaluate is not None or self._make_evaluate is not None
+        return self._make_evaluate is not None
 
     def train(self, total_steps: int) -> TrainingResult:
         """Train until ``total_steps`` environment steps were taken in total.
@@ -145,10 +144,11 @@ class Trainer(ABC):
             RuntimeError: a child process exits or fails repeatedly.
         """
         self._stopping = False
+        make = self._make_evaluate
         self._evaluations = (
-            InlineEvaluations(self.policy, self._evaluate)
-            if self._make_evaluate is None
-            else BackgroundEvaluations(self.policy, self._make_evaluate, self._context)
+            BackgroundEvaluations(self.policy, make, self._context)
+            if make is not None and self.evaluates_in_background
+            else InlineEvaluations(self.policy, make and make())
         )
         try:
             for step, values in sorted(self.pending_evaluations.items()):

@@ -62,6 +62,8 @@ class A3CTrainer(Trainer):
         options: as `Trainer`.
     """
 
+    evaluates_in_background = True
+
     def __init__(
         self, config: A3CConfig, policy: Policy, make_env: MakeEnv, *, seed: int, **options: Any
     ) -> None:
