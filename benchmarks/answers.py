@@ -18,20 +18,17 @@ import sys
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, cast, get_args
 
 import numpy as np
 import torch
 
 from knowarm.config import override
 from knowarm.experiment.conditions import DamageTest, Subject
+from knowarm.experiment.knows import GraphAnswers
 from knowarm.experiment.load import TrainedAgent, load_agent
-from knowarm.experiment.other_graphs import (
-    answer_table,
-    knowledge_at_test,
-    splits_of,
-    with_graph,
-)
+from knowarm.experiment.other_graphs import splits_of, with_graph
+from knowarm.knowledge.config import KnowledgeConfig
 from knowarm.knowledge.graph.damage import Damage
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.kge.models import MODELS
@@ -77,13 +74,16 @@ def measure(
     ``graph`` is what the agent knows instead of its own.
     """
     (env, labels), network = task, network_of(trained)
+    config, seed = trained.config, trained.config.seed
+    knows = config.knows.reasoning_by(reasoning, config.agent)
     if reasoning == "vector":
-        known = FrameRecognition(network, knowledge_at_test(trained.config, env, graph))
+        described = knows.embed(env, seed, graph=graph, trained=trained.config.env)
+        known = FrameRecognition(network, described.table)
         frames = known(labels.images, labels.queries)
         return {"right": right_object(trained, labels, frames)}
     control = None if reasoning == "graph" else reasoning
     facets = network.spec.facets
-    answers = answer_table(trained.config, env, facets, graph=graph, control=control)
+    answers = cast(GraphAnswers, knows).answers(env, seed, facets, graph=graph, control=control)
     known = AnswerGrounding(network, answers)
     parts = zip(labels.images.split(BATCH), labels.queries.split(BATCH), strict=True)
     seen = [known.see(images, known.of_rows(rows)) for images, rows in parts]
@@ -137,7 +137,12 @@ def write_curves(runs: list[TrainedAgent], arguments: argparse.Namespace) -> Non
                 continue
             damage = {"damage": kind, "share": share, "seed": seed, "repair": repair}
             env = tasks[split][0]
-            key = (config.knowledge.graph, env.targets, split == "S5", *damage.values())
+            key = (
+                cast(KnowledgeConfig, config.knows).graph,
+                env.targets,
+                split == "S5",
+                *damage.values(),
+            )
             if key not in graphs:
                 known = Subject(env=env, config=config, graph=edited(env, split))
                 graphs[key] = override(DamageTest(), damage).prepare(known).graph

@@ -12,10 +12,12 @@ are from the true ones in new images.
 import argparse
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import torch
 
 from knowarm.cores import torch_threads
+from knowarm.experiment.knows.grounded import Grounded
 from knowarm.experiment.load import load_agent
 from knowarm.perception.config import GroundingConfig
 from knowarm.perception.grounding import GroundingNetwork, place_of
@@ -58,9 +60,8 @@ def main() -> None:
     trained = load_agent(arguments.run)
     if trained.network is None:
         raise SystemExit("Give a run with a grounding network.")
-    seed, env, config = trained.config.seed, trained.config.env, trained.config.grounding
-    assert config is not None
-    config = replace(config, frame_head="neighbourhood", images=arguments.images)
+    seed, env = trained.config.seed, trained.config.env
+    config = replace(cast(Grounded, trained.config.knows).grounding, images=arguments.images)
     made = train_frame_head(trained.network, env, config, seed=seed, report=print)
     assert made is not None
     with torch_threads(1):

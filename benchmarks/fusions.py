@@ -96,7 +96,7 @@ def main() -> None:
     """Train a network per seed and fusion and print the share found in new images."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--fusions", nargs="+", default=FUSED, choices=FUSED)
-    parser.add_argument("--experiment", default="irb120-choose-subgraph-fast")
+    parser.add_argument("--experiment", default="irb120-choose-subgraph-before-lstm-fast")
     parser.add_argument("--images", type=int, default=20_000)
     parser.add_argument("--epochs", type=int, default=8)
     parser.add_argument("--size", type=int, default=64, help="height and width of images [px]")
@@ -112,7 +112,7 @@ def main() -> None:
     env_config = replace(config.env, image_size=arguments.size, task=task)
     found = []
     for seed in arguments.seeds:
-        parts = build(replace(config, env=env_config, seed=seed, grounding=None))
+        parts = build(replace(config, env=env_config, seed=seed))
         shape = replace(parts.policy_shape, joints=2, levels=1)  # x and y instead of actions
         env = ArmVectorEnv(env_config, 512, 1)
         starts = draw_starts(env, parts.table, arguments.images + TEST_IMAGES, seed)

@@ -14,23 +14,16 @@ import argparse
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
+from typing import cast, get_args
 
 import torch
 
-from knowarm.experiment.build import build, slots_of
 from knowarm.experiment.config import ExperimentConfig
+from knowarm.experiment.knows.grounded import Grounded
 from knowarm.experiment.names import experiment_config
-from knowarm.experiment.other_graphs import (
-    described_by,
-    knowledge_at_test,
-    splits_of,
-    varied_graphs,
-)
-from knowarm.knowledge.formats import read_graph
+from knowarm.experiment.other_graphs import splits_of
 from knowarm.knowledge.graph.damage import Damage, damaged
 from knowarm.perception.grounding import FrameRecognition
-from knowarm.perception.grounding_training import train_grounding
 from knowarm.perception.images import DescribedGraph, LabelledImages, sample_images
 from knowarm.seeding import derive_seed
 from knowarm.world.config import EnvConfig
@@ -55,9 +48,10 @@ def damaged_graphs(config: ExperimentConfig, arguments: argparse.Namespace) -> l
     """Return the damaged graph that alone describes and answers queries in training, if any."""
     if arguments.damage is None:
         return []
-    graph, names = read_graph(config.knowledge.graph), config.env.targets
-    graph = damaged(graph, arguments.damage, arguments.damage_share, config.seed, names)
-    return [described_by(config, graph)]
+    knows, names = cast(Grounded, config.knows), config.env.targets
+    share, seed = arguments.damage_share, config.seed
+    graph = damaged(knows.read_graph(), arguments.damage, share, seed, names)
+    return [knows.described_by(graph, config.env, seed)]
 
 
 @torch.no_grad()
@@ -91,18 +85,10 @@ def main() -> None:
     for seed in arguments.seeds:
         for agent in arguments.agents:
             name = f"{arguments.robot}-choose-{agent}-fast"
-            config = experiment_config(name, seed=seed, grounding=given)
-            assert config.grounding is not None
-            parts, begin = build(config), time.process_time()
-            graphs = damaged_graphs(config, arguments) or varied_graphs(config)
-            network = train_grounding(
-                config.env,
-                parts.table,
-                slots_of(parts.embedding),
-                config.grounding,
-                seed=seed,
-                graphs=graphs,
-            )
+            config = experiment_config(name, seed=seed, knows={"grounding": given})
+            knows, begin = cast(Grounded, config.knows), time.process_time()
+            graphs = damaged_graphs(config, arguments)
+            network = knows.train_module(config.env, seed, graphs=graphs)
             assert network is not None
             if arguments.out is not None:
                 network.write(arguments.out)
@@ -113,7 +99,8 @@ def main() -> None:
                     env, network.spec, arguments.test_images, derive_seed(0, "perception", number)
                 )
                 graph = splits_of(env).edited if split == "S5" else None
-                known = FrameRecognition(network, knowledge_at_test(config, env, graph))
+                described = knows.embed(env, seed, graph=graph, trained=config.env)
+                known = FrameRecognition(network, described.table)
                 shares.append(f"{split} {measure(known, labels)}")
             print(f"{agent}, seed {seed}: {', '.join(shares)}, {seconds:.0f} s", flush=True)
 

@@ -285,7 +285,7 @@ def test_tasks(monkeypatch):
 def test_queries():
     query = knowarm.parse_query("usedFor drinking and hasColor blue")
     assert query == knowarm.Query.of(("usedFor", "drinking"), ("hasColor", "blue"))
-    vectors = knowarm.query_embedding(knowarm.experiment_config(CHOOSE).knowledge, [query])
+    vectors = knowarm.query_embedding(knowarm.experiment_config(CHOOSE).knows, [query])
     assert vectors.table([query]).shape[0] == 1
     table = knowarm.NameQueries().table((("mug", "red"), ("bottle", "blue")), objects=2)
     assert isinstance(table, knowarm.QuestionTable)
@@ -323,7 +323,7 @@ def test_perception():
     classifier = knowarm.train_classifier(knowarm.EnvConfig(), config)
     assert isinstance(classifier, knowarm.FacetClassifier)
     assert set(classifier.spec.accuracy) == {"new images", "visual randomization"}
-    grounding = knowarm.experiment_config(CHOOSE).grounding
+    grounding = knowarm.experiment_config(CHOOSE).knows.grounding
     assert isinstance(grounding, knowarm.GroundingConfig)
 
 
@@ -378,11 +378,28 @@ def test_agents(monkeypatch):
     mine = replace(
         knowarm.AGENTS["full"],
         about="full, two hops",
-        knowledge=knowarm.KnowledgeConfig(detail="full", hops=2),
+        knows=knowarm.SceneVector(detail="full", hops=2),
     )
     assert isinstance(mine, knowarm.Agent)
     monkeypatch.setitem(knowarm.AGENTS, "two-hops", mine)
-    assert knowarm.experiment_config("irb120-two-hops-ppo").knowledge.hops == 2
+    assert knowarm.experiment_config("irb120-two-hops-ppo").knows.hops == 2
+
+
+@example(
+    *("NoKnowledge", "SceneVector", "TargetVector", "PerceivedVector", "QueryVector"),
+    *("GroundedVector", "GraphAnswers"),
+)
+def test_what_an_agent_knows():
+    known = {name: agent.knows for name, agent in knowarm.AGENTS.items()}
+    assert isinstance(known["bm"], knowarm.NoKnowledge)
+    assert isinstance(known["full"], knowarm.SceneVector)
+    assert isinstance(known["target"], knowarm.TargetVector)
+    assert isinstance(known["target-perceived"], knowarm.PerceivedVector)
+    assert isinstance(known["subgraph-film"], knowarm.QueryVector)
+    assert isinstance(known["subgraph"], knowarm.GroundedVector)
+    assert isinstance(known["answers"], knowarm.GraphAnswers)
+    changed = knowarm.experiment_config(CHOOSE, knows={"hops": 0}).knows
+    assert (changed.kind, changed.hops) == ("grounded", 0)
 
 
 @example("UserError")

@@ -251,7 +251,7 @@ def test_network_widths(experiment, knowledge, hidden):
     facets = [("mug", "red"), ("bottle", "yellow"), ("cereal_box", "brown")]
     if config.env.colours == "randomized":
         facets += [("mug", "blue"), ("bottle", "purple"), ("cereal_box", "light_blue")]
-    embedding = scene_embedding(config.knowledge, facets)
+    embedding = scene_embedding(config.knows, facets)
     assert embedding.dim == knowledge
     joints = 7 if experiment.startswith("tiago") else 6
     fusion = config.policy.fusion if knowledge else "none"

@@ -142,8 +142,8 @@ class LetterCounts(VectorSource):
 def test_an_embedding(monkeypatch, tmp_path):
     monkeypatch.setitem(SOURCES, "letters", LetterCounts)
     knowledge = {"source": {"kind": "letters", "scale": 0.5}, "dim": 26}
-    run, _ = train_and_evaluate("irb120-full-ppo", tmp_path, knowledge=knowledge)
-    assert run.folder.experiment().knowledge.source == LetterCounts(scale=0.5)
+    run, _ = train_and_evaluate("irb120-full-ppo", tmp_path, knows=knowledge)
+    assert run.folder.experiment().knows.source == LetterCounts(scale=0.5)
     assert run.folder.knowledge().shape == (3, 78)
 
 
@@ -151,7 +151,7 @@ def test_an_agent(monkeypatch, listed, tmp_path):
     agent = knowarm.Agent(
         about="control: the sentence of a graph with permuted tails, two hops",
         role="content_control",
-        knowledge=knowarm.AGENTS["shuffled"].knowledge,
+        knows=knowarm.AGENTS["shuffled"].knows,
         colour="c-teal",
     )
     monkeypatch.setitem(knowarm.AGENTS, "toy-control", agent)

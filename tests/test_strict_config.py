@@ -26,7 +26,7 @@ def test_a_mistyped_choice_is_refused_where_a_config_is_made():
         KnowledgeConfig(detail="full", pooling="Mean")
     config = experiment_config("irb120-full-fast")
     with pytest.raises(UserError, match="'Full'"):
-        dataclasses.replace(config, knowledge=dataclasses.replace(config.knowledge, detail="Full"))
+        dataclasses.replace(config, knows=dataclasses.replace(config.knows, detail="Full"))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

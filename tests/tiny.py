@@ -38,7 +38,7 @@ CHOOSE_NAME = "irb120-choose-subgraph-fast"
 
 CHOOSE = {
     "total_steps": 200,
-    "grounding": {"images": 64, "rounds": 2, "batch": 32},
+    "knows": {"grounding": {"images": 64, "rounds": 2, "batch": 32}},
     "env": CHOOSE_ENV,
     "algorithm": {"num_envs": 4, "rollout_steps": 25, "minibatches": 2, "processes": 1},
     "interim": {"every_steps": 100, "episodes": 4},

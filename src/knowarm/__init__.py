@@ -66,6 +66,8 @@ Knowledge
     read_graph          read a graph from a file
     KnowledgeGraph      triples, entities and relations
     KnowledgeConfig     from a graph to the knowledge vector
+    NoKnowledge, SceneVector, TargetVector, PerceivedVector, QueryVector, GroundedVector,
+    GraphAnswers        what an agent knows: `ExperimentConfig.knows`
     scene_embedding     compute the knowledge vector of a scene
     query_embedding     compute the knowledge vectors of queries
     SceneEmbedding      vectors with their slots, coverage and sentences

@@ -10,6 +10,13 @@ from .experiment.evaluate import EvaluationResult as EvaluationResult
 from .experiment.evaluate import evaluate as evaluate
 from .experiment.evaluation import EvaluationConfig as EvaluationConfig
 from .experiment.graph_queries import GraphQueries as GraphQueries
+from .experiment.knows import GraphAnswers as GraphAnswers
+from .experiment.knows import GroundedVector as GroundedVector
+from .experiment.knows import NoKnowledge as NoKnowledge
+from .experiment.knows import PerceivedVector as PerceivedVector
+from .experiment.knows import QueryVector as QueryVector
+from .experiment.knows import SceneVector as SceneVector
+from .experiment.knows import TargetVector as TargetVector
 from .experiment.load import TrainedAgent as TrainedAgent
 from .experiment.load import load_agent as load_agent
 from .experiment.names import experiment_config as experiment_config

@@ -11,7 +11,7 @@ class Argument:
     """An argument with a value, in an error: ``resume=True``; on the command line ``--resume``."""
 
     name: str
-    """Its name, after that of the part of an experiment's config that has it: knowledge.detail."""
+    """Its name, after that of the part of an experiment's config that has it: knows.detail."""
     value: Any
 
     def __str__(self) -> str:

@@ -182,7 +182,7 @@ def test_an_idle_connection_does_not_block_the_page(served):
 
 def test_scenes_of_families_show_what_looks_like_the_names_of_the_network():
     config = experiment_config("irb120-families-answers-distil")
-    spec = ModuleSpec.of(config.env, config.grounding)
+    spec = ModuleSpec.of(config.env, config.knows.grounding)
     families = Asker(SimpleNamespace(network=SimpleNamespace(spec=spec), config=config))
     answers = families.answers(shipped_graph("families"), "usedFor drinking")
     shown = families._shown[families.scene([answers])]

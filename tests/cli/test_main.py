@@ -92,13 +92,13 @@ def test_help_of_train_shows_ten_options_a_group_or_all(capsys, monkeypatch, col
 
     first, group, everything = shown("--help"), shown("--help", "env"), shown("--help-all")
     assert len(first) == 10
-    assert {"seed", "total-steps", "knowledge.graph"} < set(first)
+    assert {"seed", "total-steps", "knows.graph"} < set(first)
     assert all(name.startswith("env.") for name in group)
     assert len(shown("--help", "policy")) > 2
     assert len(group) < len(everything)
     assert {*first, *group} < set(everything)
-    assert main(["train", "irb120-full-fast", "--help", "knowlege"]) == 2
-    assert "Did you mean 'knowledge'" in capsys.readouterr().err
+    assert main(["train", "irb120-full-fast", "--help", "polcy"]) == 2
+    assert "Did you mean 'policy'" in capsys.readouterr().err
 
 
 def test_help_of_evaluate_has_examples_and_no_subcommands(capsys):
@@ -238,21 +238,21 @@ def test_evaluate_prints_and_writes_the_table(capsys, tmp_path):
 
 
 def test_errors_of_the_library_name_flags() -> None:
-    pan = Argument("knowledge.aliases", {"sauce pan": "pan"})
+    pan = Argument("knows.aliases", {"sauce pan": "pan"})
     error = UserError("Pass ", Argument("resume", True), " or ", Argument("save", False))
     assert str(error) == "Pass resume=True or save=False"
     assert with_flags(error, "study") == "Pass --resume or --no-save"
-    error = UserError("Use ", Argument("knowledge.detail", "full"), " or ", pan)
+    error = UserError("Use ", Argument("knows.detail", "full"), " or ", pan)
     assert with_flags(error, "study") == "Use detail='full' or aliases={'sauce pan': 'pan'}"
     assert with_flags(error, "knowledge") == "Use --detail full or --aliases 'sauce pan' pan"
     assert with_flags(error, "train") == (
-        "Use --knowledge.detail full or --knowledge.aliases 'sauce pan' pan"
+        "Use --knows.detail full or --knows.aliases 'sauce pan' pan"
     )
 
 
 def test_a_knowledge_source_is_chosen_by_name() -> None:
-    command = parse_train(["irb120-full-ppo", "--knowledge.source", "zeros"])
-    assert to_dict(command.config)["knowledge"]["source"]["kind"] == "zeros"
+    command = parse_train(["irb120-full-ppo", "--knows.source", "zeros"])
+    assert to_dict(command.config)["knows"]["source"]["kind"] == "zeros"
 
 
 AT_EXIT = """

@@ -8,7 +8,6 @@ import torch
 
 from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS, controls_of
-from knowarm.experiment.build import build
 from knowarm.experiment.names import experiment_config, experiment_names
 from knowarm.knowledge import query_embedding, scene_embedding
 from knowarm.policy import Policy, PolicyShape
@@ -18,7 +17,7 @@ from tests.tiny import FACETS
 
 
 def parameters(agent: str, facets: list[tuple[str, str]]) -> dict[str, int]:
-    embedding = scene_embedding(AGENTS[agent].knowledge, facets)
+    embedding = scene_embedding(AGENTS[agent].knows, facets)
     slots = embedding.dim // embedding.slot_dim
     shape = PolicyShape(joints=6, knowledge_dim=embedding.dim, knowledge_slots=slots)
     with torch.device("meta"):
@@ -40,10 +39,10 @@ def test_controls_have_the_scope_width_norm_and_parameters_of_their_subject(
 ):
     assert controls_of(subject, "capacity_control") == capacity
     assert controls_of(subject, "content_control") == content
-    real = scene_embedding(AGENTS[subject].knowledge, facets)
+    real = scene_embedding(AGENTS[subject].knows, facets)
     counts = parameters(subject, facets)
     for name in capacity + content:
-        control = scene_embedding(AGENTS[name].knowledge, facets)
+        control = scene_embedding(AGENTS[name].knows, facets)
         assert (control.scope, control.dim, control.slots) == (real.scope, real.dim, real.slots)
         others = parameters(name, facets)
         assert others["image"] == counts["image"]
@@ -51,7 +50,7 @@ def test_controls_have_the_scope_width_norm_and_parameters_of_their_subject(
         assert name == "wide" or others == counts
     lengths = np.linalg.norm(real.matrix, axis=1)
     for name in content:
-        control = scene_embedding(AGENTS[name].knowledge, facets)
+        control = scene_embedding(AGENTS[name].knows, facets)
         assert np.linalg.norm(control.matrix, axis=1) == pytest.approx(lengths, rel=1e-5), name
         assert not np.allclose(control.matrix, real.matrix, atol=1e-3)
         assert len(np.unique(control.matrix, axis=0)) == len(facets)
@@ -78,10 +77,11 @@ def test_controls_of_knowledge_of_the_query(subject, content):
     assert controls_of(subject, "capacity_control") == [smaller]
     assert controls_of(subject, "content_control") == content
     assert AGENTS[subject].role == "knowledge"
-    real = query_embedding(AGENTS[subject].knowledge, QUERIES)
+    real = query_embedding(AGENTS[subject].knows, QUERIES)
     for name in [smaller, *content]:
-        control = query_embedding(AGENTS[name].knowledge, QUERIES)
-        assert (control.scope, control.dim, control.slots) == ("query", real.dim, real.slots)
+        control = query_embedding(AGENTS[name].knows, QUERIES)
+        assert (control.dim, control.slots) == (real.dim, real.slots)
+        assert AGENTS[name].knows.kind == AGENTS[subject].knows.kind
         assert AGENTS[name].policy == AGENTS[subject].policy
         if name in content:
             assert control.norm == pytest.approx(real.norm, rel=1e-5)
@@ -95,20 +95,24 @@ def test_agents_with_knowledge_of_a_query_are_not_offered_for_reaching():
     with pytest.raises(UserError, match="'subgraph' has no experiment of the task 'reach'"):
         experiment_config("irb120-subgraph-ppo")
     with pytest.raises(UserError, match="describes nothing in the task 'reach'"):
-        experiment_config("irb120-full-ppo", knowledge={"scope": "query"})
+        experiment_config("irb120-full-ppo", knows={"kind": "query", "detail": "full"})
 
 
 def test_an_agent_of_the_user_has_no_registered_controls():
     assert controls_of("mine", "content_control") == []
 
 
-def test_facts_and_the_network_that_reads_them_come_together():
-    with pytest.raises(UserError, match="Facts need a network that reads them"):
-        build(experiment_config("irb120-choose-reasoner-fast", grounding={"query": "vector"}))
+def test_facts_need_a_network_that_reads_them():
+    whole = {"relation_words": True, "colour_share": None, "slot_norm": None}
+    for name in ("subgraph-film", "target-perceived", "full"):
+        with pytest.raises(UserError, match="pooling 'facts' needs a grounding network"):
+            replace(AGENTS[name].knows, pooling="facts", **whole)
+    config = experiment_config("irb120-choose-reasoner-fast")
+    assert config.knows.pooling == "facts"
 
 
 def test_agents_of_the_fusions_of_a_query_differ_in_nothing_else():
     agents = [each for name, each in AGENTS.items() if name.startswith("subgraph-")]
-    fused = [agent for agent in agents if agent.grounding is None]
+    fused = [agent for agent in agents if not agent.knows.is_grounded]
     assert {agent.policy.fusion for agent in fused} == {*FUSIONS} - {"none", "critic"}
-    assert len({repr((each.knowledge, replace(each.policy, fusion="none"))) for each in fused}) == 1
+    assert len({repr((each.knows, replace(each.policy, fusion="none"))) for each in fused}) == 1

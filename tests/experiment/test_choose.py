@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from knowarm.config import override
 from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.algorithms import ALGORITHMS
@@ -16,7 +17,6 @@ from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.graph_queries import GraphQueries
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.names import experiment_config, experiment_names
-from knowarm.experiment.other_graphs import knowledge_at_test
 from knowarm.experiment.run import Run
 from knowarm.world.agents import OracleAgent
 from knowarm.world.config import EnvConfig, questions_of
@@ -72,13 +72,14 @@ def test_the_policy_receives_knowledge_of_the_edited_graph_of_s5(tmp_path: Path)
         config = experiment_config(f"irb120-choose-{agent}-fast", env=CHOOSE_ENV)
         tested = how.prepare(Subject(env=config.env, config=config))
         table = build(config).table
-        again = knowledge_at_test(config, tested.env, tested.graph)
+        graph, trained = tested.graph, config.env
+        again = config.knows.embed(tested.env, 0, graph=graph, trained=trained).table
         assert again.shape == table.shape
         moved = np.abs(again - table).max(axis=1) > 0.01
         assert moved.any() == follows
         assert not moved.all()
-    elsewhere = replace(config, knowledge=replace(config.knowledge, graph="household"))
-    with pytest.raises(UserError, match="trained with knowledge from household"):
+    elsewhere = override(config, {"knows": {"graph": "household"}})
+    with pytest.raises(UserError, match="trained with knowledge from another one"):
         how.prepare(Subject(env=elsewhere.env, config=elsewhere))
 
 

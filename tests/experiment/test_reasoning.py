@@ -9,7 +9,7 @@ import torch
 
 from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS, controls_of
-from knowarm.experiment.build import build, slots_of
+from knowarm.experiment.build import build
 from knowarm.experiment.conditions import (
     DamageTest,
     GraphTest,
@@ -18,10 +18,9 @@ from knowarm.experiment.conditions import (
     Subject,
 )
 from knowarm.experiment.evaluate import evaluate
-from knowarm.experiment.inputs import knowledge_input
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.names import experiment_config, experiment_names
-from knowarm.experiment.other_graphs import answer_table, varied_graphs, with_graph
+from knowarm.experiment.other_graphs import with_graph
 from knowarm.experiment.run import train
 from knowarm.knowledge.graph.builder import graph_of
 from knowarm.perception.answering import AnsweringAgent
@@ -36,7 +35,7 @@ from tests.tiny import CHOOSE, CHOOSE_ENV
 ASKED = [
     name
     for name, agent in AGENTS.items()
-    if agent.knowledge.scope == "query" and f"irb120-choose-{name}-fast" in experiment_names()
+    if agent.knows.scope == "query" and f"irb120-choose-{name}-fast" in experiment_names()
 ]
 BRIEF = {"episodes": 60, "probes": (), "write": False}
 
@@ -63,16 +62,17 @@ def test_an_agent_trains_with_the_answers_of_its_graph_and_plays_from_its_folder
     by_vector = evaluate(trained, test=(ReasoningTest(by="vector"),), **{**BRIEF, "episodes": 8})
     assert "visible_answers" not in by_vector.episodes
     shuffled = experiment_config("irb120-choose-answers-shuffled-fast", env=CHOOSE_ENV)
-    assert (answer_table(shuffled, shuffled.env, facets_of(shuffled.env)) != satisfies).any()
+    answers = shuffled.knows.answers(shuffled.env, 0, facets_of(shuffled.env))
+    assert (answers != satisfies).any()
 
 
 def test_varied_graphs_describe_and_answer_the_queries_of_training():
-    assert varied_graphs(experiment_config("irb120-choose-subgraph-fast", env=CHOOSE_ENV)) == []
-    config = experiment_config(
-        "irb120-choose-reasoner-fast", env=CHOOSE_ENV, grounding={"graphs": 2}
-    )
-    (table, known), *others = varied_graphs(config)
-    own = query_answers(config.env, ModuleSpec.of(config.env, config.grounding).facets)
+    config = experiment_config("irb120-choose-subgraph-fast", env=CHOOSE_ENV)
+    assert config.knows.varied_graphs(config.env, 0) == []
+    two = {"grounding": {"graphs": 2}}
+    config = experiment_config("irb120-choose-reasoner-fast", env=CHOOSE_ENV, knows=two)
+    (table, known), *others = config.knows.varied_graphs(config.env, 0)
+    own = query_answers(config.env, ModuleSpec.of(config.env, config.knows.grounding).facets)
     assert (table == build(config).table).all()
     assert all((one == other).all() for one, other in zip(known[:2], own[:2], strict=True))
     held_out = own.satisfies & ~own.askable
@@ -178,10 +178,12 @@ def test_the_query_enters_through_its_vector_only(name):
     generator = torch.Generator().manual_seed(0)
     image = torch.randint(0, 256, (1, 64, 64, 3), dtype=torch.uint8, generator=generator)
     images = image.expand(len(table), -1, -1, -1)
-    if config.grounding is not None:
-        spec = ModuleSpec.of(config.env, config.grounding)
-        network = GroundingNetwork(spec, table, slots_of(parts.embedding))
-        recognition = knowledge_input(config, parts.table, network)
+    if config.knows.is_grounded:
+        spec = ModuleSpec.of(config.env, config.knows.grounding)
+        reads_facts = config.knows.pooling == "facts"
+        slots = parts.embedding.slots_per_row
+        network = GroundingNetwork(spec, table, slots, reads_facts=reads_facts)
+        recognition = config.knows.input(config.env, 0, parts.table, network)
         table = recognition.knowledge
         act = partial(recognition.locate, images)
     else:
@@ -202,9 +204,10 @@ def test_the_query_enters_through_its_vector_only(name):
 
 def test_an_empty_graph_is_not_the_intact_one(trained):
     env, facets = trained.config.env, trained.network.spec.facets
-    assert answer_table(trained.config, env, facets).any()
+    knows = trained.config.knows.reasoning_by("graph", "subgraph")
+    assert knows.answers(env, 0, facets).any()
     with pytest.raises(UserError, match="no facets to ask about"):
-        answer_table(trained.config, env, facets, graph=graph_of([]))
+        knows.answers(env, 0, facets, graph=graph_of([]))
 
 
 def test_targets_of_files_go_by_their_names():

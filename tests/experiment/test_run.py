@@ -185,9 +185,10 @@ def test_every_agent_can_be_built(name, task):
     parts = build(config)
     table = questions_of(config.env)
     rows = len(parts.facets) if table is None else len(table.queries)
-    if config.knowledge.scope == "perceived":  # a row per facet in all tasks
+    if config.knows.scope == "perceived":  # a row per facet in all tasks
         rows = len(parts.facets)
-    assert parts.table.shape == (rows, parts.embedding.dim) or config.policy.wide
+    width = parts.embedding.dim if parts.embedding else 0
+    assert parts.table.shape == (rows, width) or config.policy.wide
     width = parts.new_policy(0).knowledge_width
     assert width == parts.policy_shape.knowledge_dim or config.policy.wide
     assert np.isfinite(parts.table).all()

@@ -18,7 +18,7 @@ def run(tmp_path):
     path = tmp_path / "kitchen.csv"
     path.write_text(GRAPH)
     config = experiment_config("irb120-full-fast")
-    config = replace(config, knowledge=replace(config.knowledge, graph=str(path)))
+    config = replace(config, knows=replace(config.knows, graph=str(path)))
     folder = RunFolder.create(tmp_path / "run")
     folder.write_experiment(config)
     return folder, path, config
@@ -29,7 +29,7 @@ def test_the_copy_is_read_where_the_original_is_gone_or_edited(run, change):
     folder, path, config = run
     assert folder.experiment() == config
     path.unlink() if change == "gone" else path.write_text("head,relation,tail\nmug,is,red\n")
-    read = folder.experiment().knowledge.graph
+    read = folder.experiment().knows.graph
     assert read != str(path)
     assert Path(read).read_text() == GRAPH
 
@@ -41,7 +41,7 @@ def test_a_graph_of_several_files_is_kept_and_compared(run, tmp_path, file):
     part.parent.mkdir(parents=True)
     part.write_text(GRAPH)
     graph = str(tmp_path / "openke")
-    config = replace(config, knowledge=replace(config.knowledge, graph=graph))
+    config = replace(config, knows=replace(config.knows, graph=graph))
     folder.write_experiment(config)
     assert folder.experiment() == config
     part.write_text("changed")
@@ -75,7 +75,7 @@ def test_a_resumed_run_keeps_the_name_of_the_original(run):
     folder, path, config = run
     before = folder.config_path.read_text()
     path.write_text("head,relation,tail\nmug,is,red\n")
-    assert "restore" in other_fields(folder, config)["knowledge.graph"]
+    assert "restore" in other_fields(folder, config)["knows.graph"]
     folder.write_experiment(folder.experiment())
     assert folder.config_path.read_text() == before
     path.write_text(GRAPH)

@@ -3,6 +3,8 @@
 from knowarm.experiment.agents import AGENTS
 
 KNOWLEDGE = {
-    name: agent.knowledge for name, agent in AGENTS.items() if agent.knowledge.scope != "query"
+    name: agent.knows
+    for name, agent in AGENTS.items()
+    if agent.knows.scope not in ("nothing", "query")
 }
 """Knowledge of every registered agent that describes scenes or targets, by the agent's name."""

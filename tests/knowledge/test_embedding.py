@@ -27,7 +27,6 @@ from tests.knowledge.helpers import KNOWLEDGE
 
 
 def test_the_papers_sizes(facets, fixed_facets):
-    assert scene_embedding(KNOWLEDGE["bm"], facets).dim == 0
     assert scene_embedding(KNOWLEDGE["partial"], facets).dim == 150
     assert scene_embedding(KNOWLEDGE["partial"], fixed_facets).dim == 150
     assert scene_embedding(KNOWLEDGE["full"], fixed_facets).dim == 150
@@ -41,8 +40,8 @@ def test_every_agent_gives_a_finite_table_of_its_size(agent, facets):
     assert table.shape == (6, embedding.dim)
     assert table.dtype == np.float32
     assert np.isfinite(table).all()
-    assert embedding.constant == (embedding.dim > 0 and len(np.unique(table, axis=0)) == 1)
-    told = embedding.dim > 0 and embedding.scope == "target" and not embedding.constant
+    assert embedding.constant == (len(np.unique(table, axis=0)) == 1)
+    told = embedding.scope == "target" and not embedding.constant
     assert embedding.privileged == told
     json.dumps(to_dict(embedding.describe()))
 
@@ -197,7 +196,7 @@ def test_colours_that_are_seen_use_the_relation_of_the_graph(tmp_path):
     stated = (f"{x}mug", f"{x}hasColor", f"{x}red")
     graph = graph_of([stated, *((f"{x}{n}", f"{x}isA", f"{x}cup") for n in ("mug", "bottle"))])
     write_graph(graph, tmp_path / "g.ttl")
-    config = replace(PLUS, scope="perceived", graph=str(tmp_path / "g.ttl"))
+    config = replace(KNOWLEDGE["target-perceived"], graph=str(tmp_path / "g.ttl"))
     facets = [("mug", "red"), ("bottle", "blue")]
     embedding = scene_embedding(config, facets)
     assert tuple(scene_sentences(config, facets).values()) == embedding.sentences

@@ -64,4 +64,4 @@ def test_share_found():
 
 def test_slots_of_zeros_agree_with_nothing():
     asked = QueryGraph(shipped_graph("objects"), CHOICE)
-    assert query_agreement(AGENTS["query-zeros"].knowledge, asked) is None
+    assert query_agreement(AGENTS["query-zeros"].knows, asked) is None

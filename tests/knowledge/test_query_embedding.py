@@ -30,7 +30,7 @@ ASKED = [
         "contains tea",
     )
 ]
-PAPER = KnowledgeConfig(detail="full", scope="query", graph="objects", direction="both")
+PAPER = KnowledgeConfig(detail="full", graph="objects", direction="both")
 
 
 def test_a_row_holds_facts_first_and_colours_last():
@@ -98,9 +98,6 @@ def test_other_sources():
         replace(QUERY, hops=0, source=GraphEmbedding(model="distmult")), ASKED
     )
     assert trained.coverage.how["drinking"] == "entity"
-    nothing = query_embedding(KnowledgeConfig(detail="none"), ASKED)
-    assert nothing.table(ASKED).shape == (4, 0)
-    assert nothing.dim == 0
     with pytest.raises(UserError, match=r"'wrong-object' describes other objects"):
         query_embedding(replace(QUERY, source=WrongObject()), ASKED)
     with pytest.raises(UserError, match=r"3 slots do not fit a one-hot of 2"):
@@ -142,13 +139,8 @@ def test_a_graph_of_the_user(tmp_path):
         query_embedding(config, [Query.of(("contains", "tea")), asked[1]])
 
 
-def test_another_scope_is_refused():
-    with pytest.raises(UserError, match="has queries, which knowledge of scope 'scene'"):
-        query_embedding(KnowledgeConfig(detail="full"), ASKED)
-
-
 def test_facts_keep_head_relation_and_tail_of_each_triple():
-    config = AGENTS["reasoner"].knowledge
+    config = AGENTS["reasoner"].knows
     embedding = query_embedding(config, ASKED)
     rows = embedding.matrix.reshape(len(embedding.slots), FACTS, 3, 50)
     drinking = rows[embedding.slots.index(Condition("usedFor", "drinking"))]
@@ -165,15 +157,15 @@ def test_facts_keep_head_relation_and_tail_of_each_triple():
 def test_more_facts_than_a_slot_keeps_are_refused():
     names = [f"object{number}" for number in range(FACTS)]
     graph = graph_of([(name, "usedFor", "drinking") for name in names])
-    config = replace(AGENTS["reasoner"].knowledge, centring=False, on_missing="hash")
+    config = replace(AGENTS["reasoner"].knows, centring=False, on_missing="hash")
     query_embedding(config, ASKED[:1], graph=graph_of(list(graph)[: FACTS - 1]))
     with pytest.raises(UserError, match="has 32 facts, and pooling 'facts' keeps 31"):
         query_embedding(config, ASKED[:1], graph=graph)
 
 
 def test_facts_are_kept_whole():
-    known = AGENTS["reasoner"].knowledge
-    for changed in ({"slot_norm": 1.0}, {"head_once": True}, {"scope": "scene"}):
+    known = AGENTS["reasoner"].knows
+    for changed in ({"slot_norm": 1.0}, {"head_once": True}):
         with pytest.raises(UserError, match="pooling 'facts' keeps every label about a query"):
             replace(known, **changed)
 

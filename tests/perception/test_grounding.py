@@ -10,7 +10,7 @@ import torch
 
 from knowarm.errors import UserError
 from knowarm.experiment.agents import AGENTS, controls_of
-from knowarm.experiment.build import build, slots_of
+from knowarm.experiment.build import build
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.names import experiment_config
 from knowarm.experiment.run import train
@@ -54,7 +54,7 @@ def config():
 def network(config):
     parts = build(config)
     return GroundingNetwork(
-        ModuleSpec.of(config.env, GroundingConfig()), parts.table, slots_of(parts.embedding)
+        ModuleSpec.of(config.env, GroundingConfig()), parts.table, parts.embedding.slots_per_row
     )
 
 
@@ -154,8 +154,11 @@ def test_the_losses_are_those_of_a_plain_loop(config, network, labels):
                 wanted = network.project_queries(network.knowledge[query][None])[0]
                 scores = (network.keys(features)[0] @ wanted).log_softmax(0)
                 errors.append(-scores[place_of(labels.pixels[row, shown_answers[0]], 64)])
-            names = network.encoder.facet_scores(features)[0].log_softmax(0)
-            named.append(-names[labels.facets[row]].mean())
+            objects, colours = network.encoder.logits(features)
+            of, hue = network.encoder.facet_parts
+            names = (objects[0, of] + colours[0, hue]).flatten().log_softmax(0).view(len(of), -1)
+            where = place_of(labels.pixels[row], 64)
+            named.append(-names[labels.facets[row], where].mean())
             for i, pixel in enumerate(labels.pixels[row]):
                 truth = torch.cat((labels.grasp_position[row, i], labels.grasp_axes[row, i]))
                 found = network.frames(features, place_of(pixel, 64).view(1, 1))[0, 0]
@@ -181,19 +184,6 @@ def test_naming_by_place_is_the_probability_of_facet_and_place(network, labels):
         )
 
 
-def test_the_naming_of_the_config_is_trained(network, labels, config):
-    answers = query_answers(config.env, network.spec.facets)
-    rows, queries = torch.arange(8), torch.arange(0, 49, 3)
-    with torch.no_grad():
-        image, place = (
-            network.losses(
-                labels, rows, network.knowledge[queries], answers.of(queries), naming=naming
-            )[1]
-            for naming in ("image", "place")
-        )
-    assert place > image + 1  # one of 256 places is asked for, too
-
-
 def test_names_are_sums_over_places(network, labels):
     """The product of matrices equals the logarithm of the sum of exponentials, also if small."""
     with torch.no_grad():
@@ -211,10 +201,10 @@ def test_names_are_sums_over_places(network, labels):
 def test_training_lowers_the_loss_of_places_and_repeats_to_the_byte(config, empty_cache):
     parts = build(config)
     lines = []
-    arguments = (config.env, parts.table, slots_of(parts.embedding))
+    arguments = (config.env, parts.table, parts.embedding.slots_per_row)
     settings = GroundingConfig(images=256, rounds=8, batch=32)
     train_grounding(*arguments, settings, seed=1, report=lines.append)
-    losses = [float(line.rsplit(" ", 1)[1]) for line in lines[1:]]
+    losses = [float(line.rsplit(" ", 1)[1]) for line in lines if "grounding, round" in line]
     assert losses[-1] < 0.85 * losses[0]
     hasty = dataclasses.replace(settings, images=64, rounds=2)
     first, other = (train_grounding(*arguments, hasty, seed=i).to_bytes() for i in (1, 2))
@@ -229,7 +219,7 @@ def test_training_lowers_the_loss_of_places_and_repeats_to_the_byte(config, empt
 
 def test_agents_share_names_and_frames_and_a_cached_network_is_the_trained_one(config, empty_cache):
     parts, lines = build(config), []
-    table, slots = parts.table, slots_of(parts.embedding)
+    table, slots = parts.table, parts.embedding.slots_per_row
     settings = GroundingConfig(images=64, rounds=1, batch=32, shared_rounds=1)
 
     def train(knowledge, **options):
@@ -243,11 +233,11 @@ def test_agents_share_names_and_frames_and_a_cached_network_is_the_trained_one(c
 
     first, other = train(table), train(table[::-1].copy())
     assert differing(first, other) == {"key", "query"}
-    assert [line.startswith("training") for line in lines if "(" in line] == [1, 1, 0, 1]
+    assert [line.startswith("training") for line in lines if "(" in line] == [1, 1, 1, 0, 1, 0]
     untrained = GroundingNetwork(ModuleSpec.of(config.env, settings), table, slots).state_dict()
     assert {"encoder", "frame", "key", "query"} <= differing(first, untrained)
     assert differing(train(table), first) == set()
-    assert all("read from" in line for line in lines[-2:])
+    assert all("read from" in line for line in lines[-3:])
     assert train(table, should_stop=lambda: True) is not None  # nothing is left to train
     for file in empty_cache.iterdir():
         file.write_bytes(b"damaged")
@@ -263,14 +253,14 @@ def test_other_graphs_take_the_place_of_the_tasks_in_training_alone(config, empt
     zeros = np.zeros_like(parts.table)
 
     def train(*graphs):
-        slots = slots_of(parts.embedding)
+        slots = parts.embedding.slots_per_row
         return train_grounding(config.env, parts.table, slots, settings, seed=0, graphs=graphs)
 
     networks = [train(), train((zeros, answers)), train((parts.table, answers), (zeros, answers))]
     kept = [network.state_dict()["query.2.weight"] for network in networks]
     assert all((one != other).any() for one, other in pairwise([*kept, kept[0]]))
     assert all((network.knowledge.numpy() == parts.table).all() for network in networks)
-    assert len([*empty_cache.iterdir()]) == 4  # names and frames once
+    assert len([*empty_cache.iterdir()]) == 5  # names and frames once, and their head
 
 
 def test_other_objects_seeds_and_settings_are_other_networks(config, empty_cache):
@@ -285,12 +275,12 @@ def test_other_objects_seeds_and_settings_are_other_networks(config, empty_cache
         (fewer, settings, 0),
     ):
         train_grounding(env, parts.table, 1, how, seed=seed)
-    assert len([*empty_cache.iterdir()]) == 4
+    assert len([*empty_cache.iterdir()]) == 2 * 4  # names and frames, and their head
 
 
 def test_runs_share_a_network_whose_seed_is_given(config, empty_cache):
     parts = build(config)
-    settings = GroundingConfig(images=32, rounds=1, batch=32, frame_head="neighbourhood")
+    settings = GroundingConfig(images=32, rounds=1, batch=32)
     given = dataclasses.replace(settings, seed=3)
 
     def train(how, seed):
@@ -305,9 +295,8 @@ def test_runs_share_a_network_whose_seed_is_given(config, empty_cache):
 
 @torch.no_grad()
 def test_a_frame_is_predicted_from_the_places_around_it(network):
-    wide = GroundingNetwork(
-        network.spec, network.knowledge, network.slots, frame_head="neighbourhood"
-    )
+    wide = network
+    narrow = GroundingNetwork(network.spec, network.knowledge, network.slots, first_stage=True)
     generator = torch.Generator().manual_seed(0)
     features = torch.rand(2, 64, 16, 16, generator=generator)
     places = torch.tensor([[0, 17], [255, 100]])
@@ -316,7 +305,7 @@ def test_a_frame_is_predicted_from_the_places_around_it(network):
     for row, image in enumerate(around):
         assert torch.equal(found[row, :, :-2], image[:, places[row]].T)
         assert torch.equal(
-            network.frame_inputs(features, places)[row, :, :-2],
+            narrow.frame_inputs(features, places)[row, :, :-2],
             features[row].flatten(1)[:, places[row]].T,
         )
     again = GroundingNetwork.from_bytes(wide.to_bytes())
@@ -325,17 +314,13 @@ def test_a_frame_is_predicted_from_the_places_around_it(network):
 
 def test_a_head_for_neighbourhoods_is_trained_on_a_trained_network(config, empty_cache):
     parts, lines = build(config), []
-    arguments = config.env, parts.table, slots_of(parts.embedding)
-    place = GroundingConfig(images=128, rounds=1, batch=32)
-    around = dataclasses.replace(place, frame_head="neighbourhood")
-    base = train_grounding(*arguments, place, seed=0)
-    made = train_grounding(*arguments, around, seed=0, report=lines.append)
-    same = {n: v for n, v in base.state_dict().items() if not n.startswith("frame.")}
-    assert all(torch.equal(made.state_dict()[name], value) for name, value in same.items())
+    arguments = config.env, parts.table, parts.embedding.slots_per_row
+    settings = GroundingConfig(images=128, rounds=1, batch=32)
+    made = train_grounding(*arguments, settings, seed=0, report=lines.append)
     losses = [float(line.rsplit(" ", 1)[1]) for line in lines if "epoch" in line]
     assert losses[-1] < 0.7 * losses[0]
     assert len([*empty_cache.iterdir()]) == 2
-    again = train_grounding(*arguments, around, seed=0, report=lines.append)
+    again = train_grounding(*arguments, settings, seed=0, report=lines.append)
     assert again.to_bytes() == made.to_bytes()
     assert lines[-1].startswith("grounding network (frame head): read from")
     assert not any(each.requires_grad for each in again.parameters())
@@ -441,17 +426,11 @@ def test_a_run_keeps_its_network_and_resumes_to_the_byte(tmp_path, choose_run, c
 
 
 def test_agents_with_knowledge_of_a_query_are_grounded_alike():
-    told = [name for name, agent in AGENTS.items() if agent.grounding is not None]
+    told = [name for name, agent in AGENTS.items() if agent.knows.is_grounded]
     assert {"subgraph", "query-words", "query-onehot", "subgraph-shuffled"} <= {*told}
-    assert all(AGENTS[name].knowledge.scope == "query" for name in told)
+    assert all(AGENTS[name].knows.scope == "query" for name in told)
     assert "query-onehot" in controls_of("subgraph", "content_control")
     assert controls_of("subgraph-similarity", "content_control") == []
-
-
-@pytest.mark.parametrize("name", ["irb120-full-fast", "irb120-choose-bm-fast"])
-def test_only_queries_are_grounded(name):
-    with pytest.raises(UserError, match="grounding locates the object that answers a query"):
-        experiment_config(name, grounding=GroundingConfig())
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from knowarm.experiment.evaluation_files import (
 from knowarm.experiment.measures import summarize
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.summary import Summary
-from knowarm.knowledge import SceneEmbedding, query_embedding, scene_embedding
+from knowarm.knowledge import query_embedding, scene_embedding
 from knowarm.knowledge.queries.queries import parse_query
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.reading import read_json, write_json
@@ -180,7 +180,7 @@ def write_run(
         **{"format": 1, "name": path.parent.name, "agent": agent, "seed": seed, "env": env},
         "algorithm_name": algorithm,
         "algorithm": to_dict(ALGORITHMS[algorithm].config),
-        "knowledge": to_dict(entry.knowledge),
+        "knows": to_dict(entry.knows),
         "policy": {"fusion": "before_lstm", "wide": entry.policy.wide},
         "total_steps": size.total_steps,
     }
@@ -195,27 +195,31 @@ def write_run(
         "machine": {"processor": "a processor", "cores": 2},
         "parameter_counts": counts,
         "facets": facets,
-        "knowledge": to_dict(embedding.describe()),
+        "knowledge": embedding and to_dict(embedding.describe()),
     }
     for part, values in (sizes or {}).items():
         provenance[part] = provenance[part] | values
     write_json(folder.path / "provenance.json", provenance)
     if size.tables:
-        table = embedding.table(ASKED if entry.knowledge.scope == "query" else facets)
-        folder.write_knowledge(table[:, :0] if entry.policy.wide else table)
+        table = np.zeros((len(facets), 0), np.float32)
+        if embedding is not None and not entry.policy.wide:
+            table = embedding.table(ASKED if entry.knows.scope == "query" else facets)
+        folder.write_knowledge(table)
     write_evaluation(path / "evaluation" / LABEL, agent, success, env, generator, size)
     return path
 
 
 @lru_cache
-def _parts(agent: str, robot: str, colours: str) -> tuple[SceneEmbedding, dict[str, int]]:
+def _parts(agent: str, robot: str, colours: str) -> tuple[Any, dict[str, int]]:
     """Return the knowledge of an agent and the parameter counts of its policy."""
     entry = AGENTS.get(agent, AGENTS["full"])
-    if entry.knowledge.scope == "query":
-        embedding = query_embedding(entry.knowledge, ASKED)
-    else:
-        embedding = scene_embedding(entry.knowledge, FACETS[colours])
-    dim, slots = embedding.dim, max(1, embedding.dim // max(1, embedding.slot_dim))
+    knows: Any = entry.knows
+    embedding: Any = None
+    if knows.scope == "query":
+        embedding = query_embedding(knows, ASKED)
+    elif knows.scope != "nothing":
+        embedding = scene_embedding(knows, FACETS[colours])
+    dim, slots = (embedding.dim, embedding.slots_per_row) if embedding else (0, 1)
     shape = PolicyShape(joints=JOINTS[robot], knowledge_dim=dim, knowledge_slots=slots)
     with torch.device("meta"):
         policy = Policy(entry.policy if dim else PolicyConfig(fusion="none"), shape)

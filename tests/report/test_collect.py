@@ -158,7 +158,7 @@ def with_row(number: int, *cells: str) -> Callable[[Path], None]:
         ("config.json", {"seed": "0"}, "seed must be of type int, got '0'"),
         ("config.json", {"env": {"robot": ["irb120"]}}, "env.robot must be of type str"),
         ("config.json", {"total_steps": float("nan")}, "total_steps must be of type int, got nan"),
-        ("config.json", {"knowledge": []}, "knowledge must hold fields of KnowledgeConfig, got []"),
+        ("config.json", {"knows": []}, "knows must hold the fields of one of"),
         ("config.json", {"agent": None}, "agent must be of type str, got None"),
         *(
             (SUMMARY, text, "the evaluation is left out")
@@ -290,7 +290,7 @@ def test_seeds_trained_with_one_graph_are_one_agent(tmp_path, change):
         for graph in graphs:
             graph.write_text("head,relation,tail\nmug,usedFor,drinking\n")
         graph = str(graphs[seed if change == "elsewhere" else 0])
-        config = experiment_config("irb120-full-fast", seed=seed, knowledge={"graph": graph})
+        config = experiment_config("irb120-full-fast", seed=seed, knows={"graph": graph})
         folder = RunFolder.create(tmp_path / "runs" / str(seed))
         folder.write_experiment(config)
         paths.append(folder.path)
@@ -301,7 +301,7 @@ def test_seeds_trained_with_one_graph_are_one_agent(tmp_path, change):
     (group,) = collect(paths).tasks[0].groups
     assert (group.name, len(group.runs)) == ("full", 2)
     if change == "edited":  # a seed trained with the new content is another agent's
-        config = experiment_config("irb120-full-fast", seed=2, knowledge={"graph": graph})
+        config = experiment_config("irb120-full-fast", seed=2, knows={"graph": graph})
         (folder := RunFolder.create(tmp_path / "runs" / "2")).write_experiment(config)
         assert len(collect([*paths, folder.path]).tasks[0].groups) == 2
 

@@ -262,7 +262,7 @@ def _texts(folder: Path) -> list[Format]:
     options = folder / "options.txt"
     options.write_text(
         "--seed 3 --total-steps 1000 --env.mpi-rad 0.1 --env.image-size 64 --interim.episodes 4 "
-        "--algorithm.num-envs 64 --algorithm.gamma 0.9 --knowledge.source.kind words"
+        "--algorithm.num-envs 64 --algorithm.gamma 0.9 --knows.source.kind words"
     )
     name = "irb120-full-ppo"
     return [

@@ -31,7 +31,7 @@ COMMAND = re.compile(r"(?:knowarm|sed|export) |python (?:examples/|-m benchmarks
 SHORT = [
     (r"^knowarm train .*", "--total-steps 1600 --interim.episodes 2"),
     (r"^knowarm train (?!.*-a2c)", "--algorithm.processes 1 --algorithm.minibatches 1"),
-    (r"^knowarm train .*-choose-(?!bm)", "--grounding.images 500 --grounding.rounds 1"),
+    (r"^knowarm train .*-choose-(?!bm)", "--knows.grounding.images 500 --knows.grounding.rounds 1"),
     (r"^knowarm train .*", "--algorithm.num-envs 32"),
     (r"^knowarm evaluate (?!.*--episodes)", "--episodes 10"),
     (r"^knowarm evaluate ", "--blind-episodes 4"),

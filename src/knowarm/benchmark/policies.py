@@ -107,7 +107,7 @@ def _run(spec: str) -> Entrant:
     uses = {
         "image": True,
         "words": asks,
-        "graph": config.knowledge.detail != "none",
+        "graph": config.knows.scope != "nothing",
         "simulator": config.role == "privileged",
     }
     privileged = privileged_uses(to_dict(config.algorithm))
@@ -115,7 +115,7 @@ def _run(spec: str) -> Entrant:
     if privileged:
         training += f"; training used the simulator's state for {', '.join(privileged)}"
     controls: dict[str, Callable[[Cell, ArmVectorEnv], AgentProtocol]] = {}
-    if config.reasoning == "graph":
+    if config.knows.answers_by_graph:
         controls["shuffled graph"] = partial(make, reasoning="graph-shuffled")
     files = sorted((trained.folder.checkpoints / "best").glob("*.safetensors"))
     perception = trained.folder.path / "perception.safetensors"

@@ -56,8 +56,9 @@ class Ask(TableCommand):
         if self.browser and self.page is not None:
             raise UserError("--browser serves a page and writes none: leave out --page.")
         trained = load_agent(self.agent)
-        graph = read_graph(self.graph or trained.config.knowledge.graph)
         asker = Asker(trained, self.seed)
+        graph = read_graph(self.graph) if self.graph else trained.config.knows.read_graph()
+        assert graph is not None  # of an agent with a grounding network
 
         def ask(question: str, edits: tuple[str, ...], scene: int | None) -> Asked:
             answers = [asker.answers(edited(graph, edits), question)]

@@ -47,7 +47,7 @@ class List(TableCommand):
         if "agents" in shown:
             grounded = "; grounded by the simulator's labels in training"
             rows = [
-                [name, agent.role, agent.about + grounded * (agent.grounding is not None)]
+                [name, agent.role, agent.about + grounded * agent.knows.is_grounded]
                 for name, agent in AGENTS.items()
             ]
             print_table("Agents", ["agent", "role", "description"], rows)

@@ -47,7 +47,7 @@ Its options have that experiment's values as defaults:
   knowarm train {DEFAULT_EXPERIMENT} --config run.toml  options from a file"""
 FIRST = (
     *("runs", "resume", "config.name", "config.seed", "config.total_steps", "config.env.robot"),
-    *("config.env.targets", "config.env.colours", "config.knowledge.graph"),
+    *("config.env.targets", "config.env.colours", "config.knows.graph"),
     "config.algorithm.learning_rate",
 )
 """The options that `--help` shows."""
@@ -78,7 +78,7 @@ class Train:
         values = {} if file is None else read_toml(Path(file))
         rest, task = take_option(rest, "--env.task", "package.module:Name")
         rest, robot = take_option(rest, "--env.robot", "my_arm.toml")
-        rest, source = take_source(rest, "--knowledge.source")
+        rest, source = take_source(rest, "--knows.source")
         experiment = ExperimentName.parse(name)
         if task is not None:
             experiment = replace(experiment, task=task_type(task).kind_of())
@@ -90,7 +90,7 @@ class Train:
 
         def parse_over(config: ExperimentConfig) -> "Train":
             if source is not None:
-                config = replace(config, knowledge=replace(config.knowledge, source=source))
+                config = override(config, {"knows": {"source": to_dict(source)}})
             return parse_options(cls, prog, rest, default=cls(config=config))
 
         command = parse_over(config)
@@ -151,7 +151,7 @@ class Demo:
 PERCEPTION_USAGE = """usage: knowarm perception train EXPERIMENT --out FILE [OPTIONS]
 
 Train a module that names the visible objects and their colours in the images of an experiment.
-`knowarm train EXPERIMENT --perception FILE` trains an agent of scope "perceived" with it.
+`knowarm train EXPERIMENT --perception FILE` trains an agent that knows what is perceived with it.
 
   knowarm perception train irb120-target-perceived-dr-fast --help"""
 

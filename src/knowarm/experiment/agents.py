@@ -3,8 +3,18 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
+from knowarm.experiment.knows import (
+    GraphAnswers,
+    GroundedVector,
+    Knows,
+    NoKnowledge,
+    PerceivedVector,
+    QueryVector,
+    SceneVector,
+    TargetVector,
+)
 from knowarm.knowledge import FULL, FULL_PLUS, QUERY, KnowledgeConfig
 from knowarm.knowledge.vectors import GraphEmbedding
 from knowarm.knowledge.vectors.placebos import (
@@ -18,6 +28,8 @@ from knowarm.knowledge.vectors.placebos import (
 )
 from knowarm.perception.config import GroundingConfig
 from knowarm.policy.config import PolicyConfig
+
+T = TypeVar("T")
 
 Role = Literal["baseline", "knowledge", "capacity_control", "content_control", "privileged"]
 """Purpose of an agent in a comparison:
@@ -38,14 +50,10 @@ class Agent:
     """One line for ``knowarm list``."""
     role: Role
     """Purpose in a comparison; reports and their verdicts depend on it."""
-    knowledge: KnowledgeConfig
-    """From the graph to the knowledge vector."""
+    knows: Knows
+    """What the agent knows, and what computes it."""
     policy: PolicyConfig = field(default_factory=PolicyConfig)
     """Choices of the policy network."""
-    grounding: GroundingConfig | None = None
-    """Network that finds what the query means (`ExperimentConfig.grounding`)."""
-    reasoning: Literal["vector", "graph"] = "vector"
-    """What that network is given of a query (`ExperimentConfig.reasoning`)."""
     task: Mapping[str, Any] = field(default_factory=dict)
     """Fields of the task that have other values; only tasks with these fields have the agent."""
     tasks: tuple[str, ...] = ()
@@ -55,40 +63,54 @@ class Agent:
     a spare one."""
 
 
-def _agent(role: Role, about: str, knowledge: KnowledgeConfig, **fields: Any) -> Agent:
-    return Agent(role=role, about=about, knowledge=knowledge, **fields)
+def _agent(role: Role, about: str, knows: Knows, **fields: Any) -> Agent:
+    return Agent(role=role, about=about, knows=knows, **fields)
 
 
 _subject, _privileged = partial(_agent, "knowledge"), partial(_agent, "privileged")
 
 
-def _control(about: str, knowledge: KnowledgeConfig, source: Placebo, **fields: Any) -> Agent:
+def _control(about: str, knows: Any, source: Placebo, **fields: Any) -> Agent:
     """Return a content control: all choices but the source stay, so that the shape is equal."""
-    about, knowledge = f"control of {about}", replace(knowledge, source=source)
-    return _agent("content_control", about, knowledge, **fields)
+    return _agent("content_control", f"control of {about}", replace(knows, source=source), **fields)
 
 
-def _zeros(about: str, knowledge: KnowledgeConfig, **fields: Any) -> Agent:
+def _zeros(about: str, knows: Any, **fields: Any) -> Agent:
     """Return a capacity control whose vector is zero."""
     about = f"control of {about}, all zeros"
-    return _agent("capacity_control", about, replace(knowledge, source=Zeros()), **fields)
+    return _agent("capacity_control", about, replace(knows, source=Zeros()), **fields)
 
 
-def _fused(subject: str, knowledge: KnowledgeConfig, **how: str) -> dict[str, Agent]:
+def _fused(subject: str, knows: Knows, **how: str) -> dict[str, Agent]:
     """Return agents with a subject's knowledge, the baseline's LSTM size and other fusions."""
     return {
         f"{subject}-{fusion.replace('_', '-')}": _subject(
-            f"as {subject}, {about}", knowledge, policy=PolicyConfig(fusion=fusion, hidden="fixed")
+            f"as {subject}, {about}", knows, policy=PolicyConfig(fusion=fusion, hidden="fixed")
         )
         for fusion, about in how.items()
     }
 
 
-_TARGET = replace(FULL, scope="target")
-_TARGET_PLUS = replace(FULL_PLUS, scope="target")
-_PERCEIVED = replace(FULL_PLUS, scope="perceived")
-_QUERY_WORDS = replace(QUERY, hops=0, colour_share=None)
-_FACTS = replace(QUERY, pooling="facts", relation_words=True, colour_share=None, slot_norm=None)
+def _with(kind: type[T], knowledge: KnowledgeConfig, **fields: Any) -> T:
+    """Return a member of a kind with the choices of a knowledge config, some of them changed."""
+    return kind(**{**vars(knowledge), **fields})
+
+
+_FULL, _FULL_PLUS = _with(SceneVector, FULL), _with(SceneVector, FULL_PLUS)
+_TARGET, _TARGET_PLUS = _with(TargetVector, FULL), _with(TargetVector, FULL_PLUS)
+_PERCEIVED = _with(PerceivedVector, FULL_PLUS)
+_QUERY = _with(QueryVector, QUERY)
+_GROUNDED = _with(GroundedVector, QUERY)
+_WORDS = replace(_GROUNDED, hops=0, colour_share=None)
+_ANSWERS = _with(GraphAnswers, QUERY, grounding=GroundingConfig(naming_coef=1.0))
+_FACTS = replace(
+    _GROUNDED,
+    pooling="facts",
+    relation_words=True,
+    colour_share=None,
+    slot_norm=None,
+    grounding=GroundingConfig(graphs=100),
+)
 _ANALOGY = GraphEmbedding(model="analogy")
 _HOW = {
     "before_fc": "concatenated before the fully connected layer",
@@ -97,41 +119,26 @@ _HOW = {
     "attention": "with attention over its slots",
 }
 _FIXED = PolicyConfig(hidden="fixed")
-_GROUNDED: dict[str, Any] = {
-    "policy": _FIXED,
-    "grounding": GroundingConfig(frame_head="neighbourhood"),
-}
-"""Choices of agents with knowledge of the query: a network locates its object in the image."""
-_READ: dict[str, Any] = {
-    "policy": _FIXED,
-    "grounding": GroundingConfig(frame_head="neighbourhood", query="facts", graphs=100),
-    "tasks": ("choose",),  # values of the families have hundreds of facts
-}
-"""Choices of agents whose grounding network reads facts."""
-_ANSWERED: dict[str, Any] = {
-    "policy": _FIXED,
-    "grounding": GroundingConfig(naming="place", naming_coef=1.0, frame_head="neighbourhood"),
-    "reasoning": "graph",
-}
-"""Choices of agents whose graph answers the query: a network locates the answers by name."""
+_CHOOSE: dict[str, Any] = {"policy": _FIXED, "tasks": ("choose",)}
+"""Choices of agents for the choose task alone."""
 
 AGENTS: dict[str, Agent] = {
     "bm": _agent(
         "baseline",
         "baseline: no knowledge (paper)",
-        KnowledgeConfig(detail="none"),
+        NoKnowledge(),
         colour="c-orange",
     ),
-    "full": _subject("object types and colours (paper)", FULL, colour="c-blue"),
+    "full": _subject("object types and colours (paper)", _FULL, colour="c-blue"),
     "partial": _subject(
-        "object types only (paper)", KnowledgeConfig(detail="partial"), colour="c-green"
+        "object types only (paper)", replace(_FULL, detail="partial"), colour="c-green"
     ),
     "full+": _subject(
-        "as full, with an embedding that keeps facets apart", FULL_PLUS, colour="c-navy"
+        "as full, with an embedding that keeps facets apart", _FULL_PLUS, colour="c-navy"
     ),
     "analogy": _subject(
         "as full, from ANALOGY embeddings (the paper's first choice)",
-        replace(FULL, source=_ANALOGY, relation_words=False),
+        replace(_FULL, source=_ANALOGY, relation_words=False),
     ),
     "target": _privileged(
         "the slot of the episode's own object and colour (privileged)", _TARGET, colour="c-gold"
@@ -159,104 +166,103 @@ AGENTS: dict[str, Agent] = {
     "target-perceived-random": _control(
         "target-perceived: one random vector per facet", _PERCEIVED, RandomVectors()
     ),
-    "zeros": _zeros("full and full+: their shape", FULL, colour="c-grey"),
+    "zeros": _zeros("full and full+: their shape", _FULL, colour="c-grey"),
     "random": _control(
-        "full: its shape and norm, random", FULL, RandomVectors(), colour="c-purple"
+        "full: its shape and norm, random", _FULL, RandomVectors(), colour="c-purple"
     ),
     "shuffled": _control(
-        "full: from a graph with permuted tails", FULL, ShuffledGraph(), colour="c-pink"
+        "full: from a graph with permuted tails", _FULL, ShuffledGraph(), colour="c-pink"
     ),
-    "onehot": _control("full: one-hot slots", FULL, OneHot(), colour="c-teal"),
-    "random+": _control("full+, as random", FULL_PLUS, RandomVectors()),
-    "shuffled+": _control("full+, as shuffled", FULL_PLUS, ShuffledGraph()),
-    "onehot+": _control("full+, as onehot", FULL_PLUS, OneHot()),
-    "wrong-object": _control("full: each slot describes another object", FULL, WrongObject()),
+    "onehot": _control("full: one-hot slots", _FULL, OneHot(), colour="c-teal"),
+    "random+": _control("full+, as random", _FULL_PLUS, RandomVectors()),
+    "shuffled+": _control("full+, as shuffled", _FULL_PLUS, ShuffledGraph()),
+    "onehot+": _control("full+, as onehot", _FULL_PLUS, OneHot()),
+    "wrong-object": _control("full: each slot describes another object", _FULL, WrongObject()),
     "learned": _agent(
         "content_control",
         "control: the vector is learned with the policy",
-        replace(FULL, source=Learned()),
+        replace(_FULL, source=Learned()),
         policy=PolicyConfig(knowledge_encoder="learned"),
     ),
     "wide": _agent(
         "capacity_control",
         "control: no knowledge, full's parameter count in a larger LSTM",
-        FULL,
+        _FULL,
         policy=PolicyConfig(wide=True),
         colour="c-brown",
     ),
-    "full-fixed": _subject("full with the baseline's LSTM size", FULL, policy=_FIXED),
-    **_fused("full", FULL, **_HOW, critic="for the critic only"),
+    "full-fixed": _subject("full with the baseline's LSTM size", _FULL, policy=_FIXED),
+    **_fused("full", _FULL, **_HOW, critic="for the critic only"),
     "mask": _privileged(
         "upper bound of the choose task: the image marks the wanted object",
-        replace(QUERY, source=Zeros()),
-        **_GROUNDED,
+        replace(_GROUNDED, source=Zeros()),
+        policy=_FIXED,
         task={"marked": True},
         colour="c-gold",
     ),
     "subgraph": _subject(
-        "the subgraph around the values of the query", QUERY, **_GROUNDED, colour="c-blue"
+        "the subgraph around the values of the query", _GROUNDED, policy=_FIXED, colour="c-blue"
     ),
     **_fused(
         "subgraph",
-        QUERY,
+        _QUERY,
         **{name: f"{about}, without a grounding network" for name, about in _HOW.items()},
         before_lstm="concatenated before the LSTM as in the paper, without a grounding network",
         similarity="weighting places by similarity, without a grounding network",
     ),
     "query-words": _subject(
         "the word vectors of the query, without the graph",
-        _QUERY_WORDS,
-        **_GROUNDED,
+        _WORDS,
+        policy=_FIXED,
         colour="c-green",
     ),
     "query-analogy": _subject(
         "ANALOGY embeddings of the values of the query",
-        replace(_QUERY_WORDS, source=_ANALOGY, centring=False),
-        **_GROUNDED,
-        tasks=("choose",),  # the graph of the purpose task has no colours and objects to embed
+        replace(_WORDS, source=_ANALOGY, centring=False),
+        **_CHOOSE,  # the graph of the purpose task has no colours and objects to embed
         colour="c-navy",
     ),
     "query-zeros": _zeros(
-        "agents with knowledge of the query: their shape", QUERY, **_GROUNDED, colour="c-grey"
+        "agents with knowledge of the query: their shape", _GROUNDED, policy=_FIXED, colour="c-grey"
     ),
     "query-onehot": _control(
         "agents with knowledge of the query: the index of each condition",
-        QUERY,
+        _GROUNDED,
         OneHot(),
-        **_GROUNDED,
+        policy=_FIXED,
         colour="c-teal",
     ),
     "query-random": _control(
         "agents with knowledge of the query: one random vector per condition",
-        QUERY,
+        _GROUNDED,
         RandomVectors(),
-        **_GROUNDED,
+        policy=_FIXED,
         colour="c-purple",
     ),
     "subgraph-shuffled": _control(
         "subgraph: from a graph with permuted tails",
-        QUERY,
+        _GROUNDED,
         ShuffledGraph(),
-        **_GROUNDED,
+        policy=_FIXED,
         colour="c-pink",
     ),
     "reasoner": _subject(
-        "a network that learns to read the query's facts", _FACTS, **_READ, colour="c-orange"
+        "a network that learns to read the query's facts", _FACTS, **_CHOOSE, colour="c-orange"
     ),
     "reasoner-shuffled": _control(
-        "reasoner: from a graph with permuted tails", _FACTS, ShuffledGraph(), **_READ
+        "reasoner: from a graph with permuted tails", _FACTS, ShuffledGraph(), **_CHOOSE
     ),
     "reasoner-words": _agent(
-        "capacity_control", "control of reasoner, no facts", replace(_FACTS, hops=0), **_READ
+        "capacity_control", "control of reasoner, no facts", replace(_FACTS, hops=0), **_CHOOSE
     ),
     "answers": _subject(
         "the graph answers the query, and the network finds the answer by its name",
-        QUERY,
-        **_ANSWERED,
+        _ANSWERS,
+        policy=_FIXED,
         colour="c-brown",
     ),
     "answers-shuffled": _control(
-        "answers: from a graph with permuted tails", QUERY, ShuffledGraph(), **_ANSWERED
+        "answers: from a graph with permuted tails", _ANSWERS, ShuffledGraph(), policy=_FIXED
     ),
 }
 """Every agent by name. The first agent of a role stands for it in the demo."""
@@ -271,19 +277,19 @@ def controls_of(subject: str, role: Role) -> list[str]:
     """Return the registered controls of a role that match a registered agent but for their purpose.
 
     A content control has the subject's knowledge but for the source, and the same network; one
-    whose numbers depend on no description fits every subject with its scope and slots. A capacity
-    control has its scope, slots and width, or no knowledge and as many parameters.
+    whose numbers depend on no description fits every subject with its kind and slots. A capacity
+    control has its kind, slots and width, or no knowledge and as many parameters.
     """
     if (agent := AGENTS.get(subject)) is None:
         return []
 
     def matches(control: Agent) -> bool:
         policy = replace(control.policy, wide=False)
-        network = control.grounding, control.reasoning
-        if policy != agent.policy or network != (agent.grounding, agent.reasoning):
+        own: Any = agent.knows
+        other: Any = control.knows
+        if policy != agent.policy or own.kind != other.kind:
             return False
-        own, other = agent.knowledge, control.knowledge
-        fields = ["scope", "detail", "dim"]
+        fields = ["detail", "dim", *(["grounding"] if own.is_grounded else [])]
         if role == "content_control":
             if replace(other, source=own.source) == own:
                 return True

@@ -1,23 +1,21 @@
 """Parts of an experiment, built from its config: environments, knowledge, policy, trainer."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from knowarm.errors import UserError
 from knowarm.experiment.algorithms import algorithms
 from knowarm.experiment.config import ExperimentConfig, InterimConfig
 from knowarm.experiment.inputs import KnowledgeInput
-from knowarm.knowledge import Embedding, query_embedding, scene_embedding
+from knowarm.knowledge import Embedding
 from knowarm.learn import TorchVectorEnv, Trainer
-from knowarm.perception.grounding import FRAME
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.seeding import torch_generator
 from knowarm.world.agents.play import EpisodeResults, play
-from knowarm.world.config import EnvConfig, facets_of, questions_of
+from knowarm.world.config import EnvConfig, facets_of
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.robots import find_robot
@@ -97,7 +95,8 @@ def make_trainer(
 class Parts:
     """The knowledge of an experiment and the configuration of its policy."""
 
-    embedding: Embedding
+    embedding: Embedding | None
+    """None without knowledge."""
     table: np.ndarray
     """(F, K) float32, the knowledge vector of each facet, or of each query."""
     policy_config: PolicyConfig
@@ -115,40 +114,16 @@ def build(config: ExperimentConfig) -> Parts:
 
     It has a row per query in a task with queries, unless knowledge is perceived, else per facet.
     """
-    facets = facets_of(config.env)
-    embedding: Embedding
-    questions = questions_of(config.env)
-    if questions is not None and config.knowledge.scope != "perceived":
-        embedding = query_embedding(config.knowledge, questions.queries, run_seed=config.seed)
-        table = embedding.table(questions.queries)
-    else:
-        embedding = scene_embedding(config.knowledge, facets, run_seed=config.seed)
-        table = embedding.table(facets)
-    grounded = config.grounding is not None
+    knows, env = config.knows, config.env
+    known, policy = knows.embed(env, config.seed), knows.policy(config.policy)
+    width, slots = knows.input_sizes(known)
     shape = PolicyShape(
-        joints=len(config.env.task.joint_names(find_robot(config.env.robot))),
+        joints=len(env.task.joint_names(find_robot(env.robot))),
         levels=len(ACTION_LEVELS),
-        image_size=config.env.image_size,
-        knowledge_dim=FRAME if grounded else embedding.dim,
-        knowledge_slots=1 if grounded else slots_of(embedding),
+        image_size=env.image_size,
+        knowledge_dim=width,
+        knowledge_slots=slots,
     )
-    policy = config.policy if embedding.dim else replace(config.policy, fusion="none")
-    if config.knowledge.source.encoder != policy.knowledge_encoder == "identity":
-        raise UserError(
-            f"The knowledge source {config.knowledge.source.short_name!r} has no meaning of its "
-            "own: set policy.knowledge_encoder to 'learned'."
-        )
-    reads = config.grounding.query if config.grounding is not None else "vector"
-    if embedding.dim and (config.knowledge.pooling == "facts") != (reads == "facts"):
-        raise UserError(
-            "Facts need a network that reads them, and it nothing else: set knowledge.pooling and "
-            "grounding.query to 'facts'."
-        )
-    if policy.wide or (policy.fusion == "none" and not grounded):
-        table = table[:, :0]
-    return Parts(embedding, table, policy, shape, facets)
-
-
-def slots_of(embedding: Embedding) -> int:
-    """Return the number of equal parts of a knowledge vector, at least 1."""
-    return max(1, embedding.dim // max(1, embedding.slot_dim))
+    is_read = knows.is_grounded or not (policy.wide or policy.fusion == "none")
+    table = known.table if is_read else known.table[:, :0]
+    return Parts(known.embedding, table, policy, shape, facets_of(env))

@@ -10,14 +10,12 @@ import numpy as np
 from knowarm.config import at_least, fraction
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig
+from knowarm.experiment.knows import Reasoning
 from knowarm.knowledge import KnowledgeGraph
-from knowarm.knowledge.formats import read_graph
 from knowarm.knowledge.graph.damage import Damage, damaged
 from knowarm.knowledge.queries.splits import Split
 from knowarm.perception.config import Unclear
 from knowarm.world.config import EnvConfig
-
-Reasoning = Literal["vector", "graph", "graph-shuffled", "colours"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,12 +40,13 @@ class Subject:
 
     def known_graph(self, change: str) -> KnowledgeGraph:
         """Return the graph that the agent knows, for a change of it."""
-        if self.trained.knowledge.detail == "none":
+        own = self.trained.knows.read_graph() if self.graph is None else self.graph
+        if own is None:
             raise UserError(
                 f"{change} changes a graph, and agent {self.trained.agent!r} has none. Leave it "
                 "out."
             )
-        return read_graph(self.trained.knowledge.graph) if self.graph is None else self.graph
+        return own
 
 
 @dataclass(frozen=True, kw_only=True)

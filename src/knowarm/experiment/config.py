@@ -8,9 +8,8 @@ from knowarm.config import at_least, check_values, registered
 from knowarm.errors import UserError
 from knowarm.experiment.agents import Role
 from knowarm.experiment.algorithms import algorithms
-from knowarm.knowledge.config import KnowledgeConfig
+from knowarm.experiment.knows import Knows
 from knowarm.learn.algorithms import AlgorithmConfig, PPOConfig
-from knowarm.perception.config import GroundingConfig
 from knowarm.policy.config import PolicyConfig
 from knowarm.world.config import EnvConfig
 
@@ -80,17 +79,10 @@ class ExperimentConfig:
     """Environment steps between two checkpoints: the most that a crash can lose."""
     env: EnvConfig = field(default_factory=EnvConfig)
     """Robot, targets, colours, dynamics and success thresholds."""
-    knowledge: KnowledgeConfig
-    """From the graph to the agent's knowledge vector."""
+    knows: Knows
+    """What the agent knows, and what computes it."""
     policy: PolicyConfig = field(default_factory=PolicyConfig)
     """Choices of the policy network."""
-    grounding: GroundingConfig | None = None
-    """Train first a network that locates the object that answers the query in an episode's first
-    image; the policy receives its grasp frame instead of the query's vector. Needs knowledge of
-    scope "query". None: the policy receives the vector."""
-    reasoning: Literal["vector", "graph"] = "vector"
-    """What the grounding network is given of a query: its vector, which is compared with places; or
-    the facets that answer it by the graph, which the network looks for by their names."""
     algorithm: AlgorithmConfig = field(
         default_factory=PPOConfig,
         metadata=registered(lambda: [type(e.config) for e in algorithms().values()], "algorithm"),
@@ -104,21 +96,10 @@ class ExperimentConfig:
     def __post_init__(self) -> None:
         check_values(self)
         at_least(self, 1, "total_steps", "checkpoint_every_steps")
-        scope, task = self.knowledge.scope, self.env.task
-        if self.knowledge.detail != "none" and scope not in task.scopes:
+        if not self.knows.fits(task := self.env.task):
             raise UserError(
-                f"Knowledge of scope {scope!r} describes nothing in the task {task.kind!r}; its "
-                f"scopes are {', '.join(sorted(task.scopes))}. Take another agent or task."
-            )
-        if self.grounding is not None and (scope != "query" or self.knowledge.detail == "none"):
-            raise UserError(
-                "grounding locates the object that answers a query: it needs knowledge of scope "
-                f"'query', got {scope!r} with detail {self.knowledge.detail!r}. Leave it None."
-            )
-        if self.reasoning == "graph" and self.grounding is None:
-            raise UserError(
-                "reasoning='graph' needs a network that finds the answers: set grounding, or "
-                "reasoning to 'vector'."
+                f"Knowledge of the kind {self.knows.kind!r} describes nothing in the task "
+                f"{task.kind!r}. Take another agent or task."
             )
 
     @property
@@ -126,8 +107,3 @@ class ExperimentConfig:
         """Name of the algorithm in the registry, or of its trainer if it has none."""
         entry, trainer = algorithms().get(self.algorithm_name), self.algorithm.name
         return self.algorithm_name if entry and entry.config.name == trainer else trainer
-
-    @property
-    def has_module(self) -> bool:
-        """Whether the agent has a perception module or a grounding network beside its policy."""
-        return self.knowledge.scope == "perceived" or self.grounding is not None

@@ -21,15 +21,12 @@ from knowarm.experiment.evaluation_files import (
     write_film,
     write_table,
 )
-from knowarm.experiment.inputs import knowledge_input
 from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.experiment.measures import WIDE_ANGLE_DEG, summarize
-from knowarm.experiment.other_graphs import answer_table, knowledge_at_test
 from knowarm.experiment.probes import Findings, Played
 from knowarm.experiment.run import Run
 from knowarm.experiment.summary import Summary
 from knowarm.perception.answering import AnsweringAgent
-from knowarm.perception.grounding import FrameRecognition
 from knowarm.policy import PolicyAgent
 from knowarm.questions import AND
 from knowarm.reading import write_json, writing
@@ -235,40 +232,31 @@ def agent_for_test(
 
 def known_in_test(trained: TrainedAgent, subject: Subject) -> PolicyAgent:
     """Return a trained agent with what it knows in a test."""
-    config, module, network, graph = subject.trained, trained.module, trained.network, subject.graph
-    reasoning = subject.reasoning or config.reasoning
-    if subject.reasoning and network is None:
-        raise UserError(
-            f"The agent {config.agent!r} has no grounding network, so reasoning cannot be "
-            "chosen. Leave reasoning out, or take a run such as zoo/irb120-choose-subgraph-fast."
-        )
-    if reasoning == "vector":
-        if subject.unclear != "guess":
-            raise UserError(
-                f"unclear={subject.unclear!r} is for agents that answer by a graph, and "
-                f"{config.agent!r} knows a vector. Leave it out, or reason by the graph."
-            )
-        same = graph is None and subject.reasoning is None and config is trained.config
-        if same and (network is not None or module is None):
-            return trained.agent
-        table = trained.table if same else knowledge_at_test(config, subject.env, graph)
-        if network is not None:
-            return trained.with_knowledge(FrameRecognition(network, table))
-        changed = replace(config, env=subject.env)
-        return trained.with_knowledge(knowledge_input(changed, table, module))
-    assert network is not None  # of every agent that answers by a graph
-    control = None if reasoning == "graph" else reasoning
-    facets = network.spec.facets
-    answers = answer_table(config, subject.env, facets, graph=graph, control=control)
-    return trained.answering(answers, subject.unclear)
+    config, env, graph, by = subject.trained, subject.env, subject.graph, subject.reasoning
+    knows = config.knows.reasoning_by(by, config.agent)
+    options = knows.options(subject.unclear, config.agent)
+    same = graph is None and by is None and config is trained.config
+    if same and knows.keeps_agent:
+        return trained.agent
+    table = trained.table
+    if not same:
+        table = knows.embed(env, config.seed, graph=graph, trained=config.env).table
+    known = knows.input(
+        env,
+        config.seed,
+        table,
+        trained.module,
+        graph=graph,
+        control=by if by in ("graph-shuffled", "colours") else None,
+    )
+    return trained.with_knowledge(known, **options)
 
 
 def check_fits(trained: TrainedAgent, env: ArmVectorEnv, *, knows_task: bool) -> None:
     """Check that an agent, with knowledge of the task or of its own, can play in an environment."""
     own, new = trained.policy.shape, (env.scene.num_joints, env.config.image_size)
     found: dict[str, Any] = {"joints, image size": ((own.joints, own.image_size), new)}
-    indexes = trained.policy.uses_knowledge and (trained.module is None or trained.network)
-    if indexes and not knows_task:
+    if trained.policy.uses_knowledge and not knows_task:
         both = (trained.config.env, env.config)
         found["knowledge of"] = [each.task.knowledge_rows(facets_of(each)) for each in both]
     for name, (one, other) in found.items():

@@ -1,16 +1,10 @@
 """Knowledge input of a policy: rows of a table, or what a network recognizes in the image."""
 
 from dataclasses import dataclass
-from typing import Any, Protocol, cast
+from typing import Any, Protocol
 
 import numpy as np
 
-from knowarm.experiment.config import ExperimentConfig
-from knowarm.experiment.other_graphs import answer_table
-from knowarm.perception.answering import AnswerGrounding
-from knowarm.perception.classifier import FacetClassifier, NamedFacet
-from knowarm.perception.grounding import FrameRecognition, GroundingNetwork
-from knowarm.perception.module import PerceptionModule
 from knowarm.policy import Policy, PolicyAgent
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.torch_env import TorchArmVectorEnv
@@ -40,17 +34,3 @@ class KnowledgeTable:
     def make_agent(self, policy: Policy, **options: Any) -> PolicyAgent:
         """As `KnowledgeInput.make_agent`."""
         return PolicyAgent(policy, self.table, **options)
-
-
-def knowledge_input(
-    config: ExperimentConfig, table: np.ndarray, module: PerceptionModule | None
-) -> KnowledgeInput:
-    """Return the input of an experiment's policy, from its table and its trained module, if any."""
-    if module is None:
-        return KnowledgeTable(table)
-    if config.grounding is None:
-        return NamedFacet(cast(FacetClassifier, module), config.env, table)
-    network = cast(GroundingNetwork, module)
-    if config.reasoning == "vector":
-        return FrameRecognition(network)
-    return AnswerGrounding(network, answer_table(config, config.env, network.spec.facets))

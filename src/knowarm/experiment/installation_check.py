@@ -56,6 +56,7 @@ def _versions() -> str:
 
 def _knowledge() -> str:
     parts = build(experiment_config(DEFAULT_EXPERIMENT))
+    assert parts.embedding is not None
     share = 100 * parts.embedding.describe().coverage["share"]
     return f"vector of {parts.embedding.dim} numbers, {share:.0f} % of labels covered"
 

@@ -11,7 +11,7 @@ import torch
 from knowarm.config import from_dict
 from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig, Which
-from knowarm.experiment.inputs import KnowledgeInput, knowledge_input
+from knowarm.experiment.inputs import KnowledgeInput
 from knowarm.experiment.run_folder import RunFolder, given_module, stored_module
 from knowarm.learn import read_checkpoint
 from knowarm.perception.answering import AnswerGrounding, AnsweringAgent
@@ -97,7 +97,7 @@ class TrainedAgent:
     @property
     def network(self) -> GroundingNetwork | None:
         """The grounding network of an agent that has one."""
-        return None if self.config.grounding is None else cast(GroundingNetwork, self.module)
+        return cast(GroundingNetwork, self.module) if self.config.knows.is_grounded else None
 
     def with_knowledge(self, knowledge: KnowledgeInput, **options: Any) -> PolicyAgent:
         """Return an agent with this policy and other knowledge."""
@@ -157,10 +157,10 @@ def load_agent(
             ) from error
     policy.eval()
     module: PerceptionModule | None = None
-    if perception is not None or config.has_module:
+    if perception is not None or config.knows.has_module:
         given = perception and given_module(config, perception)
         module = given or stored_module(config, folder)
-    agent = knowledge_input(config, table, module).make_agent(
-        policy, greedy=greedy, generator=torch.Generator().manual_seed(seed)
-    )
+    known = config.knows.input(config.env, config.seed, table, module)
+    generator = torch.Generator().manual_seed(seed)
+    agent = known.make_agent(policy, greedy=greedy, generator=generator)
     return TrainedAgent(agent, policy, table, module, config, folder, step, which)

@@ -99,13 +99,12 @@ class ExperimentName:
 def tasks_of(agent: Agent) -> list[str]:
     """Return the tasks in which an agent is an experiment.
 
-    They have the scope of its knowledge, if it is no baseline, and the fields that it changes.
+    Its knowledge describes something in them, and they have the fields that it changes.
     """
     found = []
     for name in agent.tasks or task_names():
         task = task_type(name)
-        scope = agent.role == "baseline" or agent.knowledge.scope in task.scopes
-        if scope and {field.name for field in fields(task)}.issuperset(agent.task):
+        if agent.knows.fits(task) and {field.name for field in fields(task)}.issuperset(agent.task):
             found.append(name)
     return found
 
@@ -164,12 +163,12 @@ def experiment_config(name: str, /, **overrides: Any) -> ExperimentConfig:
 
 def _config(name: ExperimentName) -> ExperimentConfig:
     agent, algorithm = AGENTS[name.agent], algorithms()[name.algorithm]
-    task, knowledge = override(task_type(name.task)(), agent.task), agent.knowledge
-    policy = {**algorithm.policy, **(algorithm.grounded if agent.grounding else {})}
+    task, knows = override(task_type(name.task)(), agent.task), agent.knows
+    policy = {**algorithm.policy, **(algorithm.grounded if knows.is_grounded else {})}
     queries = task.query_source
-    if knowledge.scope in ("query", "perceived") and isinstance(queries, GraphQueries):
+    if knows.scope in ("query", "perceived") and isinstance(queries, GraphQueries):
         # described by the graph of the questions
-        knowledge = replace(knowledge, graph=queries.graph, aliases=QUERY.aliases)
+        knows = override(knows, {"graph": queries.graph, "aliases": QUERY.aliases})
     config = ExperimentConfig(
         name=str(name),
         agent=name.agent,
@@ -177,10 +176,8 @@ def _config(name: ExperimentName) -> ExperimentConfig:
         role=agent.role,
         total_steps=algorithm.total_steps,
         env=EnvConfig(robot=name.robot, task=task, colours=name.colours),
-        knowledge=knowledge,
+        knows=knows,
         policy=override(agent.policy, policy, where="policy"),
-        grounding=agent.grounding,
-        reasoning=agent.reasoning,
         algorithm=algorithm.config,
     )
     return override(config, task.training.get(name.algorithm, {}))

@@ -3,19 +3,15 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple, cast
-
-import numpy as np
+from typing import Any, NamedTuple
 
 from knowarm.config import differences, flatten, override, to_dict
 from knowarm.errors import UserError
-from knowarm.experiment.build import Parts, build, make_trainer, slots_of
+from knowarm.experiment.build import Parts, build, make_trainer
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.csv_log import writing
-from knowarm.experiment.inputs import knowledge_input
 from knowarm.experiment.logs import RunLogs, TrainingProgress
 from knowarm.experiment.names import experiment_config
-from knowarm.experiment.other_graphs import varied_graphs
 from knowarm.experiment.run_folder import (
     PERCEPTION_FILE,
     RunFolder,
@@ -24,8 +20,6 @@ from knowarm.experiment.run_folder import (
 )
 from knowarm.experiment.run_lock import lock_folder
 from knowarm.learn import CheckpointStore, Hooks, TrainingResult
-from knowarm.perception.grounding import GroundingNetwork
-from knowarm.perception.grounding_training import train_grounding
 from knowarm.perception.module import PerceptionModule, digest
 from knowarm.policy import Policy
 from knowarm.reading import write_json
@@ -93,18 +87,7 @@ def train(
             )
     module = module_for_training(config, RunFolder(path) if resume else None, perception)
     parts = build(config)
-    if (
-        config.grounding is not None
-        and module is not None
-        and config.reasoning == "vector"
-        and not resume
-        and not np.array_equal(cast(GroundingNetwork, module).knowledge.numpy(), parts.table)
-    ):
-        raise UserError(
-            f"The grounding network {perception} was trained with other knowledge of the queries "
-            f"than the agent {config.agent!r} has. Give one of the same agent and graph, or leave "
-            "perception out."
-        )
+    config.knows.check_module(module, None if resume else parts.table, config.agent)
     with lock_folder(path, remedy="Wait until it ends, stop it, or pass another runs folder."):
         return _train_locked(config, parts, module, path, resume, should_stop)
 
@@ -132,17 +115,10 @@ def _train_locked(
     with TrainingProgress(f"{config.name}/{config.seed}", config.total_steps) as progress:
         for line in announcements(parts, policy):
             progress.line(line)
-        if config.grounding is not None and module is None:
+        if config.knows.is_grounded and module is None:
             folder.write_experiment(config)  # can resume
-            module = train_grounding(
-                config.env,
-                parts.table,
-                slots_of(parts.embedding),
-                config.grounding,
-                seed=config.seed,
-                graphs=varied_graphs(config),
-                report=progress.line,
-                should_stop=should_stop,
+            module = config.knows.train_module(
+                config.env, config.seed, report=progress.line, should_stop=should_stop
             )
             if module is None:
                 stopped = TrainingResult(step=0, reason="stopped", best_return=None, best_step=None)
@@ -151,7 +127,7 @@ def _train_locked(
         trainer = make_trainer(
             config,
             policy,
-            knowledge_input(config, parts.table, module),
+            config.knows.input(config.env, config.seed, parts.table, module),
             evaluate_every=config.interim.every_steps,
             hooks=Hooks(
                 on_metrics=logs.metrics, on_evaluation=logs.evaluation, should_stop=should_end
@@ -190,9 +166,9 @@ def announcements(parts: Parts, policy: Policy) -> list[str]:
     counts = policy.parameter_counts()
     groups = ", ".join(f"{name} {n:,}" for name, n in counts.items() if name != "total" and n)
     lines = [f"{counts['total']:,} parameters ({groups})"]
-    if not parts.table.shape[1]:
-        return [*lines, "no knowledge vector"]
     embedding = parts.embedding
+    if embedding is None or not parts.table.shape[1]:
+        return [*lines, "no knowledge vector"]
     lines.append(f"knowledge: {parts.table.shape[1]} numbers, norm {embedding.norm:.3f}")
     if embedding.constant:
         lines.append(
@@ -236,7 +212,7 @@ def _describe(
         parameter_counts=policy.parameter_counts(),
         policy={"config": to_dict(policy.resolved_config), "shape": to_dict(policy.shape)},
         facets=parts.facets,
-        knowledge=parts.embedding.describe(),
+        knowledge=parts.embedding and parts.embedding.describe(),
         perception=perception,
     )
     write_json(folder.path / "provenance.json", to_dict(about))

@@ -38,8 +38,6 @@ from knowarm.experiment.csv_log import number_in, read_csv, writing
 from knowarm.experiment.summary import Summary
 from knowarm.knowledge.config import EmbeddingFacts
 from knowarm.knowledge.formats import SHIPPED
-from knowarm.perception.classifier import FacetClassifier
-from knowarm.perception.grounding import GroundingNetwork
 from knowarm.perception.module import PerceptionModule, digest
 from knowarm.reading import read_arrays, read_json, reading, write_json
 from knowarm.world.config import facets_of
@@ -315,35 +313,20 @@ def module_for_training(
         module = stored
     if module is not None:
         module.spec.check_fits(config.env, facets_of(config.env))
-    elif config.knowledge.scope == "perceived":
-        raise UserError(
-            "Knowledge of scope 'perceived' needs a perception module: pass ",
-            Argument("perception", "FILE"),
-            ". Make one with `knowarm perception train EXPERIMENT --out FILE`.",
-        )
     return module
 
 
 def given_module(config: ExperimentConfig, path: Path | str) -> PerceptionModule:
     """Read the module or grounding network that is given for an experiment, which must use one."""
-    if not config.has_module:
-        raise UserError(
-            f"Agent {config.agent!r} perceives nothing with a network of its own: leave perception "
-            "out, or take an agent with a perception module or a grounding network."
-        )
-    return _module_type(config).read(Path(path))
+    return config.knows.module_type(config.agent).read(Path(path))
 
 
 def stored_module(config: ExperimentConfig, folder: RunFolder) -> PerceptionModule:
     """Read the perception module that a run folder keeps, and check that it is the run's."""
-    kind = _module_type(config)
+    kind = config.knows.module_type(config.agent)
     path = folder.path / PERCEPTION_FILE
     with reading(path, "Restore the file, or train again."):
         data = path.read_bytes()
         if digest(data) != (folder.provenance().perception or {})["digest"]:
             raise ValueError("it is not the module that this run was trained with")
         return kind.from_bytes(data, path)
-
-
-def _module_type(config: ExperimentConfig) -> type[FacetClassifier] | type[GroundingNetwork]:
-    return FacetClassifier if config.grounding is None else GroundingNetwork

@@ -12,10 +12,10 @@ import torch
 from torch.utils.flop_counter import FlopCounterMode
 
 from knowarm.cores import torch_threads
-from knowarm.experiment.agents import AGENTS, first_of_role
 from knowarm.experiment.build import build, make_trainer
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.inputs import KnowledgeTable
+from knowarm.experiment.knows import NoKnowledge
 from knowarm.learn import A3CConfig, DistilConfig, Hooks, Metrics
 from knowarm.learn.algorithms import MinibatchConfig
 from knowarm.learn.optimizer import PolicyOptimizer
@@ -78,10 +78,7 @@ def measure_images(config: EnvConfig, *, num_envs: int, seconds: float) -> float
 
 def _measurable(config: ExperimentConfig) -> ExperimentConfig:
     """Replace an agent with a module by the baseline agent of the same task."""
-    if not config.has_module:
-        return config
-    knowledge = AGENTS[first_of_role("baseline")].knowledge
-    return replace(config, knowledge=knowledge, grounding=None, reasoning="vector")
+    return replace(config, knows=NoKnowledge()) if config.knows.has_module else config
 
 
 def measure_training(config: ExperimentConfig, seconds: float) -> float:

@@ -119,7 +119,7 @@ def deployment(trained: TrainedAgent) -> Deployment:
             "file": "knowledge.npy",
             "rows": rows,
             "meaning": env.task.knowledge_info,
-            "origin": to_dict(trained.config.knowledge),
+            "origin": to_dict(trained.config.knows),
         },
         "recognition": recognized,
         "recurrent": {

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from knowarm.config import at_least, check_values, fraction, registered
 from knowarm.errors import UserError
@@ -12,17 +12,21 @@ from knowarm.knowledge.vectors.source import OnMissing, Pooling
 from knowarm.knowledge.vectors.words import WordVectors
 from knowarm.questions import FACTS
 
-Detail = Literal["none", "partial", "full"]
-Scope = Literal["scene", "target", "query", "perceived"]
+Detail = Literal["partial", "full"]
+Scope = Literal["nothing", "scene", "target", "query", "perceived"]
+"""What a row of the knowledge table describes: nothing, all slots (the same in every episode), the
+slot of the episode's own object and colour, its query, or the slot of what is perceived."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class KnowledgeConfig:
     """Choices between a graph and the vector that enters the policy; defaults are the paper's."""
 
+    scope: ClassVar[Scope] = "scene"
+    """What a row of the table describes; another one in classes that inherit."""
     detail: Detail
-    """What a slot describes: "none" gives no vector (the paper's baseline); "partial" each object
-    without its colours; "full" each object with one of its possible colours."""
+    """What a slot describes: "partial" each object without its colours; "full" each object with one
+    of its possible colours."""
     source: VectorSource = field(
         default_factory=WordVectors, metadata=registered(lambda: SOURCES.values())
     )
@@ -31,13 +35,6 @@ class KnowledgeConfig:
     graph: str | None = None
     """Path of the graph, or the name of a shipped one ("household", "objects"); None takes the
     household graph."""
-    scope: Scope = "scene"
-    """"scene" gives every episode the same vector of all slots (the paper's). "target" gives the
-    slot of the episode's own object and colour: information that no camera saw, so privileged.
-    "query" describes the query of the episode, in tasks with queries: one slot per condition of the
-    query, from the subgraph around its value (with ``hops`` 0, from its own words). "perceived"
-    gives the slot of the object and colour that a perception module names in the image; in tasks
-    that ask, of the surest of those that answer the query."""
     dim: int = 50
     """Dimension of the vectors of `source`: numbers per slot, or per label of a fact."""
     hops: int = 1
@@ -66,8 +63,8 @@ class KnowledgeConfig:
     mean of all colours from a colour that has a share of its own)."""
     colour_share: float | None = None
     """Share of a slot that its own colour takes, 0 to 1; the rest is the object's. None gives the
-    colour's words the weight of all others, which makes slots of one object nearly equal. With
-    scope "query": the share of the value that is asked for; the rest is its subgraph's."""
+    colour's words the weight of all others, which makes slots of one object nearly equal. Of a
+    query: the share of the value that is asked for; the rest is its subgraph's."""
     slot_norm: float | None = None
     """Length that every slot is scaled to; None keeps the pooled length."""
     entity_names: dict[str, str] = field(default_factory=dict)
@@ -87,11 +84,10 @@ class KnowledgeConfig:
         at_least(self, 0, "hops", "max_degree")
         fraction(self, "colour_share")
         whole = self.relation_words and not self.head_once and self.colour_share is None
-        asked = self.scope == "query" and self.slot_norm is None
-        if self.pooling == "facts" and not (whole and asked):
+        if self.pooling == "facts" and not (whole and self.slot_norm is None):
             raise UserError(
-                "pooling 'facts' keeps every label about a query: it needs scope='query', "
-                "relation_words=True, head_once=False, colour_share=None and slot_norm=None."
+                "pooling 'facts' keeps every label about a query: it needs relation_words=True, "
+                "head_once=False, colour_share=None and slot_norm=None."
             )
 
     @property
@@ -108,7 +104,8 @@ class KnowledgeConfig:
 class EmbeddingFacts:
     """Description of an embedding in a run folder: see the attributes of `Embedding`."""
 
-    config: KnowledgeConfig
+    source: str
+    """Short name of the source of vectors."""
     slots: tuple[str, ...]
     slot_dim: int
     dim: int
@@ -138,7 +135,6 @@ FULL_PLUS = KnowledgeConfig(
 
 QUERY = replace(
     FULL_PLUS,
-    scope="query",
     graph="objects",
     direction="both",
     colour_share=0.5,

@@ -37,7 +37,7 @@ class Embedding:
     config: KnowledgeConfig
     """The config it was made by."""
     slots: tuple[Facet | Condition, ...]
-    """Object and colour of each slot, or the condition of a query; empty for detail "none"."""
+    """Object and colour of each slot, or the condition of a query."""
     matrix: np.ndarray = field(repr=False)
     """The slots' vectors, (S, slot_dim) float32."""
     coverage: Coverage = field(repr=False)
@@ -56,6 +56,11 @@ class Embedding:
     def slot_dim(self) -> int:
         """Numbers per slot."""
         return int(self.matrix.shape[1])
+
+    @property
+    def slots_per_row(self) -> int:
+        """Number of slots in a row of the table."""
+        return self.dim // self.slot_dim
 
     @property
     def vector(self) -> np.ndarray:
@@ -80,13 +85,13 @@ class Embedding:
     @property
     def privileged(self) -> bool:
         """Whether the numbers identify the target of the episode."""
-        return self.dim > 0 and self.scope == "target" and not self.constant
+        return self.scope == "target" and not self.constant
 
     def describe(self) -> EmbeddingFacts:
         """Return the description that a run folder stores."""
         names = tuple(slot.name for slot in self.slots)
         return EmbeddingFacts(
-            config=self.config,
+            source=self.config.source.short_name,
             slots=names,
             **{name: getattr(self, name) for name in ("slot_dim", "dim", "norm", "note")},
             slot_norms=tuple(np.linalg.norm(self.matrix.astype(float), axis=1).tolist()),
@@ -102,25 +107,20 @@ class SceneEmbedding(Embedding):
     """Slots of objects, or of objects with colours."""
 
     slots: tuple[Facet, ...]
-    """Object and colour of each slot; empty for detail "none"."""
+    """Object and colour of each slot."""
 
     @property
     def dim(self) -> int:
         """K, the width of the policy's input: S * slot_dim (scene) or slot_dim (one facet's)."""
-        if not self.slots:
-            return 0
         return self.matrix.size if self.scope == "scene" else self.slot_dim
 
     @property
     def constant(self) -> bool:
         """Whether every episode gets the same numbers, which then act as a bias."""
-        scene = self.scope == "scene"
-        return self.dim > 0 and (scene or bool(np.ptp(self.matrix, axis=0).max() == 0))
+        return self.scope == "scene" or bool(np.ptp(self.matrix, axis=0).max() == 0)
 
     def table(self, facets: Facets) -> np.ndarray:
         """Return the knowledge input of the policy for each facet, (F, K) float32."""
-        if not self.slots:
-            return np.zeros((len(facets), 0), np.float32)
         if self.scope == "scene":
             return np.tile(self.vector, (len(facets), 1))
         return np.ascontiguousarray(self.matrix[[self._slot(*facet) for facet in facets]])
@@ -138,7 +138,7 @@ class QueryEmbedding(Embedding):
     """Slots of conditions, and the conditions of each query."""
 
     slots: tuple[Condition, ...]
-    """The condition of each slot; empty for detail "none"."""
+    """The condition of each slot."""
     queries: tuple[Query, ...] = field(repr=False)
     """Queries whose conditions have a slot."""
 
@@ -150,12 +150,12 @@ class QueryEmbedding(Embedding):
     @property
     def dim(self) -> int:
         """K, the width of the policy's input: width * slot_dim."""
-        return self.width * self.slot_dim if self.slots else 0
+        return self.width * self.slot_dim
 
     @property
     def constant(self) -> bool:
         """Whether every query gets the same numbers."""
-        return self.dim > 0 and bool(np.ptp(self.table(self.queries), axis=0).max() == 0)
+        return bool(np.ptp(self.table(self.queries), axis=0).max() == 0)
 
     def table(self, queries: Sequence[Query]) -> np.ndarray:
         """Return the knowledge input of the policy for each embedded query, (Q, K) float32.
@@ -166,8 +166,6 @@ class QueryEmbedding(Embedding):
         Raises:
             UserError: no slot describes a condition.
         """
-        if not self.slots:
-            return np.zeros((len(queries), 0), np.float32)
         numbers = {slot: number for number, slot in enumerate(self.slots)}
         if new := {c.name for query in queries for c in query.conditions if c not in numbers}:
             raise UserError(f"No slot describes {', '.join(sorted(new))}: embed the queries first.")
@@ -196,23 +194,16 @@ def scene_embedding(
         graph: take this graph in place of the config's, such as an edited one.
 
     Raises:
-        UserError: the graph, an object, a colour or a vector cannot be found, or the config
-            describes queries.
+        UserError: the graph, an object, a colour or a vector cannot be found.
 
     Example:
         >>> config = KnowledgeConfig(detail="full")
         >>> scene_embedding(config, [("mug", "red"), ("mug", "blue")]).matrix.shape
         (2, 50)
     """
-    if config.scope == "query":
-        raise UserError(
-            "scope 'query' describes the query of an episode, but this task has no queries. Use it "
-            "in a task with queries, or set scope to 'scene', 'target' or 'perceived'."
-        )
     slots = slots_of(config, facets)
     done = _embed(config, FacetSlots(slots), graph, run_seed)
-    note = config.source.note if slots else ""
-    return SceneEmbedding(config=config, slots=slots, note=note, **done._asdict())
+    return SceneEmbedding(config=config, slots=slots, note=config.source.note, **done._asdict())
 
 
 def query_embedding(
@@ -226,7 +217,7 @@ def query_embedding(
     """Embed what the graph knows about the queries of a task.
 
     Args:
-        config: the graph, the source of vectors and the choices between; scope "query".
+        config: the graph, the source of vectors and the choices between.
         queries: texts of the queries, such as "usedFor drinking and hasColor blue".
         run_seed: seed of the training run; only placebos that are drawn depend on it.
         graph: describe the queries by this graph in place of the config's, such as an edited one.
@@ -234,24 +225,23 @@ def query_embedding(
             number of a condition then stays what it was.
 
     Raises:
-        UserError: another scope, or a label or condition that cannot be found.
+        UserError: a label or condition cannot be found.
 
     Example:
-        >>> config = KnowledgeConfig(detail="full", scope="query", graph="objects", hops=0)
+        >>> config = KnowledgeConfig(detail="full", graph="objects", hops=0)
         >>> query_embedding(config, [Query.of(("usedFor", "drinking"))]).matrix.shape
         (1, 50)
     """
-    if config.scope != "query" and config.detail != "none":
-        raise UserError(
-            f"This task has queries, which knowledge of scope {config.scope!r} does not describe. "
-            "Set scope to 'query', or detail to 'none' for a policy without knowledge."
-        )
     every = tuple(dict.fromkeys((*trained_on, *queries)))
     conditions = tuple(dict.fromkeys(c for query in every for c in query.conditions))
-    slots = conditions if config.detail != "none" else ()
-    done = _embed(config, ConditionSlots(slots), graph, run_seed)
-    note = config.source.note if slots else ""
-    return QueryEmbedding(config=config, slots=slots, note=note, queries=every, **done._asdict())
+    done = _embed(config, ConditionSlots(conditions), graph, run_seed)
+    return QueryEmbedding(
+        config=config,
+        slots=conditions,
+        note=config.source.note,
+        queries=every,
+        **done._asdict(),
+    )
 
 
 class _Embedded(NamedTuple):
@@ -271,8 +261,6 @@ def _embed(
     """Compute slots by the config's source, from the config's graph or the given one."""
     source, coverage = config.source, Coverage()
     matrix, sentences = np.zeros((len(slots), config.slot_dim), np.float32), ("",) * len(slots)
-    if not len(slots):
-        return _Embedded(matrix, sentences, coverage)
     seed = source.draw_seed(config.seed, run_seed)
     if source.described:
         graph = read_graph(config.graph) if graph is None else graph
@@ -344,7 +332,7 @@ def _unit(vector: np.ndarray) -> np.ndarray:
         raise UserError(
             "A slot's vector is zero, so it cannot be scaled: no word of its sentence is known. "
             "Give aliases, or use ",
-            Argument("knowledge.on_missing", "hash"),
+            Argument("knows.on_missing", "hash"),
             ".",
         )
     return vector / length

@@ -73,7 +73,7 @@ def probe(
     task = scene_embedding(config, facets, run_seed=run_seed)
     cosine = _cosine(task.matrix)
     names = tuple(slot.name for slot in task.slots)
-    if config.source.placebo or config.detail == "none":
+    if config.source.placebo:
         return Probe(slots=names, cosine=cosine, recovered={})
     graph = read_graph(config.graph)
     everything = scene_embedding(config, _population(graph, facets, config))

@@ -113,8 +113,6 @@ class ConditionSlots:
 
 def slots_of(config: KnowledgeConfig, facets: Sequence[ObjectColour]) -> tuple[Facet, ...]:
     """Return the slots in the order of the facets: one per object (partial) or facet (full)."""
-    if config.detail == "none":
-        return ()
     if config.detail == "partial":
         return tuple(Facet(name, None) for name in dict.fromkeys(pair[0] for pair in facets))
     return tuple(Facet(name, colour) for name, colour in dict.fromkeys(map(tuple, facets)))
@@ -206,7 +204,7 @@ def _colour_row(around: KnowledgeGraph, rows: np.ndarray, facet: Facet, wanted: 
             f"{facet.object!r} has no colour in the graph, or none that hops, direction and "
             "relations reach, so detail 'full' cannot describe it. Add its colours to the graph, "
             "let them be reached, or set ",
-            Argument("knowledge.detail", "partial"),
+            Argument("knows.detail", "partial"),
             ".",
         )
     colours = sorted(local_name(around.names[around.tails[row]]) for row in rows)
@@ -216,7 +214,7 @@ def _colour_row(around: KnowledgeGraph, rows: np.ndarray, facet: Facet, wanted: 
         "Add that fact to the graph, use ",
         Argument("env.colours", "fixed"),
         " if it has those, or ",
-        Argument("knowledge.detail", "partial"),
+        Argument("knows.detail", "partial"),
         ".",
     )
 
@@ -240,7 +238,7 @@ def sentence_parts(graph: KnowledgeGraph, config: KnowledgeConfig = FULL) -> lis
         raise UserError(
             f"The subgraph of {asked} is empty: it holds no fact to describe. "
             "Add facts about it, allow more relations, or take ",
-            Argument("knowledge.direction", "both"),
+            Argument("knows.direction", "both"),
             ".",
         )
     parts: list[SentencePart] = []

@@ -12,14 +12,6 @@ from knowarm.world.objects.families import look_of
 Unclear = Literal["guess", "stop"]
 """What an agent does that sees no answer, or several: move to the most likely place, or stay."""
 
-Naming = Literal["image", "place"]
-"""What the second loss of a grounding network asks for: the names in an image, or the name and
-the place of each object."""
-
-FrameHead = Literal["place", "neighbourhood"]
-"""Features from which a grounding network predicts a grasp frame: those of the object's place with
-one hidden layer of 128; or the standardized ones of the 3 x 3 places around it, with two of 256."""
-
 RETRAIN = "Make one for this task with `knowarm perception train EXPERIMENT --out FILE`."
 
 
@@ -68,21 +60,12 @@ class GroundingConfig(ModuleTrainingConfig):
     rounds: int = 20
     """Number of times that images are drawn and each is trained on once."""
     naming_coef: float = 0.5
-    """Weight of a second loss that names the visible objects and their colours."""
-    naming: Naming = "image"
-    """``image``: names that occur in the image; ``place``: names and the places where they occur,
-    which an agent needs that finds objects by name."""
+    """Weight of a second loss that names each visible object and its colour where it stands."""
     frame_coef: float = 10.0
     """Weight of the squared error of the grasp frames of all visible objects."""
-    frame_head: FrameHead = "place"
-    """Features for the grasp frame: a place spans 4 pixels, some 6 cm of the support, and only its
-    neighbours tell where in it the object stands."""
     channels: int = 64
     """Features of a place, a multiple of 4. Twice as many recognize unseen kinds of objects better
     and cost 2.4 times as much."""
-    query: Literal["vector", "facts"] = "vector"
-    """What is read of a query: its vector, by two linear layers, or its facts, by attention, for
-    knowledge with pooling "facts"."""
     graphs: int = 0
     """Number of graphs with permuted tails that describe and answer the queries of training beside
     the agent's own, so that a network that reads facts has to."""

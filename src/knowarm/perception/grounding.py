@@ -7,7 +7,7 @@ objects have parts, each place has a key and a frame per part: a cell is a place
 
 from collections.abc import Mapping
 from itertools import pairwise
-from typing import Any, Self, cast, get_args
+from typing import Any, Self, cast
 
 import numpy as np
 import torch
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from knowarm.perception.agent import Recognition
-from knowarm.perception.config import FrameHead, GroundingConfig, ModuleSpec, Naming
+from knowarm.perception.config import GroundingConfig, ModuleSpec
 from knowarm.perception.facts import FactEncoder
 from knowarm.perception.images import LabelledImages, QueryAnswers
 from knowarm.perception.module import PerceptionModule, PlaceEncoder
@@ -44,7 +44,9 @@ class GroundingNetwork(PerceptionModule):
         knowledge: (Q, K) float32, one row per query.
         slots: number of equal parts of a row, one per condition; a part of zeros is none.
         seed: of the initial weights.
-        frame_head: as `GroundingConfig.frame_head`.
+        reads_facts: whether slots hold facts, which attention reads, instead of vectors.
+        first_stage: with the frame head of the first stage of a training, which predicts frames
+            from the object's place alone; the final one reads the 3 x 3 places around it.
     """
 
     FORMAT = "knowarm-grounding-2"
@@ -64,7 +66,8 @@ class GroundingNetwork(PerceptionModule):
         slots: int,
         *,
         seed: int = 0,
-        frame_head: FrameHead = "place",
+        reads_facts: bool = False,
+        first_stage: bool = False,
     ) -> None:
         config = spec.config if isinstance(spec.config, GroundingConfig) else GroundingConfig()
         convolutions = convolutions_of(config.channels)
@@ -78,13 +81,12 @@ class GroundingNetwork(PerceptionModule):
         self.parts = parts.shape[1]
         own = torch.arange(len(parts))[:, None]
         self.register_buffer("part_of", (parts == own).int().argmax(1), persistent=False)
-        self.frame_head = frame_head
-        self._around = int(frame_head == "neighbourhood")
+        self._around = int(not first_stage)
         inputs = channels * (1 + 2 * self._around) ** 2 + 2
         hidden = [4 * WIDTH, 4 * WIDTH] if self._around else [2 * WIDTH]
         self.key = _layers(channels, 2 * WIDTH, WIDTH * self.parts)
         self.query: nn.Module = _layers(width, 2 * WIDTH, WIDTH)
-        if config.query == "facts":
+        if reads_facts:
             self.query = FactEncoder(width, WIDTH)
         self.frame = _layers(inputs, *hidden, FRAME * self.parts)
         generator = torch_generator(seed, "perception", 1)
@@ -96,18 +98,15 @@ class GroundingNetwork(PerceptionModule):
 
     def describe(self) -> dict[str, Any]:
         """As `PerceptionModule.describe`."""
-        return super().describe() | {"slots": self.slots, "frame_head": self.frame_head}
+        return super().describe() | {"slots": self.slots}
 
     @classmethod
     def build(cls, spec: ModuleSpec, about: dict[str, Any], tensors: Mapping[str, Tensor]) -> Self:
         """As `PerceptionModule.build`."""
         table, slots = tensors["knowledge"], about["slots"]
-        head = about.get("frame_head", "place")  # files that name none have this one
         if table.ndim != 2 or not isinstance(slots, int) or slots < 1 or table.shape[1] % slots:
             raise ValueError("its table of knowledge does not fit its slots")
-        if head not in get_args(FrameHead):
-            raise ValueError(f"it has an unknown frame head {head!r}")
-        return cls(spec, table, slots, frame_head=head)
+        return cls(spec, table, slots, reads_facts="query.fact.weight" in tensors)
 
     def keys(self, features: Tensor) -> Tensor:
         """Compute the keys of the cells from the encoder's features: (n, P parts, D)."""
@@ -143,7 +142,7 @@ class GroundingNetwork(PerceptionModule):
     def frame_inputs(self, features: Tensor, places: Tensor) -> Tensor:
         """Return what frames at places (n, m) are predicted from: features, and where they are.
 
-        The inputs (n, m, D) start with the features of the place, or those of 3 x 3 places.
+        The inputs (n, m, D) start with the features of 3 x 3 places; in the first stage of one.
         """
         side, channels, around = features.shape[-1], features.shape[1], self._around
         width, line = side + 2 * around, torch.arange(1 + 2 * around, device=places.device)
@@ -192,7 +191,6 @@ class GroundingNetwork(PerceptionModule):
         knowledge: Tensor,
         answers: QueryAnswers,
         *,
-        naming: Naming = "image",
         bfloat16: bool = False,
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Compute the losses of places, names and grasp frames for queries on some images.
@@ -202,12 +200,11 @@ class GroundingNetwork(PerceptionModule):
             rows: (n,) int64, images.
             knowledge: (q, K) float32, of the queries.
             answers: to these queries, among the facets of the network.
-            naming: as `GroundingConfig.naming`.
             bfloat16: for convolutions and keys.
         """
         features = self.features(labels.images[rows], bfloat16)
         place = self.place_loss(features, labels, rows, knowledge, answers, bfloat16=bfloat16)
-        return place, *self.recognition_losses(features.float(), labels, rows, naming)
+        return place, *self.recognition_losses(features.float(), labels, rows)
 
     def place_loss(
         self,
@@ -239,12 +236,11 @@ class GroundingNetwork(PerceptionModule):
         return -(likelihood * asked).sum() / asked.sum().clamp(min=1)
 
     def recognition_losses(
-        self, features: Tensor, labels: LabelledImages, rows: Tensor, naming: Naming
+        self, features: Tensor, labels: LabelledImages, rows: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Compute the cross-entropy of the visible names and the squared error of their frames."""
         places = place_of(labels.pixels[rows], self.spec.image_size)
-        where = places if naming == "place" else None
-        named = self.encoder.facet_likelihood(features, labels.facets[rows], where)
+        named = self.encoder.facet_likelihood(features, labels.facets[rows], places)
         truth = self.standardized(labels.grasp_position[rows], labels.grasp_axes[rows])
         frames = self.frames(features, self.cells(places, labels.facets[rows]))
         return -named.mean(), (frames - truth).square().mean()

@@ -29,7 +29,7 @@ from knowarm.seeding import derive_seed, torch_generator
 from knowarm.world.cache import cache_file, read_arrays, write_arrays
 from knowarm.world.config import EnvConfig
 
-REVISION = 1
+REVISION = 2
 """Part of the cache's key; another one wherever the same config trains another network."""
 
 QUERIES = 48
@@ -65,6 +65,7 @@ def train_grounding(
     config: GroundingConfig,
     *,
     seed: int,
+    reads_facts: bool = False,
     graphs: Sequence[DescribedGraph] = (),
     report: Callable[[str], None] = lambda text: None,
     should_stop: Callable[[], bool] = lambda: False,
@@ -80,19 +81,17 @@ def train_grounding(
         slots: number of parts.
         config: images, rounds and losses (`GroundingNetwork.losses`).
         seed: of the run; ``config.seed`` goes first.
+        reads_facts: as `GroundingNetwork`.
         graphs: describe and answer the queries in place of the task's; a gradient step takes one.
         report: receives a line at the start and after every round.
         should_stop: called at every gradient step; if it returns true, the result is None.
     """
     if config.seed is not None:
         seed, config = config.seed, replace(config, seed=None)
-    if config.frame_head == "neighbourhood":
-        base = replace(config, frame_head="place")
-        options: dict[str, Any] = {"seed": seed, "report": report}
-        options["should_stop"] = should_stop
-        found = train_grounding(env, knowledge, slots, base, graphs=graphs, **options)
-        return None if found is None else train_frame_head(found, env, config, **options)
-    network = GroundingNetwork(ModuleSpec.of(env, config), knowledge, slots, seed=seed)
+    options: dict[str, Any] = {"seed": seed, "reads_facts": reads_facts}
+    network = GroundingNetwork(
+        ModuleSpec.of(env, config), knowledge, slots, first_stage=True, **options
+    )
     answers = query_answers(env, network.spec.facets)
     assert answers is not None
     bfloat16 = resolve_precision("auto", torch.device("cpu")) == "bfloat16"
@@ -107,14 +106,12 @@ def train_grounding(
         return torch.from_numpy(table)[rows], known.of(rows)
 
     def everything(labels: LabelledImages, rows: Tensor) -> tuple[Tensor, Tensor]:
-        place, naming, frame = network.losses(
-            labels, rows, *ask(), naming=config.naming, bfloat16=bfloat16
-        )
+        place, naming, frame = network.losses(labels, rows, *ask(), bfloat16=bfloat16)
         return place + config.naming_coef * naming + config.frame_coef * frame, place
 
     def recognition(labels: LabelledImages, rows: Tensor) -> tuple[Tensor, Tensor]:
         features = network.features(labels.images[rows], bfloat16).float()
-        naming, frame = network.recognition_losses(features, labels, rows, config.naming)
+        naming, frame = network.recognition_losses(features, labels, rows)
         return config.naming_coef * naming + config.frame_coef * frame, naming
 
     def comparison(labels: LabelledImages, rows: Tensor) -> tuple[Tensor, Tensor]:
@@ -123,7 +120,7 @@ def train_grounding(
         return place, place
 
     asked, seen = ("key.", "query."), ("encoder.", "frame.", "position_")
-    by_queries: list[object] = [knowledge, slots]
+    by_queries: list[object] = [knowledge, slots, reads_facts]
     for table, known in ((knowledge, answers), *graphs):
         by_queries += [table, known.satisfies.numpy(), known.askable.numpy()]
     stages = [_Stage("everything", config.rounds, everything, seen + asked, by_queries)]
@@ -132,9 +129,7 @@ def train_grounding(
             _Stage("names and frames", config.shared_rounds, recognition, seen, ()),
             _Stage("queries", config.rounds, comparison, asked, by_queries),
         ]
-    images_alone = (
-        replace(config, rounds=0, graphs=0, query="vector") if config.shared_rounds else config
-    )
+    images_alone = replace(config, rounds=0, graphs=0) if config.shared_rounds else config
     depends_on: list[object] = [REVISION, version("torch"), bfloat16, env, images_alone, seed]
     for number, stage in enumerate(stages):
         if stage.rounds == 0:
@@ -159,7 +154,7 @@ def train_grounding(
             if not minimize(network, config, steps, stage.rounds, name, report, should_stop):
                 return None
         write_arrays(file, {name: value.numpy() for name, value in parts.items()})
-    return network.eval().requires_grad_(False)
+    return train_frame_head(network, env, config, seed=seed, report=report, should_stop=should_stop)
 
 
 def train_frame_head(
@@ -175,15 +170,18 @@ def train_frame_head(
 
     Names, keys and queries stay as they are. Arguments as `train_grounding`.
     """
-    spec = replace(trained.spec, config=config)
-    network = GroundingNetwork(
-        spec, trained.knowledge, trained.slots, seed=seed, frame_head="neighbourhood"
-    )
     seen = trained.state_dict()
+    network = GroundingNetwork(
+        trained.spec,
+        trained.knowledge,
+        trained.slots,
+        seed=seed,
+        reads_facts="query.fact.weight" in seen,
+    )
     network.load_state_dict(
         network.state_dict() | {n: v for n, v in seen.items() if not n.startswith("frame.")}
     )
-    arrays = [value.numpy() for value in seen.values()]
+    arrays = [v.numpy() for n, v in seen.items() if n.startswith(("encoder.", "position_"))]
     file = cache_file("grounding", REVISION, version("torch"), env, config, seed, *arrays)
     parts = {n: v for n, v in network.state_dict().items() if n.startswith("frame.")}
     if _copy(read_arrays(file), parts):

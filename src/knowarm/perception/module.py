@@ -93,20 +93,19 @@ class PlaceEncoder(nn.Module):
         scores = sums.clamp(min=torch.finfo(sums.dtype).tiny).log() + most[0] + most[1]
         return scores[:, *self.facet_parts]
 
-    def facet_likelihood(self, features: Tensor, facets: Tensor, places: Tensor | None) -> Tensor:
-        """Return the logarithm of the probability of facets among all facets, (n, m) float32.
+    def facet_likelihood(self, features: Tensor, facets: Tensor, places: Tensor) -> Tensor:
+        """Return the log-probability of facets at places, (n, m) float32.
+
+        Among all facets at all places; of a code, that of its columns and place.
 
         Args:
             features: (n, C, h, w).
             facets: (n, m) int64.
-            places: (n, m) int64, where they are; the probability is then that of facet and place
-                among all facets at all places; of a code, that of its columns and place.
+            places: (n, m) int64, where they are.
         """
-        if self.code is not None and places is not None:
+        if self.code is not None:
             return self._attribute_likelihood(features, facets, places)
         scores = self.facet_scores(features)
-        if places is None:
-            return scores.log_softmax(1).gather(1, facets)
         rows = torch.arange(len(places), device=places.device)[:, None]
         at_place = sum(
             logits[rows, part[facets], places]

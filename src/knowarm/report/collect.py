@@ -36,7 +36,7 @@ NOT_A_SETTING = {"agent", "role", "name", "seed", "env", "checkpoint_every_steps
 # Evaluation settings that do not change the agent's numbers.
 NOT_A_RULE = ("probes", "label")
 # Settings that only seed random draws: runs that differ in them are seeds of one agent.
-DRAWS = {"knowledge.seed"}
+DRAWS = {"knows.seed"}
 
 
 def collect(paths: Sequence[Path]) -> StudyData:

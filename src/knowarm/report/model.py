@@ -5,7 +5,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,8 +16,6 @@ from knowarm.experiment.evaluation_files import EPISODE_COLUMNS, read_table
 from knowarm.experiment.measures import AGAIN
 from knowarm.experiment.run_folder import Provenance
 from knowarm.experiment.summary import Summary
-from knowarm.knowledge.config import Detail
-from knowarm.knowledge.vectors.placebos import Zeros
 from knowarm.report.format import palette
 from knowarm.statistics import Interval, bootstrap
 
@@ -100,7 +98,6 @@ def _complete(path: Path, needed: Collection[str]) -> dict[str, np.ndarray]:
 Curve = dict[str, np.ndarray]
 # Roles of agents, in the order in which a report lists them.
 ROLES = ("baseline", "knowledge", "privileged", "capacity_control", "content_control")
-DETAILS = get_args(Detail)
 CONTROLS = ("capacity_control", "content_control")
 
 
@@ -142,8 +139,8 @@ class RunData:
 
     @property
     def detail(self) -> int:
-        """How much of the objects the knowledge vector describes: place in `Detail`."""
-        return DETAILS.index(self.config.knowledge.detail)
+        """How much of the objects the knowledge vector describes."""
+        return self.config.knows.rank
 
     @property
     def steps_done(self) -> float:
@@ -189,13 +186,12 @@ class Group(Evaluated):
     @property
     def scope(self) -> str:
         """Scope of the knowledge vector, a `knowarm.knowledge.config.Scope`."""
-        return self.runs[0].config.knowledge.scope
+        return self.runs[0].config.knows.scope
 
     @property
     def has_content(self) -> bool:
         """Whether the agent has a knowledge vector that is not all zeros."""
-        knowledge = self.runs[0].config.knowledge
-        return knowledge.detail != "none" and not isinstance(knowledge.source, Zeros)
+        return self.runs[0].config.knows.has_content
 
     @property
     def best_run(self) -> RunData | None:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Literal, Self, cast
 
 import tyro
 
@@ -76,7 +76,10 @@ class SceneOptions(TableCommand):
                 f"--agent {self.agent} has its own graph, source and settings: leave out --agent, "
                 "or the options of the knowledge and, of a run, the objects."
             )
-        return run.knowledge if run else AGENTS[self.agent].knowledge
+        knows = run.knows if run else AGENTS[self.agent].knows
+        if knows.scope == "nothing":
+            raise UserError(f"--agent {self.agent} knows nothing: take another, or leave it out.")
+        return cast(KnowledgeConfig, knows)
 
     def run_seed(self) -> int:
         """Return the training seed of the run, from which placebos are drawn."""

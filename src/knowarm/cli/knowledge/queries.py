@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from knowarm.cli.tables import TableCommand, print_table
 from knowarm.config import at_least, check_values
 from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge import KnowledgeGraph, gamma, write_graph
+from knowarm.knowledge.config import KnowledgeConfig
 from knowarm.knowledge.draw import draw_svg
 from knowarm.knowledge.formats import WRITERS, read_graph
 from knowarm.knowledge.graph.builder import difference, union
@@ -91,10 +92,11 @@ class Queries(GraphOptions, TableCommand):
     def _print_agreement(self, agent: str, asked: QueryGraph) -> dict[str, Any]:
         from knowarm.experiment.agents import AGENTS  # imports torch, which takes seconds
 
-        known = [name for name, each in AGENTS.items() if each.knowledge.scope == "query"]
+        known = [name for name, each in AGENTS.items() if each.knows.scope == "query"]
         if agent not in known:
             raise unknown_name("agent with knowledge of queries", agent, known)
-        found = query_agreement(AGENTS[agent].knowledge, asked, run_seed=self.seed)
+        knows = cast(KnowledgeConfig, AGENTS[agent].knows)
+        found = query_agreement(knows, asked, run_seed=self.seed)
         shown = "undefined: all conditions are equally similar" if found is None else f"{found:.3f}"
         print(f"Rank correlation of similar vectors and common answers, {agent}: {shown}.")
         return {"agent": agent, "rank_correlation": found}

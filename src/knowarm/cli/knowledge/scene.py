@@ -106,7 +106,7 @@ class ProbeCommand(SceneOptions):
             columns = ["target", "the task's", "all objects'", "by guessing"]
             shares = [[n, s["task"], s["all"], s["guess"]] for n, s in found.recovered.items()]
             print_table("Share recovered by a linear probe", columns, shares)
-        elif not config.source.placebo and config.detail != "none":
+        elif not config.source.placebo:
             print("Nothing to recover: no object, colour or value describes two facets.")
         else:
             print("Nothing to recover: these numbers do not come from the facts about the objects.")

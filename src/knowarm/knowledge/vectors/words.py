@@ -235,11 +235,11 @@ class WordLookup:
             raise UserError(
                 f"No word of the label {part.label!r} (of {part.name!r}) is in {self.name}. "
                 "Give it another word, ",
-                Argument("knowledge.aliases", {part.label: "word"}),
+                Argument("knows.aliases", {part.label: "word"}),
                 ", or use ",
-                Argument("knowledge.on_missing", "skip"),
+                Argument("knows.on_missing", "skip"),
                 " or ",
-                Argument("knowledge.on_missing", "hash"),
+                Argument("knows.on_missing", "hash"),
                 ".",
             )
         return Found(np.empty((0, self.dim), np.float32), np.empty(0))

@@ -107,7 +107,7 @@ def _kind_of_input(task: TaskData) -> Verdict:
 def _privileged_uses(group: Group) -> list[str]:
     """List what the training used the simulator's state for, besides the reward."""
     run = group.runs[0]
-    return privileged_uses(run.settings["algorithm"]) + ["grounding"] * bool(run.config.grounding)
+    return privileged_uses(run.settings["algorithm"]) + ["grounding"] * run.config.knows.is_grounded
 
 
 def _overview(task: TaskData) -> DataTable:
@@ -120,7 +120,7 @@ def _overview(task: TaskData) -> DataTable:
             row |= {"slots": len(known.slots), "numbers": known.dim, "norm": known.norm}
             row |= {"constant": known.constant, "privileged": known.privileged, "note": known.note}
             if known.slots:
-                row |= {"source": known.config.source.short_name}
+                row |= {"source": known.source}
                 row |= {"coverage": known.coverage["share"]}
         rows.append(row)
     columns: list[str | Column] = [

@@ -1,0 +1,63 @@
+"""Answers of graphs to the questions of a task."""
+
+from collections.abc import Collection
+
+import numpy as np
+import torch
+
+from knowarm.errors import UserError
+from knowarm.knowledge import KnowledgeGraph
+from knowarm.knowledge.graph.terms import local_name
+from knowarm.knowledge.queries.queries import QueryGraph
+from knowarm.perception.images import QueryAnswers, query_answers
+from knowarm.questions import ObjectColour, Query, QuestionTable
+from knowarm.world.config import EnvConfig, questions_of
+
+
+def asked(env: EnvConfig) -> QuestionTable:
+    """Return the questions of a task, which must have some."""
+    table = questions_of(env)
+    if table is None:
+        raise UserError(
+            f"The task {env.task.kind_of()!r} has no queries that a graph could answer. Take a "
+            "run of the choose task."
+        )
+    return table
+
+
+def described(graph: KnowledgeGraph, names: Collection[str]) -> list[bool]:
+    """Return which names a graph describes."""
+    known = set(map(local_name, graph.entities))
+    return [local_name(name) in known for name in names]
+
+
+def answers_by(
+    graph: KnowledgeGraph,
+    env: EnvConfig,
+    facets: tuple[ObjectColour, ...],
+    *,
+    colours_only: bool = False,
+) -> np.ndarray:
+    """Return which of F facets answer each query of a task by a graph, (Q, F) bool.
+
+    Objects that the graph does not describe never answer. With ``colours_only`` no facts are known,
+    so that only a query's colour restricts the answers.
+    """
+    queries = asked(env).queries
+    if colours_only:
+        queries = tuple(Query(tuple(c for c in q.conditions if c.is_seen)) for q in queries)
+    known = np.array(described(graph, [name for name, _ in facets]))
+    answers = np.zeros((len(queries), len(facets)), bool)
+    shown = [facet for facet, is_known in zip(facets, known, strict=True) if is_known]
+    answers[:, known] = QueryGraph(graph, shown).answers(queries)
+    return answers
+
+
+def answers_in_training(
+    graph: KnowledgeGraph, env: EnvConfig, facets: tuple[ObjectColour, ...]
+) -> QueryAnswers:
+    """Return the answers of a graph for training; what is held out is not askable."""
+    answers = torch.from_numpy(QueryGraph(graph, facets).answers(asked(env).queries))
+    own = query_answers(env, facets)
+    assert own is not None
+    return own._replace(satisfies=answers, askable=answers & (own.askable | ~own.satisfies))

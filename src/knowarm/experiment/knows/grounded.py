@@ -1,0 +1,156 @@
+"""Knowledge as a grasp frame, which a network finds by a vector or by a graph's answers."""
+
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar
+
+import numpy as np
+
+from knowarm.errors import UserError
+from knowarm.experiment.knows.member import Control, Known, Reasoning
+from knowarm.experiment.knows.vectors import AboutQueries
+from knowarm.perception.config import GroundingConfig, ModuleSpec, Unclear
+from knowarm.questions import ObjectColour
+from knowarm.seeding import derive_seed
+from knowarm.world.config import EnvConfig
+
+if TYPE_CHECKING:  # These import torch, which reading a config does not need.
+    from knowarm.experiment.inputs import KnowledgeInput
+    from knowarm.knowledge import KnowledgeGraph
+    from knowarm.perception.grounding import GroundingNetwork
+    from knowarm.perception.images import DescribedGraph
+
+T = TypeVar("T", bound="Grounded")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grounded(AboutQueries):
+    """Base of the members whose policy receives the grasp frame that a network finds."""
+
+    has_module: ClassVar[bool] = True
+    is_grounded: ClassVar[bool] = True
+    grounding: GroundingConfig = field(default_factory=GroundingConfig)
+    """Training of the network, before the policy's."""
+
+    def module_type(self, agent: str) -> "type[GroundingNetwork]":
+        """As `Member.module_type`."""
+        from knowarm.perception.grounding import GroundingNetwork
+
+        return GroundingNetwork
+
+    def input_sizes(self, known: Known) -> tuple[int, int]:
+        """As `Member.input_sizes`: those of a grasp frame."""
+        from knowarm.perception.grounding import FRAME
+
+        return FRAME, 1
+
+    def train_module(self, env: EnvConfig, run_seed: int, **how: Any) -> "GroundingNetwork | None":
+        """As `Member.train_module`."""
+        from knowarm.perception.grounding_training import train_grounding
+
+        known = self.embed(env, run_seed)
+        assert known.embedding is not None
+        options: dict[str, Any] = {
+            "seed": run_seed,
+            "reads_facts": self.pooling == "facts",
+            "graphs": how.pop("graphs", None) or self.varied_graphs(env, run_seed),
+        }
+        slots = known.embedding.slots_per_row
+        return train_grounding(env, known.table, slots, self.grounding, **options, **how)
+
+    def described_by(
+        self, graph: "KnowledgeGraph", env: EnvConfig, run_seed: int
+    ) -> "DescribedGraph":
+        """Describe and answer the queries of training by a graph; what is held out stays so."""
+        from knowarm.experiment.answers import answers_in_training
+
+        facets = ModuleSpec.of(env, self.grounding).facets
+        known = self.embed(env, run_seed, graph=graph)
+        return known.table, answers_in_training(graph, env, facets)
+
+    def varied_graphs(self, env: EnvConfig, run_seed: int) -> "list[DescribedGraph]":
+        """Return what `GroundingConfig.graphs` counts: the own graph, and others; or nothing."""
+        from knowarm.knowledge.graph.builder import shuffle_tails
+
+        count, graph = self.grounding.graphs, self.read_graph()
+        seeds = (derive_seed(run_seed, "placebos", number) for number in range(count))
+        graphs = [graph, *(shuffle_tails(graph, seed) for seed in seeds)] if count else []
+        return [self.described_by(each, env, run_seed) for each in graphs]
+
+    def reasoning_by(self, reasoning: Reasoning | None, agent: str) -> "Grounded":
+        """As `Member.reasoning_by`."""
+        if reasoning is None:
+            return self
+        return self._as(GroundedVector if reasoning == "vector" else GraphAnswers)
+
+    def _as(self, kind: type[T]) -> T:
+        """Return a member of another kind with the same fields."""
+        names = [each.name for each in fields(self) if each.name != "kind"]
+        return kind(**{name: getattr(self, name) for name in names})
+
+
+@dataclass(frozen=True, kw_only=True)
+class GroundedVector(Grounded):
+    """Grasp frame of the object that a network finds in the image by the vector of the query."""
+
+    kind: Literal["grounded"] = "grounded"
+    """Tag in JSON."""
+
+    def check_module(self, module: Any, table: np.ndarray | None, agent: str) -> None:
+        """As `Member.check_module`: a network was trained with the same vectors."""
+        if module is None or table is None:
+            return
+        if not np.array_equal(module.knowledge.numpy(), table):
+            raise UserError(
+                "The given grounding network was trained with other knowledge of the queries than "
+                f"the agent {agent!r} has. Give one of the same agent and graph, or leave "
+                "perception out."
+            )
+
+    def input(
+        self, env: EnvConfig, run_seed: int, table: np.ndarray, module: Any, **how: Any
+    ) -> "KnowledgeInput":
+        """As `Member.input`."""
+        from knowarm.perception.grounding import FrameRecognition
+
+        return FrameRecognition(module, table)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraphAnswers(Grounded):
+    """Grasp frame of what answers the query by the graph, and a network finds by its name."""
+
+    answers_by_graph: ClassVar[bool] = True
+    keeps_agent: ClassVar[bool] = False
+    kind: Literal["answers"] = "answers"
+    """Tag in JSON."""
+
+    def answers(
+        self,
+        env: EnvConfig,
+        run_seed: int,
+        facets: tuple[ObjectColour, ...],
+        *,
+        graph: "KnowledgeGraph | None" = None,
+        control: Control | None = None,
+    ) -> np.ndarray:
+        """Return which of F facets answer each query by the graph, (Q, F) bool; see `input`."""
+        from knowarm.experiment.answers import answers_by
+        from knowarm.knowledge.graph.builder import shuffle_tails
+
+        graph = self.read_graph() if graph is None else graph
+        graph = self.source.change_graph(graph, self.source.draw_seed(self.seed, run_seed))
+        if control == "graph-shuffled":
+            graph = shuffle_tails(graph, derive_seed(run_seed, "placebos"))
+        return answers_by(graph, env, facets, colours_only=control == "colours")
+
+    def input(
+        self, env: EnvConfig, run_seed: int, table: np.ndarray, module: Any, **how: Any
+    ) -> "KnowledgeInput":
+        """As `Member.input`."""
+        from knowarm.perception.answering import AnswerGrounding
+
+        return AnswerGrounding(module, self.answers(env, run_seed, module.spec.facets, **how))
+
+    def options(self, unclear: Unclear, agent: str) -> dict[str, Any]:
+        """As `Member.options`."""
+        return {"unclear": unclear}

@@ -1,0 +1,199 @@
+"""Base of what an agent can know, and knowing nothing."""
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
+
+import numpy as np
+
+from knowarm.errors import UserError
+from knowarm.knowledge.config import Scope
+from knowarm.perception.config import Unclear
+from knowarm.policy.config import PolicyConfig
+from knowarm.world.config import EnvConfig, facets_of
+from knowarm.world.tasks.task import Task
+
+if TYPE_CHECKING:  # These import torch, which reading a config does not need.
+    from knowarm.experiment.inputs import KnowledgeInput
+    from knowarm.knowledge import Embedding, KnowledgeGraph
+    from knowarm.perception.module import PerceptionModule
+
+Reasoning = Literal["vector", "graph", "graph-shuffled", "colours"]
+"""What a grounding network is given of a query: its vector; the facets that answer it by the graph;
+as controls by a graph with permuted tails, or by the query's colour alone."""
+
+Control = Literal["graph-shuffled", "colours"]
+"""A reasoning that is a control of answers by the graph."""
+
+
+class Known(NamedTuple):
+    """What is known in a task."""
+
+    embedding: "Embedding | None"
+    """Slots of numbers and their origin; None for nothing."""
+    table: np.ndarray
+    """(rows, K) float32, one row per facet, or per query."""
+
+
+class Member:
+    """Base of the members of `Knows`: an agent without a module."""
+
+    scope: ClassVar[Scope]
+    """What a row of the table describes; see `Scope`."""
+    has_module: ClassVar[bool] = False
+    """Whether the agent has a perception module or a grounding network."""
+    is_grounded: ClassVar[bool] = False
+    """Whether the policy receives the grasp frame that a grounding network finds."""
+    answers_by_graph: ClassVar[bool] = False
+    """Whether that network is given answers of the graph instead of a vector."""
+    keeps_agent: ClassVar[bool] = True
+    """Whether the agent of the training plays tests that do not change what it knows."""
+
+    def fits(self, task: type[Task] | Task) -> bool:
+        """Return whether this describes something in a task."""
+        return self.scope in task.scopes
+
+    def embed(
+        self,
+        env: EnvConfig,
+        run_seed: int,
+        *,
+        graph: "KnowledgeGraph | None" = None,
+        trained: EnvConfig | None = None,
+    ) -> Known:
+        """Embed what is known in a task.
+
+        Args:
+            env: the task.
+            run_seed: seed of the training.
+            graph: in place of the own graph.
+            trained: the task of the training, if another one is tested.
+        """
+        raise NotImplementedError
+
+    def input_sizes(self, known: Known) -> tuple[int, int]:
+        """Return the numbers that the policy receives, and in how many equal slots."""
+        raise NotImplementedError
+
+    def policy(self, config: PolicyConfig) -> PolicyConfig:
+        """Return the choices of a policy that receives this."""
+        return config
+
+    @property
+    def rank(self) -> int:
+        """Place among members by how much of the objects is described; 0 for nothing."""
+        raise NotImplementedError
+
+    @property
+    def has_content(self) -> bool:
+        """Whether there is a vector that is not all zeros."""
+        raise NotImplementedError
+
+    def read_graph(self) -> "KnowledgeGraph | None":
+        """Read the graph; None for nothing."""
+        raise NotImplementedError
+
+    def is_of_graph(self, graph: str) -> bool:
+        """Return whether this is from a graph, or from none."""
+        raise NotImplementedError
+
+    def module_type(self, agent: str) -> "type[PerceptionModule]":
+        """Return the class of the module of the agent of this name."""
+        raise UserError(
+            f"Agent {agent!r} perceives nothing with a network of its own: leave perception "
+            "out, or take an agent with a perception module or a grounding network."
+        )
+
+    def check_module(
+        self, module: "PerceptionModule | None", table: np.ndarray | None, agent: str
+    ) -> None:
+        """Check that the module of a training fits, and its table unless that is None."""
+
+    def train_module(self, env: EnvConfig, run_seed: int, **how: Any) -> "PerceptionModule | None":
+        """Train the module before the policy; ``how`` as `train_grounding`, None if stopped."""
+        raise NotImplementedError
+
+    def input(
+        self,
+        env: EnvConfig,
+        run_seed: int,
+        table: np.ndarray,
+        module: Any,
+        *,
+        graph: "KnowledgeGraph | None" = None,
+        control: Control | None = None,
+    ) -> "KnowledgeInput":
+        """Return the input of the policy.
+
+        Args:
+            env: the task.
+            run_seed: seed of the training.
+            table: the knowledge table of the task.
+            module: the trained module, for members that have one.
+            graph: in place of the own graph.
+            control: of answers by a graph.
+        """
+        from knowarm.experiment.inputs import KnowledgeTable
+
+        return KnowledgeTable(table)
+
+    def reasoning_by(self, reasoning: Reasoning | None, agent: str) -> "Member":
+        """Return the same knowledge with another reasoning; None keeps the own one."""
+        if reasoning is not None:
+            raise UserError(
+                f"The agent {agent!r} has no grounding network, so reasoning cannot be chosen. "
+                "Leave reasoning out, or take a run such as zoo/irb120-choose-subgraph-fast."
+            )
+        return self
+
+    def options(self, unclear: Unclear, agent: str) -> dict[str, Any]:
+        """Return options of the agent."""
+        if unclear != "guess":
+            raise UserError(
+                f"unclear={unclear!r} is for agents that answer by a graph, and {agent!r} does "
+                "not. Leave it out, or reason by the graph."
+            )
+        return {}
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoKnowledge(Member):
+    """Nothing but the image (the paper's baseline)."""
+
+    scope: ClassVar[Scope] = "nothing"
+    kind: Literal["nothing"] = "nothing"
+    """Tag in JSON."""
+
+    def fits(self, task: type[Task] | Task) -> bool:
+        """As `Member.fits`: all."""
+        return True
+
+    def embed(self, env: EnvConfig, run_seed: int, **how: Any) -> Known:
+        """As `Member.embed`."""
+        rows = len(env.task.knowledge_rows(facets_of(env)))
+        return Known(None, np.zeros((rows, 0), np.float32))
+
+    def input_sizes(self, known: Known) -> tuple[int, int]:
+        """As `Member.input_sizes`."""
+        return 0, 1
+
+    def policy(self, config: PolicyConfig) -> PolicyConfig:
+        """As `Member.policy`."""
+        return replace(config, fusion="none")
+
+    @property
+    def rank(self) -> int:
+        """As `Member.rank`."""
+        return 0
+
+    @property
+    def has_content(self) -> bool:
+        """As `Member.has_content`."""
+        return False
+
+    def read_graph(self) -> None:
+        """As `Member.read_graph`."""
+        return
+
+    def is_of_graph(self, graph: str) -> bool:
+        """As `Member.is_of_graph`."""
+        return True
