@@ -156,7 +156,7 @@ def names_of(mode: str, groups: Collection[str]) -> list[str]:
 
 
 def pack(runs: Path, out: Path) -> None:
-    """Write one pack per set of changes and number of steps: ``<steps>-<name>.tar.gz``."""
+    """Write one pack per set of changes and number of steps: ``<steps>-<name>.tar.xz``."""
     for folder in sorted(runs.glob("*/*")):
         steps, name = int(folder.parent.name), folder.name
         seeds = sorted(int(path.name) for path in (folder / EXPERIMENT).iterdir())

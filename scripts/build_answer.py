@@ -299,7 +299,7 @@ def main() -> None:
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         folder = {
-            name: unpack_study(RESULTS / f"{name}.tar.gz", Path(temporary) / name)
+            name: unpack_study(RESULTS / f"{name}.tar.xz", Path(temporary) / name)
             for name in (*STUDIES, "a3c", "a3c-tuned", "fusions", "choose")
         }
         shares = RESULTS / "fusions.csv", RESULTS / "fusions-blind.csv"

@@ -91,15 +91,15 @@ def damaged_graph(table: Path) -> str:
 
 
 FIGURES: dict[str, tuple[Sequence[str], Callable[..., str]]] = {
-    "choose-curves.svg": (["choose.tar.gz"], choose_curves),
-    "reach-success.svg": (["answer.tar.gz", "paper.tar.gz"], reach_success),
-    "answers.svg": (["answers.tar.gz"], partial(answers, agent="choose-answers-fast")),
+    "choose-curves.svg": (["choose.tar.xz"], choose_curves),
+    "reach-success.svg": (["answer.tar.xz", "paper.tar.xz"], reach_success),
+    "answers.svg": (["answers.tar.xz"], partial(answers, agent="choose-answers-fast")),
     "answers-distil.svg": (
-        ["answers-distil.tar.gz"],
+        ["answers-distil.tar.xz"],
         partial(answers, agent="choose-answers-distil"),
     ),
     "families-answers.svg": (
-        ["families.tar.gz"],
+        ["families.tar.xz"],
         partial(answers, agent="families-answers-distil", splits=FAMILIES),
     ),
     "damaged-graph.svg": (["damaged-graph.csv"], damaged_graph),
@@ -113,7 +113,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             paths = [
                 unpack_study(RESULTS / source, Path(folder) / source)
-                if source.endswith(".tar.gz")
+                if source.endswith(".tar.xz")
                 else RESULTS / source
                 for source in sources
             ]

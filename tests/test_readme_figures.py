@@ -26,7 +26,7 @@ def test_figures_are_those_of_the_packs(pack, experiment, split, measure):
         rf"^\| `{experiment}`.*\| (.+) % \|$", (ROOT / "README.md").read_text(), re.M
     )
     shares = {}
-    with tarfile.open(ROOT / "docs/results" / f"{pack}.tar.gz") as file:
+    with tarfile.open(ROOT / "docs/results" / f"{pack}.tar.xz") as file:
         for member in file:
             found = re.search(rf"{experiment}/(\d)/evaluation/[a-z-]+-{split}/summary", member.name)
             if found:

@@ -98,7 +98,7 @@ def test_a_set_of_changes_is_packed_with_its_study(tmp_path, monkeypatch):
     monkeypatch.setattr("sys.argv", ["_", "pack", "--runs", str(runs), "--out", str(out)])
     a3c_changes.main()
     (file,) = out.iterdir()
-    assert file.name == "100-rewards_pixels.tar.gz"
+    assert file.name == "100-rewards_pixels.tar.xz"
     folder = unpack_study(file, tmp_path / "unpacked")
     study = open_study(folder)
     assert study == study_of("rewards_pixels", 100, [0, 1])

@@ -162,11 +162,11 @@ def test_a_run_goes_to_the_hub_and_back(hub, tmp_path):
 
 @pytest.mark.slow(8)
 def test_a_pack_is_shared_as_a_file(hub, tmp_path):
-    pack = tmp_path / "study.tar.gz"
+    pack = tmp_path / "study.tar.xz"
     pack.write_bytes(b"packed")
     assert hub("push", pack, "someone/study").returncode == 0
     assert hub("pull", "someone/study", "--to", tmp_path / "there").returncode == 0
-    assert (tmp_path / "there/study.tar.gz").read_bytes() == b"packed"
+    assert (tmp_path / "there/study.tar.xz").read_bytes() == b"packed"
 
 
 @pytest.mark.slow(8)

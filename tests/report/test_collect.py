@@ -123,7 +123,7 @@ def test_a_field_that_a_run_lacks_has_its_default(tmp_path):
 def test_what_is_no_run_folder_is_named(tmp_path):
     paths = study(tmp_path)
     (tmp_path / "empty").mkdir()
-    packed = tmp_path / "study.tar.gz"
+    packed = tmp_path / "study.tar.xz"
     packed.touch()
     found = collect([*paths, tmp_path / "empty", tmp_path / "nowhere", packed])
     assert "knowarm study unpack: left out" in named(found, packed)

@@ -43,7 +43,7 @@ def test_status_retry_stop_and_pack(capsys, tmp_path, finished, inline):
     assert main(["study", "stop", str(out)]) == 0
     assert "Nothing is running" in capsys.readouterr().out
     assert main(["study", "pack", str(out)]) == 0
-    assert main(["study", "unpack", f"{out}.tar.gz", "--out", str(tmp_path / "again")]) == 0
+    assert main(["study", "unpack", f"{out}.tar.xz", "--out", str(tmp_path / "again")]) == 0
     command = capsys.readouterr().out.partition("Report: knowarm ")[2].split()
     assert main(command) == 0
     assert (tmp_path / "again" / "report.html").exists()
@@ -59,7 +59,7 @@ def test_this_folder_is_packed_and_other_runs_are_named(capsys, tmp_path, finish
     monkeypatch.chdir(out)
     assert main(["study", "pack", "."]) == 0
     assert "Left out: irb120-bm-ppo/7 is no run of the study." in capsys.readouterr().out
-    assert (tmp_path / "tiny.tar.gz").is_file()
+    assert (tmp_path / "tiny.tar.xz").is_file()
 
 
 def test_a_shipped_name_is_never_a_folder(tmp_path, monkeypatch):

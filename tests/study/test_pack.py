@@ -1,7 +1,7 @@
-import gzip
 import hashlib
 import io
 import json
+import lzma
 import shutil
 import tarfile
 
@@ -21,15 +21,15 @@ pytestmark = pytest.mark.usefixtures("inline")
 
 @pytest.fixture
 def pack(finished, tmp_path):
-    file = tmp_path / "study.tar.gz"
+    file = tmp_path / "study.tar.xz"
     pack_study(finished, file)
     return file
 
 
 def test_the_report_of_a_pack_equals_that_of_the_study(finished, tmp_path, pack):
     copy = shutil.copytree(finished, tmp_path / "copy")
-    pack_study(copy, tmp_path / "copy.tar.gz")
-    assert (tmp_path / "copy.tar.gz").read_bytes() == pack.read_bytes()
+    pack_study(copy, tmp_path / "copy.tar.xz")
+    assert (tmp_path / "copy.tar.xz").read_bytes() == pack.read_bytes()
     out = unpack_study(pack, tmp_path / "unpacked")
     pages = [write_report([folder], folder / "report.html") for folder in (copy, out)]
     assert pages[0].read_bytes() == pages[1].read_bytes()
@@ -41,7 +41,7 @@ def test_the_report_of_a_pack_equals_that_of_the_study(finished, tmp_path, pack)
 
 
 def test_parts_can_be_left_out(finished, tmp_path, pack):
-    small = tmp_path / "small.tar.gz"
+    small = tmp_path / "small.tar.xz"
     pack_study(finished, small, leave_out=("policies", "episodes", "steps", "films"))
     assert small.stat().st_size < pack.stat().st_size / 2
     out = unpack_study(small, tmp_path / "small")
@@ -56,7 +56,7 @@ def test_a_perception_module_belongs_to_the_policies(finished, tmp_path):
     name = "irb120-bm-ppo/0/perception.safetensors"
     (copy / name).write_bytes(b"module")
     for leave_out, kept in (((), True), (("policies",), False)):
-        file = tmp_path / f"{kept}.tar.gz"
+        file = tmp_path / f"{kept}.tar.xz"
         pack_study(copy, file, leave_out=leave_out)
         assert (unpack_study(file, tmp_path / str(kept)) / name).exists() == kept
 
@@ -65,8 +65,8 @@ def test_the_missing_runs_of_an_unpacked_study_are_run(finished, tmp_path):
     """A pack of what is done can be completed elsewhere, with the result of the whole study."""
     part = shutil.copytree(finished, tmp_path / "part")
     shutil.rmtree(part / "irb120-bm-ppo" / "1")
-    pack_study(part, tmp_path / "part.tar.gz", leave_out=("policies", "steps", "films"))
-    out = unpack_study(tmp_path / "part.tar.gz", tmp_path / "unpacked")
+    pack_study(part, tmp_path / "part.tar.xz", leave_out=("policies", "steps", "films"))
+    out = unpack_study(tmp_path / "part.tar.xz", tmp_path / "unpacked")
     kept = out / "irb120-bm-ppo" / "0" / "metrics.csv"
     before = kept.stat().st_mtime_ns
     assert [each.state for each in run_study(open_study(out), out)] == ["done", "done"]
@@ -78,8 +78,8 @@ def test_the_missing_runs_of_an_unpacked_study_are_run(finished, tmp_path):
 def test_begun_runs_of_an_unpacked_study_are_not_run(finished, tmp_path):
     part = shutil.copytree(finished, tmp_path / "part")
     shutil.rmtree(part / "irb120-bm-ppo" / "1" / "evaluation")
-    pack_study(part, tmp_path / "part.tar.gz")
-    out = unpack_study(tmp_path / "part.tar.gz", tmp_path / "unpacked")
+    pack_study(part, tmp_path / "part.tar.xz")
+    out = unpack_study(tmp_path / "part.tar.xz", tmp_path / "unpacked")
     with pytest.raises(UserError, match=r"unpacked study.*irb120-bm-ppo/1.*remove the folders"):
         run_study(open_study(out), out)
     shutil.rmtree(out / "irb120-bm-ppo" / "1")
@@ -87,19 +87,19 @@ def test_begun_runs_of_an_unpacked_study_are_not_run(finished, tmp_path):
 
 
 def test_a_damaged_pack_is_refused(finished, tmp_path, pack):
-    content = gzip.decompress(pack.read_bytes())
-    (tmp_path / "cut.tar.gz").write_bytes(pack.read_bytes()[:5000])
-    (tmp_path / "changed.tar.gz").write_bytes(
-        gzip.compress(content.replace(b'"name": "tiny"', b'"name": "tinx"'))
+    content = lzma.decompress(pack.read_bytes())
+    (tmp_path / "cut.tar.xz").write_bytes(pack.read_bytes()[:5000])
+    (tmp_path / "changed.tar.xz").write_bytes(
+        lzma.compress(content.replace(b'"name": "tiny"', b'"name": "tinx"'))
     )
-    (tmp_path / "text.tar.gz").write_text("no archive")
+    (tmp_path / "text.tar.xz").write_text("no archive")
     for name, words in (
         ("cut", ""),
         ("changed", f"{STUDY_FILE} is missing or was changed"),
         ("text", ""),
     ):
         with pytest.raises(UserError, match=f"(is damaged|Cannot read).*{words}"):
-            unpack_study(tmp_path / f"{name}.tar.gz", tmp_path / name)
+            unpack_study(tmp_path / f"{name}.tar.xz", tmp_path / name)
         assert not (tmp_path / name).exists()
     with pytest.raises(UserError, match="exists"):
         unpack_study(pack, finished)
@@ -114,22 +114,22 @@ def tar_header(name: str, kind: bytes, size: int) -> bytes:
 @pytest.mark.parametrize("kind", [b"x", b"L", b"S", b"1", b"2", b"6"])
 def test_members_of_other_kinds_are_refused_before_they_are_read(tmp_path, kind):
     """The name, attributes or holes of such a member are read into memory as a whole."""
-    file = tmp_path / "hostile.tar.gz"
-    file.write_bytes(gzip.compress(tar_header("manifest.json", kind, 12 * 2**30)))
+    file = tmp_path / "hostile.tar.xz"
+    file.write_bytes(lzma.compress(tar_header("manifest.json", kind, 12 * 2**30)))
     with pytest.raises(UserError, match=r"manifest\.json is no regular file"):
         unpack_study(file, tmp_path / "out")
 
 
 def test_a_bomb_is_refused(tmp_path):
     """The manifest may state any size, but no pack expands to 250 times its own."""
-    file, size = tmp_path / "bomb.tar.gz", 200 * 2**20
+    file, size = tmp_path / "bomb.tar.xz", 200 * 2**20
     manifest = json.dumps({"bytes": {"a": size}, "sha256": {"a": "0"}}).encode()
-    with gzip.open(file, "wb") as pack:
+    with lzma.open(file, "wb") as pack:
         pack.write(tar_header("manifest.json", b"0", len(manifest)) + manifest.ljust(512, b"\0"))
         pack.write(tar_header("a", b"0", size))
     with pytest.raises(UserError, match="expands to more than 64 MiB"):
         unpack_study(file, tmp_path / "out")
-    assert [path.name for path in tmp_path.iterdir()] == ["bomb.tar.gz"]
+    assert [path.name for path in tmp_path.iterdir()] == ["bomb.tar.xz"]
 
 
 def write_pack(file, members, **manifest):
@@ -143,7 +143,7 @@ def write_pack(file, members, **manifest):
         "sha256": {member.name: hashlib.sha256(data).hexdigest() for member, data in members},
     }
     text = manifest.get("text", json.dumps(values | manifest)).encode()
-    with tarfile.open(file, "w:gz") as archive:
+    with tarfile.open(file, "w:xz") as archive:
         for member, data in [(tarfile.TarInfo("manifest.json"), text), *members]:
             member.size = len(data)
             archive.addfile(member, io.BytesIO(data))
@@ -175,21 +175,21 @@ def link(name: str, to: str) -> tarfile.TarInfo:
 def test_packs_of_strangers_write_only_what_their_manifest_states(
     tmp_path, members, manifest, words
 ):
-    write_pack(tmp_path / "hostile.tar.gz", members, **manifest)
+    write_pack(tmp_path / "hostile.tar.xz", members, **manifest)
     with pytest.raises(UserError, match=f"is damaged or of another format.*{words}"):
-        unpack_study(tmp_path / "hostile.tar.gz", tmp_path / "in" / "out")
-    assert [path.name for path in tmp_path.rglob("*")] == ["hostile.tar.gz", "in"]
+        unpack_study(tmp_path / "hostile.tar.xz", tmp_path / "in" / "out")
+    assert [path.name for path in tmp_path.rglob("*")] == ["hostile.tar.xz", "in"]
 
 
 def test_what_cannot_be_packed_is_refused(finished, tmp_path):
     with pytest.raises(UserError, match="holds no study"):
-        pack_study(tmp_path, tmp_path / "x.tar.gz")
-    with pytest.raises(UserError, match=r"\.tar\.gz"):
+        pack_study(tmp_path, tmp_path / "x.tar.xz")
+    with pytest.raises(UserError, match=r"\.tar\.xz"):
         pack_study(finished, tmp_path / "x.zip")
     long = shutil.copytree(finished, tmp_path / "long") / "irb120-bm-ppo" / "0" / "graphs" / "0a"
     long.mkdir(parents=True)
     (long / f"{'g' * 110}.ttl").write_text("")
     with pytest.raises(UserError, match="at most 100 characters"):
-        pack_study(tmp_path / "long", tmp_path / "x.tar.gz")
+        pack_study(tmp_path / "long", tmp_path / "x.tar.xz")
     with lock_folder(finished, remedy=""), pytest.raises(UserError, match="Stop it"):
-        pack_study(finished, tmp_path / "x.tar.gz")
+        pack_study(finished, tmp_path / "x.tar.xz")

@@ -17,7 +17,7 @@ NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
 @pytest.mark.slow
 def test_the_page_of_the_papers_table_is_made_from_its_pack(tmp_path, monkeypatch):
-    out = unpack_study(RESULTS / "paper.tar.gz", tmp_path / "paper")
+    out = unpack_study(RESULTS / "paper.tar.xz", tmp_path / "paper")
     states = [run.state for run in study_status(open_study(out), out)]
     assert "done" in states
     assert "failed" not in states

@@ -137,7 +137,7 @@ class Push:
     """Upload a run, a perception module or a packed study, with a model card."""
 
     path: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PATH")]
-    """Run folder, .safetensors module or .tar.gz pack."""
+    """Run folder, .safetensors module or .tar.xz pack."""
     repo_id: RepoId
     """Repository; it is made if there is none."""
     private: bool = False

@@ -261,7 +261,7 @@ class Pack(FolderCommand):
     """Write a study to one file to archive or share."""
 
     out: FilePath = None
-    """The file. Default: DIR.tar.gz."""
+    """The file. Default: DIR.tar.xz."""
     leave_out: tuple[Part, ...] = ()
     """Parts to leave out, to make it smaller."""
 
@@ -282,7 +282,7 @@ class Unpack:
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
     """What `knowarm study pack` wrote."""
     out: FilePath = None
-    """New folder. Default: the file's name without .tar.gz."""
+    """New folder. Default: the file's name without .tar.xz."""
 
     def run(self) -> None:
         """Write the folder."""

@@ -27,7 +27,7 @@ RUN_FILES = (
 CLIENTS = ("huggingface_hub", "httpx", "httpx2", "requests")
 """Packages whose errors are those of the Hub or of the connection."""
 
-FILES = (".safetensors", ".gz")
+FILES = (".safetensors", ".xz")
 """Kinds of single files that can be shared: a perception module, a packed study."""
 
 
@@ -35,7 +35,7 @@ def push_to_hub(path: Path | str, repo_id: str, *, private: bool = False) -> str
     """Upload a run, or a single file, to a repository of the Hub; return its address.
 
     Args:
-        path: a run folder, a ``.safetensors`` module or a packed study (``.tar.gz``).
+        path: a run folder, a ``.safetensors`` module or a packed study (``.tar.xz``).
         repo_id: ``owner/name``; the repository is made if there is none.
         private: whether a new repository is visible to its owner only.
 

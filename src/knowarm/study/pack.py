@@ -1,9 +1,9 @@
 """Packs: a study as one file with what its report needs, and digests of everything in it."""
 
-import gzip
 import hashlib
 import io
 import json
+import lzma
 import shutil
 import tarfile
 from collections.abc import Collection
@@ -23,7 +23,7 @@ from knowarm.study.status import FAILURE
 FORMAT = 1  # of the manifest
 EXPANSION = 250
 """How many times its size a pack may expand to, beyond `MAX_JSON`."""
-SUFFIX = ".tar.gz"
+SUFFIX = ".tar.xz"
 
 Part = Literal["policies", "episodes", "steps", "films"]
 """What a pack may leave out: the best policies; of evaluations the episodes, steps and images."""
@@ -81,9 +81,8 @@ def pack_study(out: Path, file: Path, *, leave_out: Collection[Part] = ()) -> in
     }
     with (
         replacing(file) as temporary,
-        temporary.open("wb") as raw,
-        gzip.GzipFile("", "wb", fileobj=raw, mtime=0) as zipped,
-        tarfile.open(fileobj=zipped, mode="w", format=tarfile.USTAR_FORMAT) as archive,
+        lzma.open(temporary, "wb", preset=9) as compressed,
+        tarfile.open(fileobj=compressed, mode="w", format=tarfile.USTAR_FORMAT) as archive,
     ):
         text = json.dumps(manifest, indent=2) + "\n"
         for name, data in ({PACKED: text.encode()} | contents).items():
@@ -115,7 +114,7 @@ def unpack_study(file: Path, out: Path) -> Path:
     try:
         with (
             reading(file, "Give an intact pack of a study, or another folder."),
-            gzip.open(file) as data,
+            lzma.open(file) as data,
             tarfile.open(fileobj=data, mode="r|", tarinfo=_RegularFile) as archive,
         ):
             temporary.mkdir(parents=True)
