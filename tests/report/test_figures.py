@@ -86,7 +86,7 @@ def test_a_scale_holds_what_it_was_fitted_to():
 
 
 def drawings():
-    line = Series(name="a<b", colour="c-blue", x=XS, y=XS, low=XS - 1, high=XS + 1)
+    line = Series(name="a<b", colour="c-blue", x=XS, y=XS, band=(XS - 1, XS + 1))
     gap = Series(name="gap", colour="c-grey", x=XS, y=np.array([1, np.nan, 2, 3.0]))
     empty = Series(name="none", colour="c-grey", x=XS, y=np.full(4, np.nan))
     one = Series(name="one", colour="c-grey", x=XS[:1], y=XS[:1])

@@ -10,7 +10,7 @@ import pytest
 
 from knowarm.errors import UserError
 from knowarm.report import write_report
-from knowarm.report.blocks import Column, cells
+from knowarm.report.blocks import Column
 from knowarm.report.charts import SUCCESS_AXIS
 from knowarm.report.collect import collect
 from knowarm.report.pages.knowledge import _other_conditions
@@ -159,9 +159,9 @@ def test_files_of_others_are_not_overwritten(tmp_path):
 
 def test_a_number_without_an_interval_is_shown_alone():
     column = Column("success", "success", "percent", interval=True)
-    several = _cell(column, cells("success", Interval(0.5, 0.25, 0.75)), Path())
+    several = _cell(column, Interval(0.5, 0.25, 0.75).named("success"), Path())
     assert several == '50.0 % <span class="ci">25.0 % to 75.0 %</span>'.replace(" %", "\u202f%")
-    assert "to" not in _cell(column, cells("success", Interval(0.5, 0.5, 0.5)), Path())
+    assert "to" not in _cell(column, Interval(0.5, 0.5, 0.5).named("success"), Path())
 
 
 def test_half_of_a_surrogate_pair_does_not_stop_the_report(tmp_path):

@@ -19,7 +19,7 @@ class Column:
     key: str  # name in the rows and in the CSV
     label: str  # heading, with the unit
     format: str = "text"  # key of `format.FORMATS`
-    interval: bool = False  # whether the rows also hold ``<key>_low`` and ``<key>_high``
+    interval: bool = False  # whether values may be intervals, whose ends are shown, too
     hint: str = ""  # explanation of the heading, one sentence
 
 
@@ -35,13 +35,6 @@ def column_of(key: str, label: str = "", *, interval: bool = True) -> Column:
     return Column(key, label or of.title, of.format, interval, of.about)
 
 
-def cells(key: str, interval: Interval | None) -> Row:
-    """Return the three cells of a table row that hold an interval."""
-    if interval is None:
-        return {key: None, f"{key}_low": None, f"{key}_high": None}
-    return interval.named(key)
-
-
 @dataclass(frozen=True, kw_only=True)
 class DataTable:
     """Rows under named columns; written as CSV beside the report."""
@@ -49,9 +42,23 @@ class DataTable:
     name: str  # stem of the CSV file; unique in a report
     title: str
     columns: Sequence[Column]  # columns, left to right
-    rows: Sequence[Row]  # values before formatting; ``_colour`` holds the palette class of a row
+    rows: Sequence[Row]  # values and intervals; ``_colour`` holds the palette class of a row
     sources: Sequence[Path] = ()  # files and folders that the numbers were computed from
     note: str = ""  # how the numbers were computed and what they do not show
+
+    @property
+    def flat_rows(self) -> list[Row]:
+        """Rows in which an interval is three numbers: ``<key>``, ``<key>_low``, ``<key>_high``."""
+        return [
+            {
+                name: number
+                for key, value in row.items()
+                for name, number in (
+                    value.named(key) if isinstance(value, Interval) else {key: value}
+                ).items()
+            }
+            for row in self.rows
+        ]
 
     def csv_columns(self) -> list[str]:
         """Return the names of the CSV's columns, in order."""
@@ -97,9 +104,7 @@ def row_of(task: TaskData, each: Evaluated, *keys: str) -> Row:
     """Return the row of an agent: its name, seeds and colour, and numbers of its summary."""
     seeds = None if isinstance(each, Reference) else len(each.evaluations)
     row: Row = {"agent": each.name, "seeds": seeds, "_colour": task.colours[each.name]}
-    for key in keys:
-        row |= cells(key, each.level(key))
-    return row
+    return row | {key: each.level(key) for key in keys}
 
 
 def files(evaluated: Iterable[Evaluated], name: str = "summary.json") -> list[Path]:

@@ -131,8 +131,7 @@ class Series:
     colour: str  # palette class
     x: np.ndarray  # (n,) float64, increasing
     y: np.ndarray  # (n,) float64; NaN where there is no value
-    low: np.ndarray | None = None  # (n,) lower end of the band, or None
-    high: np.ndarray | None = None  # (n,) upper end of the band, or None
+    band: tuple[np.ndarray, np.ndarray] | None = None  # (n,) its lower and upper end
     faint: Sequence[tuple[np.ndarray, np.ndarray]] = ()  # (x, y) of thin lines, one per seed
     dashed: bool = False  # whether the line is dashed, which distinguishes it without colour
     stairs: bool = False  # whether each value holds until the next x
@@ -147,8 +146,8 @@ def line_chart(
     low, high = float(xs.min()), float(xs.max())
     x = Scale(low, high, *box.x) if high > low else Scale(min(low, 0.0), max(high, 5.0), *box.x)
     if y_axis.range is None:
-        arrays = [a for s in series for a in (s.y, s.low, s.high, *(ys for _, ys in s.faint))]
-        y = fit(np.concatenate([a for a in arrays if a is not None]).tolist(), *box.y)
+        arrays = [a for s in series for a in (s.y, *(s.band or ()), *(ys for _, ys in s.faint))]
+        y = fit(np.concatenate(arrays).tolist(), *box.y)
     else:
         y = Scale(*y_axis.range, *box.y)
     return drawing(
@@ -172,9 +171,9 @@ def _line(series: Series, x: Scale, y: Scale) -> str:
     parts = []
     for xs, ys in series.faint:
         parts += [path(pixels(xs[p], ys[p]), class_="seed") for p in _gapless(xs, ys)]
-    if series.low is not None and series.high is not None:
-        for p in _gapless(series.x, series.low + series.high):
-            upper, lower = (pixels(series.x[p], end[p]) for end in (series.high, series.low))
+    if series.band is not None:
+        for p in _gapless(series.x, np.add(*series.band)):
+            lower, upper = (pixels(series.x[p], end[p]) for end in series.band)
             parts.append(band(upper, lower, class_="band"))
     for p in _gapless(series.x, series.y):
         points = pixels(series.x[p], series.y[p])

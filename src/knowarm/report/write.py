@@ -73,7 +73,7 @@ def _write_data(study: StudyData, pages: Sequence[Page], out: Path) -> None:
             with path.open("w", newline="", encoding="utf-8", errors="replace") as file:
                 writer = csv.writer(file, lineterminator="\n")
                 writer.writerow(table.csv_columns())
-                for row in table.rows:
+                for row in table.flat_rows:
                     writer.writerow([_raw(row.get(key), start) for key in table.csv_columns()])
     report: dict[str, Any] = {
         **{"format": FORMAT, "knowarm": version("knowarm")},
@@ -94,7 +94,7 @@ def _write_data(study: StudyData, pages: Sequence[Page], out: Path) -> None:
         report["tables"][table.name] = {
             **{"title": table.title, "note": table.note, "csv": f"{folder.name}/{table.name}.csv"},
             "sources": [_relative(path, start) for path in table.sources],
-            "rows": [{key: _plain(row.get(key), start) for key in keys} for row in table.rows],
+            "rows": [{key: _plain(row.get(key), start) for key in keys} for row in table.flat_rows],
         }
     write_json(out.with_suffix(".json"), report)
 

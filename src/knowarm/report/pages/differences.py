@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from knowarm.errors import UserError
-from knowarm.report.blocks import Block, Column, DataTable, Figure, Row, cells, table_of
+from knowarm.report.blocks import Block, Column, DataTable, Figure, Row, table_of
 from knowarm.report.charts import SUCCESS_AXIS, Series, percent_axis
 from knowarm.report.model import Evaluation, Group, TaskData
 from knowarm.report.pages.knowledge import forest_figure
@@ -88,7 +88,8 @@ def _comparison_row(claim: Claim) -> Row:
         "adjusted_p": claim.adjusted_p,
     }
     if compared := claim.comparison:
-        row |= cells("difference", compared.difference) | {
+        row |= {
+            "difference": compared.difference,
             "seeds": f"{compared.first_count} / {compared.second_count}",
             "effect_size": compared.effect_size,
             "p": compared.p_value,
@@ -109,11 +110,11 @@ def _scores(task: TaskData) -> DataTable:
         measures = (("mean", final, np.mean), ("iqm", final, iqm), ("area", speed, np.mean))
         for key, values, statistic in measures:
             if values.size > 1:
-                row |= cells(key, bootstrap(values, statistic))
+                row[key] = bootstrap(values, statistic)
             elif values.size:
                 row[key] = float(values[0])
         if group is not baseline and min(final.size, base.size) > 1:
-            row |= cells("improvement", probability_of_improvement(final, base))
+            row["improvement"] = probability_of_improvement(final, base)
         rows.append(row)
     columns: list[str | Column] = [
         *("agent", "seeds", Column("mean", "mean", "percent", interval=True)),
@@ -138,10 +139,10 @@ def _profile(task: TaskData) -> Figure | None:
             continue
         share, low, high = performance_profile(final, PROFILE_LEVELS)
         line = Series(name=group.name, colour=colour, x=PROFILE_LEVELS, y=share, stairs=True)
-        series.append(replace(line, low=low, high=high))
+        series.append(replace(line, band=(low, high)))
         for level, *values in np.transpose([PROFILE_LEVELS, share, low, high]).tolist():
-            row = {"agent": group.name, "level": level, "_colour": colour}
-            rows.append(row | cells("share", Interval(*values)))
+            row = {"agent": group.name, "level": level, "share": Interval(*values)}
+            rows.append(row | {"_colour": colour})
     if not series:
         return None
     name = f"Share of runs above each level of success on {task.title}"

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 
 from knowarm.experiment.agents import AGENTS
 from knowarm.report import format
-from knowarm.report.blocks import Block, Column, DataTable, Figure, Panel, Row, cells, table_of
+from knowarm.report.blocks import Block, Column, DataTable, Figure, Panel, Row, table_of
 from knowarm.report.charts import POINTS_AXIS
 from knowarm.report.collect import evaluation_sets
 from knowarm.report.diagrams import Dot, dot_chart
@@ -59,7 +59,7 @@ def _controls(task: TaskData, subject: Group, final: list[Claim], stem: str) -> 
             "verdict": claim.verdict,
         }
         if claim.comparison:
-            row |= cells("difference", claim.comparison.difference)
+            row["difference"] = claim.comparison.difference
         rows.append(row)
     columns: list[str | Column] = [
         *(Column("control", "agent"), "role", "about", "parameters"),
@@ -113,7 +113,7 @@ def _other_conditions(task: TaskData, subject: Group, stem: str) -> list[Block]:
             row: Row = {"label": name, "agent": group.name, "seeds": len(values)}
             row |= {"success": float(values.mean()), "_colour": task.colours[group.name]}
             if group is not subject and min(len(own), len(values)) > 1:
-                row |= cells("difference", welch(own, values).difference)
+                row["difference"] = welch(own, values).difference
             rows.append(row)
             sources += [evaluation.folder for evaluation in evaluations]
     if not rows:

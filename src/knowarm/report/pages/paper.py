@@ -16,7 +16,6 @@ from knowarm.report.blocks import (
     Panel,
     Row,
     Text,
-    cells,
     row_of,
     shared,
 )
@@ -115,7 +114,7 @@ def _row(task: TaskData, group: Group, published: Mapping[str, float]) -> Row:
     paper_base = published_result(task, _published()["baseline"])
     pair = (group, task.baseline)
     both = pair[0] is not pair[1] and all(each and learned(task, each) for each in pair)
-    row: Row = {"task": task.title} | row_of(task, group, "accuracy") | cells("best_step", own)
+    row: Row = {"task": task.title, "best_step": own} | row_of(task, group, "accuracy")
     row |= {"paper_accuracy": published["accuracy"], "paper_step": published["best_step"]}
     row |= {"saved": None, "paper_saved": None}
     if own and base and both:

@@ -15,7 +15,6 @@ from knowarm.report.blocks import (
     Panel,
     Row,
     Verdict,
-    cells,
     column_of,
     files,
     row_of,
@@ -123,9 +122,8 @@ def _by_type(task: TaskData, splits: Splits) -> Figure:
     for each in _all(splits):
         for kind in _types([each]):
             row = {"split": each.split, "type": kind} | row_of(task, each)
-            for key in ("choice", "success"):
-                row |= cells(key, each.level(key, "query_type", kind))
-            rows.append(row)
+            levels = {k: each.level(k, "query_type", kind) for k in ("choice", "success")}
+            rows.append(row | levels)
     first, asked = next(iter(splits.items()))
     by_name = {each.name: each for each in asked}
 

@@ -10,7 +10,6 @@ from knowarm.report.blocks import (
     Figure,
     Panel,
     Row,
-    cells,
     column_of,
     files,
     row_of,
@@ -42,13 +41,8 @@ def result_blocks(task: TaskData) -> list[Block]:
 
 def _table(task: TaskData) -> DataTable:
     lines = (*task.groups, *task.references)
-    rows = []
-    for each in lines:
-        row = row_of(task, each, *INTERVALS)
-        for column in PLAIN:
-            value = each.level(column.key)
-            row[column.key] = value.estimate if value else None
-        rows.append(row)
+    keys = (*INTERVALS, *(column.key for column in PLAIN))
+    rows = [row_of(task, each, *keys) for each in lines]
     first = next((evaluation for each in lines for evaluation in each.evaluations), None)
     columns = [
         *shared("agent", "seeds", "return_mean", PLAIN[0], "success", "accuracy", "success_wide"),
@@ -70,10 +64,8 @@ def _vision(task: TaskData) -> DataTable | None:
     minus = [name for name, entry in BLIND_AGENTS.items() if not entry.sees_nothing]
     for group in shown:
         row = row_of(task, group, "success", "vision_gain")
-        for name in BLIND_AGENTS:
-            row |= cells(name, group.level("success", "blind", name))
-        for name in minus:
-            row |= cells(f"minus {name}", group.level("difference", "blind", name))
+        row |= {name: group.level("success", "blind", name) for name in BLIND_AGENTS}
+        row |= {f"minus {name}": group.level("difference", "blind", name) for name in minus}
         rows.append(row)
     if not rows:
         return None
@@ -178,8 +170,8 @@ def part_panels(
         for group in groups:
             found, colour = value(group, name), task.colours[group.name]
             if found is not None:
-                row = {"part": name, "agent": group.name, "_colour": colour}
-                rows.append(row | cells("success", found))
+                row = {"part": name, "agent": group.name, "success": found, "_colour": colour}
+                rows.append(row)
                 dots.append(Dot(name=group.name, colour=colour, value=found))
         if dots:
             title = format.facet(name)

@@ -8,7 +8,7 @@ import numpy as np
 
 from knowarm.experiment.csv_log import training_seconds
 from knowarm.report import format
-from knowarm.report.blocks import Block, Column, DataTable, Figure, Panel, Row, cells, table_of
+from knowarm.report.blocks import Block, Column, DataTable, Figure, Panel, Row, table_of
 from knowarm.report.charts import (
     RETURN_AXIS,
     STEPS_AXIS,
@@ -20,7 +20,13 @@ from knowarm.report.charts import (
 )
 from knowarm.report.model import CONTROLS, Curve, Group, RunData, TaskData
 from knowarm.report.pages.paper import time_saved
-from knowarm.statistics import first_crossing, median_steps, restricted_mean_steps, trend
+from knowarm.statistics import (
+    Interval,
+    first_crossing,
+    median_steps,
+    restricted_mean_steps,
+    trend,
+)
 
 GRID = 48  # points of a drawn curve
 MOST_POINTS = 120  # of a single seed's curve
@@ -105,14 +111,12 @@ def group_series(group: Group, curves: Sequence[Curve], key: str, colour: str) -
     present = np.isfinite(table)
     counts = present.sum(axis=0)
     totals = np.where(present, table, 0.0).sum(axis=0)
-    low, high = _band(table, present) if len(curves) > 1 else (None, None)
     return Series(
         name=group.name,
         colour=colour,
         x=grid,
         y=np.divide(totals, counts, out=np.full(len(grid), np.nan), where=counts > 0),
-        low=low,
-        high=high,
+        band=_band(table, present) if len(curves) > 1 else None,
         faint=[_thinned(curve, key) for curve in curves],
         dashed=group.role in CONTROLS,
     )
@@ -144,9 +148,7 @@ def _add_rows(rows: dict[tuple[str, float], Row], line: Series, key: str) -> Non
         seeds = sum(bool(steps[0] <= x <= steps[-1]) for steps, _ in line.faint)
         first = {"agent": line.name, "seeds": seeds, "step": x, "_colour": line.colour}
         row = rows.setdefault((line.name, x), first)
-        row[key] = y
-        if line.low is not None and line.high is not None:
-            row |= {f"{key}_low": float(line.low[i]), f"{key}_high": float(line.high[i])}
+        row[key] = Interval(y, *(float(end[i]) for end in line.band)) if line.band else y
 
 
 def _thresholds(task: TaskData, groups: Sequence[Group]) -> DataTable:
@@ -166,7 +168,7 @@ def _thresholds(task: TaskData, groups: Sequence[Group]) -> DataTable:
             reached_by = f"{int(reached.sum())} of {len(reached)}"
             row = {"level": wanted, "agent": group.name, "reached": reached_by, "saved": saved}
             row |= {"median": middle, "median_low": low, "median_high": high}
-            rows.append(row | cells("mean", mean) | {"_colour": task.colours[group.name]})
+            rows.append(row | {"mean": mean, "_colour": task.colours[group.name]})
     columns: list[str | Column] = [
         *(
             Column("level", "success", "percent"),
