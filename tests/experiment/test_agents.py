@@ -69,7 +69,7 @@ QUERIES = [
         ("subgraph", ["query-onehot", "query-random", "subgraph-shuffled"]),
         ("reasoner", ["reasoner-shuffled"]),
         ("query-words", ["query-onehot", "query-random"]),
-        ("query-analogy", ["query-onehot", "query-random"]),
+        pytest.param("query-analogy", ["query-onehot", "query-random"], marks=pytest.mark.slow(28)),
     ],
 )
 def test_controls_of_knowledge_of_the_query(subject, content):

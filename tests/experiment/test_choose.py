@@ -16,7 +16,7 @@ from knowarm.experiment.conditions import SplitTest, Subject
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.graph_queries import GraphQueries
 from knowarm.experiment.load import load_agent
-from knowarm.experiment.names import experiment_config, experiment_names
+from knowarm.experiment.names import experiment_config, tasks_of
 from knowarm.experiment.run import Run
 from knowarm.world.agents import OracleAgent
 from knowarm.world.config import EnvConfig, questions_of
@@ -27,7 +27,7 @@ from tests.tiny import CHOOSE_ENV
 
 def test_the_image_marks_the_object_for_the_upper_bound_only() -> None:
     for name, agent in AGENTS.items():
-        if f"irb120-choose-{name}-fast" in experiment_names():
+        if "choose" in tasks_of(agent):
             config = experiment_config(f"irb120-choose-{name}-fast")
             assert isinstance(config.env.task, Choose)
             assert config.env.task.marked == (name == "mask")

@@ -19,7 +19,7 @@ from knowarm.experiment.conditions import (
 )
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.load import load_agent
-from knowarm.experiment.names import experiment_config, experiment_names
+from knowarm.experiment.names import experiment_config, tasks_of
 from knowarm.experiment.other_graphs import with_graph
 from knowarm.experiment.run import train
 from knowarm.knowledge.graph.builder import graph_of
@@ -35,7 +35,7 @@ from tests.tiny import CHOOSE, CHOOSE_ENV
 ASKED = [
     name
     for name, agent in AGENTS.items()
-    if agent.knows.scope == "query" and f"irb120-choose-{name}-fast" in experiment_names()
+    if agent.knows.scope == "query" and "choose" in tasks_of(agent)
 ]
 BRIEF = {"episodes": 60, "probes": (), "write": False}
 
