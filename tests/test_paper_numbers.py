@@ -13,7 +13,6 @@ from knowarm.experiment.config import InterimConfig
 from knowarm.experiment.evaluation import EvaluationConfig
 from knowarm.experiment.measures import WIDE_ANGLE_DEG
 from knowarm.experiment.names import experiment_config
-from knowarm.knowledge import scene_embedding
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.statistics import one_way_anova
 from knowarm.world.config import EnvConfig
@@ -248,11 +247,7 @@ def test_the_papers_analysis_of_variance():
 )
 def test_network_widths(experiment, knowledge, hidden):
     config = experiment_config(experiment)
-    facets = [("mug", "red"), ("bottle", "yellow"), ("cereal_box", "brown")]
-    if config.env.colours == "randomized":
-        facets += [("mug", "blue"), ("bottle", "purple"), ("cereal_box", "light_blue")]
-    embedding = scene_embedding(config.knows, facets)
-    assert embedding.dim == knowledge
+    assert config.knows.embed(config.env, 0).table.shape[1] == knowledge
     joints = 7 if experiment.startswith("tiago") else 6
     fusion = config.policy.fusion if knowledge else "none"
     shape = PolicyShape(joints=joints, knowledge_dim=knowledge)

@@ -48,7 +48,7 @@ def test_options_reach_the_scene(facets):
 @pytest.mark.parametrize("agent", KNOWLEDGE)
 def test_configs_survive_a_run_folder(agent):
     config = KNOWLEDGE[agent]
-    assert from_dict(KnowledgeConfig, to_dict(config)) == config
+    assert from_dict(type(config), to_dict(config)) == config
 
 
 def test_a_sentence_encoder_goes_through_the_same_door(monkeypatch, facets):

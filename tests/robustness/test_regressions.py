@@ -123,7 +123,7 @@ def test_damaged_provenance(tmp_path, policy):
 def test_an_over_long_path_of_a_runs_graph(tmp_path):
     run = RunFolder(shutil.copytree(ZOO / "irb120-full-fast", tmp_path / "run"))
     values = json.loads(run.config_path.read_text())
-    values["knowledge"]["graph"] = "a" * 5000
+    values["knows"]["graph"] = "a" * 5000
     run.config_path.write_text(json.dumps(values))
     with pytest.raises(UserError, match=r"Cannot read .*config\.json: File name too long"):
         run.config()
