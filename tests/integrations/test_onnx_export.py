@@ -16,24 +16,25 @@ pytest.importorskip("onnxscript")
 def test_onnx_runtime_takes_the_same_actions(tmp_path, fusion):
     assert fusion in FUSIONS  # the others concatenate
     policy = make_policy(fusion, actor_gain=20.0, pixel_shift=0.3, seed=4)
+    table = TABLE[:, : policy.knowledge_width]
     step = PolicyStep(policy)
     export_onnx(step, step.example(), tmp_path / "policy.onnx")
     session = onnxruntime.InferenceSession(tmp_path / "policy.onnx")
-    agent = PolicyAgent(policy, TABLE, greedy=True)
+    agent = PolicyAgent(policy, table, greedy=True)
     agent.reset(Still())
     image = inputs()[0].numpy()
     h, c = (s.numpy() for s in policy.initial_state(B))
     with torch.no_grad():
         expected, values, _ = policy.unroll(
             torch.from_numpy(image),
-            torch.from_numpy(TABLE[Still.rows]).expand(T, B, -1),
+            torch.from_numpy(table[Still.rows]).expand(T, B, -1),
             policy.initial_state(B),
             torch.tensor([[True] * B] + [[False] * B] * (T - 1)),
         )
     for t in range(T):
         given = {
             "image": image[t],
-            "knowledge": TABLE[Still.rows],
+            "knowledge": table[Still.rows],
             "h": h,
             "c": c,
             "episode_start": np.full(B, t == 0),
