@@ -104,9 +104,8 @@ class PerceivingVectorEnv(TorchArmVectorEnv):
     ) -> tuple[Tensor, dict[str, Any]]:
         """As `TorchArmVectorEnv.reset`; then computes the knowledge of the new episodes."""
         images, infos = super().reset(seed=seed, options=options)
-        mask = (options or {}).get("reset_mask")
-        fresh = self._everywhere if mask is None else torch.as_tensor(mask, device=self.device)
-        self._update(images, fresh)
+        mask = (options or {}).get("reset_mask", np.ones(self.num_envs, dtype=np.bool_))
+        self._update(images, torch.as_tensor(mask, device=self.device))
         return images, infos
 
     def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:

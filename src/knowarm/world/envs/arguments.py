@@ -16,7 +16,10 @@ def checked_actions(actions: ArrayLike, shape: tuple[int, int], levels: int) -> 
             f"actions must be integers of shape {shape} (environments, joints), got "
             f"{array.dtype} of shape {array.shape}."
         )
-    check_action_range(array, levels)
+    if array.min() < 0 or array.max() >= levels:
+        raise UserError(
+            f"actions must lie in 0 to {levels - 1}, got {array.min()} to {array.max()}."
+        )
     return array.astype(np.int64, copy=False)
 
 
@@ -36,14 +39,6 @@ def checked_steps(actions: ArrayLike, shape: tuple[int, int]) -> NDArray[np.floa
     return array.astype(np.float64)
 
 
-def check_action_range(actions: NDArray[Any], levels: int) -> None:
-    """Check that actions index one of the levels."""
-    if actions.min() < 0 or actions.max() >= levels:
-        raise UserError(
-            f"actions must lie in 0 to {levels - 1}, got {actions.min()} to {actions.max()}."
-        )
-
-
 def check_state(mine: dict[str, NDArray[Any]], state: dict[str, NDArray[Any]]) -> None:
     """Check that a state has arrays of the same names and shapes as the environment's own."""
     described = [
@@ -58,10 +53,10 @@ def check_state(mine: dict[str, NDArray[Any]], state: dict[str, NDArray[Any]]) -
 
 
 def masked_ids(mask: ArrayLike | None, num_envs: int) -> NDArray[np.intp]:
-    """Return the indices of a reset mask, all of them for None."""
+    """Return the indices of a reset mask, an array or a tensor; all of them for None."""
     if mask is None:
         return np.arange(num_envs)
-    array = np.asarray(mask)
+    array = np.asarray(mask.cpu() if hasattr(mask, "cpu") else mask)
     if array.shape != (num_envs,) or array.dtype != np.bool_ or not array.any():
         raise UserError(
             f"options['reset_mask'] must be a bool array of shape ({num_envs},) with at "

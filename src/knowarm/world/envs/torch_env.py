@@ -6,28 +6,25 @@ from typing import Any
 import numpy as np
 import torch
 from gymnasium import spaces
-from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 from torch import Tensor
 
 from knowarm.errors import UserError
 from knowarm.world.config import EnvConfig
-from knowarm.world.envs.arguments import check_action_range
+from knowarm.world.envs.base import BaseVectorEnv, draw_images
 from knowarm.world.envs.privileged import privileged_columns, privileged_state
-from knowarm.world.envs.running import RunningEpisodes
-from knowarm.world.envs.vector_env import describe, draw_images
-from knowarm.world.render.renderer import Renderer, make_renderer
-from knowarm.world.tasks.state import ACTION_LEVELS, nearest_levels
+from knowarm.world.tasks.state import nearest_levels
 from knowarm.world.tasks.teacher import COARSE_LEVELS, Teacher
 
 
-class TorchArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
+class TorchArmVectorEnv(BaseVectorEnv[Tensor]):
     """n environments as in ``ArmVectorEnv``, whose arguments and results are torch tensors.
 
     With the same seed it plays the same episodes. Environments that end are reset in the same
     step. Simulation and images are computed on the CPU, and the results are moved to ``device``;
-    on the CPU tensors share the memory of NumPy arrays.
+    on the CPU tensors share the memory of NumPy arrays. It has the attributes of ``ArmVectorEnv``.
 
     Observations are uint8 images (n, H, W, 3), new at every call. Infos are tensors (n,), or NumPy
     arrays of names such as "facet", named as those of ``ArmVectorEnv``; they are not to be
@@ -52,10 +49,6 @@ class TorchArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
 
     Attributes:
         device: where the tensors are.
-        running: the state of the episodes.
-        simulation: the physics.
-        renderer: draws the observations.
-        facets: as those of ``ArmVectorEnv``.
         privileged_columns: names of the D columns of the privileged state, with their meaning in
             `knowarm.world.envs.privileged.privileged_columns`.
         report_final_observations: whether these images are drawn; True until a trainer that does
@@ -76,18 +69,12 @@ class TorchArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         num_threads: int = 0,
         table: NDArray[np.float32] | None = None,
     ) -> None:
-        self.config = config
         self.device = torch_device(device)
-        self.scene, _ = describe(self, config, num_envs)
+        super().__init__(config, num_envs, num_threads)
         self.metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
         side = config.image_size
-        self.renderer: Renderer = make_renderer(self.scene, config, side, num_threads)
-        self.simulation = config.task.simulator(self.scene, num_envs, num_threads, config.dynamics)
-        shape = (num_envs, side, side, 3)
-        self._final_images = np.zeros(shape, dtype=np.uint8)
+        self._final_images = np.zeros((num_envs, side, side, 3), dtype=np.uint8)
         self._final_tensor = self._tensor(self._final_images)
-        self.running = RunningEpisodes(config, self.simulation)
-        self.facets = self.running.facets
         rows = len(config.task.knowledge_rows(self.facets))
         self._table = self._tensor(np.zeros((rows, 0), np.float32) if table is None else table)
         if len(self._table) != rows:
@@ -99,7 +86,6 @@ class TorchArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         self.report_final_observations = True
         self.report_privileged_state = False
         self._teacher: Teacher | None = None
-        self._everywhere = torch.ones(num_envs, dtype=torch.bool, device=self.device)
 
     @cached_property
     def observation_space(self) -> spaces.Box:  # type: ignore[override]
@@ -109,24 +95,9 @@ class TorchArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
         return space
 
     @property
-    def knowledge_input(self) -> Tensor:
-        """Row of the knowledge table for each current episode, (n,) int64: facet, or query."""
-        return self._tensor(self.running.knowledge_input)
-
-    @property
     def knowledge(self) -> Tensor:
         """What a policy knows in each current episode, (n, K) float32."""
         return self._table[self.knowledge_input]
-
-    @property
-    def joint_positions(self) -> Tensor:
-        """Current joint angles, (n, J) float64 [rad]."""
-        return self._tensor(self.simulation.joint_positions)
-
-    @property
-    def joint_targets(self) -> Tensor:
-        """Joint angles that the servos track, (n, J) float64 [rad]; actions add to them."""
-        return self._tensor(self.running.joint_targets)
 
     @property
     def privileged_state(self) -> Tensor:
@@ -172,27 +143,6 @@ class TorchArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
     def threshold_factor(self, factor: float) -> None:
         self.running.threshold_factor = factor
 
-    def reset(
-        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Tensor, dict[str, Any]]:
-        """Start a new episode in every environment, or in those of a mask.
-
-        Args:
-            seed: as in ``ArmVectorEnv.reset``.
-            options: "episodes", the ``Episodes`` (of NumPy arrays) to play instead of drawn ones,
-                one for each environment that is reset; "reset_mask", (n,) bool, the environments
-                to reset, a tensor or an array.
-
-        Raises:
-            UserError: a seed, mask or list of episodes of the wrong length.
-        """
-        options = dict(options or {})
-        if isinstance(mask := options.get("reset_mask"), Tensor):
-            options["reset_mask"] = mask.cpu().numpy()
-        self.running.reset(seed, options)
-        infos = self._metrics()
-        return self._draw(), infos | _masks(infos, self._everywhere)
-
     def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
         """Play one step in every environment.
 
@@ -207,7 +157,7 @@ class TorchArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
             UserError: actions of the wrong shape, dtype or device, or outside 0..6.
         """
         running, tensor = self.running, self._tensor
-        running.move(running.increments[self._checked(actions)])
+        self._move(self._checked(actions))
         outcome = running.outcome()
         reward, terminated, truncated = map(tensor, outcome)
         extra: dict[str, Any] = {}
@@ -216,56 +166,34 @@ class TorchArmVectorEnv(VectorEnv[Tensor, Tensor, Tensor]):
             extra = {"final_obs": self._final_tensor, "_final_obs": truncated}
         if self.report_privileged_state:
             extra["final_privileged_state"] = self.privileged_state
-        ended, mask = outcome.ended, tensor(outcome.ended)
-        final = infos = self._metrics()
-        extra |= {"final_info": final | _masks(final, mask), "_final_info": mask}
+        ended = outcome.ended
+        extra |= {"final_info": self._infos(ended), "_final_info": tensor(ended)}
         if ended.any():
             running.start_next(np.flatnonzero(ended))
-            infos = self._metrics()
-        infos = infos | _masks(infos, self._everywhere) | extra
-        return self._draw(), reward, terminated, truncated, infos
-
-    def get_state(self) -> dict[str, NDArray[Any]]:
-        """Copy all that determines the following steps, to the byte."""
-        return self.running.get_state()
-
-    def set_state(self, state: dict[str, NDArray[Any]]) -> None:
-        """Restore a state of ``get_state``, of an environment with the same config and n.
-
-        Raises:
-            UserError: the state belongs to another kind of environment.
-        """
-        self.running.set_state(state)
+        return self._observe(), reward, terminated, truncated, self._infos() | extra
 
     def _tensor(self, array: NDArray[Any]) -> Tensor:
         """Return an array as a tensor on the device; on the CPU of the same memory."""
         return torch.from_numpy(array).to(self.device)
 
+    def _out(self, array: NDArray[Any]) -> Any:
+        return array if array.dtype.kind == "U" else self._tensor(array)
+
+    def _observe(self) -> Tensor:
+        return self._tensor(draw_images(self.renderer, self.running))
+
     def _checked(self, actions: Tensor) -> NDArray[np.int64]:
-        """Return actions as an array; raises the errors of ``step``."""
+        """Return actions as an array; refuse those of another shape, dtype or device."""
         shape = (self.num_envs, self.scene.num_joints)
         given = type(actions).__name__
         if isinstance(actions, Tensor):
             if (actions.shape, actions.dtype, actions.device) == (shape, torch.int64, self.device):
-                array: NDArray[np.int64] = actions.cpu().numpy()
-                check_action_range(array, len(ACTION_LEVELS))
-                return array
+                return np.asarray(actions.cpu())
             given = f"{actions.dtype} of shape {tuple(actions.shape)} on {actions.device}"
         raise UserError(
             f"actions must be an int64 tensor of shape {shape} (environments, joints) on "
             f"{self.device}, got {given}."
         )
-
-    def _metrics(self) -> dict[str, Any]:
-        """Return the infos of the current state without masks, (n, ...) each."""
-        return {
-            name: values if values.dtype.kind == "U" else self._tensor(values)
-            for name, values in self.running.infos().items()
-        }
-
-    def _draw(self) -> Tensor:
-        """Draw all environments, into a new tensor."""
-        return self._tensor(draw_images(self.renderer, self.running))
 
     def _draw_final(self, truncated: NDArray[np.bool_]) -> None:
         """Draw the environments of a mask (n,) into their rows of the final images."""
@@ -296,8 +224,3 @@ def torch_device(name: str) -> torch.device:
             "CUDA_VISIBLE_DEVICES must not hide it; or use the CPU."
         )
     return torch.device("cuda", 0)
-
-
-def _masks(infos: dict[str, Any], mask: Tensor) -> dict[str, Tensor]:
-    """Return Gymnasium's mask of each info."""
-    return {f"_{name}": mask for name in infos}

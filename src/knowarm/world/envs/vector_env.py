@@ -4,24 +4,22 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space, iterate
 from numpy.typing import ArrayLike, NDArray
 
 from knowarm.errors import UserError
-from knowarm.world.config import EnvConfig, scene_of
-from knowarm.world.envs.arguments import check_state
-from knowarm.world.envs.interface import Action, Interface, Observe
-from knowarm.world.envs.running import RunningEpisodes
+from knowarm.world.config import EnvConfig
+from knowarm.world.envs.base import BaseVectorEnv, draw_images
+from knowarm.world.envs.interface import Action, Observe
 from knowarm.world.render.renderer import Renderer, make_renderer
-from knowarm.world.scene.scene import Scene
 
 RENDER_SIZE = 480  # Width and height of the images that ``render`` returns [px]
 Step = tuple[Any, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
 """Observations (n, ...), reward (n,), terminated (n,), truncated (n,) and infos."""
 
 
-class ArmVectorEnv(VectorEnv[Any, NDArray[Any], NDArray[Any]]):
+class ArmVectorEnv(BaseVectorEnv[NDArray[Any]]):
     """n environments in which an arm plays the episodes of a task (paper, section 3).
 
     Observations are uint8 images (n, H, W, 3), actions int64 (n, J) that index
@@ -63,53 +61,17 @@ class ArmVectorEnv(VectorEnv[Any, NDArray[Any], NDArray[Any]]):
         observe: Observe = "image",
         knowledge: ArrayLike | None = None,
     ) -> None:
-        self.config = config
-        self.scene, self._interface = describe(self, config, num_envs, action, observe, knowledge)
+        super().__init__(
+            config, num_envs, num_threads, action=action, observe=observe, knowledge=knowledge
+        )
         self.render_mode = render_mode
         self.metadata = {
             "render_modes": ["rgb_array"],
             "render_fps": 10,
             "autoreset_mode": AutoresetMode(autoreset),  # or its value
         }
-        self.simulation = config.task.simulator(self.scene, num_envs, num_threads, config.dynamics)
-        self.renderer: Renderer = make_renderer(self.scene, config, config.image_size, num_threads)
         self._large_renderer: Renderer | None = None
-        self.running = RunningEpisodes(config, self.simulation)
-        self.facets = self.running.facets
         self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self._ended = np.ones(num_envs, dtype=np.bool_)
-
-    @property
-    def joint_positions(self) -> NDArray[np.float64]:
-        """Current joint angles, (n, J) [rad]."""
-        return self.simulation.joint_positions
-
-    @property
-    def joint_targets(self) -> NDArray[np.float64]:
-        """Joint angles that the servos track, (n, J) [rad]; actions add to them."""
-        return self.running.joint_targets.copy()
-
-    @property
-    def knowledge_input(self) -> NDArray[np.int64]:
-        """Row of the knowledge table for each current episode, (n,): facet, or query."""
-        return self.running.knowledge_input
-
-    def reset(
-        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
-        """Start a new episode in every environment, or in those of a mask.
-
-        Args:
-            seed: stream of the first environment (the others follow), or one per environment;
-                None continues the current streams.
-            options: "episodes", the ``Episodes`` to play instead of drawn ones, one for each
-                environment that is reset; "reset_mask", (n,) bool, the environments to reset.
-
-        Raises:
-            UserError: a seed, mask or list of episodes of the wrong length.
-        """
-        self._ended[self.running.reset(seed, options)] = False
-        return self._observe(), self._infos()
 
     def step(self, actions: ArrayLike) -> Step:
         """Play one step in every environment; see Gymnasium's ``VectorEnv.step``.
@@ -159,7 +121,7 @@ class ArmVectorEnv(VectorEnv[Any, NDArray[Any], NDArray[Any]]):
         images = np.zeros((self.num_envs, side, side, 3), dtype=np.uint8)
         ids = np.flatnonzero(active)
         if len(ids):
-            images[ids] = self._render_images(ids)
+            images[ids] = draw_images(self.renderer, self.running, ids)
         return images, reward, terminated, truncated, self._infos()
 
     def render(self) -> tuple[NDArray[np.uint8], ...]:
@@ -170,21 +132,17 @@ class ArmVectorEnv(VectorEnv[Any, NDArray[Any], NDArray[Any]]):
 
     def get_state(self) -> dict[str, NDArray[Any]]:
         """Copy all that determines the following steps, to the byte."""
-        return self.running.get_state() | {"ended": self._ended.copy()}
+        return super().get_state() | {"ended": self._ended.copy()}
 
     def set_state(self, state: dict[str, NDArray[Any]]) -> None:
-        """Restore a state of ``get_state``, of an environment with the same config and n.
+        """Restore a state of ``get_state``; see `BaseVectorEnv.set_state`."""
+        # A torch environment resets all that have ended, and its state says nothing of them.
+        ended = state.get("ended", np.zeros(self.num_envs, dtype=np.bool_))
+        super().set_state({name: values for name, values in state.items() if name != "ended"})
+        self._ended = np.array(ended)
 
-        Raises:
-            UserError: the state belongs to another kind of environment.
-        """
-        check_state(self.get_state(), state)
-        self.running.set_state({name: values for name, values in state.items() if name != "ended"})
-        self._ended = np.array(state["ended"])
-
-    def _move(self, actions: ArrayLike) -> None:
-        running = self.running
-        running.move(self._interface.steps(actions, self.num_envs, running.increments))
+    def _out(self, array: NDArray[Any]) -> NDArray[Any]:
+        return array.copy()
 
     def _outcome(self) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
         """Return reward, terminated and truncated, (n,) each, which the caller may write into."""
@@ -192,20 +150,11 @@ class ArmVectorEnv(VectorEnv[Any, NDArray[Any], NDArray[Any]]):
         return outcome.reward, outcome.terminated.copy(), outcome.truncated
 
     def _observe(self, ids: NDArray[np.intp] | slice = slice(None)) -> Any:
-        images = self._render_images(ids)
+        images = draw_images(self.renderer, self.running, ids)
         if isinstance(self.single_observation_space, spaces.Box):
             return images
         joints, rows = self.joint_positions[ids], self.running.knowledge_input[ids]
         return self._interface.observe(images, joints, rows)
-
-    def _render_images(self, ids: NDArray[np.intp] | slice = slice(None)) -> NDArray[np.uint8]:
-        return draw_images(self.renderer, self.running, ids)
-
-    def _infos(self) -> dict[str, Any]:
-        """Copy the metrics of the current state, each with its mask."""
-        infos = {name: values.copy() for name, values in self.running.infos().items()}
-        masks = [f"_{name}" for name in infos]
-        return infos | dict.fromkeys(masks, np.ones(self.num_envs, dtype=np.bool_))
 
     def _final_infos(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
         """Return last observations and metrics where episodes ended, as Gymnasium defines them."""
@@ -225,32 +174,3 @@ class ArmVectorEnv(VectorEnv[Any, NDArray[Any], NDArray[Any]]):
             "final_info": final,
             "_final_info": ended.copy(),
         }
-
-
-def describe(
-    env: Any, config: EnvConfig, num_envs: int, *interface: Any
-) -> tuple[Scene, Interface]:
-    """Load the scene of a config and set the attributes that both vector environments have."""
-    if num_envs < 1:
-        raise UserError(f"num_envs must be at least 1, got {num_envs}.")
-    scene = scene_of(config)
-    described = Interface(config, scene.num_joints, *interface)
-    env.num_envs = num_envs
-    env.single_observation_space = described.observation_space
-    env.single_action_space = described.action_space
-    env.action_space = batch_space(env.single_action_space, num_envs)
-    return scene, described
-
-
-def draw_images(
-    renderer: Renderer, running: RunningEpisodes, env_ids: NDArray[np.intp] | slice = slice(None)
-) -> NDArray[np.uint8]:
-    """Draw environments of a task, (k, H, W, 3) uint8, a new array."""
-    simulator, shown = running.simulator, running.shown
-    return renderer.draw(
-        simulator.geom_position[env_ids],
-        simulator.geom_matrix[env_ids],
-        shown.rgba[env_ids],
-        None if shown.views is None else shown.views[env_ids],
-        None if shown.lamps is None else shown.lamps[env_ids],
-    )

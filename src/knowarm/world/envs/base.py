@@ -1,0 +1,118 @@
+"""Base of the vector environments: what they hold, and what they return in arrays or tensors."""
+
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+from gymnasium.vector import VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from knowarm.errors import UserError
+from knowarm.world.config import EnvConfig, scene_of
+from knowarm.world.envs.interface import Interface
+from knowarm.world.envs.running import RunningEpisodes
+from knowarm.world.render.renderer import Renderer, make_renderer
+
+ArrayT = TypeVar("ArrayT")
+"""What an environment returns: NumPy arrays or tensors."""
+
+
+class BaseVectorEnv(VectorEnv[Any, ArrayT, ArrayT], Generic[ArrayT]):
+    """n environments in which an arm plays the episodes of a task; see ``ArmVectorEnv``."""
+
+    def __init__(
+        self, config: EnvConfig, num_envs: int, num_threads: int, **interface: Any
+    ) -> None:
+        if num_envs < 1:
+            raise UserError(f"num_envs must be at least 1, got {num_envs}.")
+        self.config = config
+        self.num_envs = num_envs
+        self.scene = scene = scene_of(config)
+        self._interface = Interface(config, scene.num_joints, **interface)
+        self.single_observation_space = self._interface.observation_space
+        self.single_action_space = self._interface.action_space
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.renderer: Renderer = make_renderer(scene, config, config.image_size, num_threads)
+        self.simulation = config.task.simulator(scene, num_envs, num_threads, config.dynamics)
+        self.running = RunningEpisodes(config, self.simulation)
+        self.facets = self.running.facets
+        # Which episodes have ended and wait for a reset; all before the first reset
+        self._ended = np.ones(num_envs, dtype=np.bool_)
+
+    @property
+    def joint_positions(self) -> ArrayT:
+        """Current joint angles, (n, J) float64 [rad]."""
+        return self._out(self.simulation.joint_positions)
+
+    @property
+    def joint_targets(self) -> ArrayT:
+        """Joint angles that the servos track, (n, J) float64 [rad]; actions add to them."""
+        return self._out(self.running.joint_targets)
+
+    @property
+    def knowledge_input(self) -> ArrayT:
+        """Row of the knowledge table for each current episode, (n,) int64: facet, or query."""
+        return self._out(self.running.knowledge_input)
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Start a new episode in every environment, or in those of a mask.
+
+        Args:
+            seed: stream of the first environment (the others follow), or one per environment;
+                None continues the current streams.
+            options: "episodes", the ``Episodes`` to play instead of drawn ones, one for each
+                environment that is reset; "reset_mask", (n,) bool, the environments to reset, an
+                array or a tensor.
+
+        Raises:
+            UserError: a seed, mask or list of episodes of the wrong length.
+        """
+        self._ended[self.running.reset(seed, options)] = False
+        return self._observe(), self._infos()
+
+    def get_state(self) -> dict[str, NDArray[Any]]:
+        """Copy all that determines the following steps, to the byte."""
+        return self.running.get_state()
+
+    def set_state(self, state: dict[str, NDArray[Any]]) -> None:
+        """Restore a state of ``get_state``, of an environment with the same config and n.
+
+        Raises:
+            UserError: the state belongs to another kind of environment.
+        """
+        self.running.set_state(state)
+
+    def _out(self, array: NDArray[Any]) -> Any:
+        """Return an array as the environment returns it."""
+        raise NotImplementedError
+
+    def _observe(self) -> Any:
+        """Return the observations of all environments, new."""
+        raise NotImplementedError
+
+    def _infos(self, where: NDArray[np.bool_] | None = None) -> dict[str, Any]:
+        """Return the infos of the current state, each with its mask: ``where``, or everywhere."""
+        infos = {name: self._out(values) for name, values in self.running.infos().items()}
+        mask = self._out(np.ones(self.num_envs, dtype=np.bool_) if where is None else where)
+        return infos | dict.fromkeys([f"_{name}" for name in infos], mask)
+
+    def _move(self, actions: Any) -> None:
+        """Simulate one step of actions (n, J)."""
+        running = self.running
+        running.move(self._interface.steps(actions, self.num_envs, running.increments))
+
+
+def draw_images(
+    renderer: Renderer, running: RunningEpisodes, ids: NDArray[np.intp] | slice = slice(None)
+) -> NDArray[np.uint8]:
+    """Draw k environments, (k, H, W, 3) uint8, a new array."""
+    simulator, shown = running.simulator, running.shown
+    return renderer.draw(
+        simulator.geom_position[ids],
+        simulator.geom_matrix[ids],
+        shown.rgba[ids],
+        None if shown.views is None else shown.views[ids],
+        None if shown.lamps is None else shown.lamps[ids],
+    )
