@@ -98,8 +98,9 @@ def test_agents_with_knowledge_of_a_query_are_not_offered_for_reaching():
         experiment_config("irb120-full-ppo", knows={"kind": "query", "detail": "full"})
 
 
-def test_an_agent_of_the_user_has_no_registered_controls():
-    assert controls_of("mine", "content_control") == []
+@pytest.mark.parametrize("name", ["subgraph-similarity", "mine"])
+def test_other_fusions_and_agents_of_the_user_have_no_registered_controls(name):
+    assert controls_of(name, "content_control") == []
 
 
 def test_facts_need_a_network_that_reads_them():

@@ -1,7 +1,5 @@
 """Answer grounding: where the answers of a graph stand, how many are seen, and what a stop is."""
 
-import copy
-
 import numpy as np
 import pytest
 import torch
@@ -140,15 +138,6 @@ def test_a_query_selects_a_part_at_a_place(parted):
             features[one], labels, one, network.knowledge[query], asked.of(query)
         )
         torch.testing.assert_close(loss, -likelihood[row], rtol=1e-4, atol=1e-4)
-
-
-def test_a_copy_keeps_answers_and_weights(trained, labels):
-    module = AnswerGrounding(trained.network, answers_of(trained))
-    again = copy.deepcopy(module)
-    assert again.module.to_bytes() == trained.network.to_bytes()
-    with torch.no_grad():
-        found = [each(labels.images, labels.queries) for each in (module, again)]
-    assert torch.equal(*found)
 
 
 def test_an_agent_that_sees_no_answer_stays_or_guesses(trained):

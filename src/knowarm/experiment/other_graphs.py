@@ -4,7 +4,7 @@ import numpy as np
 
 from knowarm.config import override
 from knowarm.errors import UserError
-from knowarm.experiment.answers import asked, described
+from knowarm.experiment.answers import asked, described, no_queries
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.graph_queries import GraphQueries
 from knowarm.knowledge.formats import read_graph
@@ -67,12 +67,5 @@ def splits_of(env: EnvConfig) -> QuerySplits:
 def _source(env: EnvConfig) -> GraphQueries:
     source = env.task.query_source
     if not isinstance(source, GraphQueries):
-        raise _no_queries(env)
+        raise no_queries(env)
     return source
-
-
-def _no_queries(env: EnvConfig) -> UserError:
-    return UserError(
-        f"The task {env.task.kind_of()!r} has no queries that a graph could answer. Take a run of "
-        "the choose task."
-    )

@@ -38,9 +38,9 @@ from knowarm.experiment.csv_log import number_in, read_csv, writing
 from knowarm.experiment.summary import Summary
 from knowarm.knowledge.config import EmbeddingFacts
 from knowarm.knowledge.formats import SHIPPED
+from knowarm.perception.config import ModuleSpec
 from knowarm.perception.module import PerceptionModule, digest
 from knowarm.reading import read_arrays, read_json, reading, write_json
-from knowarm.world.config import facets_of
 
 FORMAT = 1
 """Version of the run folder's layout."""
@@ -312,7 +312,8 @@ def module_for_training(
             )
         module = stored
     if module is not None:
-        module.spec.check_fits(config.env, facets_of(config.env))
+        needed = ModuleSpec.of(config.env, module.spec.config)
+        module.spec.check_fits(config.env, needed.facets)
     return module
 
 

@@ -35,7 +35,7 @@ class Known(NamedTuple):
 
 
 class Member:
-    """Base of the members of `Knows`: an agent without a module."""
+    """Base of the members of `Knows`: an agent without a module, and without a graph."""
 
     scope: ClassVar[Scope]
     """What a row of the table describes; see `Scope`."""
@@ -72,7 +72,7 @@ class Member:
 
     def input_sizes(self, known: Known) -> tuple[int, int]:
         """Return the numbers that the policy receives, and in how many equal slots."""
-        raise NotImplementedError
+        return 0, 1
 
     def policy(self, config: PolicyConfig) -> PolicyConfig:
         """Return the choices of a policy that receives this."""
@@ -81,20 +81,20 @@ class Member:
     @property
     def rank(self) -> int:
         """Place among members by how much of the objects is described; 0 for nothing."""
-        raise NotImplementedError
+        return 0
 
     @property
     def has_content(self) -> bool:
         """Whether there is a vector that is not all zeros."""
-        raise NotImplementedError
+        return False
 
     def read_graph(self) -> "KnowledgeGraph | None":
         """Read the graph; None for nothing."""
-        raise NotImplementedError
+        return None
 
     def is_of_graph(self, graph: str) -> bool:
         """Return whether this is from a graph, or from none."""
-        raise NotImplementedError
+        return True
 
     def module_type(self, agent: str) -> "type[PerceptionModule]":
         """Return the class of the module of the agent of this name."""
@@ -172,28 +172,6 @@ class NoKnowledge(Member):
         rows = len(env.task.knowledge_rows(facets_of(env)))
         return Known(None, np.zeros((rows, 0), np.float32))
 
-    def input_sizes(self, known: Known) -> tuple[int, int]:
-        """As `Member.input_sizes`."""
-        return 0, 1
-
     def policy(self, config: PolicyConfig) -> PolicyConfig:
-        """As `Member.policy`."""
+        """As `Member.policy`: it has no fusion."""
         return replace(config, fusion="none")
-
-    @property
-    def rank(self) -> int:
-        """As `Member.rank`."""
-        return 0
-
-    @property
-    def has_content(self) -> bool:
-        """As `Member.has_content`."""
-        return False
-
-    def read_graph(self) -> None:
-        """As `Member.read_graph`."""
-        return
-
-    def is_of_graph(self, graph: str) -> bool:
-        """As `Member.is_of_graph`."""
-        return True
