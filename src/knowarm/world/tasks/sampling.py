@@ -6,7 +6,7 @@ integers. The hash is splitmix64's finalizer (Steele, Lea and Flood 2014) applie
 """
 
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol, Self
+from typing import Literal, NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +14,8 @@ from numpy.typing import NDArray
 from knowarm.arrays import Floats, Integers, Mask, Names
 from knowarm.errors import UserError
 from knowarm.questions import ObjectColour, number_parts
+from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.held_out import TRIES, HeldOut, allowed_colours, check_names, choose_places
-
-if TYPE_CHECKING:  # Configs are read where nothing else needs MuJoCo.
-    from knowarm.world.scene.scene import Scene
-
 
 Colours = Literal["fixed", "randomized"]
 
@@ -29,7 +26,7 @@ _TARGET, _X, _Y, _COLOUR = range(4)  # order of the first draws of an episode
 class Setting(NamedTuple):
     """What a task draws episodes from."""
 
-    scene: "Scene"
+    scene: Scene
     """Robot and objects."""
     colours: Colours
     """Always an object's first colour, or one of its colours drawn per episode."""

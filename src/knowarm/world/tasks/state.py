@@ -1,16 +1,13 @@
 """State of running episodes: the arrays from which tasks compute success, reward and infos."""
 
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.arrays import Floats, Integers, Mask, Names
-
-if TYPE_CHECKING:  # Configs are read where nothing else needs MuJoCo.
-    from knowarm.world.backend import MujocoSimulator
-    from knowarm.world.scene.scene import Scene
-
+from knowarm.world.backend import MujocoSimulator
+from knowarm.world.scene.scene import Scene, target_places
 
 ACTION_LEVELS = (0.0, 1.0, -1.0, 0.1, -0.1, 0.01, -0.01)
 """Joint increments of the seven actions, in units of MPI (paper, table 1)."""
@@ -21,7 +18,7 @@ def nearest_levels(steps: Floats, count: int = len(ACTION_LEVELS)) -> Integers:
     return np.abs(steps[..., None] - np.array(ACTION_LEVELS[:count])).argmin(axis=-1)
 
 
-SimulatorT = TypeVar("SimulatorT", bound="MujocoSimulator")
+SimulatorT = TypeVar("SimulatorT", bound=MujocoSimulator)
 """Class of a task's simulator."""
 
 
@@ -32,7 +29,7 @@ class EpisodeState(Generic[SimulatorT]):
     their owner must not write into them.
     """
 
-    scene: "Scene"  # Robot and objects
+    scene: Scene  # Robot and objects
     simulator: SimulatorT  # Physics of the n environments
     # (object, colour) names; objects in config order, colours in theirs
     facets: tuple[tuple[str, str], ...]
@@ -73,7 +70,5 @@ class EpisodeState(Generic[SimulatorT]):
 
     def grasp_positions(self, ids: NDArray[np.intp] | slice = slice(None)) -> Floats:
         """Compute the grasp points of the visible objects of k environments, (k, m, 3) [m]."""
-        positions = self.positions[ids]
-        height = np.full_like(positions[..., :1], self.scene.robot.support_height_m)
-        places = np.concatenate([positions, height], axis=-1)
+        places = target_places(self.scene, self.positions[ids])
         return np.asarray(places + self.scene.grasp_position[self.objects[ids]])

@@ -1,8 +1,8 @@
 """Task: what an episode is, what counts as success, what ends an episode, reward and infos."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, get_args, get_type_hints
+from typing import Any, ClassVar, get_args, get_type_hints
 
 from numpy.typing import NDArray
 
@@ -10,20 +10,16 @@ from knowarm.arrays import Floats, Integers, Mask
 from knowarm.errors import UserError
 from knowarm.measures import Measure
 from knowarm.questions import ObjectColour, QuestionTable
+from knowarm.world.backend import Dynamics, MujocoSimulator
+from knowarm.world.objects.target import Target
+from knowarm.world.robots.robot import Robot
+from knowarm.world.scene.scene import Scene, build_scene
+from knowarm.world.tasks.guides import Guide, ShortestWay, StraightApproach
 from knowarm.world.tasks.query_source import QuerySource
 from knowarm.world.tasks.reward import is_success, paper_reward
 from knowarm.world.tasks.sampling import Colours, ObjectSampler, OneObject, Setting
 from knowarm.world.tasks.state import EpisodeState
-
-if TYPE_CHECKING:  # Configs are read where nothing else needs MuJoCo.
-    from collections.abc import Sequence
-
-    from knowarm.world.backend import Dynamics, MujocoSimulator
-    from knowarm.world.objects.target import Target
-    from knowarm.world.robots.robot import Robot
-    from knowarm.world.scene.scene import Scene
-    from knowarm.world.tasks.guides import Guide
-    from knowarm.world.tasks.teacher import Teacher
+from knowarm.world.tasks.teacher import Teacher
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,35 +98,29 @@ class Task:
         return None
 
     @staticmethod
-    def build_scene(robot: "Robot", targets: "Sequence[Target]", distractors: int) -> "Scene":
+    def build_scene(robot: Robot, targets: Sequence[Target], distractors: int) -> Scene:
         """Build the scene of the task; by default objects have no physics."""
-        from knowarm.world.scene.scene import build_scene
-
         return build_scene(robot, targets, distractors)
 
     def simulator(
-        self, scene: "Scene", num_envs: int, num_threads: int, dynamics: "Dynamics"
-    ) -> "MujocoSimulator":
+        self, scene: Scene, num_envs: int, num_threads: int, dynamics: Dynamics
+    ) -> MujocoSimulator:
         """Make the physics of n environments with a scene of `build_scene`; 0 threads: all cores.
 
         Methods of the task find it in ``EpisodeState.simulator``, where its class is that of
         ``EpisodeState[ItsSimulator]``.
         """
-        from knowarm.world.backend import MujocoSimulator
-
         return MujocoSimulator(scene, num_envs, num_threads, dynamics)
 
-    def joint_names(self, robot: "Robot") -> tuple[str, ...]:
+    def joint_names(self, robot: Robot) -> tuple[str, ...]:
         """Name the joints of the actions of a robot, those of the scene."""
         return robot.joints
 
-    def teacher(self, state: EpisodeState) -> "Teacher":
+    def teacher(self, state: EpisodeState) -> Teacher:
         """Make what knows the actions that solve running episodes, for imitation."""
-        from knowarm.world.tasks.teacher import Teacher
-
         return Teacher(state)
 
-    def guide(self, state: EpisodeState, seed: int, straight: bool) -> "Guide":
+    def guide(self, state: EpisodeState, seed: int, straight: bool) -> Guide:
         """Make what guides scripted agents to the solution of running episodes.
 
         Args:
@@ -138,8 +128,6 @@ class Task:
             seed: of the solver of the inverse kinematics.
             straight: whether the way ends straight along the approach direction.
         """
-        from knowarm.world.tasks.guides import ShortestWay, StraightApproach
-
         return (StraightApproach if straight else ShortestWay)(state, seed)
 
     def sampler(self, setting: Setting) -> ObjectSampler:
@@ -182,7 +170,7 @@ class Task:
         return {}
 
     def goal(
-        self, scene: "Scene", objects: Integers, position: Floats, matrix: Floats
+        self, scene: Scene, objects: Integers, position: Floats, matrix: Floats
     ) -> tuple[Floats, Floats]:
         """Return the frame that the gripper has to reach in k episodes.
 

@@ -1,29 +1,25 @@
 """Lifting task: close the fingers at the grasp frame of a solid object and lift it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.config import above_zero, at_least
+from knowarm.world.backend import Dynamics
+from knowarm.world.objects.target import Target
+from knowarm.world.robots.robot import Robot
+from knowarm.world.scene.scene import Scene
+from knowarm.world.tasks.lift.model import LiftScene, build_lift_scene
+from knowarm.world.tasks.lift.simulator import LiftSimulator
+from knowarm.world.tasks.lift.teacher import LiftTeacher
 from knowarm.world.tasks.reward import SUCCESS_REWARD
 from knowarm.world.tasks.state import EpisodeState
 from knowarm.world.tasks.task import Task
 
-if TYPE_CHECKING:  # Configs are read where nothing else needs MuJoCo.
-    from collections.abc import Sequence
-
-    from knowarm.world.backend import Dynamics
-    from knowarm.world.objects.target import Target
-    from knowarm.world.robots.robot import Robot
-    from knowarm.world.scene.scene import Scene
-    from knowarm.world.tasks.lift.model import LiftScene
-    from knowarm.world.tasks.lift.simulator import LiftSimulator
-    from knowarm.world.tasks.lift.teacher import LiftTeacher
-
-State = EpisodeState["LiftSimulator"]
+State = EpisodeState[LiftSimulator]
 
 GRIP_REWARD, RISE_REWARD = 1.0, 4.0
 LOST_M = 0.15  # Way of the object along the support after which an episode ends
@@ -67,33 +63,26 @@ class Lift(Task):
         at_least(self, 1, "hold_steps", where="task.")
 
     @staticmethod
-    def build_scene(robot: "Robot", targets: "Sequence[Target]", distractors: int) -> "LiftScene":
+    def build_scene(robot: Robot, targets: Sequence[Target], distractors: int) -> LiftScene:
         """Build a scene with fingers that move and objects that can be pushed and lifted."""
-        from knowarm.world.tasks.lift.model import build_lift_scene
-
         return build_lift_scene(robot, targets, distractors)
 
     def simulator(
-        self, scene: "Scene", num_envs: int, num_threads: int, dynamics: "Dynamics"
-    ) -> "LiftSimulator":
+        self, scene: Scene, num_envs: int, num_threads: int, dynamics: Dynamics
+    ) -> LiftSimulator:
         """Make the physics of n environments with contacts."""
-        from knowarm.world.tasks.lift.model import LiftScene
-        from knowarm.world.tasks.lift.simulator import LiftSimulator
-
         assert isinstance(scene, LiftScene)
         return LiftSimulator(scene, num_envs, num_threads)
 
-    def joint_names(self, robot: "Robot") -> tuple[str, ...]:
+    def joint_names(self, robot: Robot) -> tuple[str, ...]:
         """Name the joints of the arm and the fingers, which move together."""
         return (*robot.joints, "fingers")
 
-    def teacher(self, state: State) -> "LiftTeacher":
+    def teacher(self, state: State) -> LiftTeacher:
         """Make what approaches, closes the fingers and lifts."""
-        from knowarm.world.tasks.lift.teacher import LiftTeacher
-
         return LiftTeacher(state)
 
-    def guide(self, state: State, seed: int, straight: bool) -> "LiftTeacher":
+    def guide(self, state: State, seed: int, straight: bool) -> LiftTeacher:
         """Make the teacher: there is no shorter way."""
         return self.teacher(state)
 
