@@ -63,18 +63,17 @@ def test_the_score_equals_the_kinematic_environment(robot, ignore_roll):
     score = OpenLoopScore(config, episodes)
     actions = np.random.default_rng(1).choice([0, 1, 1, 2, 3], size=(50, env.scene.num_joints))
     result = play(ListAgent(actions), env, episodes)
-    first = score.first_success(actions)
+    first, _ = score.play(actions)
     assert 0 < result.success.sum() < 60
-    np.testing.assert_array_equal(first < 50, result.success)
     np.testing.assert_array_equal(first[result.success] + 1, result.length[result.success])
-    assert score.count(first) == result.success.sum()
+    np.testing.assert_array_equal(score.is_solved(first), result.success)
     changed = actions.copy()
     changed[20:] = 0
-    again = score.first_success(changed, first, 20)
-    np.testing.assert_array_equal(again, score.first_success(changed))
-    half, solved = score.play_on(score.start, actions[:20], np.zeros(60, dtype=bool))
-    _, solved = score.play_on(half, actions[20:], solved)
-    np.testing.assert_array_equal(solved, result.success)
+    again, _ = score.play(changed, known=first, since=20)
+    np.testing.assert_array_equal(again, score.play(changed)[0])
+    early, half = score.play(actions[:20])
+    late, _ = score.play(actions[20:], half, np.where(score.is_solved(early), -1, 0))
+    np.testing.assert_array_equal(score.is_solved(late), result.success)
 
 
 @pytest.fixture
@@ -121,10 +120,8 @@ def test_a_list_is_read_from_the_cache_where_the_task_is_the_same(cached):
     search_open_loop(config, 31)
     search_open_loop(config, 30, 1)
     assert len(cached()) == 6
-    for damaged in (mine[:-1], mine + 7, mine.astype(np.int32)):
-        np.savez(file, actions=damaged)
-        np.testing.assert_array_equal(search_open_loop(config, 30), found)
-        search_open_loop.cache_clear()
+    file.write_bytes(file.read_bytes()[:100])
+    np.testing.assert_array_equal(search_open_loop(config, 30), found)
 
 
 def test_many_targets_are_searched_in_groups():

@@ -31,7 +31,7 @@ def cache_file(kind: str, *parts: object) -> Path:
 
 
 def read_arrays(file: Path) -> dict[str, NDArray[np.generic]] | None:
-    """Read a result; None if there is no whole file. Callers check names, types and shapes."""
+    """Read a result; None if there is no whole file."""
     try:
         with np.load(file, allow_pickle=False) as arrays:
             return dict(arrays)

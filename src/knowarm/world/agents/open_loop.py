@@ -7,7 +7,6 @@ before its score says anything about vision.
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,9 +69,8 @@ def search_open_loop(config: EnvConfig, budget: int = BUDGET, seed: int = 0) -> 
     score = OpenLoopScore(config, _episodes(config, SEARCH_EPISODES, seed))
     goal = _anchor_goals(score)
     file = cache_file("open-loop", REVISION, budget, seed, goal, *score.depends_on())
-    stored: NDArray[Any] | None = (read_arrays(file) or {}).get("actions")
-    if stored is not None and _is_list(stored, score):
-        return stored
+    if (stored := read_arrays(file)) is not None:
+        return stored["actions"].astype(np.int64)
     found = _search(score, _waypoints(score, goal, seed), budget, seed)
     write_arrays(file, {"actions": found})
     return found
@@ -101,14 +99,6 @@ def _best_replayed(config: EnvConfig, episodes: Episodes) -> Actions:
         if solved.sum() > most:
             best, most = actions, int(solved.sum())
     return best
-
-
-def _is_list(actions: NDArray[Any], score: OpenLoopScore) -> bool:
-    """Tell whether an array is a list of actions for the task."""
-    shape = (score.config.max_episode_steps, len(score.scene.robot.joints))
-    if actions.shape != shape or actions.dtype != np.int64:
-        return False
-    return bool((actions >= 0).all() and (actions < len(ACTION_LEVELS)).all())
 
 
 def _search(
@@ -192,10 +182,7 @@ def _search_tours(
                 if w == tour.last or spent >= budget:
                     continue
                 actions = _segment(score, middle, goal, limit - used)
-                end, solved = score.play_on(tour.joints, actions, tour.solved)
-                beams[used + len(actions)].append(
-                    _Tour(np.concatenate([tour.actions, actions]), end, solved, w)
-                )
+                beams[used + len(actions)].append(_extended(score, tour, actions, w))
                 spent += 1
         beams[used] = _best(score, beams[used], 1)
     lists = []
@@ -203,6 +190,12 @@ def _search_tours(
         rest = np.zeros((limit - len(tour.actions), score.scene.num_joints), dtype=np.int64)
         lists.append(np.concatenate([tour.actions, rest]))
     return lists, spent
+
+
+def _extended(score: OpenLoopScore, tour: _Tour, actions: Actions, last: int) -> _Tour:
+    """Play more actions (t, J) after a tour, to the waypoint ``last``."""
+    first, end = score.play(actions, tour.joints, np.where(tour.solved, -1, 0))
+    return _Tour(np.concatenate([tour.actions, actions]), end, score.is_solved(first), last)
 
 
 def _segment(
@@ -241,8 +234,7 @@ def _first_moves(score: OpenLoopScore) -> list[_Tour]:
             actions[:needed, j] = side
             steps = max(steps, needed)
         if 0 < steps <= limit // 2:
-            end, solved = score.play_on(start, actions[:steps], unsolved)
-            tours.append(_Tour(actions[:steps], end, solved, -1))
+            tours.append(_extended(score, tours[0], actions[:steps], -1))
     return tours
 
 
@@ -270,8 +262,8 @@ class _Climb:
     def __init__(self, score: OpenLoopScore, actions: Actions) -> None:
         self._score = score
         self._actions = self.best = actions
-        self._first = score.first_success(actions)
-        self._solved = self.best_solved = score.count(self._first)
+        self._first = score.play(actions)[0]
+        self._solved = self.best_solved = int(score.is_solved(self._first).sum())
         self._memory = [self._solved] * MEMORY
         self._trials = 0
 
@@ -282,8 +274,8 @@ class _Climb:
             differs = np.flatnonzero((candidate != self._actions).any(axis=1))
             if not len(differs):
                 continue
-            first = self._score.first_success(candidate, self._first, int(differs[0]))
-            solved = self._score.count(first)
+            first, _ = self._score.play(candidate, None, self._first, int(differs[0]))
+            solved = int(self._score.is_solved(first).sum())
             place = self._trials % MEMORY
             if solved >= min(self._solved, self._memory[place]):
                 self._actions, self._first, self._solved = candidate, first, solved

@@ -2,6 +2,7 @@
 
 import math
 from itertools import pairwise
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -15,6 +16,16 @@ from knowarm.world.scene.scene import Scene, target_places
 from knowarm.world.tasks.sampling import Episodes
 
 
+class Chain(NamedTuple):
+    """Kinematic chain of an arm with J joints."""
+
+    lower: Floats  # Lower limit of each joint [rad] (slides: [m]), (J,)
+    upper: Floats  # Upper limit of each joint, (J,)
+    links: Floats  # Transforms before each joint, at angle 0, and to the gripper, (J + 1, 3, 4)
+    slides: Mask  # Which joints slide along z; the others turn about z, (J,)
+    varied: int  # Number of the first joint from which all episodes have the same angles
+
+
 class OpenLoopScore:
     """Exact kinematics of E episodes that play the same list of actions, T steps of J joints."""
 
@@ -22,14 +33,12 @@ class OpenLoopScore:
         self.scene = scene = scene_of(config)
         self.config = config
         self.increments = joint_increments(scene.robot, config)
-        lower, upper = scene.joint_lower, scene.joint_upper
         self.target = episodes.target
-        self.start = np.clip(scene.home + episodes.joint_offsets, lower, upper)
+        start = scene.home + episodes.joint_offsets
+        self.start = np.clip(start, scene.joint_lower, scene.joint_upper)
         varied = np.flatnonzero(np.ptp(self.start, axis=0) > 0)
-        self._varied = int(varied[-1]) + 1 if len(varied) else 0
-        self._links, self._slides = _joint_chain(scene)
+        self._chain = _joint_chain(scene, int(varied[-1]) + 1 if len(varied) else 0)
         self._goal = self.goals(episodes.target, episodes.position)
-        self._cosine = float(np.cos(np.radians(config.success_angle_deg)))
 
     def goals(self, target: Integers, position: Floats) -> Floats:
         """Return the goal frames of targets at places (k, 2) [m] as transforms, (k, 3, 4)."""
@@ -41,65 +50,48 @@ class OpenLoopScore:
 
     def depends_on(self) -> tuple[object, ...]:
         """Return all that the score of a list of actions follows from: arrays and numbers."""
-        config, scene = self.config, self.scene
-        arrays = (scene.joint_lower, scene.joint_upper, self.increments, self._links, self._slides)
+        config = self.config
         thresholds = (config.success_distance_m, config.success_angle_deg, config.ignore_roll)
-        return (*arrays, self.start, self.target, self._goal, thresholds, config.max_episode_steps)
+        arrays = (*self._chain, self.increments, self.start, self.target, self._goal)
+        return (*arrays, thresholds, config.max_episode_steps)
 
-    def first_success(
-        self, actions: Integers, known: Integers | None = None, since: int = 0
-    ) -> Integers:
-        """Find the step at which actions (T, J) solve each episode, (E,); those never solved get T.
-
-        ``known`` is the result for a list that is equal before step ``since``; it saves time.
-        """
-        if known is None:
-            known = np.full(len(self.start), self.config.max_episode_steps)
-        return self._play(self.start, actions, known, since)[0]
-
-    def count(self, first: Integers) -> int:
-        """Count the episodes that a result of ``first_success`` solves."""
-        return int((first < self.config.max_episode_steps).sum())
-
-    def play_on(self, joints: Floats, actions: Integers, solved: Mask) -> tuple[Floats, Mask]:
-        """Play more actions (T, J) from joint angles (E, J) [rad] and solved episodes (E,).
-
-        Return both as they are after the actions.
-        """
-        first, end = self._play(joints, actions, np.where(solved, -1, 0), 0)
-        return end, first < self.config.max_episode_steps
-
-    def _play(
-        self, joints: Floats, actions: Integers, known: Integers, since: int
+    def play(
+        self,
+        actions: Integers,
+        joints: Floats | None = None,
+        known: Integers | None = None,
+        since: int = 0,
     ) -> tuple[Integers, Floats]:
-        """Play actions; episodes with ``known`` below ``since`` are solved and keep their step."""
+        """Play actions (T, J) from joint angles (E, J) [rad], by default those at the start.
+
+        Return the step that solves each episode, (E,), the time limit if none does, and the last
+        joint angles. Episodes whose ``known`` step, (E,), is before ``since`` keep it; in the
+        others no step before ``since`` solves.
+        """
+        config = self.config
         return _play(
-            joints,
+            self.start if joints is None else joints,
             self.increments[actions],
-            self.scene.joint_lower,
-            self.scene.joint_upper,
-            self._links,
-            self._slides,
-            self._varied,
+            self._chain,
             self._goal,
-            self.config.success_distance_m,
-            self._cosine,
-            self.config.ignore_roll,
-            known,
+            config.success_distance_m,
+            float(np.cos(np.radians(config.success_angle_deg))),
+            config.ignore_roll,
+            np.full(len(self.start), since) if known is None else known,
             since,
-            self.config.max_episode_steps,
+            config.max_episode_steps,
         )
+
+    def is_solved(self, first: Integers) -> Mask:
+        """Return which episodes a result of `play` solves, (E,)."""
+        return np.asarray(first < self.config.max_episode_steps)
 
 
 @njit(cache=True, error_model="numpy")
 def _play(
     joints: Floats,
     moves: Floats,
-    lower: Floats,
-    upper: Floats,
-    links: Floats,
-    slides: Mask,
-    varied: int,
+    chain: Chain,
     goal: Floats,
     distance_m: float,
     cosine: float,
@@ -113,6 +105,7 @@ def _play(
     Joints from number ``varied`` on have the same angles in every episode: their part of the chain
     is computed once per step. Angles come last, as most gripper positions are too far away.
     """
+    lower, upper, links, slides, varied = chain
     episodes, count = joints.shape
     steps = moves.shape[0]
     end = joints.copy()
@@ -186,12 +179,8 @@ def _carry(
         column[k] = link[k, 0] * x + link[k, 1] * y + link[k, 2] * z + link[k, 3] * shift
 
 
-def _joint_chain(scene: Scene) -> tuple[Floats, Mask]:
-    """Split the arm into constant transforms with a turn about z, or a slide along z, between.
-
-    Return the transforms before each joint, at angle 0, and that to the gripper, (J + 1, 3, 4);
-    and which joints are slides, (J,).
-    """
+def _joint_chain(scene: Scene, varied: int) -> Chain:
+    """Split the arm into constant transforms with a turn about z, or a slide along z, between."""
     model = scene.model
     joints = [model.joint(ROBOT_PREFIX + name).id for name in scene.robot.joints]
     data = mujoco.MjData(model)
@@ -202,7 +191,8 @@ def _joint_chain(scene: Scene) -> tuple[Floats, Mask]:
     tcp[:3, 3] = data.site_xpos[scene.tcp_site]
     frames = [np.eye(4), *(_axis_frame(data.xanchor[j], data.xaxis[j]) for j in joints), tcp]
     links = [(np.linalg.inv(a) @ b)[:3] for a, b in pairwise(frames)]
-    return np.stack(links), model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE
+    slides = model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE
+    return Chain(scene.joint_lower, scene.joint_upper, np.stack(links), slides, varied)
 
 
 def _axis_frame(anchor: Floats, axis: Floats) -> Floats:

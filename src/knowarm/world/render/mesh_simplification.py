@@ -45,7 +45,7 @@ def simplified(mesh: Mesh, side_m: float) -> Mesh:
         return mesh
     file = cache_file("meshes", REVISION, version("fast-simplification"), side_m, *mesh)
     found = read_arrays(file)
-    if found is not None and found.keys() == set(Mesh._fields):
+    if found is not None:
         return Mesh(**found)  # type: ignore[arg-type]
     result = _simplify(mesh, count, side_m)
     write_arrays(file, result._asdict())
