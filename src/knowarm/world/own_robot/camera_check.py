@@ -125,8 +125,5 @@ def _compare(
         ("rotation", turn, MAX_TURN_DEG, f"degrees off, {roll:+.1f} from level", remedy),
         ("field of view", wider, MAX_TURN_DEG, "degrees wider", remedy),
     )
-    checks = [
-        Check(name=n, ok=bool(abs(v) <= m), found=f"{v:z.1f} {u}", remedy=r * bool(abs(v) > m))
-        for n, v, m, u, r in rows
-    ]
+    checks = [Check(n, bool(abs(v) <= m), f"{v:z.1f} {u}", r) for n, v, m, u, r in rows]
     return checks if checks[0].ok else checks[:1]  # no camera sees these points

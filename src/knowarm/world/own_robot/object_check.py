@@ -14,7 +14,6 @@ from knowarm.world.config import EnvConfig
 from knowarm.world.own_robot.robot_check import (
     Check,
     check_reach,
-    check_result,
     check_visible,
     different_pixels,
 )
@@ -43,13 +42,13 @@ def check_objects(
         config = EnvConfig(robot=robot, task=task_type(task)(), targets=tuple(targets), **options)
         scene = load_scene(config.robot, config.targets, area=config.task.area)
     except UserError as error:
-        return [check_result("scene", False, str(error), "Correct the named field.")]
+        return [Check("scene", False, str(error), "Correct the named field.")]
     # From border to border of the rectangle, (P, 2) [m].
     line, centre = np.linspace(-1, 1, PLACES), scene.robot.rectangle_centre_m
     signed = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
     places = np.asarray(centre + signed * scene.robot.rectangle_half_size_m)
     found = f"{len(config.targets)} targets, {config.task.visible} per episode"
-    checks = [check_result("scene", True, found)]
+    checks = [Check("scene", True, found)]
     checks += [_check_reach(scene, config, k, places) for k in range(len(config.targets))]
     images, empty = _images(scene, config, places)
     remedy = "enlarge the object or move the camera nearer."
@@ -118,5 +117,5 @@ def _check_differences(images: list[tuple[str, Images]]) -> list[Check]:
         worst, pair = min(found, default=(np.inf, ""))
         shown = f"least for {pair}: {worst:.0f} pixels (median)" if found else nothing
         remedy = f"Fewer than {MIN_DIFFERENT}: {remedy}"
-        checks.append(check_result(f"any two {kind} differ", worst >= MIN_DIFFERENT, shown, remedy))
+        checks.append(Check(f"any two {kind} differ", worst >= MIN_DIFFERENT, shown, remedy))
     return checks

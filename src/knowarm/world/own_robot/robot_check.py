@@ -44,7 +44,7 @@ DIFFERENCE = 25
 """Change of a colour channel from which a pixel counts as showing the target, of 255."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass
 class Check:
     """Result of one check."""
 
@@ -52,6 +52,10 @@ class Check:
     ok: bool  # Whether the check passed
     found: str  # What was found, with numbers
     remedy: str = ""  # How to correct it; empty if the check passed
+
+    def __post_init__(self) -> None:
+        if self.ok:
+            self.remedy = ""
 
 
 def check_robot(
@@ -71,14 +75,14 @@ def check_robot(
     try:
         env = ArmVectorEnv(config, SAMPLES)
     except UserError as error:
-        return [check_result("scene", False, str(error), "Correct the named field.")]
+        return [Check("scene", False, str(error), "Correct the named field.")]
     scene = env.scene
     env.reset(options={"episodes": evaluation_episodes(config, SAMPLES, 0)})
     ranges = zip(scene.robot.joints, scene.joint_lower, scene.joint_upper, strict=True)
     joints = ", ".join(f"{name} [{low:.2f}, {high:.2f}]" for name, low, high in ranges)
     checks = [
-        check_result("scene", True, f"compiles, {scene.model.ngeom} geoms"),
-        check_result("joints", True, joints),
+        Check("scene", True, f"compiles, {scene.model.ngeom} geoms"),
+        Check("joints", True, joints),
         _check_gripper(env),
         _check_servos(env),
     ]
@@ -90,17 +94,12 @@ def check_robot(
     return checks
 
 
-def check_result(name: str, ok: bool, found: str, remedy: str = "") -> Check:
-    """Return a check, with the remedy only if it failed."""
-    return Check(name=name, ok=ok, found=found, remedy="" if ok else remedy)
-
-
 def _check_gripper(env: ArmVectorEnv) -> Check:
     """Check that at home the approach axis points down or ahead, not up."""
     position = env.simulation.tcp_position.mean(axis=0)
     approach = env.simulation.tcp_matrix[:, 2::3].mean(axis=0)
     above = position[2] > env.scene.robot.support_height_m
-    return check_result(
+    return Check(
         "gripper",
         bool(above and approach[2] < 0.5),
         f"starts at {np.round(position, 3).tolist()} m, approach (z) is "
@@ -118,7 +117,7 @@ def _check_servos(env: ArmVectorEnv) -> Check:
         env.step(generator.integers(len(ACTION_LEVELS), size=env.action_space.shape))
         lags.append(np.abs(env.joint_positions - env.joint_targets))
     lag = float(np.mean(lags, axis=(0, 1)).max())
-    return check_result(
+    return Check(
         "servos",
         lag < MAX_LAG_RAD,
         f"mean distance from target after a step at most {lag:.4f} rad per joint",
@@ -146,7 +145,7 @@ def check_agents(config: EnvConfig) -> Iterator[Check]:
     oracle = play(OracleAgent(env), env, episodes)
     share, steps = oracle.success.mean(), float(np.percentile(oracle.length, 75))
     most = LEARNABLE_SHARE * config.max_episode_steps
-    yield check_result(
+    yield Check(
         "way to the grasps",
         bool(share >= MIN_ORACLE and steps <= most),
         f"inverse kinematics succeeds in {100 * share:.0f} % of {SAMPLES} episodes, three quarters "
@@ -156,7 +155,7 @@ def check_agents(config: EnvConfig) -> Iterator[Check]:
     )
     fixed = OpenLoopAgent(search_open_loop(config, BLIND_BUDGET))
     blind = play(fixed, env, episodes).success.mean()
-    yield check_result(
+    yield Check(
         "without looking",
         bool(blind <= MAX_BLIND),
         f"the best of {BLIND_BUDGET:,} fixed lists of actions solves {100 * blind:.0f} %",
@@ -192,7 +191,7 @@ def check_reach(
             f"{angle:.0f} deg; {np.median(steps[missed]):.0f} steps of at most {most:.0f}; "
             f"{100 * solution.contact[missed].mean():.0f} % in contact): {remedy}"
         )
-    return check_result(
+    return Check(
         f"reach of {scene.targets[target].name}",
         share >= MIN_REACHABLE,
         f"{100 * share:.0f} % of {len(places)} positions reachable in time and without contact",
@@ -222,7 +221,7 @@ def check_visible(name: str, shown: NDArray[Any], hidden: NDArray[np.int16], rem
     """Check the number of pixels in which images with an object differ from those without."""
     pixels = different_pixels(shown, hidden)
     few = float(np.percentile(pixels, 5))
-    return check_result(
+    return Check(
         f"{name} in the image",
         few >= MIN_PIXELS,
         f"in {np.median(pixels):.0f} pixels (median), {few:.0f} (5th percentile)",
