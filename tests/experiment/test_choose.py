@@ -34,14 +34,6 @@ def test_the_image_marks_the_object_for_the_upper_bound_only() -> None:
             assert agent.task == ({"marked": True} if name == "mask" else {})
 
 
-def test_the_knowledge_table_has_a_row_per_query() -> None:
-    told = build(experiment_config("irb120-choose-query-onehot-fast", env=CHOOSE_ENV))
-    nothing = build(experiment_config("irb120-choose-bm-fast", env=CHOOSE_ENV))
-    assert told.table.shape == (49, 50)
-    assert nothing.table.shape == (49, 0)
-    assert len(np.unique(told.table, axis=0)) == 49
-
-
 def test_a_task_may_change_the_settings_of_an_algorithm(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -8,15 +8,6 @@ from knowarm.errors import UserError
 from knowarm.experiment import run_folder
 from knowarm.experiment.csv_log import CsvLog, read_csv
 from knowarm.experiment.run_folder import RunFolder
-from knowarm.reading import write_json
-
-
-def test_a_run_folder_is_created_once(tmp_path):
-    folder = RunFolder.create(tmp_path / "x" / "0")
-    write_json(folder.config_path, {"format": 1})
-    with pytest.raises(UserError, match="resume=True"):
-        RunFolder.create(folder.path)
-    assert RunFolder.open(folder.path).config() == {"format": 1}
 
 
 def test_the_commit_of_another_project_is_not_taken_for_the_packages(tmp_path, monkeypatch):

@@ -32,7 +32,6 @@ from websockets.sync.client import connect
 from websockets.sync.server import serve
 
 from knowarm.integrations.serve import (
-    MOST_BYTES,
     MOST_CONNECTIONS,
     Client,
     PolicyServer,
@@ -206,15 +205,6 @@ def assert_serves(parts, server):
     with client(server) as connection:
         connection.recv()
         assert unpack(ask(connection, observation(parts)))["actions"].shape == (1, 6)
-
-
-def test_too_large_messages_close_the_connection(parts, server):
-    with client(server) as connection:
-        connection.recv()
-        with pytest.raises(ConnectionClosed) as closed:
-            ask(connection, b"\0" * (MOST_BYTES + 1))
-        assert closed.value.rcvd.code == 1009
-    assert_serves(parts, server)
 
 
 def test_a_message_of_a_gigabyte_is_refused_by_its_header(parts, server):

@@ -127,9 +127,10 @@ def test_a_marked_image_answers_for_the_marked_object_only(config, network, labe
     assert means_others
     with torch.no_grad():
         others, own = torch.tensor(means_others), labels.queries[5:6]
+        features = network.features(labels.images[row])
         for queries, is_asked in ((others, False), (own, True)):
             known = network.knowledge[queries]
-            loss = network.losses(labels, row, known, answers.of(queries))[0]
+            loss = network.place_loss(features, labels, row, known, answers.of(queries))
             assert (loss > 0) == is_asked
 
 
@@ -140,9 +141,11 @@ def test_the_losses_are_those_of_a_plain_loop(config, network, labels):
     column = {facets.index(facet): number for number, facet in enumerate(table.facets)}
     errors, named, frames = [], [], []
     with torch.no_grad():
-        place, naming, frame = network.losses(
-            labels, rows, network.knowledge[queries], answers.of(queries)
+        features = network.features(labels.images[rows])
+        place = network.place_loss(
+            features, labels, rows, network.knowledge[queries], answers.of(queries)
         )
+        naming, frame = network.recognition_losses(features, labels, rows)
         for row in rows.tolist():
             features = network.encoder.features(labels.images[row][None])
             shown = [column[facet] for facet in labels.facets[row].tolist()]

@@ -98,16 +98,3 @@ def test_steps_and_unrolls_equal_plain_layers(joints, knowledge, pixels):
         torch.testing.assert_close(logits, expected[0][t], **close)
         torch.testing.assert_close(values, expected[1][t], **close)
     torch.testing.assert_close(state, expected[2], **close)
-
-
-@torch.no_grad()
-def test_the_fully_connected_layer_ends_with_a_relu():
-    policy = Policy(PolicyConfig(fusion="none"), PolicyShape(joints=6))
-    policy.fc.weight.zero_()
-    state, start = policy.initial_state(1), torch.ones(1, dtype=torch.bool)
-    image, knowledge = torch.zeros(1, 64, 64, 3, dtype=torch.uint8), torch.zeros(1, 0)
-    results = []
-    for bias in (-1.0, -9.0, 0.0, 1.0):
-        policy.fc.bias.fill_(bias)
-        results.append(policy.step(image, knowledge, state, start)[1].item())
-    assert results[0] == results[1] == results[2] != results[3]

@@ -138,7 +138,6 @@ def ever_within(result: EpisodeResults, distance_m: float, angle_deg: float) -> 
 
     Until an episode meets the wider threshold, both thresholds give the same steps.
     """
-    assert result.steps is not None
     steps = result.steps
     near = (steps.distance <= distance_m) & (steps.angle <= angle_deg)
     within = result.success.copy()
@@ -168,7 +167,6 @@ def lift_columns(result: EpisodeResults, scene: Scene, episodes: Episodes) -> di
 
 def step_values(result: EpisodeResults) -> dict[str, np.ndarray]:
     """Return the columns of ``steps.parquet``, (steps,) each."""
-    assert result.steps is not None
     steps = result.steps
     values = (steps.episode, steps.step, steps.distance, steps.angle, steps.reward)
     columns = dict(zip(STEP_COLUMNS, values, strict=True))

@@ -170,6 +170,13 @@ def tcp_position(scene: Scene, joints: NDArray[np.float64]) -> NDArray[np.float6
     return data.site_xpos[scene.tcp_site].copy()
 
 
+def start_spread(scene: Scene) -> NDArray[np.float64]:
+    """Return how far start poses are from home, at most, (J,) [rad]; 0 for joints at home."""
+    moved = np.isin(np.arange(scene.num_joints), scene.robot.start_joints)
+    half_range = (scene.joint_upper - scene.joint_lower) / 2
+    return np.where(moved, scene.robot.start_fraction * half_range, 0.0)
+
+
 def workspace(scene: Scene) -> NDArray[np.float64]:
     """Return lower and upper corner, (2, 3) [m], of a box around start poses and grasp points.
 
@@ -180,12 +187,12 @@ def workspace(scene: Scene) -> NDArray[np.float64]:
     signs = np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)])
     corners = target_places(scene, centre + signs * half)
     points = [corners[None] + scene.grasp_position[:, None]]
-    spread = robot.start_fraction * (scene.joint_upper - scene.joint_lower) / 2
+    spread, moved = start_spread(scene), list(robot.start_joints)
     grid = np.linspace(-1, 1, 5)
-    offsets = np.stack(np.meshgrid(*[grid] * len(robot.start_joints)), -1)
-    for factors in offsets.reshape(-1, len(robot.start_joints)):
+    offsets = np.stack(np.meshgrid(*[grid] * len(moved)), -1)
+    for factors in offsets.reshape(-1, len(moved)):
         start = scene.home.copy()
-        start[list(robot.start_joints)] += factors * spread[list(robot.start_joints)]
+        start[moved] += factors * spread[moved]
         points.append(tcp_position(scene, start.clip(scene.joint_lower, scene.joint_upper))[None])
     every = np.concatenate([each.reshape(-1, 3) for each in points])
     box = np.stack([every.min(0) - WORKSPACE_MARGIN_M, every.max(0) + WORKSPACE_MARGIN_M])
@@ -194,18 +201,14 @@ def workspace(scene: Scene) -> NDArray[np.float64]:
 
 
 def _joints(scene: Scene, increments: NDArray[np.float64]) -> dict[str, Any]:
-    robot = scene.robot
-    spread = np.zeros(scene.num_joints)
-    started = list(robot.start_joints)
-    spread[started] = (robot.start_fraction * (scene.joint_upper - scene.joint_lower) / 2)[started]
     return {
-        "robot": robot.name,
-        "names": robot.joints,
+        "robot": scene.robot.name,
+        "names": scene.robot.joints,
         "unit": "rad (slides: m)",
         "lower": scene.joint_lower.tolist(),
         "upper": scene.joint_upper.tolist(),
         "home": scene.home.tolist(),
-        "start_offset": spread.tolist(),
+        "start_offset": start_spread(scene).tolist(),
         "mpi": float(increments.max()),
         "increments": increments.tolist(),
         "command": "position target: previous target + increments[action], clipped to the limits",

@@ -88,31 +88,21 @@ class _Writer:
 
     def _play(self, agent: AgentProtocol, chunk: Episodes) -> list[tuple[str, dict[str, Any]]]:
         """Play up to n episodes; return the text and the columns of each."""
-        env, count = self.env, len(chunk)
-        found: list[dict[str, list[Any]]] = [
-            {name: [] for name in (IMAGE, STATE, ACTION, LEVELS, "next.reward", "next.success")}
-            for _ in range(count)
-        ]
-        before: tuple[Any, Any] | None = None
-        texts: list[str] = []
+        env = self.env
+        rows: list[list[tuple[Any, ...]]] = [[] for _ in range(len(chunk))]
+        texts, images, joints = [""], np.array([]), np.array([])
         for moment in play_steps(agent, env, chunk):
-            if before is None:
-                texts = [env.running.instruct(i) for i in range(count)]
+            if moment.actions is None:  # before the first step
+                texts = [env.running.instruct(i) for i in range(len(chunk))]
             else:
-                assert moment.actions is not None
+                values = images, joints, env.joint_targets, moment.actions, moment.reward
                 for i in np.flatnonzero(moment.played):
-                    values = (
-                        before[0][i],
-                        before[1][i],
-                        env.joint_targets[i],
-                        moment.actions[i],
-                        moment.reward[i],
-                        bool(moment.infos["is_success"][i]),
-                    )
-                    for column, value in zip(found[i].values(), values, strict=True):
-                        column.append(value)
-            before = moment.images, env.joint_positions
-        return list(zip(texts, found, strict=True))
+                    success = bool(moment.infos["is_success"][i])
+                    rows[i].append((*(each[i] for each in values), success))
+            images, joints = moment.images, env.joint_positions
+        names = (IMAGE, STATE, ACTION, LEVELS, "next.reward", "next.success")
+        columns = (dict(zip(names, zip(*each, strict=True), strict=True)) for each in rows)
+        return list(zip(texts, columns, strict=True))
 
     def _write_file(self, played: list[tuple[str, dict[str, Any]]], file: int) -> None:
         """Write the frames of some episodes to one data file, one row group per episode."""

@@ -179,11 +179,9 @@ def known_in_episode(agent: PolicyAgent, image: np.ndarray) -> dict[str, np.ndar
         return {}
     images = torch.as_tensor(image[None])
     given = agent.recognize(images) if agent.knowledge is None else agent.knowledge
-    found = {"knowledge": given[0]}
-    recognition: Recognition | None = agent.recognition
-    if recognition is None:
-        return {"knowledge": given[0].numpy()}
-    scores = recognition.place_scores(images, recognition.of_rows(agent.rows))
+    found, scores = {"knowledge": given[0]}, None
+    if (recognition := agent.recognition) is not None:
+        scores = recognition.place_scores(images, recognition.of_rows(agent.rows))
     if scores is not None:
         share = scores[0].softmax(0)
         found["recognition"] = share.reshape(round(len(share) ** 0.5), -1)

@@ -158,24 +158,13 @@ class GroundingNetwork(PerceptionModule):
         """Return the numbers of grasp frames (..., 9) with positions (..., 3) and axes (..., 6)."""
         return torch.cat(((position - self.position_mean) / self.position_std, axes), -1)
 
-    def goal_frames(self, episodes: EpisodeState, ids: NDArray[np.int64]) -> Tensor:
-        """Return the goal frames of episodes (n,) by the simulator, as of `frames`: (n, 9)."""
-        axes = episodes.goal_matrix[ids].reshape(-1, 3, 3)[..., [0, 2]].swapaxes(-1, -2)
-        numbers = (episodes.goal_position[ids], axes.reshape(-1, 6))
-        return self.standardized(*(torch.from_numpy(each).to(self.knowledge) for each in numbers))
-
     def forward(self, images: Tensor, knowledge: Tensor) -> Tensor:
         """Predict the grasp frames (n, 9) of what queries with knowledge (n, K) mean."""
         features = self.encoder.features(images)
-        cell = self._scores(features, knowledge).argmax(1)
+        cell = self.cell_scores(features, knowledge).argmax(1)
         return self.frames(features, cell[:, None])[:, 0]
 
-    def place_scores(self, images: Tensor, knowledge: Tensor) -> Tensor:
-        """Score the places of images (n, H, W, 3) for queries with knowledge (n, K), (n, P)."""
-        scores = self._scores(self.encoder.features(images), knowledge)
-        return scores.unflatten(1, (-1, self.parts)).amax(2)
-
-    def _scores(self, features: Tensor, knowledge: Tensor) -> Tensor:
+    def cell_scores(self, features: Tensor, knowledge: Tensor) -> Tensor:
         """Compare the keys of the cells with the knowledge of queries (n, K): (n, cells)."""
         return (self.keys(features) * self.project_queries(knowledge)[:, None]).sum(2)
 
@@ -183,28 +172,6 @@ class GroundingNetwork(PerceptionModule):
         """Compute the encoder's features, with its convolutions in bfloat16 if asked for."""
         with torch.autocast("cpu", torch.bfloat16, enabled=bfloat16):
             return self.encoder.features(images)
-
-    def losses(
-        self,
-        labels: LabelledImages,
-        rows: Tensor,
-        knowledge: Tensor,
-        answers: QueryAnswers,
-        *,
-        bfloat16: bool = False,
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """Compute the losses of places, names and grasp frames for queries on some images.
-
-        Args:
-            labels: images and their labels.
-            rows: (n,) int64, images.
-            knowledge: (q, K) float32, of the queries.
-            answers: to these queries, among the facets of the network.
-            bfloat16: for convolutions and keys.
-        """
-        features = self.features(labels.images[rows], bfloat16)
-        place = self.place_loss(features, labels, rows, knowledge, answers, bfloat16=bfloat16)
-        return place, *self.recognition_losses(features.float(), labels, rows)
 
     def place_loss(
         self,
@@ -219,7 +186,15 @@ class GroundingNetwork(PerceptionModule):
         """Compute the cross-entropy of the places of the objects that queries mean.
 
         An image counts for the queries that the task may have for one of its objects and that mean
-        no other one. Arguments as `losses`, and the features of the images.
+        no other one.
+
+        Args:
+            features: of n images.
+            labels: images and their labels.
+            rows: (n,) int64, the images.
+            knowledge: (q, K) float32, of the queries.
+            answers: to these queries, among the facets of the network.
+            bfloat16: for the keys.
         """
         facets = labels.facets[rows]
         cells = self.cells(place_of(labels.pixels[rows], self.spec.image_size), facets)
@@ -265,11 +240,15 @@ class FrameRecognition(Recognition):
 
     def true_knowledge(self, episodes: EpisodeState, ids: NDArray[np.int64]) -> Tensor:
         """As `Recognition.true_knowledge`: the goal frame."""
-        return self.module.goal_frames(episodes, ids)
+        axes = episodes.goal_matrix[ids].reshape(-1, 3, 3)[..., [0, 2]].swapaxes(-1, -2)
+        numbers = (episodes.goal_position[ids], axes.reshape(-1, 6))
+        network = self.module
+        return network.standardized(*(torch.from_numpy(x).to(network.knowledge) for x in numbers))
 
     def place_scores(self, images: Tensor, knowledge: Tensor) -> Tensor:
         """As `Recognition.place_scores`."""
-        return self.module.place_scores(images, knowledge)
+        scores = self.module.cell_scores(self.module.encoder.features(images), knowledge)
+        return scores.unflatten(1, (-1, self.module.parts)).amax(2)
 
 
 class Standardize(nn.Module):

@@ -79,7 +79,7 @@ def train_grounding(
         env: a task with queries.
         knowledge: (Q, K) float32, one row of ``slots`` equal parts per query.
         slots: number of parts.
-        config: images, rounds and losses (`GroundingNetwork.losses`).
+        config: images, rounds and weights of the losses.
         seed: of the run; ``config.seed`` goes first.
         reads_facts: as `GroundingNetwork`.
         graphs: describe and answer the queries in place of the task's; a gradient step takes one.
@@ -106,7 +106,9 @@ def train_grounding(
         return torch.from_numpy(table)[rows], known.of(rows)
 
     def everything(labels: LabelledImages, rows: Tensor) -> tuple[Tensor, Tensor]:
-        place, naming, frame = network.losses(labels, rows, *ask(), bfloat16=bfloat16)
+        features = network.features(labels.images[rows], bfloat16)
+        place = network.place_loss(features, labels, rows, *ask(), bfloat16=bfloat16)
+        naming, frame = network.recognition_losses(features.float(), labels, rows)
         return place + config.naming_coef * naming + config.frame_coef * frame, place
 
     def recognition(labels: LabelledImages, rows: Tensor) -> tuple[Tensor, Tensor]:

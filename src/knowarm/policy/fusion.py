@@ -4,7 +4,7 @@ A fusion is a subclass of `Fusion` and an entry of `knowarm.policy.config.FUSION
 """
 
 import math
-from typing import Literal
+from typing import ClassVar, Literal
 
 import torch
 from torch import Tensor, nn
@@ -18,12 +18,17 @@ Layer = Literal["fc", "lstm", "actor", "critic"]
 class Fusion(nn.Module):
     """No fusion of K values of knowledge with F features; the base class of all others."""
 
+    gains: ClassVar[dict[str, float]] = {}
+    """Gains of the orthogonal initialization of the fusion's own layers, by name."""
+
     def __init__(self, features: int, knowledge: int, slots: int) -> None:
         super().__init__()
         self.knowledge = knowledge
 
     def reset_parameters(self, generator: torch.Generator) -> None:
-        """Initialize the fusion's own parameters, if it has any."""
+        """Initialize the fusion's own layers."""
+        for name, gain in self.gains.items():
+            orthogonal(self.get_submodule(name), gain, generator)
 
     def extra_inputs(self, layer: Layer) -> int:
         """Return the number of inputs that the fusion adds to a layer."""
@@ -63,13 +68,11 @@ class FiLM(Fusion):
     with the 1 added so that the initial network is nearly unmodulated).
     """
 
+    gains: ClassVar = {"modulation": 0.1}
+
     def __init__(self, features: int, knowledge: int, slots: int) -> None:
         super().__init__(features, knowledge, slots)
         self.modulation = nn.Linear(knowledge, 2 * ImageEncoder.channels)
-
-    def reset_parameters(self, generator: torch.Generator) -> None:
-        """Initialize orthogonally with a small gain, for a modulation near the identity."""
-        orthogonal(self.modulation, 0.1, generator)
 
     def forward(self, layer: Layer, x: Tensor, knowledge: Tensor) -> Tensor:
         """Modulate the convolution features: (N, positions * channels), (N, K) -> the same."""
@@ -87,17 +90,14 @@ class Attention(Fusion):
     ``sum_s softmax_s(q . k_s / sqrt(d)) v_s`` is concatenated to the LSTM's inputs.
     """
 
+    gains: ClassVar = {"query": 1.0, "key": 1.0, "value": 1.0}
+
     def __init__(self, features: int, knowledge: int, slots: int) -> None:
         super().__init__(features, knowledge, slots)
         self.slots, width = slots, knowledge // slots
         self.query = nn.Linear(features, width)
         self.key = nn.Linear(width, width)
         self.value = nn.Linear(width, width)
-
-    def reset_parameters(self, generator: torch.Generator) -> None:
-        """Initialize the three linear maps orthogonally."""
-        for layer in (self.query, self.key, self.value):
-            orthogonal(layer, 1.0, generator)
 
     def extra_inputs(self, layer: Layer) -> int:
         """As `Fusion.extra_inputs`."""
@@ -124,6 +124,7 @@ class Similarity(Fusion):
     changes nothing.
     """
 
+    gains: ClassVar = {"query": 1.0, "key.0": RELU_GAIN, "key.2": 1.0}
     width = 64
     """D, dimensions in which knowledge and positions are compared."""
 
@@ -134,11 +135,6 @@ class Similarity(Fusion):
         self.key = nn.Sequential(
             nn.Linear(channels, 2 * self.width), nn.ReLU(), nn.Linear(2 * self.width, self.width)
         )
-
-    def reset_parameters(self, generator: torch.Generator) -> None:
-        """Initialize the three linear maps orthogonally."""
-        for layer, gain in ((self.query, 1.0), (self.key[0], RELU_GAIN), (self.key[2], 1.0)):
-            orthogonal(layer, gain, generator)
 
     def forward(self, layer: Layer, x: Tensor, knowledge: Tensor) -> Tensor:
         """Weight the convolution features: (N, positions * channels), (N, K) -> the same."""
