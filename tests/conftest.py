@@ -40,6 +40,16 @@ def choose_run(tmp_path_factory):
     return train(CHOOSE_NAME, tmp_path_factory.mktemp("choose"), **CHOOSE)
 
 
+@pytest.fixture(scope="session")
+def trained():
+    """The shipped agent of the choose task."""
+    from knowarm.experiment.load import load_agent
+    from tests.source_tree import ROOT
+    from tests.tiny import CHOOSE_NAME
+
+    return load_agent(ROOT / "zoo" / CHOOSE_NAME)
+
+
 @pytest.fixture
 def copy_of(tmp_path):
     """Copies runs: ``copy_of(run)`` is the folder of a copy below ``tmp_path / "copy"``."""

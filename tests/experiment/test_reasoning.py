@@ -40,11 +40,6 @@ ASKED = [
 BRIEF = {"episodes": 60, "probes": (), "write": False}
 
 
-@pytest.fixture(scope="module")
-def trained():
-    return load_agent(ZOO / "irb120-choose-subgraph-fast")
-
-
 def test_answers_has_the_controls_of_its_network():
     assert controls_of("answers", "content_control") == ["answers-shuffled"]
     assert "answers-shuffled" not in controls_of("subgraph", "content_control")

@@ -16,7 +16,6 @@ import pytest
 
 from knowarm.cli.main import main
 from knowarm.errors import UserError
-from knowarm.experiment.load import load_agent
 from knowarm.integrations.contract import deployment
 from knowarm.world.agents.play import play
 from knowarm.world.agents.protocol import Batch
@@ -42,11 +41,6 @@ from knowarm.integrations.serve import (
 ROOT = Path(__file__).parents[2]
 ZOO = ROOT / "zoo"
 IMAGE = np.zeros((64, 64, 3), np.uint8)
-
-
-@pytest.fixture(scope="module")
-def trained():
-    return load_agent(ZOO / "irb120-choose-subgraph-fast")
 
 
 @pytest.fixture(scope="module")

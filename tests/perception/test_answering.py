@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import torch
 
-from knowarm.experiment.load import load_agent
 from knowarm.perception.answering import AnswerGrounding, AnsweringAgent
 from knowarm.perception.config import GroundingConfig, ModuleSpec
 from knowarm.perception.grounding import FrameRecognition, GroundingNetwork, place_of
@@ -17,12 +16,6 @@ from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.objects import PARTS
 from knowarm.world.tasks.choose.purpose import Purpose
 from knowarm.world.tasks.query_source import NameQueries
-from tests.experiment.test_zoo import ZOO
-
-
-@pytest.fixture(scope="module")
-def trained():
-    return load_agent(ZOO / "irb120-choose-subgraph-fast")
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +139,8 @@ def test_an_agent_that_sees_no_answer_stays_or_guesses(trained):
     nothing = np.zeros(answers_of(trained).shape, bool)
     moved = {}
     for unclear in ("stop", "guess"):
-        agent = trained.answering(nothing, unclear)
+        agent = trained.answering(nothing)
+        agent.unclear = unclear
         assert isinstance(agent, AnsweringAgent)
         result = play(agent, env, episodes)
         assert (agent.visible_answers == 0).all()

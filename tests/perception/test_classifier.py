@@ -14,7 +14,8 @@ from knowarm.cli.main import main
 from knowarm.errors import UserError
 from knowarm.experiment.agents import controls_of
 from knowarm.experiment.build import EnvFactory, build
-from knowarm.experiment.evaluate import evaluate
+from knowarm.experiment.conditions import Subject
+from knowarm.experiment.evaluate import evaluate, known_in_test
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.names import experiment_config
 from knowarm.experiment.run import train
@@ -206,6 +207,14 @@ def test_a_run_keeps_its_module(files, tmp_path, name):
     result = evaluate(trained, **how)
     assert 0 <= result.summary["success"] <= 1
     assert evaluate(folder.path, **how).summary == result.summary
+
+
+def test_a_test_with_other_objects_has_their_rows(files, tmp_path):
+    trained = load_agent(run_of(files, REACH, tmp_path).folder.path)
+    env = replace(trained.config.env, targets=("bottle", "mug"))
+    agent = known_in_test(trained, Subject(env=env, config=trained.config))
+    rows = [facets_of(trained.config.env).index(facet) for facet in facets_of(env)]
+    np.testing.assert_array_equal(agent.recognition.table, trained.table[rows])
 
 
 def test_a_run_resumes_with_its_own_module(files, tmp_path):

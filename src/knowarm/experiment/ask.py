@@ -149,7 +149,8 @@ class Asker:
         order = np.argsort(~answers.satisfies[shown], kind="stable")  # an answer first
         names = ("objects", "colours", "positions")
         episode = replace(episode, **{name: getattr(episode, name)[:, order] for name in names})
-        agent = self.trained.answering(answers.satisfies[None], unclear)
+        agent = self.trained.answering(answers.satisfies[None])
+        agent.unclear = unclear
         film = record_episode(agent, self._env, episode)
         infos = self._env.config.task.infos(self._env.running)
         nearest = int(np.flatnonzero(infos["objects"][0] == infos["reached_object"][0])[0])

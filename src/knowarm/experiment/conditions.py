@@ -38,16 +38,6 @@ class Subject:
         assert self.config is not None
         return self.config
 
-    def known_graph(self, change: str) -> KnowledgeGraph:
-        """Return the graph that the agent knows, for a change of it."""
-        own = self.trained.knows.read_graph() if self.graph is None else self.graph
-        if own is None:
-            raise UserError(
-                f"{change} changes a graph, and agent {self.trained.agent!r} has none. Leave it "
-                "out."
-            )
-        return own
-
 
 @dataclass(frozen=True, kw_only=True)
 class BaseTest:
@@ -182,7 +172,13 @@ class DamageTest(BaseTest):
         """Let the agent know the damaged and repaired graph."""
         from knowarm.experiment.other_graphs import target_names
 
-        graph, names = subject.known_graph("A damage test"), target_names(subject.env)
+        trained, names = subject.trained, target_names(subject.env)
+        graph = trained.knows.read_graph() if subject.graph is None else subject.graph
+        if graph is None:
+            raise UserError(
+                f"A damage test changes a graph, and agent {trained.agent!r} has none. Leave it "
+                "out."
+            )
         if self.damage is not None:
             graph = damaged(graph, self.damage, self.share, self.seed, names)
         if self.repair is not None:

@@ -234,12 +234,16 @@ def known_in_test(trained: TrainedAgent, subject: Subject) -> PolicyAgent:
     """Return a trained agent with what it knows in a test."""
     config, env, graph, by = subject.trained, subject.env, subject.graph, subject.reasoning
     knows = config.knows.reasoning_by(by, config.agent)
-    options = knows.options(subject.unclear, config.agent)
+    if subject.unclear != "guess" and not knows.answers_by_graph:
+        raise UserError(
+            f"unclear={subject.unclear!r} is for agents that answer by a graph, and "
+            f"{config.agent!r} does not. Leave it out, or reason by the graph."
+        )
     same = graph is None and by is None and config is trained.config
     if same and knows.keeps_agent:
         return trained.agent
     table = trained.table
-    if not same:
+    if not same or facets_of(env) != facets_of(config.env):
         table = knows.embed(env, config.seed, graph=graph, trained=config.env).table
     known = knows.input(
         env,
@@ -249,7 +253,10 @@ def known_in_test(trained: TrainedAgent, subject: Subject) -> PolicyAgent:
         graph=graph,
         control=by if by in ("graph-shuffled", "colours") else None,
     )
-    return trained.with_knowledge(known, **options)
+    agent = trained.with_knowledge(known)
+    if isinstance(agent, AnsweringAgent):
+        agent.unclear = subject.unclear
+    return agent
 
 
 def check_fits(trained: TrainedAgent, env: ArmVectorEnv, *, knows_task: bool) -> None:

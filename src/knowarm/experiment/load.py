@@ -15,7 +15,6 @@ from knowarm.experiment.inputs import KnowledgeInput
 from knowarm.experiment.run_folder import RunFolder, given_module, stored_module
 from knowarm.learn import read_checkpoint
 from knowarm.perception.answering import AnswerGrounding, AnsweringAgent
-from knowarm.perception.config import Unclear
 from knowarm.perception.grounding import GroundingNetwork
 from knowarm.perception.module import PerceptionModule
 from knowarm.policy import Policy, PolicyAgent, PolicyConfig, PolicyShape
@@ -99,21 +98,18 @@ class TrainedAgent:
         """The grounding network of an agent that has one."""
         return cast(GroundingNetwork, self.module) if self.config.knows.is_grounded else None
 
-    def with_knowledge(self, knowledge: KnowledgeInput, **options: Any) -> PolicyAgent:
+    def with_knowledge(self, knowledge: KnowledgeInput) -> PolicyAgent:
         """Return an agent with this policy and other knowledge."""
         own = {"greedy": self.agent.greedy, "generator": self.agent.generator}
-        return knowledge.make_agent(self.policy, **own, **options)
+        return knowledge.make_agent(self.policy, **own)
 
-    def answering(self, answers: np.ndarray, unclear: Unclear = "guess") -> AnsweringAgent:
+    def answering(self, answers: np.ndarray) -> AnsweringAgent:
         """Return an agent with this policy and network that answers queries by (Q, F) answers.
 
-        Args:
-            answers: whether each facet of the network answers each query.
-            unclear: what the agent does where it sees no answer, or several.
+        Those tell whether each facet of the network answers each query.
         """
         assert self.network is not None
-        recognition = AnswerGrounding(self.network, answers)
-        return cast(AnsweringAgent, self.with_knowledge(recognition, unclear=unclear))
+        return cast(AnsweringAgent, self.with_knowledge(AnswerGrounding(self.network, answers)))
 
 
 def load_agent(

@@ -57,7 +57,7 @@ class AnswerGrounding(FrameRecognition):
         return self._find(images, knowledge > 0)[0]
 
     def make_agent(self, policy: Policy, **options: Any) -> PolicyAgent:
-        """As `Recognition.make_agent`; ``unclear`` is an option of `AnsweringAgent`."""
+        """As `Recognition.make_agent`."""
         return AnsweringAgent(self, policy, **options)
 
     def _find(self, images: Tensor, answers: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -98,27 +98,18 @@ class AnswerGrounding(FrameRecognition):
 class AnsweringAgent(PerceivingAgent):
     """Policy agent that moves to the object that answers by a graph, and says if it sees none.
 
-    Args:
+    Attributes:
         recognition: the answers and where they stand.
         unclear: what to do where no visible object answers, or several do.
-
-    Attributes:
         visible_answers: how many visible objects answer in each environment, (n,) int64.
     """
 
     recognition: AnswerGrounding
+    unclear: Unclear = "guess"
     visible_answers: np.ndarray
 
-    def __init__(
-        self,
-        recognition: AnswerGrounding,
-        policy: Policy,
-        *,
-        unclear: Unclear = "guess",
-        **options: Any,
-    ) -> None:
+    def __init__(self, recognition: AnswerGrounding, policy: Policy, **options: Any) -> None:
         super().__init__(recognition, policy, **options)
-        self.unclear = unclear
         self.log: list[np.ndarray] = []
         """``visible_answers`` of every reset, in order."""
 

@@ -1,14 +1,14 @@
 """Knowledge as a grasp frame, which a network finds by a vector or by a graph's answers."""
 
-from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
 from knowarm.errors import UserError
 from knowarm.experiment.knows.member import Control, Known, Reasoning
 from knowarm.experiment.knows.vectors import AboutQueries
-from knowarm.perception.config import GroundingConfig, ModuleSpec, Unclear
+from knowarm.perception.config import GroundingConfig, ModuleSpec
 from knowarm.questions import ObjectColour
 from knowarm.seeding import derive_seed
 from knowarm.world.config import EnvConfig
@@ -18,8 +18,6 @@ if TYPE_CHECKING:  # These import torch, which reading a config does not need.
     from knowarm.knowledge import KnowledgeGraph
     from knowarm.perception.grounding import GroundingNetwork
     from knowarm.perception.images import DescribedGraph
-
-T = TypeVar("T", bound="Grounded")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,12 +78,8 @@ class Grounded(AboutQueries):
         """As `Member.reasoning_by`."""
         if reasoning is None:
             return self
-        return self._as(GroundedVector if reasoning == "vector" else GraphAnswers)
-
-    def _as(self, kind: type[T]) -> T:
-        """Return a member of another kind with the same fields."""
-        names = [each.name for each in fields(self) if each.name != "kind"]
-        return kind(**{name: getattr(self, name) for name in names})
+        kind = GroundedVector if reasoning == "vector" else GraphAnswers
+        return kind(**{name: value for name, value in vars(self).items() if name != "kind"})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,7 +144,3 @@ class GraphAnswers(Grounded):
         from knowarm.perception.answering import AnswerGrounding
 
         return AnswerGrounding(module, self.answers(env, run_seed, module.spec.facets, **how))
-
-    def options(self, unclear: Unclear, agent: str) -> dict[str, Any]:
-        """As `Member.options`."""
-        return {"unclear": unclear}

@@ -7,7 +7,6 @@ import numpy as np
 
 from knowarm.errors import UserError
 from knowarm.knowledge.config import Scope
-from knowarm.perception.config import Unclear
 from knowarm.policy.config import PolicyConfig
 from knowarm.world.config import EnvConfig, facets_of
 from knowarm.world.tasks.task import Task
@@ -144,15 +143,6 @@ class Member:
                 "Leave reasoning out, or take a run such as zoo/irb120-choose-subgraph-fast."
             )
         return self
-
-    def options(self, unclear: Unclear, agent: str) -> dict[str, Any]:
-        """Return options of the agent."""
-        if unclear != "guess":
-            raise UserError(
-                f"unclear={unclear!r} is for agents that answer by a graph, and {agent!r} does "
-                "not. Leave it out, or reason by the graph."
-            )
-        return {}
 
 
 @dataclass(frozen=True, kw_only=True)
