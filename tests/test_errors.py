@@ -1,4 +1,6 @@
-from knowarm.errors import UserError, unknown_name
+import pytest
+
+from knowarm.errors import UserError, packages_of, unknown_name
 
 
 def test_nearest_names_come_first():
@@ -14,3 +16,13 @@ def test_long_lists_are_cut_and_counted():
 
 def test_user_errors_are_value_errors():
     assert issubclass(UserError, ValueError)
+
+
+def test_a_package_that_is_missing_is_named_with_its_extra():
+    with (
+        pytest.raises(
+            UserError, match=r"not installed \(absent_package\): pip install 'knowarm\[hub\]'"
+        ),
+        packages_of("hub", "The Hub"),
+    ):
+        import absent_package  # noqa: F401

@@ -1,6 +1,7 @@
 """User errors: mistakes in arguments, configs and files that a user can fix."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any
@@ -31,6 +32,18 @@ class UserError(ValueError):
 
     def __str__(self) -> str:
         return "".join(map(str, self.args))
+
+
+@contextmanager
+def packages_of(extra: str, what: str) -> Iterator[None]:
+    """Turn the failed import of a package of an extra into a `UserError`: what needs it."""
+    try:
+        yield
+    except ImportError as error:
+        raise UserError(
+            f"{what} needs a package that is not installed ({error.name}): "
+            f"pip install 'knowarm[{extra}]'."
+        ) from error
 
 
 def printable(text: str) -> str:

@@ -3,6 +3,7 @@
 import copy
 import json
 import pickle
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from knowarm.errors import UserError
 from knowarm.experiment.agents import controls_of
 from knowarm.experiment.build import EnvFactory, build
 from knowarm.experiment.conditions import Subject
+from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.evaluate import evaluate, known_in_test
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.names import experiment_config
@@ -43,8 +45,12 @@ QUERIES = {"pairs": "none", "hold_out": []}
 SMALL_CHOICE = SMALL_ENV | {"task": {"objects": 2, "queries": QUERIES}}
 
 
+def config_of(name: str) -> ExperimentConfig:
+    return experiment_config(name, env=SMALL_CHOICE if name == CHOOSE else SMALL_ENV)
+
+
 def env_of(name: str) -> EnvConfig:
-    return experiment_config(name, env=SMALL_CHOICE if name == CHOOSE else SMALL_ENV).env
+    return config_of(name).env
 
 
 @pytest.fixture(scope="module")
@@ -58,9 +64,15 @@ def files(tmp_path_factory) -> dict[str, Path]:
     return found
 
 
-def run_of(files: dict[str, Path], name: str, runs: Path, **more):
-    env = SMALL_CHOICE if name == CHOOSE else SMALL_ENV
-    return train(name, runs, perception=files[name], env=env, **(TINY | more))
+@pytest.fixture(scope="module")
+def runs(files, tmp_path_factory) -> dict[str, RunFolder]:
+    """A run of each task; the module that it was given is gone."""
+    folder, found = tmp_path_factory.mktemp("runs"), {}
+    for name, path in files.items():
+        given = Path(shutil.copy(path, folder))
+        found[name] = train(config_of(name), folder, perception=given, **TINY).folder
+        given.unlink()
+    return found
 
 
 def test_a_module_learns_what_it_sees():
@@ -173,16 +185,6 @@ def test_a_module_is_needed_and_only_where_it_is_used(files, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_table_has_a_row_per_facet_in_both_tasks():
-    for name in (REACH, CHOOSE):
-        config = experiment_config(name, env=SMALL_CHOICE if name == CHOOSE else SMALL_ENV)
-        parts = build(config)
-        assert parts.table.shape == (len(parts.facets), 50)
-        assert len(np.unique(parts.table, axis=0)) == len(parts.facets)
-        assert not parts.embedding.privileged
-        assert not parts.embedding.constant
-
-
 def test_the_registry_has_its_controls():
     assert controls_of("target-perceived", "capacity_control") == ["target-perceived-zeros"]
     assert controls_of("target-perceived", "content_control") == [
@@ -192,12 +194,8 @@ def test_the_registry_has_its_controls():
 
 
 @pytest.mark.parametrize("name", [REACH, CHOOSE])
-def test_a_run_keeps_its_module(files, tmp_path, name):
-    copied = {name: tmp_path / "mine.safetensors"}
-    copied[name].write_bytes(files[name].read_bytes())
-    run = run_of(copied, name, tmp_path / "runs")
-    copied[name].unlink()
-    folder = run.folder
+def test_a_run_keeps_its_module(files, runs, name):
+    folder = runs[name]
     assert (folder.path / PERCEPTION_FILE).read_bytes() == files[name].read_bytes()
     assert folder.provenance().perception["digest"] == digest(files[name].read_bytes())
     trained = load_agent(folder.path)
@@ -209,36 +207,36 @@ def test_a_run_keeps_its_module(files, tmp_path, name):
     assert evaluate(folder.path, **how).summary == result.summary
 
 
-def test_a_test_with_other_objects_has_their_rows(files, tmp_path):
-    trained = load_agent(run_of(files, REACH, tmp_path).folder.path)
+def test_a_test_with_other_objects_has_their_rows(runs):
+    trained = load_agent(runs[REACH].path)
     env = replace(trained.config.env, targets=("bottle", "mug"))
     agent = known_in_test(trained, Subject(env=env, config=trained.config))
     rows = [facets_of(trained.config.env).index(facet) for facet in facets_of(env)]
     np.testing.assert_array_equal(agent.recognition.table, trained.table[rows])
 
 
-def test_a_run_resumes_with_its_own_module(files, tmp_path):
-    whole = run_of(files, REACH, tmp_path / "whole")
-    part = run_of(files, REACH, tmp_path / "part", total_steps=20)
-    train(REACH, tmp_path / "part", resume=True, env=SMALL_ENV, **TINY)
-    policies = [load_agent(run.folder.path, which="latest").policy for run in (whole, part)]
+def test_a_run_resumes_with_its_own_module(files, runs, tmp_path):
+    config = config_of(REACH)
+    part = train(config, tmp_path, perception=files[REACH], **(TINY | {"total_steps": 20})).folder
+    train(config, tmp_path, resume=True, **TINY)
+    policies = [load_agent(run.path, which="latest").policy for run in (runs[REACH], part)]
     for name, value in policies[0].state_dict().items():
         assert torch.equal(value, policies[1].state_dict()[name]), name
     other = tmp_path / "other.safetensors"
     train_classifier(env_of(REACH), replace(HASTY, seed=5)).write(other)
     with pytest.raises(UserError, match="trained with another perception module"):
-        train(REACH, tmp_path / "part", resume=True, perception=other, env=SMALL_ENV, **TINY)
-    assert load_agent(part.folder.path, perception=other).policy is not None
-    (part.folder.path / PERCEPTION_FILE).write_bytes(other.read_bytes())
+        train(config, tmp_path, resume=True, perception=other, **TINY)
+    assert load_agent(part.path, perception=other).policy is not None
+    (part.path / PERCEPTION_FILE).write_bytes(other.read_bytes())
     with pytest.raises(UnreadableFileError, match="not the module that this run was trained with"):
-        stored_module(part.folder.experiment(), RunFolder(part.folder.path))
+        stored_module(config, part)
 
 
 @pytest.mark.parametrize("name", [REACH, CHOOSE])
 def test_the_policy_gets_nothing_privileged(files, name, monkeypatch):
     """With labels that raise when they are read, agent and environment choose the same rows."""
     env, perception = env_of(name), FacetClassifier.read(files[name])
-    policy = build(experiment_config(name, env=SMALL_CHOICE if name == CHOOSE else SMALL_ENV))
+    policy = build(config_of(name))
     world = ArmVectorEnv(env, 6)
     world.reset(seed=2)
     batch = Batch.of(world)

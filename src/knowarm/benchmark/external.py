@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knowarm.errors import UserError
+from knowarm.errors import UserError, packages_of
 from knowarm.world.agents.protocol import Batch, Observations
 from knowarm.world.tasks.state import nearest_levels
 
@@ -20,14 +20,12 @@ class OnnxPolicy:
     """
 
     def __init__(self, path: Path) -> None:
-        try:
+        with packages_of("onnx", "An ONNX file"):
             import onnxruntime
-
-            options = onnxruntime.SessionOptions()
-            options.intra_op_num_threads = 1  # sums in the same order on every machine
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = 1  # sums in the same order on every machine
+        try:
             self._session = session = onnxruntime.InferenceSession(path, options)
-        except ImportError:
-            raise UserError("An ONNX file needs pip install 'knowarm[onnx]'.") from None
         except Exception as error:  # ONNX Runtime's errors have no common class
             raise UserError(f"Cannot read {path}: {' '.join(str(error).split())}") from None
         sizes = {each.name: each.shape[1:] for each in session.get_inputs()}

@@ -4,14 +4,13 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from knowarm.benchmark.external import OnnxPolicy, PredictingPolicy
 from knowarm.benchmark.suites import Cell
 from knowarm.config import to_dict
-from knowarm.errors import UserError
+from knowarm.errors import UserError, packages_of
 from knowarm.experiment.conditions import Subject
 from knowarm.experiment.evaluate import known_in_test
 from knowarm.experiment.load import load_agent
@@ -132,9 +131,7 @@ def _run(spec: str) -> Entrant:
 
 
 def _exported(spec: str, folder: Path) -> Entrant:
-    if find_spec("onnxruntime") is None:
-        raise UserError("An exported folder needs pip install 'knowarm[onnx]'.")
-    with reading(folder, "Export the policy again."):
+    with reading(folder, "Export the policy again."), packages_of("onnx", "An exported folder"):
         digest = hashlib.sha256((folder / "contract.json").read_bytes()).hexdigest()
         policy = Runner.load(folder)
         rows = policy.contract["knowledge"]["rows"]

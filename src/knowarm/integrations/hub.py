@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from knowarm.errors import UserError
+from knowarm.errors import UserError, packages_of
 from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.experiment.run_folder import RunFolder
 
@@ -84,11 +84,9 @@ def from_pretrained(repo_id: str, *, revision: str | None = None, **options: Any
 @contextmanager
 def _access(repo_id: str) -> Iterator[Any]:
     """Yield the package of the Hub, and turn its errors into a `UserError`."""
-    try:
+    with packages_of("hub", "The Hub"):
         import huggingface_hub
         from huggingface_hub.utils import validate_repo_id
-    except ImportError:
-        raise UserError("The Hub needs huggingface_hub: pip install 'knowarm[hub]'.") from None
     try:
         validate_repo_id(repo_id)
     except ValueError as error:

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from knowarm.errors import UserError
+from knowarm.errors import packages_of
 from knowarm.integrations.runner import Model
 from knowarm.policy.policy import Policy
 
@@ -69,7 +69,7 @@ def export_onnx(
     level = log.level
     log.setLevel(logging.ERROR)
     try:
-        with warnings.catch_warnings():
+        with packages_of("onnx", "Exporting"), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # deprecations inside of torch
             program = torch.onnx.export(
                 module.eval(),
@@ -81,11 +81,6 @@ def export_onnx(
                 dynamo=True,
                 verbose=False,
             )
-    except ImportError as error:
-        raise UserError(
-            f"Exporting needs a package that is not installed ({error.name}): "
-            "pip install 'knowarm[onnx]'."
-        ) from error
     finally:
         log.setLevel(level)
     assert program is not None

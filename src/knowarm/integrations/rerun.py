@@ -7,17 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knowarm.errors import UserError
+from knowarm.errors import UserError, packages_of
 from knowarm.reading import replacing
 from knowarm.world.viewing.record import FRAMES_PER_S, Frame
 
 
 def check_rrd(path: Path) -> Any:
     """Return Rerun's package; raise a `UserError` unless it can write a recording to a file."""
-    try:
+    with packages_of("rerun", "A recording for Rerun"):
         import rerun
-    except ImportError:
-        raise UserError("Recordings need Rerun: pip install 'knowarm[rerun]'.") from None
     if path.suffix != ".rrd":
         raise UserError(f"A recording for Rerun is an .rrd file, got {path.name!r}.")
     return rerun

@@ -5,10 +5,10 @@ import threading
 import time
 from typing import Any
 
-from knowarm.errors import UserError
+from knowarm.errors import UserError, packages_of
 from knowarm.integrations.driver import Driver, Topics, decoded
 
-try:
+with packages_of("ros", "Driving a robot"):
     import rclpy
     from builtin_interfaces.msg import Duration
     from rclpy.executors import SingleThreadedExecutor
@@ -19,10 +19,6 @@ try:
     from sensor_msgs.msg import Image, JointState
     from std_msgs.msg import Empty
     from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
-except ImportError as missing:
-    raise UserError(
-        f"ROS 2 is not installed for this Python ({missing.name}): pip install 'knowarm[ros]'."
-    ) from missing
 
 DISCOVERY_S = 1.0
 """Time before the first control period, in which ROS discovers other programs [s]."""

@@ -15,20 +15,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knowarm.errors import UserError
+from knowarm.errors import UserError, packages_of
 from knowarm.integrations.runner import Runner, Start
 from knowarm.world.agents.protocol import Batch, Observations
 
-try:
+with packages_of("serve", "Serving"):
     import msgpack
     from websockets.exceptions import ConnectionClosed, WebSocketException
     from websockets.sync.client import ClientConnection, connect
     from websockets.sync.server import Server, ServerConnection, serve
-except ImportError as missing:
-    raise UserError(
-        f"Serving needs a package that is not installed ({missing.name}): "
-        "pip install 'knowarm[serve]'."
-    ) from missing
 
 MOST_BYTES = 4 * 2**20
 """Largest message [bytes]; the connection is closed before a larger one is read."""
