@@ -105,6 +105,7 @@ def _checked_table(
     if table.ndim != 2 or table.shape[0] != len(rows) or table.shape[1] == 0:
         raise UserError(
             f"knowledge must be a table with one row for each of the {len(rows)} values of the "
-            f"info {config.task.knowledge_info!r} ({', '.join(rows)}), got shape {table.shape}."
+            f"info {config.task.knowledge_info!r}, which begin with {rows[0]!r}; got shape "
+            f"{table.shape}. Leave 'knowledge' out of observe to do without."
         )
     return table
