@@ -24,7 +24,7 @@ from knowarm.experiment.run import train
 from knowarm.experiment.run_folder import PERCEPTION_FILE, RunFolder, stored_module
 from knowarm.perception import images as perception_images
 from knowarm.perception import training
-from knowarm.perception.agent import PerceivingAgent, PerceivingVectorEnv
+from knowarm.perception.agent import PerceivingVectorEnv
 from knowarm.perception.classifier import FacetClassifier, NamedFacet
 from knowarm.perception.config import PerceptionConfig
 from knowarm.perception.images import query_answers, sample_images
@@ -199,7 +199,7 @@ def test_a_run_keeps_its_module(files, runs, name):
     assert (folder.path / PERCEPTION_FILE).read_bytes() == files[name].read_bytes()
     assert folder.provenance().perception["digest"] == digest(files[name].read_bytes())
     trained = load_agent(folder.path)
-    assert isinstance(trained.agent, PerceivingAgent)
+    assert isinstance(trained.agent.recognition, NamedFacet)
     test = [{"kind": "split", "split": "S5"}] if name == CHOOSE else []
     how = {"episodes": 6, "probes": (), "test": test}
     result = evaluate(trained, **how)

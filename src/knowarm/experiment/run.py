@@ -9,7 +9,6 @@ from knowarm.config import differences, flatten, override, to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.build import Parts, build, make_trainer
 from knowarm.experiment.config import ExperimentConfig
-from knowarm.experiment.csv_log import writing
 from knowarm.experiment.logs import RunLogs, TrainingProgress
 from knowarm.experiment.names import experiment_config
 from knowarm.experiment.run_folder import (
@@ -204,10 +203,8 @@ def _describe(
     """Write provenance, knowledge table, perception module and config before the first step."""
     perception = None
     if module is not None:
-        data = module.to_bytes()
-        perception = {"digest": digest(data), **to_dict(module.spec)}
-        with writing(folder.path / PERCEPTION_FILE):
-            (folder.path / PERCEPTION_FILE).write_bytes(data)
+        perception = {"digest": digest(module.to_bytes()), **to_dict(module.spec)}
+        module.write(folder.path / PERCEPTION_FILE)
     about = provenance(
         parameter_counts=policy.parameter_counts(),
         policy={"config": to_dict(policy.resolved_config), "shape": to_dict(policy.shape)},

@@ -1,6 +1,5 @@
 """Contract: what a robot, camera and caller must provide to play a trained policy; its export."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,7 +26,7 @@ from knowarm.integrations.onnx_export import (
 from knowarm.integrations.runner import Runner
 from knowarm.perception.agent import Recognition
 from knowarm.perception.module import digest
-from knowarm.reading import writing
+from knowarm.reading import write_json, writing
 from knowarm.world.config import facets_of, scene_of
 from knowarm.world.envs.running import joint_increments
 from knowarm.world.scene.compose import CONTROL_PERIOD_S
@@ -158,7 +157,7 @@ def export(trained: TrainedAgent, folder: Path) -> Deployment:
         files = sorted(each for each in folder.iterdir() if each.suffix in (".onnx", ".npy"))
         digests = {each.name: digest(each.read_bytes()) for each in files}
         contract = parts.contract | {"digests": digests}
-        (folder / "contract.json").write_text(json.dumps(contract, indent=2) + "\n", "utf-8")
+        write_json(folder / "contract.json", contract)
     return parts
 
 

@@ -75,7 +75,7 @@ class Recognition(nn.Module):
 
     def make_agent(self, policy: Policy, **options: Any) -> PolicyAgent:
         """Make an agent with this knowledge; options as `PolicyAgent`."""
-        return PerceivingAgent(self, policy, **options)
+        return PolicyAgent(policy, recognition=self, **options)
 
 
 class PerceivingVectorEnv(TorchArmVectorEnv):
@@ -142,30 +142,6 @@ class PerceivingVectorEnv(TorchArmVectorEnv):
             rows = self.knowledge_input[ids] if self._recognition.depends_on_rows else ids
             known[ids] = self._recognition(images[ids], rows)
         self._known = known
-
-
-class PerceivingAgent(PolicyAgent):
-    """Policy agent whose knowledge is what a recognition computes from the first image."""
-
-    recognition: Recognition
-
-    def __init__(self, recognition: Recognition, policy: Policy, **options: Any) -> None:
-        super().__init__(policy, **options)
-        self.recognition = recognition
-
-    def reset(self, batch: Any) -> None:
-        """As `PolicyAgent.reset`; the next image is the first of every episode."""
-        self.recognition.check_fits(batch.env)
-        super().reset(batch)
-
-    @property
-    def depends_on_rows(self) -> bool:
-        """As `PolicyAgent.depends_on_rows`."""
-        return self.recognition.depends_on_rows
-
-    def recognize(self, images: Tensor) -> Tensor:
-        """As `PolicyAgent.recognize`, computed from the images."""
-        return self.recognition(images, self.rows)
 
 
 @torch.inference_mode()

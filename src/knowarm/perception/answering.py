@@ -12,7 +12,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from knowarm.perception.agent import PerceivingAgent
 from knowarm.perception.config import Unclear
 from knowarm.perception.grounding import FrameRecognition
 from knowarm.perception.module import BATCH
@@ -58,7 +57,7 @@ class AnswerGrounding(FrameRecognition):
 
     def make_agent(self, policy: Policy, **options: Any) -> PolicyAgent:
         """As `Recognition.make_agent`."""
-        return AnsweringAgent(self, policy, **options)
+        return AnsweringAgent(policy, recognition=self, **options)
 
     def _find(self, images: Tensor, answers: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return frames (n, 9), scores (n, P) and those by facet (n, F, P) for answers (n, F)."""
@@ -95,7 +94,7 @@ class AnswerGrounding(FrameRecognition):
         return facets, places
 
 
-class AnsweringAgent(PerceivingAgent):
+class AnsweringAgent(PolicyAgent):
     """Policy agent that moves to the object that answers by a graph, and says if it sees none.
 
     Attributes:
@@ -108,13 +107,13 @@ class AnsweringAgent(PerceivingAgent):
     unclear: Unclear = "guess"
     visible_answers: np.ndarray
 
-    def __init__(self, recognition: AnswerGrounding, policy: Policy, **options: Any) -> None:
-        super().__init__(recognition, policy, **options)
+    def __init__(self, policy: Policy, **options: Any) -> None:
+        super().__init__(policy, **options)
         self.log: list[np.ndarray] = []
         """``visible_answers`` of every reset, in order."""
 
     def recognize(self, images: Tensor) -> Tensor:
-        """As `PerceivingAgent.recognize`; counts the visible answers in the images."""
+        """As `PolicyAgent.recognize`; counts the visible answers in the images."""
         known = self.recognition.of_rows(self.rows)
         parts = zip(images.split(BATCH), known.split(BATCH), strict=True)
         seen = [self.recognition.see(*part) for part in parts]

@@ -1,7 +1,7 @@
 """Policy agent: plays batches of episodes with a policy."""
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 import torch
@@ -12,6 +12,10 @@ from knowarm.policy.policy import Policy, sample
 
 class NamedEpisodes(Protocol):
     """Members of a batch of episodes that `PolicyAgent` reads."""
+
+    @property
+    def env(self) -> Any:
+        """Their task, with which a recognition must fit."""
 
     @property
     def rows(self) -> np.ndarray:
@@ -26,6 +30,7 @@ class PolicyAgent:
     Args:
         policy: the policy; it is not changed.
         table: (rows, K) float32, what it knows in the episodes of each row; None without knowledge.
+        recognition: in place of a table, a `Recognition` that computes it from the first image.
         greedy: choose the most probable action instead of sampling.
         generator: samples the actions; required unless ``greedy``.
 
@@ -33,28 +38,28 @@ class PolicyAgent:
         rows: row of the table of each episode, (n,) int64.
         knowledge: what the policy receives in the episode, (n, K) float32: that of `recognize` in
             its first image.
-        recognition: the `Recognition` that computes it; None if a table holds it.
     """
-
-    recognition: Any = None
 
     def __init__(
         self,
         policy: Policy,
         table: np.ndarray | None = None,
         *,
+        recognition: Any = None,
         greedy: bool,
         generator: torch.Generator | None = None,
     ) -> None:
         if not greedy and generator is None:
             raise ValueError("PolicyAgent(greedy=False) needs a generator to sample actions.")
-        self.policy = policy
+        self.policy, self.recognition = policy, recognition
         self.table = None if table is None else torch.as_tensor(table, dtype=torch.float32)
         self.greedy = greedy
         self.generator = generator
 
     def reset(self, batch: NamedEpisodes) -> None:
-        """Forget everything: n episodes start."""
+        """Forget everything: n episodes start; the next image is the first of each."""
+        if self.recognition is not None:
+            self.recognition.check_fits(batch.env)
         self.rows = torch.as_tensor(batch.rows)
         self._state = self.policy.initial_state(len(self.rows))
         self._episode_start = torch.ones(len(self.rows), dtype=torch.bool)
@@ -63,10 +68,14 @@ class PolicyAgent:
     @property
     def depends_on_rows(self) -> bool:
         """Whether the knowledge of episodes of different rows differs."""
+        if self.recognition is not None:
+            return bool(self.recognition.depends_on_rows)
         return self.table is not None and bool((self.table != self.table[:1]).any())
 
     def recognize(self, images: Tensor) -> Tensor:
         """Return the knowledge of episodes that start with images (n, H, W, 3), (n, K) float32."""
+        if self.recognition is not None:
+            return cast(Tensor, self.recognition(images, self.rows))
         return torch.zeros(len(self.rows), 0) if self.table is None else self.table[self.rows]
 
     @torch.inference_mode()

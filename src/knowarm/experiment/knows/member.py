@@ -48,8 +48,8 @@ class Member:
     """Whether the agent of the training plays tests that do not change what it knows."""
 
     def fits(self, task: type[Task] | Task) -> bool:
-        """Return whether this describes something in a task."""
-        return self.scope in task.scopes
+        """Return whether a task has what this describes."""
+        return self.scope in ("nothing", *task.scopes)
 
     def embed(
         self,
@@ -152,10 +152,6 @@ class NoKnowledge(Member):
     scope: ClassVar[Scope] = "nothing"
     kind: Literal["nothing"] = "nothing"
     """Tag in JSON."""
-
-    def fits(self, task: type[Task] | Task) -> bool:
-        """As `Member.fits`: all."""
-        return True
 
     def embed(self, env: EnvConfig, run_seed: int, **how: Any) -> Known:
         """As `Member.embed`."""
