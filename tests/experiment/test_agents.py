@@ -98,9 +98,22 @@ def test_agents_with_knowledge_of_a_query_are_not_offered_for_reaching():
         experiment_config("irb120-full-ppo", knows={"kind": "query", "detail": "full"})
 
 
-@pytest.mark.parametrize("name", ["subgraph-similarity", "mine"])
-def test_other_fusions_and_agents_of_the_user_have_no_registered_controls(name):
-    assert controls_of(name, "content_control") == []
+@pytest.mark.parametrize(
+    ("subject", "capacity", "content"),
+    [
+        ("answers", [], ["answers-shuffled"]),
+        (
+            "target-perceived",
+            ["target-perceived-zeros"],
+            ["target-perceived-onehot", "target-perceived-random"],
+        ),
+        ("subgraph-similarity", [], []),
+        ("mine", [], []),
+    ],
+)
+def test_controls_of_agents_with_a_network_or_of_the_user(subject, capacity, content):
+    assert controls_of(subject, "capacity_control") == capacity
+    assert controls_of(subject, "content_control") == content
 
 
 def test_facts_need_a_network_that_reads_them():

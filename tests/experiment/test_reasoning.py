@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from knowarm.errors import UserError
-from knowarm.experiment.agents import AGENTS, controls_of
+from knowarm.experiment.agents import AGENTS
 from knowarm.experiment.build import build
 from knowarm.experiment.conditions import (
     DamageTest,
@@ -38,11 +38,6 @@ ASKED = [
     if agent.knows.scope == "query" and "choose" in tasks_of(agent)
 ]
 BRIEF = {"episodes": 60, "probes": (), "write": False}
-
-
-def test_answers_has_the_controls_of_its_network():
-    assert controls_of("answers", "content_control") == ["answers-shuffled"]
-    assert "answers-shuffled" not in controls_of("subgraph", "content_control")
 
 
 def test_an_agent_trains_with_the_answers_of_its_graph_and_plays_from_its_folder(tmp_path):

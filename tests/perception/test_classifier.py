@@ -13,7 +13,6 @@ import torch
 
 from knowarm.cli.main import main
 from knowarm.errors import UserError
-from knowarm.experiment.agents import controls_of
 from knowarm.experiment.build import EnvFactory, build
 from knowarm.experiment.conditions import Subject
 from knowarm.experiment.config import ExperimentConfig
@@ -183,14 +182,6 @@ def test_a_module_is_needed_and_only_where_it_is_used(files, tmp_path):
     with pytest.raises(UserError, match="Cannot read"):
         train(REACH, tmp_path, perception=tmp_path / "none.safetensors", env=SMALL_ENV, **TINY)
     assert not list(tmp_path.iterdir())
-
-
-def test_the_registry_has_its_controls():
-    assert controls_of("target-perceived", "capacity_control") == ["target-perceived-zeros"]
-    assert controls_of("target-perceived", "content_control") == [
-        "target-perceived-onehot",
-        "target-perceived-random",
-    ]
 
 
 @pytest.mark.parametrize("name", [REACH, CHOOSE])

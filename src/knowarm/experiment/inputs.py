@@ -1,23 +1,14 @@
 """Knowledge input of a policy: rows of a table, or what a network recognizes in the image."""
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
+from knowarm.perception.agent import Recognition
 from knowarm.policy import Policy, PolicyAgent
 from knowarm.world.config import EnvConfig
 from knowarm.world.envs.torch_env import TorchArmVectorEnv
-
-
-class KnowledgeInput(Protocol):
-    """Where a policy's knowledge comes from: a table, or a `Recognition`."""
-
-    def make_env(self, config: EnvConfig, num_envs: int, **options: Any) -> TorchArmVectorEnv:
-        """Make training environments with this knowledge; options as `TorchArmVectorEnv`."""
-
-    def make_agent(self, policy: Policy, **options: Any) -> PolicyAgent:
-        """Make an agent with this knowledge; options as `PolicyAgent`."""
 
 
 @dataclass(frozen=True)
@@ -28,9 +19,13 @@ class KnowledgeTable:
     """(rows, K) float32, one row per `Task.knowledge_rows`; K may be 0."""
 
     def make_env(self, config: EnvConfig, num_envs: int, **options: Any) -> TorchArmVectorEnv:
-        """As `KnowledgeInput.make_env`."""
+        """Make training environments with this knowledge; options as `TorchArmVectorEnv`."""
         return TorchArmVectorEnv(config, num_envs, table=self.table, **options)
 
     def make_agent(self, policy: Policy, **options: Any) -> PolicyAgent:
-        """As `KnowledgeInput.make_agent`."""
+        """Make an agent with this knowledge; options as `PolicyAgent`."""
         return PolicyAgent(policy, self.table, **options)
+
+
+KnowledgeInput = KnowledgeTable | Recognition
+"""Where a policy's knowledge comes from."""
