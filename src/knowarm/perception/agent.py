@@ -99,21 +99,6 @@ class PerceivingVectorEnv(TorchArmVectorEnv):
         """As `TorchArmVectorEnv.knowledge`."""
         return self._known
 
-    def reset(
-        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Tensor, dict[str, Any]]:
-        """As `TorchArmVectorEnv.reset`; then computes the knowledge of the new episodes."""
-        images, infos = super().reset(seed=seed, options=options)
-        mask = (options or {}).get("reset_mask", np.ones(self.num_envs, dtype=np.bool_))
-        self._update(images, torch.as_tensor(mask, device=self.device))
-        return images, infos
-
-    def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
-        """As `TorchArmVectorEnv.step`; then computes the knowledge of the new episodes."""
-        result = super().step(actions)
-        self._update(result[0], result[2] | result[3])
-        return result
-
     def get_state(self) -> dict[str, np.ndarray]:
         """As `TorchArmVectorEnv.get_state`, with what was recognized."""
         return super().get_state() | {"perceived": self._known.cpu().numpy().copy()}
@@ -130,11 +115,12 @@ class PerceivingVectorEnv(TorchArmVectorEnv):
         self._known = torch.from_numpy(np.array(known)).to(self.device)
         super().set_state(state)
 
-    def _update(self, images: Tensor, fresh: Tensor) -> None:
-        """Compute the knowledge of the environments of a mask (n,); the others keep theirs."""
-        ids = fresh.nonzero().squeeze(1)
+    def _observe(self) -> Tensor:
+        """Draw the images; then compute the knowledge of the episodes that start with them."""
+        images = super()._observe()
+        ids = self._tensor(np.flatnonzero(self.running.steps == 0))
         if not len(ids):
-            return
+            return images
         known = self._known.clone()
         if self.has_teacher:
             known[ids] = self._recognition.true_knowledge(self.running, ids.cpu().numpy())
@@ -142,6 +128,7 @@ class PerceivingVectorEnv(TorchArmVectorEnv):
             rows = self.knowledge_input[ids] if self._recognition.depends_on_rows else ids
             known[ids] = self._recognition(images[ids], rows)
         self._known = known
+        return images
 
 
 @torch.inference_mode()
