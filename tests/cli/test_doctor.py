@@ -78,3 +78,13 @@ def test_the_commands_for_an_eased_orientation_parse(
     degrees = 60 if angle else EvaluationConfig().angle_deg
     oracle = found["evaluate"]
     assert (oracle.evaluation.angle_deg, oracle.env.ignore_roll) == (degrees, True)
+
+
+def test_an_installation_that_works_passes_every_check(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Doctor(runs=tmp_path).run()
+    out = capsys.readouterr().out
+    assert "FAILED" not in out
+    for check in ("versions", "knowledge", "world", "policy", "memory", "output folder"):
+        assert check in out

@@ -75,10 +75,10 @@ def _world() -> str:
 
 
 def _policy() -> str:
-    policy = build(experiment_config(DEFAULT_EXPERIMENT)).new_policy(0)
-    image = torch.zeros(1, 64, 64, 3, dtype=torch.uint8)
-    facet, start = torch.zeros(1, dtype=torch.int64), torch.ones(1, dtype=torch.bool)
-    logits, _, _ = policy.step(image, facet, policy.initial_state(1), start)
+    parts = build(experiment_config(DEFAULT_EXPERIMENT))
+    policy, knowledge = parts.new_policy(0), torch.from_numpy(parts.table[:1])
+    image, start = torch.zeros(1, 64, 64, 3, dtype=torch.uint8), torch.ones(1, dtype=torch.bool)
+    logits, _, _ = policy.step(image, knowledge, policy.initial_state(1), start)
     if not bool(torch.isfinite(logits).all()):
         raise UserError("the network's outputs are not finite")
     return f"{policy.parameter_counts()['total']:,} parameters, {torch.get_num_threads()} threads"
