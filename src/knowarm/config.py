@@ -5,7 +5,7 @@ import math
 import types
 import typing
 from collections.abc import Callable, Iterable, Mapping
-from functools import cache
+from functools import cache, partial
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 
 from knowarm.errors import UserError, unknown_name
@@ -30,26 +30,42 @@ MAX_SEED = 2**63 - 1
 
 
 _hints: Callable[[Any], dict[str, Any]] = cache(typing.get_type_hints)
+_Reader = Callable[[Any, str], Any]
+"""Converts a JSON value, and names it by its dotted path in errors."""
 
 
 def check_values(config: Any, *, where: str = "") -> None:
     """Check choices of a (nested) config, that numbers are finite, and seeds fit into 63 bits."""
-    if dataclasses.is_dataclass(config):
-        prefix, hints = where or type(config).__name__, _hints(type(config))
-        for field in dataclasses.fields(config):
-            if get_origin(hints[field.name]) is Literal:
-                _typed(hints[field.name], getattr(config, field.name), f"{prefix}.{field.name}")
-            check_values(getattr(config, field.name), where=f"{prefix}.{field.name}")
+    if isinstance(config, float):
+        if not math.isfinite(config):
+            raise UserError(f"{where} must be a finite number, got {config}.")
+    elif isinstance(config, int):
+        if where.endswith(".seed") and not 0 <= config <= MAX_SEED:
+            raise UserError(f"{where} must lie between 0 and 2**63 - 1, got {config}.")
+    elif isinstance(config, str):
+        return
     elif isinstance(config, Mapping):
         for key, value in config.items():
             check_values(value, where=f"{where}.{key}")
     elif isinstance(config, tuple | list):
         for i, value in enumerate(config):
             check_values(value, where=f"{where}[{i}]")
-    elif isinstance(config, float) and not math.isfinite(config):
-        raise UserError(f"{where} must be a finite number, got {config}.")
-    elif isinstance(config, int) and where.endswith(".seed") and not 0 <= config <= MAX_SEED:
-        raise UserError(f"{where} must lie between 0 and 2**63 - 1, got {config}.")
+    elif dataclasses.is_dataclass(config):
+        prefix = where or type(config).__name__
+        for name, choices in _choices(type(config)):
+            value, path = getattr(config, name), f"{prefix}.{name}"
+            if choices:
+                _choice(choices, value, path)
+            check_values(value, where=path)
+
+
+@cache
+def _choices(cls: Any) -> list[tuple[str, tuple[Any, ...]]]:
+    """Return the fields of a config with the values that a literal one may have."""
+    hints = {field.name: _hints(cls)[field.name] for field in dataclasses.fields(cls)}
+    return [
+        (name, get_args(hint) if get_origin(hint) is Literal else ()) for name, hint in hints.items()
+    ]
 
 
 def at_least(config: Any, least: float, *names: str, where: str = "") -> None:
@@ -139,64 +155,100 @@ def from_dict(cls: type[T], values: Mapping[str, Any], *, where: str = "") -> T:
     kind = cls.__name__
     if not isinstance(values, Mapping):
         raise UserError(f"{where or kind} must hold fields of {kind}, got {values!r}.")
-    hints = _hints(cls)
-    fields = {each.name: each for each in dataclasses.fields(typing.cast(Any, cls)) if each.init}
+    fields = _fields(cls)
     for name in values:
         if name not in fields:
             raise unknown_name(f"field of {where or kind}", name, fields)
     arguments = {}
-    for name, field in fields.items():
+    for name, (is_required, read) in fields.items():
         path = f"{where}.{name}" if where else name
         if name in values:
-            if _TYPES in field.metadata:
-                own = field.metadata[_OWN]
-                remedy = own and (
-                    f" Read one of your own with `--{own}s package.module:Name`, or register_{own}."
-                )
-                kinds = tuple(field.metadata[_TYPES]())
-                arguments[name] = _union(kinds, values[name], path, remedy)
-            else:
-                arguments[name] = _typed(hints[name], values[name], path)
-        elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
+            arguments[name] = read(values[name], path)
+        elif is_required:
             raise UserError(f"Field {path!r} is missing; {kind} requires it.")
     return cls(**arguments)
 
 
-def _typed(hint: Any, value: Any, path: str) -> Any:
-    """Convert one JSON value to the annotated type."""
+@cache
+def _fields(cls: Any) -> dict[str, tuple[bool, _Reader]]:
+    """Return whether each field of a config is required, and what reads its value."""
+    missing = dataclasses.MISSING
+    return {
+        field.name: (
+            field.default is missing and field.default_factory is missing,
+            partial(_registered, field.metadata)
+            if _TYPES in field.metadata
+            else _reader(_hints(cls)[field.name]),
+        )
+        for field in dataclasses.fields(cls)
+        if field.init
+    }
+
+
+@cache
+def _reader(hint: Any) -> _Reader:
+    """Return what converts a JSON value to an annotated type."""
     origin, args = get_origin(hint), get_args(hint)
     if hint is Any:
-        return value
+        return lambda value, path: value
     if origin in (Union, types.UnionType):
-        return _union(args, value, path)
+        return partial(_union, args)
     if origin is Literal:
-        if value not in args:
-            raise unknown_name(f"value of {path}", str(value), map(str, args))
-        return value
+        return partial(_choice, args)
     if dataclasses.is_dataclass(hint):
-        return from_dict(typing.cast(Any, hint), value, where=path)
+        return lambda value, path: from_dict(typing.cast(Any, hint), value, where=path)
     if origin is tuple:
-        if not isinstance(value, list | tuple):
-            raise UserError(f"{path} must be a list, got {value!r}.")
-        inner = [args[0]] * len(value) if args[-1] is Ellipsis else list(args)
-        if len(inner) != len(value):
-            raise UserError(f"{path} must hold {len(inner)} values, got {len(value)}: {value!r}.")
-        return tuple(_typed(inner[i], item, f"{path}[{i}]") for i, item in enumerate(value))
-    if origin in (dict, Mapping) or (isinstance(origin, type) and issubclass(origin, Mapping)):
-        if not isinstance(value, Mapping):
-            raise UserError(f"{path} must map names to values, got {value!r}.")
-        return {key: _typed(args[1], item, f"{path}.{key}") for key, item in value.items()}
-    if hint is float and isinstance(value, int) and not isinstance(value, bool):
-        try:
-            return float(value)
-        except OverflowError:
-            bits = value.bit_length()
-            raise UserError(f"{path} must be below 1.8e308, got {bits} bits.") from None
-    if isinstance(hint, type) and (
-        not isinstance(value, hint) or (isinstance(value, bool) and hint is not bool)
-    ):
-        raise UserError(f"{path} must be of type {hint.__name__}, got {value!r}.")
+        return partial(_tuple, args)
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        return partial(_mapping, _reader(args[1]))
+    if hint is float:
+        return _float
+    return partial(_instance, hint) if isinstance(hint, type) else lambda value, path: value
+
+
+def _choice(allowed: tuple[Any, ...], value: Any, path: str) -> Any:
+    if value not in allowed:
+        raise unknown_name(f"value of {path}", str(value), map(str, allowed))
     return value
+
+
+def _tuple(kinds: tuple[Any, ...], value: Any, path: str) -> tuple[Any, ...]:
+    if not isinstance(value, list | tuple):
+        raise UserError(f"{path} must be a list, got {value!r}.")
+    inner = [kinds[0]] * len(value) if kinds[-1] is Ellipsis else list(kinds)
+    if len(inner) != len(value):
+        raise UserError(f"{path} must hold {len(inner)} values, got {len(value)}: {value!r}.")
+    return tuple(_reader(inner[i])(item, f"{path}[{i}]") for i, item in enumerate(value))
+
+
+def _mapping(read: _Reader, value: Any, path: str) -> dict[Any, Any]:
+    if not isinstance(value, Mapping):
+        raise UserError(f"{path} must map names to values, got {value!r}.")
+    return {key: read(item, f"{path}.{key}") for key, item in value.items()}
+
+
+def _float(value: Any, path: str) -> float:
+    try:
+        whole = isinstance(value, int) and not isinstance(value, bool)
+        return _instance(float, float(value) if whole else value, path)
+    except OverflowError:
+        bits = value.bit_length()
+        raise UserError(f"{path} must be below 1.8e308, got {bits} bits.") from None
+
+
+def _instance(kind: type[T], value: Any, path: str) -> T:
+    if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
+        raise UserError(f"{path} must be of type {kind.__name__}, got {value!r}.")
+    return value
+
+
+def _registered(metadata: Mapping[str, Any], value: Any, path: str) -> Any:
+    """Convert a value to the registered config that its tag names."""
+    own = metadata[_OWN]
+    remedy = own and (
+        f" Read one of your own with `--{own}s package.module:Name`, or register_{own}."
+    )
+    return _union(tuple(metadata[_TYPES]()), value, path, remedy)
 
 
 def _union(args: tuple[Any, ...], value: Any, path: str, remedy: str = "") -> Any:
@@ -206,8 +258,7 @@ def _union(args: tuple[Any, ...], value: Any, path: str, remedy: str = "") -> An
     """
     if value is None and type(None) in args:
         return None
-    kinds = [kind for kind in args if kind is not type(None)]
-    tags = {tag: kind for kind in kinds for tag in _tags(kind)}
+    kinds, tags, is_told = _alternatives(args)
     if isinstance(value, Mapping) and tags:
         for (field, choice), kind in tags.items():
             if value.get(field) == choice:
@@ -215,16 +266,24 @@ def _union(args: tuple[Any, ...], value: Any, path: str, remedy: str = "") -> An
         field = next(iter(tags))[0]
         unknown = unknown_name(f"{path}.{field}", str(value.get(field)), [tag for _, tag in tags])
         raise UserError(f"{unknown}{remedy}")
-    if tags and all(map(_tags, kinds)):
+    if is_told:
         names = ", ".join(kind.__name__ for kind in kinds)
         raise UserError(f"{path} must hold the fields of one of {names}, got {value!r}.")
     errors = []
     for kind in kinds:
         try:
-            return _typed(kind, value, path)
+            return _reader(kind)(value, path)
         except UserError as error:
             errors.append(str(error))
     raise UserError(errors[0] if len(errors) == 1 else f"{path}: " + " Or: ".join(errors))
+
+
+@cache
+def _alternatives(args: tuple[Any, ...]) -> tuple[list[Any], dict[tuple[str, str], Any], bool]:
+    """Return the alternatives of a union, those with tags by tag, and whether all have tags."""
+    kinds = [kind for kind in args if kind is not type(None)]
+    tags = {tag: kind for kind in kinds for tag in _tags(kind)}
+    return kinds, tags, bool(tags) and all(map(_tags, kinds))
 
 
 def _tags(cls: Any) -> list[tuple[str, str]]:
