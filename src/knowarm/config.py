@@ -52,7 +52,7 @@ def check_values(config: Any, *, where: str = "") -> None:
             check_values(value, where=f"{where}[{i}]")
     elif dataclasses.is_dataclass(config):
         prefix = where or type(config).__name__
-        for name, choices in _choices(type(config)):
+        for name, choices in _choices(typing.cast(Any, type(config))):
             value, path = getattr(config, name), f"{prefix}.{name}"
             if choices:
                 _choice(choices, value, path)
@@ -64,7 +64,8 @@ def _choices(cls: Any) -> list[tuple[str, tuple[Any, ...]]]:
     """Return the fields of a config with the values that a literal one may have."""
     hints = {field.name: _hints(cls)[field.name] for field in dataclasses.fields(cls)}
     return [
-        (name, get_args(hint) if get_origin(hint) is Literal else ()) for name, hint in hints.items()
+        (name, get_args(hint) if get_origin(hint) is Literal else ())
+        for name, hint in hints.items()
     ]
 
 
@@ -155,7 +156,7 @@ def from_dict(cls: type[T], values: Mapping[str, Any], *, where: str = "") -> T:
     kind = cls.__name__
     if not isinstance(values, Mapping):
         raise UserError(f"{where or kind} must hold fields of {kind}, got {values!r}.")
-    fields = _fields(cls)
+    fields = _fields(typing.cast(Any, cls))
     for name in values:
         if name not in fields:
             raise unknown_name(f"field of {where or kind}", name, fields)
