@@ -1,19 +1,26 @@
-"""The start of an episode is far from every grasp, free of collisions, and in the image."""
+"""The start of an episode: its distance from the grasps, free of collisions, in the image."""
+
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 import pytest
 
+import knowarm
+from knowarm.errors import UserError
+from knowarm.experiment.names import experiment_config
 from knowarm.world.agents import OracleAgent
 from knowarm.world.agents.play import play
-from knowarm.world.config import EnvConfig
+from knowarm.world.config import EnvConfig, scene_of
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.robots import ROBOTS
+from knowarm.world.robots.robot import Area
 from knowarm.world.scene.scene import Scene, _load_scene, load_scene, project
+from knowarm.world.tasks.reach import Reach
 from knowarm.world.tasks.reward import measure
 
-TARGETS = EnvConfig().targets
+starts = pytest.mark.parametrize("start", [Reach(), Reach(start="near")], ids=["far", "near"])
 
 
 def start_poses(scene: Scene, count: int = 9) -> np.ndarray:
@@ -53,9 +60,49 @@ def test_the_start_is_far_from_every_grasp_and_the_oracle_needs_half_the_episode
         assert 20 <= np.median(results.length[episodes.target == k]) <= 25
 
 
+AT_THE_OBJECT = {"irb120": 0.6, "tiago": 0.85}
+"""Least share of episodes in which the oracle is at the object after 4 to 6 steps: the IRB120's
+rectangle is 60 cm wide, TIAGo's 25 cm."""
+
+
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_no_start_collides(robot):
-    scene = load_scene(robot, TARGETS)
+def test_from_the_near_start_the_oracle_is_soon_at_the_object_and_then_turns(robot):
+    env = knowarm.make(robot, num_envs=300, task=Reach(start="near"), image_size=8)
+    results = play(OracleAgent(env), env, evaluation_episodes(env.config, 300, seed=5))
+    assert results.success.mean() >= 0.99
+    steps = results.steps
+    near = steps.distance < 0.10
+    at = np.full(300, 99)
+    np.minimum.at(at, steps.episode[near], steps.step[near])
+    assert ((at >= 4) & (at <= 6)).mean() >= AT_THE_OBJECT[robot]
+    assert ((results.length >= 8) & (results.length <= 16)).mean() >= 0.9
+
+
+def test_the_papers_a3c_starts_near_and_everything_else_far():
+    assert experiment_config("irb120-full-a3c").env.task == Reach(start="near")
+    for algorithm in ("fast", "distil", "ppo", "a3c-tuned"):
+        assert experiment_config(f"irb120-full-{algorithm}").env.task == Reach()
+
+
+def test_an_area_changes_what_it_names_and_a_robot_without_a_near_start_is_refused(monkeypatch):
+    robot = ROBOTS["irb120"]
+    area = Area(home=(0.1,) * 6, target_yaws_deg={"mug": 5.0})
+    monkeypatch.setitem(ROBOTS, "irb120", replace(robot, areas={"near": area}))
+    scene = load_scene("irb120", ("mug",), area="near")
+    assert (scene.robot.home, scene.robot.mpi_rad) == (area.home, robot.mpi_rad)
+    yaws = {name: scene.robot.yaw_deg(name) for name in ("mug", "bottle")}
+    assert yaws == {"mug": 5.0, "bottle": robot.yaw_deg("bottle")}
+    monkeypatch.setitem(ROBOTS, "irb120", replace(robot, areas={}))
+    with pytest.raises(UserError, match=r"no near start.*\[areas.near\].*start='far'"):
+        knowarm.make("irb120", task=Reach(start="near"))
+    with pytest.raises(UserError, match=r"areas\.near: Robot 'irb120': home has 1 values"):
+        replace(robot, areas={"near": Area(home=(0.1,))})
+
+
+@starts
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_no_start_collides(robot, start):
+    scene = scene_of(EnvConfig(robot=robot, task=start))
     model = scene.model
     for geom in range(model.ngeom):  # let the robot collide with itself as well
         if model.body(model.geom_bodyid[geom]).name.startswith("robot/"):
@@ -63,22 +110,23 @@ def test_no_start_collides(robot):
             body = model.geom_bodyid[geom]
             model.body_contype[body] = model.body_conaffinity[body] = 3
     _load_scene.cache_clear()  # the model was changed
-    starts = start_poses(scene)
+    poses = start_poses(scene)
     generator = np.random.default_rng(0)
     others = []  # the same first joints, whose range is the paper's, with any other joints
     for _ in range(10):
-        poses = generator.uniform(scene.joint_lower, scene.joint_upper, starts.shape)
-        poses[:, scene.robot.start_joints] = starts[:, scene.robot.start_joints]
-        others.append(collisions(model, scene, poses))
+        other = generator.uniform(scene.joint_lower, scene.joint_upper, poses.shape)
+        other[:, scene.robot.start_joints] = poses[:, scene.robot.start_joints]
+        others.append(collisions(model, scene, other))
     # What always touches are envelopes of the torso and the first links.
     always = [set.intersection(*pairs) for pairs in zip(*others, strict=True)]
-    for pairs, allowed in zip(collisions(model, scene, starts), always, strict=True):
+    for pairs, allowed in zip(collisions(model, scene, poses), always, strict=True):
         assert pairs <= allowed
 
 
+@starts
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_the_gripper_starts_in_the_image(robot):
-    scene = load_scene(robot, TARGETS)
+def test_the_gripper_starts_in_the_image(robot, start):
+    scene = scene_of(EnvConfig(robot=robot, task=start))
     data = mujoco.MjData(scene.model)
     for pose in start_poses(scene):
         data.qpos[scene.qpos_index] = pose

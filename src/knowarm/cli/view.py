@@ -1,12 +1,13 @@
 """``knowarm view``: an agent in the web viewer, as a video or as a film strip."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Any, Literal, Self, cast
 
 import tyro
 
+from knowarm.cli.arguments import parse_options, take_option
 from knowarm.cli.evaluate import is_scripted
 from knowarm.cli.tables import FilePath
 from knowarm.config import above_zero, at_least
@@ -19,6 +20,7 @@ from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.robots import DEFAULT_ROBOT, find_robot
 from knowarm.world.tasks import task_type
+from knowarm.world.tasks.task import Task
 from knowarm.world.viewing.record import (
     check_video,
     record_episode,
@@ -42,7 +44,7 @@ class View:
     """Number of episodes; the viewer plays them again and again until Ctrl-C."""
     seed: int = 0
     """Seed of the episodes, and of the actions of a stochastic agent."""
-    task: Annotated[str, tyro.conf.arg(metavar="TASK")] = "reach"
+    task: Task = field(default_factory=lambda: EnvConfig().task)
     """Task of a scripted agent, by name or as package.module:Name; a run has its own."""
     targets: tuple[str, ...] = ()
     """Objects to reach, by name or TOML file. Default: all, or the run's."""
@@ -65,6 +67,13 @@ class View:
     8080."""
     browser: bool = True
     """Open the web viewer in the browser."""
+
+    @classmethod
+    def parse(cls, prog: str, arguments: Sequence[str]) -> Self:
+        """Make a command from its options; `--task` takes the name of a task."""
+        rest, task = take_option(arguments, "--task", "choose")
+        default = cls() if task is None else cls(task=task_type(task)())
+        return parse_options(cls, prog, rest, default=default)
 
     def run(self) -> None:
         """Play the episodes and show or record them."""
@@ -120,7 +129,7 @@ class View:
         """Return a constructor of the agent, and its environment's config."""
         if is_scripted(self.agent):
             robot = self.robot or DEFAULT_ROBOT
-            config = EnvConfig(robot=robot, task=task_type(self.task)())
+            config = EnvConfig(robot=robot, task=self.task)
             return lambda env: SCRIPTED_AGENTS[self.agent].make(env, self.seed), config
         from knowarm.experiment.evaluate import check_fits  # imports torch, which takes seconds
         from knowarm.experiment.load import load_agent

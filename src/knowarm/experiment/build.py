@@ -15,10 +15,9 @@ from knowarm.learn import TorchVectorEnv, Trainer
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
 from knowarm.seeding import torch_generator
 from knowarm.world.agents.play import EpisodeResults, play
-from knowarm.world.config import EnvConfig, facets_of
+from knowarm.world.config import EnvConfig, facets_of, robot_of
 from knowarm.world.envs.episodes import evaluation_episodes
 from knowarm.world.envs.vector_env import ArmVectorEnv
-from knowarm.world.robots import find_robot
 from knowarm.world.tasks.state import ACTION_LEVELS
 
 
@@ -118,7 +117,7 @@ def build(config: ExperimentConfig) -> Parts:
     known, policy = knows.embed(env, config.seed), knows.policy(config.policy)
     width, slots = knows.input_sizes(known)
     shape = PolicyShape(
-        joints=len(env.task.joint_names(find_robot(env.robot))),
+        joints=len(env.task.joint_names(robot_of(env))),
         levels=len(ACTION_LEVELS),
         image_size=env.image_size,
         knowledge_dim=width,

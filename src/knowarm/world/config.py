@@ -7,7 +7,8 @@ from knowarm.config import above_zero, at_least, check_values, registered
 from knowarm.errors import Argument, UserError
 from knowarm.questions import QuestionTable
 from knowarm.world.objects import find_targets
-from knowarm.world.robots import DEFAULT_ROBOT
+from knowarm.world.robots import DEFAULT_ROBOT, find_robot
+from knowarm.world.robots.robot import Robot
 from knowarm.world.scene.appearance import VisualRandomization
 from knowarm.world.scene.scene import Scene, load_scene
 from knowarm.world.tasks import task_names, task_type
@@ -112,10 +113,17 @@ class EnvConfig:
                 )
 
 
+def robot_of(config: EnvConfig) -> Robot:
+    """Return the robot of a config as it is in the area of the task."""
+    robot = find_robot(config.robot)
+    return robot.for_area(config.task.area_of(robot))
+
+
 def scene_of(config: EnvConfig) -> Scene:
     """Load the scene of a config."""
     distractors, task = config.randomization.distractors, config.task
-    return load_scene(config.robot, config.targets, distractors, task.area, task.build_scene)
+    area = task.area_of(find_robot(config.robot))
+    return load_scene(config.robot, config.targets, distractors, area, task.build_scene)
 
 
 def setting_of(config: EnvConfig) -> Setting:

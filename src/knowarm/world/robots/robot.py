@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from knowarm.config import check_values
 from knowarm.errors import UserError
@@ -30,18 +31,20 @@ class Table:
 
 @dataclass(frozen=True, kw_only=True)
 class Area:
-    """A rectangle of target positions on the support."""
+    """What differs from the robot's own fields in the tasks of an area; None: nothing."""
 
-    centre_m: tuple[float, float]
-    """Centre, x and y [m]."""
-    half_size_m: tuple[float, float]
-    """Half extent along x and y [m]."""
+    centre_m: tuple[float, float] | None = None
+    """Centre of the rectangle of target positions, x and y [m]."""
+    half_size_m: tuple[float, float] | None = None
+    """Half extent of that rectangle along x and y [m]."""
+    home: tuple[float, ...] | None = None
+    """Start angle of each joint [rad] (slides: [m])."""
+    mpi_rad: float | None = None
+    """Maximum position increment [rad] (slides: [m])."""
     target_yaw_deg: float | None = None
-    """Yaw of all targets in this area [deg]; None takes the robot's yaws."""
-
-    def __post_init__(self) -> None:
-        if min(self.half_size_m) < 0:
-            raise UserError(f"Area.half_size_m must not be negative, got {self.half_size_m}.")
+    """Yaw of the targets [deg]; those of ``target_yaws_deg`` have their own."""
+    target_yaws_deg: Mapping[str, float] = field(default_factory=dict)
+    """Yaw of single targets by name [deg]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,18 +147,29 @@ class Robot:
         ):
             if not valid:
                 raise UserError(f"Robot {self.name!r}: {message}.")
+        for name in self.areas:
+            try:
+                self.for_area(name)
+            except UserError as error:
+                raise UserError(f"areas.{name}: {error}") from error
 
     def for_area(self, name: str) -> "Robot":
-        """Return the robot with the rectangle of an area; unchanged if it has none of the name."""
-        area = self.areas.get(name)
-        if area is None:
+        """Return the robot as it is in an area; unchanged if it has none of the name."""
+        if name not in self.areas:
             return self
-        moved = replace(
-            self, rectangle_centre_m=area.centre_m, rectangle_half_size_m=area.half_size_m
-        )
-        if area.target_yaw_deg is None:
-            return moved
-        return replace(moved, target_yaw_deg=area.target_yaw_deg, target_yaws_deg={})
+        area = self.areas[name]
+        given = {
+            "rectangle_centre_m": area.centre_m,
+            "rectangle_half_size_m": area.half_size_m,
+            "home": area.home,
+            "mpi_rad": area.mpi_rad,
+            "target_yaw_deg": area.target_yaw_deg,
+        }
+        changes: dict[str, Any] = {key: each for key, each in given.items() if each is not None}
+        # The area's yaw of all targets also replaces the robot's yaws of single ones.
+        yaws = self.target_yaws_deg if area.target_yaw_deg is None else {}
+        changes["target_yaws_deg"] = {**yaws, **area.target_yaws_deg}
+        return replace(self, areas={}, **changes)
 
     @property
     def support_height_m(self) -> float:

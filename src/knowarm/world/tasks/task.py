@@ -33,7 +33,7 @@ class Task:
 
     area: ClassVar[str] = "reach"
     """Name in ``Robot.areas`` of the rectangle in which objects stand; a robot without an area of
-    this name uses its standard rectangle."""
+    this name uses its standard rectangle. `area_of` can decide otherwise."""
     targets: ClassVar[tuple[str, ...]] = ("mug", "bottle", "cereal_box")
     """Objects of the task unless ``EnvConfig.targets`` names others."""
     colours: ClassVar[Colours | None] = None
@@ -96,6 +96,14 @@ class Task:
     def chance(self) -> float | None:
         """Share of right objects of an agent that picks one at random; None with one object."""
         return None
+
+    def area_of(self, robot: Robot) -> str:
+        """Return the name of the robot's area in which episodes take place.
+
+        Raises:
+            UserError: the robot has none, and the task does not fit its standard rectangle.
+        """
+        return self.area
 
     @staticmethod
     def build_scene(robot: Robot, targets: Sequence[Target], distractors: int) -> Scene:
