@@ -7,7 +7,15 @@ import pytest
 from safetensors.numpy import save_file
 
 from knowarm.errors import UserError
-from knowarm.reading import UnreadableFileError, read_arrays, read_json, read_text, reading
+from knowarm.reading import (
+    UnreadableFileError,
+    read_arrays,
+    read_json,
+    read_text,
+    reading,
+    refuse_links,
+    write_json,
+)
 
 
 class PanicException(BaseException):
@@ -70,3 +78,41 @@ def test_damaged_arrays(tmp_path):
         path.write_bytes(content)
         with pytest.raises(UnreadableFileError, match="Train again"):
             read_arrays(path, remedy="Train again.")
+
+
+def test_a_file_is_replaced_without_following_links(tmp_path):
+    """A link at the target, or at any name that could be predicted, leads to the user's file."""
+    precious = tmp_path / "precious"
+    precious.write_text("mine")
+    folder = tmp_path / "cloned"
+    folder.mkdir()
+    for name in ("summary.json", ".summary.tmp.json"):
+        (folder / name).symlink_to(precious)
+    write_json(folder / "summary.json", {"a": 1})
+    assert precious.read_text() == "mine"
+    assert read_json(folder / "summary.json") == {"a": 1}
+    assert sorted(path.name for path in folder.iterdir()) == [".summary.tmp.json", "summary.json"]
+
+
+def test_no_prepared_link_is_written_through(tmp_path, monkeypatch):
+    monkeypatch.setattr("secrets.token_hex", lambda count: "guessed")
+    (tmp_path / ".a.guessed.json").symlink_to(tmp_path / "new")
+    with pytest.raises(UserError, match=r"Cannot write .*File exists"):
+        write_json(tmp_path / "a.json", {})
+    assert not (tmp_path / "new").exists()
+
+
+def test_links_out_of_a_folder_are_refused(tmp_path):
+    folder = tmp_path / "snapshots" / "run"
+    (folder / "evaluation").mkdir(parents=True)
+    (tmp_path / "blobs").mkdir()
+    (folder / "a").symlink_to("b")
+    (folder / "evaluation" / "up").symlink_to("..")
+    (folder / "weights").symlink_to("../../blobs/1f")  # as the Hub's cache keeps files
+    refuse_links(folder)
+    for target in ("../../../secret", "../../blobs/../secret", "/dev/zero", "../../blobs/a/b", "/"):
+        link = folder / "evaluation" / "link"
+        link.symlink_to(target)
+        with pytest.raises(UserError, match=r"link is a link to .*Replace it by a copy"):
+            refuse_links(folder)
+        link.unlink()

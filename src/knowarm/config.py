@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import re
 import types
 import typing
 from collections.abc import Callable, Iterable, Mapping
@@ -82,6 +83,12 @@ def above_zero(config: Any, *names: str, where: str = "") -> None:
 def fraction(config: Any, *names: str, where: str = "") -> None:
     """Check that fields of a config lie between 0 and 1."""
     _check(config, names, where, "between 0 and 1", lambda value: 0 <= value <= 1)
+
+
+def file_name(config: Any, *names: str, where: str = "") -> None:
+    """Check that fields of a config, where they are not None, name a file and no path."""
+    allowed, pattern = "a name of letters, digits, '-', '_', '+' and '.'", r"\w[\w.+-]*"
+    _check(config, names, where, allowed, lambda name: bool(re.fullmatch(pattern, name, re.A)))
 
 
 def _check(

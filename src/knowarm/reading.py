@@ -1,6 +1,8 @@
 """Reading and writing of stored files: every defect is one kind of error, with its remedy."""
 
 import json
+import os
+import secrets
 import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -54,18 +56,39 @@ def writing(path: Path, remedy: str = "") -> Iterator[None]:
 
 @contextmanager
 def replacing(path: Path, remedy: str = "") -> Iterator[Path]:
-    """Write a file under another name, renamed at the end, in a folder that is made if missing."""
-    temporary = path.with_name(f".{path.stem}.tmp{path.suffix}")
+    """Write a file under a random name, renamed at the end, in a folder that is made if missing.
+
+    No link is followed: one at ``path`` is replaced, and nobody can prepare one at a random name.
+    """
+    temporary = path.with_name(f".{path.stem}.{secrets.token_hex(8)}{path.suffix}")
     if path.exists() and not path.is_file():
         temporary = path  # a device such as /dev/stdout, or an error of the system
     with writing(path, remedy):
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
+            if temporary != path:
+                temporary.touch(exist_ok=False)  # O_CREAT | O_EXCL
             yield temporary
             temporary.replace(path)
         finally:
             if temporary != path:
                 temporary.unlink(missing_ok=True)
+
+
+def refuse_links(folder: Path) -> None:
+    """Refuse a folder with links that lead out of it: they would name files of the user.
+
+    Links to ``../../blobs`` stay: in the cache of the Hugging Face Hub the files lie there.
+    """
+    root = Path(os.path.realpath(folder))
+    for parent, folders, files in os.walk(folder):
+        for path in (Path(parent, name) for name in (*folders, *files)):
+            target = Path(os.path.realpath(path)) if path.is_symlink() else root
+            if not (target.is_relative_to(root) or target.parent == root.parent.parent / "blobs"):
+                raise UserError(
+                    f"{path} is a link to {target}, outside of {folder}. Replace it by a copy, if "
+                    "you trust where the folder comes from."
+                )
 
 
 def one_line(error: BaseException) -> str:

@@ -102,9 +102,9 @@ def test_a_full_disk_while_a_curve_is_written_for_tensorboard(tmp_path, monkeypa
 
 def test_a_full_disk_while_arrays_are_written(tmp_path, embedding):
     """Its own function for files would raise an error that is no `OSError`."""
-    gone = RunFolder(tmp_path / "gone")
-    with pytest.raises(UserError, match=r"Cannot write .*knowledge\.safetensors: No such file"):
-        gone.write_knowledge(np.zeros((2, 3), np.float32))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UserError, match=r"Cannot write .*knowledge\.safetensors: Not a directory"):
+        RunFolder(tmp_path / "file").write_knowledge(np.zeros((2, 3), np.float32))
     stored = load_model(embedding)
     with pytest.raises(UserError, match=r"Cannot write .*: Is a directory"):
         save_model(stored.model, stored.config, household(), tmp_path)

@@ -105,7 +105,7 @@ def test_overrides_of_some_experiments_come_last(tmp_path):
         (("num_envs = 4", "num_envs = 3"), ["line 9", "minibatches"]),
         (('["irb120-bm-ppo"]', '["irb120-bm-ppo", "irb120-bm-ppo"]'), ["line 3", "twice"]),
         (("episodes = 2\nprobes", "episodes = 0\nprobes"), ["episodes must be at least 1"]),
-        (('name = "tiny"', 'name = "../x"'), ["line 2", "name must consist"]),
+        (('name = "tiny"', 'name = "../x"'), ["line 2", "name must be a name of letters"]),
         (("[overrides]", '[where]\nkind = "slurm"\n[overrides]'), ["line 6", "'slurm'", "local"]),
         (
             ("[[eval", '[[overrides_for]]\nexperiments = "*"\nfields.name = "x"\n[[eval'),

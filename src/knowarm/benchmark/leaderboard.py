@@ -9,7 +9,7 @@ from jinja2 import Environment, PackageLoader, select_autoescape
 from knowarm.benchmark.rows import read_row
 from knowarm.benchmark.suites import CONTROLS, read_suite
 from knowarm.errors import UserError
-from knowarm.reading import writing
+from knowarm.reading import replacing
 
 
 def read_rows(folder: Path) -> list[dict[str, Any]]:
@@ -85,8 +85,7 @@ def write_leaderboard(rows: Sequence[dict[str, Any]], path: Path) -> list[Path]:
     written = [path.with_suffix(".html"), path.with_suffix(".md")]
     for file in written:
         page = templates.get_template(f"leaderboard{file.suffix}.j2")
-        with writing(file):
-            file.parent.mkdir(parents=True, exist_ok=True)
-            text = page.render(tables=tables(rows), controls=CONTROLS)
-            file.write_text(text.rstrip() + "\n", encoding="utf-8")
+        text = page.render(tables=tables(rows), controls=CONTROLS)
+        with replacing(file) as temporary:
+            temporary.write_text(text.rstrip() + "\n", encoding="utf-8")
     return written

@@ -10,6 +10,7 @@ import tyro
 
 from knowarm.cli.tables import FilePath, TableCommand, print_table
 from knowarm.errors import UserError
+from knowarm.reading import replacing
 from knowarm.pictures import check_suffix
 from knowarm.world.config import EnvConfig
 from knowarm.world.description import SUFFIX
@@ -119,7 +120,8 @@ class Doctor(TableCommand):
             )
         with TemporaryDirectory() as folder:
             file = self.write or Path(folder) / f"{Path(robot).stem}{SUFFIX}"
-            file.write_text(draft.toml(file), "utf-8")
+            with replacing(file) as temporary:
+                temporary.write_text(draft.toml(file), "utf-8")
             self._draw(str(file), targets)
             angle, roll = draft.success_angle_deg, draft.ignore_roll
             return check_robot(file, targets, angle_deg=angle, ignore_roll=roll)

@@ -5,6 +5,7 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Annotated, Any
 
 import tyro
@@ -122,10 +123,10 @@ def check_output(path: Path | None, option: str = "--json") -> None:
         return
     with writing(path, f"Choose another path for {option}."):
         path.parent.mkdir(parents=True, exist_ok=True)
-        is_new = not path.exists()
-        path.open("a", encoding="utf-8").close()
-        if is_new:
-            path.unlink()
+        if path.exists() and not path.is_file():
+            path.open("a", encoding="utf-8").close()  # a device, or an error of the system
+        else:
+            TemporaryFile(dir=path.parent).close()
 
 
 def write_json_table(path: Path | None, values: Mapping[str, Any]) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Literal
 
-from knowarm.config import at_least, check_values, registered
+from knowarm.config import at_least, check_values, file_name, registered
 from knowarm.errors import UserError
 from knowarm.experiment.agents import Role
 from knowarm.experiment.algorithms import algorithms
@@ -96,6 +96,7 @@ class ExperimentConfig:
     def __post_init__(self) -> None:
         check_values(self)
         at_least(self, 1, "total_steps", "checkpoint_every_steps")
+        file_name(self, "name")
         if not self.knows.fits(task := self.env.task):
             raise UserError(
                 f"Knowledge of the kind {self.knows.kind!r} describes nothing in the task "

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from knowarm.config import above_zero, at_least, check_values
+from knowarm.config import above_zero, at_least, check_values, file_name
 from knowarm.errors import UserError
 from knowarm.experiment.conditions import AnyCondition, GraphTest, SplitTest, Subject
 from knowarm.experiment.probes import AnyProbe, BlindProbe, FilmsProbe, StepsProbe
@@ -39,6 +39,7 @@ class EvaluationConfig:
         check_values(self)
         at_least(self, 1, "episodes", "seeds")
         above_zero(self, "distance_m", "angle_deg")
+        file_name(self, "label")
         if self.split not in (None, "S1") and any(isinstance(t, GraphTest) for t in self.test):
             raise UserError(
                 "With another graph everything that it can be asked is a question of S1, got "

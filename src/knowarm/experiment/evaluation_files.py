@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 from PIL import Image, ImageSequence
 
 from knowarm.experiment.measures import AGAIN, EXCLUDED, NOT_REACHED
-from knowarm.reading import reading, replacing, writing
+from knowarm.reading import reading, replacing
 from knowarm.world.agents.play import EpisodeResults
 from knowarm.world.scene.scene import Scene
 from knowarm.world.tasks.lift.probe import lift
@@ -111,9 +111,8 @@ def write_film(path: Path, frames: np.ndarray) -> None:
     images = [Image.fromarray(frame) for frame in frames]
     durations = [FRAME_MS] * (len(images) - 1) + [LAST_MS]
     options: dict[str, Any] = {"duration": durations, "loop": 0, "lossless": True, "method": 4}
-    with writing(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        images[0].save(path, save_all=True, append_images=images[1:], **options)
+    with replacing(path) as temporary:
+        images[0].save(temporary, save_all=True, append_images=images[1:], **options)
 
 
 def read_film(path: Path) -> np.ndarray:

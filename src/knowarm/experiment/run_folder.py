@@ -40,7 +40,14 @@ from knowarm.knowledge.config import EmbeddingFacts
 from knowarm.knowledge.formats import SHIPPED
 from knowarm.perception.config import ModuleSpec
 from knowarm.perception.module import PerceptionModule, digest
-from knowarm.reading import read_arrays, read_json, reading, write_json
+from knowarm.reading import (
+    read_arrays,
+    read_json,
+    reading,
+    refuse_links,
+    replacing,
+    write_json,
+)
 
 FORMAT = 1
 """Version of the run folder's layout."""
@@ -105,7 +112,7 @@ class RunFolder:
 
     @classmethod
     def open(cls, path: Path | str) -> "RunFolder":
-        """Open an existing run folder, of a format that can be read."""
+        """Open an existing run folder, of a format that can be read, without links out of it."""
         folder = cls(Path(path))
         if not folder.config_path.is_file():
             what = "has no config.json" if folder.path.is_dir() else "does not exist"
@@ -113,6 +120,7 @@ class RunFolder:
                 f"{path} is not a run folder: it {what}. Give RUNS/EXPERIMENT/SEED of a training; "
                 "its last line names the folder."
             )
+        refuse_links(folder.path)
         found = folder.config().get("format")
         if found != FORMAT:
             raise UserError(
@@ -219,8 +227,8 @@ class RunFolder:
     def write_knowledge(self, table: np.ndarray) -> None:
         """Store the knowledge table (F, K), float32."""
         path = self.path / "knowledge.safetensors"
-        with writing(path):
-            path.write_bytes(save({"table": np.ascontiguousarray(table)}))
+        with replacing(path) as temporary:
+            temporary.write_bytes(save({"table": np.ascontiguousarray(table)}))
 
     def knowledge(self) -> np.ndarray:
         """Read the knowledge table (F, K), float32, that the policy was trained with."""

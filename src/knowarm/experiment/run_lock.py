@@ -14,7 +14,7 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from knowarm.errors import UserError
-from knowarm.reading import write_json
+from knowarm.reading import refuse_links, write_json
 
 LOCK, HOLDER = ".lock", ".lock.json"
 """Files that the kernel locks, and that names its holder; both outlive the process."""
@@ -47,6 +47,7 @@ def lock_folder(path: Path, *, remedy: str) -> Iterator[None]:
     lock = FileLock(path / LOCK, timeout=SECONDS)
     try:
         path.mkdir(parents=True, exist_ok=True)
+        refuse_links(path)
         lock.acquire()
     except Timeout as error:
         raise FolderInUseError(f"{path} is in use by {_holder(path)}. {remedy}") from error

@@ -26,7 +26,7 @@ from knowarm.integrations.onnx_export import (
 from knowarm.integrations.runner import Runner
 from knowarm.perception.agent import Recognition
 from knowarm.perception.module import digest
-from knowarm.reading import write_json, writing
+from knowarm.reading import replacing, write_json, writing
 from knowarm.world.config import facets_of, scene_of
 from knowarm.world.envs.running import joint_increments
 from knowarm.world.scene.compose import CONTROL_PERIOD_S
@@ -152,8 +152,10 @@ def export(trained: TrainedAgent, folder: Path) -> Deployment:
             example = (image, torch.from_numpy(parts.knowledge[[0, 0]]))
             names = {"inputs": RECOGNITION_INPUTS, "outputs": RECOGNITION_OUTPUTS}
             export_onnx(parts.recognition, example, folder / "recognition.onnx", **names)
-        np.save(folder / "knowledge.npy", parts.knowledge)
-        (folder / "runner.py").write_bytes(Path(runner.__file__).read_bytes())
+        with replacing(folder / "knowledge.npy") as temporary:
+            np.save(temporary, parts.knowledge)
+        with replacing(folder / "runner.py") as temporary:
+            temporary.write_bytes(Path(runner.__file__).read_bytes())
         files = sorted(each for each in folder.iterdir() if each.suffix in (".onnx", ".npy"))
         digests = {each.name: digest(each.read_bytes()) for each in files}
         contract = parts.contract | {"digests": digests}

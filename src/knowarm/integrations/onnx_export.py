@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from knowarm.errors import packages_of
+from knowarm.reading import replacing
 from knowarm.integrations.runner import Model
 from knowarm.policy.policy import Policy
 
@@ -89,7 +90,8 @@ def export_onnx(
         assert not isinstance(sizes[0], int), f"{each.name} was exported for one batch size only"
     for node in program.model.graph:
         node.metadata_props.clear()  # paths of this machine
-    program.save(path)
+    with replacing(path) as temporary:
+        program.save(temporary)
 
 
 def torch_model(module: nn.Module, names: Sequence[str]) -> Model:

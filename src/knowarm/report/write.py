@@ -70,7 +70,10 @@ def _write_data(study: StudyData, pages: Sequence[Page], out: Path) -> None:
         folder.mkdir(exist_ok=True)
         for table in tables.values():
             path = folder / f"{table.name}.csv"
-            with path.open("w", newline="", encoding="utf-8", errors="replace") as file:
+            with (
+                replacing(path) as temporary,
+                temporary.open("w", newline="", encoding="utf-8", errors="replace") as file,
+            ):
                 writer = csv.writer(file, lineterminator="\n")
                 writer.writerow(table.csv_columns())
                 for row in table.flat_rows:
@@ -107,7 +110,7 @@ def _remove_earlier(out: Path, folder: Path, names: Iterable[str]) -> None:
         what = f"{report} exists and is no report of KnowArm, whose JSON would replace it"
         raise UserError(f"{what}. {MOVE}")
     own = {f"{name}.csv" for name in earlier.get("tables", ()) if Path(name).name == name}
-    files = [folder / f"{name}.csv" for name in names]
+    files = [folder] if folder.is_symlink() else [folder / f"{name}.csv" for name in names]
     if strange := [path for path in files if path.name not in own and path.exists()]:
         raise UserError(f"{strange[0]} exists, and no report wrote it. {MOVE}")
     with writing(folder):

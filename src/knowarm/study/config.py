@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from knowarm.config import from_dict, override, to_dict
+from knowarm.config import file_name, from_dict, override, to_dict
 from knowarm.errors import UserError, unknown_name
 from knowarm.experiment.agents import AGENTS, controls_of
 from knowarm.experiment.config import ExperimentConfig
@@ -102,9 +102,7 @@ class StudyConfig:
     """Resources of the runs."""
 
     def __post_init__(self) -> None:
-        if not re.fullmatch(r"[A-Za-z0-9][\w.-]*", self.name):
-            allowed = "letters, digits, '-', '_' and '.'"
-            raise UserError(f"name must consist of {allowed}, got {self.name!r}.")
+        file_name(self, "name")
         if (count := len(self.cells()) * len(self.seeds)) > MAX_RUNS:
             raise UserError(f"A study has at most {MAX_RUNS:,} runs; these would be {count:,}.")
         for what, given in (("experiments", self.cells()), ("seeds", self.seeds)):

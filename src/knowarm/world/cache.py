@@ -2,13 +2,15 @@
 
 import hashlib
 import os
-import zipfile
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
+from knowarm.errors import UserError
+from knowarm.reading import replacing
 
 
 def cache_file(kind: str, *parts: object) -> Path:
@@ -25,8 +27,9 @@ def cache_file(kind: str, *parts: object) -> Path:
             digest.update(f"{part!r};".encode())
     folder = os.environ.get("KNOWARM_CACHE")
     if not folder:
-        root = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
-        folder = str(Path(root or Path.home() / ".cache") / "knowarm")
+        given = (os.environ.get(name, "") for name in ("XDG_CACHE_HOME", "LOCALAPPDATA"))
+        root = next(filter(os.path.isabs, given), Path.home() / ".cache")
+        folder = str(Path(root) / "knowarm")
     return Path(folder) / kind / f"{digest.hexdigest()[:32]}.npz"
 
 
@@ -35,15 +38,11 @@ def read_arrays(file: Path) -> dict[str, NDArray[np.generic]] | None:
     try:
         with np.load(file, allow_pickle=False) as arrays:
             return dict(arrays)
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+    except Exception:  # NumPy and zipfile raise many types for damaged files
         return None
 
 
 def write_arrays(file: Path, arrays: Mapping[str, NDArray[np.generic]]) -> None:
     """Store a result; a folder that cannot be written is no error."""
-    with suppress(OSError):
-        file.parent.mkdir(parents=True, exist_ok=True)
-        part = file.with_suffix(f".{os.getpid()}.part")
-        with part.open("wb") as stream:
-            np.savez(stream, **arrays)  # type: ignore[arg-type]
-        part.replace(file)
+    with suppress(UserError), replacing(file) as temporary:
+        np.savez(temporary, **arrays)  # type: ignore[arg-type]

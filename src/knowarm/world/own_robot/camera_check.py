@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from knowarm.arrays import Floats
-from knowarm.reading import read_text, reading, writing
+from knowarm.reading import read_text, reading, replacing
 from knowarm.world.config import EnvConfig, scene_of
 from knowarm.world.own_robot.robot_check import Check
 from knowarm.world.render.renderer import make_renderer
@@ -45,8 +45,8 @@ def check_camera(config: EnvConfig, photo: Path, points: Path | None, overlay: P
     renderer = make_renderer(scene, replace(config, mesh_detail="full"), SIDE, 1)
     poses = data.geom_xpos[None], data.geom_xmat[None]
     view = Image.fromarray(renderer.draw(*poses, resting_colours(scene, 1))[0])
-    with writing(overlay):
-        Image.blend(central_square(image, SIDE), view, 0.5).save(overlay, "PNG")
+    with replacing(overlay) as temporary:
+        Image.blend(central_square(image, SIDE), view, 0.5).save(temporary, "PNG")
     drawn = Check(name="overlay", ok=True, found=f"{overlay}, photograph and view by halves")
     if points is None:
         return [drawn]

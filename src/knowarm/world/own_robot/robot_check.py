@@ -12,6 +12,7 @@ from PIL import Image, ImageDraw
 
 from knowarm.arrays import Floats, Integers
 from knowarm.errors import UserError
+from knowarm.reading import replacing
 from knowarm.world.agents import OpenLoopAgent, OracleAgent
 from knowarm.world.agents.open_loop import search_open_loop
 from knowarm.world.agents.play import play
@@ -266,5 +267,5 @@ def write_scene_image(scene: Scene, config: EnvConfig, path: Path) -> None:
     both = Image.new("RGB", (2 * SIDE, SIDE))
     both.paste(large, (0, 0))
     both.paste(Image.fromarray(small).resize((SIDE, SIDE), Image.Resampling.NEAREST), (SIDE, 0))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    both.save(path)
+    with replacing(path) as temporary:
+        both.save(temporary)

@@ -1,0 +1,106 @@
+"""Run folders, studies and reports of strangers: nothing outside of the folder is read or written.
+
+The folders are as `git clone` or unzip leave them: any file, and symbolic links.
+"""
+
+import json
+import shutil
+
+import pytest
+
+from knowarm.errors import UserError
+from knowarm.experiment.evaluate import evaluate
+from knowarm.experiment.evaluation import EvaluationConfig
+from knowarm.experiment.names import experiment_config
+from knowarm.experiment.run import train
+from knowarm.experiment.run_folder import RunFolder
+from knowarm.experiment.run_lock import lock_folder
+from knowarm.report import write_report
+from tests.source_tree import ROOT
+from tests.tiny import short
+
+BRIEF = {"episodes": 2, "probes": ()}
+
+
+@pytest.fixture
+def run(tmp_path):
+    return shutil.copytree(ROOT / "zoo" / "irb120-full-fast", tmp_path / "runs" / "x" / "0")
+
+
+@pytest.fixture
+def precious(tmp_path):
+    """A file of the user, which nothing may change."""
+    path = tmp_path / "home" / "bashrc"
+    path.parent.mkdir()
+    path.write_text("export EDITOR=vi\n")
+    yield path
+    assert path.read_text() == "export EDITOR=vi\n"
+    assert [*path.parent.iterdir()] == [path]
+
+
+def edit(run, *names, **values):
+    """Change fields of config.json, those of the nested config ``names``."""
+    config = inner = json.loads((run / "config.json").read_text())
+    for name in names:
+        inner = inner[name]
+    inner |= values
+    (run / "config.json").write_text(json.dumps(config))
+
+
+@pytest.mark.parametrize(
+    "link",
+    [
+        "evaluation/post-training-greedy/.summary.tmp.json",
+        "evaluation/post-training-greedy/summary.json",
+        "evaluation/post-training-greedy/.episodes.tmp.parquet",
+        ".lock",
+        ".lock.json",
+        "metrics.csv",
+        "checkpoints/latest/meta.json",
+    ],
+)
+def test_a_run_with_a_link_to_a_file_of_the_user_is_refused(run, precious, link):
+    (run / link).parent.mkdir(parents=True, exist_ok=True)
+    (run / link).unlink(missing_ok=True)
+    (run / link).symlink_to(precious)
+    for use in (evaluate, RunFolder.open):
+        with pytest.raises(UserError, match=r"is a link to .*bashrc, outside of"):
+            use(run)
+    with pytest.raises(UserError, match="is a link"), lock_folder(run, remedy=""):
+        pytest.fail("the folder was locked")
+
+
+def test_a_new_run_refuses_a_prepared_folder(tmp_path, precious):
+    prepared = tmp_path / "runs" / "irb120-full-ppo" / "0"
+    prepared.mkdir(parents=True)
+    (prepared / "checkpoints").symlink_to(precious.parent)
+    with pytest.raises(UserError, match="is a link"):
+        train(short(), tmp_path / "runs")
+
+
+@pytest.mark.parametrize("name", ["../../x", "/tmp/x", "$(touch x)", "a\nb", "..", "", "\u00e4"])
+def test_names_of_folders_are_no_paths(run, name):
+    edit(run, name=name)
+    with pytest.raises(UserError, match="name must be a name of letters"):
+        evaluate(run, **BRIEF)
+    with pytest.raises(UserError, match="name must be a name of letters"):
+        experiment_config("full-fast", name=name)
+    with pytest.raises(UserError, match="label must be a name of letters"):
+        EvaluationConfig(label=name)
+
+
+def test_a_report_writes_through_no_link(run, precious):
+    runs, secrets = run.parents[1], precious.parent
+    (runs / ".report.tmp.html").symlink_to(precious)
+    (runs / "report.html").symlink_to(precious)
+    write_report([run], runs / "report.html")
+    shutil.rmtree(runs / "report-data")
+    (runs / "report-data").symlink_to(secrets)
+    report = json.loads((runs / "report.json").read_text())
+    report["tables"]["bashrc"] = {}
+    (runs / "report.json").write_text(json.dumps(report))
+    (secrets / "bashrc.csv").write_text("mine")
+    with pytest.raises(UserError, match="no report wrote it"):
+        write_report([run], runs / "report.html")
+    assert (secrets / "bashrc.csv").read_text() == "mine"
+    (secrets / "bashrc.csv").unlink()
