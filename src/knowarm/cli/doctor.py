@@ -10,8 +10,8 @@ import tyro
 
 from knowarm.cli.tables import FilePath, TableCommand, print_table
 from knowarm.errors import UserError
-from knowarm.reading import replacing
 from knowarm.pictures import check_suffix
+from knowarm.reading import replacing
 from knowarm.world.config import EnvConfig
 from knowarm.world.description import SUFFIX
 from knowarm.world.own_robot.camera_check import check_camera

@@ -11,9 +11,9 @@ import torch
 from torch import Tensor, nn
 
 from knowarm.errors import packages_of
-from knowarm.reading import replacing
 from knowarm.integrations.runner import Model
 from knowarm.policy.policy import Policy
+from knowarm.reading import replacing
 
 INPUTS = ("image", "knowledge", "h", "c", "episode_start")
 OUTPUTS = ("action", "logits", "value", "next_h", "next_c")
