@@ -103,7 +103,7 @@ def test_a_full_disk_while_a_curve_is_written_for_tensorboard(tmp_path, monkeypa
 def test_a_full_disk_while_arrays_are_written(tmp_path, embedding):
     """Its own function for files would raise an error that is no `OSError`."""
     (tmp_path / "file").write_text("")
-    with pytest.raises(UserError, match=r"Cannot write .*knowledge\.safetensors: Not a directory"):
+    with pytest.raises(UserError, match=r"Cannot write .*knowledge\.safetensors: File exists"):
         RunFolder(tmp_path / "file").write_knowledge(np.zeros((2, 3), np.float32))
     stored = load_model(embedding)
     with pytest.raises(UserError, match=r"Cannot write .*: Is a directory"):
