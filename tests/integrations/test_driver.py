@@ -1,13 +1,20 @@
 """Safety rules of a driven robot: each test would move the robot without its rule."""
 
+import json
+import shutil
+import sys
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from knowarm.cli.main import main
 from knowarm.errors import UserError
 from knowarm.integrations.driver import Driver, Safety, decoded
 from knowarm.integrations.runner import Runner
+from tests.source_tree import ROOT
 
-IMAGE = np.zeros((4, 4, 3), np.uint8)
+IMAGE = np.arange(48, dtype=np.uint8).reshape(4, 4, 3)
 NAMES = ["shoulder", "elbow"]
 CONTRACT = {
     "control_period_s": 0.1,
@@ -46,6 +53,7 @@ class Robot:
         safety = {"confirm_steps": 0} | safety
         self.driver = Driver(runner, gripper, Safety(**safety), "usedFor drinking", resize=resize)
         self.now = 100.0
+        self.driver.clock = lambda: self.now
 
     def tick(self, image=IMAGE, joints=(0.0, 0.5), names=NAMES, late=0.0, state_late=0.0):
         """Let a period pass; images and states arrive unless they are None."""
@@ -124,7 +132,10 @@ def test_a_start_beyond_the_limits_is_refused():
         ({"state_late": 0.5}, "joint angles more than 0.3 s old"),
         ({"late": -0.5}, "in the future"),
         ({"late": np.nan}, "image more than"),
+        ({"late": 100.1}, "image without a time stamp"),
+        ({"state_late": 100.1}, "joint angles without a time stamp"),
         ({"image": IMAGE[:3]}, "(3, 4, 3) instead of (4, 4, 3)"),
+        ({"image": np.full_like(IMAGE, 7)}, "image shows a single colour"),
         ({"image": IMAGE.astype(float)}, "instead of"),
         ({"joints": (0.0, np.nan)}, "lack a number for elbow"),
         ({"joints": (0.0, np.inf)}, "lack a number for elbow"),
@@ -178,6 +189,54 @@ def test_targets_keep_the_control_period():
     assert robot.driver.steps == 2
 
 
+def test_a_clock_that_is_set_makes_no_target_earlier():
+    """The time of the stamps runs backwards; the driver's own clock does not."""
+    robot, sent = Robot(following_steps=1000), 0
+    for tick in range(20):
+        robot.now -= 0.001
+        robot.driver.clock = lambda now=1000 + 0.001 * tick: now
+        robot.driver.see(IMAGE, robot.now)
+        robot.driver.feel(NAMES, (0.0, 0.5), robot.now)
+        sent += robot.driver.tick(robot.now) is not None
+    assert sent == 1
+
+
+@pytest.mark.parametrize("pause", [3900.0, 5.1, -1.0])
+def test_a_driver_that_was_paused_ends(pause):
+    robot = Robot()
+    assert robot.tick() is not None
+    robot.now += pause
+    assert robot.tick() is None
+    assert "s passed between two control periods" in robot.driver.end
+    assert robot.tick() is None
+
+
+def test_an_image_that_never_changes_ends_the_episode():
+    """The arm follows, and the camera repeats one image with new stamps."""
+    robot, joints, sent = Robot(patience_s=1), (0.0, 0.5), 0
+    for _ in range(30):
+        targets = robot.tick(joints=joints)
+        sent, joints = sent + (targets is not None), joints if targets is None else targets
+    assert sent in (4, 5)
+    assert "the image stays the same while the arm moves" in robot.driver.end
+    moving = Robot()
+    for step in range(8):
+        moving.tick(image=IMAGE + np.uint8(step), joints=(0.05 * step, 0.5 + 0.05 * step))
+    assert moving.driver.steps == 8
+
+
+def test_two_robots_with_the_same_joints_move_nothing():
+    robot = Robot(patience_s=1)
+    for number in range(15):
+        robot.driver.feel(NAMES, (0.2, 0.6), robot.now + 0.05)
+        assert robot.tick(joints=(0.0, 0.5)) is None, number
+    assert "joint angles jump" in robot.driver.status
+    robot = Robot()
+    robot.tick()
+    assert robot.tick(joints=(0.15, 0.5)) is None
+    assert robot.tick(joints=(0.15, 0.5)) is not None, "one jump passes"
+
+
 def test_the_first_steps_are_confirmed_one_by_one():
     robot = Robot(confirm_steps=2)
     robot.driver.confirm()  # nothing is proposed yet
@@ -197,9 +256,22 @@ def test_a_confirmed_step_waits_for_new_input_and_is_checked_again():
     robot.driver.confirm()
     robot.now += 1
     assert robot.driver.tick(robot.now) is None
-    assert robot.tick(joints=(0.0, 0.0)) is None
+    assert robot.tick(IMAGE + np.uint8(1), joints=(0.0, 0.0)) is None
     assert "moved by hand" in robot.driver.status
     assert robot.tick() is None, "the next proposal needs a confirmation of its own"
+
+
+def test_a_confirmation_is_of_what_is_seen_now():
+    robot = Robot(confirm_steps=1, patience_s=5)
+    robot.tick()
+    first = robot.calls[0]
+    for _ in range(60):
+        robot.tick(image=IMAGE + np.uint8(1))
+    assert len(robot.calls) == 2
+    np.testing.assert_array_equal(robot.calls[1]["image"][0], IMAGE + np.uint8(1))
+    assert robot.calls[1]["episode_start"] == first["episode_start"], "the memory is as before"
+    robot.driver.confirm()
+    np.testing.assert_allclose(robot.tick(), [0.05, 0.55])
 
 
 def test_a_step_is_not_confirmed_during_a_hold():
@@ -304,3 +376,16 @@ def test_larger_images_are_cut_and_averaged():
     assert small[0, 0, 0] == 200
     assert (small.reshape(-1, 3)[1:] == 100).all()
     assert Robot().tick(image=image) is None
+    assert robot.tick(image=IMAGE[:2, :2]) is None, "no image is enlarged"
+    assert "(2, 2, 3) instead of" in robot.driver.status
+
+
+def test_a_run_does_not_set_its_own_speed_limit(tmp_path, capsys, monkeypatch):
+    run = shutil.copytree(ROOT / "zoo" / "irb120-full-fast", tmp_path / "run")
+    values = json.loads((run / "config.json").read_text())
+    monkeypatch.setitem(sys.modules, "knowarm.integrations.ros", SimpleNamespace(drive=print))
+    assert main(["ros", str(run)]) == 0
+    values["env"]["mpi_rad"] = 1.0
+    (run / "config.json").write_text(json.dumps(values))
+    assert main(["ros", str(run)]) == 2
+    assert "by up to 1 rad per step" in capsys.readouterr().err

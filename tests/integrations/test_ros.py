@@ -14,8 +14,9 @@ pytest.importorskip("rclpy")
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Image, JointState
-from std_msgs.msg import Empty
+from std_msgs.msg import Empty, Header
 from trajectory_msgs.msg import JointTrajectory
 
 from benchmarks.deployment import by_ros
@@ -39,7 +40,7 @@ TOPICS = Topics()
 @pytest.fixture(autouse=True)
 def terminal(monkeypatch):
     """A terminal at which nobody types; the end of its input stops nothing without confirmation."""
-    monkeypatch.setattr(sys, "stdin", io.StringIO())
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO()))
 
 
 @pytest.fixture(scope="module")
@@ -63,10 +64,10 @@ def test_the_simulated_robot_is_driven_as_in_process(trained, parts):
 class Cell:
     """Camera, joints and controller of a robot that stands still."""
 
-    def __init__(self, parts, image=None, state=None, controllers=1):
+    def __init__(self, parts, image=None, state=None, controllers=1, stop_qos=1):
         self.parts, self.image, self.state = parts, image or {}, state or {}
         self.received, self.driver, self._over = [], None, False
-        self._controllers = controllers
+        self._controllers, self._stop_qos = controllers, stop_qos
         self.then = lambda: None
 
     def drive(self, **safety):
@@ -92,7 +93,7 @@ class Cell:
         executor.add_node(node)
         images = node.create_publisher(Image, TOPICS.image, 1)
         states = node.create_publisher(JointState, TOPICS.joint_states, 1)
-        self.stop = node.create_publisher(Empty, TOPICS.stop, 1)
+        self.stop = node.create_publisher(Empty, TOPICS.stop, self._stop_qos)
         for _ in range(self._controllers):
             node.create_subscription(JointTrajectory, TOPICS.trajectory, self.received.append, 1)
         self.node = node
@@ -100,9 +101,11 @@ class Cell:
         while not self._over:
             image = {"encoding": "rgb8", "height": 64, "width": 64, "step": 192} | self.image
             size = image["height"] * image["step"]
-            images.publish(Image(data=bytes(size), **image))
+            stamp = {"stamp": node.get_clock().now().to_msg()}
+            data = (np.arange(size) % 251).astype(np.uint8).tobytes()
+            images.publish(Image(header=Header(**stamp), data=data, **image))
             state = {"name": list(joints["names"]), "position": list(joints["home"])} | self.state
-            states.publish(JointState(**state))
+            states.publish(JointState(header=Header(**stamp), **state))
             executor.spin_once(timeout_sec=0.02)
             self.then()
         node.destroy_node()
@@ -154,8 +157,9 @@ def test_a_second_program_on_the_topic_moves_nothing(parts):
     assert len(cell.received) < 50, "only until the other one is discovered"
 
 
-def test_the_stop_topic_ends_the_episode(parts):
-    cell = Cell(parts)
+@pytest.mark.parametrize("qos", [1, qos_profile_sensor_data], ids=["reliable", "best effort"])
+def test_the_stop_topic_ends_the_episode(parts, qos):
+    cell = Cell(parts, stop_qos=qos)
     cell.then = lambda: cell.received and cell.stop.publish(Empty())
     with pytest.raises(UserError, match="stopped by /knowarm/stop"):
         cell.drive(max_steps=500, following_steps=1000)
@@ -168,22 +172,35 @@ def test_a_dry_run_sends_nothing(parts):
     assert not cell.received
 
 
+class Broken(io.BytesIO):
+    """A terminal that has gone."""
+
+    def __next__(self):
+        raise OSError(5, "Input/output error")
+
+
 @pytest.mark.parametrize(
-    ("line", "step", "stopped"), [("\n", 1, False), ("\n", 5, True), ("x", 1, True)]
+    ("terminal", "step", "reason"),
+    [
+        (io.BytesIO(b"\n"), 1, "nobody is at the terminal"),
+        (io.BytesIO(b"\n"), 5, "stopped at the terminal"),
+        (io.BytesIO(b"x\n"), 1, "stopped at the terminal"),
+        (io.BytesIO(b"\xe9\n"), 1, "stopped at the terminal"),
+        (Broken(), 5, "the terminal cannot be read: "),
+        (None, 1, "nobody is at the terminal"),
+    ],
 )
-def test_a_line_confirms_one_of_the_first_steps_and_ends_later_ones(
-    line, step, stopped, monkeypatch
-):
+def test_every_line_but_a_confirmation_stops(terminal, step, reason, monkeypatch):
     said = []
     driver = SimpleNamespace(
         steps=step,
         safety=Safety(confirm_steps=5),
         stop=said.append,
-        confirm=lambda: said.append(""),
+        confirm=lambda: None,
     )
-    monkeypatch.setattr("sys.stdin", [line])
+    monkeypatch.setattr("sys.stdin", terminal and io.TextIOWrapper(terminal, "utf-8"))
     ros._listen(driver)
-    assert ("stopped at the terminal" in said) == stopped
+    assert reason in said[0]
 
 
 def test_nobody_confirms_the_first_steps():

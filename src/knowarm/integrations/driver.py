@@ -2,8 +2,11 @@
 
 `Driver.tick` returns the joint targets to send, or None. A *hold* sends nothing until its reason is
 gone; an *end* is final. A step out of the workspace, or away from a blocked arm, is shortened.
+Two clocks: stamps are compared with the clock that made them; periods and holds are measured by a
+monotonic one, which no time server sets.
 """
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -20,6 +23,8 @@ from knowarm.world.own_robot.camera_check import central_square
 Targets = NDArray[np.float64]
 EARLIEST = 0.8  # Shortest time between two targets, in control periods
 SHARES = (1.0, 0.5, 0.25)  # Shares of a step that are tried
+JUMP = 2.0  # Fastest motion of a joint that is believed, in MPI per control period
+FROZEN = 4.0  # Motion of a joint that must change the image, in MPI
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +64,8 @@ class Driver:
     ``knowledge`` is a row of the table; ``resize`` averages the central square of larger images.
 
     Attributes: ``status``, one line for the person beside the robot; ``end``, why the episode ended
-    (empty while it runs); ``completed``, whether all steps were played; ``steps``, their number.
+    (empty while it runs); ``completed``, whether all steps were played; ``steps``, their number;
+    ``clock``, which returns seconds that never run backwards.
     """
 
     def __init__(
@@ -79,9 +85,15 @@ class Driver:
         self._box = np.array([about["workspace_m"][end] for end in ("lower", "upper")])
         self.status, self.end, self.completed, self.steps = "waiting", "", False, 0
         self._inputs: dict[str, Any] = dict.fromkeys(("image", "joint angles"), "not yet seen")
+        self._before: dict[str, Any] = {}  # the runner's state before the proposal
         self._proposal: Targets | None = None
         self._is_confirmed = False
-        self._sent_at, self._held_since = -np.inf, np.inf
+        self.clock: Callable[[], float] = time.monotonic
+        self._ticked_at: float | None = None
+        self._proposed_at = self._sent_at = -np.inf
+        self._held_since = np.inf
+        self._felt: tuple[Targets, float] | None = None  # the last angles and their stamp
+        self._imaged: tuple[NDArray[np.uint8], Targets] | None = None  # the image, first angles
         rows = about["knowledge"]["rows"]
         if knowledge not in (rows if len(rows) > 1 else (None, *rows)):
             raise UserError(f"The knowledge must be a row such as {rows[0]!r}, got {knowledge!r}.")
@@ -90,10 +102,12 @@ class Driver:
     def see(self, image: NDArray[np.uint8] | str, stamp_s: float) -> None:
         """Take an image (H, W, 3) RGB, taken at ``stamp_s``, or the reason why there is none."""
         size = self._runner.contract["camera"]["size"]
-        if not isinstance(image, str) and self._resize:
+        if not isinstance(image, str) and self._resize and min(image.shape[:2]) > size:
             image = np.asarray(central_square(Image.fromarray(image), size))
         if not isinstance(image, str) and (image.shape, image.dtype) != ((size, size, 3), np.uint8):
             image = f"is {image.shape} instead of ({size}, {size}, 3); resize it"
+        if not isinstance(image, str) and image.min() == image.max():
+            image = "shows a single colour"
         self._inputs["image"] = image if isinstance(image, str) else (image, stamp_s)
 
     def feel(self, names: Sequence[str], positions: Sequence[float], stamp_s: float) -> None:
@@ -102,8 +116,15 @@ class Driver:
         if found.keys().isdisjoint(self.joint_names):
             return  # of a gripper or another robot
         angles = np.array([found.get(name, np.nan) for name in self.joint_names])
-        bad = ", ".join(np.array(self.joint_names)[~np.isfinite(angles)])
-        self._inputs["joint angles"] = (angles, stamp_s) if not bad else f"lack a number for {bad}"
+        if bad := ", ".join(np.array(self.joint_names)[~np.isfinite(angles)]):
+            self._inputs["joint angles"] = f"lack a number for {bad}"
+            return
+        before, before_s = self._felt or (angles, stamp_s)
+        self._felt = angles, stamp_s
+        most = JUMP * self._mpi * max(1.0, abs(stamp_s - before_s) / self.period_s)
+        jumped = (abs(angles - before) > most).any()
+        problem = "jump; does another robot publish these joints?"
+        self._inputs["joint angles"] = problem if jumped else (angles, stamp_s)
 
     def confirm(self) -> None:
         """Confirm the step that ``status`` shows; without effect where there is none."""
@@ -118,13 +139,21 @@ class Driver:
 
         ``now_s`` is the time by the clock of the stamps, ``obstacle`` a reason to hold.
         """
-        if self.end or 0 <= now_s - self._sent_at < EARLIEST * self.period_s:
+        steady = self.clock()
+        longest = self.safety.patience_s if self.steps else self.safety.wait_s
+        before, self._ticked_at = self._ticked_at, steady
+        if before is not None and not 0 <= steady - before <= longest:
+            self.stop(f"stopped: {steady - before:.1f} s passed between two control periods")
+        if self.end or steady - self._sent_at < EARLIEST * self.period_s:
             return None
-        if not (problem := obstacle or self._old_input(now_s)):
+        if self._proposal is not None and steady - self._proposed_at > self.safety.patience_s:
+            vars(self._runner).update(self._before)  # what is confirmed must be what is seen now
+            self._proposal = None
+        if not (problem := obstacle or self._old_input(now_s) or self._frozen()):
             image, angles = (given[0] for given in self._inputs.values())
             try:
                 if self._proposal is None:
-                    self._proposal = self._propose(image, angles)
+                    self._proposal, self._proposed_at = self._propose(image, angles), steady
                 self._check(self._proposal)
             except ValueError as error:
                 self.stop(f"stopped: {error}")
@@ -132,12 +161,11 @@ class Driver:
             for share in SHARES:
                 targets = self._previous + share * (self._proposal - self._previous)
                 if not (problem := self._barred(targets, angles)):
-                    return None if self.end else self._released(targets, now_s)
+                    return None if self.end else self._released(targets, steady)
             self._runner.targets, self._proposal = self._previous[None], None
         self.status = f"hold: {problem}"
-        self._held_since = min(self._held_since, now_s)
-        longest = self.safety.patience_s if self.steps else self.safety.wait_s
-        if now_s - self._held_since > longest:
+        self._held_since = min(self._held_since, steady)
+        if steady - self._held_since > longest:
             self.stop(f"stopped after {longest:g} s: {problem}")
         return None
 
@@ -150,10 +178,11 @@ class Driver:
         if self.safety.dry_run:  # nothing follows the targets, so each step starts where the arm is
             runner.targets = angles.clip(runner.lower, runner.upper)[None]
         self._previous, self._is_confirmed = runner.targets[0].copy(), False
+        self._before = dict(vars(runner))
         runner.act({"image": image[None]})
         return runner.targets[0]
 
-    def _released(self, targets: Targets, now_s: float) -> Targets | None:
+    def _released(self, targets: Targets, steady: float) -> Targets | None:
         """Return checked targets if the step needs no confirmation or has it."""
         self._held_since, dry = np.inf, self.safety.dry_run
         moves = zip(self.joint_names, targets - self._previous, strict=True)
@@ -164,7 +193,7 @@ class Driver:
             return None
         self.status = f"dry run, {self.status}" if dry else "moving"
         self._runner.targets, self._proposal = targets[None].copy(), None
-        self._sent_at, self.steps = now_s, self.steps + 1
+        self._sent_at, self.steps = steady, self.steps + 1
         if self.steps == self.max_steps:
             self.completed = True
             self.stop(f"all {self.max_steps} steps are played")
@@ -174,12 +203,20 @@ class Driver:
         """Say which input is missing, wrong, old or from the future."""
         most = self.safety.max_age_s
         for name, given in self._inputs.items():
-            if isinstance(given, str):
-                return f"{name} {given}"
+            if isinstance(given, str) or not given[1]:
+                return f"{name} {given if isinstance(given, str) else 'without a time stamp'}"
             if not -most <= (age := now_s - given[1]) <= most:
                 far = "in the future; synchronize the clocks" if age < 0 else "old"
                 return f"{name} more than {most:g} s {far}"
         return ""
+
+    def _frozen(self) -> str:
+        """Say whether the arm has moved while the image has stayed the same to the byte."""
+        image, angles = (given[0] for given in self._inputs.values())
+        if self._imaged is None or not np.array_equal(image, self._imaged[0]):
+            self._imaged = image, angles
+        frozen = abs(angles - self._imaged[1]).max() > FROZEN * self._mpi
+        return "the image stays the same while the arm moves" if frozen else ""
 
     def _check(self, targets: Targets) -> None:
         """Raise `ValueError` for targets (J,) that no intact policy computes."""

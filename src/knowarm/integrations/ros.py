@@ -7,14 +7,16 @@ from typing import Any
 
 from knowarm.errors import UserError, packages_of
 from knowarm.integrations.driver import Driver, Topics, decoded
+from knowarm.reading import one_line
 
 with packages_of("ros", "Driving a robot"):
     import rclpy
     from builtin_interfaces.msg import Duration
+    from rclpy.event_handler import SubscriptionEventCallbacks
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.node import Node
     from rclpy.parameter import Parameter
-    from rclpy.qos import qos_profile_sensor_data
+    from rclpy.qos import QoSProfile, qos_profile_sensor_data
     from rclpy.signals import SignalHandlerOptions
     from sensor_msgs.msg import Image, JointState
     from std_msgs.msg import Empty
@@ -35,9 +37,17 @@ class DriverNode(Node):
         self.create_subscription(Image, topics.image, self._see, latest)
         self.create_subscription(JointState, topics.joint_states, self._feel, latest)
         stop = f"stopped by {topics.stop}"
-        self.create_subscription(Empty, topics.stop, lambda _: driver.stop(stop), 1)
+        # A reliable subscription receives nothing from a best-effort publisher; a best-effort one
+        # may lose a message on a bad network.
+        quiet = SubscriptionEventCallbacks(incompatible_qos=lambda _: None)
+        for qos in (QoSProfile(depth=1), latest):
+            self.create_subscription(
+                Empty, topics.stop, lambda _: driver.stop(stop), qos, event_callbacks=quiet
+            )
         if not driver.safety.dry_run:
             self._out = self.create_publisher(JointTrajectory, self._topic, 1)
+        if topics.use_clock:
+            driver.clock = self._seconds
         self._from = time.monotonic() + DISCOVERY_S
         self.create_timer(driver.period_s, self._tick)
 
@@ -47,21 +57,20 @@ class DriverNode(Node):
             self._shown = self.driver.status
             print(self._shown, flush=True)
 
-    def _seconds(self, stamp: Any = None) -> float:
-        """Return the time of a stamp [s]; the present for an empty one."""
-        given = stamp.sec + stamp.nanosec * 1e-9 if stamp else 0.0
-        return float(given or self.get_clock().now().nanoseconds * 1e-9)
+    def _seconds(self) -> float:
+        """Return the time by the clock of the stamps [s]."""
+        return float(self.get_clock().now().nanoseconds * 1e-9)
 
     def _see(self, image: Any) -> None:
         size = image.height, image.width, image.step
         pixels = decoded(image.encoding, *size, bytes(image.data))
-        self.driver.see(pixels, self._seconds(image.header.stamp))
+        self.driver.see(pixels, _stamp(image))
 
     def _feel(self, state: Any) -> None:
-        self.driver.feel(state.name, state.position, self._seconds(state.header.stamp))
+        self.driver.feel(state.name, state.position, _stamp(state))
 
     def _tick(self) -> None:
-        if time.monotonic() < self._from:
+        if time.monotonic() < self._from or not self._seconds():  # no /clock yet
             return
         obstacle = ""
         if self._out is not None and self.count_publishers(self._topic) > 1:
@@ -76,6 +85,11 @@ class DriverNode(Node):
             names = list(self.driver.joint_names)
             self._out.publish(JointTrajectory(joint_names=names, points=[point]))
         self.show()
+
+
+def _stamp(message: Any) -> float:
+    """Return when a message was measured [s]; 0 if it does not say."""
+    return float(message.header.stamp.sec + message.header.stamp.nanosec * 1e-9)
 
 
 def drive(driver: Driver, topics: Topics) -> None:
@@ -99,9 +113,12 @@ def drive(driver: Driver, topics: Topics) -> None:
 
 
 def _listen(driver: Driver) -> None:
-    for line in sys.stdin:
-        if line.strip() or driver.steps >= driver.safety.confirm_steps:
-            driver.stop("stopped at the terminal")
-        driver.confirm()
-    if driver.steps < driver.safety.confirm_steps and not driver.safety.dry_run:
-        driver.stop("stopped: nobody is at the terminal to confirm the first steps")
+    try:
+        for line in sys.stdin.buffer if sys.stdin else ():  # bytes: any key stops
+            if line.strip() or driver.steps >= driver.safety.confirm_steps:
+                driver.stop("stopped at the terminal")
+            driver.confirm()
+        if driver.steps < driver.safety.confirm_steps and not driver.safety.dry_run:
+            driver.stop("stopped: nobody is at the terminal to confirm the first steps")
+    except Exception as error:
+        driver.stop(f"stopped: the terminal cannot be read: {one_line(error)}")
