@@ -60,5 +60,6 @@ def test_training_is_measured_also_for_agents_with_a_module(name):
 
 @pytest.mark.slow
 def test_training_with_a3c_is_measured():
-    config = experiment_config("irb120-bm-a3c", algorithm={"workers": 2})
+    algorithm = {"schedule": "asynchronous", "workers": 2}
+    config = experiment_config("irb120-bm-a3c", algorithm=algorithm)
     assert measure_training(config, 0.01) > 0

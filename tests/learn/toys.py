@@ -38,11 +38,11 @@ class ToyEnv:
         self.knowledge_input = np.zeros(num_envs, np.int64)
 
     def reset(self, *, seed=None, options=None):
-        self._seed = seed
+        if seed is not None:
+            self._seed, self._draws = seed, np.zeros((), np.int64)
         self._clock = np.zeros(self.num_envs, np.int64)
         if self.staggered:
             self._clock = np.arange(self.num_envs) % self.length
-        self._draws = np.zeros((), np.int64)
         self._cue = self._draw()
         self._draw_facets(np.ones(self.num_envs, np.bool_))
         return self._look(), {}

@@ -28,14 +28,14 @@ def test_without_masks_it_is_pytorchs_lstm(lstm):
     reference = torch.nn.LSTM(N, H).double()
     reference.load_state_dict({f"{k}_l0": v for k, v in lstm.state_dict().items()})
     expected, (last_h, last_c) = reference(x, (h[None], c[None]))
-    hidden, state = lstm.unroll(x, (h, c), torch.zeros(T, B, dtype=torch.bool))
+    hidden, state = lstm(x, (h, c), torch.zeros(T, B, dtype=torch.bool))
     torch.testing.assert_close(hidden, expected)
     torch.testing.assert_close(state, (last_h[0], last_c[0]))
 
 
 def test_an_unroll_is_so_many_steps(lstm):
     x, state, start = random_case()
-    hidden, last = lstm.unroll(x, state, start)
+    hidden, last = lstm(x, state, start)
     for t in range(T):
         one, state = lstm.step(x[t], state, start[t])
         torch.testing.assert_close(one, hidden[t])
@@ -47,8 +47,8 @@ def test_an_episode_start_forgets_everything_before(lstm):
     start = torch.zeros(T, B, dtype=torch.bool)
     start[3] = True
     x.requires_grad_()
-    hidden, _ = lstm.unroll(x, state, start)
-    fresh, _ = lstm.unroll(x[3:], lstm.initial_state(B), start[3:])
+    hidden, _ = lstm(x, state, start)
+    fresh, _ = lstm(x[3:], lstm.initial_state(B), start[3:])
     torch.testing.assert_close(hidden[3:], fresh)
     (gradient,) = torch.autograd.grad(hidden[3:].sum(), x)
     assert (gradient[:3] == 0).all()
@@ -62,7 +62,7 @@ def unrolled(x, state, start, parameters, low):
     x = x.clone().requires_grad_()
     state = tuple(part.clone().requires_grad_() for part in state)
     with torch.autocast("cpu", torch.bfloat16, enabled=low == torch.bfloat16):
-        hidden, (h, c) = lstm.unroll(x, state, start)
+        hidden, (h, c) = lstm(x, state, start)
     assert hidden.dtype == c.dtype == torch.float32
     loss = hidden.square().sum() + h.sin().sum() + c.cos().sum()
     return [hidden, h, c, *torch.autograd.grad(loss, [x, *state, *lstm.parameters()])]

@@ -67,9 +67,11 @@ def _make_minibatch(
 def _make_a3c(
     config: A3CConfig, policy: "Policy", make_env: "Callable[..., TorchVectorEnv]", **options: Any
 ) -> "Trainer":
-    from knowarm.learn import A3CTrainer
+    from knowarm import learn
 
-    return A3CTrainer(config, policy, make_env, **options)
+    is_fixed = config.schedule == "fixed"
+    make = learn.FixedScheduleA3CTrainer if is_fixed else learn.A3CTrainer
+    return make(config, policy, make_env, **options)
 
 
 ALGORITHMS: dict[str, Algorithm] = {
@@ -106,7 +108,7 @@ ALGORITHMS: dict[str, Algorithm] = {
     ),
     "a3c": Algorithm(
         about="asynchronous advantage actor-critic with the paper's numbers",
-        config=A3CConfig(),
+        config=A3CConfig(schedule="fixed"),
         make_trainer=_make_a3c,
         total_steps=70_000_000,
         policy={"pixel_shift": 0.0, "pixel_scale": 1.0, "fc_activation": "none"},

@@ -1,5 +1,6 @@
 # Public names of the package: what type checkers see, and what __init__.py imports on first use.
 from .a3c import A3CTrainer as A3CTrainer
+from .a3c import FixedScheduleA3CTrainer as FixedScheduleA3CTrainer
 from .algorithms import A3CConfig as A3CConfig
 from .algorithms import AlgorithmConfig as AlgorithmConfig
 from .algorithms import DistilConfig as DistilConfig

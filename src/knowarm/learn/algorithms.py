@@ -246,10 +246,14 @@ class A3CConfig(ThresholdConfig, ScheduleConfig):
 
     name: Literal["a3c"] = "a3c"
     """Identifies the algorithm in a config file."""
+    schedule: Literal["asynchronous", "fixed"] = "asynchronous"
+    """"asynchronous": a process per worker, whose updates follow each other as they come. "fixed":
+    all workers in one process, whose updates follow each other in a fixed order, so that a training
+    repeats to the byte."""
     workers: int = 17
-    """Worker processes that collect and learn; one more process evaluates."""
+    """Workers that collect and learn."""
     envs_per_worker: int = 1
-    """Environments per worker; 1 in the paper, more are faster."""
+    """Environments per worker; 1 in the paper and on the fixed schedule, more are faster."""
     rollout_steps: int = 50
     """Steps per environment between two updates, at most; 50 is a whole episode."""
     rollout_ends_with_episode: bool = True
@@ -290,6 +294,12 @@ class A3CConfig(ThresholdConfig, ScheduleConfig):
         at_least(self, 0, "vf_coef", "ent_coef")
         above_zero(self, "rmsprop_eps", "reward_scale", "max_grad_norm")
         fraction(self, "gamma", "gae_lambda")
+        if self.schedule == "fixed" and self.envs_per_worker > 1:
+            raise UserError(
+                f"envs_per_worker is {self.envs_per_worker}, and workers on the fixed schedule "
+                "have one environment each: set schedule to 'asynchronous', or envs_per_worker "
+                "to 1."
+            )
         if self.rollout_ends_with_episode and self.envs_per_worker > 1:
             raise UserError(
                 f"envs_per_worker is {self.envs_per_worker}, and rollout_ends_with_episode needs "

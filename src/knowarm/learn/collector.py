@@ -59,14 +59,15 @@ class EpisodeStatistics:
         self._return = torch.where(done, 0, self._return)
         self._length = torch.where(done, 0, self._length)
 
-    def take(self) -> FinishedEpisodes:
-        """Return the episodes that ended since the last call."""
+    def take(self, where: Tensor | None = None) -> FinishedEpisodes:
+        """Return the episodes that ended since the last call, in the steps ``where`` (t, n)."""
         if not self._steps:
             return FinishedEpisodes(np.zeros(0), np.zeros(0, np.int64), np.zeros(0, bool))
         done, returns, lengths, success = (
             torch.stack(column).cpu().numpy() for column in zip(*self._steps, strict=True)
         )
         self._steps = []
+        done = done if where is None else done & where.cpu().numpy()
         return FinishedEpisodes(returns[done], lengths[done], success[done].astype(bool))
 
     def get_state(self) -> dict[str, np.ndarray]:
@@ -134,7 +135,7 @@ class Collector:
         until_episode_end: bool = False,
         recorder: PrivilegedRecorder | None = None,
     ) -> int:
-        """Fill a rollout with the next T steps of all environments, or until an episode ends.
+        """Fill a rollout with the next T steps of all environments, or until each ended an episode.
 
         Returns the number of steps t; only the rollout's first t rows are valid (`Rollout.first`).
         """
@@ -143,6 +144,7 @@ class Collector:
         rollout.start_h.copy_(self._state[0])
         rollout.start_c.copy_(self._state[1])
         rollout.final_value.zero_()
+        ended = torch.zeros_like(self._start)
         for t in range(len(rollout.reward)):
             if recorder is not None:
                 recorder.before_step(t)
@@ -164,15 +166,20 @@ class Collector:
                 recorder.after_step(t, infos)
             success = infos.get("final_info", {}).get("is_success", terminated)
             self.statistics.add(reward, self._start, success)
-            if until_episode_end and bool(self._start.any()):
+            if until_episode_end and bool((ended := ended | self._start).all()):
                 break
         count = len(logits)
         stacked, knowledge = torch.stack(logits), self.env.knowledge
         rollout.log_probability[:count] = log_probability(stacked, rollout.action[:count])
-        if self._final_values:
+        if self._final_values and not self.is_at_start:
             _, value, _ = self.policy.step(self._image, knowledge, self._state, self._start)
             rollout.last_value.copy_(value)
         return count
+
+    @property
+    def is_at_start(self) -> bool:
+        """Whether all environments are at the start of an episode."""
+        return bool(self._start.all())
 
     def restart(self) -> Tensor:
         """Start new episodes in all environments; return their images."""

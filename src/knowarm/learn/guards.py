@@ -55,7 +55,7 @@ class FiniteGuard:
 
         Single terms are examined only if the total loss or the gradient's ``norm`` is not finite.
         """
-        if bool(torch.isfinite(norm + loss["total"].detach())):
+        if bool(torch.isfinite(norm + loss["total"].detach()).all()):
             return
         terms = {f"the {name.replace('_', ' ')}": term for name, term in loss.items()}
         del terms["the total"]

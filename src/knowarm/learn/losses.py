@@ -27,16 +27,22 @@ def a3c_loss(
     *,
     vf_coef: float,
     ent_coef: float,
+    weights: Tensor | None = None,
 ) -> Terms:
     """Compute A3C's loss (paper section 4.2.1), divided by the number of steps.
 
     ``policy = -mean(log pi(a) A)``, ``value = mean((R - V)^2) / 2`` and
     ``total = policy + vf_coef * value - ent_coef * entropy``: entropy is rewarded.
     The paper prints the opposite sign of the entropy term, which would penalize exploration.
+    With ``weights`` of the steps (...) all means are weighted sums.
     """
-    policy = -(log_probability(logits, actions) * advantages).mean()
-    value = 0.5 * (returns - values).square().mean()
-    spread = entropy(logits).mean()
+
+    def mean(x: Tensor) -> Tensor:
+        return x.mean() if weights is None else (x * weights).sum()
+
+    policy = -mean(log_probability(logits, actions) * advantages)
+    value = 0.5 * mean((returns - values).square())
+    spread = mean(entropy(logits))
     total = policy + vf_coef * value - ent_coef * spread
     return {"total": total, "policy_loss": policy, "value_loss": value, "entropy": spread}
 

@@ -1,11 +1,16 @@
 """Image encoder: two convolutions over patches of the image, and orthogonal initialization."""
 
 import math
+from typing import NamedTuple
 
+import numpy as np
 import torch
 import torch.nn.functional as F
+from numpy.typing import NDArray
 from torch import Tensor, nn
+from torch.nn.grad import conv2d_input, conv2d_weight
 
+from knowarm.compiling import njit
 from knowarm.cores import torch_threads
 
 SIDE, STRIDE = 3, 4
@@ -37,6 +42,36 @@ def orthogonal(layer: nn.Module, gain: float, generator: torch.Generator) -> Non
             orthogonal_(parameter, gain, generator)
         else:
             nn.init.zeros_(parameter)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _gather(images: NDArray[np.uint8], patches: NDArray[np.uint8]) -> None:
+    """Write the patches (N, S, L) of images (N, H, W * 3); see `ImageEncoder.patches`.
+
+    It takes a third of the time of PyTorch's views, and inference of few images half of its own.
+    """
+    width = 3 * SIDE
+    blocks = int(np.sqrt(patches.shape[1]))
+    for n in range(len(images)):
+        for s in range(blocks * blocks):
+            out, top, left = patches[n, s], s // blocks * 2 * STRIDE, s % blocks * 2 * STRIDE * 3
+            at = 0
+            for row in (0, STRIDE):
+                for column in (0, 3 * STRIDE):
+                    for y in range(SIDE):
+                        line, start = images[n, top + row + y], left + column
+                        for i in range(width):
+                            out[at + i] = line[start + i]
+                        at += width
+
+
+class ProductWeights(NamedTuple):
+    """The parameters of an `ImageEncoder` as its two products take them."""
+
+    first: Tensor  # (16, 27)
+    first_bias: Tensor  # (16,)
+    second: Tensor  # (32, 64, 3, 3), channels last
+    second_bias: Tensor  # (32,)
 
 
 class ImageEncoder(nn.Module):
@@ -80,6 +115,10 @@ class ImageEncoder(nn.Module):
         image = image.reshape(-1, *image.shape[-3:])
         if self._padding:
             image = F.pad(image, (0, 0, 0, self._padding, 0, self._padding))
+        if image.device.type == "cpu":
+            patches = image.new_empty(len(image), *self.patch_shape)
+            _gather(image.flatten(2).numpy(), patches.numpy())
+            return patches.view(*leading, *self.patch_shape)
         cut = image.unfold(1, SIDE, STRIDE).unfold(2, SIDE, STRIDE)[:, : 2 * blocks, : 2 * blocks]
         cut = cut.unflatten(2, (blocks, 2)).unflatten(1, (blocks, 2))
         # axes: row, row in block, column, column in block, colour, pixel row, pixel column
@@ -90,23 +129,68 @@ class ImageEncoder(nn.Module):
 
         The channels of one position are contiguous.
         """
-        count, blocks, depth = patches.shape[0], self._blocks, self.conv1.out_channels
+        weights = self.product_weights()
+        return self.second(self.first(patches, weights), weights)
+
+    def product_weights(self) -> "ProductWeights":
+        """Arrange the parameters for the products of `first` and `second`."""
         # Scale the few weights instead of the many pixels.
-        weight = self.conv1.weight.permute(0, 2, 3, 1).reshape(depth, -1)
-        weight = weight * (self.pixel_scale / 255)
-        bias = self.conv1.bias
+        first = self.conv1.weight.permute(0, 2, 3, 1).flatten(1) * (self.pixel_scale / 255)
+        bias, second_bias = self.conv1.bias, self.conv2.bias
         assert bias is not None
+        assert second_bias is not None
         if self.pixel_shift:
-            bias = bias - self.pixel_shift * 255 * weight.sum(1)
-        # Pixels are converted directly to the dtype of the product.
-        low = torch.is_autocast_enabled(weight.device.type)
-        dtype = torch.get_autocast_dtype(weight.device.type) if low else weight.dtype
-        pixels = patches.reshape(-1, weight.shape[1]).to(dtype)
-        x = torch.relu(F.linear(pixels, weight, bias))
+            bias = bias - self.pixel_shift * 255 * first.sum(1)
         # Channels last is the layout of the product, and the fastest one for convolutions.
-        x = x.view(count, blocks, blocks, 4 * depth).permute(0, 3, 1, 2)
-        x = torch.relu(F.conv2d(x, self._block_weight(), self.conv2.bias))
-        return x.permute(0, 2, 3, 1).reshape(count, self.width)
+        second = self._block_weight().contiguous(memory_format=torch.channels_last)
+        return ProductWeights(first, bias, second, second_bias)
+
+    def first(self, patches: Tensor, weights: "ProductWeights") -> Tensor:
+        """Compute the first convolution: (N, S, L) uint8 -> (N, side, side, 64), side^2 = S."""
+        # Pixels are converted directly to the dtype of the product.
+        weight, device = weights.first, weights.first.device.type
+        low = torch.is_autocast_enabled(device)
+        dtype = torch.get_autocast_dtype(device) if low else weight.dtype
+        pixels = patches.reshape(-1, weight.shape[1]).to(dtype)
+        x = torch.relu(F.linear(pixels, weight, weights.first_bias))
+        return x.view(len(patches), self._blocks, self._blocks, 4 * self.conv1.out_channels)
+
+    def second(self, x: Tensor, weights: "ProductWeights") -> Tensor:
+        """Compute the second convolution from the result of `first`: (N, width)."""
+        x = torch.relu(F.conv2d(x.permute(0, 3, 1, 2), weights.second, weights.second_bias))
+        return x.permute(0, 2, 3, 1).reshape(len(x), self.width)
+
+    @torch.no_grad()
+    def gradients(
+        self, patches: Tensor, hidden: Tensor, features: Tensor, gradient: Tensor
+    ) -> dict[str, Tensor]:
+        """Compute the gradients of the parameters, by name, from that of the features.
+
+        Args:
+            patches: (N, S, L) uint8.
+            hidden: their results of `first`, (N, side, side, 64), in the dtype of the products.
+            features: their results of `second`, (N, width).
+            gradient: of the features, (N, width).
+        """
+        side, depth, dtype = self._blocks, self.conv1.out_channels, hidden.dtype
+        weight = self.product_weights().second.to(dtype)
+        # The derivative of a ReLU is the sign of its result.
+        d_second = (gradient * features.sign()).view(-1, side - 2, side - 2, self.channels)
+        d_second_bias, d_second = d_second.sum((0, 1, 2)), d_second.to(dtype)
+        x, d_x = hidden.permute(0, 3, 1, 2), d_second.permute(0, 3, 1, 2)
+        d_block = conv2d_weight(x, weight.shape, d_x).float().view(-1, 2, 2, depth, 3, 3)
+        d_first = conv2d_input(x.shape, weight, d_x).mul_(x.sign())
+        d_first = d_first.permute(0, 2, 3, 1).reshape(-1, depth)
+        pixels = patches.reshape(len(d_first), -1).to(dtype)
+        d_weight, d_bias = (d_first.t() @ pixels).float(), d_first.float().sum(0)
+        # The weights of `first` are scaled, and its bias is shifted by their sum.
+        d_weight = (d_weight - self.pixel_shift * 255 * d_bias[:, None]) * (self.pixel_scale / 255)
+        return {
+            "conv1.weight": d_weight.view(depth, SIDE, SIDE, 3).permute(0, 3, 1, 2),
+            "conv1.bias": d_bias,
+            "conv2.weight": d_block.permute(0, 3, 4, 1, 5, 2).reshape(-1, depth, 6, 6)[..., :5, :5],
+            "conv2.bias": d_second_bias,
+        }
 
     def _block_weight(self) -> Tensor:
         """Rearrange the second kernel for blocks: (32, 16, 5, 5) -> (32, 64, 3, 3)."""

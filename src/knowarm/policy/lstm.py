@@ -139,6 +139,9 @@ class MaskedLSTM(nn.Module):
 
     Parameters have the names, shapes and gate order of ``torch.nn.LSTMCell``. The module stores
     no state: it is an argument and a return value.
+
+    Attributes:
+        projected: passes on the input part of the gates, for hooks that want its gradient.
     """
 
     def __init__(self, inputs: int, hidden: int) -> None:
@@ -148,6 +151,7 @@ class MaskedLSTM(nn.Module):
         self.weight_hh = nn.Parameter(torch.empty(4 * hidden, hidden))
         self.bias_ih = nn.Parameter(torch.zeros(4 * hidden))
         self.bias_hh = nn.Parameter(torch.zeros(4 * hidden))
+        self.projected = nn.Identity()
 
     def initial_state(self, batch: int) -> State:
         """Return a state of zeros for ``batch`` environments."""
@@ -164,7 +168,7 @@ class MaskedLSTM(nn.Module):
         """
         return self._advance(self._project(x), state, (~episode_start).to(x.dtype)[:, None])
 
-    def unroll(self, x: Tensor, state: State, episode_start: Tensor) -> tuple[Tensor, State]:
+    def forward(self, x: Tensor, state: State, episode_start: Tensor) -> tuple[Tensor, State]:
         """Advance by T steps; equals T calls of `step`, on the CPU with a faster backward pass.
 
         Arguments are those of `step` with a leading axis T; ``state`` precedes the first step.
@@ -173,7 +177,7 @@ class MaskedLSTM(nn.Module):
             Hidden states (T, B, H) and the state after the last step.
         """
         keep = (~episode_start).to(self.weight_hh.dtype)[:, :, None]
-        projected = self._project(x)
+        projected = self.projected(self._project(x))
         if _has_kernels(self.weight_hh):
             hidden, h, c = MaskedLSTMFunction.apply(projected, self.weight_hh, *state, keep)
             return hidden, (h, c)

@@ -34,8 +34,9 @@ ACTOR_GAIN = 0.01
 class Policy(nn.Module):
     """Two convolutions, a fully connected layer, an LSTM, J actor heads and a critic.
 
-    Images may be given as such or as the patches that `patches` returns; the number of axes tells
-    which. Patches spare a training loop the repeated gathering of pixels.
+    Images may be given as such, as the patches that `patches` returns, or as what the encoder makes
+    of these; the number of axes tells which. Patches spare a training loop the repeated gathering
+    of pixels.
 
     Args:
         config: the choices.
@@ -132,7 +133,7 @@ class Policy(nn.Module):
         """Advance every environment by one step.
 
         Args:
-            image: (B, H, W, 3) uint8, or their patches (B, S, L) uint8.
+            image: (B, H, W, 3) uint8, their patches (B, S, L) uint8, or these encoded, (B, width).
             knowledge: (B, K) float32; K is 0 for a policy without knowledge.
             state: (h, c) after the previous step, (B, H) each.
             episode_start: (B,) bool, true where the image is the first of an episode; the
@@ -143,7 +144,7 @@ class Policy(nn.Module):
         """
         patches = self.patches(image) if image.ndim == 4 else image
         knowledge = self.knowledge_encoder(knowledge)
-        with self._autocast():
+        with self.autocast():
             inputs = self.fusion("lstm", self._features(patches, knowledge), knowledge)
             hidden, state = self.memory.step(inputs, state, episode_start)
         logits, value = self._heads(hidden, knowledge)
@@ -170,10 +171,10 @@ class Policy(nn.Module):
         patches = self.patches(image) if image.ndim == 5 else image
         steps, batch = episode_start.shape
         knowledge = self.knowledge_encoder(knowledge).flatten(0, 1)
-        with self._autocast():
+        with self.autocast():
             features = self._features(patches.flatten(0, 1), knowledge)
             inputs = self.fusion("lstm", features, knowledge).view(steps, batch, -1)
-            hidden, state = self.memory.unroll(inputs, state, episode_start)
+            hidden, state = self.memory(inputs, state, episode_start)
         logits, value = self._heads(hidden.flatten(0, 1), knowledge)
         logits = logits.view(steps, batch, *logits.shape[1:])
         return logits, value.view(steps, batch), state, features
@@ -195,7 +196,7 @@ class Policy(nn.Module):
         """Return a function that builds a policy with this structure."""
         return partial(Policy, self.config, self.shape)
 
-    def _autocast(self) -> torch.autocast:
+    def autocast(self) -> torch.autocast:
         """Return a context in which products and convolutions have the policy's precision."""
         low, device = self.matmul_precision == "bfloat16", self.critic.weight.device.type
         # Each weight is used once, so caching its copy gains nothing.
@@ -203,7 +204,8 @@ class Policy(nn.Module):
 
     def _features(self, patches: Tensor, knowledge: Tensor) -> Tensor:
         """Compute the features of images (N, features) from (N, S, L) and (N, K)."""
-        x = self.fusion("fc", self.encoder(patches), knowledge)
+        encoded = self.encoder(patches) if patches.ndim == 3 else patches
+        x = self.fusion("fc", encoded, knowledge)
         features: Tensor = self.fc(x)
         return torch.relu(features) if self.config.fc_activation == "relu" else features
 

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from knowarm.errors import UserError
-from knowarm.learn.a3c.worker import rollout_loss
+from knowarm.learn.a3c.update import rollout_loss
 from knowarm.learn.algorithms import A3CConfig
 from knowarm.learn.collector import Collector
 from knowarm.learn.losses import a3c_loss
@@ -71,6 +71,9 @@ def test_the_return_of_a_truncated_episode(bootstrap):
 
 
 def test_rollouts_of_several_environments_cannot_end_with_an_episode():
-    with pytest.raises(UserError, match="envs_per_worker is 4"):
-        A3CConfig(envs_per_worker=4)
-    assert A3CConfig(envs_per_worker=4, rollout_ends_with_episode=False).envs_per_worker == 4
+    several = {"envs_per_worker": 4}
+    with pytest.raises(UserError, match="envs_per_worker is 4, and rollout_ends"):
+        A3CConfig(**several)
+    assert A3CConfig(**several, rollout_ends_with_episode=False).envs_per_worker == 4
+    with pytest.raises(UserError, match="envs_per_worker is 4, and workers on the fixed"):
+        A3CConfig(schedule="fixed", **several, rollout_ends_with_episode=False)

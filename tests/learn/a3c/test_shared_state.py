@@ -3,7 +3,8 @@ import math
 import pytest
 import torch
 
-from knowarm.learn.a3c.messages import rmsprop_update, shared_state_specs
+from knowarm.learn.a3c.messages import shared_state_specs
+from knowarm.learn.a3c.update import rmsprop_update
 from knowarm.learn.parallel.processes import process_context
 from knowarm.learn.parallel.shared_tensors import (
     FlatParameters,

@@ -7,17 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from knowarm.learn.algorithms import A3CConfig
 from knowarm.learn.checkpoint import Arrays
+from knowarm.learn.collector import FinishedEpisodes
 from knowarm.learn.environment import TorchVectorEnv
 from knowarm.learn.evaluation import Metrics
 from knowarm.learn.parallel.shared_tensors import TensorSpecs
 from knowarm.policy import MakePolicy
-
-RMSPROP_ALPHA = 0.99
-"""Decay of RMSprop's running mean of squared gradients (paper section 4.2)."""
 
 MakeEnv = Callable[[int, int], TorchVectorEnv]
 """Creates an environment on the CPU from num_envs and num_threads; picklable."""
@@ -74,6 +71,16 @@ class UpdateReport(NamedTuple):
 LOSS_METRICS = ("policy_loss", "value_loss", "entropy")
 
 
+def episode_sums(episodes: FinishedEpisodes) -> dict[str, float]:
+    """Return the sums over finished episodes that `mean_metrics` reads."""
+    return {
+        "episodes": len(episodes.length),
+        "episode_return": float(episodes.episode_return.sum()),
+        "episode_length": int(episodes.length.sum()),
+        "successes": int(episodes.success.sum()),
+    }
+
+
 def mean_metrics(sums: Mapping[str, float]) -> Metrics:
     """Return means over updates and finished episodes from the sums of `UpdateReport`."""
     row: Metrics = {"episodes": sums["episodes"]}
@@ -102,22 +109,3 @@ def shared_state_specs(parameters: int, workers: int) -> TensorSpecs:
         "evaluated": ((1,), torch.int64),
         "paused": ((1,), torch.bool),
     }
-
-
-def rmsprop_update(
-    values: Tensor,
-    mean_square: Tensor,
-    gradient: Tensor,
-    *,
-    learning_rate: float,
-    eps: float,
-) -> None:
-    """Apply one step of RMSprop in place (Tieleman and Hinton 2012); tensors are (P,).
-
-    ``m <- .99 m + .01 g^2``, ``x <- x - learning_rate g / (sqrt(m) + eps)``.
-
-    Parameters and statistics may be shared and are written without a lock, as in public
-    implementations of A3C: concurrent updates may overwrite parts of each other's step.
-    """
-    mean_square.mul_(RMSPROP_ALPHA).addcmul_(gradient, gradient, value=1 - RMSPROP_ALPHA)
-    values.addcdiv_(gradient, mean_square.sqrt().add_(eps), value=-learning_rate)

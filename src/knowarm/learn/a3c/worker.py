@@ -12,17 +12,15 @@ from knowarm.learn.a3c.messages import (
     StateRequest,
     UpdateReport,
     WorkerState,
-    rmsprop_update,
+    episode_sums,
 )
-from knowarm.learn.algorithms import A3CConfig
+from knowarm.learn.a3c.update import rmsprop_update, rollout_loss
 from knowarm.learn.collector import Collector
 from knowarm.learn.environment import ThresholdCurriculum
 from knowarm.learn.guards import FiniteGuard
-from knowarm.learn.losses import Terms, a3c_loss, advantages, n_step_returns
 from knowarm.learn.optimizer import resolve_precision
 from knowarm.learn.parallel.shared_tensors import FlatParameters, SharedTensors
 from knowarm.learn.rollout import Rollout
-from knowarm.policy import Policy
 
 IDLE_S = 0.05
 """Time between two looks of a paused worker at whether training continues [s]."""
@@ -97,10 +95,7 @@ class A3CWorker:
         sums = {
             "updates": 1,
             "steps": steps,
-            "episodes": len(episodes.length),
-            "episode_return": float(episodes.episode_return.sum()),
-            "episode_length": int(episodes.length.sum()),
-            "successes": int(episodes.success.sum()),
+            **episode_sums(episodes),
             **{name: float(loss[name].detach()) for name in LOSS_METRICS},
             "grad_norm": float(norm),
             "threshold_factor": self._curriculum.factor,
@@ -138,18 +133,3 @@ class A3CWorker:
 def run_a3c_worker(args: A3CWorkerArgs, shared: SharedTensors, connection: Connection) -> None:
     """Entry point of a worker process: train until the last state is requested."""
     A3CWorker(args, shared, connection).run()
-
-
-def rollout_loss(policy: Policy, config: A3CConfig, rollout: Rollout) -> Terms:
-    """Compute A3C's loss, with gradient, at the parameters that collected the rollout."""
-    reward = rollout.reward * config.reward_scale
-    following = rollout.following(bootstrap_at_time_limit=config.bootstrap_at_time_limit)
-    advantage = advantages(
-        reward, rollout.value, following, rollout.done, config.gamma, config.gae_lambda
-    )
-    returns = n_step_returns(reward, following, rollout.done, config.gamma)
-    logits, values, _ = policy.unroll(
-        rollout.patches, rollout.knowledge, rollout.start_state, rollout.episode_start
-    )
-    weights = {"vf_coef": config.vf_coef, "ent_coef": config.ent_coef}
-    return a3c_loss(logits, values, rollout.action, advantage, returns, **weights)

@@ -1,0 +1,169 @@
+"""A3C on a fixed schedule: all workers in one process, their updates one after another."""
+
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from knowarm.cores import torch_threads
+from knowarm.errors import UserError
+from knowarm.learn.a3c.gradients import WorkerGradients
+from knowarm.learn.a3c.messages import LOSS_METRICS, MakeEnv, episode_sums, mean_metrics
+from knowarm.learn.a3c.update import rmsprop_updates, rollout_loss
+from knowarm.learn.algorithms import A3CConfig
+from knowarm.learn.checkpoint import Checkpoint, policy_arrays
+from knowarm.learn.collector import Collector
+from knowarm.learn.environment import ThresholdCurriculum
+from knowarm.learn.evaluation import Metrics
+from knowarm.learn.guards import FiniteGuard
+from knowarm.learn.losses import Terms
+from knowarm.learn.optimizer import resolve_precision
+from knowarm.learn.parallel.processes import keep_freed_memory
+from knowarm.learn.parallel.shared_tensors import FlatParameters
+from knowarm.learn.trainer import StopReason, SynchronousTrainer
+from knowarm.policy import Policy
+
+
+class FixedScheduleA3CTrainer(SynchronousTrainer):
+    """A3C (paper section 4.2.1) with one of the orders in which its workers could have updated.
+
+    In every round all workers read the same parameters and play one rollout each. The gradient of
+    each is computed at these parameters, and the updates are applied one after another, that of the
+    shortest rollout first, each clipped by itself. A gradient is at most ``workers - 1`` updates
+    old. One process plays and learns for all workers, and a training repeats to the byte.
+
+    Args:
+        config: the algorithm's configuration, with one environment per worker.
+        policy: trained in place; holds the result after `train`.
+        make_env: creates the environments of all workers, on the CPU.
+        seed: of the run; episodes and actions have a stream each.
+        options: as `Trainer`.
+    """
+
+    def __init__(
+        self, config: A3CConfig, policy: Policy, make_env: MakeEnv, *, seed: int, **options: Any
+    ) -> None:
+        super().__init__(policy, seed=seed, **options)
+        self.config = config
+        self._precision = resolve_precision(config.matmul_precision, torch.device("cpu"))
+        self._values = FlatParameters(policy).values
+        self._mean_square = torch.zeros_like(self._values)
+        with self._running():
+            self._workers = WorkerGradients(policy, config.rollout_steps, config.workers)
+        env = make_env(config.workers, 1)
+        self._curriculum = ThresholdCurriculum(config, env)
+        self._collector = Collector(env, policy, seed=seed, curriculum=self._curriculum)
+        self._guard = FiniteGuard(self.failure_folder)
+
+    def _train(self, total_steps: int) -> StopReason:
+        keep_freed_memory()
+        with self._running():
+            return super()._train(total_steps)
+
+    @contextmanager
+    def _running(self) -> Iterator[None]:
+        """Use one PyTorch thread, and the precision of training, until the context ends."""
+        self.policy.matmul_precision = self._precision
+        try:
+            with torch_threads(1):
+                yield
+        finally:
+            self.policy.matmul_precision = "float32"
+
+    def update(self, total_steps: int) -> Metrics:
+        """Play and learn for `A3CConfig.log_every_steps`; see `SynchronousTrainer.update`."""
+        begin, sums = self.step, Counter[str]()
+        while self.step < min(total_steps, begin + self.config.log_every_steps):
+            sums.update(self._round(total_steps))
+        return mean_metrics(sums)
+
+    def _round(self, total_steps: int) -> dict[str, float]:
+        """Play one rollout per worker and apply their updates; return sums over the workers."""
+        config, workers, collector = self.config, self._workers, self._collector
+        whole = config.rollout_ends_with_episode
+        if whole and not collector.is_at_start:
+            collector.restart()  # Some workers have played on while they waited for the others.
+        count = collector.collect(workers.rollout, workers.infer, until_episode_end=whole)
+        rollout = workers.rollout.first(count)
+        used = first_episodes(rollout.done) if whole else torch.ones_like(rollout.done)
+        lengths = used.sum(0)
+        episodes = collector.statistics.take(used)
+        if whole and len(episodes.length) < config.workers:
+            raise UserError(
+                f"rollout_steps is {config.rollout_steps}, and an episode has not ended then: let "
+                "rollouts have at least the steps of an episode, or set rollout_ends_with_episode "
+                "to False."
+            )
+        after = self.step + int(lengths.sum())
+        self._guard.check_rollout(rollout, after)
+        loss: Terms = {}
+
+        def total(encoded: Tensor) -> Tensor:
+            weights = used / lengths
+            loss.update(
+                rollout_loss(self.policy, config, rollout, encoded=encoded, weights=weights)
+            )
+            return loss["total"]
+
+        workers.compute(count, total)
+        norms = torch.stack(
+            [
+                torch.linalg.vector_norm(each.flatten(1), dim=1)
+                for each in workers.gradients.values()
+            ]
+        )
+        norms = torch.linalg.vector_norm(norms, dim=0)
+        self._guard.check_update(self.policy, loss, norms, after, rollout)
+        self._apply(lengths, norms, total_steps)
+        self._curriculum.update(episodes.summary().get("success", 0.0))
+        return {
+            "updates": config.workers,
+            **episode_sums(episodes),
+            **{name: float(loss[name].detach()) for name in LOSS_METRICS},
+            "grad_norm": float(norms.sum()),
+            "threshold_factor": self._curriculum.factor * config.workers,
+        }
+
+    def _apply(self, lengths: Tensor, norms: Tensor, total_steps: int) -> None:
+        """Apply the updates of all workers, and count their steps (W,)."""
+        config = self.config
+        order = torch.argsort(lengths, stable=True)
+        before = self.step + torch.cumsum(lengths[order], 0) - lengths[order]
+        rates = np.empty(config.workers, np.float32)
+        rates[order] = [config.learning_rate_at(step / total_steps) for step in before.tolist()]
+        factors = (config.max_grad_norm / norms).clamp(max=1).numpy()
+        start = 0
+        for name, parameter in self.policy.named_parameters():
+            part = slice(start, start := start + parameter.numel())
+            rmsprop_updates(
+                self._values[part].numpy(),
+                self._mean_square[part].numpy(),
+                self._workers.gradients[name].flatten(1).numpy(),
+                order.numpy(),
+                factors,
+                rates,
+                np.float32(config.rmsprop_eps),
+            )
+        self.step += int(lengths.sum())
+
+    def checkpoint(self) -> Checkpoint:
+        """See `SynchronousTrainer.checkpoint`."""
+        return Checkpoint(
+            policy=policy_arrays(self.policy),
+            optimizer={"mean_square": self._mean_square.numpy().copy()},
+            state=self._collector.get_state(),
+        )
+
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """See `Trainer.restore`."""
+        self._mean_square.copy_(torch.from_numpy(checkpoint.optimizer["mean_square"]))
+        self._collector.set_state(checkpoint.state)
+
+
+def first_episodes(done: Tensor) -> Tensor:
+    """Tell which steps (T, B) belong to the first episode of their environment."""
+    return done.cumsum(0) == done.int()
