@@ -2,7 +2,7 @@
 
 from knowarm.config import to_dict
 from knowarm.experiment.names import experiment_config
-from knowarm.learn.a3c.messages import RMSPROP_ALPHA
+from knowarm.learn.a3c.update import RMSPROP_ALPHA
 from knowarm.learn.algorithms import privileged_uses
 
 
