@@ -1,9 +1,9 @@
 """Success of agents with and without vision, at both thresholds.
 
-python -m benchmarks.blind [RUN ...] [--episodes 1000] [--json FILE]
+python -m benchmarks.blind [RUN ...] [--start near] [--episodes 1000] [--json FILE]
 
-Without runs: the agents that need no training, on the main robots. With runs: the trained agent of
-each run folder, on black images and with the first image only, on the robot it was trained on.
+Without runs: the agents that need no training, on the main robots, also by object. With runs: the
+trained agent of each run folder, on black images and with the first image only, on its robot.
 `knowarm evaluate RUN` prints the same numbers for one threshold.
 """
 
@@ -12,6 +12,7 @@ import json
 from functools import partial
 from pathlib import Path
 
+from knowarm.config import override
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.evaluation import EvaluationConfig
 from knowarm.experiment.load import load_agent
@@ -42,18 +43,21 @@ def _make(name: str, env: ArmVectorEnv) -> AgentProtocol:
     return SCRIPTED_AGENTS[name].make(env, EvaluationConfig().seed)
 
 
-def rows_of_robot(robot: str, episodes: int) -> list[dict]:
-    """Evaluate the agents that need no training."""
+def rows_of_robot(robot: str, start: str, episodes: int) -> list[dict]:
+    """Evaluate the agents that need no training, on all episodes and on those of each object."""
     rows = []
-    env = EnvConfig(robot=robot, image_size=8)  # they look at no image
+    task = override(EnvConfig().task, {"start": start})
+    env = EnvConfig(robot=robot, task=task, image_size=8)  # they look at no image
+    groups = {"": (), **{f": {target}": ("target", target) for target in env.targets}}
     for name in UNTRAINED:
         make = partial(_make, name)
-        row = {"robot": robot, "agent": name}
+        parts = [{"robot": robot, "agent": f"{name}{part}"} for part in groups]
         for thresholds in THRESHOLDS:
             found = evaluate(make, env, evaluation(episodes, thresholds)).summary
-            row |= cells(found.interval("success"), thresholds)
-        rows.append(row)
-        print(line(row), flush=True)
+            for row, group in zip(parts, groups.values(), strict=True):
+                row |= cells(found.interval("success", *group), thresholds)
+        rows += parts
+        print("\n".join(map(line, parts)), flush=True)
     return rows
 
 
@@ -91,6 +95,7 @@ def line(row: dict) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("runs", nargs="*", type=Path)
+    parser.add_argument("--start", choices=("far", "near"), default="far")
     parser.add_argument("--episodes", type=int, default=1000)
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
@@ -100,7 +105,7 @@ def main() -> None:
     for path in arguments.runs:
         rows += rows_of_run(path, arguments.episodes)
     for robot in () if arguments.runs else ROBOTS:
-        rows += rows_of_robot(robot, arguments.episodes)
+        rows += rows_of_robot(robot, arguments.start, arguments.episodes)
     if arguments.json:
         arguments.json.write_text(json.dumps(rows, indent=2))
 
