@@ -4,6 +4,7 @@ import http.client
 import json
 import socket
 import threading
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -152,9 +153,9 @@ def served(asker):
     server.server_close()
 
 
-def get(port, path, host=None):
+def get(port, path, host=None, **headers):
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=60)
-    connection.request("GET", path, headers={"Host": host or f"127.0.0.1:{port}"})
+    connection.request("GET", path, headers={"Host": host or f"127.0.0.1:{port}"} | headers)
     response = connection.getresponse()
     return response.status, response.read().decode()
 
@@ -173,6 +174,18 @@ def test_the_served_page_answers_questions_edits_and_mistakes(served):
     assert "Traceback" not in text
     assert get(served, "/", host="evil.example")[0] == 403
     assert get(served, "/other")[0] == 404
+    assert get(served, "http://[")[0] == 403
+    assert get(served, "/", host="[::1")[0] == 403
+    assert get(served, "/?q=usedFor+drinking", **{"Sec-Fetch-Site": "cross-site"})[0] == 403
+    assert get(served, "/?q=&scene=" + 5000 * "9")[0] == 200
+
+
+def test_slow_headers_do_not_block_the_page(served):
+    with socket.create_connection(("127.0.0.1", served)) as slow:
+        slow.sendall(b"GET / HTTP/1.1\r\n")
+        began = time.monotonic()
+        assert get(served, "/other")[0] == 404
+        assert time.monotonic() - began < 0.9, "the other one has a second per line"
 
 
 def test_an_idle_connection_does_not_block_the_page(served):

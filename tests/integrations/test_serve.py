@@ -4,9 +4,11 @@ import contextlib
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import threading
+import time
 import urllib.request
 from functools import partial
 from pathlib import Path
@@ -26,12 +28,13 @@ from knowarm.world.envs.vector_env import ArmVectorEnv
 pytest.importorskip("websockets")
 pytest.importorskip("msgpack")
 
-from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.exceptions import ConnectionClosed, InvalidStatus, WebSocketException
 from websockets.sync.client import connect
 from websockets.sync.server import serve
 
 from knowarm.integrations.serve import (
     MOST_CONNECTIONS,
+    MOST_SOCKETS,
     Client,
     PolicyServer,
     pack,
@@ -40,6 +43,7 @@ from knowarm.integrations.serve import (
 
 ROOT = Path(__file__).parents[2]
 ZOO = ROOT / "zoo"
+KEY = "a-key-of-24-characters.."
 IMAGE = np.zeros((64, 64, 3), np.uint8)
 
 
@@ -179,6 +183,7 @@ OBJECTS = {b"__ndarray__": True, b"data": b"x", b"dtype": "|O", b"shape": [1]}
         (b"\xc1", "msgpack"),
         ("text", "binary"),
         (partial(packed, OBJECTS), "dtype"),
+        (partial(packed, OBJECTS | {b"dtype": "|u1", b"shape": [-1]}), "shape"),
     ],
 )
 def test_bad_messages_get_one_line_and_the_connection_ends(parts, server, change, words):
@@ -254,13 +259,133 @@ def test_other_addresses_need_a_key(parts, capsys, monkeypatch):
 
 
 def test_the_key_is_checked(parts):
-    server = started(parts, key="secret")
-    with pytest.raises(InvalidStatus):
-        client(server)
-    headers = {"Authorization": "Api-Key secret"}
-    with client(server, additional_headers=headers) as connection:
+    server = started(parts, key=KEY)
+    right = ("Authorization", f"Api-Key {KEY}")
+    for wrong in (
+        [],
+        [("Authorization", KEY)],
+        [right, right],
+        [("Authorization", "Api-Key \xe9")],
+    ):
+        with pytest.raises(InvalidStatus) as refused:
+            client(server, additional_headers=wrong)
+        assert refused.value.response.status_code == 401
+    with client(server, additional_headers=[right]) as connection:
         assert unpack(connection.recv())["action_horizon"] == 1
     server.close()
+
+
+@pytest.mark.parametrize("key", ["", " ", "short", 20 * "\xe9", 20 * " ", 16 * "a" + "\n"])
+def test_a_key_that_protects_nothing_or_never_fits_is_refused(parts, key):
+    with pytest.raises(UserError, match="at least 16 characters"):
+        PolicyServer(parts.runner, port=0, key=key)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"Origin": "http://evil.example"},
+        {"Origin": "null"},
+        {"Sec-Fetch-Site": "cross-site"},
+        {"Host": "evil.example"},  # DNS rebinding
+        {"Host": "[::1"},
+    ],
+)
+def test_pages_of_a_browser_are_refused(parts, server, given):
+    given = {"Host": f"localhost:{server.port}"} | given
+    with socket.create_connection(("127.0.0.1", server.port)) as link:
+        head = {"Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13"}
+        head |= {"Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ=="} | given
+        lines = [f"{name}: {value}" for name, value in head.items()]
+        link.sendall("\r\n".join(["GET / HTTP/1.1", *lines, "", ""]).encode())
+        assert link.recv(100).startswith(b"HTTP/1.1 403 ")
+    assert_serves(parts, server)
+
+
+def test_idle_sockets_neither_end_the_server_nor_cut_off_a_client(parts):
+    """None of them sends a key; a client that is there is served on, and new ones later."""
+    server = started(parts)
+    with client(server) as connection:
+        connection.recv()
+        with contextlib.ExitStack() as idle:
+            for _ in range(3 * MOST_SOCKETS):
+                idle.enter_context(socket.create_connection(("127.0.0.1", server.port)))
+            deadline = time.monotonic() + 20
+            while threading.active_count() > MOST_SOCKETS + 20 and time.monotonic() < deadline:
+                time.sleep(0.1)
+            assert threading.active_count() <= MOST_SOCKETS + 20
+            assert unpack(ask(connection, observation(parts)))["actions"].shape == (1, 6)
+    deadline = time.monotonic() + 20
+    while time.monotonic() < deadline:
+        with contextlib.suppress(OSError, WebSocketException):
+            assert_serves(parts, server)
+            break
+    else:
+        pytest.fail("the server takes no new client")
+    server.close()
+
+
+def test_a_server_without_free_files_waits_for_some(parts, monkeypatch):
+    server, refusals = PolicyServer(parts.runner, port=0), [24, 24, 24]
+    accept = socket.socket.accept
+
+    def few(self):
+        if refusals:
+            raise OSError(refusals.pop(), "Too many open files")
+        return accept(self)
+
+    monkeypatch.setattr(socket.socket, "accept", few)
+    threading.Thread(target=server.run, daemon=True).start()
+    assert_serves(parts, server)
+    assert not refusals
+    server.close()
+
+
+def test_a_server_whose_socket_the_system_ends_says_so(parts, monkeypatch):
+    server = PolicyServer(parts.runner, port=0)
+
+    def broken(self):
+        raise OSError(22, "Invalid argument")
+
+    monkeypatch.setattr(socket.socket, "accept", broken)
+    with (
+        socket.create_connection(("127.0.0.1", server.port)),
+        pytest.raises(UserError, match="stopped listening"),
+    ):
+        server.run()
+
+
+def test_a_long_dtype_is_refused_before_it_is_parsed():
+    """It once stopped all clients for seconds."""
+    text = "f8," * 1_300_000
+    began = time.monotonic()
+    message = packed({b"__ndarray__": True, b"dtype": text, b"shape": [1], b"data": b""})
+    with pytest.raises(ValueError, match="are not read"):
+        unpack(message)
+    assert time.monotonic() - began < 1
+
+
+@pytest.mark.parametrize("answers", [0, 1])
+def test_a_client_does_not_wait_for_a_silent_server(answers, monkeypatch):
+    monkeypatch.setattr("knowarm.integrations.serve.METADATA_S", 0.2)
+    monkeypatch.setattr("knowarm.integrations.serve.ANSWER_S", 0.2)
+
+    def reply(connection):
+        if answers:
+            connection.send(pack({}))
+        connection.recv()
+        connection.recv()
+
+    with serve(reply, "127.0.0.1", 0) as other:
+        threading.Thread(target=other.serve_forever, daemon=True).start()
+
+        def play_one():
+            played = Client(f"ws://127.0.0.1:{other.socket.getsockname()[1]}")
+            played.reset(Batch(env=EnvConfig(), names=np.array(["mug/red"])))
+            played.act({"image": IMAGE[None], "joint_targets": np.zeros((1, 6), np.float32)})
+
+        with pytest.raises(UserError, match="timed out"):
+            play_one()
 
 
 def test_the_real_openpi_client_plays(parts, server, tmp_path):

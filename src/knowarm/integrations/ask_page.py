@@ -1,9 +1,10 @@
 """Page of a question: answers, evidence, map of places and film; written, or served for changes."""
 
+import threading
 import webbrowser
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from http.server import BaseHTTPRequestHandler, HTTPServer
+from http.server import BaseHTTPRequestHandler, HTTPServer, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -69,18 +70,19 @@ def make_server(
     scene: int | None = None,
     port: int = 0,
 ) -> HTTPServer:
-    """Make a server on the loopback interface, which listens and answers one request at a time."""
+    """Make a server on the loopback interface, which listens and answers one question at a time."""
+    computing = threading.Lock()
 
     class Handler(BaseHTTPRequestHandler):
         timeout = 1.0  # [s]: browsers keep connections that ask nothing
 
         def do_GET(self) -> None:
-            url = urlsplit(self.path)
             reason = refusal(self.path, self.headers)
-            if reason is not None or url.path != "/":
+            if reason is not None or (url := urlsplit(self.path)).path != "/":
                 self.send_error(403 if reason else 404, reason)
                 return
-            body = self._page(parse_qs(url.query, keep_blank_values=True)).encode()
+            with computing:
+                body = self._page(parse_qs(url.query, keep_blank_values=True)).encode()
             with suppress(ConnectionError):  # the browser has left
                 self.send_response(200)
                 self.send_header("Content-Type", "text/html; charset=utf-8")
@@ -95,7 +97,7 @@ def make_server(
                 every = given.get("edit", [""])[0].splitlines()
                 lines = tuple(line.strip() for line in every if line.strip())
                 wanted = given.get("scene", [""])[0].strip()
-                number = int(wanted) if wanted.isdecimal() else None
+                number = int(wanted) if wanted.isdecimal() and len(wanted) < 10 else None
             if not text:
                 return page(None, text, lines, live=True, scene=number)
             try:
@@ -108,7 +110,7 @@ def make_server(
             pass
 
     listener = listen(port)
-    server = HTTPServer(listener.getsockname(), Handler, bind_and_activate=False)
+    server = ThreadingHTTPServer(listener.getsockname(), Handler, bind_and_activate=False)
     server.socket.close()
     server.socket = listener
     server.server_name, server.server_port = ADDRESS, listener.getsockname()[1]

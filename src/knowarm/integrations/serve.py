@@ -6,10 +6,13 @@ starts: the state belongs to the connection, and a new connection or ``reset: tr
 """
 
 import contextlib
+import errno
 import hmac
+import re
+import socket
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,6 +21,7 @@ from numpy.typing import NDArray
 from knowarm.errors import UserError, packages_of
 from knowarm.integrations.runner import Runner, Start
 from knowarm.world.agents.protocol import Batch, Observations
+from knowarm.world.viewing.watch import LOOPBACK, refusal
 
 with packages_of("serve", "Serving"):
     import msgpack
@@ -28,10 +32,14 @@ with packages_of("serve", "Serving"):
 MOST_BYTES = 4 * 2**20
 """Largest message [bytes]; the connection is closed before a larger one is read."""
 MOST_CONNECTIONS = 8
-LOOPBACK = ("127.0.0.1", "localhost", "::1")
-"""Addresses that no other machine can reach."""
+MOST_SOCKETS = 64
+"""Open connections, with those that have sent no key yet; each takes a thread and three files."""
+KEY = re.compile(r"[!-~]{16,}")
+"""Keys: visible ASCII characters, which every client can send."""
+METADATA_S, ANSWER_S = 30.0, 10.0
+"""How long a client waits for the metadata of a server, and for an answer [s]."""
 IMAGE, STATE, PROMPT, RESET = "observation/image", "observation/state", "prompt", "reset"
-_KINDS = "biuf"  # kinds of arrays that are read: no objects, records or complex numbers
+_DTYPE = re.compile(r"[<>|=]?[biuf]\d{1,2}")  # no objects, records or complex numbers
 
 
 def pack(values: Any) -> bytes:
@@ -63,12 +71,37 @@ def _pack_array(value: Any) -> Any:
 def _unpack_array(value: dict[Any, Any]) -> Any:
     if b"__ndarray__" not in value and b"__npgeneric__" not in value:
         return value
-    dtype = np.dtype(value[b"dtype"])
-    if dtype.kind not in _KINDS:
-        raise ValueError(f"arrays of dtype {dtype.str!r} are not read")
+    name, shape = value[b"dtype"], value.get(b"shape", ())
+    if not _DTYPE.fullmatch(name) or min(shape, default=0) < 0:
+        raise ValueError(f"arrays of dtype {name!r:.20} and shape {shape!r:.40} are not read")
+    dtype = np.dtype(name)
     if b"__npgeneric__" in value:
         return dtype.type(value[b"data"])
-    return np.frombuffer(value[b"data"], dtype).reshape(value[b"shape"])
+    return np.frombuffer(value[b"data"], dtype).reshape(shape)
+
+
+class _Listener(socket.socket):
+    """Listening socket that closes connections beyond `MOST_SOCKETS`, and stays when files lack.
+
+    The loop of websockets ends at any error of ``accept``.
+    """
+
+    _open: Sequence[socket.socket] = ()
+
+    def accept(self) -> tuple[socket.socket, Any]:
+        """Return the next connection, closed already if there are too many."""
+        while True:
+            try:
+                connection, address = super().accept()
+                break
+            except OSError as error:
+                if error.errno not in (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM):
+                    raise
+                time.sleep(0.1)
+        self._open = [*(each for each in self._open if each.fileno() >= 0), connection]
+        if len(self._open) > MOST_SOCKETS:
+            connection.close()
+        return connection, address
 
 
 class PolicyServer:
@@ -78,10 +111,10 @@ class PolicyServer:
         make_runner: makes the runner of a connection.
         host: address to listen on; any but a loopback address needs a key.
         port: 0 takes a free one.
-        key: clients must send ``Authorization: Api-Key KEY``.
+        key: clients must send ``Authorization: Api-Key KEY``; 16 visible ASCII characters or more.
 
     Raises:
-        UserError: the port is taken, or there is no key for an address that others can reach.
+        UserError: the port is taken, or there is no such key for an address that others can reach.
     """
 
     def __init__(
@@ -97,14 +130,17 @@ class PolicyServer:
                 f"Other machines may reach {host}: give a key, or serve on 127.0.0.1 and let "
                 "clients connect through SSH."
             )
-        self._make_runner, self._key = make_runner, key
+        if key is not None and not KEY.fullmatch(key):
+            raise UserError("The key must have at least 16 characters: ASCII, and no spaces.")
+        self._make_runner, self._key, self._is_closed = make_runner, key, False
+        self._is_local = host in LOOPBACK
         self._seats = threading.BoundedSemaphore(MOST_CONNECTIONS)
         self._computing = threading.Lock()
         try:
+            listener = socket.create_server((host, port))
             self._server: Server = serve(
                 self._handle,
-                host,
-                port,
+                sock=_Listener(fileno=listener.detach()),
                 compression=None,
                 max_size=MOST_BYTES,
                 process_request=self._request,
@@ -117,24 +153,31 @@ class PolicyServer:
         self.port: int = self._server.socket.getsockname()[1]
 
     def run(self) -> None:
-        """Serve until `close` or an exception such as Ctrl-C, which ends the connections."""
+        """Serve until `close` or an exception such as Ctrl-C, which ends the connections.
+
+        Raises:
+            UserError: the system ended the listening socket.
+        """
         try:
             self._server.serve_forever()
+            if not self._is_closed:
+                raise UserError(f"The system stopped listening on port {self.port}: start again.")
         finally:
             self.close()
 
     def close(self) -> None:
         """Stop listening, and end the connections."""
+        self._is_closed = True
         self._server.shutdown()
 
     def _request(self, connection: ServerConnection, request: Any) -> Any:
-        """Answer ``/healthz``, and refuse clients without the key."""
+        """Answer ``/healthz``, and refuse pages of a browser and clients without the key."""
         if request.path == "/healthz":
             return connection.respond(200, "OK\n")
-        given = request.headers.get("Authorization", "")
-        if self._key is None or hmac.compare_digest(
-            given.encode(errors="replace"), f"Api-Key {self._key}".encode()
-        ):
+        if self._is_local and (reason := refusal(request.path, request.headers)):
+            return connection.respond(403, f"{reason}\n")
+        given = "".join(request.headers.get_all("Authorization")).encode(errors="replace")
+        if self._key is None or hmac.compare_digest(given, f"Api-Key {self._key}".encode()):
             return None
         return connection.respond(401, "The key is missing or wrong: Authorization: Api-Key KEY\n")
 
@@ -162,8 +205,9 @@ class PolicyServer:
             received = time.monotonic()
             if isinstance(message, str):
                 raise ValueError("messages must be binary msgpack, got text")
+            observation = unpack(message)
             with self._computing:
-                targets = act(runner, unpack(message))
+                targets = act(runner, observation)
             timing = {"infer_ms": 1e3 * (time.monotonic() - received)}
             if previous_ms is not None:
                 timing["prev_total_ms"] = previous_ms
@@ -209,7 +253,7 @@ class Client:
     def _connect(self) -> ClientConnection:
         try:
             link = connect(self._url, compression=None, max_size=MOST_BYTES)
-            about = contextlib.ExitStack().enter_context(link).recv()
+            about = contextlib.ExitStack().enter_context(link).recv(METADATA_S)
         except (OSError, WebSocketException, ValueError) as error:
             raise UserError(f"No policy server answers at {self._url}: {error}.") from None
         if isinstance(about, str):  # no metadata
@@ -220,7 +264,7 @@ class Client:
         """Return the joint targets (J,) that a connection answers."""
         try:
             link.send(pack(seen))
-            answer = link.recv()
+            answer = link.recv(ANSWER_S)
         except (OSError, WebSocketException) as error:
             raise UserError(f"The policy server at {self._url} has gone: {error}.") from None
         try:

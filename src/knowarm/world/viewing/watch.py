@@ -24,6 +24,7 @@ from knowarm.world.scene.compose import CONTROL_PERIOD_S
 from knowarm.world.tasks.sampling import Episodes
 
 ADDRESS = "127.0.0.1"  # The loopback interface, which other machines cannot reach
+LOOPBACK = (ADDRESS, "localhost", "::1")  # Its names
 PORTS = range(8080, 8180)  # Ports that are tried if none is given
 WAIT_S = 0.1  # Time between two looks at whether a browser is there [s]
 PAUSE_S = 1.0  # Time that the end of an episode is shown [s]
@@ -144,18 +145,24 @@ def listen(port: int) -> socket.socket:
 
 
 def refusal(path: str, headers: Any) -> str | None:
-    """Return why a request is refused; None if it is answered.
+    """Return why a request to the loopback interface is refused; None if it is answered.
 
-    A page of another site that is open in the same browser could otherwise use the viewer through
-    the user's own machine. Uploads of models are refused as well.
+    A page of another site that is open in the same browser could otherwise use the server through
+    the user's own machine: also by its images and frames, which carry no Origin. Uploads of models
+    to the viewer are refused as well.
     """
-    hosts, origins = (headers.get_all(name) or [] for name in ("Host", "Origin"))
-    names = [urlsplit(f"//{host}").hostname for host in hosts]
-    if len(names) != 1 or names[0] not in (ADDRESS, "localhost"):
-        return f"This page answers only as {ADDRESS} or localhost."
-    if origins not in ([], [f"http://{hosts[0]}"]):
+    hosts, origins, sites = (
+        headers.get_all(name) or [] for name in ("Host", "Origin", "Sec-Fetch-Site")
+    )
+    try:
+        names, place = [urlsplit(f"//{host}").hostname for host in hosts], urlsplit(path).path
+    except ValueError:  # no address, such as [::1
+        return "The request is no valid one."
+    if len(names) != 1 or names[0] not in LOOPBACK:
+        return f"This server answers only as {' or '.join(LOOPBACK)}."
+    if origins not in ([], [f"http://{hosts[0]}"]) or set(sites) - {"same-origin", "none"}:
         return "The request comes from a page of another site."
-    return "This viewer takes no models." if urlsplit(path).path == "/drop" else None
+    return "This viewer takes no models." if place == "/drop" else None
 
 
 def _show(viewer: object, seconds: float) -> bool:
