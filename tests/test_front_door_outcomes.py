@@ -39,46 +39,33 @@ def ends(agent, env, seed, ask=lambda env, infos: infos):
     return found
 
 
-def evaluated(agent, episodes):
-    """Return the success that `evaluate` measures, with its interval."""
-    options = {"probes": (), "write": False, **TRAINING}
-    measured = knowarm.evaluate(agent, episodes=episodes, **options).summary["success"]
-    return wilson(round(measured * episodes), episodes)
-
-
-def assert_equal_success(successes, measured):
-    """Compare a list of successes with an evaluation, within the 95 % interval."""
-    played = wilson(int(sum(successes)), len(successes))
-    difference = share_difference(played, measured)
-    assert difference.low <= 0 <= difference.high, (played, measured)
-
-
-@pytest.mark.parametrize("name", CHOOSERS)
-def test_a_chooser_succeeds_in_vector_environments_as_evaluate_says(name):
-    agent = knowarm.load_agent(ZOO / name)
-    found = ends(agent, made(agent, 40), seed=0)
-    assert np.mean([end["is_right_object"] for end in found]) > 0.8
-    assert_equal_success([end["is_success"] for end in found], evaluated(agent, 50))
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("name", POLICIES)
-def test_every_policy_succeeds_in_each_environment_as_evaluate_says(name):
+def test_a_policy_reaches_its_targets_and_succeeds_in_each_environment_as_often(name):
     agent = knowarm.load_agent(ZOO / name)
-    config, measured = agent.config.env, evaluated(agent, 200)
-    env = gymnasium.make(knowarm.world.env_id(config.robot, config.task.kind))
-    successes = []
-    for seed in range(40):
+    summary = knowarm.evaluate(agent, episodes=100, probes=(), write=False, **TRAINING).summary
+    env = gymnasium.make(knowarm.world.env_id(agent.config.env.robot, agent.config.env.task.kind))
+    alone = []
+    for seed in range(24):
         image, info = env.reset(seed=seed)
         agent.reset(info)
         ended = False
         while not ended:
             image, _, terminated, truncated, info = env.step(agent.act(image))
             ended = terminated or truncated
-        successes.append(info["is_success"])
-    assert_equal_success(successes, measured)
+        alone.append(info["is_success"])
     found = ends(agent, made(agent, 40), seed=0)
-    assert_equal_success([bool(end["is_success"]) for end in found], measured)
+    if name in CHOOSERS:
+        assert summary["choice"] >= 0.9
+        assert summary["success"] >= 0.75
+        assert np.mean([end["is_right_object"] for end in found]) > 0.8
+    else:
+        assert summary["success"] >= 0.9
+        assert min(t["success"].estimate for t in summary.groups["target"].values()) >= 0.8
+    measured = wilson(round(summary["success"] * 100), 100)
+    for successes in (alone, [bool(end["is_success"]) for end in found]):
+        played = wilson(int(sum(successes)), len(successes))
+        difference = share_difference(played, measured)  # its 95 % interval
+        assert difference.low <= 0 <= difference.high, (played, measured)
 
 
 def other_questions(env, infos):

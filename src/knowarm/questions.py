@@ -5,6 +5,7 @@ A condition is a relation and a value ("usedFor drinking"); a query is one condi
 facet that is its target. A facet is an object, or one of its parts, in one of its colours.
 """
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -95,11 +96,10 @@ class QuestionTable:
         for kind, names in zip(("queries", "facets"), named, strict=True):
             if not names:
                 raise UserError(f"QuestionTable.{kind} is empty; give at least one.")
-            for place, name in enumerate(names):
-                if name in names[:place]:
-                    raise UserError(
-                        f"QuestionTable.{kind} contains {name!r} twice; list each once."
-                    )
+            if repeated := [name for name, count in Counter(names).items() if count > 1]:
+                raise UserError(
+                    f"QuestionTable.{kind} contains {repeated[0]!r} twice; list each once."
+                )
         shapes = dict.fromkeys(("satisfies", "askable"), (queries, facets))
         for name, shape in [*shapes.items(), ("related", (facets, facets)), ("shown", (facets,))]:
             array = getattr(self, name)

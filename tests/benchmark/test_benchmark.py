@@ -52,7 +52,7 @@ def test_the_frozen_questions_have_their_frozen_answers(name):
 
 @pytest.mark.parametrize("name", ["choose-v1", "reach-v1"])
 def test_the_fixed_lists_still_reach_what_they_reached(name):
-    for cell in list(read_suite(name).cells.values())[::4]:
+    for cell in list(read_suite(name).cells.values())[::6]:
         env = ArmVectorEnv(replace(cell.env, image_size=8), 100)  # a list reads no image
         played = run_agent(entrant("open-loop").make(cell, env), env, cell.episodes)
         assert abs(played.mean() - cell.reference["open-loop"]) <= 0.01

@@ -1,4 +1,7 @@
-"""The shipped policies still do on a fresh clone what they did when they were trained."""
+"""The shipped policies are small, whole, and have the knowledge that the package builds.
+
+What they reach: tests/test_front_door_outcomes.py.
+"""
 
 import dataclasses
 import shutil
@@ -7,27 +10,11 @@ from pathlib import Path
 import pytest
 
 from knowarm.errors import UserError
-from knowarm.experiment.evaluate import evaluate
-from knowarm.experiment.evaluation import EvaluationConfig
 from knowarm.experiment.load import load_agent
 from knowarm.reading import read_json, write_json
 
 ZOO = Path(__file__).parents[2] / "zoo"
 AGENTS = sorted(path.name for path in ZOO.iterdir() if path.is_dir())
-JUDGED = EvaluationConfig(episodes=100, probes=())
-
-
-@pytest.mark.parametrize("name", AGENTS)
-def test_a_shipped_policy_reaches_its_targets(name):
-    trained = load_agent(ZOO / name)
-    assert trained.config.name == name
-    summary = evaluate(trained, config=JUDGED, write=False).summary
-    if trained.config.env.task.kind == "choose":
-        assert summary["choice"] >= 0.9
-        assert summary["success"] >= 0.8
-    else:
-        assert summary["success"] >= 0.9
-        assert min(t["success"].estimate for t in summary.groups["target"].values()) >= 0.8
 
 
 @pytest.mark.parametrize("name", AGENTS)
@@ -40,6 +27,7 @@ def test_the_knowledge_it_was_trained_with_is_what_the_package_builds(name):
     from knowarm.experiment.build import build
 
     trained = load_agent(ZOO / name)
+    assert trained.config.name == name
     parts = build(dataclasses.replace(trained.config))
     assert parts.table.tobytes() == trained.folder.knowledge().tobytes()
 

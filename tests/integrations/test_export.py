@@ -39,13 +39,13 @@ def exported(request, tmp_path_factory):
 @pytest.mark.parametrize(
     "exported", ["irb120-choose-subgraph-fast", "irb120-choose-answers-fast"], indirect=True
 )
-def test_a_thousand_steps_have_the_actions_of_pytorch(exported):
+def test_the_runner_takes_the_actions_of_pytorch(exported):
     trained, folder = exported
     runner = Runner.load(folder)
-    episodes = evaluation_episodes(trained.config.env, 70, 3)
+    episodes = evaluation_episodes(trained.config.env, 15, 3)
     env = ArmVectorEnv(trained.config.env, 1)
     theirs, ours = play(runner, env, episodes), play(trained.agent, env, episodes)
-    assert len(ours.steps.actions) >= 1_000
+    assert len(ours.steps.actions) >= 200
     np.testing.assert_array_equal(theirs.steps.actions, ours.steps.actions)
     np.testing.assert_array_equal(theirs.success, ours.success)
 

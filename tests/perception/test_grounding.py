@@ -189,7 +189,7 @@ def test_training_lowers_the_loss_of_places_and_repeats_to_the_byte(config, empt
     parts = build(config)
     lines = []
     arguments = (config.env, parts.table, parts.embedding.slots_per_row)
-    settings = GroundingConfig(images=256, rounds=8, batch=32)
+    settings = GroundingConfig(images=128, rounds=8, batch=32)
     trained = train_grounding(*arguments, settings, seed=1, report=lines.append)
     assert not any(each.requires_grad for each in trained.parameters())
     for name, share in (("grounding, round", 0.85), ("frame head, epoch", 0.7)):

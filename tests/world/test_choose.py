@@ -93,7 +93,7 @@ def test_the_oracle_reaches_the_object_of_the_query(robot: str) -> None:
 
 
 def test_an_agent_that_does_not_know_the_query_stays_at_chance() -> None:
-    count, chance = 160, 0.25
+    count, chance = 100, 0.25
     result = played(PickingAgent, small(), count)
     correct = result.infos["is_right_object"].mean()
     assert abs(correct - chance) < 3 * np.sqrt(chance * (1 - chance) / count)

@@ -6,7 +6,7 @@ import pytest
 
 from tests.world.helpers import MakeEnv
 
-STEPS = 12_800  # a robot; `make torture` takes a million
+STEPS = 6_400  # a robot; `make torture` takes a million
 MAX_GROWTH_MIB = 30
 
 

@@ -1,6 +1,7 @@
 """Questions that a graph answers, as a source of questions of the choose task."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
@@ -47,13 +48,20 @@ class GraphQueries(QuerySource):
         return override(self, {"split": split, "edited": edited or self.edited})
 
     def splits(self, facets: tuple[ObjectColour, ...], objects: int) -> QuerySplits:
-        """Make the tables of training and of all tests."""
-        return query_splits(
-            read_graph(self.graph),
-            facets,
-            seed=self.seed,
-            pairs=self.pairs,
-            objects=objects,
-            hold_out=self.hold_out,
-            edited=None if self.edited is None else read_graph(self.edited),
-        )
+        """Make the tables of training and of all tests; cached per `version`."""
+        return _splits(replace(self, split="train"), facets, objects, self.version())
+
+
+@lru_cache(maxsize=4)
+def _splits(
+    source: GraphQueries, facets: tuple[ObjectColour, ...], objects: int, version: tuple[int, ...]
+) -> QuerySplits:
+    return query_splits(
+        read_graph(source.graph),
+        facets,
+        seed=source.seed,
+        pairs=source.pairs,
+        objects=objects,
+        hold_out=source.hold_out,
+        edited=None if source.edited is None else read_graph(source.edited),
+    )
