@@ -60,11 +60,6 @@ def test_the_start_is_far_from_every_grasp_and_the_oracle_needs_half_the_episode
         assert 20 <= np.median(results.length[episodes.target == k]) <= 25
 
 
-AT_THE_OBJECT = {"irb120": 0.6, "tiago": 0.85}
-"""Least share of episodes in which the oracle is at the object after 4 to 6 steps: the IRB120's
-rectangle is 60 cm wide, TIAGo's 25 cm."""
-
-
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_from_the_near_start_the_oracle_is_soon_at_the_object_and_then_turns(robot):
     env = knowarm.make(robot, num_envs=300, task=Reach(start="near"), image_size=8)
@@ -74,8 +69,9 @@ def test_from_the_near_start_the_oracle_is_soon_at_the_object_and_then_turns(rob
     near = steps.distance < 0.10
     at = np.full(300, 99)
     np.minimum.at(at, steps.episode[near], steps.step[near])
-    assert ((at >= 4) & (at <= 6)).mean() >= AT_THE_OBJECT[robot]
-    assert ((results.length >= 8) & (results.length <= 16)).mean() >= 0.9
+    assert 4 <= np.median(at) <= 7
+    assert 8 <= np.median(results.length) <= 12
+    assert np.percentile(results.length, 95) <= 18
 
 
 def test_the_papers_a3c_starts_near_and_everything_else_far():
