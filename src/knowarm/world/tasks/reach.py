@@ -22,8 +22,8 @@ class Reach(Task):
     """Tag of this task in JSON."""
     start: Literal["far", "near"] = "far"
     """Where the gripper starts: far from every grasp, so that a fixed list of actions seldom
-    succeeds, or as in the paper's film strips, about 5 steps from the object. Near takes start pose,
-    MPI and yaws of the robot's area "near"."""
+    succeeds, or as in the paper's film strips, about 5 steps from the object. Near takes start
+    pose, MPI and yaws of the robot's area "near"."""
 
     @property
     def title(self) -> str:
