@@ -121,12 +121,13 @@ def test_damaged_provenance(tmp_path, policy):
 
 
 def test_an_over_long_path_of_a_runs_graph(tmp_path):
+    """A copy of such a name cannot exist, and nothing else is opened."""
     run = RunFolder(shutil.copytree(ZOO / "irb120-full-fast", tmp_path / "run"))
     values = json.loads(run.config_path.read_text())
     values["knows"]["graph"] = "a" * 5000
     run.config_path.write_text(json.dumps(values))
-    with pytest.raises(UserError, match=r"Cannot read .*config\.json: File name too long"):
-        run.config()
+    assert run.config()["knows"]["graph"].startswith(str(run.graphs))
+    assert load_agent(run.path).step > 0
 
 
 def test_hops_end_where_the_graph_does():

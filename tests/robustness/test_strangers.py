@@ -5,17 +5,24 @@ The folders are as `git clone` or unzip leave them: any file, and symbolic links
 
 import json
 import shutil
+import sys
+from pathlib import Path
 
 import pytest
 
+from knowarm.config import to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.evaluate import evaluate
 from knowarm.experiment.evaluation import EvaluationConfig
+from knowarm.experiment.load import load_agent
 from knowarm.experiment.names import experiment_config
 from knowarm.experiment.run import train
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.run_lock import lock_folder
 from knowarm.report import write_report
+from knowarm.study.config import StudyConfig, read_study, write_study
+from knowarm.world.objects import find_targets
+from knowarm.world.robots import find_robot
 from tests.source_tree import ROOT
 from tests.tiny import short
 
@@ -76,6 +83,66 @@ def test_a_new_run_refuses_a_prepared_folder(tmp_path, precious):
     (prepared / "checkpoints").symlink_to(precious.parent)
     with pytest.raises(UserError, match="is a link"):
         train(short(), tmp_path / "runs")
+
+
+@pytest.fixture
+def opened(tmp_path):
+    """Names of files below the user's secrets that are opened or listed."""
+    seen, secrets = [], tmp_path / "secrets"
+    secrets.mkdir()
+    (secrets / "id_rsa").write_text("key")
+
+    def note(event, arguments):
+        if event in ("open", "os.listdir", "os.scandir") and arguments:
+            seen.extend([arguments[0]] * str(arguments[0]).startswith(str(secrets)))
+
+    sys.addaudithook(note)
+    yield secrets
+    assert seen == []
+
+
+@pytest.mark.parametrize("has_copy", [True, False])
+def test_a_run_that_names_a_folder_of_the_user_as_graph_opens_nothing_there(run, opened, has_copy):
+    folder = RunFolder(run)
+    edit(run, "knows", graph=str(opened))
+    if has_copy:
+        copy = Path(folder.config()["knows"]["graph"])
+        copy.parent.mkdir(parents=True)
+        copy.write_text("head,relation,tail\nmug,usedFor,drinking\n")
+    load_agent(run)
+    evaluate(run, **BRIEF)
+    write_report([run], run.parents[2] / "report.html")
+
+
+@pytest.mark.parametrize("field", ["robot", "targets"])
+def test_a_run_brings_no_robot_or_object_of_its_own(run, field):
+    """MuJoCo would compile the MJCF, which names files at any path."""
+    own = run / "graphs" / "aa"
+    shutil.copytree(ROOT / "examples" / "own_robot", own)
+    name = str(own / ("scara.toml" if field == "robot" else "bowl.toml"))
+    edit(run, "env", **{field: name if field == "robot" else [name]})
+    for use in (evaluate, load_agent):
+        with pytest.raises(UserError, match=r"names the description .*trusted like code"):
+            use(run)
+    with pytest.raises(UserError, match="Nothing to report: .*trusted like code"):
+        write_report([run], run.parents[2] / "report.html")
+    trusted = find_robot if field == "robot" else lambda name: find_targets([name])
+    trusted(name)
+    assert name in str(RunFolder.open(run).experiment().env)
+
+
+def test_a_study_of_a_stranger_brings_no_robot_of_its_own(tmp_path):
+    robot = shutil.copytree(ROOT / "examples" / "own_robot", tmp_path / "own") / "scara.toml"
+    study = StudyConfig(
+        name="s", experiments=("full-fast",), seeds=(0,), overrides={"env": {"robot": str(robot)}}
+    )
+    (tmp_path / "s").mkdir()
+    values = {"format": 1, **to_dict(study)}
+    (tmp_path / "s" / "study.json").write_text(json.dumps(values))
+    with pytest.raises(UserError, match="trusted like code"):
+        read_study(tmp_path / "s")
+    write_study(study, tmp_path / "s")
+    assert read_study(tmp_path / "s") == study
 
 
 @pytest.mark.parametrize("name", ["../../x", "/tmp/x", "$(touch x)", "a\nb", "..", "", "\u00e4"])

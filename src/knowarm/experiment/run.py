@@ -16,6 +16,7 @@ from knowarm.experiment.run_folder import (
     RunFolder,
     module_for_training,
     provenance,
+    with_graphs,
 )
 from knowarm.experiment.run_lock import lock_folder
 from knowarm.learn import CheckpointStore, Hooks, TrainingResult
@@ -219,7 +220,8 @@ def _describe(
 
 def other_fields(run: RunFolder, given: ExperimentConfig) -> dict[str, str]:
     """Return the fields in which a run and a config differ, each with "field: value | value"."""
-    different = differences(to_dict(run.experiment()), to_dict(given)).items()
+    kept = with_graphs(to_dict(given), run.copy_of)
+    different = differences(to_dict(run.experiment()), kept).items()
     copies, hint = str(run.graphs), " (a copy: restore the graph from it, which has changed since)"
     return {
         name: f"{name}: {one!r}{hint * str(one).startswith(copies)} | {other!r}"

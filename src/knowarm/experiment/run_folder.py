@@ -5,7 +5,7 @@ Layout of ``runs/<experiment>/<seed>/``::
     config.json            the resolved ExperimentConfig
     provenance.json        versions, commit, machine, policy sizes, parameter counts, knowledge
     knowledge.safetensors  the knowledge table (F, K), one row per facet or query
-    graphs/                copies of the user's graphs, read where the original is gone or changed
+    graphs/                copies of the user's graphs; the originals are not read again
     perception.safetensors the perception module or grounding network, for agents that have one
     metrics.csv            one row per update (PPO) or log interval (A3C)
     evaluations.csv        one row per interim evaluation
@@ -48,6 +48,7 @@ from knowarm.reading import (
     replacing,
     write_json,
 )
+from knowarm.world.description import check_trusted
 
 FORMAT = 1
 """Version of the run folder's layout."""
@@ -147,8 +148,14 @@ class RunFolder:
                 shutil.rmtree(path)
 
     def config(self) -> dict[str, Any]:
-        """Read the resolved configuration as JSON values, with graphs that can be read."""
-        return with_graphs(read_json(self.config_path), self._readable)
+        """Read the resolved configuration as JSON values, with the folder's copies of graphs.
+
+        Raises:
+            UserError: it names the description of a robot or object that the user has not named.
+        """
+        values = read_json(self.config_path)
+        check_trusted(values, self.config_path)
+        return with_graphs(values, lambda graph: str(self._graph(Path(graph))))
 
     def experiment(self) -> ExperimentConfig:
         """Read the configuration that the run was started with."""
@@ -184,12 +191,17 @@ class RunFolder:
         place = hashlib.sha256(str(original).encode()).hexdigest()[:8]
         return self.graphs / place / original.name
 
-    def _readable(self, graph: str) -> str:
-        """Return the path of a graph, or that of the copy if it is gone or has changed."""
-        with reading(self.config_path, "Restore the file."):
-            copy = self._graph(Path(graph))
-            changed = copy.exists() and graph_content(str(copy)) != graph_content(graph)
-            return str(copy) if changed else graph
+    def copy_of(self, graph: str) -> str:
+        """Return the path of the copy of a graph; of the graph, where it has no copy or differs."""
+        original, copy = Path(graph), self._graph(Path(graph))
+        if not copy.exists():
+            return graph
+        for file in [copy] if copy.is_file() else copy.rglob("*"):
+            theirs = original / file.relative_to(copy)
+            if file.is_file() and original.exists():
+                if not theirs.is_file() or theirs.read_bytes() != file.read_bytes():
+                    return graph
+        return str(copy)
 
     def checkpoint_fact(self, name: str, missing: int) -> int:
         """Return a number that the latest checkpoint states."""
@@ -217,7 +229,7 @@ class RunFolder:
         """Read what a run was trained with, and on."""
         path = self.path / "provenance.json"
         with reading(path, "Restore the file."):
-            return from_dict(Provenance, with_graphs(read_json(path), self._readable))
+            return from_dict(Provenance, read_json(path))
 
     def summaries(self) -> list[Summary]:
         """Read the summaries of the post-training evaluations, by label."""

@@ -23,6 +23,7 @@ from knowarm.experiment.names import (
 )
 from knowarm.reading import read_json, read_toml, write_json
 from knowarm.study.executor import RunKey, Where
+from knowarm.world.description import check_trusted, trust
 from knowarm.world.tasks import task_names
 from knowarm.world.tasks.sampling import Colours
 
@@ -172,6 +173,7 @@ def read_study(source: Path | str, *, of: Path | str | None = None) -> StudyConf
             raise UserError(
                 f"{path / STUDY_FILE} was written by another version; run the study again."
             )
+        check_trusted(values, path / STUDY_FILE)
         return from_dict(StudyConfig, values)
     if str(source) in SHIPPED:
         path = SHIPPED[str(source)]
@@ -195,6 +197,7 @@ def read_study(source: Path | str, *, of: Path | str | None = None) -> StudyConf
 
 def write_study(study: StudyConfig, out: Path) -> None:
     """Write ``study.json`` into the study's folder."""
+    trust(to_dict(study))
     write_json(out / STUDY_FILE, {"format": FORMAT, **to_dict(study)})
 
 

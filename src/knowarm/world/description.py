@@ -2,12 +2,14 @@
 
 import importlib.util
 import os
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from knowarm.config import from_dict
 from knowarm.errors import UserError
 from knowarm.reading import read_toml
+from knowarm.world.cache import cache_file, write_arrays
 
 SUFFIX = ".toml"  # A name with this suffix is the path of a description
 MENAGERIE = "menagerie:"  # ``mjcf = "menagerie:folder/file.xml"`` names a file of the Menagerie
@@ -17,6 +19,39 @@ HOW_TO_GET = (
 )
 
 T = TypeVar("T")
+
+
+def trust(values: Any) -> None:
+    """Remember on this machine that the user named the descriptions in JSON values."""
+    for name in _named(values):
+        if not (mark := _mark(name)).exists():
+            write_arrays(mark, {})
+
+
+def check_trusted(values: Any, where: Path) -> None:
+    """Refuse JSON values of a file ``where`` that name a description that the user has not named.
+
+    MuJoCo compiles the MJCF of a description, which names files at any path.
+    """
+    for name in _named(values):
+        if not _mark(name).exists():
+            raise UserError(
+                f"{where} names the description {name!r}, which is trusted like code, and you have "
+                f"not used it on this machine. If you trust it, name it in a command, such as "
+                f"knowarm doctor --robot {name}, and repeat."
+            )
+
+
+def _named(values: Any) -> Iterator[str]:
+    if isinstance(values, str):
+        yield from [values] * values.endswith(SUFFIX)
+    elif isinstance(values, dict | list | tuple):
+        for each in values.values() if isinstance(values, dict) else values:
+            yield from _named(each)
+
+
+def _mark(name: str) -> Path:
+    return cache_file("trusted", os.path.realpath(name))
 
 
 def read_description(path: Path, kind: type[T]) -> T:
