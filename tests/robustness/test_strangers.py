@@ -124,7 +124,7 @@ def test_a_run_brings_no_robot_or_object_of_its_own(run, field):
     for use in (evaluate, load_agent):
         with pytest.raises(UserError, match=r"names the description .*trusted like code"):
             use(run)
-    with pytest.raises(UserError, match="Nothing to report: .*trusted like code"):
+    with pytest.raises(UserError, match=r"Nothing to report: .*trusted like code"):
         write_report([run], run.parents[2] / "report.html")
     trusted = find_robot if field == "robot" else lambda name: find_targets([name])
     trusted(name)

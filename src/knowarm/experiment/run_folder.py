@@ -194,14 +194,13 @@ class RunFolder:
     def copy_of(self, graph: str) -> str:
         """Return the path of the copy of a graph; of the graph, where it has no copy or differs."""
         original, copy = Path(graph), self._graph(Path(graph))
-        if not copy.exists():
-            return graph
-        for file in [copy] if copy.is_file() else copy.rglob("*"):
-            theirs = original / file.relative_to(copy)
-            if file.is_file() and original.exists():
-                if not theirs.is_file() or theirs.read_bytes() != file.read_bytes():
-                    return graph
-        return str(copy)
+        files = (file for file in (copy, *copy.rglob("*")) if file.is_file())
+        pairs = ((file, original / file.relative_to(copy)) for file in files)
+        is_equal = copy.exists() and (
+            not original.exists()
+            or all(b.is_file() and a.read_bytes() == b.read_bytes() for a, b in pairs)
+        )
+        return str(copy) if is_equal else graph
 
     def checkpoint_fact(self, name: str, missing: int) -> int:
         """Return a number that the latest checkpoint states."""
