@@ -16,8 +16,8 @@ from knowarm.experiment.run_folder import (
     RunFolder,
     module_for_training,
     provenance,
-    with_graphs,
 )
+from knowarm.experiment.run_graphs import with_graphs
 from knowarm.experiment.run_lock import lock_folder
 from knowarm.learn import CheckpointStore, Hooks, TrainingResult
 from knowarm.perception.module import PerceptionModule, digest

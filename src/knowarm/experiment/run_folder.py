@@ -19,7 +19,7 @@ import os
 import platform
 import shutil
 import subprocess
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
@@ -35,9 +35,9 @@ from knowarm.cores import processor
 from knowarm.errors import Argument, UserError
 from knowarm.experiment.config import ExperimentConfig, StopWhen
 from knowarm.experiment.csv_log import number_in, read_csv, writing
+from knowarm.experiment.run_graphs import with_graphs
 from knowarm.experiment.summary import Summary
 from knowarm.knowledge.config import EmbeddingFacts
-from knowarm.knowledge.formats import SHIPPED
 from knowarm.perception.config import ModuleSpec
 from knowarm.perception.module import PerceptionModule, digest
 from knowarm.reading import (
@@ -249,31 +249,6 @@ class RunFolder:
             if table.ndim != 2 or table.dtype != np.float32 or not np.isfinite(table).all():
                 raise ValueError("its table must be a matrix of finite float32 numbers")
             return table
-
-
-GRAPHS = ("graph", "edited")
-"""Fields that name a graph: a path, or a shipped one."""
-
-
-def with_graphs(values: Any, renamed: Callable[[str], str]) -> Any:
-    """Replace the paths of the graphs that a configuration names; shipped graphs stay."""
-    if not isinstance(values, dict):
-        return values
-    return {
-        key: renamed(value)
-        if key in GRAPHS and isinstance(value, str) and value not in SHIPPED
-        else with_graphs(value, renamed)
-        for key, value in values.items()
-    }
-
-
-def graph_content(graph: str) -> str:
-    """Return the name of a graph's file or folder with a digest of the content, wherever it is."""
-    path, whole = Path(graph), hashlib.sha256()
-    for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
-        if file.is_file():
-            whole.update(f"{file.relative_to(path)} {digest(file.read_bytes())}\n".encode())
-    return f"{path.name} ({whole.hexdigest()[:16]})"
 
 
 def provenance(**known: Any) -> Provenance:

@@ -10,7 +10,8 @@ import numpy as np
 from knowarm.config import to_dict
 from knowarm.errors import UserError
 from knowarm.experiment.csv_log import number_in, read_csv
-from knowarm.experiment.run_folder import Provenance, RunFolder, graph_content, with_graphs
+from knowarm.experiment.run_folder import Provenance, RunFolder
+from knowarm.experiment.run_graphs import graph_content, with_graphs
 from knowarm.experiment.summary import Summary
 from knowarm.reading import one_line
 from knowarm.report.model import Curve, Evaluation, FolderProblem, RunData
