@@ -5,6 +5,8 @@ PY := $(VENV)/bin/python
 PIP := $(PY) -m pip --disable-pip-version-check install --quiet
 # Pinned exactly: a looser requirement may install gigabytes of GPU packages on a CPU machine.
 TORCH := torch==2.13.0
+# Tests start many processes: without bytecode each would compile every module again.
+PYTEST := env -u PYTHONDONTWRITEBYTECODE $(PY) -m pytest
 # Only comparisons with MuJoCo's own renderer use OpenGL; EGL needs no display.
 export MUJOCO_GL ?= egl
 
@@ -34,7 +36,7 @@ best: $(VENV)/.runtime ## train and evaluate the best recipe so far in runs/best
 	$(PY) -m knowarm evaluate runs/best/$(BEST)/0
 
 test: $(VENV)/.dev ## set up .venv, run all tests
-	$(PY) -m pytest -n 2 --dist worksteal --durations 25
+	$(PYTEST) -n 2 --dist worksteal --durations 25
 
 check: format-check lint types fast-tests ## format, lint, types and fast tests: what every commit must pass
 
@@ -53,7 +55,7 @@ types: $(VENV)/.dev ## run mypy
 	$(PY) -m mypy
 
 fast-tests: $(VENV)/.dev ## run the fast tests
-	$(PY) -m pytest -q -n 2 --dist worksteal -m "not slow and not browser and not opengl"
+	$(PYTEST) -q -n 2 --dist worksteal -m "not slow and not browser and not opengl"
 
 torture: $(VENV)/.dev ## kill and damage it for twenty minutes or more: docs/reliability.md
 	$(PY) -m tests.robustness.torture
@@ -69,7 +71,7 @@ docs: $(VENV)/.dev ## build and check the documentation site in docs/_build/html
 	$(PY) scripts/check_site.py docs/_build/html
 
 snippets: $(VENV)/.dev ## run every command and code block of the documentation, shortened
-	$(PY) -m pytest -q -n 2 --dist worksteal --durations 25 tests/snippets/test_snippets.py
+	$(PYTEST) -q -n 2 --dist worksteal --durations 25 tests/snippets/test_snippets.py
 
 bench: $(VENV)/.runtime ## measure the speed of this machine: simulation, images, training
 	$(PY) -m knowarm bench --json runs/bench/speed.json

@@ -1,5 +1,7 @@
 """Tests of the comparisons with other libraries in ``benchmarks/``."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -34,6 +36,9 @@ def test_learners_are_compared_in_one_table(monkeypatch: pytest.MonkeyPatch) -> 
     pytest.importorskip("sb3_contrib")
     from benchmarks.compare_learn import CompareLearnConfig, compare_learn
 
+    ppo = CompareLearnConfig().ppo()
+    small = dataclasses.replace(ppo, num_envs=8, minibatches=2)
+    monkeypatch.setattr(CompareLearnConfig, "ppo", lambda *names: small)
     # They are measured as in `benchmarks/learn.py`.
     a3c = [{"name": name, "steps_per_s": 1.0} for name in ("a3c", "a3c-batched")]
     monkeypatch.setattr("benchmarks.compare_learn.a3c_rows", lambda config: a3c)
@@ -55,7 +60,7 @@ def test_simulations_are_compared_in_one_table(monkeypatch: pytest.MonkeyPatch) 
     every = world.env_configs
     for each in (module, world):  # the first of three tasks
         monkeypatch.setattr(each, "env_configs", lambda config: every(config)[:1])
-    sizes = {"num_envs": 4, "seconds": 0.05, "robots": ("irb120",), "image_size": 16}
+    sizes = {"num_envs": 4, "workers": 1, "seconds": 0.05, "robots": ("irb120",), "image_size": 16}
     result = compare_world(CompareWorldConfig(opengl=False, **sizes))
     for row in result["rows"]:
         assert row["ratio_vs_mjwarp"] == row["steps_per_s"] / row["mjwarp_steps_per_s"]

@@ -71,7 +71,7 @@ def estimate(study: StudyConfig, out: Path) -> Estimate:
 def measure(config: ExperimentConfig, cores: int) -> float:
     """Measure training on some cores, in a process of its own [steps/s]."""
     done = subprocess.run(
-        [sys.executable, "-m", "knowarm.study.estimate"],
+        [sys.executable, "-m", "knowarm.study.estimate", str(SECONDS)],
         input=json.dumps(to_dict(config)),
         capture_output=True,
         text=True,
@@ -84,4 +84,4 @@ def measure(config: ExperimentConfig, cores: int) -> float:
 
 
 if __name__ == "__main__":
-    print(measure_training(from_dict(ExperimentConfig, json.load(sys.stdin)), SECONDS))
+    print(measure_training(from_dict(ExperimentConfig, json.load(sys.stdin)), float(sys.argv[1])))
