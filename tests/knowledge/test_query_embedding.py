@@ -165,7 +165,7 @@ def test_more_facts_than_a_slot_keeps_are_refused():
 
 def test_facts_are_kept_whole():
     known = AGENTS["reasoner"].knows
-    for changed in ({"slot_norm": 1.0}, {"head_once": True}):
+    for changed in ({"slot_norm": 1.0}, {"relation_words": False}):
         with pytest.raises(UserError, match="pooling 'facts' keeps every label about a query"):
             replace(known, **changed)
 

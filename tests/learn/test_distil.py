@@ -136,7 +136,7 @@ def test_an_environment_without_a_teacher_is_an_error():
 
 
 def test_evaluations_receive_the_parameters_averaged_over_updates():
-    built, _ = trainer(dataclasses.replace(CONFIG, average_updates=4))
+    built, _ = trainer()
     expected, after_updates, received = flatten_parameters(built.policy), [], []
     learn = built._learn
     built._learn = lambda: (learn(), after_updates.append(flatten_parameters(built.policy)))[0]
@@ -144,7 +144,7 @@ def test_evaluations_receive_the_parameters_averaged_over_updates():
     built._evaluations.submit = lambda step, values: received.append(values)
     built._submit_evaluation()
     for values in after_updates:
-        expected += (values - expected) / 4
+        expected += (values - expected) / 15
     np.testing.assert_allclose(built._average, expected, atol=1e-6)
     assert not np.array_equal(built._average, after_updates[-1])
     assert np.array_equal(received[-1], built._average)

@@ -188,7 +188,6 @@ def test_the_progress_reward_needs_its_columns():
         (PrivilegedConfig, "progress_coef", -0.1),
         (PrivilegedConfig, "threshold_factor", 0.9),
         (DistilConfig, "way_limit", 0.4),
-        (DistilConfig, "average_updates", 0),
     ],
 )
 def test_values_out_of_range_are_refused(config, field, value):

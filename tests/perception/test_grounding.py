@@ -402,7 +402,6 @@ def test_a_run_keeps_its_network_and_resumes_to_the_byte(tmp_path, choose_run, c
     [
         ("rounds", 0),
         ("naming_coef", -1.0),
-        ("frame_coef", -1.0),
         ("shared_rounds", -1),
         ("seed", -1),
         ("channels", 0),

@@ -50,7 +50,7 @@ def interim_evaluation(
 
     def evaluate(policy: Policy) -> dict[str, float]:
         generator = torch_generator(seed, "interim_actions")
-        agent = knowledge.make_agent(policy, greedy=interim.greedy, generator=generator)
+        agent = knowledge.make_agent(policy, greedy=True, generator=generator)
         result = play(agent, env, episodes)
         numbers = _numbers(result, config.success_distance_m)
         columns = task.columns(setting, result.infos)

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 from knowarm.config import at_least, check_values, file_name, registered
 from knowarm.errors import UserError
@@ -19,14 +19,16 @@ Which = Literal["best", "latest", "untrained"]
 
 @dataclass(frozen=True, kw_only=True)
 class InterimConfig:
-    """The evaluation at regular intervals during training (paper section 4.2.3)."""
+    """The evaluation at regular intervals during training (paper section 4.2.3).
 
+    It takes the most probable actions.
+    """
+
+    RETIRED: ClassVar[dict[str, Any]] = {"greedy": True}
     every_steps: int = 50_000
     """Environment steps between two interim evaluations."""
     episodes: int = 40
     """Episodes per evaluation; always the same ones."""
-    greedy: bool = True
-    """Take the most probable action instead of sampling one."""
     seed: int = 20_250_714
     """Seed of the episodes; the same for every experiment, so that curves are comparable."""
 

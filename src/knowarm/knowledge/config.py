@@ -22,6 +22,7 @@ slot of the episode's own object and colour, its query, or the slot of what is p
 class KnowledgeConfig:
     """Choices between a graph and the vector that enters the policy; defaults are the paper's."""
 
+    RETIRED: ClassVar[dict[str, Any]] = {"head_once": False}
     scope: ClassVar[Scope] = "scene"
     """What a row of the table describes; another one in classes that inherit."""
     detail: Detail
@@ -50,8 +51,6 @@ class KnowledgeConfig:
     """The relation whose tails are an object's colours."""
     relation_words: bool = True
     """Whether the labels of edges belong to the sentence."""
-    head_once: bool = False
-    """Whether the sentence names the object once, or again in each fact (the paper's)."""
     templates: dict[str, str] = field(default_factory=dict)
     """Words for a relation instead of its label, in pairs: isMadeOf "made of"."""
     pooling: Pooling = "mean"
@@ -83,11 +82,11 @@ class KnowledgeConfig:
         at_least(self, 1, "dim")
         at_least(self, 0, "hops", "max_degree")
         fraction(self, "colour_share")
-        whole = self.relation_words and not self.head_once and self.colour_share is None
+        whole = self.relation_words and self.colour_share is None
         if self.pooling == "facts" and not (whole and self.slot_norm is None):
             raise UserError(
                 "pooling 'facts' keeps every label about a query: it needs relation_words=True, "
-                "head_once=False, colour_share=None and slot_norm=None."
+                "colour_share=None and slot_norm=None."
             )
 
     @property

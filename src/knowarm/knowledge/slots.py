@@ -242,12 +242,9 @@ def sentence_parts(graph: KnowledgeGraph, config: KnowledgeConfig = FULL) -> lis
             ".",
         )
     parts: list[SentencePart] = []
-    last = ""
     for head, relation, tail in graph:
-        if not (config.head_once and head == last):
-            parts.append(entity_part(graph, head))
+        parts.append(entity_part(graph, head))
         parts += [*relation_parts(graph, relation, config), entity_part(graph, tail)]
-        last = head
     return parts
 
 

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from knowarm.config import above_zero, at_least, check_values, fraction
 from knowarm.errors import UserError
@@ -187,6 +187,7 @@ class DistilConfig(MinibatchConfig):
         UserError: a value out of range, or minibatches that do not divide the environments.
     """
 
+    RETIRED: ClassVar[dict[str, Any]] = {"average_updates": 15}
     name: Literal["distil"] = "distil"
     """Identifies the algorithm in a config file."""
     num_envs: int = 512
@@ -215,13 +216,9 @@ class DistilConfig(MinibatchConfig):
     """Fraction of the training in which the policy does not act: every environment starts a new
     episode for each image, and learns what the teacher would do. Such images differ more than
     those of an episode and cost half as much; 0: the policy acts from the start."""
-    average_updates: int = 15
-    """Number of updates over which the parameters are averaged (exponentially) for interim
-    evaluations and the best policy, which act with the averages."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        at_least(self, 1, "average_updates")
         at_least(self, 0, "auxiliary_coef")
         at_least(self, SHORTEST_WAY, "way_limit")
         fraction(self, "stay_share", "practice_until", "glimpse_until")

@@ -20,6 +20,9 @@ from knowarm.learn.privileged import PrivilegedRecorder
 from knowarm.learn.rollout import Rollout
 from knowarm.policy import Policy
 
+AVERAGE_UPDATES = 15
+"""Number of updates over which the parameters are averaged (exponentially) for interim evaluations
+and the best policy, which act with the averages."""
 WAY_SCALE = 10.0
 """Way to the teacher's solution that is one unit of the auxiliary loss [largest steps]."""
 WAY_BOUND = 2.0
@@ -132,7 +135,7 @@ class DistilTrainer(MinibatchTrainer):
         """See `MinibatchTrainer.update`; also averages the parameters."""
         metrics = super().update(total_steps)
         change = flatten_parameters(self.policy) - self._average
-        self._average += change / np.float32(self.config.average_updates)
+        self._average += change / np.float32(AVERAGE_UPDATES)
         return metrics
 
     def extra_state(self) -> Arrays:

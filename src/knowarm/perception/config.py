@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 from knowarm.config import above_zero, at_least, check_values
 from knowarm.errors import UserError
@@ -55,14 +55,13 @@ class PerceptionConfig(ModuleTrainingConfig):
 class GroundingConfig(ModuleTrainingConfig):
     """Training of a `GroundingNetwork`."""
 
+    RETIRED: ClassVar[dict[str, Any]] = {"frame_coef": 10.0}
     images: int = 16_000
     """Training images per round: first images of episodes, never the same."""
     rounds: int = 20
     """Number of times that images are drawn and each is trained on once."""
     naming_coef: float = 0.5
     """Weight of a second loss that names each visible object and its colour where it stands."""
-    frame_coef: float = 10.0
-    """Weight of the squared error of the grasp frames of all visible objects."""
     channels: int = 64
     """Features of a place, a multiple of 4. Twice as many recognize unseen kinds of objects better
     and cost 2.4 times as much."""
@@ -82,7 +81,7 @@ class GroundingConfig(ModuleTrainingConfig):
         at_least(self, least, "rounds", where="GroundingConfig.")
         if self.channels < 4 or self.channels % 4:
             raise UserError(f"GroundingConfig.channels is {self.channels}; allowed: 4, 8, 12, ...")
-        fields = "naming_coef", "frame_coef", "graphs", "shared_rounds", "seed"
+        fields = "naming_coef", "graphs", "shared_rounds", "seed"
         at_least(self, 0, *fields, where="GroundingConfig.")
 
 

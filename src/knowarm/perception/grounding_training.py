@@ -29,6 +29,8 @@ from knowarm.seeding import derive_seed, torch_generator
 from knowarm.world.cache import cache_file, read_arrays, write_arrays
 from knowarm.world.config import EnvConfig
 
+FRAME_COEF = 10.0
+"""Weight of the squared error of the grasp frames of all visible objects."""
 REVISION = 2
 """Part of the cache's key; another one wherever the same config trains another network."""
 
@@ -109,12 +111,12 @@ def train_grounding(
         features = network.features(labels.images[rows], bfloat16)
         place = network.place_loss(features, labels, rows, *ask(), bfloat16=bfloat16)
         naming, frame = network.recognition_losses(features.float(), labels, rows)
-        return place + config.naming_coef * naming + config.frame_coef * frame, place
+        return place + config.naming_coef * naming + FRAME_COEF * frame, place
 
     def recognition(labels: LabelledImages, rows: Tensor) -> tuple[Tensor, Tensor]:
         features = network.features(labels.images[rows], bfloat16).float()
         naming, frame = network.recognition_losses(features, labels, rows)
-        return config.naming_coef * naming + config.frame_coef * frame, naming
+        return config.naming_coef * naming + FRAME_COEF * frame, naming
 
     def comparison(labels: LabelledImages, rows: Tensor) -> tuple[Tensor, Tensor]:
         features = network.features(labels.images[rows], bfloat16)
