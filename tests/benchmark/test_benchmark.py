@@ -7,13 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from safetensors.numpy import save_file
 
 from knowarm.benchmark.leaderboard import left_out, read_rows, tables, write_leaderboard
-from knowarm.benchmark.policies import Entrant, entrant
+from knowarm.benchmark.policies import Entrant, entrant, is_safe
 from knowarm.benchmark.rows import read_row, run_suite, shuffled, verify
 from knowarm.benchmark.suites import parse_suite, read_suite, suite_names
 from knowarm.cli.main import main
 from knowarm.errors import UserError
+from knowarm.experiment.run_folder import RunFolder
 from knowarm.knowledge.formats import read_graph
 from knowarm.questions import find_rows
 from knowarm.reading import write_json
@@ -195,13 +197,81 @@ def test_rows_of_another_suite_or_format_are_refused(stored):
     stored.write_text(json.dumps(row | {"policy": row["policy"] | {"inputs": [1]}}))
     with pytest.raises(UserError, match="damaged"):
         read_row(stored)
-    stored.write_text(json.dumps(row | {"format": 0}))
-    with pytest.raises(UserError, match="no row"):
-        read_row(stored)
+    for other in (0, 1, True, 2.0, "2"):
+        stored.write_text(json.dumps(row | {"format": other}))
+        with pytest.raises(UserError, match=r"no row .*Measure it again"):
+            read_row(stored)
     del row["cells"]["irb120-S1"]["outcomes"]
     stored.write_text(json.dumps(row))
     with pytest.raises(UserError, match="damaged"):
         read_row(stored)
+
+
+FORGED = {
+    "a control is left out": (("cells", "irb120-S1", "outcomes", 0, "black"), None, "black"),
+    "an unknown control": (("cells", "irb120-fixed", "outcomes", 1, "luck"), {}, "luck"),
+    "an unknown input": (("policy", "inputs"), ["image", "words", "telepathy"], "telepathy"),
+    "fewer inputs hide controls": (("policy", "inputs"), [], "black"),
+    "seeds": (("policy", "seeds"), [0], "differ in length"),
+    "digests": (("policy", "digests"), ["", "", ""], "differ in length"),
+    "no policy": (("policy", "specs"), [], "no policy"),
+    "no cells": (("cells",), {}, "no cells"),
+    "a heading as name": (("name",), "x\n# Winner", "is not one line"),
+    "a long training": (("policy", "training"), "x" * 4_000_000, "is not one line"),
+}
+
+
+@pytest.mark.parametrize("forged", FORGED)
+def test_forged_declarations_are_refused(row, stored, forged):
+    """The figures of each follow from its episodes, so that nothing else finds it."""
+    (*path, last), value, words = FORGED[forged]
+    changed = place = copy.deepcopy(row)
+    for key in path:
+        place = place[key]
+    if value is None:
+        del place[last]
+    else:
+        place[last] = value
+    stored.write_text(json.dumps(changed))
+    with pytest.raises(UserError, match=words) as error:
+        read_row(stored)
+    assert len(str(error.value)) < 500
+
+
+def test_one_policy_given_five_times_is_one_seed(small):
+    make = entrant("oracle").make
+    five = [Entrant(spec=f"copy-{i}", make=make, seed=i, digest=str(i)) for i in range(5)]
+    many, one = (run_suite(small, each, name="x") for each in (five, five[:1]))
+    for name, cell in many["cells"].items():
+        for end in ("mean", "low", "high"):
+            assert cell["success"][end] == one["cells"][name]["success"][end]
+
+
+@pytest.mark.parametrize("tolerance", [float("nan"), -1.0, 0.1, 1.0, 2.0, float("inf")])
+def test_a_tolerance_that_accepts_anything_is_refused(row, small, stored, tolerance):
+    with pytest.raises(UserError, match="tolerance must lie from 0 to below"):
+        verify(row, playing("zero"), tolerance=tolerance)
+
+
+@pytest.mark.parametrize("file", ["config.json", "provenance.json", "knowledge.safetensors"])
+def test_the_digest_of_a_run_covers_what_it_declares_and_knows(tmp_path, file):
+    run = shutil.copytree(ROOT / "zoo/irb120-full-fast", tmp_path / "run")
+    before = entrant(str(run)).digest
+    if file == "knowledge.safetensors":
+        save_file({"table": RunFolder(run).knowledge() + 1}, run / file)
+    else:
+        (run / file).write_text((run / file).read_text() + " ")
+    assert entrant(str(run)).digest != before
+
+
+def test_a_row_chooses_no_model_to_open(tmp_path):
+    run = str(ROOT / "zoo/irb120-full-fast")
+    assert is_safe(run)
+    assert is_safe("oracle")
+    (tmp_path / "a.onnx").write_text("")
+    (tmp_path / "contract.json").write_text("")
+    for spec in (str(tmp_path), str(tmp_path / "a.onnx"), "m:Name", "ws://h", "\\\\h\\s", "//h/s"):
+        assert not is_safe(spec)
 
 
 def test_the_leaderboard_ranks_by_intervals_and_shows_controls(stored, small):
@@ -347,7 +417,7 @@ def test_the_commands(tmp_path, monkeypatch, capsys):
     assert main([*few[:-3], "--out", str(tmp_path)]) == 2
     shown = capsys.readouterr()
     assert "played again with the same outcomes" in shown.out
-    assert "names code or a server (my_policy:Random)" in shown.err
+    assert "names code, a server or a model (my_policy:Random)" in shown.err
     assert f"Cannot write {tmp_path}" in shown.err
     assert page.exists()
 

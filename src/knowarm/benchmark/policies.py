@@ -15,6 +15,7 @@ from knowarm.experiment.conditions import Subject
 from knowarm.experiment.evaluate import known_in_test
 from knowarm.experiment.load import load_agent
 from knowarm.experiment.other_graphs import check_graph, splits_of
+from knowarm.experiment.run_folder import PERCEPTION_FILE
 from knowarm.integrations.runner import Runner
 from knowarm.learn.algorithms import privileged_uses
 from knowarm.own import load
@@ -39,7 +40,7 @@ class Entrant:
     training: str = ""
     """How it was trained, in a few words."""
     digest: str = ""
-    """SHA-256 of its files, where it has any."""
+    """SHA-256 of all files that decide what it does and declares, where it has any."""
     controls: dict[str, Callable[[Cell, ArmVectorEnv], AgentProtocol]] = field(default_factory=dict)
     """Controls that only this kind of policy has."""
     seed: int | None = None
@@ -74,6 +75,12 @@ def entrant(spec: str) -> Entrant:
         "file, ws://HOST:PORT, package.module:Name, package.module:Name:FILE, or one of "
         f"{', '.join(SCRIPTED_AGENTS)}."
     )
+
+
+def is_safe(spec: str) -> bool:
+    """Return whether what plays is a scripted agent or a run folder, which strangers may give."""
+    remote = ":" in spec or spec.startswith(("//", "\\\\"))
+    return spec in SCRIPTED_AGENTS or (not remote and (Path(spec) / "config.json").is_file())
 
 
 def _scripted(name: str) -> Entrant:
@@ -117,8 +124,9 @@ def _run(spec: str) -> Entrant:
     if config.knows.answers_by_graph:
         controls["shuffled graph"] = partial(make, reasoning="graph-shuffled")
     files = sorted((trained.folder.checkpoints / "best").glob("*.safetensors"))
-    perception = trained.folder.path / "perception.safetensors"
-    parts = [path.read_bytes() for path in (*files, perception) if path.is_file()]
+    deciding = ("config.json", "provenance.json", "knowledge.safetensors", PERCEPTION_FILE)
+    files += [trained.folder.path / name for name in deciding]
+    parts = [hashlib.sha256(file.read_bytes()).digest() for file in files if file.is_file()]
     return Entrant(
         spec=spec,
         make=make,

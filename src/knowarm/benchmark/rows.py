@@ -17,13 +17,17 @@ from knowarm.errors import UserError, unknown_name
 from knowarm.reading import read_json
 from knowarm.statistics import bootstrap, wilson
 from knowarm.world.agents.play import play
-from knowarm.world.agents.protocol import AgentProtocol, Batch
+from knowarm.world.agents.protocol import INPUTS, AgentProtocol, Batch
 from knowarm.world.agents.scripted import BlindAgent, FrozenAgent, InformedAgent, OpenLoopAgent
 from knowarm.world.config import questions_of
 from knowarm.world.envs.vector_env import ArmVectorEnv
 from knowarm.world.tasks.sampling import Episodes
 
-FORMAT = 1
+FORMAT = 2
+MOST_TEXT = 300
+"""Longest text of a row: a name, a spec, or how a policy was trained."""
+MOST_TOLERANCE = 0.1
+OWN_CONTROL = "shuffled graph"  # of agents that answer by a graph, and of no others
 Bits = NDArray[np.bool_]
 
 
@@ -109,15 +113,23 @@ def _play_cell(suite: Suite, cell: Cell, entrant: Entrant) -> dict[str, Any]:
     return outcome
 
 
+def _required(cell: Cell, inputs: Sequence[str]) -> list[str]:
+    """Name the controls of every policy that has these inputs."""
+    asks = questions_of(cell.env) is not None and not {"words", "graph"}.isdisjoint(inputs)
+    found = ["open-loop", *["black", "frozen"] * ("image" in inputs), *["shuffled query"] * asks]
+    return found + ["intact graph"] * (cell.graph is not None and "graph" in inputs)
+
+
 def _controls(cell: Cell, entrant: Entrant, env: ArmVectorEnv) -> dict[str, AgentProtocol]:
-    agents: dict[str, AgentProtocol] = {"open-loop": OpenLoopAgent(cell.open_loop)}
-    if "image" in entrant.inputs:
-        agents["black"] = BlindAgent(entrant.make(cell, env))
-        agents["frozen"] = FrozenAgent(entrant.make(cell, env))
-    if {"words", "graph"} & set(entrant.inputs) and questions_of(cell.env) is not None:
-        agents["shuffled query"] = InformedAgent(entrant.make(cell, env), shuffled)
-    if cell.graph is not None and "graph" in entrant.inputs:
-        agents["intact graph"] = entrant.make(replace(cell, graph=None), env)
+    make = entrant.make
+    makers: dict[str, Callable[[], AgentProtocol]] = {
+        "open-loop": lambda: OpenLoopAgent(cell.open_loop),
+        "black": lambda: BlindAgent(make(cell, env)),
+        "frozen": lambda: FrozenAgent(make(cell, env)),
+        "shuffled query": lambda: InformedAgent(make(cell, env), shuffled),
+        "intact graph": lambda: make(replace(cell, graph=None), env),
+    }
+    agents = {name: makers[name]() for name in _required(cell, entrant.inputs)}
     return agents | {name: make(cell, env) for name, make in entrant.controls.items()}
 
 
@@ -178,12 +190,16 @@ def _figures(suite: Suite, row: dict[str, Any]) -> dict[str, Any]:
 
 
 def _share(seeds: Sequence[Bits]) -> dict[str, Any]:
-    """Return a share with its interval, over training seeds if they differ, else over episodes."""
+    """Return a share with its interval, over training seeds if they differ, else over episodes.
+
+    Seeds that end every episode in the same way count as one: they may be one policy, given twice.
+    """
     shares = [float(each.mean()) for each in seeds]
-    if len(set(shares)) > 1:
-        found = bootstrap(np.array(shares))
+    different = list({each.tobytes(): each for each in seeds}.values())
+    if len({each.mean() for each in different}) > 1:
+        found = bootstrap(np.array([each.mean() for each in different]))
     else:
-        every = np.concatenate(seeds)
+        every = np.concatenate(different)
         found = wilson(int(every.sum()), len(every))
     return {"mean": found.estimate, "low": found.low, "high": found.high, "seeds": shares}
 
@@ -196,20 +212,46 @@ def read_row(path: Path) -> dict[str, Any]:
             follow from its episodes; the message names it.
     """
     row = read_json(path)
-    if not isinstance(row, dict) or row.get("format") != FORMAT:
-        raise UserError(f"{path} is no row of this version's benchmark (format {FORMAT}).")
+    if type(row.get("format")) is not int or row["format"] != FORMAT:
+        raise UserError(
+            f"{path} is no row of this version's benchmark (format {FORMAT}). Measure it again: "
+            "knowarm benchmark run."
+        )
     suite = read_suite(str(row.get("suite")))
     if row.get("digest") != suite.digest:
         raise UserError(f"{path} was measured on another {suite.name}: the digests differ.")
     try:
-        said = row["policy"]
-        "".join([row["name"], said["training"], *said["inputs"], *said["specs"]])  # all are text
+        _check_declared(suite, row)
         computed = row | _figures(suite, row)
     except (AttributeError, KeyError, ValueError, TypeError, IndexError) as error:
         raise UserError(f"{path} is damaged: {error!r}. Measure the row again.") from None
     for where, (stored, follows) in differences(row, json.loads(json.dumps(computed))).items():
         raise UserError(f"{path}: {where} is {stored}, but its episodes give {follows}.")
     return row
+
+
+def _check_declared(suite: Suite, row: dict[str, Any]) -> None:
+    """Check the declarations of a row, and that every seed has every control.
+
+    Raises:
+        ValueError, TypeError, KeyError: what is wrong.
+    """
+    said = row["policy"]
+    for text in (row["name"], said["training"], *said["inputs"], *said["specs"], *said["digests"]):
+        if not text.isprintable() or len(text) > MOST_TEXT:
+            raise ValueError(f"{text!r:.40} is not one line of at most {MOST_TEXT} characters")
+    if not row["cells"] or not said["specs"]:
+        raise ValueError("it has no cells or no policy")
+    if unknown := set(said["inputs"]) - set(INPUTS):
+        raise ValueError(f"policy.inputs names {', '.join(unknown)}")
+    for name in ("seeds", "digests"):
+        if len(said[name]) != len(said["specs"]):
+            raise ValueError(f"policy.{name} and policy.specs differ in length")
+    for name, cell in row["cells"].items():
+        needed = {"policy", *_required(suite.cells[name], said["inputs"])}
+        for seed in zip(said["specs"], cell["outcomes"], strict=True):
+            if wrong := needed ^ (seed[1].keys() - {OWN_CONTROL}):
+                raise ValueError(f"cells.{name}.outcomes lacks, or has, {', '.join(sorted(wrong))}")
 
 
 def verify(
@@ -232,6 +274,8 @@ def verify(
         UserError: a declaration or a cell differs; the message names it with both values. Digests
             of files may differ where there is a tolerance.
     """
+    if not 0 <= tolerance < MOST_TOLERANCE:  # also for NaN
+        raise UserError(f"tolerance must lie from 0 to below {MOST_TOLERANCE}, got {tolerance}.")
     suite = read_suite(row["suite"])
     stored, given = row["policy"] | {"specs": []}, {"specs": [], **_declared(entrants)}
     stored |= {"digests": given["digests"]} if tolerance else {}

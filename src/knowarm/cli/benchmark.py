@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from knowarm.benchmark.leaderboard import left_out, read_rows, write_leaderboard
-from knowarm.benchmark.policies import entrant
+from knowarm.benchmark.policies import entrant, is_safe
 from knowarm.benchmark.rows import read_row, run_suite, verify
 from knowarm.benchmark.suites import read_suite, suite_names
 from knowarm.cli.tables import check_output, print_table
@@ -96,11 +96,11 @@ class VerifyRow:
     row: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="ROW")]
     """File of a row."""
     policy: Policies = ()
-    """Where the policies are on this machine. Default: as in the row, unless that names code or a
-    server."""
+    """Where the policies are on this machine. Default: as in the row, if that names run folders or
+    scripted agents."""
     tolerance: float = 0.0
-    """Largest share of the episodes of a cell that may end otherwise, for a machine that rounds
-    differently."""
+    """Largest share of the episodes of a cell that may end otherwise, below .1, for a machine that
+    rounds differently."""
     play: bool = True
     """Play again; otherwise only check that every figure follows from the stored episodes."""
 
@@ -109,10 +109,11 @@ class VerifyRow:
         row = read_row(self.row)
         if self.play:
             specs = self.policy or tuple(row["policy"]["specs"])
-            if code := [spec for spec in specs if ":" in spec and not self.policy]:
+            if code := [spec for spec in specs if not (self.policy or is_safe(spec))]:
                 raise UserError(
-                    f"{self.row} names code or a server ({code[0]}), which a row of somebody else "
-                    f"must not choose: give it yourself, --policy {code[0]}, or use --no-play."
+                    f"{self.row} names code, a server or a model ({code[0]}), which a row of "
+                    f"somebody else must not choose: give it yourself, --policy {code[0]}, or use "
+                    "--no-play."
                 )
             entrants = list(map(entrant, specs))
             verify(row, entrants, tolerance=self.tolerance, report=_report)

@@ -115,7 +115,7 @@ class ImageEncoder(nn.Module):
         image = image.reshape(-1, *image.shape[-3:])
         if self._padding:
             image = F.pad(image, (0, 0, 0, self._padding, 0, self._padding))
-        if image.device.type == "cpu":
+        if image.device.type == "cpu" and not torch.compiler.is_exporting():
             patches = image.new_empty(len(image), *self.patch_shape)
             _gather(image.flatten(2).numpy(), patches.numpy())
             return patches.view(*leading, *self.patch_shape)
