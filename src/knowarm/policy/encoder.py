@@ -153,12 +153,12 @@ class ImageEncoder(nn.Module):
         dtype = torch.get_autocast_dtype(device) if low else weight.dtype
         pixels = patches.reshape(-1, weight.shape[1]).to(dtype)
         x = torch.relu(F.linear(pixels, weight, weights.first_bias))
-        return x.view(len(patches), self._blocks, self._blocks, 4 * self.conv1.out_channels)
+        return x.view(patches.shape[0], self._blocks, self._blocks, 4 * self.conv1.out_channels)
 
     def second(self, x: Tensor, weights: "ProductWeights") -> Tensor:
         """Compute the second convolution from the result of `first`: (N, width)."""
         x = torch.relu(F.conv2d(x.permute(0, 3, 1, 2), weights.second, weights.second_bias))
-        return x.permute(0, 2, 3, 1).reshape(len(x), self.width)
+        return x.permute(0, 2, 3, 1).reshape(x.shape[0], self.width)
 
     @torch.no_grad()
     def gradients(
