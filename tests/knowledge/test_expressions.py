@@ -8,7 +8,10 @@ from knowarm.experiment.names import experiment_config
 from knowarm.knowledge.formats import shipped_graph
 from knowarm.knowledge.graph.builder import graph_of
 from knowarm.knowledge.graph.edits import edited
+from knowarm.knowledge.graph.terms import literal
 from knowarm.knowledge.queries.expressions import answer
+from knowarm.knowledge.queries.queries import QueryGraph
+from knowarm.questions import Query
 from knowarm.world.config import facets_of, questions_of
 
 GRAPH = graph_of(
@@ -58,7 +61,16 @@ def names(text, graph=GRAPH):
         ("usedFor drinking and not hasColor blue", {"mug red"}),
         ("hasColor red and hasPart handle", {"mug red", "watering_can red"}),
         ("SELECT ?object WHERE { ?object :hasPart :handle }", {"mug", "watering_can"}),
-        ("select ?object ?colour { ?object :hasColor ?colour }", {"mug blue"}),
+        (
+            "SELECT ?object { ?object :hasColor :blue ; :hasPart :handle }",
+            {"mug blue", "watering_can blue"},
+        ),
+        (
+            "SELECT ?object { ?object :usedFor ?x FILTER NOT EXISTS { ?object :hasColor :blue } }",
+            {"mug red", "lamp red", "watering_can red"},
+        ),
+        ("select ?object ?colour { ?object :hasColor ?colour ; :hasPart :shade }", {"lamp"}),
+        ('SELECT ?object ?color { ?object :hasPart :shade . BIND("red" AS ?color) }', {"lamp red"}),
     ],
 )
 def test_the_graph_answers(text, expected):
@@ -99,6 +111,7 @@ def test_objects_that_the_graph_does_not_describe_never_answer():
         ("count hasPart >= many", "expected a comparison such as >= 2"),
         ("usedFor tea", "No object of the task answers"),
         ("SELECT ?x WHERE { ?x :hasPart :handle }", r"must select \?object"),
+        ("SELECT ?object ?colr { ?object :hasColor ?colr }", r"no more; got object, colr"),
     ],
 )
 def test_what_cannot_be_answered_is_one_clear_line(text, message):
@@ -169,3 +182,77 @@ def test_a_question_nests_no_deeper_than_it_can_be_read(text):
         answer(GRAPH, FACETS, text)
     for deep in ("(" * 50 + "usedFor drinking" + ")" * 50, "not " * 50 + "usedFor drinking"):
         assert names(deep) == {"mug"}
+
+
+def test_a_string_answers_as_the_name_of_the_same_text_does():
+    graph = graph_of([("mug", "usedFor", "drinking"), ("lamp", "usedFor", literal("drinking"))])
+    assert names("usedFor drinking", graph) == {"mug", "lamp"}
+    assert names("usedFor drinking", graph_of([*graph, ("mug", "price", literal("5"))])) == {
+        "mug", "lamp",
+    }  # fmt: skip
+    only = graph_of([("lamp", "usedFor", literal("drinking", language="en"))])
+    assert names("usedFor drinking", only) == {"lamp"}
+    table = QueryGraph(graph, FACETS[:4])
+    assert table.answers([Query.of(("usedFor", "drinking"))]).all()
+
+
+def test_relations_of_one_last_part_are_told_apart():
+    a, b = "http://a.org/", "http://b.org/"
+    graph = graph_of([(a + "mug", a + "hasPart", a + "x"), (a + "lamp", b + "hasPart", a + "x")])
+    with pytest.raises(UserError, match=r"'hasPart' names 2 relations.*http://a.org/hasPart"):
+        answer(graph, FACETS, "hasPart x")
+    assert names("http://b.org/hasPart x", graph) == {"lamp"}
+    assert names(f"{a}hasPart x or {b}hasPart x", graph) == {"mug", "lamp"}
+
+
+def test_labels_name_relations():
+    e = "http://e.org/"
+    graph = graph_of([("mug", e + "P1", e + "Q2")], labels={e + "P1": "usedFor", e + "Q2": "tea"})
+    assert names("usedFor tea", graph) == {"mug"}
+
+
+def random_question(rng, depth, target="?object"):
+    """Return a random question in words, and as a condition of SPARQL."""
+    kind = rng.choice(["fact", "colour", "not", "and", "or", "chain", "count"][: 7 if depth else 2])
+    values = {"usedFor": ["drinking", "lighting", "watering"], "hasPart": ["handle", "base", "mug"]}
+    relation = str(rng.choice(list(values)))
+    if kind == "fact":
+        value = rng.choice(values[relation])
+        return f"{relation} {value}", f"EXISTS {{ {target} :{relation} :{value} }}"
+    if kind == "colour":
+        value = rng.choice(["blue", "red"])
+        return f"hasColor {value}", f"EXISTS {{ {target} :hasColor :{value} }}"
+    if kind == "not":
+        words, sparql = random_question(rng, depth - 1, target)
+        return f"not ({words})", f"!({sparql})"
+    if kind in ("and", "or"):
+        parts = [random_question(rng, depth - 1, target) for _ in range(2)]
+        sign = {"and": "&&", "or": "||"}[kind]
+        return f"(({parts[0][0]}) {kind} ({parts[1][0]}))", f"({parts[0][1]} {sign} {parts[1][1]})"
+    inner = f"?x{depth}"
+    words, sparql = random_question(rng, depth - 1, inner)
+    body = f"{target} :{relation} {inner} FILTER({sparql})"
+    if kind == "chain":
+        return f"{relation} ({words})", f"EXISTS {{ {body} }}"
+    other = f"?y{depth}"
+    two = f"{body} {target} :{relation} {other} FILTER({sparql.replace(inner, other)})"
+    return (
+        f"count {relation} ({words}) >= 2",
+        f"EXISTS {{ {two} FILTER({inner} != {other}) }}",
+    )
+
+
+def test_words_and_sparql_give_the_same_answers_to_random_questions_with_colours():
+    rng = np.random.default_rng(0)
+    always = ("lamp", "isA", "anchor")  # so that no question is without an answer
+    graph = graph_of([*GRAPH, ("lamp", "hasPart", "mug"), ("lamp", "usedFor", "drinking"), always])
+    answered = 0
+    for _ in range(300):
+        words, condition = random_question(rng, 3)
+        objects = "VALUES ?object { :mug :lamp :watering_can }"
+        either = f"{condition} || EXISTS {{ ?object :isA :anchor }}"
+        one = answer(graph, FACETS, f"{words} or isA anchor").evidence
+        other = answer(graph, FACETS, f"SELECT ?object {{ {objects} FILTER({either}) }}").evidence
+        assert set(one) == set(other), words
+        answered += any(name != "lamp" for name, _ in one)
+    assert answered > 100

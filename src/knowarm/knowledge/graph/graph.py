@@ -2,7 +2,7 @@
 
 from bisect import bisect_left
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Literal, get_args
 
@@ -28,15 +28,18 @@ class Names(tuple[str, ...]):
 
     def find_local(self, local: str) -> list[int]:
         """Return the ids of the names, but for literals, whose `local_name` this is, ascending."""
-        return self._by_local.get(local, [])
+        return self._by_local[False].get(local, [])
+
+    def find_literals(self, text: str) -> list[int]:
+        """Return the ids of the literals of this text, ascending."""
+        return self._by_local[True].get(text, [])
 
     @cached_property
-    def _by_local(self) -> dict[str, list[int]]:
-        ids = defaultdict(list)
+    def _by_local(self) -> tuple[dict[str, list[int]], dict[str, list[int]]]:
+        ids = defaultdict[str, list[int]](list), defaultdict[str, list[int]](list)
         for index, name in enumerate(self):
-            if not name.startswith('"'):
-                ids[local_name(name)].append(index)
-        return dict(ids)
+            ids[name.startswith('"')][local_name(name)].append(index)
+        return dict(ids[False]), dict(ids[True])
 
 
 class KnowledgeGraph:
@@ -192,16 +195,30 @@ class KnowledgeGraph:
         """Return the id as `find_entity`; raise a `UserError` without."""
         if (entity := self.find_entity(name)) is not None:
             return entity
-        names = {local_name(n) for n in self.entities}
+        names = {local_name(n) for n in self.entities if not n.startswith('"')}
         if len(names) > _FEW:
             names = {n for n in names if n[:1] == name[:1] and abs(len(n) - len(name)) < 3}
         raise unknown_name("entity", name, names)
 
+    def values(self, name: str) -> list[int]:
+        """Return the ids of what a value names: an entity, and all literals of this text."""
+        entity = self.find_entity(name)
+        literals = [i for i in self.names.find_literals(name) if self._has_node(i)]
+        return literals if entity is None or entity in literals else [entity, *literals]
+
+    def tails_of(self, relations: Collection[int]) -> np.ndarray:
+        """Return the ids of the tails of some relations, ascending."""
+        return np.unique(self.tails[np.isin(self.relations, list(relations))])
+
     def find_relation(self, name: str) -> int | None:
-        """Return the id by name or last part of the IRI; None without, refuse several."""
-        exact = self.relation_names.find(name)
-        ids = self.relation_names.find_local(name) if exact is None else [exact]
-        return _single(ids, name, self.relation_names, "relations")
+        """Return the id by name, last part of the IRI, or label; None without, refuse several."""
+        names = self.relation_names
+        exact = names.find(name)
+        ids = names.find_local(name) if exact is None else [exact]
+        if not ids:
+            labelled = (names.find(n) for n, label in self.labels.items() if label == name)
+            ids = [i for i in labelled if i is not None]
+        return _single(ids, name, names, "relations")
 
     def relation_id(self, name: str) -> int:
         """Return the id as `find_relation`; raise a `UserError` without."""

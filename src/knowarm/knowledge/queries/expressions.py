@@ -21,7 +21,7 @@ import numpy as np
 from knowarm.errors import UserError, unknown_name
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.terms import local_name
-from knowarm.knowledge.queries.sparql import sparql
+from knowarm.knowledge.queries.sparql import SparqlQuery
 from knowarm.questions import COLOUR_RELATION, ObjectColour
 
 Evidence = tuple[str, ...]
@@ -81,6 +81,13 @@ def answer(graph: KnowledgeGraph, facets: Sequence[ObjectColour], text: str) -> 
             "missing triple to the graph."
         )
     return Answers(text, np.array([facet in evidence for facet in facets]), evidence)
+
+
+class _Relation(NamedTuple):
+    """A relation of a question: its name, and its ids in the graph."""
+
+    name: str
+    ids: frozenset[int]
 
 
 class _Reader:
@@ -154,35 +161,38 @@ class _Reader:
             self.chain(relation, of) if self.words[self.place - 1] == ")" else self.fact(relation)
         )
 
-    def fact(self, relation: str) -> Part:
+    def fact(self, relation: _Relation) -> Part:
         """Read a value; the colour of what is shown is seen, not looked up."""
         names = list[str]()
         while word := self.take():
             names.append(word.strip('"'))
         if not (value := " ".join(names)):
-            raise self.wrong(f"a value of {relation}")
-        is_colour = relation == COLOUR_RELATION
-        is_shown = is_colour and value in self.colours  # any other value must be in the graph
-        in_graph = (self.graph.find_entity if is_shown else self.graph.entity_id)(value)
+            raise self.wrong(f"a value of {relation.name}")
+        is_colour = relation.name == COLOUR_RELATION
+        ids = self.graph.values(value)
+        if not ids and not (is_colour and value in self.colours):
+            known = {local_name(self.graph.names[i]) for i in self.graph.tails_of(relation.ids)}
+            raise unknown_name(f"value of {relation.name}", value, known)
 
         def evidence(entity: int, colour: str | None) -> Evidence | None:
             if is_colour and colour is not None:
                 return (f"the image shows {value}",) if colour == value else None
             links = self.links(entity, relation)
-            return next(((text,) for text, tail in links if tail == in_graph), None)
+            return next(((text,) for text, tail in links if tail in ids), None)
 
         return evidence
 
-    def chain(self, relation: str, of: Part) -> Part:
+    def chain(self, relation: _Relation, of: Part) -> Part:
         """Return the part that is true where a relation leads to something of which one is."""
 
         def evidence(entity: int, colour: str | None) -> Evidence | None:
-            whys = ((text, of(tail, None)) for text, tail in self.links(entity, relation))
+            links = self.links(entity, relation)
+            whys = ((text, of(tail, colour if tail == entity else None)) for text, tail in links)
             return next(((text, *why) for text, why in whys if why is not None), None)
 
         return evidence
 
-    def count(self, relation: str, of: Part) -> Part:
+    def count(self, relation: _Relation, of: Part) -> Part:
         """Read a comparison with the number of values of a relation."""
         sign = self.take(*SIGNS)
         number = self.take() if sign else ""
@@ -190,7 +200,8 @@ class _Reader:
             raise self.wrong("a comparison such as >= 2")
 
         def evidence(entity: int, colour: str | None) -> Evidence | None:
-            whys = [(text, of(tail, None)) for text, tail in self.links(entity, relation)]
+            links = self.links(entity, relation)
+            whys = [(text, of(tail, colour if tail == entity else None)) for text, tail in links]
             reasons = [(text, *why) for text, why in whys if why is not None]
             fits = SIGNS[sign](len(reasons), int(number))
             return (*sum(reasons, ()), f"counted: {len(reasons)}") if fits else None
@@ -205,38 +216,54 @@ class _Reader:
             raise self.wrong("')'")
         return part
 
-    def relation(self) -> str:
-        """Read one word, the last part of the name of a relation."""
-        if not (word := self.take()):
+    def relation(self) -> _Relation:
+        """Read one word: the name of a relation, its last part or its label."""
+        if not (word := self.take().strip('"')):
             raise self.wrong("a relation")
-        names = {local_name(name) for name in self.graph.relations_used} | {COLOUR_RELATION}
-        if word.strip('"') not in names:
-            raise unknown_name("relation of the question", word.strip('"'), names)
-        return word.strip('"')
+        if local_name(word) == COLOUR_RELATION:  # the image answers it, whoever else states it
+            names = self.graph.relation_names
+            return _Relation(COLOUR_RELATION, frozenset(names.find_local(COLOUR_RELATION)))
+        return _Relation(local_name(word), frozenset([self.graph.relation_id(word)]))
 
-    def links(self, entity: int, relation: str) -> Iterator[tuple[str, int]]:
+    def links(self, entity: int, relation: _Relation) -> Iterator[tuple[str, int]]:
         """Yield the triples of a relation whose head is an entity, as text, and their tails."""
         graph = self.graph
         for row in graph.out_rows(entity):
-            if local_name(graph.relation_names[graph.relations[row]]) == relation:
+            if int(graph.relations[row]) in relation.ids:
                 tail = int(graph.tails[row])
-                names = local_name(graph.names[entity]), relation, local_name(graph.names[tail])
-                yield " ".join(names), tail
+                texts = (
+                    local_name(graph.names[entity]),
+                    relation.name,
+                    local_name(graph.names[tail]),
+                )
+                yield " ".join(texts), tail
 
 
 def _sparql(graph: KnowledgeGraph, text: str) -> Part:
-    """Return what is true of the rows of a SPARQL query, by ?object and, if selected, ?colour."""
-    result = sparql(graph, text)
-    if "object" not in result.columns:
-        raise UserError(
-            "A question in SPARQL must select ?object, and may select ?colour; got "
-            f"{', '.join(result.columns) or 'no variables'}. Example: SELECT ?object WHERE "
-            "{ ?object :usedFor :drinking }"
-        )
-    rows: dict[tuple[int | None, str | None], Evidence] = {}
-    for row in result.rows:
-        named = dict(zip(result.columns, row, strict=True))
-        key = graph.find_entity(named["object"]), local_name(named.get("colour", "")) or None
-        why = tuple(f"?{name} = {local_name(value)}" for name, value in named.items())
-        rows.setdefault(key, why)
-    return lambda entity, colour: rows.get((entity, colour)) or rows.get((entity, None))
+    """Return what a SPARQL query selects as ?object and, if it does, in the colour ?colour.
+
+    It runs once per facet, whose colour the graph then states, as the image shows it.
+    """
+    query, names = SparqlQuery(graph, text), graph.relation_names
+    relations = {COLOUR_RELATION, *(names[i] for i in names.find_local(COLOUR_RELATION))}
+
+    def evidence(entity: int, colour: str | None) -> Evidence | None:
+        tail = None if colour is None else graph.find_entity(colour)
+        shown = colour if tail is None else graph.names[tail]
+        with query.stating(graph.names[entity], relations, [] if shown is None else [shown]):
+            result = query.answer()
+        other = set(result.columns) - {"object", "colour", "color"}
+        if "object" not in result.columns or other:
+            raise UserError(
+                "A question in SPARQL must select ?object, and may select ?colour, and no more; "
+                f"got {', '.join(result.columns) or 'no variables'}. Example: SELECT ?object "
+                "WHERE { ?object :usedFor :drinking }"
+            )
+        for row in result.rows:
+            named = dict(zip(result.columns, row, strict=True))
+            colours = {local_name(n) for key, n in named.items() if key != "object" and n}
+            if graph.find_entity(named["object"]) == entity and colours <= {colour}:
+                return tuple(f"?{name} = {local_name(value)}" for name, value in named.items())
+        return None
+
+    return evidence

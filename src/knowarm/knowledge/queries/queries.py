@@ -190,8 +190,8 @@ class QueryGraph:
             return np.array([each == condition.value for each in seen])
         graph = self.graph
         relation = graph.find_relation(condition.relation)
-        value = graph.find_entity(condition.value)
-        if relation is None or value is None:  # an edited graph may lack what another one knows
+        if relation is None:  # an edited graph may lack what another one knows
             return np.zeros(len(self.facets), bool)
-        rows = (graph.relations == relation) & (graph.tails == value)
+        values = graph.values(condition.value)
+        rows = (graph.relations == relation) & np.isin(graph.tails, values)
         return np.asarray(np.isin(self._ids, graph.heads[rows])[self.owner])

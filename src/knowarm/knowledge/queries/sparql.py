@@ -2,15 +2,17 @@
 
 import re
 from collections import defaultdict
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
-from pyoxigraph import Quad, QueryBoolean, QueryTriples, Store
+from pyoxigraph import Quad, QueryBoolean, QueryTriples, Store, Triple
 
 from knowarm.errors import UserError
 from knowarm.knowledge.formats.rdf import PREFIXES, rdf_triples
 from knowarm.knowledge.graph.builder import GraphBuilder
 from knowarm.knowledge.graph.graph import KnowledgeGraph
-from knowarm.knowledge.graph.terms import blank_names, name_of_term
+from knowarm.knowledge.graph.terms import blank_names, name_of_term, triple_of_names
 from knowarm.reading import one_line
 
 EXAMPLE = "SELECT ?colour WHERE { :mug :hasColor ?colour }"
@@ -36,49 +38,77 @@ class Answer(NamedTuple):
     graph: KnowledgeGraph | None = None  # The graph of CONSTRUCT and DESCRIBE
 
 
-def sparql(graph: KnowledgeGraph, query: str) -> Answer:
-    """Run a query; the prefix `:` stands for plain names, as in `:mug :hasColor ?colour`.
+class SparqlQuery:
+    """A query of a graph; `:` is the prefix of plain names, as in `:mug :hasColor ?colour`.
 
     Raises:
-        UserError: the query is malformed, or refers to other data than the graph.
+        UserError: the query refers to other data than the graph.
     """
-    text = _QUIET.sub(lambda quiet: " " if quiet[1] else "_", query)
-    if word := next((match[2] for match in _REMOTE.finditer(text) if not match[1]), None):
-        raise UserError(
-            f"SPARQL query: {word.upper()} refers to other data, but a query reads the given "
-            f"graph only and nothing is fetched from the network. Leave it out, or load the other "
-            f"graph and unite the two first."
-        )
-    store = Store()
-    store.bulk_extend(Quad(t.subject, t.predicate, t.object) for t in rdf_triples(graph))
-    try:
-        return _answer(store.query(query, prefixes=PREFIXES), graph)
-    except UserError:
-        raise
-    except SyntaxError as error:
-        raise _malformed(error) from error
-    except Exception as error:
-        raise UserError(f"SPARQL query: {one_line(error)}. Example: {EXAMPLE}") from error
+
+    def __init__(self, graph: KnowledgeGraph, query: str) -> None:
+        text = _QUIET.sub(lambda quiet: " " if quiet[1] else "_", query)
+        if word := next((match[2] for match in _REMOTE.finditer(text) if not match[1]), None):
+            raise UserError(
+                f"SPARQL query: {word.upper()} refers to other data, but a query reads the given "
+                f"graph only and nothing is fetched from the network. Leave it out, or load the "
+                f"other graph and unite the two first."
+            )
+        self.query, self._entities, self._store = query, set(graph.entities), Store()
+        self._store.bulk_extend(map(_quad, rdf_triples(graph)))
+
+    def answer(self) -> Answer:
+        """Run the query; blank nodes that it made are numbered in the order of the answer.
+
+        Raises:
+            UserError: the query is malformed.
+        """
+        made: dict[str, str] = defaultdict(blank_names(self._entities).__next__)
+
+        def name(term: Any) -> str:
+            text = "" if term is None else name_of_term(term)
+            return made[text] if text.startswith("_:") and text not in self._entities else text
+
+        try:
+            result: Any = self._store.query(self.query, prefixes=PREFIXES)
+            if isinstance(result, QueryTriples):
+                builder = GraphBuilder()
+                for triple in result:
+                    builder.add_statement(*map(name, triple))
+                return Answer((), (), builder.build())
+            if isinstance(result, QueryBoolean):
+                return Answer(("answer",), (("yes" if result else "no",),))
+            columns = tuple(variable.value for variable in result.variables)
+            return Answer(columns, tuple(sorted(tuple(map(name, row)) for row in result)))
+        except UserError:
+            raise
+        except SyntaxError as error:
+            raise _malformed(error) from error
+        except Exception as error:
+            raise UserError(f"SPARQL query: {one_line(error)}. Example: {EXAMPLE}") from error
+
+    @contextmanager
+    def stating(self, head: str, relations: Iterable[str], tails: Iterable[str]) -> Iterator[None]:
+        """State, in a ``with`` block, that relations lead from a head to these tails alone."""
+        new = [_quad(triple_of_names(head, r, tail)) for r in relations for tail in tails]
+        ends = {(quad.subject, quad.predicate) for quad in new}
+        old = [quad for end in ends for quad in self._store.quads_for_pattern(*end, None)]
+        self._replace(old, new)
+        yield
+        self._replace(new, old)
+
+    def _replace(self, old: Iterable[Quad], new: Iterable[Quad]) -> None:
+        for quad in old:
+            self._store.remove(quad)
+        self._store.extend(new)
 
 
-def _answer(result: Any, graph: KnowledgeGraph) -> Answer:
-    """Read an answer; blank nodes that the query made are numbered in its order."""
-    entities = set(graph.entities)
-    made: dict[str, str] = defaultdict(blank_names(entities).__next__)
+def sparql(graph: KnowledgeGraph, query: str) -> Answer:
+    """Run a query on a graph; see `SparqlQuery`."""
+    return SparqlQuery(graph, query).answer()
 
-    def name(term: Any) -> str:
-        text = "" if term is None else name_of_term(term)
-        return made[text] if text.startswith("_:") and text not in entities else text
 
-    if isinstance(result, QueryTriples):
-        builder = GraphBuilder()
-        for triple in result:
-            builder.add_statement(*map(name, triple))
-        return Answer((), (), builder.build())
-    if isinstance(result, QueryBoolean):
-        return Answer(("answer",), (("yes" if result else "no",),))
-    columns = tuple(variable.value for variable in result.variables)
-    return Answer(columns, tuple(sorted(tuple(map(name, row)) for row in result)))
+def _quad(triple: Triple) -> Quad:
+    return Quad(triple.subject, triple.predicate, triple.object)
 
 
 def _malformed(error: SyntaxError) -> UserError:
