@@ -38,6 +38,7 @@ from benchmarks.learn import (
 from benchmarks.time_to_success import INTERIM, SuccessClock
 from knowarm.cli.tables import check_output, write_json_table
 from knowarm.experiment.build import build
+from knowarm.experiment.config import INTERIM_SEED
 from knowarm.experiment.names import experiment_config
 from knowarm.learn import PPOConfig
 from knowarm.learn.sb3_vec_env import SB3VecEnv
@@ -180,7 +181,7 @@ class SuccessCallback(BaseCallback):
     def __init__(self, config: EnvConfig, table: np.ndarray, most_steps: int) -> None:
         super().__init__()
         self._env = ArmVectorEnv(config, INTERIM.episodes)
-        self._episodes = evaluation_episodes(config, INTERIM.episodes, INTERIM.seed)
+        self._episodes = evaluation_episodes(config, INTERIM.episodes, INTERIM_SEED)
         self._table, self._next = table, 0
         self.clock = SuccessClock(most_steps)
 

@@ -130,7 +130,7 @@ def time_to_success(
         parts.new_policy(seed),
         env,
         seed=seed,
-        make_evaluate=lambda: interim_evaluation(chosen.env, INTERIM, seed, knowledge),
+        make_evaluate=lambda: interim_evaluation(chosen.env, INTERIM, knowledge),
         evaluate_every=INTERIM.every_steps,
         hooks=Hooks(
             on_evaluation=lambda step, results, _: clock.add(step, results["success"]),

@@ -19,8 +19,8 @@ Purpose = Literal[
     "episodes",  # the environments' streams; A3C: worker, number of its restarts
     "actions",  # sampled actions of training; A3C: worker, number of its restarts
     "minibatches",  # order of the environments in PPO's passes
-    "placebos",  # random vectors and shuffled graphs; the knowledge's seed, number of the draw
-    "interim_actions",  # sampled actions of interim evaluations
+    "placebos",  # random vectors and shuffled graphs; the knowledge's seed, 0
+    "interim_actions",  # draws nothing: interim evaluations are greedy
     "splits",  # what the splits of a choose task hold out; number of the split
     "perception",  # weights and images of a perception module; number of the images and of the test
     "damage",  # which triples of a graph an evaluation damages; number of the kind

@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 
 from knowarm.experiment.algorithms import algorithms
-from knowarm.experiment.config import ExperimentConfig, InterimConfig
+from knowarm.experiment.config import INTERIM_SEED, ExperimentConfig, InterimConfig
 from knowarm.experiment.inputs import KnowledgeInput
 from knowarm.knowledge import Embedding
 from knowarm.learn import TorchVectorEnv, Trainer
 from knowarm.policy import Policy, PolicyConfig, PolicyShape
-from knowarm.seeding import torch_generator
 from knowarm.world.agents.play import EpisodeResults, play
 from knowarm.world.config import EnvConfig, facets_of, robot_of
 from knowarm.world.envs.episodes import evaluation_episodes
@@ -38,20 +37,15 @@ class EnvFactory:
 
 
 def interim_evaluation(
-    config: EnvConfig, interim: InterimConfig, seed: int, knowledge: KnowledgeInput
+    config: EnvConfig, interim: InterimConfig, knowledge: KnowledgeInput
 ) -> Callable[[Policy], dict[str, float]]:
-    """Make the environments, draw the episodes, and return the function that plays them.
-
-    Sampled actions depend on ``seed``, that of the run; the episodes do not.
-    """
+    """Make the environments, draw the episodes, and return the function that plays them."""
     env = ArmVectorEnv(config, interim.episodes)
-    episodes = evaluation_episodes(config, interim.episodes, interim.seed)
+    episodes = evaluation_episodes(config, interim.episodes, INTERIM_SEED)
     task, setting = config.task, env.running.setting
 
     def evaluate(policy: Policy) -> dict[str, float]:
-        generator = torch_generator(seed, "interim_actions")
-        agent = knowledge.make_agent(policy, greedy=True, generator=generator)
-        result = play(agent, env, episodes)
+        result = play(knowledge.make_agent(policy, greedy=True), env, episodes)
         numbers = _numbers(result, config.success_distance_m)
         columns = task.columns(setting, result.infos)
         own = [each for each in task.measures if each.column in columns and each.among is None]
@@ -83,7 +77,7 @@ def make_trainer(
     **options: Any,
 ) -> Trainer:
     """Make the trainer of an experiment; ``options`` are those of `knowarm.learn.Trainer`."""
-    evaluation = partial(interim_evaluation, config.env, config.interim, config.seed, knowledge)
+    evaluation = partial(interim_evaluation, config.env, config.interim, knowledge)
     options |= {"make_env": EnvFactory(config.env, knowledge), "make_evaluate": evaluation}
     return algorithms()[config.algorithm.name].make_trainer(
         config.algorithm, policy, seed=config.seed, **options

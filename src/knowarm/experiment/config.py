@@ -15,6 +15,9 @@ from knowarm.world.config import EnvConfig
 
 Which = Literal["best", "latest", "untrained"]
 """Policy of a run: of the best interim evaluation, the latest, or the initial weights."""
+INTERIM_SEED = 20_250_714
+"""Seed of the episodes of interim evaluations: that of all experiments, so that their curves are
+comparable."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,13 +27,11 @@ class InterimConfig:
     It takes the most probable actions.
     """
 
-    RETIRED: ClassVar[dict[str, Any]] = {"greedy": True}
+    RETIRED: ClassVar[dict[str, Any]] = {"greedy": True, "seed": INTERIM_SEED}
     every_steps: int = 50_000
     """Environment steps between two interim evaluations."""
     episodes: int = 40
     """Episodes per evaluation; always the same ones."""
-    seed: int = 20_250_714
-    """Seed of the episodes; the same for every experiment, so that curves are comparable."""
 
     def __post_init__(self) -> None:
         at_least(self, 1, "every_steps", "episodes", where="interim.")

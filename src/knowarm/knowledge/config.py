@@ -74,8 +74,8 @@ class KnowledgeConfig:
     """What to do with a label of which no word is known: "error", "skip", or "hash" (a fixed
     random vector that depends on its letters)."""
     seed: int = 0
-    """Seed of graph embeddings and placebos; a placebo with a number of the draw (``source.draw``)
-    also depends on the training seed."""
+    """Seed of graph embeddings and placebos; placebos that are drawn also depend on the training
+    seed."""
 
     def __post_init__(self) -> None:
         check_values(self)

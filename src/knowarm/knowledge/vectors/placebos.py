@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -68,21 +68,16 @@ class Placebo(VectorSource):
 
 @dataclass(frozen=True, kw_only=True)
 class DrawnPlacebo(Placebo):
-    """Base of the placebos that draw random numbers, by default once per training seed."""
+    """Base of the placebos that draw random numbers.
 
-    draw: int | None = 0
-    """Number of the draw. Each training seed and each number gives another placebo, so training
-    seeds sample the control. None gives all training seeds the same one, drawn from the
-    knowledge's seed."""
+    Each training seed gives another placebo, so training seeds sample the control.
+    """
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.draw is not None and self.draw < 0:
-            raise UserError(f"draw must be 0 or more, or None, got {self.draw}.")
+    RETIRED: ClassVar[dict[str, Any]] = {"draw": 0}
 
     def draw_seed(self, seed: int, run_seed: int) -> int:
-        """Derive the seed of a draw from the run's seed, the knowledge's and the draw's number."""
-        return seed if self.draw is None else derive_seed(run_seed, "placebos", seed, self.draw)
+        """Derive the seed of a draw from the run's seed and the knowledge's."""
+        return derive_seed(run_seed, "placebos", seed, 0)
 
 
 @dataclass(frozen=True, kw_only=True)
