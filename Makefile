@@ -10,7 +10,7 @@ PYTEST := env -u PYTHONDONTWRITEBYTECODE $(PY) -m pytest
 # Only comparisons with MuJoCo's own renderer use OpenGL; EGL needs no display.
 export MUJOCO_GL ?= egl
 
-.PHONY: help demo best test check format lint types fast-tests docs snippets torture mutate bench bench-compare clean
+.PHONY: help demo best test test-ray check format lint types fast-tests docs snippets torture mutate bench bench-compare clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*##' Makefile | sed 's/:.*##/\t/'
@@ -56,6 +56,12 @@ types: $(VENV)/.dev ## run mypy
 
 fast-tests: $(VENV)/.dev ## run the fast tests
 	$(PYTEST) -q -n 2 --dist worksteal -m "not slow and not browser and not opengl"
+
+# Ray stays out of .venv, which the tests need as users have it.
+RAY := $(CURDIR)/build/ray
+test-ray: $(VENV)/.dev ## install Ray beside .venv, and run a study on a cluster of two nodes
+	test -e $(RAY)/bin/ray || $(PIP) --target $(RAY) 'ray>=2.50'
+	PATH="$(RAY)/bin:$$PATH" PYTHONPATH=$(RAY) $(PY) -m pytest tests/study/test_ray.py
 
 torture: $(VENV)/.dev ## kill and damage it for twenty minutes or more: docs/reliability.md
 	$(PY) -m tests.robustness.torture

@@ -410,7 +410,7 @@ def test_user_error():
 
 @example("StudyConfig", "read_study", "run_study")
 def test_run_a_study(tmp_path, monkeypatch):
-    monkeypatch.setattr("knowarm.study.driver.LocalExecutor", InlineExecutor)
+    monkeypatch.setattr("knowarm.study.driver.make_executor", InlineExecutor)
     study = knowarm.StudyConfig(
         name="mine",
         experiments=("irb120-bm-ppo",),

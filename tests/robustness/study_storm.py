@@ -182,7 +182,7 @@ def kill_study(
             failures.append("the study is not done")
         else:
             with pytest.MonkeyPatch.context() as patch:  # in this process, without a worker
-                patch.setattr(driver_module, "LocalExecutor", InlineExecutor)
+                patch.setattr(driver_module, "make_executor", InlineExecutor)
                 run_study(open_study(disturbed), calm)
             wanted, found = results(calm), results(disturbed)
             failures += [f"{name} differs" for name in wanted if wanted[name] != found.get(name)]

@@ -32,7 +32,7 @@ def executors(monkeypatch):
         return made[-1]
 
     make.dies = False
-    monkeypatch.setattr(driver, "LocalExecutor", make)
+    monkeypatch.setattr(driver, "make_executor", make)
     monkeypatch.setattr(driver, "POLL_S", 0.0)
     monkeypatch.setattr(driver, "STATUS_S", 0.0)
     made.append(make)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 from rich.console import Console, Group
@@ -151,8 +151,12 @@ class StudyRun:
     """For the controls: the study whose agents they control."""
     seeds: Annotated[tuple[int, ...], tyro.conf.arg(metavar="SEED...", help_behavior_hint="")] = ()
     """Training seeds instead of the study's."""
+    executor: Annotated[
+        Literal["local", "ray"] | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")
+    ] = None
+    """This machine (local), or the nodes of a Ray cluster (ray). Default: the study's, local."""
     at_once: Number = None
-    """Runs at once on this machine. Default: as many as its cores and memory hold."""
+    """Runs at once. Default: as many as cores and memory hold."""
     cores: Number = None
     """Cores of each run."""
     dry_run: bool = False
@@ -161,7 +165,11 @@ class StudyRun:
     def run(self) -> None:
         """Run the study, or estimate its cost."""
         study = read_study(self.study, of=self.of)
-        chosen: dict[str, Any] = {"at_once": self.at_once, "cores": self.cores}
+        chosen: dict[str, Any] = {
+            "kind": self.executor,
+            "at_once": self.at_once,
+            "cores": self.cores,
+        }
         where = replace(study.where, **{k: v for k, v in chosen.items() if v is not None})
         study = replace(study, where=where, seeds=self.seeds or study.seeds)
         is_folder = self.study not in SHIPPED and (Path(self.study) / STUDY_FILE).is_file()

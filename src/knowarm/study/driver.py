@@ -15,7 +15,7 @@ from knowarm.experiment.run import other_fields, run_path
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.run_lock import is_locked, lock_folder
 from knowarm.study.config import PACKED, STUDY_FILE, StudyConfig, read_study, write_study
-from knowarm.study.executor import LOG, Ended, LocalExecutor, RunKey
+from knowarm.study.executor import LOG, Ended, Executor, RunKey, make_executor
 from knowarm.study.status import FAILURE, RunStatus, runs_beside, seconds_left, study_status
 from knowarm.study.worker import STOP, record_failure
 
@@ -51,7 +51,7 @@ def run_study(
     """
     out = Path(out)
     check_folder(study, out)
-    executor = LocalExecutor(study.where, out)
+    executor = make_executor(study.where, out)
     try:
         with lock_folder(out, remedy="Wait until it ends, or stop it: knowarm study stop."):
             write_study(study, out)
@@ -151,7 +151,7 @@ class _Driver:
     """One pass over a study: starts runs, seed by seed, until nothing is left to do."""
 
     def __init__(
-        self, study: StudyConfig, out: Path, executor: LocalExecutor, on_status: OnStatus
+        self, study: StudyConfig, out: Path, executor: Executor, on_status: OnStatus
     ) -> None:
         self._study, self._out, self._executor = study, out, executor
         self._on_status = on_status

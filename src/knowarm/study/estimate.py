@@ -18,7 +18,7 @@ from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.speed import measure_training
 from knowarm.study.config import StudyConfig
 from knowarm.study.driver import RUN_GIB
-from knowarm.study.executor import LocalExecutor
+from knowarm.study.executor import make_executor
 from knowarm.study.status import RunStatus, study_status
 
 SECONDS = 6.0
@@ -40,7 +40,7 @@ class Estimate(NamedTuple):
 
 def estimate(study: StudyConfig, out: Path) -> Estimate:
     """Measure the first experiment that is not done, in all slots at once, and add up the costs."""
-    slots, cores = LocalExecutor(study.where, out).slots, study.where.cores
+    slots, cores = make_executor(study.where, out).slots, study.where.cores
     statuses = [each for each in study_status(study, out) if each.state != "done"]
     busy = max(1, min(slots, len(statuses)))
     rate = 1.0

@@ -1,4 +1,4 @@
-"""Executor of a study: one process per run on this machine."""
+"""Executors of a study: the interface, and one process per run on this machine."""
 
 import math
 import os
@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Protocol
 
 import psutil
 
@@ -28,8 +28,8 @@ TIMEOUT_S = 15.0  # how long workers that were asked to end may take before they
 class Where:
     """Where the runs are executed, and what each occupies."""
 
-    kind: Literal["local"] = "local"
-    """Processes on this machine."""
+    kind: Literal["local", "ray"] = "local"
+    """Processes on this machine, or tasks of a Ray cluster whose nodes share the study's folder."""
     cores: int = 1
     """Cores of each run. Two runs of one core finish sooner than one run of two cores, twice."""
     memory_gib: float = 1.5
@@ -54,6 +54,35 @@ class Ended(NamedTuple):
     run: RunKey
     problem: str | None = None
     killed: bool = False
+
+
+class Executor(Protocol):
+    """Starts the workers of runs; the driver never starts more than ``slots``."""
+
+    @property
+    def slots(self) -> int:
+        """Workers at once."""
+
+    def start(self, run: RunKey) -> None:
+        """Start the worker of a run."""
+
+    def ended(self) -> list[Ended]:
+        """Return the workers that have ended since the last call."""
+
+    def stop(self) -> None:
+        """Ask all workers to save a checkpoint and end."""
+
+    def close(self) -> None:
+        """End all workers."""
+
+
+def make_executor(where: Where, out: Path) -> Executor:
+    """Make the executor of a study in a folder."""
+    if where.kind == "local":
+        return LocalExecutor(where, out)
+    from knowarm.study.ray_executor import RayExecutor  # imports the worker, and so training
+
+    return RayExecutor(where, out)
 
 
 class LocalExecutor:
@@ -85,7 +114,12 @@ class LocalExecutor:
         self._per_gpu = max(1, int(1 / where.gpus)) if where.gpus else 1
         if where.gpus:
             slots = min(slots, self._per_gpu * len(self._gpus))
-        self.slots = where.at_once or max(1, slots)
+        self._slots = where.at_once or max(1, slots)
+
+    @property
+    def slots(self) -> int:
+        """Workers that this machine holds at once."""
+        return self._slots
 
     def start(self, run: RunKey) -> None:
         """Start the worker of a run."""
