@@ -14,8 +14,8 @@ import pytest
 
 from knowarm.errors import UserError
 from knowarm.study.config import write_study
-from knowarm.study.driver import run_study
-from knowarm.study.executor import Where, make_executor
+from knowarm.study.driver import make_executor, run_study
+from knowarm.study.executor import Where
 from knowarm.study.status import study_status
 from tests.study.tiny import tiny
 from tests.tiny import STUDY

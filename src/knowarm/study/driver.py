@@ -15,7 +15,8 @@ from knowarm.experiment.run import other_fields, run_path
 from knowarm.experiment.run_folder import RunFolder
 from knowarm.experiment.run_lock import is_locked, lock_folder
 from knowarm.study.config import PACKED, STUDY_FILE, StudyConfig, read_study, write_study
-from knowarm.study.executor import LOG, Ended, Executor, RunKey, make_executor
+from knowarm.study.executor import LOG, Ended, Executor, LocalExecutor, RunKey, Where
+from knowarm.study.ray_executor import RayExecutor
 from knowarm.study.status import FAILURE, RunStatus, runs_beside, seconds_left, study_status
 from knowarm.study.worker import STOP, record_failure
 
@@ -145,6 +146,11 @@ def open_study(out: Path) -> StudyConfig:
     if not (out / STUDY_FILE).is_file():
         raise UserError(f"{out} holds no study, no {STUDY_FILE}. Start one: knowarm study run.")
     return read_study(out)
+
+
+def make_executor(where: Where, out: Path) -> Executor:
+    """Make the executor of a study in a folder."""
+    return (RayExecutor if where.kind == "ray" else LocalExecutor)(where, out)
 
 
 class _Driver:

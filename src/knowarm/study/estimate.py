@@ -17,8 +17,7 @@ from knowarm.errors import UserError
 from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.speed import measure_training
 from knowarm.study.config import StudyConfig
-from knowarm.study.driver import RUN_GIB
-from knowarm.study.executor import make_executor
+from knowarm.study.driver import RUN_GIB, make_executor
 from knowarm.study.status import RunStatus, study_status
 
 SECONDS = 6.0

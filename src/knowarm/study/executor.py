@@ -76,15 +76,6 @@ class Executor(Protocol):
         """End all workers."""
 
 
-def make_executor(where: Where, out: Path) -> Executor:
-    """Make the executor of a study in a folder."""
-    if where.kind == "local":
-        return LocalExecutor(where, out)
-    from knowarm.study.ray_executor import RayExecutor  # imports the worker, and so training
-
-    return RayExecutor(where, out)
-
-
 class LocalExecutor:
     """Pool of processes; a worker ends when the process that started it exits.
 
