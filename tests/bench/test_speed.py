@@ -1,9 +1,11 @@
 """Tests of ``knowarm bench`` with tiny sizes."""
 
 import json
+import sys
 
 import pytest
 
+from benchmarks import devices
 from knowarm.cli.main import main
 from knowarm.experiment.names import experiment_config
 from knowarm.experiment.speed import measure_peak, measure_training, training_flops
@@ -63,3 +65,13 @@ def test_training_with_a3c_is_measured():
     algorithm = {"schedule": "asynchronous", "workers": 2}
     config = experiment_config("irb120-bm-a3c", algorithm=algorithm)
     assert measure_training(config, 0.01) > 0
+
+
+@pytest.mark.slow
+def test_devices_are_compared_by_what_they_learned(capsys, monkeypatch):
+    options = ["--devices", "cpu", "--steps", "6400"]
+    monkeypatch.setattr(sys, "argv", ["devices", *options])
+    devices.main()
+    out = capsys.readouterr().out
+    assert out.count(" cpu ") == len(devices.ALGORITHMS)
+    assert "6,400 steps" in out
