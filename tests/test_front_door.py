@@ -169,20 +169,9 @@ def test_load_agent():
     assert result.summary["success"] > 0
 
 
-def test_a_trained_agent_plays_an_environment_of_gymnasium():
+def test_a_trained_agent_plays_environments_from_the_infos_of_their_resets():
     trained = knowarm.load_agent(ZOO)
-    env = gymnasium.make("knowarm/IRB120Reach-v0")
-    successes = 0
-    for seed in range(8):
-        image, info = env.reset(seed=seed)
-        trained.reset(info)
-        ended = False
-        while not ended:
-            image, _, terminated, truncated, info = env.step(trained.act(image))
-            ended = terminated or truncated
-        successes += info["is_success"]
-    assert successes >= 6
-    envs = knowarm.make("irb120", num_envs=8)  # plays the same episodes at once
+    envs = knowarm.make("irb120", num_envs=8)
     images, infos = envs.reset(seed=0)
     trained.reset(infos)
     assert trained.act(images).shape == (8, 6)
