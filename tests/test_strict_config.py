@@ -31,7 +31,7 @@ def test_a_mistyped_choice_is_refused_where_a_config_is_made():
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Whole:
-    RETIRED: ClassVar[dict[str, Any]] = {"speed": 2}
+    _RETIRED: ClassVar[dict[str, Any]] = {"speed": 2}
     robot: str
     algorithm: Slow | Fast = dataclasses.field(default_factory=Slow)
     hidden: Literal["grow", "fixed"] | int = "grow"

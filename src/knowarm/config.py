@@ -156,7 +156,7 @@ def from_dict(cls: type[T], values: Mapping[str, Any], *, where: str = "") -> T:
     """Build a config dataclass from JSON values and check the type of every field.
 
     Args:
-        cls: the dataclass to build. Its ``RETIRED`` maps names of former fields to the values that
+        cls: the dataclass to build. Its ``_RETIRED`` maps names of former fields to the values that
             hold since; stored configs may have them.
         values: one value per field; fields with a default may be missing.
         where: dotted path of ``values`` in the whole config, for error messages.
@@ -164,7 +164,7 @@ def from_dict(cls: type[T], values: Mapping[str, Any], *, where: str = "") -> T:
     kind = cls.__name__
     if not isinstance(values, Mapping):
         raise UserError(f"{where or kind} must hold fields of {kind}, got {values!r}.")
-    fields, retired = _fields(typing.cast(Any, cls)), getattr(cls, "RETIRED", {})
+    fields, retired = _fields(typing.cast(Any, cls)), getattr(cls, "_RETIRED", {})
     for name, value in values.items():
         if name not in fields and name not in retired:
             raise unknown_name(f"field of {where or kind}", name, fields)

@@ -27,7 +27,7 @@ class InterimConfig:
     It takes the most probable actions.
     """
 
-    RETIRED: ClassVar[dict[str, Any]] = {"greedy": True, "seed": INTERIM_SEED}
+    _RETIRED: ClassVar[dict[str, Any]] = {"greedy": True, "seed": INTERIM_SEED}
     every_steps: int = 50_000
     """Environment steps between two interim evaluations."""
     episodes: int = 40

@@ -22,7 +22,7 @@ slot of the episode's own object and colour, its query, or the slot of what is p
 class KnowledgeConfig:
     """Choices between a graph and the vector that enters the policy; defaults are the paper's."""
 
-    RETIRED: ClassVar[dict[str, Any]] = {"head_once": False}
+    _RETIRED: ClassVar[dict[str, Any]] = {"head_once": False}
     scope: ClassVar[Scope] = "scene"
     """What a row of the table describes; another one in classes that inherit."""
     detail: Detail

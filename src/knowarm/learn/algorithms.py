@@ -187,7 +187,7 @@ class DistilConfig(MinibatchConfig):
         UserError: a value out of range, or minibatches that do not divide the environments.
     """
 
-    RETIRED: ClassVar[dict[str, Any]] = {"average_updates": 15}
+    _RETIRED: ClassVar[dict[str, Any]] = {"average_updates": 15}
     name: Literal["distil"] = "distil"
     """Identifies the algorithm in a config file."""
     num_envs: int = 512

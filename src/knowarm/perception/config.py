@@ -55,7 +55,7 @@ class PerceptionConfig(ModuleTrainingConfig):
 class GroundingConfig(ModuleTrainingConfig):
     """Training of a `GroundingNetwork`."""
 
-    RETIRED: ClassVar[dict[str, Any]] = {"frame_coef": 10.0}
+    _RETIRED: ClassVar[dict[str, Any]] = {"frame_coef": 10.0}
     images: int = 16_000
     """Training images per round: first images of episodes, never the same."""
     rounds: int = 20

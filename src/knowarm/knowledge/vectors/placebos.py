@@ -73,7 +73,7 @@ class DrawnPlacebo(Placebo):
     Each training seed gives another placebo, so training seeds sample the control.
     """
 
-    RETIRED: ClassVar[dict[str, Any]] = {"draw": 0}
+    _RETIRED: ClassVar[dict[str, Any]] = {"draw": 0}
 
     def draw_seed(self, seed: int, run_seed: int) -> int:
         """Derive the seed of a draw from the run's seed and the knowledge's."""
