@@ -45,7 +45,9 @@ def test_a_run_folder_tells_all(reach_run):
     run = reach_run
     assert run.result.step == 160
     assert run.folder.experiment() == short()
-    assert [int(row["step"]) for row in read_csv(run.folder.evaluations_path)] == [0, 80, 160]
+    assert [int(row["step"]) for row in read_csv(run.folder.evaluations_path)] == [
+        *range(0, 161, 20)
+    ]
     assert len(curve(run.folder)) == 8
     provenance = run.folder.provenance()
     assert provenance.parameter_counts["memory"] == 620_496  # paper: LSTM grown to 278
@@ -96,19 +98,26 @@ def test_a_stop_before_the_first_update_evaluates_once(reach_run, tmp_path):
     assert train(short(), tmp_path, should_stop=lambda: True).result.step == 0
     resumed = train(short(total_steps=20), tmp_path, resume=True)
     rows = read_csv(resumed.folder.evaluations_path)
-    assert rows == read_csv(reach_run.folder.evaluations_path)[:1]
+    assert rows[0] == read_csv(reach_run.folder.evaluations_path)[0]
+    assert [row["step"] for row in rows] == ["0", "20"]
 
 
 @pytest.mark.parametrize("stop_after", [None, 2])
 def test_a_training_ends_early_once_its_rule_is_met(tmp_path, stop_after):
     easy = dataclasses.replace(short().env, success_distance_m=10.0, success_angle_deg=180.0)
-    config = short(env=easy, stop_when=StopWhen(success=1.0, evaluations=2))
+    config = short(env=easy, stop_when=StopWhen(success=1.0, evaluations=5))
     if stop_after is not None:
         asked = []
         train(config, tmp_path, should_stop=lambda: asked.append(0) or len(asked) > stop_after)
     run = train(config, tmp_path, resume=stop_after is not None)
     assert (run.result.reason, run.result.step) == ("finished", 80)
-    assert [row["step"] for row in read_csv(run.folder.evaluations_path)] == ["0", "80"]
+    assert [row["step"] for row in read_csv(run.folder.evaluations_path)] == [
+        "0",
+        "20",
+        "40",
+        "60",
+        "80",
+    ]
     assert read_checkpoint(run.folder.checkpoints / "latest").facts["step"] == 80
 
 

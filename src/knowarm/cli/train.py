@@ -120,7 +120,9 @@ class Train:
         print(f"Trained for {result.step:,} steps: {where}")
         if (best := result.best_return) is not None:
             print(f"Best interim evaluation: return {best:.1f} at step {result.best_step:,}")
-        print(f"Evaluate it with: knowarm evaluate {where}{self.own}")
+            if result.best_step == 0:
+                print("That is the untrained network: none after it was better.")
+        print(f"Evaluate it with: knowarm evaluate {shlex.quote(str(where))}{self.own}")
         return 0
 
 

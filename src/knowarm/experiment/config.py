@@ -20,6 +20,10 @@ INTERIM_SEED = 20_250_714
 comparable."""
 
 
+MIN_EVALUATIONS = 10
+"""Least number of interim evaluations that are spread over a training."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class InterimConfig:
     """The evaluation at regular intervals during training (paper section 4.2.3).
@@ -29,7 +33,7 @@ class InterimConfig:
 
     _RETIRED: ClassVar[dict[str, Any]] = {"greedy": True, "seed": INTERIM_SEED}
     every_steps: int = 50_000
-    """Environment steps between two interim evaluations."""
+    """Most environment steps between two interim evaluations; a tenth of a shorter training."""
     episodes: int = 40
     """Episodes per evaluation; always the same ones."""
 
@@ -105,6 +109,11 @@ class ExperimentConfig:
                 f"Knowledge of the kind {self.knows.kind!r} describes nothing in the task "
                 f"{task.kind!r}. Take another agent or task."
             )
+
+    @property
+    def evaluate_every(self) -> int:
+        """Environment steps between two interim evaluations, of which there are ten or more."""
+        return min(self.interim.every_steps, max(1, self.total_steps // MIN_EVALUATIONS))
 
     @property
     def learner(self) -> str:

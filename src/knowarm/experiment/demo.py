@@ -7,7 +7,7 @@ from pathlib import Path
 from knowarm.errors import UserError
 from knowarm.experiment.agents import first_of_role
 from knowarm.experiment.algorithms import DEMO_ALGORITHM
-from knowarm.experiment.config import ExperimentConfig, InterimConfig
+from knowarm.experiment.config import ExperimentConfig
 from knowarm.experiment.evaluation import EvaluationConfig
 from knowarm.experiment.names import experiment_config
 from knowarm.world.robots import DEMO_ROBOT
@@ -48,7 +48,6 @@ def demo_experiments(steps: int) -> list[ExperimentConfig]:
         dataclasses.replace(
             experiment_config(f"{DEMO_ROBOT}-{first_of_role(role)}-{DEMO_ALGORITHM}"),
             total_steps=steps,
-            interim=InterimConfig(every_steps=max(1, steps // 10)),
         )
         for role in ("baseline", "knowledge")
     ]

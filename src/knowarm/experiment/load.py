@@ -1,5 +1,6 @@
 """Trained agents, loaded from their run folders."""
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,6 +23,8 @@ from knowarm.questions import find_rows
 from knowarm.reading import one_line, reading
 from knowarm.world.agents.protocol import Batch
 from knowarm.world.config import facets_of
+
+log = logging.getLogger("knowarm.experiment")
 
 
 @dataclass
@@ -151,6 +154,13 @@ def load_agent(
                 f"The checkpoint {folder.checkpoints / which} does not fit the policy of its run "
                 f"folder: {one_line(error)}. One of the two was replaced: restore it."
             ) from error
+    if which == "best" and step == 0:
+        latest = folder.checkpoint_fact("step", 0)
+        log.warning(
+            "%s: this network is untrained, since the best interim evaluation is that of step 0. "
+            "The checkpoint 'latest' was trained for %s steps.",
+            *(folder.path, f"{latest:,}"),
+        )
     policy.eval()
     module: PerceptionModule | None = None
     if perception is not None or config.knows.has_module:

@@ -128,7 +128,7 @@ def _train_locked(
             config,
             policy,
             config.knows.input(config.env, config.seed, parts.table, module),
-            evaluate_every=config.interim.every_steps,
+            evaluate_every=config.evaluate_every,
             hooks=Hooks(
                 on_metrics=logs.metrics, on_evaluation=logs.evaluation, should_stop=should_end
             ),
@@ -141,7 +141,8 @@ def _train_locked(
             trainer.resume()
             progress.line(f"resuming at step {trainer.step:,}")
             keep_to_step = trainer.step
-            if trainer.step < config.total_steps and not should_end():
+            more = trainer.step < config.total_steps or trainer.lacks_evaluation
+            if more and not should_end():
                 folder.set_evaluations_aside(trainer.step)
         else:
             # Written after the trainer is built: a config that this machine cannot train leaves

@@ -81,7 +81,8 @@ class Trainer(ABC):
         seed: of the run, 0 or more; each purpose of randomness derives a stream of its own from
             it (`knowarm.seeding`).
         make_evaluate: creates the function that plays an interim evaluation; None for none.
-        evaluate_every: steps between two interim evaluations; the first precedes training.
+        evaluate_every: steps between two interim evaluations; the first precedes training, and one
+            follows the last step.
         hooks: functions to call.
         checkpoints: where checkpoints are saved; None saves none.
         checkpoint_every: steps between two checkpoints.
@@ -94,6 +95,7 @@ class Trainer(ABC):
             evaluations, which are played after resuming.
         step: environment steps so far.
         best: the best interim evaluation so far.
+        evaluated_step: step of the latest interim evaluation, pending or played.
         pending_evaluations: parameters by step of the interim evaluations that were pending in
             the checkpoint that `resume` restored; `train` plays them.
     """
@@ -116,6 +118,7 @@ class Trainer(ABC):
         self.seed = seed
         self.step = 0
         self.best = BestEvaluation()
+        self.evaluated_step: int | None = None
         self.pending_evaluations: dict[int, np.ndarray] = {}
         self.hooks = hooks or Hooks()
         self.checkpoints = checkpoints
@@ -173,6 +176,7 @@ class Trainer(ABC):
         self.policy.load_state_dict({k: torch.from_numpy(v) for k, v in checkpoint.policy.items()})
         self.step = checkpoint.facts["step"]
         self.best = BestEvaluation(checkpoint.facts["best_return"], checkpoint.facts["best_step"])
+        self.evaluated_step = checkpoint.facts.get("evaluated_step", self.best.step)
         if self.evaluates:
             pending = select(checkpoint.state, _PENDING)
             self.pending_evaluations = {int(step): values for step, values in pending.items()}
@@ -191,6 +195,7 @@ class Trainer(ABC):
         if self.checkpoints is not None:
             best = {"best_return": self.best.value, "best_step": self.best.step}
             facts = {"step": self.step, **checkpoint.facts, **best}
+            facts["evaluated_step"] = self.evaluated_step
             pending = {
                 f"{_PENDING}{step}": values
                 for step, values in self._evaluations.pending()
@@ -206,9 +211,18 @@ class Trainer(ABC):
         return self._stopping
 
     @property
-    def _evaluates_start(self) -> bool:
-        """Whether the untrained policy is still to be evaluated."""
-        return self.step == 0 and self.best.step is None and not self._evaluations.pending()
+    def lacks_evaluation(self) -> bool:
+        """Whether the present policy is still to be evaluated, as before and after training."""
+        return self.evaluates and self.evaluated_step != self.step
+
+    def parameters(self) -> np.ndarray:
+        """Copy the parameters that interim evaluations play, those of the policy."""
+        return flatten_parameters(self.policy)
+
+    def _evaluate(self, step: int, values: np.ndarray) -> None:
+        """Submit an interim evaluation of the parameters ``values`` (P,)."""
+        self.evaluated_step = step
+        self._evaluations.submit(step, values)
 
     def _wait_for_evaluations(self, *, leave: int = 0) -> bool:
         """Wait until at most ``leave`` are pending; return whether training was not stopped."""
@@ -220,7 +234,9 @@ class Trainer(ABC):
         return True
 
     def _finish(self, save: Callable[[], None]) -> StopReason:
-        """Save the last checkpoint, wait for pending evaluations, and save their results."""
+        """Evaluate the last policy, save it, wait for evaluations, and save their results."""
+        if self.lacks_evaluation:
+            self._evaluate(self.step, self.parameters())
         self._take_evaluations()
         save()
         if not self._evaluations.pending():
@@ -251,10 +267,6 @@ class SynchronousTrainer(Trainer):
     def checkpoint(self) -> Checkpoint:
         """Return all that `restore` needs to continue identically."""
 
-    def parameters(self) -> np.ndarray:
-        """Copy the parameters that interim evaluations play, those of the policy."""
-        return flatten_parameters(self.policy)
-
     def save(self) -> None:
         """Save a checkpoint now, if there is a store."""
         if self.checkpoints is not None:
@@ -262,7 +274,7 @@ class SynchronousTrainer(Trainer):
 
     def _train(self, total_steps: int) -> StopReason:
         begin = time.perf_counter()
-        if self._evaluates_start:
+        if self.step == 0 and self.lacks_evaluation:
             self._submit_evaluation()
         while self.step < total_steps:
             if self._should_stop():
@@ -283,7 +295,7 @@ class SynchronousTrainer(Trainer):
         return self._finish(self.save)
 
     def _submit_evaluation(self) -> None:
-        self._evaluations.submit(self.step, self.parameters())
+        self._evaluate(self.step, self.parameters())
         self._wait_for_evaluations(leave=MAX_PENDING)
 
 

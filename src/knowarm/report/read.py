@@ -56,6 +56,9 @@ def read_run(path: Path, problems: list[FolderProblem]) -> RunData:
     ):
         if not found:
             problems.append(FolderProblem(path, what, f"kept; missing from the {where}"))
+    if run.best_step == 0 and evaluations:
+        what = "its best interim evaluation is that of step 0"
+        problems.append(FolderProblem(path, what, "kept; the evaluated network is untrained"))
     if 0 < run.steps_done < 0.98 * config.total_steps:
         what = f"stopped after {run.steps_done / config.total_steps:.0%} of its steps"
         done = "kept; censored at its end"

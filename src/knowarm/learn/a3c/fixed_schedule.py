@@ -134,7 +134,9 @@ class FixedScheduleA3CTrainer(SynchronousTrainer):
         order = torch.argsort(lengths, stable=True)
         before = self.step + torch.cumsum(lengths[order], 0) - lengths[order]
         rates = np.empty(config.workers, np.float32)
-        rates[order] = [config.learning_rate_at(step / total_steps) for step in before.tolist()]
+        rates[order.numpy()] = [
+            config.learning_rate_at(step / total_steps) for step in before.tolist()
+        ]
         factors = (config.max_grad_norm / norms).clamp(max=1).numpy()
         start = 0
         for name, parameter in self.policy.named_parameters():

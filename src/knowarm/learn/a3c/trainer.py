@@ -81,8 +81,7 @@ class A3CTrainer(Trainer):
         self._collectors: dict[int, Arrays] = {}
         self._threshold_factor: float | None = None  # of the worker that reported last
         self._sums: Counter[str] = Counter()
-        self._requested_evaluations: dict[int, int] = {}
-        self._evaluated = 0
+        self._requested_evaluations: set[int] = set()
         self._request: StateRequest | None = None
         self._states: dict[int, WorkerState] = {}
         self._checkpoints_requested = 0
@@ -98,7 +97,7 @@ class A3CTrainer(Trainer):
         self._request, self._workers = None, []
         self._shared["paused"].fill_(False)
         reason: StopReason = "finished"
-        if self._evaluates_start:
+        if self.step == 0 and self.lacks_evaluation:
             self._evaluate_once(EvaluationRequest(number=0, step=0, values=self._copy("values")))
         try:
             for index, restarts in enumerate(self._restarts):
@@ -125,8 +124,9 @@ class A3CTrainer(Trainer):
     def restore(self, checkpoint: Checkpoint) -> None:
         """See `Trainer.restore`."""
         self._shared["values"].copy_(self._parameters.values)
-        for name in ("mean_square", "steps", "evaluated"):
+        for name in ("mean_square", "steps"):
             self._shared[name].copy_(torch.from_numpy(checkpoint.optimizer[name]))
+        self._shared["evaluated"].fill_(self.step // self.evaluate_every)
         self._collectors = {
             index: state
             for index in range(self.config.workers)
@@ -137,7 +137,6 @@ class A3CTrainer(Trainer):
         self._restarts = checkpoint.facts["restarts"]
         self._sums = Counter(checkpoint.facts["sums"])
         self._worker_steps = checkpoint.optimizer["steps"].tolist()
-        self._evaluated = int(checkpoint.optimizer["evaluated"][0])
         self._checkpoints_requested = self.step // self.checkpoint_every
 
     def _copy(self, name: str) -> np.ndarray:
@@ -269,26 +268,23 @@ class A3CTrainer(Trainer):
         assert first.mean_square is not None
         states = [self._states[index] for index in range(self.config.workers)]
         steps = np.array([state.steps for state in states])
-        step = int(steps.sum())
-        # A worker may have requested an evaluation after another one sent its state.
-        requested = [n for n, at in self._requested_evaluations.items() if at <= step]
         return Checkpoint(
             policy=unflatten_parameters(self.policy, first.values),
-            optimizer={
-                "mean_square": first.mean_square,
-                "steps": steps,
-                "evaluated": np.array([max([self._evaluated, *requested])]),
-            },
+            optimizer={"mean_square": first.mean_square, "steps": steps},
             state={
                 f"worker-{index}/{name}": value
                 for index, state in enumerate(states)
                 for name, value in state.collector.items()
             },
-            facts={"step": step, "restarts": list(self._restarts), "sums": dict(self._sums)},
+            facts={
+                "step": int(steps.sum()),
+                "restarts": list(self._restarts),
+                "sums": dict(self._sums),
+            },
         )
 
     def _evaluate_once(self, request: EvaluationRequest) -> None:
         """Submit an interim evaluation unless another worker has requested it before."""
         if request.number not in self._requested_evaluations:
-            self._requested_evaluations[request.number] = request.step
-            self._evaluations.submit(request.step, request.values)
+            self._requested_evaluations.add(request.number)
+            self._evaluate(request.step, request.values)

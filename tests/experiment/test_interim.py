@@ -1,0 +1,97 @@
+"""Interim evaluations: the evaluated network was trained to the last step, or it is said."""
+
+import logging
+import re
+from pathlib import Path
+
+import pytest
+
+from knowarm.cli.main import main
+from knowarm.experiment.algorithms import algorithms
+from knowarm.experiment.csv_log import read_csv
+from knowarm.experiment.load import load_agent
+from knowarm.experiment.names import experiment_config
+from knowarm.experiment.run import train
+from knowarm.experiment.run_folder import RunFolder
+from knowarm.report.collect import collect
+from tests.tiny import ALGORITHM, flags, short
+
+ROOT = Path(__file__).parents[2]
+TOTAL = re.compile(r"total[-_]steps[\s=]+(\d[\d_,]*)")
+SMALL = {
+    "ppo": ALGORITHM,
+    "distil": ALGORITHM,
+    "a3c": {"workers": 1},
+}
+"""Options of short trainings, by trainer."""
+
+
+def documented_steps() -> list[int]:
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "docs").rglob("*.ipynb")]
+    found = {number for page in pages for number in TOTAL.findall(page.read_text())}
+    return sorted({int(re.sub("[_,]", "", each)) for each in found})
+
+
+def evaluated(folder: RunFolder) -> list[int]:
+    return [int(row["step"]) for row in read_csv(folder.evaluations_path)]
+
+
+def test_every_training_of_the_docs_has_ten_evaluations():
+    assert {24_000, 80_000, 500_000, 2_000_000} <= {*documented_steps()}
+    for algorithm, entry in algorithms().items():
+        for steps in (*documented_steps(), entry.total_steps):
+            config = experiment_config(f"irb120-full-{algorithm}", total_steps=steps)
+            assert 10 * config.evaluate_every <= steps
+            assert config.evaluate_every <= config.interim.every_steps
+
+
+@pytest.mark.parametrize("algorithm", SMALL)
+def test_the_network_of_the_last_step_is_evaluated_once(tmp_path, algorithm):
+    options = {"total_steps": 110, "interim": {"every_steps": 100, "episodes": 2}}
+    name = f"irb120-full-{algorithm}"
+    run = train(name, tmp_path, algorithm=SMALL[algorithm], **options)
+    steps = evaluated(run.folder)
+    assert steps[0] == 0
+    assert steps[-1] == run.result.step >= 110
+    again = train(name, tmp_path, resume=True, algorithm=SMALL[algorithm], **options)
+    assert again.result == run.result
+    assert evaluated(run.folder) == steps
+    options["total_steps"] = 150
+    more = train(name, tmp_path, resume=True, algorithm=SMALL[algorithm], **options)
+    assert evaluated(run.folder)[-1] == more.result.step >= 150
+
+
+def test_a_run_that_ended_without_a_last_evaluation_gets_it_on_resuming(tmp_path, monkeypatch):
+    config = short(total_steps=100)
+    with monkeypatch.context() as old:
+        old.setattr("knowarm.learn.trainer.Trainer.lacks_evaluation", False)
+        old.setattr("knowarm.experiment.config.MIN_EVALUATIONS", 1)
+        run = train(config, tmp_path)
+    assert evaluated(run.folder) == [80]
+    (run.folder.path / "evaluation" / "default").mkdir(parents=True)
+    train(config, tmp_path, resume=True)
+    assert evaluated(run.folder) == [80, 100]
+    assert (run.folder.path / "evaluation-at-100").is_dir()
+
+
+def test_an_untrained_network_is_never_preferred_in_silence(tmp_path, capsys, caplog):
+    rate = {"learning_rate": 1e-30}  # no step changes a weight, and no evaluation the return
+    settings = {"total_steps": 40, "interim": {"episodes": 2}, "algorithm": ALGORITHM | rate}
+    arguments = ["irb120-full-ppo", "--runs", str(tmp_path / "my runs"), *flags(settings)]
+    assert main(["train", *arguments]) == 0
+    printed = capsys.readouterr().out
+    assert "at step 0\nThat is the untrained network" in printed
+    path = tmp_path / "my runs" / "irb120-full-ppo" / "0"
+    assert f"knowarm evaluate '{path}'" in printed
+    with caplog.at_level(logging.WARNING, "knowarm.experiment"):
+        load_agent(path)
+    (record,) = caplog.records
+    assert "this network is untrained" in record.getMessage()
+    assert "'latest' was trained for 40 steps" in record.getMessage()
+    caplog.clear()
+    load_agent(path, which="latest")
+    load_agent(path, which="untrained")
+    assert not caplog.records
+    assert main(["evaluate", str(path), "--episodes", "2"]) == 0
+    said = [problem.what for problem in collect([path]).problems]
+    assert "its best interim evaluation is that of step 0" in said
