@@ -16,7 +16,6 @@ from knowarm.experiment.conditions import Subject
 from knowarm.experiment.evaluation import EvaluationConfig
 from knowarm.experiment.evaluation_files import (
     episode_types,
-    ever_within,
     step_columns,
     write_film,
     write_table,
@@ -292,7 +291,7 @@ def episode_columns(
         "angle_deg": result.angle,
         "success": result.success,
         "accurate": result.distance <= config.distance_m,
-        "success_wide": ever_within(result, config.distance_m, wide),
+        "success_wide": _ever_within(result, config.distance_m, wide),
     }
     columns |= env.config.task.columns(env.running.setting, result.infos)
     if (chance := env.config.task.chance) is not None:
@@ -307,6 +306,18 @@ def episode_columns(
     if isinstance(agent, AnsweringAgent):  # the last batch repeats its last episode
         columns["visible_answers"] = np.concatenate(agent.log)[:count]
     return columns
+
+
+def _ever_within(result: EpisodeResults, distance_m: float, angle_deg: float) -> np.ndarray:
+    """Return (N,) bool: success with the wider angle.
+
+    Until an episode meets the wider threshold, both thresholds give the same steps.
+    """
+    steps = result.steps
+    near = (steps.distance <= distance_m) & (steps.angle <= angle_deg)
+    within = result.success.copy()
+    within[steps.episode[near]] = True
+    return within
 
 
 def _episodes(env: ArmVectorEnv, config: EvaluationConfig) -> Episodes:

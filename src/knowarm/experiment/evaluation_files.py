@@ -10,12 +10,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from PIL import Image, ImageSequence
 
-from knowarm.experiment.measures import AGAIN, EXCLUDED, NOT_REACHED
+from knowarm.experiment.measures import AGAIN
 from knowarm.reading import reading, replacing
 from knowarm.world.agents.play import EpisodeResults
-from knowarm.world.scene.scene import Scene
-from knowarm.world.tasks.lift.probe import lift
-from knowarm.world.tasks.sampling import Episodes
 
 EPISODE_COLUMNS = {
     "episode": ("int32", "index of the episode in the fixed list, from 0"),
@@ -130,38 +127,6 @@ def read_film(path: Path) -> np.ndarray:
                 if len(frames) > MAX_FRAMES:
                     raise ValueError(f"it shows more than {MAX_FRAMES:,} images")
         return np.stack(frames)
-
-
-def ever_within(result: EpisodeResults, distance_m: float, angle_deg: float) -> np.ndarray:
-    """Return (N,) bool: success with the wider angle.
-
-    Until an episode meets the wider threshold, both thresholds give the same steps.
-    """
-    steps = result.steps
-    near = (steps.distance <= distance_m) & (steps.angle <= angle_deg)
-    within = result.success.copy()
-    within[steps.episode[near]] = True
-    return within
-
-
-def lift_columns(result: EpisodeResults, scene: Scene, episodes: Episodes) -> dict[str, np.ndarray]:
-    """Lift the object of every successful episode; return ``lift`` and ``lift_rise_m``, (n,).
-
-    Every episode ends at its first state within the thresholds, so each is lifted at most once.
-    """
-    count = len(episodes)
-    names = np.array([target.name for target in scene.targets])[episodes.target]
-    excluded = np.isin(names, list(scene.robot.not_liftable))
-    chosen = np.flatnonzero(result.success & ~excluded)
-    outcome = np.where(excluded, EXCLUDED, NOT_REACHED).astype("U16")
-    rise = np.zeros(count)
-    if len(chosen):
-        steps = result.steps
-        first = np.searchsorted(steps.episode, np.arange(count + 1))
-        paths = [steps.joint_positions[first[i] : first[i + 1]] for i in chosen]
-        lifts = lift(scene, paths, episodes.objects[chosen], episodes.positions[chosen])
-        outcome[chosen], rise[chosen] = lifts.outcome, lifts.rise
-    return {"lift": outcome, "lift_rise_m": rise}
 
 
 def step_values(result: EpisodeResults) -> dict[str, np.ndarray]:

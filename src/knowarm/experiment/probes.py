@@ -150,10 +150,27 @@ class LiftProbe(BaseProbe):
         build_trial_scene(robot, env.scene.targets[:1])
 
     def measure(self, played: Played, found: Findings) -> None:
-        """Add how the lift of every successful episode ended."""
-        from knowarm.experiment.evaluation_files import lift_columns
+        """Lift the object of every successful episode; add ``lift`` and ``lift_rise_m``, (n,).
 
-        found.columns |= lift_columns(played.result, played.env.scene, played.episodes)
+        Every episode ends at its first state within the thresholds, so each is lifted at most once.
+        """
+        from knowarm.experiment.measures import EXCLUDED, NOT_REACHED
+        from knowarm.world.tasks.lift.probe import lift
+
+        scene, episodes, result = played.env.scene, played.episodes, played.result
+        count = len(episodes)
+        names = np.array([target.name for target in scene.targets])[episodes.target]
+        excluded = np.isin(names, list(scene.robot.not_liftable))
+        chosen = np.flatnonzero(result.success & ~excluded)
+        outcome = np.where(excluded, EXCLUDED, NOT_REACHED).astype("U16")
+        rise = np.zeros(count)
+        if len(chosen):
+            steps = result.steps
+            first = np.searchsorted(steps.episode, np.arange(count + 1))
+            paths = [steps.joint_positions[first[i] : first[i + 1]] for i in chosen]
+            lifts = lift(scene, paths, episodes.objects[chosen], episodes.positions[chosen])
+            outcome[chosen], rise[chosen] = lifts.outcome, lifts.rise
+        found.columns |= {"lift": outcome, "lift_rise_m": rise}
 
 
 AnyProbe = StepsProbe | FilmsProbe | BlindProbe | LiftProbe
