@@ -84,8 +84,45 @@ def test_damaged_and_unfit_onnx_files_are_refused(counting, tmp_path):
     with pytest.raises(UserError, match=r"counting\.onnx does not take joint_targets float32"):
         play(*made_for(entrant(str(counting)), other, 1), other.episodes[:1])
     (tmp_path / "damaged.onnx").write_bytes(b"no model")
-    with pytest.raises(UserError, match="Cannot read"):
+    with pytest.raises(UserError, match=r"damaged\.onnx is damaged"):
         entrant(str(tmp_path / "damaged.onnx"))
+
+
+@pytest.fixture
+def scoring(tmp_path):
+    """Return a function that makes an ONNX file: the same scores in every step, and a state."""
+    onnx = pytest.importorskip("onnx")
+    from onnx import TensorProto, helper, numpy_helper
+
+    def make(scores, width=1):
+        scores = np.asarray(scores, np.float32).reshape(1, 6, -1)
+        info = helper.make_tensor_value_info
+        state = [info(name, TensorProto.FLOAT, ["n", width]) for name in ("count", "next")]
+        out = info("scores", TensorProto.FLOAT, [1, *scores.shape[1:]])
+        nodes = [
+            helper.make_node("Constant", [], ["scores"], value=numpy_helper.from_array(scores)),
+            helper.make_node("Identity", ["count"], ["next"]),
+        ]
+        graph = helper.make_graph(nodes, "scoring", state[:1], [out, state[1]])
+        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)])
+        model.ir_version = 9
+        onnx.save(model, tmp_path / "scoring.onnx")
+        return str(tmp_path / "scoring.onnx")
+
+    return make
+
+
+@pytest.mark.parametrize("scores", [np.full(42, np.nan), np.zeros(30), np.zeros(54)])
+def test_scores_that_are_none_are_not_played(scoring, scores):
+    assert (actions_of(made_for(entrant(scoring(np.zeros(42))), CELL, 1)[0], 1) == 0).all()
+    with pytest.raises(UserError, match=r"scores must be finite, \(n, J, 7\)"):
+        actions_of(made_for(entrant(scoring(scores)), CELL, 1)[0], 1)
+
+
+@pytest.mark.parametrize("width", ["wide", 10**10])
+def test_a_state_without_a_small_size_is_refused(scoring, width):
+    with pytest.raises(UserError, match="the sizes of states must be numbers up to 1,000,000"):
+        entrant(scoring(np.zeros(42), width))
 
 
 class Continuous:

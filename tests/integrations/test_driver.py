@@ -1,6 +1,7 @@
 """Safety rules of a driven robot: each test would move the robot without its rule."""
 
 import json
+import re
 import shutil
 import sys
 from types import SimpleNamespace
@@ -285,6 +286,60 @@ def test_a_step_is_not_confirmed_during_a_hold():
     assert "Enter moves" in robot.driver.status
     robot.driver.confirm()
     assert robot.tick() is not None
+
+
+@pytest.mark.parametrize(
+    ("levels", "state", "words"),
+    [
+        ([[99, 1]], 0.0, "beyond 0 to 2"),
+        ([[-1, -1]], 0.0, "beyond 0 to 2"),
+        ([[1.0, 1.0]], 0.0, "float64"),
+        ([[True, False]], 0.0, "bool"),
+        ([[1]], 0.0, r"levels \(1, 1\)"),
+        ([[1, 1, 1]], 0.0, r"levels \(1, 3\)"),
+        ([[1, 1]], np.nan, "no finite state"),
+    ],
+)
+def test_what_no_policy_gives_moves_nothing(levels, state, words):
+    robot = Robot()
+    robot.driver._runner._policy = lambda inputs: (
+        np.array(levels),
+        None,
+        None,
+        inputs["h"] + state,
+        inputs["c"],
+    )
+    assert robot.tick() is None
+    assert re.search(words, robot.driver.end)
+
+
+@pytest.mark.parametrize(
+    ("part", "values"),
+    [
+        ("joints", {"mpi": np.nan}),
+        ("joints", {"increments": [0.0, np.nan, 0.0]}),
+        ("joints", {"increments": [0.0, 3.0, -3.0]}),
+        ("joints", {"lower": [1.0, 1.0], "upper": [-1.0, -1.0]}),
+        ("joints", {"lower": [-np.inf, -1.0]}),
+        ("joints", {"lower": [-1.0]}),
+        ("joints", {"lower": ["a", "b"]}),
+        ("joints", {"names": ["elbow", "elbow"]}),
+        ("joints", {"names": ["elbow"]}),
+        ("workspace_m", {"lower": [np.nan] * 3}),
+        ("knowledge", {"rows": []}),
+        ("knowledge", {"rows": ["a", "a"]}),
+        ("camera", {"size": 0}),
+        ("recurrent", {"size": -1}),
+        (None, {"control_period_s": 0.0}),
+        (None, {"control_period_s": -1.0}),
+    ],
+)
+def test_a_contract_by_which_nothing_should_move_is_refused(part, values):
+    contract = CONTRACT | (values if part is None else {part: CONTRACT[part] | values})
+    with pytest.raises(ValueError, match=r"the contract is damaged|could not convert"):
+        Runner(contract, np.zeros((2, 3), np.float32), print)
+    with pytest.raises(ValueError, match="numbers are finite"):
+        Runner(CONTRACT, np.full((2, 3), np.nan, np.float32), print)
 
 
 def test_a_stop_during_the_computation_sends_nothing():

@@ -2,6 +2,7 @@
 
 import ast
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -67,7 +68,7 @@ assert not {"torch", "knowarm", "mujoco"} & set(sys.modules)
 
 def test_the_runner_is_short_and_imports_two_libraries():
     text = Path(runner_module.__file__).read_text()
-    assert len(text.splitlines()) <= 110
+    assert len(text.splitlines()) <= 160
     names = {
         (node.module if isinstance(node, ast.ImportFrom) else node.names[0].name).split(".")[0]
         for node in ast.walk(ast.parse(text))
@@ -120,10 +121,56 @@ def test_bad_input_is_refused_in_one_line(exported, joints, knowledge, image, wo
     assert "\n" not in str(error.value)
 
 
-def test_a_changed_file_is_refused(exported, tmp_path):
+@pytest.fixture
+def copied(exported, tmp_path):
+    """An exported folder that may be damaged."""
     for file in filter(Path.is_file, exported[1].iterdir()):  # not __pycache__
         (tmp_path / file.name).write_bytes(file.read_bytes())
-    table = np.load(tmp_path / "knowledge.npy")
-    np.save(tmp_path / "knowledge.npy", table + 1)
+    return tmp_path
+
+
+def test_a_changed_file_is_refused(copied):
+    table = np.load(copied / "knowledge.npy")
+    np.save(copied / "knowledge.npy", table + 1)
     with pytest.raises(ValueError, match="not the exported file"):
-        Runner.load(tmp_path)
+        Runner.load(copied)
+
+
+@pytest.mark.parametrize("file", ["policy.onnx", "knowledge.npy"])
+def test_no_file_without_a_digest_and_no_device_is_read(copied, file):
+    contract = json.loads((copied / "contract.json").read_text())
+    (copied / file).unlink()
+    os.mkfifo(copied / file)
+    with pytest.raises(ValueError, match="not the exported file"):
+        Runner.load(copied)
+    for digests in ({}, contract["digests"] | {"/etc/passwd": "0"}):
+        (copied / "contract.json").write_text(json.dumps(contract | {"digests": digests}))
+        with pytest.raises(ValueError, match=r"must state digests of policy\.onnx, "):
+            Runner.load(copied)
+
+
+def reverse(joints):
+    joints["names"].reverse()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda contract: contract["joints"].update(lower=[-9.0] * 6, upper=[9.0] * 6),
+        lambda contract: contract["joints"].update(mpi=2.0, increments=[2.0] * 7),
+        lambda contract: reverse(contract["joints"]),
+        lambda contract: contract["workspace_m"].update(lower=[-9.0] * 3),
+        lambda contract: contract["knowledge"]["rows"].append("more"),
+        lambda contract: contract.update(control_period_s=0.01),
+    ],
+)
+def test_another_contract_than_the_model_was_exported_with_is_refused(copied, change):
+    contract = json.loads((copied / "contract.json").read_text())
+    change(contract)
+    (copied / "contract.json").write_text(json.dumps(contract))
+    with pytest.raises(ValueError, match=r"contract\.json is not that of "):
+        Runner.load(copied)
+    contract["format"] = "knowarm-contract-99"
+    (copied / "contract.json").write_text(json.dumps(contract))
+    with pytest.raises(ValueError, match="no contract of the format"):
+        Runner.load(copied)

@@ -1,6 +1,7 @@
 """Policies of other libraries: ONNX files and models of Stable-Baselines3."""
 
 import hashlib
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -8,8 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knowarm.errors import UserError, packages_of
+from knowarm.integrations.runner import Runner
+from knowarm.reading import one_line, reading
 from knowarm.world.agents.protocol import Batch, Observations
-from knowarm.world.tasks.state import nearest_levels
+from knowarm.world.tasks.state import ACTION_LEVELS, nearest_levels
+
+MOST_STATE = 1_000_000
+"""Most numbers along an axis of a recurrent state."""
 
 
 class OnnxPolicy:
@@ -24,10 +30,8 @@ class OnnxPolicy:
             import onnxruntime
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = 1  # sums in the same order on every machine
-        try:
+        with reading(path, "Give the ONNX file of a policy."):
             self._session = session = onnxruntime.InferenceSession(path, options)
-        except Exception as error:  # ONNX Runtime's errors have no common class
-            raise UserError(f"Cannot read {path}: {' '.join(str(error).split())}") from None
         sizes = {each.name: each.shape[1:] for each in session.get_inputs()}
         self._seen = sizes.keys() & {"image", "joint_targets"}
         self._sizes = {name: size for name, size in sizes.items() if name not in self._seen}
@@ -35,6 +39,11 @@ class OnnxPolicy:
             raise UserError(
                 f"{path} must have an output for the actions and one per state (all inputs but "
                 f"image and joint_targets; here {', '.join(self._sizes) or 'none'})."
+            )
+        if any(type(n) is not int or not 0 < n <= MOST_STATE for n in chain(*self._sizes.values())):
+            raise UserError(
+                f"{path}: the sizes of states must be numbers up to {MOST_STATE:,}, but for the "
+                f"first, got {self._sizes}."
             )
         self._path, self.inputs = path, tuple(self._seen & {"image"})
         self.training = session.get_modelmeta().custom_metadata_map.get("training", "")
@@ -51,10 +60,33 @@ class OnnxPolicy:
             first, *states = self._session.run(None, given)
         except Exception as error:  # ONNX Runtime's errors have no common class
             shapes = ", ".join(f"{k} {v.dtype} {v.shape}" for k, v in given.items())
-            reason = " ".join(str(error).split())
-            raise UserError(f"{self._path} does not take {shapes}: {reason}") from None
+            raise UserError(f"{self._path} does not take {shapes}: {one_line(error)}.") from None
         self._state = dict(zip(self._state, states, strict=True))
-        return first.argmax(-1) if first.ndim == 3 else first
+        if first.ndim != 3:
+            return first
+        if first.shape[2] != len(ACTION_LEVELS) or not np.isfinite(first).all():
+            raise UserError(
+                f"{self._path}: scores must be finite, (n, J, {len(ACTION_LEVELS)}), got "
+                f"{first.shape}{'' if np.isfinite(first).all() else ' with others'}."
+            )
+        return first.argmax(-1)
+
+
+class ExportedPolicy:
+    """Plays the runner of an exported folder; what fails is an error of the folder."""
+
+    def __init__(self, runner: Runner, folder: Path) -> None:
+        self._runner, self._folder = runner, folder
+
+    def reset(self, batch: Batch) -> None:
+        """Start the episodes."""
+        with reading(self._folder, "Export the policy again."):
+            self._runner.reset(batch)
+
+    def act(self, observations: Observations) -> NDArray[np.int64]:
+        """Choose actions (n, J)."""
+        with reading(self._folder, "Export the policy again."):
+            return self._runner.act(observations)
 
 
 class PredictingPolicy:

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from knowarm.benchmark.external import OnnxPolicy, PredictingPolicy
+from knowarm.benchmark.external import ExportedPolicy, OnnxPolicy, PredictingPolicy
 from knowarm.benchmark.suites import Cell
 from knowarm.config import to_dict
 from knowarm.errors import UserError, packages_of
@@ -149,10 +149,11 @@ def _exported(spec: str, folder: Path) -> Entrant:
             raise UserError(f"{spec} knows other facets or queries than those of {cell.name}.")
         if not set(policy.joint_names) <= set(env.scene.robot.joints):
             raise UserError(f"{spec} moves the joints {', '.join(policy.joint_names)}.")
-        return policy
+        return played
 
     uses = ("image", "words") if len(rows) > 1 else ("image",)
-    found = _entrant(spec, policy)
+    played = ExportedPolicy(policy, folder)
+    found = _entrant(spec, played)
     return replace(found, make=make, inputs=uses, training="exported", digest=digest)
 
 

@@ -23,7 +23,7 @@ from knowarm.integrations.onnx_export import (
     export_onnx,
     torch_model,
 )
-from knowarm.integrations.runner import Runner
+from knowarm.integrations.runner import FORMAT, Runner, fingerprint
 from knowarm.perception.agent import Recognition
 from knowarm.perception.module import digest
 from knowarm.reading import replacing, write_json, writing
@@ -32,7 +32,6 @@ from knowarm.world.envs.running import joint_increments
 from knowarm.world.scene.compose import CONTROL_PERIOD_S
 from knowarm.world.scene.scene import Scene, target_places
 
-FORMAT = "knowarm-contract-1"
 WORKSPACE_MARGIN_M = 0.15
 """How far the workspace reaches beyond start poses and grasp points [m]."""
 
@@ -146,18 +145,21 @@ def export(trained: TrainedAgent, folder: Path) -> Deployment:
     parts = deployment(trained)
     with writing(folder, "Give another folder."):
         folder.mkdir(parents=True, exist_ok=True)
-        export_onnx(parts.policy, parts.policy.example(), folder / "policy.onnx")
+        about = {"contract": fingerprint(parts.contract)}
+        export_onnx(parts.policy, parts.policy.example(), folder / "policy.onnx", about=about)
         if parts.recognition is not None:
             image = parts.policy.example()[0]
             example = (image, torch.from_numpy(parts.knowledge[[0, 0]]))
             names = {"inputs": RECOGNITION_INPUTS, "outputs": RECOGNITION_OUTPUTS}
-            export_onnx(parts.recognition, example, folder / "recognition.onnx", **names)
+            path = folder / "recognition.onnx"
+            export_onnx(parts.recognition, example, path, about=about, **names)
         with replacing(folder / "knowledge.npy") as temporary:
             np.save(temporary, parts.knowledge)
         with replacing(folder / "runner.py") as temporary:
             temporary.write_bytes(Path(runner.__file__).read_bytes())
-        files = sorted(each for each in folder.iterdir() if each.suffix in (".onnx", ".npy"))
-        digests = {each.name: digest(each.read_bytes()) for each in files}
+        files = ["policy.onnx", "knowledge.npy"]
+        files += ["recognition.onnx"] * (parts.recognition is not None)
+        digests = {name: digest((folder / name).read_bytes()) for name in files}
         contract = parts.contract | {"digests": digests}
         write_json(folder / "contract.json", contract)
     return parts

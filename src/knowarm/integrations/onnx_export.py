@@ -2,7 +2,7 @@
 
 import logging
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -57,10 +57,14 @@ def export_onnx(
     example: tuple[Tensor, ...],
     path: Path,
     *,
+    about: Mapping[str, str],
     inputs: Sequence[str] = INPUTS,
     outputs: Sequence[str] = OUTPUTS,
 ) -> None:
     """Write a module as ONNX (opset 18) for any batch size, with names of inputs and outputs.
+
+    ``about`` is stored as metadata.
+
 
     Raises:
         UserError: the packages of ``pip install 'knowarm[onnx]'`` are missing.
@@ -90,6 +94,7 @@ def export_onnx(
         assert not isinstance(sizes[0], int), f"{each.name} was exported for one batch size only"
     for node in program.model.graph:
         node.metadata_props.clear()  # paths of this machine
+    program.model.metadata_props.update(about)
     with replacing(path) as temporary:
         program.save(temporary)
 

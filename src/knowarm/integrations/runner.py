@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+FORMAT = "knowarm-contract-2"
 Model = Callable[[dict[str, np.ndarray]], Sequence[np.ndarray]]  # named inputs to outputs in order
 
 
@@ -35,6 +36,7 @@ class Runner:
         knowledge: (rows, width) float32, the content of ``knowledge.npy``.
         policy, recognition: the models; recognition is None for agents without such a network.
 
+    Raises `ValueError` for a contract, table, input or output that is damaged or does not fit.
     ``targets`` are the joint angles that the actions have commanded, (n, J) [rad].
     """
 
@@ -45,6 +47,7 @@ class Runner:
         policy: Model,
         recognition: Model | None = None,
     ) -> None:
+        check(contract, knowledge)
         joints = contract["joints"]
         self.contract, self.joint_names = contract, tuple(joints["names"])
         self.lower, self.upper = np.array(joints["lower"]), np.array(joints["upper"])
@@ -54,17 +57,26 @@ class Runner:
 
     @classmethod
     def load(cls, folder: str | Path) -> "Runner":
-        """Load an exported folder, whose files must be those that the contract describes."""
+        """Load an exported folder: the files that the contract describes, and no others."""
         import onnxruntime
 
         folder = Path(folder)
         contract = json.loads((folder / "contract.json").read_text("utf-8"))
-        for name, digest in contract["digests"].items():
-            if hashlib.sha256((folder / name).read_bytes()).hexdigest() != digest:
+        if contract.get("format") != FORMAT:
+            raise ValueError(f"{folder} has no contract of the format {FORMAT}; export again")
+        names = ["policy.onnx", "knowledge.npy"]
+        names += ["recognition.onnx"] * bool(contract["recognition"])
+        if set(contract["digests"]) != set(names):
+            raise ValueError(f"{folder} must state digests of {', '.join(names)}; export again")
+        for name in names:
+            data = (folder / name).read_bytes() if (folder / name).is_file() else b""
+            if hashlib.sha256(data).hexdigest() != contract["digests"][name]:
                 raise ValueError(f"{folder / name} is not the exported file; export again")
 
         def model(name: str) -> Model:
             session = onnxruntime.InferenceSession(folder / name)
+            if session.get_modelmeta().custom_metadata_map.get("contract") != fingerprint(contract):
+                raise ValueError(f"{folder / 'contract.json'} is not that of {name}; export again")
             names = [each.name for each in session.get_inputs()]
             return lambda inputs: session.run(None, {name: inputs[name] for name in names})
 
@@ -102,7 +114,41 @@ class Runner:
             (self._knowledge,) = self._recognition({"image": image, "query": self._knowledge})
         inputs = {"image": image, "knowledge": self._knowledge, "h": self._h, "c": self._c}
         inputs["episode_start"] = np.full(len(image), self._first)
-        levels, _, _, self._h, self._c = self._policy(inputs)
-        self._first = False
+        levels, _, _, h, c = self._policy(inputs)
+        found, last = np.asarray(levels), len(self.increments) - 1
+        if found.shape != self.targets.shape or found.dtype.kind not in "iu":
+            raise ValueError(f"the policy gives levels {found.shape} {found.dtype}")
+        if found.min() < 0 or found.max() > last or not np.isfinite([h, c]).all():
+            raise ValueError(f"the policy gives levels beyond 0 to {last}, or no finite state")
+        self._h, self._c, self._first = h, c, False
         self.targets = (self.targets + self.increments[levels]).clip(self.lower, self.upper)
         return levels
+
+
+def fingerprint(contract: Mapping[str, Any]) -> str:
+    """Return the digest of a contract that its models carry: of all but the digests of files."""
+    text = json.dumps({k: v for k, v in contract.items() if k != "digests"}, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def check(contract: Mapping[str, Any], knowledge: np.ndarray) -> None:
+    """Raise `ValueError` for a contract or table (rows, width) by which nothing should move."""
+    joints, rows = contract["joints"], contract["knowledge"]["rows"]
+    names, box = joints["names"], np.array([*contract["workspace_m"].values()], float)
+    lower, upper, increments = (
+        np.array(joints[name], float) for name in ("lower", "upper", "increments")
+    )
+    sizes = [contract["control_period_s"], contract["max_episode_steps"], joints["mpi"]]
+    sizes += [contract["camera"]["size"], contract["recurrent"]["size"]]
+    finite = (np.isfinite(each).all() for each in (lower, upper, increments, box, sizes, knowledge))
+    for is_right, what in (
+        (all(finite), "numbers are finite"),
+        (min(sizes) > 0, "periods, steps and sizes are larger than 0"),
+        (len({*names}) == len(names) > 0, "the names of the joints differ"),
+        (lower.shape == upper.shape == (len(names),), "every joint has a lower and an upper limit"),
+        (np.all(lower < upper) and box.shape == (2, 3), "lower limits lie below upper ones"),
+        (np.abs(increments).max(initial=0) <= joints["mpi"] * 1.000001, "no action exceeds mpi"),
+        (len({*rows}) == len(rows) == len(knowledge) > 0, "every row of the table has a name"),
+    ):
+        if not is_right:
+            raise ValueError(f"the contract is damaged: it must hold that {what}; export again")
