@@ -57,7 +57,7 @@ def export_onnx(
     example: tuple[Tensor, ...],
     path: Path,
     *,
-    about: Mapping[str, str],
+    about: Mapping[str, str] | None = None,
     inputs: Sequence[str] = INPUTS,
     outputs: Sequence[str] = OUTPUTS,
 ) -> None:
@@ -94,7 +94,7 @@ def export_onnx(
         assert not isinstance(sizes[0], int), f"{each.name} was exported for one batch size only"
     for node in program.model.graph:
         node.metadata_props.clear()  # paths of this machine
-    program.model.metadata_props.update(about)
+    program.model.metadata_props.update(about or {})
     with replacing(path) as temporary:
         program.save(temporary)
 
