@@ -203,6 +203,15 @@ def test_wrong_values_name_the_option_and_end_with_code_2(capsys, arguments, wor
     assert "Traceback" not in error
 
 
+def test_numbers_beyond_the_memory_end_in_one_line(capsys, monkeypatch):
+    def run(command):
+        raise MemoryError
+
+    monkeypatch.setattr("knowarm.cli.list.List.run", run)
+    assert main(["list"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
 def test_integers_may_be_written_as_floats(capsys):
     options = ["--total-steps", "1e5", "--algorithm.epochs=2"]
     config = parse_train(["irb120-bm-ppo", *options]).config

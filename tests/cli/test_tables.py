@@ -3,7 +3,7 @@
 import pytest
 
 from knowarm.cli.bench import Bench
-from knowarm.cli.tables import print_table
+from knowarm.cli.tables import UNLIMITED, make_console, print_table
 from knowarm.errors import UserError
 from knowarm.experiment.logs import TrainingProgress
 
@@ -38,6 +38,15 @@ def test_a_table_in_a_pipe_is_as_wide_as_its_content(capsys, monkeypatch):
     monkeypatch.delenv("COLUMNS", raising=False)
     lines = printed(capsys, "title", ["a", "b"], [["x " * 150, "y"]])
     assert len(lines) == 6
+
+
+def test_a_table_without_an_output_or_a_reader_is_no_traceback(monkeypatch):
+    with monkeypatch.context() as closed:
+        closed.setattr("sys.stdout", None)  # of ``>&-``
+        closed.delenv("COLUMNS", raising=False)
+        assert make_console().width == UNLIMITED
+    with pytest.raises(BrokenPipeError):  # of ``| head -1``; `main` returns 0
+        make_console().on_broken_pipe()
 
 
 def test_names_are_no_markup(capsys):

@@ -151,6 +151,22 @@ def test_evaluations_of_a_policy_that_learns_on_are_set_aside(reach_run, copy_of
     assert read_json(aside) == {"success": 0.5}
 
 
+def test_a_run_that_resumes_elsewhere_says_so(reach_run, copy_of, capsys):
+    folder, config = copy_of(reach_run), short()
+    runs = folder.path.parents[1]
+    values = read_json(folder.path / "provenance.json")
+    first = values["versions"] | {"torch": "2.0.0"}
+    write_json(folder.path / "provenance.json", values | {"versions": first})
+    for steps in (200, 240):  # the second goes on where the first was
+        train(dataclasses.replace(config, total_steps=steps), runs, resume=True)
+    provenance = folder.provenance()
+    assert provenance.versions["torch"] == "2.0.0"
+    (resumed,) = provenance.resumed
+    assert resumed["step"] == 160
+    assert resumed["versions"] == values["versions"]
+    assert capsys.readouterr().err.count("versions.torch 2.0.0 |") == 1
+
+
 def test_the_trained_agent_is_the_one_that_was_saved(reach_run):
     folder = reach_run.folder
     latest, untrained = (load_agent(folder.path, which=which) for which in ("latest", "untrained"))

@@ -1,4 +1,5 @@
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +43,17 @@ def test_what_is_no_run_folder_is_refused(tmp_path, text, words):
         RunFolder.open(tmp_path)
     with pytest.raises(UserError, match="does not exist"):
         RunFolder.open(tmp_path / "nowhere")
+
+
+def test_a_config_that_is_nested_deep_is_one_line(tmp_path):
+    (tmp_path / "config.json").write_text('{"format": 1, "a": ' + '{"b": ' * 600 + "1" + "}" * 601)
+    limit = sys.getrecursionlimit()
+    sys.setrecursionlimit(500)
+    try:
+        with pytest.raises(UserError, match=r"config\.json"):
+            RunFolder.open(tmp_path)
+    finally:
+        sys.setrecursionlimit(limit)
 
 
 def test_knowledge_survives_the_disk(tmp_path):

@@ -13,6 +13,8 @@ import pytest
 
 import knowarm
 from knowarm.cli.main import main
+from knowarm.errors import UserError
+from knowarm.integrations.hub import _access, push_to_hub
 from tests.forked import Forked
 from tests.source_tree import ROOT
 
@@ -147,8 +149,10 @@ def test_a_run_goes_to_the_hub_and_back(hub, tmp_path):
     assert "library_name: knowarm" in card
     assert not any("latest" in name for name in Hub.repos["someone/reach"])
     assert "graphs/0a1b2c3d/mine.ttl" in Hub.repos["someone/reach"]
+    Hub.repos["someone/reach"] |= {"model.pkl": b"evil", "run.exe": b"evil"}
     loaded = hub(load=load)
     assert loaded.returncode == 0, loaded.stderr
+    assert not [*tmp_path.rglob("model.pkl"), *tmp_path.rglob("run.exe")]
     own = knowarm.load_agent(ZOO)
     weights = sum(float(each.detach().double().sum()) for each in own.policy.parameters())
     assert loaded.stdout.split() == [str(own.step), str(weights)]
@@ -158,6 +162,25 @@ def test_a_run_goes_to_the_hub_and_back(hub, tmp_path):
     other = hub("pull", "someone/other", HF_HUB_OFFLINE="1")
     assert other.returncode == 2
     assert "someone/other" in other.stderr
+
+
+def test_a_link_is_not_uploaded(tmp_path):
+    run = shutil.copytree(ZOO, tmp_path / "run")
+    (run / "graphs" / "0a1b2c3d").mkdir(parents=True)
+    (run / "graphs" / "0a1b2c3d" / "id_rsa").symlink_to("/etc/passwd")
+    with pytest.raises(UserError, match=r"id_rsa is a link to /etc/passwd"):
+        push_to_hub(run, "someone/reach")
+
+
+@pytest.mark.parametrize(
+    "error",
+    [KeyError("sha"), ValueError("two\nlines"), UnicodeEncodeError("ascii", "\xe9", 0, 1, "no")],
+)
+def test_what_the_hub_answers_is_one_line(error):
+    """huggingface_hub raises many types for answers that it does not expect."""
+    with pytest.raises(UserError, match="The Hub did not serve a/b: ") as caught, _access("a/b"):
+        raise error
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.slow(8)

@@ -162,6 +162,18 @@ def test_edits_that_do_not_fit_are_refused(edit, message):
         edited(GRAPH, [edit])
 
 
+@pytest.mark.parametrize(
+    ("question", "message"),
+    [
+        (" or ".join(["usedFor drinking"] * 2000), "has 5999 words .*at most 500"),
+        (f"count hasPart >= {'9' * 5000}", "a comparison such as >= 2"),
+    ],
+)
+def test_endless_questions_are_refused(question, message):
+    with pytest.raises(UserError, match=message):
+        answer(GRAPH, [("mug", "red")], question)
+
+
 @pytest.mark.parametrize("edit", ["+ mug likes tea", "+ http://a/mug likes tea"])
 def test_an_edit_of_several_things_is_refused(edit):
     graph = graph_of([("http://a/mug", "http://a/likes", "x"), ("http://b/mug", "b:likes", "y")])
@@ -178,7 +190,7 @@ def test_the_colour_that_is_shown_counts_even_if_only_the_graph_knows_it():
 
 @pytest.mark.parametrize("text", ["(" * 2000 + "usedFor tea" + ")" * 2000, "not " * 2000 + "tea"])
 def test_a_question_nests_no_deeper_than_it_can_be_read(text):
-    with pytest.raises(UserError, match="2000 brackets and negations; at most 50"):
+    with pytest.raises(UserError, match="2000 brackets and negations; at most 500 and 50"):
         answer(GRAPH, FACETS, text)
     for deep in ("(" * 50 + "usedFor drinking" + ")" * 50, "not " * 50 + "usedFor drinking"):
         assert names(deep) == {"mug"}

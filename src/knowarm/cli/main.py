@@ -73,6 +73,8 @@ def _run(arguments: list[str]) -> int:
         return 130
     except BrokenPipeError:  # the reader (head, less) has closed the pipe
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except MemoryError:
+        return _fail("The memory of this machine is not enough: give smaller numbers.")
     except OSError as error:
         if error.filename is None and error.errno not in FULL_DISK:
             raise

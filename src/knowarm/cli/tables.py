@@ -104,9 +104,21 @@ def make_console() -> Console:
 
     It takes no markup: what it prints may hold names that look like some.
     """
-    is_limited = sys.stdout.isatty() or "COLUMNS" in os.environ
-    width = None if is_limited else UNLIMITED
-    return Console(highlight=False, markup=False, emoji=False, width=width)
+    width = None if is_terminal() or "COLUMNS" in os.environ else UNLIMITED
+    return _Console(highlight=False, markup=False, emoji=False, width=width)
+
+
+def is_terminal() -> bool:
+    """Return whether a person reads the output; there may be none (``>&-``)."""
+    return sys.stdout is not None and sys.stdout.isatty()
+
+
+class _Console(Console):
+    """Console that leaves a closed pipe to `main`."""
+
+    def on_broken_pipe(self) -> None:
+        """Raise the error again."""
+        raise BrokenPipeError
 
 
 def _cell(value: Any) -> str:

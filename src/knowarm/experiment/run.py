@@ -140,6 +140,8 @@ def _train_locked(
         if continued:
             trainer.resume()
             progress.line(f"resuming at step {trainer.step:,}")
+            if other := folder.note_resumption(trainer.step):
+                progress.line(f"provenance.json notes what is another than before: {other}")
             keep_to_step = trainer.step
             more = trainer.step < config.total_steps or trainer.lacks_evaluation
             if more and not should_end():

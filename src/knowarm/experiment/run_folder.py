@@ -15,13 +15,14 @@ Layout of ``runs/<experiment>/<seed>/``::
 """
 
 import hashlib
+import json
 import os
 import platform
 import shutil
 import subprocess
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -30,7 +31,7 @@ import numpy as np
 import psutil
 from safetensors.numpy import save
 
-from knowarm.config import from_dict, to_dict
+from knowarm.config import differences, from_dict, to_dict
 from knowarm.cores import processor
 from knowarm.errors import Argument, UserError
 from knowarm.experiment.config import ExperimentConfig, StopWhen
@@ -78,6 +79,8 @@ class Provenance:
     """The knowledge vector."""
     perception: Mapping[str, Any] | None = None
     """Digest and specification of the perception module, for agents that have one."""
+    resumed: tuple[Mapping[str, Any], ...] = ()
+    """Step, versions, commit and machine of each resumption in which one of these was another."""
 
 
 class RunExistsError(UserError):
@@ -154,8 +157,9 @@ class RunFolder:
             UserError: it names the description of a robot or object that the user has not named.
         """
         values = read_json(self.config_path)
-        check_trusted(values, self.config_path)
-        return with_graphs(values, lambda graph: str(self._graph(Path(graph))))
+        with reading(self.config_path, "Restore the file."):  # nested too deep
+            check_trusted(values, self.config_path)
+            return with_graphs(values, lambda graph: str(self._graph(Path(graph))))
 
     def experiment(self) -> ExperimentConfig:
         """Read the configuration that the run was started with."""
@@ -229,6 +233,19 @@ class RunFolder:
         path = self.path / "provenance.json"
         with reading(path, "Restore the file."):
             return from_dict(Provenance, read_json(path))
+
+    def note_resumption(self, step: int) -> str:
+        """Store versions, commit and machine from a step on; return what is another, or nothing."""
+        before, now = self.provenance(), provenance()
+        parts = ("versions", "commit", "machine")
+        last = {name: getattr(before, name) for name in parts}
+        last |= {name: before.resumed[-1][name] for name in parts} if before.resumed else {}
+        here = {name: getattr(now, name) for name in parts}
+        different = differences(last, json.loads(json.dumps(here)))
+        if different:
+            resumed = (*before.resumed, {"step": step, **here})
+            write_json(self.path / "provenance.json", to_dict(replace(before, resumed=resumed)))
+        return "; ".join(f"{name} {old} | {new}" for name, (old, new) in different.items())
 
     def summaries(self) -> list[Summary]:
         """Read the summaries of the post-training evaluations, by label."""

@@ -12,8 +12,20 @@ from typing import Any
 from knowarm.errors import UserError, packages_of
 from knowarm.experiment.load import TrainedAgent, load_agent
 from knowarm.experiment.run_folder import RunFolder
+from knowarm.reading import one_line
 
 RUN_FILES = (
+    "config.json",
+    "provenance.json",
+    "knowledge.safetensors",
+    "perception.safetensors",
+    "graphs/**/*",
+    "checkpoints/best/*",
+    "evaluation/*/summary.json",
+)
+"""Patterns of the files of a run that are shared; other checkpoints and curves stay."""
+
+FILES = (
     "config.json",
     "provenance.json",
     "knowledge.safetensors",
@@ -67,13 +79,16 @@ def push_to_hub(path: Path | str, repo_id: str, *, private: bool = False) -> str
 def pull_from_hub(repo_id: str, *, revision: str | None = None, to: Path | None = None) -> Path:
     """Download a repository, or take it from the cache; return its folder.
 
+    Only what a run or a pack consists of is downloaded; its size is not limited.
     Without a connection, and with ``HF_HUB_OFFLINE=1``, the cache alone is searched.
 
     Raises:
         UserError: no such repository or revision, no access, or no connection and no copy.
     """
     with _access(repo_id) as hub:
-        return Path(hub.snapshot_download(repo_id, revision=revision, local_dir=to))
+        wanted = [*RUN_FILES, *(f"*{suffix}" for suffix in FILES), "README.md"]
+        options = {"revision": revision, "local_dir": to, "allow_patterns": wanted}
+        return Path(hub.snapshot_download(repo_id, **options))
 
 
 def from_pretrained(repo_id: str, *, revision: str | None = None, **options: Any) -> TrainedAgent:
@@ -94,17 +109,13 @@ def _access(repo_id: str) -> Iterator[Any]:
     try:
         yield huggingface_hub
     except Exception as error:
-        library = type(error).__module__.partition(".")[0]
-        if not isinstance(error, OSError) and library not in CLIENTS:
-            raise
         status = getattr(getattr(error, "response", None), "status_code", None)
         remedy = {
             401: "Log in with `hf auth login`, or check the name.",
             403: "Your token may not write there.",
             404: "Check owner, name and revision.",
         }.get(status or 0, "Check the connection; HF_HUB_OFFLINE=1 searches the cache alone.")
-        line = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-        raise UserError(f"The Hub did not serve {repo_id}: {line.rstrip('.')}. {remedy}") from error
+        raise UserError(f"The Hub did not serve {repo_id}: {one_line(error)}. {remedy}") from error
 
 
 def _card(repo_id: str, text: str) -> str:

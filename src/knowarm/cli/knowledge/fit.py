@@ -1,6 +1,5 @@
 """`knowarm knowledge fit` and `evaluate`: train a graph embedding and test link prediction."""
 
-import sys
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -8,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from knowarm.cli.knowledge.options import GraphOptions, check_out
-from knowarm.cli.tables import TableCommand, print_table
+from knowarm.cli.tables import TableCommand, is_terminal, print_table
 from knowarm.errors import UserError
 from knowarm.knowledge.formats import SHIPPED
 from knowarm.knowledge.formats.openke import is_openke, read_openke_split
@@ -58,7 +57,7 @@ class Fit(SplitCommand):
         check_out(self.out, "models", (".safetensors",))
         config, shares = self.training, {"valid": self.valid, "test": self.test}
         split = self.split(config.seed, shares)
-        end = "\r" if sys.stdout.isatty() else "\n"
+        end = "\r" if is_terminal() else "\n"
 
         def on_epoch(epoch: int, loss: float, mrr: float | None) -> None:
             if mrr is not None:

@@ -39,8 +39,8 @@ SIGNS: dict[str, Callable[[int, int], bool]] = {
 }
 """Comparisons of a count."""
 
-MOST_NESTED = 50
-"""Most brackets and negations of a question."""
+MOST_NESTED, MOST_WORDS = 50, 500
+"""Most brackets and negations of a question, and most words."""
 
 _TOKEN = re.compile(r'"[^"]*"|[()]|[<>]=?|=|[^\s()<>="]+|"')
 _KEYWORDS = {"and", "or", "not", "count", "(", ")", *SIGNS}
@@ -96,10 +96,11 @@ class _Reader:
     def __init__(self, text: str, graph: KnowledgeGraph, colours: set[str]) -> None:
         self.text, self.graph, self.colours = text, graph, colours
         self.words, self.place = [*_TOKEN.findall(text), ""], 0
-        if (deep := self.words.count("(") + self.words.count("not")) > MOST_NESTED:
+        deep, count = self.words.count("(") + self.words.count("not"), len(self.words) - 1
+        if deep > MOST_NESTED or count > MOST_WORDS:
             raise UserError(
-                f"The question has {deep} brackets and negations; at most {MOST_NESTED} are read. "
-                "Ask a shorter one."
+                f"The question has {count} words and {deep} brackets and negations; at most "
+                f"{MOST_WORDS} and {MOST_NESTED} are read. Ask a shorter one."
             )
 
     def whole(self) -> Part:
@@ -196,7 +197,7 @@ class _Reader:
         """Read a comparison with the number of values of a relation."""
         sign = self.take(*SIGNS)
         number = self.take() if sign else ""
-        if not number.isdecimal():
+        if not number.isdecimal() or len(number) > 9:
             raise self.wrong("a comparison such as >= 2")
 
         def evidence(entity: int, colour: str | None) -> Evidence | None:
