@@ -25,20 +25,6 @@ RUN_FILES = (
 )
 """Patterns of the files of a run that are shared; other checkpoints and curves stay."""
 
-FILES = (
-    "config.json",
-    "provenance.json",
-    "knowledge.safetensors",
-    "perception.safetensors",
-    "graphs/**/*",
-    "checkpoints/best/*",
-    "evaluation/*/summary.json",
-)
-"""Patterns of the files of a run that are shared; other checkpoints and curves stay."""
-
-CLIENTS = ("huggingface_hub", "httpx", "httpx2", "requests")
-"""Packages whose errors are those of the Hub or of the connection."""
-
 FILES = (".safetensors", ".xz")
 """Kinds of single files that can be shared: a perception module, a packed study."""
 
