@@ -1,7 +1,6 @@
 """CSV logs of a training: rows that survive a crash and a resumed run."""
 
 import csv
-import logging
 import math
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -9,10 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from knowarm.reading import UnreadableFileError, reading, replacing
+from knowarm.reading import reading, replacing
 from knowarm.reading import writing as writing_file
-
-log = logging.getLogger("knowarm.experiment")
 
 
 class CsvLog:
@@ -31,24 +28,13 @@ class CsvLog:
             last = -math.inf if keep_to_step is None else keep_to_step
             rows = [
                 row
-                for row in self._read()
+                for row in read_csv(path)
                 if (step := number_in(row, "step")) is not None
                 and step <= last
                 and step not in drop_steps
             ]
             self._columns = list(dict.fromkeys(name for row in rows for name in row))
             self._rewrite(rows)
-
-    def _read(self) -> list[dict[str, str]]:
-        """Read the rows; set a file aside whose header is damaged."""
-        try:
-            return read_csv(self._path)
-        except UnreadableFileError as error:
-            aside = self._path.with_suffix(".damaged")
-            with writing(self._path):
-                self._path.replace(aside)
-            log.warning("%s Keeping it as %s and starting a new file.", error, aside.name)
-            return []
 
     def write(self, row: Mapping[str, Any]) -> None:
         """Append one row and flush it."""
@@ -88,7 +74,7 @@ writing = partial(writing_file, remedy=REMEDY)
 
 def read_csv(path: Path) -> list[dict[str, str]]:
     """Read the complete rows of a CSV log; of damaged ones what is readable."""
-    with reading(path, "Restore the file."):
+    with reading(path, "Restore the file, or move it away: a new one is started."):
         data = path.read_bytes()
         text = data.decode(errors="replace").replace("\0", "\ufffd")
         lines = re.findall(r"[^\n]*\n", text)  # complete ones
