@@ -65,7 +65,7 @@ def apartment_graph(instances: int = 5, seed: int = 0) -> KnowledgeGraph:
 
 
 def write_openke(split: Split, folder: Path) -> None:
-    """Write the folder that `read_openke_split` reads."""
+    """Write the folder that `read_split` reads."""
 
     def write(name: str, lines: list[str]) -> None:
         (folder / f"{name}2id.txt").write_text("\n".join([str(len(lines)), *lines]) + "\n")

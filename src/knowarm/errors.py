@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any
+from warnings import warn as _warn
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,15 @@ def packages_of(extra: str, what: str) -> Iterator[None]:
             f"{what} needs a package that is not installed ({error.name}): "
             f"pip install 'knowarm[{extra}]'."
         ) from error
+
+
+class DataWarning(UserWarning):
+    """What was left out of a user's file, or may be meant otherwise, in one line."""
+
+
+def warn(message: str) -> None:
+    """Warn of something in a user's file."""
+    _warn(message, DataWarning, stacklevel=3)
 
 
 def printable(text: str) -> str:

@@ -87,7 +87,7 @@ def test_a_graph_with_relations_never_seen_needs_no_training(tmp_path, capsys):
     assert found["right"]
     capsys.readouterr()
     for question, message in (
-        ("needs paper", "Unknown entity 'paper'"),
+        ("needs paper", "Unknown value of needs 'paper'. Available: electricity"),
         ("ownedBy desk", "No object of the task answers the question 'ownedBy desk'"),
         ("ownedBy grandmother and", "expected a relation, got its end"),
         (time := "needs electricity and ownedBy grandfather", f"answers {time!r}: clock."),
@@ -170,7 +170,7 @@ def test_the_served_page_answers_questions_edits_and_mistakes(served):
     assert "lamp usedFor lighting</td>" not in text
     status, text = get(served, "/?q=usedFor+flyng")
     assert status == 200
-    assert "Unknown entity" in text
+    assert "Unknown value of usedFor" in text
     assert "Traceback" not in text
     assert get(served, "/", host="evil.example")[0] == 403
     assert get(served, "/other")[0] == 404

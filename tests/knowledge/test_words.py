@@ -85,13 +85,13 @@ def test_other_files(tmp_path):
     with pytest.raises(UserError, match=r"no word-vector file.*glove\.6B\.50d\.txt"):
         read_word_vectors(tmp_path / "none.txt")
     binary = tmp_path / "v.bin"
-    binary.write_bytes(b"1 2\n")
+    binary.write_bytes(b"1 2\nmug " + np.array([0.1, -0.3], np.float32).tobytes() + b"\n")
     with pytest.raises(UserError, match="binary vectors are not read"):
         read_word_vectors(binary)
     huge = tmp_path / "huge.txt"
     with huge.open("wb") as file:
         file.truncate(5_000_000_000)
-    with pytest.raises(UserError, match=r"huge\.txt, line 1: the line is longer"):
+    with pytest.raises(UserError, match=r"huge\.txt: binary vectors are not read"):
         read_word_vectors(huge)
     broken = tmp_path / "v.zip"
     broken.write_bytes(b"PK not a zip")
@@ -182,3 +182,19 @@ def test_short_names_of_files_and_values_that_are_not_taken():
         assert source_named(name) == WordVectors(file=name)
     with pytest.raises(UserError, match="'zeros' takes no value, got 'zeros:foo'"):
         source_named("zeros:foo")
+
+
+@pytest.mark.parametrize("header", ["", "2 3\n"])
+@pytest.mark.parametrize("name", ["v.txt", "v.bin"])
+def test_text_is_read_behind_a_byte_order_mark_and_under_any_suffix(tmp_path, name, header):
+    path = tmp_path / name
+    path.write_text(f"\ufeff{header}mug 1 2 3\nbox 4 5 6\n", "utf-8")
+    table = read_word_vectors(path, {"mug"})
+    assert (table.words, table.vectors.tolist()) == (("mug",), [[1, 2, 3]])
+    assert source_named(str(path)) == WordVectors(file=str(path))
+
+
+def test_a_file_in_this_folder_is_a_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "v.kv").write_text("mug 1 2 3\n")
+    assert source_named("v.kv") == WordVectors(file="v.kv")

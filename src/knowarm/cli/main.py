@@ -8,13 +8,15 @@ import io
 import os
 import shlex
 import sys
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Sequence
+from functools import partial
 from importlib import import_module
 from typing import Any
 
 import knowarm
 from knowarm.cli.arguments import OWN, group_help, parse_command, take_option
-from knowarm.errors import Argument, UserError, printable, unknown_name
+from knowarm.errors import Argument, DataWarning, UserError, printable, unknown_name
 from knowarm.private_apis import end_process
 
 COMMANDS = {
@@ -54,6 +56,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: list[str]) -> int:
+    with warnings.catch_warnings():  # restores what shows them
+        warnings.showwarning = partial(_show_warning, warnings.showwarning)
+        return _run_command(arguments)
+
+
+def _run_command(arguments: list[str]) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # characters that its encoding lacks
     try:
@@ -82,6 +90,14 @@ def _run(arguments: list[str]) -> int:
         where = where if len(where) <= 100 else f"{where[:97]}..."
         return _fail(f"{where}: {error.strerror}. Give another path, or free disk space.")
     return 0
+
+
+def _show_warning(show: Callable[..., None], message: Any, category: Any, *where: Any) -> None:
+    """Print a warning of a user's file on one line, and any other as Python does."""
+    if category is DataWarning:
+        print(f"knowarm: warning: {printable(str(message))}", file=sys.stderr)
+    else:
+        show(message, category, *where)
 
 
 def _fail(message: str) -> int:

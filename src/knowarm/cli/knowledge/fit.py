@@ -10,7 +10,7 @@ from knowarm.cli.knowledge.options import GraphOptions, check_out
 from knowarm.cli.tables import TableCommand, is_terminal, print_table
 from knowarm.errors import UserError
 from knowarm.knowledge.formats import SHIPPED
-from knowarm.knowledge.formats.openke import is_openke, read_openke_split
+from knowarm.knowledge.formats.splits import is_split, read_split
 from knowarm.knowledge.kge import KgeConfig
 
 if TYPE_CHECKING:
@@ -19,18 +19,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class SplitCommand(GraphOptions, TableCommand):
-    """A command on a graph of which triples are held out; an OpenKE folder has its own split."""
+    """A command on a graph of which triples are held out; a folder may have its own split."""
 
     def split(self, seed: int, shares: dict[str, float]) -> "Split":
         """Return the graph's own split, or a random one."""
         from knowarm.knowledge.kge.train import split_graph  # imports torch, which takes seconds
 
         graph = self.graph
-        if graph is None or graph in SHIPPED or not is_openke(Path(graph)):
+        if graph is None or graph in SHIPPED or not is_split(Path(graph)):
             return split_graph(self.read(), **shares, seed=seed)
-        split = read_openke_split(Path(graph))
+        split = read_split(Path(graph))
         if not len(split.test):
-            raise UserError(f"{self.graph} has no test2id.txt with triples to test on. Add one.")
+            raise UserError(
+                f"{self.graph} has no triples to test on. Add test.txt, or for OpenKE test2id.txt."
+            )
         return split
 
 

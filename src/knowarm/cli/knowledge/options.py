@@ -26,9 +26,9 @@ class GraphOptions:
     """The graph that a command works on."""
 
     graph: str | None = None  # no `Path`, which would drop the "./" of a file
-    """A graph file, an OpenKE folder or a shipped graph; "household" by default."""
+    """A graph file, a folder of triples or a shipped graph; "household" by default."""
     format: str | None = None
-    """The file's format ("turtle", "ntriples", ...); by default that of its suffix."""
+    """The file's format ("turtle", "ntriples", ...); by default recognized."""
 
     def read(self) -> KnowledgeGraph:
         """Read the graph."""

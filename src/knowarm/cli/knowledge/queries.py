@@ -38,7 +38,7 @@ class Queries(GraphOptions, TableCommand):
     """Show what a graph can be asked about objects, and what training and each test ask."""
 
     graph: str | None = "objects"
-    """A graph file, an OpenKE folder or a shipped graph; by default that of the choose task."""
+    """A graph file, a folder of triples or a shipped graph; by default that of the choose task."""
     objects: tuple[str, ...] = ()
     """Objects of the task; by default every entity that is the head of a triple and the tail of
     none, and no colour."""

@@ -1,49 +1,88 @@
 """Reading and writing of graphs by file format, and the shipped household graph."""
 
+import re
 from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
+from typing import NamedTuple
 
 from pyoxigraph import RdfFormat
 
 from knowarm.errors import UserError, unknown_name
-from knowarm.knowledge.formats.openke import read_openke_split
+from knowarm.knowledge.formats.documents import read_graphml, read_json_graph
+from knowarm.knowledge.formats.files import COMPRESSED, open_bytes
 from knowarm.knowledge.formats.rdf import read_rdf, write_rdf
+from knowarm.knowledge.formats.splits import read_parts
 from knowarm.knowledge.formats.tables import read_conceptnet, read_table, write_table
 from knowarm.knowledge.graph.graph import KnowledgeGraph
-from knowarm.reading import replacing
+from knowarm.reading import reading, replacing
 
-FORMATS: dict[str, Callable[[Path], KnowledgeGraph]] = {
-    "turtle": partial(read_rdf, syntax=RdfFormat.TURTLE),
-    "ntriples": partial(read_rdf, syntax=RdfFormat.N_TRIPLES),
-    "rdfxml": partial(read_rdf, syntax=RdfFormat.RDF_XML),
-    "jsonld": partial(read_rdf, syntax=RdfFormat.JSON_LD),
-    "csv": partial(read_table, separator=","),
-    "tsv": partial(read_table, separator="\t"),
-    "openke": lambda folder: read_openke_split(folder).graph,
-    "conceptnet": read_conceptnet,
+Reader = Callable[[Path], KnowledgeGraph]
+Writer = Callable[[KnowledgeGraph, Path], None]
+
+
+class Format(NamedTuple):
+    """How files are read and written, and what they are recognized by."""
+
+    read: Reader
+    suffixes: tuple[str, ...] = ()  # Each may be followed by one of `COMPRESSED`
+    begins: str = ""  # Regular expression of how the content begins, behind comments
+    write: Writer | None = None  # Writes files of the first suffix
+
+
+def _rdf(syntax: RdfFormat, *suffixes: str, begins: str = "", writes: bool = False) -> Format:
+    write = partial(write_rdf, syntax=syntax) if writes else None
+    return Format(partial(read_rdf, syntax=syntax), suffixes, begins, write)
+
+
+def _table(separator: str, *suffixes: str) -> Format:
+    write = partial(write_table, separator=separator)
+    return Format(partial(read_table, separator=separator), suffixes, write=write)
+
+
+_PROLOG = r"(?>\s+|<\?.*?\?>|<!--.*?-->|<!DOCTYPE[^\[>]*(?:\[.*?\]\s*)?>)*+"
+_JSON = r'(?:\{\s*["}]|\[\s*[\[{"\]])'
+
+FORMATS: dict[str, Format] = {
+    "rdfxml": _rdf(
+        RdfFormat.RDF_XML, ".rdf", ".owl", ".xml", begins=_PROLOG + r"<(\w+:)?RDF\b", writes=True
+    ),
+    "graphml": Format(read_graphml, (".graphml",), _PROLOG + r"<(\w+:)?graphml\b"),
+    "jsonld": _rdf(RdfFormat.JSON_LD, ".jsonld", begins=f'(?={_JSON}).*"@[a-z]+"', writes=True),
+    "json": Format(read_json_graph, (".json",), _JSON),
+    "turtle": _rdf(
+        RdfFormat.TURTLE,
+        ".ttl",
+        ".turtle",
+        begins=r"(?i:@?(prefix|base))\s[^<\s]*\s*<",
+        writes=True,
+    ),
+    "ntriples": _rdf(RdfFormat.N_TRIPLES, ".nt", begins=r"<[^<>\s]+>\s+<[^<>\s]+>\s", writes=True),
+    "nquads": _rdf(RdfFormat.N_QUADS, ".nq"),
+    "trig": _rdf(RdfFormat.TRIG, ".trig"),
+    "n3": _rdf(RdfFormat.N3, ".n3"),
+    "csv": _table(",", ".csv"),
+    "tsv": _table("\t", ".tsv", ".txt"),
+    "conceptnet": Format(read_conceptnet, begins=r"/a/[^\t]*\t/r/"),
+    "folder": Format(lambda folder: read_parts(folder)[0]),
 }
-"""Reader by name of the format."""
+"""The formats by name. Content is tried in this order."""
 
-SUFFIXES = {f".{name}": name for name in ("turtle", "jsonld", "csv", "tsv")} | {
-    ".ttl": "turtle",
-    ".nt": "ntriples",
-    ".json": "jsonld",
-    **dict.fromkeys((".owl", ".rdf", ".xml"), "rdfxml"),
-}
-"""Format by suffix; each may be followed by one of `COMPRESSED`."""
-
-COMPRESSED = (".gz", ".bz2", ".xz", ".zip")
-
-WRITERS: dict[str, Callable[[KnowledgeGraph, Path], None]] = {
-    ".ttl": partial(write_rdf, syntax=RdfFormat.TURTLE),
-    ".nt": partial(write_rdf, syntax=RdfFormat.N_TRIPLES),
-    ".rdf": partial(write_rdf, syntax=RdfFormat.RDF_XML),
-    ".jsonld": partial(write_rdf, syntax=RdfFormat.JSON_LD),
-    ".csv": partial(write_table, separator=","),
-    ".tsv": partial(write_table, separator="\t"),
-}
+WRITERS = {each.suffixes[0]: each.write for each in FORMATS.values() if each.write}
 """Writer by the file's suffix."""
+
+_TEXT_RDF = ("turtle", "ntriples", "nquads", "trig", "n3")
+"""Formats that the suffix tells apart, for their files may begin alike."""
+_BEGINNING = 1 << 16
+"""Bytes by which content is recognized."""
+_NOT_READ = {
+    r"(Prefix|Ontology)\(": "OWL functional syntax",
+    r"(Prefix|Ontology):": "OWL Manchester syntax",
+    _PROLOG + r"<(\w+:)?Ontology\b": "OWL/XML",
+    r"format-version:": "OBO",
+    r"(?i:<!DOCTYPE html|<html)": "an HTML page",
+}
+"""What else files begin with."""
 
 _DATA = Path(__file__).parent.parent / "data"
 HOUSEHOLD = _DATA / "household.ttl"
@@ -57,14 +96,18 @@ of families, written by ``scripts/draw_families.py``."""
 
 
 def read_graph(path: str | Path | None = None, format: str | None = None) -> KnowledgeGraph:
-    """Read a graph from a file, or from a folder of OpenKE files.
+    """Read a graph from a file, or from a folder of triples split into train, valid and test.
 
     Args:
         path: the file or folder, or the name of a shipped graph; None is "household".
-        format: key of `FORMATS`; None takes the format of the suffix.
+        format: key of `FORMATS`; None recognizes it by content and suffix.
 
     Raises:
-        UserError: there is no such file, the format is unknown, or the file is malformed.
+        UserError: there is no such file, the format is unknown, or the file is malformed or holds
+            no triples.
+
+    Warns:
+        DataWarning: something in the file is left out, or its first line may be a header.
     """
     if path is None or str(path) in SHIPPED:
         return shipped_graph(str(path or "household"))
@@ -78,9 +121,15 @@ def read_graph(path: str | Path | None = None, format: str | None = None) -> Kno
         format = _format_of(path)
     if format not in FORMATS:
         raise unknown_name("graph format", format, FORMATS)
-    if path.is_dir() and format != "openke":
+    if path.is_dir() and format != "folder":
         raise UserError(f"{path} is a folder, but {format} is read from a file. Give the file.")
-    return FORMATS[format](path)
+    graph = FORMATS[format].read(path)
+    if not len(graph):
+        raise UserError(
+            f"{path} holds no triples (read as {format}). Check that it is complete, and that it "
+            "is a graph."
+        )
+    return graph
 
 
 def write_graph(graph: KnowledgeGraph, path: str | Path) -> None:
@@ -107,15 +156,35 @@ def household() -> KnowledgeGraph:
 
 
 def _format_of(path: Path) -> str:
+    """Return the format of a file by its content, and where that is open by its suffix."""
     if path.is_dir():
-        return "openke"
-    if path.name.startswith("conceptnet-assertions"):
-        return "conceptnet"
+        return "folder"
     compressed = path.suffix.lower() in COMPRESSED
     suffix = (Path(path.stem) if compressed else path).suffix.lower()
-    if suffix not in SUFFIXES:
+    named = next((name for name, each in FORMATS.items() if suffix in each.suffixes), None)
+    with reading(path, "Copy or compress it again."), open_bytes(path) as file:
+        text = file.read(_BEGINNING).decode(errors="replace")
+    body = re.sub(r"\A(\s|#.*\n)*", "", text)
+    tried = ["conceptnet"] if suffix in (".csv", ".tsv") else [*FORMATS]
+    found = next((name for name in tried if _begins(FORMATS[name].begins, body)), None)
+    if named in _TEXT_RDF and found in _TEXT_RDF:
+        return named
+    if found is None and (other := [w for p, w in _NOT_READ.items() if _begins(p, body)]):
+        line = 1 + text[: len(text) - len(body)].count("\n")
         raise UserError(
-            f"{path}: the suffix {suffix!r} belongs to no graph format. Known suffixes: "
-            f"{', '.join(sorted(SUFFIXES))}. Or give the format: {', '.join(FORMATS)}."
+            f"{path}, line {line}: this is {other[0]}, which is not read. Save an ontology as "
+            f"RDF/XML or Turtle: in Protégé `File > Save as`, or "
+            f"`robot convert --input {path.name} --output {path.stem}.ttl`."
         )
-    return SUFFIXES[suffix]
+    known = found or named
+    if known is None:
+        suffixes = sorted(suffix for each in FORMATS.values() for suffix in each.suffixes)
+        raise UserError(
+            f"{path}: the suffix {suffix!r} and the content belong to no graph format. Known "
+            f"suffixes: {', '.join(suffixes)}. Or give the format: {', '.join(FORMATS)}."
+        )
+    return known
+
+
+def _begins(pattern: str, text: str) -> bool:
+    return bool(pattern) and re.match(pattern, text, re.DOTALL) is not None

@@ -1,20 +1,23 @@
-"""RDF files: Turtle, N-Triples, RDF/XML and JSON-LD, parsed and serialized by pyoxigraph.
+"""RDF files: Turtle, N-Triples, TriG, N-Quads, RDF/XML and JSON-LD, by pyoxigraph.
 
 Nothing is fetched: a JSON-LD context must lie in the file itself.
 """
 
 import heapq
+import io
 import re
-from codecs import BOM_UTF8
+import xml.sax
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
-from xml.parsers import expat
+from typing import IO
+from xml.sax.handler import EntityResolver, feature_external_ges
+from xml.sax.saxutils import XMLGenerator
 
-from pyoxigraph import NamedNode, RdfFormat, Triple, parse, serialize
+from pyoxigraph import BlankNode, NamedNode, Quad, RdfFormat, Triple, parse, serialize
 
-from knowarm.errors import UserError
-from knowarm.knowledge.formats.tables import open_bytes
+from knowarm.errors import UserError, warn
+from knowarm.knowledge.formats.files import open_bytes, open_compressed
 from knowarm.knowledge.graph.builder import GraphBuilder
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.terms import (
@@ -25,7 +28,6 @@ from knowarm.knowledge.graph.terms import (
     iri_of_name,
     literal,
     name_of_iri,
-    name_of_term,
     triple_of_names,
 )
 from knowarm.reading import reading
@@ -44,36 +46,115 @@ _GENERATED = re.compile(r"_:[a-f][0-9a-f]{25,31}")
 """Random names that pyoxigraph gives to blank nodes without a name."""
 _XML_NAME = re.compile(r"[^\W\d][\w.-]*$")
 """End of an IRI that RDF/XML can write as an element."""
+LINES = (RdfFormat.N_TRIPLES, RdfFormat.N_QUADS)
+"""Syntaxes with one statement per line."""
+TERSE = (RdfFormat.TURTLE, RdfFormat.TRIG, RdfFormat.N3)
+"""Syntaxes whose parser goes on behind a malformed term."""
 
 
 def read_rdf(path: Path, syntax: RdfFormat) -> KnowledgeGraph:
-    """Read an RDF file, plain or compressed (.gz, .bz2, .xz).
+    """Read an RDF file, plain or compressed.
 
     rdfs:label and skos:prefLabel become labels. Unnamed blank nodes are numbered in the order of
-    the file, and named graphs are merged.
+    the file, and named graphs are merged. Triples about triples, and single statements with a bad
+    IRI, are left out with a warning.
     """
-    builder = GraphBuilder()
-    base = None if syntax == RdfFormat.N_TRIPLES else path.absolute().as_uri()
-
-    def name(term: Term | Triple) -> str:
-        return term.value if isinstance(term, NamedNode) else name_of_term(term)
-
     with reading(path, "Correct, copy or compress it again."):
-        mark = _refuse_binary(path)
+        _refuse_binary(path)
         try:
             with open_bytes(path) as file:
-                file.read(mark)
-                for quad in parse(file, format=syntax, base_iri=base):
-                    head, tail, relation = quad.subject, quad.object, quad.predicate.value
-                    if type(head) is NamedNode and type(tail) is NamedNode:  # most triples: fast
-                        builder.add(head.value, relation, tail.value)
-                    else:
-                        builder.add_statement(name(head), relation, name(tail))
+                return _read(file, path, syntax)
         except SyntaxError as error:
-            raise _malformed(path, syntax, error) from error
-        unnamed: dict[str, str] = defaultdict(blank_names({*builder.entities}).__next__)
-        builder.rename(lambda n: unnamed[n] if _GENERATED.fullmatch(n) else name_of_iri(n))
-        return builder.build()
+            if syntax != RdfFormat.RDF_XML:
+                raise _malformed(path, syntax, error.lineno, _reason(error)) from error
+        try:
+            return _read(_plain_xml(path), path, syntax)
+        except xml.sax.SAXParseException as error:
+            line, reason = error.getLineNumber(), error.getMessage()
+            raise _malformed(path, syntax, line, reason) from error
+        except SyntaxError as error:
+            raise _malformed(path, syntax, error.lineno, _reason(error)) from error
+
+
+def _read(file: IO[bytes], path: Path, syntax: RdfFormat) -> KnowledgeGraph:
+    """Read an RDF file.
+
+    Raises:
+        SyntaxError: more than single statements are malformed.
+    """
+    builder, bad = GraphBuilder(), list[SyntaxError]()
+    about = set[str]()  # terms that stand for triples
+    base = None if syntax in LINES else path.absolute().as_uri()
+    for quad in _sound(parse(file, format=syntax, base_iri=base), syntax, bad):
+        head, tail, relation = quad.subject, quad.object, quad.predicate.value
+        if syntax == RdfFormat.N3 and isinstance(quad.graph_name, BlankNode):
+            raise UserError(
+                f"{path}: holds formulas in braces (N3), which state no facts. Leave them out."
+            )
+        if type(head) is NamedNode and type(tail) is NamedNode and not about:  # most: fast
+            builder.add(head.value, relation, tail.value)
+        elif isinstance(head, Triple) or isinstance(tail, Triple):
+            about.add(str(head))
+        elif str(head) not in about:
+            builder.add_statement(_name(head), relation, _name(tail))
+    if len(bad) > len(builder.ids) // 30 + bool(builder.ids):
+        raise bad[0]
+    if bad:
+        lines = ", ".join(str(error.lineno) for error in bad[:10])
+        warn(
+            f"{path}: {len(bad)} malformed statements are left out, in line {lines}: "
+            f"{_reason(bad[0])}."
+        )
+    if about:
+        warn(f"{path}: what is said about {len(about)} triples (RDF 1.2) is left out.")
+    unnamed: dict[str, str] = defaultdict(blank_names({*builder.entities}).__next__)
+    builder.rename(lambda n: unnamed[n] if _GENERATED.fullmatch(n) else name_of_iri(n))
+    return builder.build()
+
+
+def _sound(quads: Iterator[Quad], syntax: RdfFormat, bad: list[SyntaxError]) -> Iterator[Quad]:
+    """Yield the quads of statements in which no line or IRI is malformed; collect the errors."""
+    while True:
+        try:
+            yield from quads
+            return
+        except SyntaxError as error:
+            of_term = syntax in TERSE and re.search("IRI|prefix", _reason(error))
+            of_file = re.search("UTF-8|end of file", _reason(error))
+            if of_file or not (syntax in LINES or of_term):
+                raise
+            bad.append(error)
+
+
+def _name(term: Term) -> str:
+    return term.value if isinstance(term, NamedNode) else str(term)
+
+
+def _plain_xml(path: Path) -> IO[bytes]:
+    """Return an XML file in UTF-8 without entities, which the parser of RDF/XML knows in part."""
+    plain = io.BytesIO()
+    parser = xml.sax.make_parser()
+    parser.setFeature(feature_external_ges, True)  # else they would be left out
+    parser.setEntityResolver(_NoOtherDocuments(path))
+    parser.setContentHandler(XMLGenerator(plain, "utf-8"))
+    with open_compressed(path) as file:
+        parser.parse(file)
+    plain.seek(0)
+    return plain
+
+
+class _NoOtherDocuments(EntityResolver):
+    """Refuses entities that are defined elsewhere."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def resolveEntity(self, public: str | None, system: str) -> str:
+        """Refuse an entity in another document."""
+        raise UserError(
+            f"{self.path}: refers to another document, {system}, and only the given one is read. "
+            "Write what it defines into the file."
+        )
 
 
 def write_rdf(graph: KnowledgeGraph, path: Path, syntax: RdfFormat) -> None:
@@ -94,8 +175,8 @@ def rdf_triples(graph: KnowledgeGraph) -> Iterator[Triple]:
     return (triple_of_names(*statement) for statement in heapq.merge(graph, labels))
 
 
-def _refuse_binary(path: Path) -> int:
-    """Refuse a file with a zero byte; return the length of its byte order mark."""
+def _refuse_binary(path: Path) -> None:
+    """Refuse a file with a zero byte."""
     with open_bytes(path) as file:
         start = file.read(1 << 16)
     if (zero := start.find(b"\0")) >= 0:
@@ -104,20 +185,15 @@ def _refuse_binary(path: Path) -> int:
             f"{path}, line {line}: contains a zero byte, so this is "
             f"not a text file. Check the path and the format."
         )
-    return len(BOM_UTF8) if start.startswith(BOM_UTF8) else 0
 
 
-def _malformed(path: Path, syntax: RdfFormat, error: SyntaxError) -> UserError:
+def _reason(error: SyntaxError) -> str:
+    """Return what the parser says is wrong."""
+    return re.sub(r"^Parser error .*?: ", "", " ".join(str(error.msg).split()))
+
+
+def _malformed(path: Path, syntax: RdfFormat, line: int | None, reason: str) -> UserError:
     """Return the error for a file that the parser refuses."""
-    _refuse_functional_syntax(path)
-    reason = re.sub(r"^Parser error .*?: ", "", " ".join(str(error.msg).split()))
-    line = error.lineno
-    if syntax == RdfFormat.RDF_XML and line is None:  # expat knows the line
-        try:
-            with open_bytes(path) as file:
-                expat.ParserCreate().ParseFile(file)
-        except expat.ExpatError as found:
-            line, reason = found.lineno, expat.errors.messages[found.code]
     if "Invalid UTF-8" in reason:
         return UserError(
             f"{path}, line {line}: not UTF-8 ({reason}). "
@@ -133,14 +209,3 @@ def _malformed(path: Path, syntax: RdfFormat, error: SyntaxError) -> UserError:
         f"{location}: not well-formed {syntax.name}: {reason}. "
         f"Correct the file, or give the right format."
     )
-
-
-def _refuse_functional_syntax(path: Path) -> None:
-    with open_bytes(path) as file:
-        for number, line in enumerate(file.read(20_000).splitlines(), 1):
-            if line.lstrip().startswith((b"Prefix(", b"Ontology(")):
-                raise UserError(
-                    f"{path}, line {number}: this is OWL functional syntax, which is not RDF. "
-                    f"Save it as RDF/XML or Turtle: in Protégé `File > Save as`, or "
-                    f"`robot convert --input {path.name} --output {path.stem}.ttl`."
-                )

@@ -1,105 +1,71 @@
-"""Graphs as lines: CSV and TSV tables of head, relation, tail; ConceptNet's assertions."""
+"""Graphs as lines: tables with columns of head, relation and tail; ConceptNet's assertions."""
 
-import bz2
 import csv
-import gzip
 import json
-import lzma
-import zipfile
-from collections.abc import Callable, Collection, Iterator
+import re
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import suppress
+from itertools import chain, islice
 from pathlib import Path
-from typing import IO, Any
 
-from knowarm.errors import UserError
+from knowarm.errors import UserError, warn
+from knowarm.knowledge.formats.columns import (
+    ROLES,
+    Columns,
+    cell_of_name,
+    columns_of,
+    name_of_cell,
+)
+from knowarm.knowledge.formats.files import MAX_LINE, byte_lines, decode, text_lines
 from knowarm.knowledge.graph.builder import GraphBuilder
 from knowarm.knowledge.graph.graph import KnowledgeGraph
 from knowarm.knowledge.graph.terms import LABEL_RELATIONS, literal
-from knowarm.reading import reading
 
-OPENERS: dict[str, Callable[[Path], Any]] = {".gz": gzip.open, ".bz2": bz2.open, ".xz": lzma.open}
-"""Function that opens a compressed file, by suffix."""
-MAX_LINE = 1 << 20
-"""Longest line in bytes; a file with a longer one is not line-based."""
+Row = tuple[int, list[str]]
+"""Number of a row's first line, and its cells."""
 
-
-def open_bytes(path: Path) -> IO[bytes]:
-    """Open a file for reading bytes, decompressing .gz, .bz2, .xz and .zip (with one member)."""
-    suffix = path.suffix.lower()
-    if suffix == ".zip":
-        archive = zipfile.ZipFile(path)
-        if len(names := archive.namelist()) != 1:
-            raise UserError(
-                f"{path} must contain one file, but contains {', '.join(names[:6]) or 'none'}. "
-                f"Unpack it and give the path of the file."
-            )
-        return archive.open(names[0])
-    return OPENERS[suffix](path) if suffix in OPENERS else path.open("rb")
-
-
-def byte_lines(path: Path) -> Iterator[tuple[int, bytes]]:
-    """Yield (line number, line without its end) of a file."""
-    number = 0
-    with reading(path, "Copy or compress it again."), open_bytes(path) as file:
-        while line := file.readline(MAX_LINE + 1):
-            number += 1
-            if len(line) > MAX_LINE:
-                raise UserError(
-                    f"{path}, line {number}: the line is longer than {MAX_LINE:,} bytes, so "
-                    f"the file does not hold one record per line. Check the format."
-                )
-            yield number, line.rstrip(b"\r\n")
-
-
-def text_lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield (line number, text without its end) of a UTF-8 file."""
-    return ((number, decode(line, path, number)) for number, line in byte_lines(path))
-
-
-def decode(line: bytes, path: Path, number: int) -> str:
-    """Decode one line."""
-    try:
-        text = line.decode()
-    except UnicodeDecodeError as error:
-        raise UserError(
-            f"{path}, line {number}: not UTF-8 ({error.reason} at byte {error.start}). "
-            f"Convert the file, e.g. `iconv -f latin1 -t utf-8`."
-        ) from error
-    if "\0" in text:
-        raise UserError(
-            f"{path}, line {number}: contains a zero byte, so this is not a text file. "
-            f"Check the path and the format."
-        )
-    return text.removeprefix("\ufeff") if number == 1 else text
-
-
-HEADERS = (("head", "relation", "tail"), ("h", "r", "t"), ("subject", "predicate", "object"))
-"""First rows that name the columns and are no triple."""
+SEPARATORS = (",", "\t", ";", "|")
+"""Separators of cells, tried in this order after that of the file's suffix."""
+_SAMPLE = 50
+"""Lines by which the separator is recognized."""
+_QUOTED = re.compile('"((?:[^"]|"")*)"')
 
 
 def read_table(path: Path, separator: str) -> KnowledgeGraph:
-    """Read a table of names; a first row such as `head,relation,tail` is skipped.
+    """Read a table of names, whose first row may name the columns (see `ROLES`).
 
-    CSV follows RFC 4180: quoted cells may hold commas and line ends. TSV has no quoting.
+    The separator is another one of `SEPARATORS` where the first rows have equally many cells by
+    that one only. Quoted cells may hold separators and, but for tabs, line ends (RFC 4180).
     """
+    csv.field_size_limit(MAX_LINE)
     builder = GraphBuilder()
-    tabs = ((number, line.split("\t")) for number, line in text_lines(path) if line)
-    rows = tabs if separator == "\t" else _csv_rows(path, separator)
-    for index, (number, row) in enumerate(rows):
-        if len(row) != 3:
-            named = {"\t": "tabs", ",": "commas"}[separator]
-            raise UserError(
-                f"{path}, line {number}: has {len(row)} column{'s' * (len(row) != 1)}, but a "
-                f"triple has 3 (head, relation, tail) separated by {named}. Correct the line, or "
-                f"give the file the suffix of its separator: .tsv for tabs, .csv for commas."
-            )
-        if not index and tuple(cell.strip().lower() for cell in row) in HEADERS:
-            continue
-        if not all(row):
-            empty = HEADERS[0][row.index("")]
-            raise UserError(
-                f"{path}, line {number}: the {empty} is empty. Fill it in or delete the line."
-            )
-        builder.add_statement(*row)
+    rows = _rows(path, _separator(path, separator))
+    first = next(rows, None)
+    if first is None:
+        return builder.build()
+    names = first[1]
+    columns = columns_of(names, path)
+    named = columns is not None
+    if columns is None:
+        columns, names, rows = Columns(0, 1, 2), list(ROLES), chain([first], rows)
+    by_name = {name: i for i, name in enumerate(names)}
+    labels = [by_name.get(f"{names[i]};label") for i in columns]  # of KGTK
+    if others := [name for i, name in enumerate(names) if name and i not in (*columns, *labels)]:
+        warn(f"{path}: these columns are not read: {', '.join(others)}.")
+    count, again, words = 0, named, {name_of_cell(cell) for cell in first[1]}
+    for number, row in rows:
+        triple = _triple(path, number, row, names, columns)
+        builder.add_statement(*triple)
+        for name, label in zip(triple, labels, strict=True):
+            if label is not None and row[label]:
+                builder.add_statement(name, LABEL_RELATIONS[0], literal(row[label]))
+        again = again or (count > 0 and not words.isdisjoint(triple))
+        count += 1
+    if not again and max(3, len(builder.relations)) < count:
+        warn(
+            f"{path}, line {first[0]}: {', '.join(first[1])} was read as a triple, but no word of "
+            "it occurs again. If these are names of columns, write head,relation,tail."
+        )
     return builder.build()
 
 
@@ -109,23 +75,64 @@ def write_table(graph: KnowledgeGraph, path: Path, separator: str) -> None:
         (name, LABEL_RELATIONS[0], literal(text))
         for name, text in sorted(graph.own_labels().items())
     ]
+    rows = ([cell_of_name(name) for name in triple] for triple in (*graph, *labels))
     with path.open("w", encoding="utf-8", newline="") as file:
-        if separator == ",":
-            csv.writer(file, lineterminator="\n").writerows([HEADERS[0], *graph, *labels])
-            return
-        file.write("\t".join(HEADERS[0]) + "\n")
-        for triple in (*graph, *labels):
-            if any(bad in name for name in triple for bad in "\t\n\r"):
-                raise UserError(
-                    f"The triple {triple!r} contains a tab or line end, which TSV cannot hold. "
-                    f"Write CSV or Turtle."
-                )
-            file.write("\t".join(triple) + "\n")
+        writer = csv.writer(file, delimiter=separator, lineterminator="\n")
+        writer.writerows(chain([ROLES], rows))
 
 
-def _csv_rows(path: Path, separator: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield (number of the row's first line, cells)."""
-    csv.field_size_limit(MAX_LINE)
+def _triple(
+    path: Path, number: int, row: list[str], names: Sequence[str], columns: Columns
+) -> list[str]:
+    """Return the names of head, relation and tail of a row."""
+    if len(row) < len(names) or any(row[len(names) :]):
+        raise UserError(
+            f"{path}, line {number}: has {len(row)} column{'s' * (len(row) != 1)}, but a row has "
+            f"{len(names)} ({', '.join(names)}). Correct the line, or name all columns in the "
+            "first line, such as head,relation,tail,weight."
+        )
+    triple = [name_of_cell(row[i]) for i in columns]
+    if not all(triple):
+        empty = [*ROLES][triple.index("")]
+        raise UserError(
+            f"{path}, line {number}: the {empty} is empty. Fill it in or delete the line."
+        )
+    return triple
+
+
+def _separator(path: Path, expected: str) -> str:
+    """Return the separator that gives the first rows equally many cells, three or more."""
+    lines = [line for _, line in islice(text_lines(path), _SAMPLE)]
+    for separator in dict.fromkeys((expected, *SEPARATORS)):
+        with suppress(csv.Error):  # one that does not fit
+            counts = {len(row) for row in csv.reader(lines, delimiter=separator) if any(row)}
+            if len(counts) == 1 and max(counts) >= 3:
+                return separator
+    return expected
+
+
+def _rows(path: Path, separator: str) -> Iterator[Row]:
+    """Yield rows that are not blank, their cells without blanks around them."""
+    raw = _tab_rows(path) if separator == "\t" else _csv_rows(path, separator)
+    stripped = ((number, [cell.strip() for cell in row]) for number, row in raw)
+    return ((number, row) for number, row in stripped if any(row))
+
+
+def _tab_rows(path: Path) -> Iterator[Row]:
+    """Split at tabs; a cell is quoted if it begins and ends with quotes."""
+    for number, line in text_lines(path):
+        cells = line.split("\t")
+        if '"' in line:
+            quoted = map(_QUOTED.fullmatch, cells)
+            cells = [
+                match[1].replace('""', '"') if match else cell
+                for cell, match in zip(cells, quoted, strict=True)
+            ]
+        yield number, cells
+
+
+def _csv_rows(path: Path, separator: str) -> Iterator[Row]:
+    """Split by the rules of CSV."""
     lines = (line + "\n" for _, line in text_lines(path))
     reader = csv.reader(lines, delimiter=separator, strict=True, skipinitialspace=True)
     start = 1
@@ -139,8 +146,7 @@ def _csv_rows(path: Path, separator: str) -> Iterator[tuple[int, list[str]]]:
                 f"{path}, line {start}: not well-formed CSV: {error}. "
                 f'Quote cells that contain commas or quotes, doubling each quote: "a ""b"" c".'
             ) from error
-        if row:
-            yield start, row
+        yield start, row
         start = reader.line_num + 1
 
 

@@ -54,6 +54,11 @@ def parse_literal(name: str) -> Literal | None:
     return None
 
 
+def is_iri(name: str) -> bool:
+    """Return whether a name is an IRI, and no plain name."""
+    return _IRI.fullmatch(name) is not None
+
+
 def iri_of_name(name: str) -> str:
     """Return the IRI of a name; a name that is no valid IRI gets one in `NAMESPACE`."""
     return _node(name).value

@@ -4,7 +4,7 @@ from dataclasses import fields
 from pathlib import Path
 
 from knowarm.errors import UserError, unknown_name
-from knowarm.knowledge.formats import COMPRESSED
+from knowarm.knowledge.formats.files import COMPRESSED
 from knowarm.knowledge.vectors.graph_embedding import GraphEmbedding
 from knowarm.knowledge.vectors.placebos import (
     Learned,
@@ -60,6 +60,8 @@ def source_named(name: str) -> VectorSource:
 
     if name in MODELS:
         return GraphEmbedding(model=name)
+    if Path(name).is_file():
+        return WordVectors(file=name)
     raise unknown_name("vector source", name, [*SHIPPED, *MODELS, *SOURCES])
 
 

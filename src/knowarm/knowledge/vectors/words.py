@@ -16,7 +16,7 @@ import numpy as np
 from safetensors.numpy import load_file
 
 from knowarm.errors import Argument, UserError, unknown_name
-from knowarm.knowledge.formats.tables import byte_lines, decode
+from knowarm.knowledge.formats.files import byte_lines, decode, open_bytes
 from knowarm.knowledge.vectors.source import (
     Coverage,
     Found,
@@ -26,6 +26,7 @@ from knowarm.knowledge.vectors.source import (
     VectorLookup,
     VectorSource,
 )
+from knowarm.reading import reading
 
 DATA = Path(__file__).parent / "data"
 SHIPPED = {"wordnet-gloss-50": DATA / "wordnet-gloss-50.safetensors"}
@@ -36,6 +37,7 @@ SHIPPED = {"wordnet-gloss-50": DATA / "wordnet-gloss-50.safetensors"}
 _HEADER = re.compile(rb"\d+ \d+ *")
 _NUMBER = re.compile(r"[-+]?\d+\.\d+(?:[eE][-+]?\d+)?")
 _FIRST_LINES = 100
+_BEGINNING = 4096  # bytes by which binary vectors are recognized
 _BRITISH = ["colour", "grey", "aluminium", "centre", "fibre", "jewellery", "mould", "tyre"]
 _AMERICAN = ["color", "gray", "aluminum", "center", "fiber", "jewelry", "mold", "tire"]
 _SPELLINGS = dict(zip(_BRITISH + _AMERICAN, _AMERICAN + _BRITISH, strict=True))
@@ -85,7 +87,7 @@ def read_word_vectors(path: Path, wanted: Collection[str] | None = None) -> Word
             f"There is no word-vector file {path}. Give the path of a file in GloVe's format "
             f"(glove.6B.50d.txt), or take the shipped vectors wordnet-gloss-50."
         )
-    if path.suffix.lower() in (".bin", ".model", ".npy"):
+    if _is_binary(path):
         raise UserError(
             f"{path}: binary vectors are not read. Save them as text: in gensim "
             f"`KeyedVectors.load_word2vec_format(..., binary=True).save_word2vec_format('v.txt')`."
@@ -130,6 +132,14 @@ def read_word_vectors(path: Path, wanted: Collection[str] | None = None) -> Word
             )
     vectors = np.array(rows, np.float32).reshape(len(rows), dim)
     return WordTable(path.name, tuple(words), vectors, np.array(ranks), count, length)
+
+
+def _is_binary(path: Path) -> bool:
+    """Return whether a file does not begin as text."""
+    with reading(path, "Copy or compress it again."), open_bytes(path) as file:
+        start = file.read(_BEGINNING)
+    no_text = len(start) - len(start.decode(errors="ignore").encode())
+    return b"\0" in start or 10 * no_text > len(start)
 
 
 def _dimension(lines: list[bytes], path: Path, header: int) -> int:

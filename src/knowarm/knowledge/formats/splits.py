@@ -1,13 +1,16 @@
-"""OpenKE folders: text files of names, ids and triples, split into train, valid and test."""
+"""Folders of triples split into train, valid and test: OpenKE's files of ids, or text files."""
 
 import re
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from knowarm.errors import UserError
-from knowarm.knowledge.formats.tables import text_lines
+from knowarm.knowledge.formats.files import text_lines
+from knowarm.knowledge.formats.tables import read_table
+from knowarm.knowledge.graph.builder import graph_of
 from knowarm.knowledge.graph.graph import KnowledgeGraph, Names
 
 if TYPE_CHECKING:
@@ -15,24 +18,63 @@ if TYPE_CHECKING:
 
 PARTS = ("train", "valid", "test")
 _NUMBER = re.compile("[0-9]{1,9}")
+Parts = dict[str, np.ndarray]
+"""Ids of head, relation and tail of the triples of each part, (n, 3) int64."""
 
 
-def is_openke(folder: Path) -> bool:
-    """Return whether a folder holds OpenKE's files."""
+def is_split(folder: Path) -> bool:
+    """Return whether a folder holds a split."""
+    return _is_openke(folder) or (folder / "train.txt").is_file()
+
+
+def read_parts(folder: Path) -> tuple[KnowledgeGraph, Parts]:
+    """Read the triples of a folder as they are split; parts without a file are empty.
+
+    OpenKE: `entity2id.txt` and `relation2id.txt` hold `name<tab>id`, `train2id.txt`,
+    `valid2id.txt` and `test2id.txt` hold `head tail relation`; the first line of each is the number
+    of the others. Text: `train.txt`, `valid.txt` and `test.txt` are tables of names.
+    """
+    if _is_openke(folder):
+        return _read_openke(folder)
+    if not is_split(folder):
+        raise UserError(
+            f"{folder} is no folder of triples: it must hold train.txt (and may hold valid.txt and "
+            "test.txt), or OpenKE's entity2id.txt, relation2id.txt and train2id.txt."
+        )
+    files = {part: folder / f"{part}.txt" for part in PARTS}
+    graphs = {part: read_table(f, "\t") for part, f in files.items() if f.is_file()}
+    labels = {name: label for each in graphs.values() for name, label in each.labels.items()}
+    whole = graph_of(chain.from_iterable(graphs.values()), labels=labels)
+    parts = dict.fromkeys(PARTS, np.empty((0, 3), np.int64))
+    for part, graph in graphs.items():
+        entities = np.array([whole.names.find(name) for name in graph.names])
+        relations = np.array([whole.relation_names.find(name) for name in graph.relation_names])
+        ids = [entities[graph.heads], relations[graph.relations], entities[graph.tails]]
+        parts[part] = np.stack(ids, axis=1)
+    return whole, parts
+
+
+def read_split(folder: Path) -> "Split":
+    """Read the triples of a folder as they are split; no triple may be in several parts."""
+    graph, parts = read_parts(folder)
+    distinct = [np.unique(part, axis=0) for part in parts.values()]
+    rows, counts = np.unique(np.concatenate(distinct), axis=0, return_counts=True)
+    for head, relation, tail in rows[counts > 1][:1]:
+        names, relation_names = graph.names, graph.relation_names
+        raise UserError(
+            f"{folder}: the triple {names[head]} {relation_names[relation]} {names[tail]} is in "
+            f"several of {', '.join(PARTS)}, so that a test would not be one. Leave it in one."
+        )
+    from knowarm.knowledge.kge.train import Split  # torch takes a second to import
+
+    return Split(graph=graph, **parts)
+
+
+def _is_openke(folder: Path) -> bool:
     return all((folder / f"{name}2id.txt").is_file() for name in ("entity", "relation", "train"))
 
 
-def read_openke_split(folder: Path) -> "Split":
-    """Read the triples of a folder as they are split; parts without a file are empty.
-
-    `entity2id.txt` and `relation2id.txt` hold `name<tab>id`, `train2id.txt`, `valid2id.txt` and
-    `test2id.txt` hold `head tail relation`. The first line of each is the number of the others.
-    """
-    if not is_openke(folder):
-        raise UserError(
-            f"{folder} is no OpenKE folder: it must hold entity2id.txt, relation2id.txt and "
-            f"train2id.txt (and may hold valid2id.txt and test2id.txt)."
-        )
+def _read_openke(folder: Path) -> tuple[KnowledgeGraph, Parts]:
     names, entity_rank = _read_names(folder / "entity2id.txt")
     relation_names, relation_rank = _read_names(folder / "relation2id.txt")
     parts = {}
@@ -42,17 +84,7 @@ def read_openke_split(folder: Path) -> "Split":
             [entity_rank[ids[:, 0]], relation_rank[ids[:, 2]], entity_rank[ids[:, 1]]], axis=1
         )
     triples, nodes = np.concatenate(list(parts.values())), np.arange(len(names), dtype=np.int32)
-    graph = KnowledgeGraph(names, relation_names, triples, nodes=nodes)
-    distinct = [np.unique(part, axis=0) for part in parts.values()]
-    rows, counts = np.unique(np.concatenate(distinct), axis=0, return_counts=True)
-    for head, relation, tail in rows[counts > 1][:1]:
-        raise UserError(
-            f"{folder}: the triple {names[head]} {relation_names[relation]} {names[tail]} is in "
-            f"several of {', '.join(f'{part}2id.txt' for part in PARTS)}. Leave it in one of them."
-        )
-    from knowarm.knowledge.kge.train import Split  # torch takes a second to import
-
-    return Split(graph=graph, **parts)
+    return KnowledgeGraph(names, relation_names, triples, nodes=nodes), parts
 
 
 def _read_names(path: Path) -> tuple[Names, np.ndarray]:
@@ -81,7 +113,7 @@ def _read_triples(path: Path, entities: int, relations: int) -> np.ndarray:
     """Return (n, 3) int64: head, tail, relation, in OpenKE's order."""
     rows: list[tuple[int, ...]] = []
     for number, line in _counted_lines(path) if path.exists() else ():
-        cells = line.split()
+        cells = line.replace(",", " ").split()
         if len(cells) != 3 or not all(map(_NUMBER.fullmatch, cells)):
             raise UserError(
                 f"{path}, line {number}: expected three ids `head tail relation`, got {line!r}. "

@@ -1,0 +1,69 @@
+"""Columns of tables and keys of records: which hold head, relation and tail of a triple."""
+
+import re
+import unicodedata
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+from urllib.parse import quote
+
+from knowarm.errors import UserError
+from knowarm.knowledge.graph.terms import NAMESPACE, is_iri, name_of_iri, parse_literal
+
+ROLES = {
+    "head": ("head", "subject", "subj", "h", "s", "node1", "entity1", "e1", "start_id", "start",
+             "source", "src", "from"),
+    "relation": ("relation", "predicate", "relationship", "property", "rel", "pred", "r", "p",
+                 "edge", "edge_type", "label", "labels", "type", "name"),
+    "tail": ("tail", "object", "obj", "t", "o", "node2", "entity2", "e2", "end_id", "end",
+             "target", "dst", "to", "value"),
+}  # fmt: skip
+"""Names of the three columns, the surest first: a source beside a subject is a reference."""
+
+
+class Columns(NamedTuple):
+    """Numbers of the columns of a triple."""
+
+    head: int
+    relation: int
+    tail: int
+
+
+def columns_of(names: Sequence[str], where: Path) -> Columns | None:
+    """Return the columns that names tell; None if they name neither head nor tail.
+
+    Raises:
+        UserError: they name head and tail, and no relation.
+    """
+    keys = [_key(name) for name in names]
+    found = [next((keys.index(n) for n in known if n in keys), -1) for known in ROLES.values()]
+    if found[0] < 0 or found[2] < 0:
+        return None
+    if found[1] < 0:
+        raise UserError(
+            f"{where}: none of {', '.join(names)} names the relation of a triple. Name the "
+            f"relation one of {', '.join(ROLES['relation'])}."
+        )
+    return Columns(*found)
+
+
+def _key(name: str) -> str:
+    """Return the name of a column in lower case: "start_id" of ":START_ID(Person)"."""
+    return re.sub(r"\(.*\)$", "", name.strip().lower()).lstrip("#").rpartition(":")[2].strip()
+
+
+@lru_cache(maxsize=1 << 16)
+def name_of_cell(cell: str) -> str:
+    """Return the name that a cell holds: one blank between words, letters in the form NFC."""
+    cell = cell.strip()
+    if cell.startswith(NAMESPACE):
+        return name_of_iri(cell)
+    if is_iri(cell) or cell.startswith("_:") or parse_literal(cell) is not None:
+        return cell
+    return unicodedata.normalize("NFC", " ".join(cell.split()))
+
+
+def cell_of_name(name: str) -> str:
+    """Return the cell of which `name_of_cell` makes the name: its IRI where it must be exact."""
+    return name if name_of_cell(name) == name else NAMESPACE + quote(name, safe="")

@@ -1,0 +1,82 @@
+"""Opening of files for reading: compression, byte order marks, lines."""
+
+import bz2
+import gzip
+import io
+import lzma
+import zipfile
+from codecs import BOM_UTF8, BOM_UTF16_BE, BOM_UTF16_LE
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import IO, Any
+
+from knowarm.errors import UserError
+from knowarm.reading import reading
+
+OPENERS: dict[str, Callable[[Path], Any]] = {".gz": gzip.open, ".bz2": bz2.open, ".xz": lzma.open}
+"""Function that opens a compressed file, by suffix."""
+COMPRESSED = (*OPENERS, ".zip")
+MAX_LINE = 1 << 20
+"""Longest line in bytes; a file with a longer one is not line-based."""
+
+
+def open_compressed(path: Path) -> IO[bytes]:
+    """Open a file for reading bytes, decompressing .gz, .bz2, .xz and .zip (with one member)."""
+    suffix = path.suffix.lower()
+    if suffix == ".zip":
+        archive = zipfile.ZipFile(path)
+        if len(names := archive.namelist()) != 1:
+            raise UserError(
+                f"{path} must contain one file, but contains {', '.join(names[:6]) or 'none'}. "
+                f"Unpack it and give the path of the file."
+            )
+        return archive.open(names[0])
+    return OPENERS[suffix](path) if suffix in OPENERS else path.open("rb")
+
+
+def open_bytes(path: Path) -> IO[bytes]:
+    """Open as `open_compressed`; after a byte order mark, which is left out, UTF-16 is UTF-8."""
+    file = open_compressed(path)
+    mark = file.read(len(BOM_UTF8))
+    if mark.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
+        with file:
+            return io.BytesIO((mark + file.read()).decode("utf-16").encode())
+    if mark != BOM_UTF8:
+        file.seek(0)
+    return file
+
+
+def byte_lines(path: Path) -> Iterator[tuple[int, bytes]]:
+    """Yield (line number, line without its end) of a file."""
+    number = 0
+    with reading(path, "Copy or compress it again."), open_bytes(path) as file:
+        while line := file.readline(MAX_LINE + 1):
+            number += 1
+            if len(line) > MAX_LINE:
+                raise UserError(
+                    f"{path}, line {number}: the line is longer than {MAX_LINE:,} bytes, so "
+                    f"the file does not hold one record per line. Check the format."
+                )
+            yield number, line.rstrip(b"\r\n")
+
+
+def text_lines(path: Path) -> Iterator[tuple[int, str]]:
+    """Yield (line number, text without its end) of a UTF-8 file."""
+    return ((number, decode(line, path, number)) for number, line in byte_lines(path))
+
+
+def decode(line: bytes, path: Path, number: int) -> str:
+    """Decode one line."""
+    try:
+        text = line.decode()
+    except UnicodeDecodeError as error:
+        raise UserError(
+            f"{path}, line {number}: not UTF-8 ({error.reason} at byte {error.start}). "
+            f"Convert the file, e.g. `iconv -f latin1 -t utf-8`."
+        ) from error
+    if "\0" in text:
+        raise UserError(
+            f"{path}, line {number}: contains a zero byte, so this is not a text file. "
+            f"Check the path and the format."
+        )
+    return text

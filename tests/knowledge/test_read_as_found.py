@@ -1,0 +1,299 @@
+"""Graphs as other programs and people write them: read right, or refused or warned in one line."""
+
+import csv
+import io
+import json
+import warnings
+
+import hypothesis.strategies as st
+import networkx
+import pytest
+import rdflib
+from hypothesis import given, settings
+
+from knowarm.errors import DataWarning, UserError
+from knowarm.knowledge import graph_of, read_graph
+from knowarm.knowledge.formats import write_graph
+from knowarm.knowledge.formats.splits import read_split
+from knowarm.knowledge.graph.terms import iri_of_name, literal, parse_literal
+
+MUG, BOTTLE = ("mug", "usedFor", "drinking"), ("bottle", "usedFor", "drinking")
+CUP = ("mug", "isA", "cup")
+E = "http://e.org/"
+E_MUG = (E + "mug", E + "usedFor", E + "drinking")
+TURTLE = "@prefix : <urn:knowarm:> .\n:mug :usedFor :drinking .\n"
+XML = """<?xml version="1.0" encoding="ISO-8859-1"?>
+<!DOCTYPE rdf:RDF [ <!ENTITY e 'http://e.org/'> ]>
+<rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#" xmlns:k="http://e.org/">
+<rdf:Description rdf:about="&e;mug"><k:usedFor rdf:resource="&e;drinking"/><k:note>Köln:
+Prefix(:=&lt;http://e.org/&gt;)
+</k:note></rdf:Description></rdf:RDF>"""
+GRAPHML = """<?xml version="1.0"?><!-- yEd --><graphml xmlns="http://graphml.graphdrawing.org/xmlns">
+<key id="d0" for="edge" attr.name="label"/><key id="d1" for="node" attr.name="label"/>
+<graph edgedefault="directed"><node id="n0"><data key="d1">Mug</data></node><node id="n1"/>
+<edge source="n0" target="n1"><data key="d0">usedFor</data></edge></graph></graphml>"""
+NODES = [{"id": "mug"}, {"id": "bottle"}, {"id": "drinking"}]
+LINKS = [
+    {"source": each, "target": "drinking", "relation": "usedFor"} for each in ("mug", "bottle")
+]
+
+READ = [
+    # tables: blanks, letters, quotes, separators, encodings, other headers and columns
+    ("a.csv", "head, relation, tail\nmug , usedFor , drinking \nbottle, usedFor, drinking\n"),
+    ("a.csv", "mug\xa0,used\u0046or,drinking\nbottle,usedFor,drinking\n"),
+    ("a.csv", "source,relation,target\nmug,usedFor,drinking\nbottle,usedFor,drinking\n"),
+    ("a.csv", "source,target,type\nmug,drinking,usedFor\nbottle,drinking,usedFor\n"),
+    ("a.csv", "subject,relation,object\nmug,usedFor,drinking\nbottle,usedFor,drinking\n"),
+    ("a.csv", ":START_ID,:END_ID,:TYPE\nmug,drinking,usedFor\nbottle,drinking,usedFor\n"),
+    ("a.csv", "a:START_ID(X),:TYPE,:END_ID(X)\nmug,usedFor,drinking\nbottle,usedFor,drinking\n"),
+    ("a.csv", "mug,usedFor,drinking,,\nbottle,usedFor,drinking,,\n,,,,\n"),
+    ("a.csv", "\ufeffhead;relation;tail\r\nmug;usedFor;drinking\r\nbottle;usedFor;drinking\r\n"),
+    ("a.csv", "mug\tusedFor\tdrinking\nbottle\tusedFor\tdrinking\n"),
+    ("a.tsv", "mug,usedFor,drinking\nbottle,usedFor,drinking\n"),
+    ("a.tsv", '"mug"\t"usedFor"\t"drinking"\nbottle\tusedFor\tdrinking\n'),
+    ("a.tsv", "#head\trelation\ttail\nmug\tusedFor\tdrinking\nbottle\tusedFor\tdrinking\n"),
+    ("a.txt", "node1\tlabel\tnode2\nmug\tusedFor\tdrinking\nbottle\tusedFor\tdrinking\n"),
+    ("a.csv", "mug,usedFor,drinking\nbottle,usedFor,drinking\n".encode("utf-16")),
+    # documents
+    ("a.json", json.dumps({"directed": True, "nodes": NODES, "links": LINKS})),
+    ("a.json", json.dumps({"nodes": NODES, "edges": LINKS})),
+    ("a.json", json.dumps([list(MUG), list(BOTTLE)])),
+    ("a.json", json.dumps([dict(zip("hrt", each, strict=True)) for each in (MUG, BOTTLE)])),
+    ("a.json", '{"nodes": [{"id": "mug"}, {"id": "bottle"}, {"id": "drinking"}], "links": ['
+               '{"source": 0, "target": 2, "type": "usedFor"},'
+               ' {"source": 1, "target": 2, "type": "usedFor"}]}'),
+    ("a.jsonld", json.dumps([list(MUG), list(BOTTLE)])),
+    # RDF under another suffix
+    ("a.owl", TURTLE + ":bottle :usedFor :drinking ."),
+    ("a.txt", "# nt\n<urn:knowarm:mug> <urn:knowarm:usedFor> <urn:knowarm:drinking> .\n"
+              "<urn:knowarm:bottle> <urn:knowarm:usedFor> <urn:knowarm:drinking> ."),
+    ("a.nq", "<urn:knowarm:mug> <urn:knowarm:usedFor> <urn:knowarm:drinking> <urn:g> .\n"
+             "<urn:knowarm:bottle> <urn:knowarm:usedFor> <urn:knowarm:drinking> .\n"),
+    ("a.trig", "@prefix : <urn:knowarm:> .\n:g { :mug :usedFor :drinking }\n"
+               "{ :bottle :usedFor :drinking . }"),
+    ("a.n3", TURTLE + ":bottle :usedFor :drinking ."),
+]  # fmt: skip
+
+
+def write(path, content):
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+@pytest.mark.parametrize(("name", "content"), READ)
+def test_what_people_have_is_read_right_and_without_a_warning(tmp_path, name, content):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DataWarning)
+        assert set(read_graph(write(tmp_path / name, content))) == {MUG, BOTTLE}
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "triples", "warning"),
+    [
+        ("a.csv", "head,relation,tail,w\nmug,usedFor,drinking,1.0\n", {MUG}, "not read: w"),
+        ("a.tsv", "id\tnode1\tlabel\tnode2\n1\tmug\tusedFor\tdrinking\n", {MUG}, "not read: id"),
+        ("a.json", '[{"s": "mug", "p": "usedFor", "o": "drinking", "weight": 2}]', {MUG}, "weight"),
+        ("a.ttl", TURTLE + ":mug :recipe <http://e.org/hot chocolate> .", {MUG}, "line 3: Invalid"),
+        ("a.ttl", TURTLE + "foaf:x :y :z .", {MUG}, "1 malformed .* line 3: The prefix foaf:"),
+        ("a.ttl", TURTLE[:-2] + "{| :source :me |} .", {MUG}, r"said about 1 triples \(RDF 1.2\)"),
+        (
+            "a.nt",
+            "<urn:knowarm:mug> <urn:knowarm:usedFor> <urn:knowarm:drinking> .\n<urn:a> <urn:b>\n",
+            {MUG},
+            "in line 3: line jumps",
+        ),
+        (
+            "a.csv",
+            "Thing,Link,Other\nmug,usedFor,drinking\nbottle,usedFor,drinking\n"
+            "mug,isA,cup\nbottle,isA,cup\n",
+            {MUG, BOTTLE, CUP, ("bottle", "isA", "cup"), ("Thing", "Link", "Other")},
+            "line 1: Thing, Link, Other was read as a triple, but no word of it occurs again",
+        ),
+    ],
+)  # fmt: skip
+def test_what_is_left_out_or_doubtful_is_said_in_one_line(
+    tmp_path, name, content, triples, warning
+):
+    with pytest.warns(DataWarning, match=warning) as caught:
+        graph = read_graph(write(tmp_path / name, content))
+    assert set(graph) == triples
+    assert [str(each.message).count("\n") for each in caught] == [0]
+
+
+REFUSED = [
+    ("a.csv", "", "holds no triples"),
+    ("a.csv", "head,relation,tail\n", "holds no triples"),
+    ("a.csv", "mug,usedFor,drinking,1.0\n", "has 4 columns, but a row has 3"),
+    ("a.csv", "Source,Target,Weight\nmug,lamp,2\n", "none of Source, Target, Weight names the rel"),
+    ("a.json", '{"nodes": [{"id": "mug"}], "links": []}', "holds no triples"),
+    ("a.json", '{"entities": {"Q1": {"labels": {}}}}', "this JSON is neither JSON-LD nor a graph"),
+    ("a.json", '[{"image_id": 1, "relationships": []}]', "is no link with the names of a head"),
+    ("a.json", '[["mug", "usedFor"]]', "is no link"),
+    ("a.json", '[["mug", "usedFor", "drinking"]', "a.json is damaged or of another format"),
+    ("a.json", '[{"source": "mug", "target": "lamp", "weight": 3}]', "names the relation"),
+    ("a.jsonld", '{"@context": {"usedFor": "http://e.org/usedFor"}}', "holds no triples"),
+    ("a.graphml", GRAPHML.replace("directed", "undirected"), "edges without a direction"),
+    ("a.graphml", GRAPHML.replace("label", "weight"), "names the relation"),
+    ("a.owl", "Prefix(:=<http://e.org/>)\nOntology(<http://e.org/o>)", "OWL functional syntax"),
+    ("a.omn", "Prefix: : <http://e.org/>\nOntology: <http://e.org/o>\n", "Manchester syntax"),
+    ("a.owl", '<?xml version="1.0"?>\n<Ontology xmlns="http://www.w3.org/2002/07/owl#"/>', "XML"),
+    ("a.ttl", "<!DOCTYPE html><html><body>404</body></html>", "this is an HTML page"),
+    ("a.rdf", XML.replace("'http://e.org/'", "SYSTEM 'file:///etc/passwd'"), "external entity"),
+    ("a.rdf", XML.replace("[ <", "SYSTEM 'a' [ <").replace("Köln", "&x;"), "another document, a,"),
+    ("a.rdf", XML[:-20], r"line \d: not well-formed RDF/XML"),
+    ("a.n3", TURTLE + "{ :a :b :c } => { :d :e :f } .", "formulas in braces"),
+    ("a.ttl", TURTLE + ":mug :usedFor", "not well-formed Turtle"),
+    ("a.nt", "<urn:a> <urn:b> <urn:c> .\n<urn:d> <urn:e>\n<urn:d> <urn:e>\n", "line 3: not well-"),
+    ("a.nt", "<urn:a> <urn:b> <urn:c> .\n<urn:d> <ur", "line 2: .*Unexpected end of file"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "content", "message"), REFUSED)
+def test_what_is_no_graph_or_a_cut_one_is_refused_in_one_line(tmp_path, name, content, message):
+    with pytest.raises(UserError, match=message) as error:
+        read_graph(write(tmp_path / name, content))
+    assert "\n" not in str(error.value)
+
+
+def test_xml_with_entities_and_another_encoding(tmp_path):
+    graph = read_graph(write(tmp_path / "a.rdf", XML.encode("latin-1")))
+    note = (E + "mug", E + "note", literal("Köln:\nPrefix(:=<http://e.org/>)\n"))
+    assert set(graph) == {E_MUG, note}
+    for encoding in ("utf-16", "utf-8-sig"):
+        text = XML.replace("ISO-8859-1", encoding.removesuffix("-sig"))
+        assert read_graph(write(tmp_path / "b.rdf", text.encode(encoding))) == graph
+
+
+def test_labels_of_nodes_and_columns(tmp_path):
+    graph = read_graph(write(tmp_path / "a.graphml", GRAPHML))
+    assert list(graph) == [("n0", "usedFor", "n1")]
+    assert graph.labels == {"n0": "Mug"}
+    kgtk = (
+        "node1\tlabel\tnode2\tnode1;label\tlabel;label\tnode2;label\nQ1\tP1\tQ2\tmug\tused for\t\n"
+    )
+    graph = read_graph(write(tmp_path / "a.tsv", kgtk))
+    assert list(graph) == [("Q1", "P1", "Q2")]
+    assert graph.labels == {"Q1": "mug", "P1": "used for"}
+
+
+def test_letters_of_two_forms_are_one_name(tmp_path):
+    path = write(tmp_path / "a.csv", "caf\u00e9,isA,place\ncafe\u0301,sells,coffee\n")
+    assert read_graph(path).entities == ["café", "coffee", "place"]
+
+
+@pytest.mark.parametrize("separator", [" ", ","])
+def test_a_triple_in_two_parts_is_read_but_is_no_split(tmp_path, separator):
+    for name, text in {
+        "entity2id.txt": "2\nmug\t0\ndrinking\t1\n",
+        "relation2id.txt": "1\nusedFor\t0\n",
+        "train2id.txt": "1\n0 1 0\n".replace(" ", separator),
+        "test2id.txt": "1\n0 1 0\n",
+    }.items():
+        (tmp_path / name).write_text(text)
+    assert list(read_graph(tmp_path)) == [MUG]
+    with pytest.raises(UserError, match="the triple mug usedFor drinking is in several of train"):
+        read_split(tmp_path)
+
+
+def test_a_folder_of_train_valid_and_test(tmp_path):
+    (tmp_path / "train.txt").write_text("mug\tusedFor\tdrinking\nbottle\tusedFor\tdrinking\n")
+    (tmp_path / "valid.txt").write_text("pot\tusedFor\tcooking\n")
+    graph = read_graph(tmp_path)
+    assert set(graph) == {MUG, BOTTLE, ("pot", "usedFor", "cooking")}
+    split = read_split(tmp_path)
+    assert [len(part) for part in (split.train, split.valid, split.test)] == [2, 1, 0]
+    (row,) = split.valid.tolist()
+    names = graph.names[row[0]], graph.relation_names[row[1]], graph.names[row[2]]
+    assert names == ("pot", "usedFor", "cooking")
+
+
+LETTERS = st.characters(
+    categories=["Lu", "Ll", "Nd"], exclude_characters="ªµº", max_codepoint=0x24F
+)
+WORD = st.text(LETTERS | st.sampled_from(" ,;|%()'-_/&<"), min_size=1, max_size=5).map(str.strip)
+NAME = st.one_of(
+    st.sampled_from(
+        ["mug", "light_blue", "cereal box", "a, b", "x;y", 'the "cup"', "50%", "wine|glass"]
+    ),
+    WORD.map(lambda text: "x" + text),
+    WORD.map(lambda text: E + "".join(filter(str.isalnum, text))),
+)
+RELATION = st.sampled_from(["usedFor", "isA", E + "hasPart", E + "P1"])
+LITERAL = WORD.map(literal) | WORD.map(lambda text: literal(text + " \n", language="en"))
+MANY = settings(max_examples=40, deadline=None)
+RDF = {"ttl": "turtle", "nt": "nt", "rdf": "xml", "jsonld": "json-ld"}
+MORE = {"nq": "nquads", "trig": "trig", "n3": "n3", "owl": "turtle", "txt": "nt", "json": "json-ld"}
+
+
+def rdflib_triples(triples):
+    """Return triples of names as rdflib's terms, made by the rules that the reference states."""
+    terms = []
+    for triple in triples:
+        found = [rdflib.URIRef(iri_of_name(name)) for name in triple]
+        if (text := parse_literal(triple[2])) is not None:
+            found[2] = rdflib.Literal(text.value, lang=text.language)
+        terms.append(tuple(found))
+    return set(terms)
+
+
+@pytest.mark.parametrize("suffix", RDF)
+@MANY
+@given(triples=st.lists(st.tuples(NAME, RELATION, NAME | LITERAL), min_size=1, max_size=12))
+def test_rdflib_reads_what_is_written(tmp_path_factory, suffix, triples):
+    path = tmp_path_factory.mktemp("graph") / f"a.{suffix}"
+    write_graph(graph_of(triples), path)
+    assert set(rdflib.Graph().parse(path, format=RDF[suffix])) == rdflib_triples(triples)
+
+
+@pytest.mark.parametrize("suffix", RDF | MORE)
+@MANY
+@given(triples=st.lists(st.tuples(NAME, RELATION, NAME | LITERAL), min_size=1, max_size=12))
+def test_what_rdflib_writes_is_read(tmp_path_factory, suffix, triples):
+    path = tmp_path_factory.mktemp("graph") / f"a.{suffix}"
+    graph = rdflib.Dataset() if suffix in ("nq", "trig") else rdflib.Graph()
+    for triple in rdflib_triples(triples):
+        graph.add(triple)
+    graph.serialize(path, format=(RDF | MORE)[suffix])
+    assert read_graph(path) == graph_of(triples)
+
+
+def as_csv(triples, separator, encoding="utf-8", header=("head", "relation", "tail")):
+    text = io.StringIO()
+    order = [["head", "relation", "tail"].index(name) for name in header]
+    rows = [[triple[i] for i in order] for triple in triples]
+    csv.writer(text, delimiter=separator).writerows([header, *rows])
+    return text.getvalue().encode(encoding)
+
+
+def as_graphml(triples):
+    graph = networkx.MultiDiGraph()
+    for head, relation, tail in triples:
+        graph.add_edge(head, tail, label=relation)
+    return "\n".join(networkx.generate_graphml(graph)).encode()
+
+
+def as_node_link(triples):
+    graph = networkx.MultiDiGraph()
+    for head, relation, tail in triples:
+        graph.add_edge(head, tail, relation=relation)
+    return json.dumps(networkx.node_link_data(graph, edges="links")).encode()
+
+
+OTHERS = {
+    "comma.csv": lambda triples: as_csv(triples, ","),
+    "semicolon.csv": lambda triples: as_csv(triples, ";", "utf-8-sig"),
+    "excel.csv": lambda triples: as_csv(triples, "\t", "utf-16"),
+    "bar.txt": lambda triples: as_csv(triples, "|", header=("tail", "head", "relation")),
+    "tabs.tsv": lambda triples: as_csv(triples, "\t"),
+    "lists.json": lambda triples: json.dumps(triples, indent=1).encode(),
+    "links.json": as_node_link,
+    "a.graphml": as_graphml,
+}
+
+
+@pytest.mark.parametrize("name", OTHERS)
+@MANY
+@given(triples=st.lists(st.tuples(NAME, RELATION, NAME), min_size=1, max_size=12))
+def test_what_other_libraries_write_is_read(tmp_path_factory, name, triples):
+    path = write(tmp_path_factory.mktemp("graph") / name, OTHERS[name](triples))
+    assert read_graph(path) == graph_of(triples)
