@@ -66,6 +66,47 @@ def test_tcp_lies_between_the_ends_of_two_fingers() -> None:
     np.testing.assert_allclose(np.abs(matrix.reshape(3, 3)[:, 1]), [1, 0, 0], atol=1e-5)
 
 
+JAW = """<body name="part" pos=".03 0 .04"><joint name="joint7" axis="0 1 0" range="-.2 1.2"/>
+    <geom type="box" size=".005 .01 .03" pos="0 0 .03"/></body>"""
+FIXED_JAW = '<geom type="box" size=".005 .01 .03" pos="-.03 0 .06"/>'
+PARTNER = """<body name="e" pos="0 0 .1"><joint name="e" axis="0 0 1"/><geom size=".03"/></body>
+  </body></body></body></body></body><body name="far"><joint name="f"/><geom size=".03"/>
+  <body><body><body><body>"""
+COUPLED = '<equality><joint joint1="f" joint2="e"/></equality>'
+
+
+@pytest.mark.parametrize(
+    ("inside", "fingers", "more", "why"),
+    [
+        (FIXED_JAW, JAW, "", "a jaw moves beside a fixed part"),
+        ('<site name="end_effector_site" pos="0 0 .1"/>', JAW, "", "site 'end_effector_site' lies"),
+        ("", FINGERS.format("jaw", 0.02) + JAW, "", "2 moving parts begin"),
+        ("", PARTNER, COUPLED, "joints of several parts are coupled ('f')"),
+    ],
+)
+def test_fingers_are_known_by_structure(inside: str, fingers: str, more: str, why: str) -> None:
+    text = HAND.format(inside=inside, fingers=fingers).replace("</mujoco>", f"{more}</mujoco>")
+    gripper = find_gripper(mujoco.MjModel.from_xml_string(text))
+    assert gripper.joints == ("a", "b", "c", "d")
+    assert f"where {why}" in gripper.how
+    assert f": a, b, c, d; left out: {'e, f' if more else ''}" in gripper.how
+
+
+def test_last_joint_without_these_signs_is_the_arms() -> None:
+    roll = '<body><joint name="roll" axis="0 0 1"/><geom size=".03" pos=".01 0 .1"/></body>'
+    pitch = '<body><joint name="pitch" axis="0 1 0"/><geom size=".03" pos="0 0 .1"/></body>'
+    assert find_gripper(hand(FIXED_JAW, roll)).joints[-1] == "roll"
+    assert find_gripper(hand(fingers=pitch)).joints[-1] == "pitch"
+
+
+def test_tcp_lies_between_a_jaw_and_the_fixed_one() -> None:
+    gripper = find_gripper(hand(FIXED_JAW, JAW))
+    np.testing.assert_allclose(gripper.tcp["tcp_position_m"][:2], 0, atol=1e-3)
+    matrix = np.zeros(9)
+    mujoco.mju_quat2Mat(matrix, np.array(gripper.tcp["tcp_quaternion"]))
+    np.testing.assert_allclose(np.abs(matrix.reshape(3, 3)[:, 1]), [1, 0, 0], atol=1e-5)
+
+
 def test_single_jaw_is_no_joint_of_the_arm() -> None:
     assert find_gripper(hand(fingers=FINGERS.format("jaw", 0.02))).joints == ("a", "b", "c", "d")
 
